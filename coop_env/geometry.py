@@ -1,0 +1,166 @@
+"""The two robots' dimensions, as frozen dataclasses that cannot hold an impossible machine.
+
+The paper prints no dimensions. :data:`INITIAL` and :data:`OPTIMIZED` were found by a fit to its
+headline figures (workspace 0.82 to 1.16 rad^2), so they are no independent confirmation of them;
+``docs/fidelity.md`` says what does and does not come out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from types import MappingProxyType
+from typing import Final
+
+
+class GeometryError(ValueError):
+    """A geometry that cannot be built or assembled; the message names the value and the mend."""
+
+
+def _require_positive(owner: object, *names: str) -> None:
+    for name in names:
+        value = getattr(owner, name)
+        if not (math.isfinite(value) and value > 0.0):
+            raise GeometryError(
+                f"{type(owner).__name__}.{name} = {value!r} m: must be a finite length above zero"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class RRSGeometry:
+    """Dimensions and limits of a 3-RRS with limbs at azimuths 0, 120 and 240 degrees.
+
+    Lengths in m, angles in rad. ``base_radius`` and ``platform_radius`` run from the centre to the
+    revolute and to the spherical joints. The lengths obey the paper's equation (constraints):
+    ``platform_radius < base_radius < 2 eta``.
+
+    Raises:
+        GeometryError: a length or limit is not finite, out of order, or breaks the constraints.
+    """
+
+    base_radius: float
+    proximal_length: float
+    platform_radius: float
+    distal_length: float = 0.225
+    joint_min: float = math.radians(12.0)
+    joint_max: float = math.radians(78.0)
+    max_tilt: float = math.pi / 4
+    heave_min: float = 0.21
+    heave_max: float = 0.25
+    home_heave: float = 0.21
+
+    def __post_init__(self) -> None:
+        _require_positive(
+            self,
+            "base_radius",
+            "proximal_length",
+            "platform_radius",
+            "distal_length",
+            "heave_min",
+            "home_heave",
+        )
+        for low, high in (("joint_min", "joint_max"), ("heave_min", "heave_max")):
+            a, b = getattr(self, low), getattr(self, high)
+            if not (math.isfinite(a) and math.isfinite(b) and a < b):
+                raise GeometryError(f"{low} = {a!r} must be finite and below {high} = {b!r}")
+        if not 0.0 < self.max_tilt < math.pi / 2:
+            raise GeometryError(f"max_tilt = {self.max_tilt!r} rad: must lie in (0, pi/2)")
+        lambda1, _, lambda3 = self.lambdas
+        if not lambda3 < lambda1:
+            raise GeometryError(
+                f"lambda3 = {lambda3:.4g} is not below lambda1 = {lambda1:.4g}: "
+                "the platform must be smaller than the base (lower platform_radius)"
+            )
+        if not lambda1 < 2.0:
+            raise GeometryError(
+                f"lambda1 = {lambda1:.4g} is not below 2: base_radius = {self.base_radius:.4g} m "
+                "exceeds proximal_length + platform_radius / 2 + base_radius / 2 (lower it)"
+            )
+
+    @property
+    def characteristic_length(self) -> float:
+        """eta = (Rb + 2 L1 + Rp) / 4 in m, the paper's scale; also the Jacobian's length."""
+        return (self.base_radius + 2.0 * self.proximal_length + self.platform_radius) / 4.0
+
+    @property
+    def lambdas(self) -> tuple[float, float, float]:
+        """The paper's dimensionless design vector (Rb, 2 L1, Rp) / eta; it sums to 4."""
+        eta = self.characteristic_length
+        return self.base_radius / eta, 2.0 * self.proximal_length / eta, self.platform_radius / eta
+
+    @classmethod
+    def from_lambdas(
+        cls, lambda1: float, lambda2: float, eta: float = 0.1235, **limits: float
+    ) -> RRSGeometry:
+        """The geometry of a design vector; lambda3 = 4 - lambda1 - lambda2.
+
+        Args:
+            lambda1: base radius over eta.
+            lambda2: twice the proximal length over eta.
+            eta: characteristic length, m.
+            limits: any other field of the class (``distal_length``, ``joint_max``, ...).
+
+        Raises:
+            GeometryError: the paper's constraints are broken.
+        """
+        lambda3 = 4.0 - lambda1 - lambda2
+        for name, value in (("lambda1", lambda1), ("lambda2", lambda2), ("lambda3", lambda3)):
+            if not (math.isfinite(value) and value > 0.0):
+                raise GeometryError(
+                    f"{name} = {value!r}: lambda1, lambda2 and lambda3 = 4 - lambda1 - lambda2 "
+                    "must all be above zero"
+                )
+        return cls(lambda1 * eta, lambda2 * eta / 2.0, lambda3 * eta, **limits)
+
+    def as_dict(self) -> dict[str, float]:
+        """The fields by name, for a configuration file."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class DeltaGeometry:
+    """Dimensions of a Delta robot with limbs at azimuths 0, 120 and 240 degrees; lengths in m.
+
+    ``proximal_length`` is the paper's active rod l_a, ``distal_length`` its passive rod l_p;
+    the radii run from the centre to the joints. ``base_height`` places the Delta's base frame
+    above the 3-RRS's on their common axis. The peg hangs ``peg_length`` below the effector.
+
+    Raises:
+        GeometryError: a length is not finite and positive, or the robot cannot be assembled.
+    """
+
+    base_radius: float = 0.12
+    effector_radius: float = 0.04
+    proximal_length: float = 0.20
+    distal_length: float = 0.45
+    base_height: float = 0.85
+    peg_length: float = 0.08
+    peg_radius: float = 0.004
+
+    def __post_init__(self) -> None:
+        _require_positive(self, *self.__slots__)
+        if self.distal_length <= self.proximal_length:
+            raise GeometryError(
+                f"distal_length = {self.distal_length:.4g} m must exceed "
+                f"proximal_length = {self.proximal_length:.4g} m, or the effector cannot hang below"
+            )
+        if abs(self.base_radius - self.effector_radius) >= self.distal_length:
+            raise GeometryError(
+                f"base_radius - effector_radius = {self.base_radius - self.effector_radius:.4g} m "
+                f"must be within distal_length = {self.distal_length:.4g} m: it cannot be assembled"
+            )
+
+    @property
+    def planar_limit(self) -> float:
+        """r_max = 0.8 min(l_a, l_p) in m (paper, equation delta-ws)."""
+        return 0.8 * min(self.proximal_length, self.distal_length)
+
+    def as_dict(self) -> dict[str, float]:
+        """The fields by name, for a configuration file."""
+        return asdict(self)
+
+
+INITIAL: Final = RRSGeometry(base_radius=0.2068, proximal_length=0.0893, platform_radius=0.1086)
+OPTIMIZED: Final = RRSGeometry(base_radius=0.1778, proximal_length=0.1024, platform_radius=0.1114)
+DELTA: Final = DeltaGeometry()
+GEOMETRIES: Final = MappingProxyType({"initial": INITIAL, "optimized": OPTIMIZED})

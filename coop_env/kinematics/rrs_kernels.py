@@ -1,0 +1,299 @@
+"""Scalar kernels of the 3-RRS: pose, inverse kinematics, Jacobian, signed sigma_min.
+
+Every other piece of the package (batched library, step kernel, planners, design stage) calls these,
+so that each formula has one home. Frame: the 3-RRS's base, z up. Limb i has azimuth
+``alpha_i = 0, 120, 240`` degrees, radial u_i and tangential t_i.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+from numba import njit
+
+from coop_env.geometry import RRSGeometry
+from coop_env.kinematics.singularity import (
+    Matrix3,
+    Row,
+    determinant_3x3,
+    singular_values_3x3,
+)
+
+_H: Final = math.sqrt(3.0) / 2.0
+LIMB_COS: Final = (1.0, -0.5, -0.5)
+LIMB_SIN: Final = (0.0, _H, -_H)
+# A lattice of moves lands on a limit only up to rounding; this much beyond it still counts.
+LIMIT_SLACK: Final = 1e-12
+
+
+class RRSParams(NamedTuple):
+    """A geometry as numba takes it; see :class:`coop_env.geometry.RRSGeometry` for the fields."""
+
+    base_radius: float
+    proximal_length: float
+    platform_radius: float
+    distal_length: float
+    joint_min: float
+    joint_max: float
+    max_tilt: float
+    heave_min: float
+    heave_max: float
+    characteristic_length: float
+    exact: bool
+    home_sign: float
+
+
+class Pose(NamedTuple):
+    """Platform centre (m) and rotation matrix by rows, in the 3-RRS's base frame."""
+
+    x: float
+    y: float
+    z: float
+    r00: float
+    r01: float
+    r02: float
+    r10: float
+    r11: float
+    r12: float
+    r20: float
+    r21: float
+    r22: float
+
+
+@njit(cache=True)
+def platform_normal(roll: float, pitch: float) -> Row:
+    """Platform normal n = Rx(roll) Ry(pitch) z."""
+    cp = math.cos(pitch)
+    return math.sin(pitch), -math.sin(roll) * cp, math.cos(roll) * cp
+
+
+@njit(cache=True)
+def platform_pose(roll: float, pitch: float, heave: float, p: RRSParams) -> Pose:
+    """Pose of the platform at (roll, pitch, heave).
+
+    With ``p.exact`` the mechanism's own pose: zero torsion, and the parasitic x, y that keep each
+    spherical joint in its limb's plane. Otherwise the paper's ``Rx Ry`` on the axis, which takes
+    the joints out of their planes.
+    """
+    nx, ny, nz = platform_normal(roll, pitch)
+    if p.exact:
+        k = 1.0 / (1.0 + nz)
+        half = 0.5 * p.platform_radius * k
+        return Pose(
+            half * (ny * ny - nx * nx),
+            2.0 * half * nx * ny,
+            heave,
+            1.0 - k * nx * nx,
+            -k * nx * ny,
+            nx,
+            -k * nx * ny,
+            1.0 - k * ny * ny,
+            ny,
+            -nx,
+            -ny,
+            nz,
+        )
+    cr, sr = math.cos(roll), math.sin(roll)
+    cp, sp = math.cos(pitch), math.sin(pitch)
+    return Pose(0.0, 0.0, heave, cp, 0.0, sp, sr * sp, cr, -sr * cp, -cr * sp, sr, cr * cp)
+
+
+@njit(cache=True)
+def joint_offset(pose: Pose, limb: int, platform_radius: float) -> Row:
+    """r_i = Rp R u_i: platform centre to spherical joint of a limb, base frame, m."""
+    c, s = LIMB_COS[limb] * platform_radius, LIMB_SIN[limb] * platform_radius
+    return (
+        pose.r00 * c + pose.r01 * s,
+        pose.r10 * c + pose.r11 * s,
+        pose.r20 * c + pose.r21 * s,
+    )
+
+
+@njit(cache=True)
+def limb_ik(pose: Pose, limb: int, p: RRSParams) -> tuple[bool, float]:
+    """Actuated angle q of a limb (rad, elbow out), and whether it is real; NaN if it is not.
+
+    The law of cosines on base joint, elbow and spherical joint. Its |c| <= 1 also refuses joints
+    nearer than ``L2 - L1``, which the paper's ``|D - L1| <= L2`` lets pass.
+    """
+    r = joint_offset(pose, limb, p.platform_radius)
+    radial = LIMB_COS[limb] * (pose.x + r[0]) + LIMB_SIN[limb] * (pose.y + r[1]) - p.base_radius
+    height = pose.z + r[2]
+    d2 = radial * radial + height * height
+    if not d2 > 0.0:
+        return False, math.nan
+    c = (p.proximal_length * p.proximal_length + d2 - p.distal_length * p.distal_length) / (
+        2.0 * p.proximal_length * math.sqrt(d2)
+    )
+    if not abs(c) <= 1.0:
+        return False, math.nan
+    return True, math.atan2(height, radial) - math.acos(c)
+
+
+@njit(cache=True)
+def inverse(pose: Pose, p: RRSParams) -> tuple[bool, Row]:
+    """Actuated angles (q0, q1, q2) of a pose, rad, and whether all three are real."""
+    ok0, q0 = limb_ik(pose, 0, p)
+    ok1, q1 = limb_ik(pose, 1, p)
+    ok2, q2 = limb_ik(pose, 2, p)
+    return ok0 and ok1 and ok2, (q0, q1, q2)
+
+
+@njit(cache=True)
+def within_limits(roll: float, pitch: float, heave: float, p: RRSParams) -> bool:
+    """Whether tilt and heave lie in the paper's W_RRS (NaN does not)."""
+    return (
+        abs(roll) <= p.max_tilt + LIMIT_SLACK
+        and abs(pitch) <= p.max_tilt + LIMIT_SLACK
+        and p.heave_min - LIMIT_SLACK <= heave <= p.heave_max + LIMIT_SLACK
+    )
+
+
+@njit(cache=True)
+def joints_within_limits(q: Row, p: RRSParams) -> bool:
+    """Whether all three actuated angles lie within the joint limits (NaN does not)."""
+    low, high = p.joint_min - LIMIT_SLACK, p.joint_max + LIMIT_SLACK
+    return low <= q[0] <= high and low <= q[1] <= high and low <= q[2] <= high
+
+
+@njit(cache=True)
+def is_valid(roll: float, pitch: float, heave: float, p: RRSParams) -> bool:
+    """Whether a pose is within tilt and heave limits, reachable, and within the joint limits."""
+    if not within_limits(roll, pitch, heave, p):
+        return False
+    reachable, q = inverse(platform_pose(roll, pitch, heave, p), p)
+    return reachable and joints_within_limits(q, p)
+
+
+@njit(cache=True)
+def parasitic_rates(pose: Pose, platform_radius: float) -> tuple[Row, Row]:
+    """(vx, vy, wz) per unit wx and per unit wy, from the three limb-plane constraints.
+
+    ``t_i . v + (r_i x t_i) . w = 0`` for i = 0, 1, 2, solved by Cramer's rule.
+    """
+    m0 = m1 = m2 = (0.0, 0.0, 0.0)
+    rhs_x = rhs_y = (0.0, 0.0, 0.0)
+    for i in range(3):
+        tx, ty = -LIMB_SIN[i], LIMB_COS[i]
+        r = joint_offset(pose, i, platform_radius)
+        row = (tx, ty, r[0] * ty - r[1] * tx)
+        bx, by = r[2] * ty, -r[2] * tx  # -(r x t)_x and -(r x t)_y, as t_z = 0
+        if i == 0:
+            m0, rhs_x, rhs_y = row, (bx, 0.0, 0.0), (by, 0.0, 0.0)
+        elif i == 1:
+            m1, rhs_x, rhs_y = row, (rhs_x[0], bx, 0.0), (rhs_y[0], by, 0.0)
+        else:
+            m2, rhs_x, rhs_y = row, (rhs_x[0], rhs_x[1], bx), (rhs_y[0], rhs_y[1], by)
+    return _solve_3x3((m0, m1, m2), rhs_x), _solve_3x3((m0, m1, m2), rhs_y)
+
+
+@njit(cache=True)
+def _solve_3x3(m: Matrix3, b: Row) -> Row:
+    det = determinant_3x3(m)
+    if det == 0.0:
+        return math.nan, math.nan, math.nan
+    (a00, a01, a02), (a10, a11, a12), (a20, a21, a22) = m
+    d0 = determinant_3x3(((b[0], a01, a02), (b[1], a11, a12), (b[2], a21, a22)))
+    d1 = determinant_3x3(((a00, b[0], a02), (a10, b[1], a12), (a20, b[2], a22)))
+    d2 = determinant_3x3(((a00, a01, b[0]), (a10, a11, b[1]), (a20, a21, b[2])))
+    return d0 / det, d1 / det, d2 / det
+
+
+@njit(cache=True)
+def _limb_rows(
+    pose: Pose, limb: int, q: float, rate_x: Row, rate_y: Row, p: RRSParams
+) -> tuple[Row, float]:
+    """A limb's row of A and its entry of the diagonal B."""
+    u, w = LIMB_COS[limb], LIMB_SIN[limb]
+    r = joint_offset(pose, limb, p.platform_radius)
+    reach = p.base_radius + p.proximal_length * math.cos(q)
+    dx = (pose.x + r[0] - reach * u) / p.distal_length
+    dy = (pose.y + r[1] - reach * w) / p.distal_length
+    dz = (pose.z + r[2] - p.proximal_length * math.sin(q)) / p.distal_length
+    mx = r[1] * dz - r[2] * dy  # r x d
+    my = r[2] * dx - r[0] * dz
+    mz = r[0] * dy - r[1] * dx
+    row = (
+        mx + dx * rate_x[0] + dy * rate_x[1] + mz * rate_x[2],
+        my + dx * rate_y[0] + dy * rate_y[1] + mz * rate_y[2],
+        dz * p.characteristic_length,
+    )
+    b = p.proximal_length * (-math.sin(q) * (dx * u + dy * w) + math.cos(q) * dz)
+    return row, b
+
+
+@njit(cache=True)
+def jacobian_parts(pose: Pose, q: Row, p: RRSParams) -> tuple[Matrix3, Row]:
+    """A by rows and the diagonal of B, with ``B qdot = A (wx, wy, vz / eta)``; both in m."""
+    rate_x, rate_y = parasitic_rates(pose, p.platform_radius)
+    a0, b0 = _limb_rows(pose, 0, q[0], rate_x, rate_y, p)
+    a1, b1 = _limb_rows(pose, 1, q[1], rate_x, rate_y, p)
+    a2, b2 = _limb_rows(pose, 2, q[2], rate_x, rate_y, p)
+    return (a0, a1, a2), (b0, b1, b2)
+
+
+@njit(cache=True)
+def jacobian(a: Matrix3, b: Row) -> Matrix3:
+    """J = B^-1 A by rows, dimensionless; infinite at a type I (serial) singularity."""
+    if b[0] == 0.0 or b[1] == 0.0 or b[2] == 0.0:
+        inf = (math.inf, math.inf, math.inf)
+        return inf, inf, inf
+    (a00, a01, a02), (a10, a11, a12), (a20, a21, a22) = a
+    return (
+        (a00 / b[0], a01 / b[0], a02 / b[0]),
+        (a10 / b[1], a11 / b[1], a12 / b[1]),
+        (a20 / b[2], a21 / b[2], a22 / b[2]),
+    )
+
+
+@njit(cache=True)
+def signed_sigma_min(pose: Pose, q: Row, p: RRSParams) -> float:
+    """Least singular value of J, with the sign of det A relative to home.
+
+    A zero crossing of it is a type II (parallel) singularity. Unsigned, sigma rises again beyond
+    it, in another assembly mode, and a coarse grid steps across without notice.
+    """
+    a, b = jacobian_parts(pose, q, p)
+    if b[0] == 0.0 or b[1] == 0.0 or b[2] == 0.0:
+        return math.nan
+    sigma = singular_values_3x3(jacobian(a, b))[2]
+    return math.copysign(sigma, determinant_3x3(a) * p.home_sign)
+
+
+@njit(cache=True)
+def sigma_at(roll: float, pitch: float, heave: float, p: RRSParams) -> float:
+    """Signed sigma_min at a pose; NaN where a limb cannot reach it."""
+    pose = platform_pose(roll, pitch, heave, p)
+    reachable, q = inverse(pose, p)
+    if not reachable:
+        return math.nan
+    return signed_sigma_min(pose, q, p)
+
+
+def make_params(geometry: RRSGeometry, pose_model: str = "exact") -> RRSParams:
+    """A geometry and a pose model, ``"exact"`` or ``"paper"``, as the kernels take them.
+
+    Raises:
+        ValueError: ``pose_model`` is neither.
+    """
+    if pose_model not in ("exact", "paper"):
+        raise ValueError(f"pose_model = {pose_model!r}: must be 'exact' or 'paper'")
+    g = geometry
+    p = RRSParams(
+        g.base_radius,
+        g.proximal_length,
+        g.platform_radius,
+        g.distal_length,
+        g.joint_min,
+        g.joint_max,
+        g.max_tilt,
+        g.heave_min,
+        g.heave_max,
+        g.characteristic_length,
+        pose_model == "exact",
+        1.0,
+    )
+    # A home that cannot be assembled leaves NaN here; its sigma is NaN everywhere it matters.
+    home = sigma_at(0.0, 0.0, g.home_heave, p)
+    return p._replace(home_sign=-1.0 if home < 0.0 else 1.0)
