@@ -1,0 +1,58 @@
+# Everything a fresh machine needs is Python 3.11 or later and make.
+# On a machine with a CUDA driver and no wish for the multi-gigabyte GPU build of torch, install
+# from an index of CPU builds: make results PIP_FLAGS='--extra-index-url <address of that index>'
+
+PYTHON ?= python3
+VENV ?= .venv
+PIP_FLAGS ?=
+PRESET ?= quick
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt
+# One thread per process: the harness and pytest-xdist use the cores by processes.
+export OMP_NUM_THREADS ?= 1
+export MPLBACKEND ?= Agg
+
+.PHONY: help env results test pytest lint type format docs clean
+.DEFAULT_GOAL := help
+
+help: ## Say what there is
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/\t/' | expand -t 12
+
+env: $(STAMP) ## Virtual environment with the pinned packages
+
+$(STAMP): constraints.txt setup.cfg pyproject.toml
+	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if v >= (3, 11) else f"Python 3.11 or later is needed, {sys.executable} is {v.major}.{v.minor}: make PYTHON=python3.11")'
+	@echo "Setting up $(VENV): the pinned packages, one to five minutes"
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@$(PIP) setuptools wheel
+	@$(PIP) torch==$(shell sed -n 's/^torch==//p' constraints.txt)
+	@$(PIP) --no-build-isolation -e '.[benchmarks,render,dev]'
+	@touch $@
+
+results: $(STAMP) ## Train, plan, compare, print the tables (PRESET=quick)
+	@$(BIN)/python -m benchmarks run --preset $(PRESET)
+
+test: lint type pytest ## Lint, types, tests
+
+pytest: $(STAMP) ## Tests alone
+	@$(BIN)/python -m pytest -q -n auto --dist loadfile
+
+lint: $(STAMP) ## ruff
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check --quiet . || { echo "run: make format"; exit 1; }
+
+type: $(STAMP) ## mypy
+	@$(BIN)/mypy
+
+format: $(STAMP) ## Rewrite the sources in the house's form
+	@$(BIN)/ruff check --fix --quiet .
+	@$(BIN)/ruff format --quiet .
+
+docs: $(STAMP) ## Regenerate every figure and number that the docs hold
+	@$(BIN)/python -m benchmarks design
+	@$(BIN)/python -m benchmarks readme
+
+clean: ## Remove the environment and caches; results/ stays
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage htmlcov
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
