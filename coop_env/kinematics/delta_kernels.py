@@ -1,4 +1,4 @@
-"""Scalar kernels of the Delta robot: inverse kinematics and workspace.
+"""Scalar kernels of the Delta robot: inverse and forward kinematics, Jacobian and workspace.
 
 Frame: the Delta's base, z up, so that the effector's z is negative. Limb i has azimuth 0, 120, 240
 degrees. theta is measured down from the outward horizontal; the working mode is "knees out".
@@ -13,7 +13,7 @@ from numba import njit
 
 from coop_env.geometry import DeltaGeometry
 from coop_env.kinematics.rrs_kernels import LIMB_COS, LIMB_SIN, LIMIT_SLACK
-from coop_env.kinematics.singularity import Row
+from coop_env.kinematics.singularity import Matrix3, Row
 
 
 class DeltaParams(NamedTuple):
@@ -30,14 +30,17 @@ class DeltaParams(NamedTuple):
 
 
 @njit(cache=True)
-def limb_ik(x: float, y: float, z: float, limb: int, p: DeltaParams) -> tuple[bool, float]:
-    """Actuated angle theta of a limb (rad, knee out), and whether it is real; NaN if it is not."""
+def limb_triangle(x: float, y: float, z: float, limb: int, p: DeltaParams) -> tuple[float, float]:
+    """(radial, k): the effector's joint seen from the base joint, and the knee's cosine.
+
+    The limb reaches iff |k| <= 1, so 1 - |k| is its margin; NaN on the base joint itself.
+    """
     c, s = LIMB_COS[limb], LIMB_SIN[limb]
     radial = c * x + s * y + p.effector_radius - p.base_radius
     tangential = c * y - s * x
     r = math.hypot(radial, z)
     if not r > 0.0:
-        return False, math.nan
+        return radial, math.nan
     k = (
         radial * radial
         + tangential * tangential
@@ -45,6 +48,13 @@ def limb_ik(x: float, y: float, z: float, limb: int, p: DeltaParams) -> tuple[bo
         + p.proximal_length * p.proximal_length
         - p.distal_length * p.distal_length
     ) / (2.0 * p.proximal_length * r)
+    return radial, k
+
+
+@njit(cache=True)
+def limb_ik(x: float, y: float, z: float, limb: int, p: DeltaParams) -> tuple[bool, float]:
+    """Actuated angle theta of a limb (rad, knee out), and whether it is real; NaN if it is not."""
+    radial, k = limb_triangle(x, y, z, limb, p)
     if not abs(k) <= 1.0:
         return False, math.nan
     return True, math.atan2(-z, radial) - math.acos(k)
@@ -57,6 +67,70 @@ def inverse(x: float, y: float, z: float, p: DeltaParams) -> tuple[bool, Row]:
     ok1, t1 = limb_ik(x, y, z, 1, p)
     ok2, t2 = limb_ik(x, y, z, 2, p)
     return ok0 and ok1 and ok2, (t0, t1, t2)
+
+
+@njit(cache=True)
+def knee(theta: float, limb: int, p: DeltaParams) -> Row:
+    """A knee moved inwards by the effector's radius: the effector's centre lies l_p from it, m."""
+    reach = p.base_radius - p.effector_radius + p.proximal_length * math.cos(theta)
+    return reach * LIMB_COS[limb], reach * LIMB_SIN[limb], -p.proximal_length * math.sin(theta)
+
+
+@njit(cache=True)
+def forward(theta: Row, p: DeltaParams) -> tuple[bool, Row]:
+    """Effector centre of three actuated angles, m, and whether the limbs meet; NaN if not.
+
+    The spheres of radius l_p about the three moved knees meet in two points, mirror images in the
+    knees' plane; the one below is the assembly mode in which the effector hangs.
+    """
+    nan = (math.nan, math.nan, math.nan)
+    a, b, c = knee(theta[0], 0, p), knee(theta[1], 1, p), knee(theta[2], 2, p)
+    e = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
+    f = (c[0] - a[0], c[1] - a[1], c[2] - a[2])
+    n = (e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0])
+    nn = n[0] * n[0] + n[1] * n[1] + n[2] * n[2]
+    ee = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
+    ff = f[0] * f[0] + f[1] * f[1] + f[2] * f[2]
+    if not nn > 1e-12 * ee * ff:  # knees in a line: no plane to mirror in
+        return False, nan
+    # m: from knee a to the centre of the circle through the three knees
+    w = (ee * f[0] - ff * e[0], ee * f[1] - ff * e[1], ee * f[2] - ff * e[2])
+    m = (
+        (w[1] * n[2] - w[2] * n[1]) / (2.0 * nn),
+        (w[2] * n[0] - w[0] * n[2]) / (2.0 * nn),
+        (w[0] * n[1] - w[1] * n[0]) / (2.0 * nn),
+    )
+    h2 = p.distal_length * p.distal_length - (m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
+    if not h2 >= 0.0:
+        return False, nan
+    h = -math.copysign(math.sqrt(h2 / nn), n[2])
+    return True, (a[0] + m[0] + h * n[0], a[1] + m[1] + h * n[1], a[2] + m[2] + h * n[2])
+
+
+@njit(cache=True)
+def jacobian_parts(x: float, y: float, z: float, theta: Row, p: DeltaParams) -> tuple[Matrix3, Row]:
+    """A by rows (unit vectors along the distal links) and the diagonal of B (m).
+
+    ``B thetadot = A v`` with v the effector's velocity. B = 0 on a limb is a type I (serial)
+    singularity, det A = 0 a type II (parallel) one.
+    """
+    a0, b0 = _limb_row(x, y, z, theta[0], 0, p)
+    a1, b1 = _limb_row(x, y, z, theta[1], 1, p)
+    a2, b2 = _limb_row(x, y, z, theta[2], 2, p)
+    return (a0, a1, a2), (b0, b1, b2)
+
+
+@njit(cache=True)
+def _limb_row(
+    x: float, y: float, z: float, theta: float, limb: int, p: DeltaParams
+) -> tuple[Row, float]:
+    k = knee(theta, limb, p)
+    dx = (x - k[0]) / p.distal_length
+    dy = (y - k[1]) / p.distal_length
+    dz = (z - k[2]) / p.distal_length
+    inward = dx * LIMB_COS[limb] + dy * LIMB_SIN[limb]
+    b = -p.proximal_length * (math.sin(theta) * inward + math.cos(theta) * dz)
+    return (dx, dy, dz), b
 
 
 @njit(cache=True)

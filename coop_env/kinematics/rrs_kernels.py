@@ -18,6 +18,7 @@ from coop_env.kinematics.singularity import (
     Row,
     determinant_3x3,
     singular_values_3x3,
+    solve_3x3,
 )
 
 _H: Final = math.sqrt(3.0) / 2.0
@@ -111,21 +112,32 @@ def joint_offset(pose: Pose, limb: int, platform_radius: float) -> Row:
 
 
 @njit(cache=True)
-def limb_ik(pose: Pose, limb: int, p: RRSParams) -> tuple[bool, float]:
-    """Actuated angle q of a limb (rad, elbow out), and whether it is real; NaN if it is not.
+def limb_triangle(pose: Pose, limb: int, p: RRSParams) -> Row:
+    """(radial, height, c): a spherical joint seen from its base joint, and the crank's cosine.
 
-    The law of cosines on base joint, elbow and spherical joint. Its |c| <= 1 also refuses joints
-    nearer than ``L2 - L1``, which the paper's ``|D - L1| <= L2`` lets pass.
+    c is the cosine of the angle at the base joint in the triangle base joint, elbow, spherical
+    joint. The limb reaches iff |c| <= 1, so 1 - |c| is its margin; NaN on the base joint itself.
     """
     r = joint_offset(pose, limb, p.platform_radius)
     radial = LIMB_COS[limb] * (pose.x + r[0]) + LIMB_SIN[limb] * (pose.y + r[1]) - p.base_radius
     height = pose.z + r[2]
     d2 = radial * radial + height * height
     if not d2 > 0.0:
-        return False, math.nan
+        return radial, height, math.nan
     c = (p.proximal_length * p.proximal_length + d2 - p.distal_length * p.distal_length) / (
         2.0 * p.proximal_length * math.sqrt(d2)
     )
+    return radial, height, c
+
+
+@njit(cache=True)
+def limb_ik(pose: Pose, limb: int, p: RRSParams) -> tuple[bool, float]:
+    """Actuated angle q of a limb (rad, elbow out), and whether it is real; NaN if it is not.
+
+    The law of cosines on base joint, elbow and spherical joint. Its |c| <= 1 also refuses joints
+    nearer than ``L2 - L1``, which the paper's ``|D - L1| <= L2`` lets pass.
+    """
+    radial, height, c = limb_triangle(pose, limb, p)
     if not abs(c) <= 1.0:
         return False, math.nan
     return True, math.atan2(height, radial) - math.acos(c)
@@ -185,19 +197,7 @@ def parasitic_rates(pose: Pose, platform_radius: float) -> tuple[Row, Row]:
             m1, rhs_x, rhs_y = row, (rhs_x[0], bx, 0.0), (rhs_y[0], by, 0.0)
         else:
             m2, rhs_x, rhs_y = row, (rhs_x[0], rhs_x[1], bx), (rhs_y[0], rhs_y[1], by)
-    return _solve_3x3((m0, m1, m2), rhs_x), _solve_3x3((m0, m1, m2), rhs_y)
-
-
-@njit(cache=True)
-def _solve_3x3(m: Matrix3, b: Row) -> Row:
-    det = determinant_3x3(m)
-    if det == 0.0:
-        return math.nan, math.nan, math.nan
-    (a00, a01, a02), (a10, a11, a12), (a20, a21, a22) = m
-    d0 = determinant_3x3(((b[0], a01, a02), (b[1], a11, a12), (b[2], a21, a22)))
-    d1 = determinant_3x3(((a00, b[0], a02), (a10, b[1], a12), (a20, b[2], a22)))
-    d2 = determinant_3x3(((a00, a01, b[0]), (a10, a11, b[1]), (a20, a21, b[2])))
-    return d0 / det, d1 / det, d2 / det
+    return solve_3x3((m0, m1, m2), rhs_x), solve_3x3((m0, m1, m2), rhs_y)
 
 
 @njit(cache=True)

@@ -1,8 +1,9 @@
-"""Singular values of a 3 x 3 matrix, by one-sided Jacobi rotations.
+"""Linear algebra on 3 x 3 matrices as tuples: singular values, determinant, linear solve.
 
-The closed form through the characteristic polynomial of J^T J is faster by a little but loses half
-the digits at a repeated singular value, which every symmetric pose of a 3-RRS has. Jacobi keeps
-them all, and converges here in three or four sweeps.
+Singular values come from one-sided Jacobi rotations. The closed form through the
+characteristic polynomial of J^T J is faster by a little but loses half the digits at a repeated
+singular value, which every symmetric pose of a 3-RRS has. Jacobi keeps them all, and converges here
+in three or four sweeps.
 """
 
 from __future__ import annotations
@@ -59,3 +60,16 @@ def determinant_3x3(rows: Matrix3) -> float:
     """Determinant of the matrix with the given rows."""
     (a, b, c), (d, e, f), (g, h, i) = rows
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+
+
+@njit(cache=True)
+def solve_3x3(m: Matrix3, b: Row) -> Row:
+    """The x of ``m x = b`` by Cramer's rule; NaN where m is singular."""
+    det = determinant_3x3(m)
+    if det == 0.0:
+        return math.nan, math.nan, math.nan
+    (a00, a01, a02), (a10, a11, a12), (a20, a21, a22) = m
+    d0 = determinant_3x3(((b[0], a01, a02), (b[1], a11, a12), (b[2], a21, a22)))
+    d1 = determinant_3x3(((a00, b[0], a02), (a10, b[1], a12), (a20, b[2], a22)))
+    d2 = determinant_3x3(((a00, a01, b[0]), (a10, a11, b[1]), (a20, a21, b[2])))
+    return d0 / det, d1 / det, d2 / det
