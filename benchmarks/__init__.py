@@ -1,0 +1,1 @@
+"""The science harness: trains, plans, tests and compares; where algorithm and task meet."""

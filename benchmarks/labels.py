@@ -1,0 +1,35 @@
+"""How methods, ablations and tracks are called in tables and figures."""
+
+from __future__ import annotations
+
+from typing import Final
+
+METHODS: Final = {
+    "rainbow": "Rainbow DQN",
+    "dqn": "Vanilla DQN",
+    "rrt_connect": "RRT-Connect",
+    "rrt_lattice": "RRT-Connect + lattice insertion",
+    "optimum": "Exact optimum",
+}
+ABLATIONS: Final = {
+    "full": "Full Rainbow",
+    "no_prioritized": "- Prioritized replay",
+    "no_dueling": "- Dueling head",
+    "no_n_steps": "- Multi-step returns",
+    "no_noisy": "- NoisyNets",
+    "no_distributional": "- Distributional head",
+    "no_double_q": "- Double Q-learning",
+}
+TRACKS: Final = {"printed": "as printed", "repaired": "repaired", "tuned": "tuned"}
+DESIGN_METRICS: Final = {
+    "workspace": "Orientation workspace (rad²)",
+    "sigma_min": "Min sigma_min",
+    "tilt": "Max roll/pitch (°)",
+    "condition": "Condition number variation (%)",
+    "joint_range": "Joint angle range (°)",
+}
+
+
+def track(name: str) -> str:
+    """A track in words; a track of one's own goes by its name."""
+    return TRACKS.get(name, name)

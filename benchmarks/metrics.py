@@ -1,0 +1,53 @@
+"""The evaluation metrics: how each follows from the stored rows of test episodes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import pandas as pd
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One row of the performance table.
+
+    ``column`` is averaged over the episodes where it is there (an episode without an insertion has
+    no completion time), times ``scale``.
+    """
+
+    key: str
+    label: str
+    column: str
+    digits: int
+    scale: float = 1.0
+
+    def reduce(self, episodes: pd.DataFrame) -> float:
+        """The metric of one seed's episodes; NaN if no episode has it."""
+        if self.column not in episodes or not len(episodes):
+            return math.nan
+        return float(episodes[self.column].mean()) * self.scale
+
+
+# the paper's six; collisions count over the whole episode, the others up to the first insertion
+PAPER_METRICS: Final = (
+    Metric("success", "Success rate (%)", "success", 1, 100.0),
+    Metric("time_first", "Avg. completion time (s)", "time_first", 2),
+    Metric("alignment_error", "Avg. alignment error (deg)", "alignment_error", 2),
+    Metric("collisions", "Avg. collisions per episode", "collisions", 2),
+    Metric("energy_first", "Avg. energy proxy (J)", "energy_first", 2),
+    Metric("trajectory_error", "RMS trajectory error (mm)", "trajectory_error", 2),
+)
+
+EXTRA_METRICS: Final = (
+    Metric("holes", "Holes per episode (of 6)", "holes", 2),
+    Metric("all_holes", "All six holes (% of episodes)", "all_holes", 1, 100.0),
+    Metric("time_per_hole", "Time per hole, first to last (s)", "time_per_hole", 2),
+    Metric("collisions_first", "Collisions up to the first insertion", "collisions_first", 2),
+    Metric("energy", "Energy proxy, whole episode (J)", "energy", 1),
+    Metric("singular", "Singularity terminations / 1000 ep.", "singular", 0, 1000.0),
+)
+
+Reducer = Callable[[pd.DataFrame], float]

@@ -1,0 +1,170 @@
+"""Statistics of stored episodes: means over seeds, intervals, paired tests. Pure functions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.stats
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Value:
+    """A measured number: mean over ``n`` seeds, sample standard deviation, and an interval.
+
+    ``std`` is NaN where it cannot be given (one seed), ``low`` and ``high`` where no interval was
+    computed. ``mean`` is NaN where nothing was observed.
+    """
+
+    mean: float
+    std: float = math.nan
+    n: int = 1
+    low: float = math.nan
+    high: float = math.nan
+
+    def text(self, digits: int) -> str:
+        """``95.2 ± 1.3``; the value alone for one seed, a dash for nothing."""
+        if math.isnan(self.mean):
+            return "-"
+        if math.isnan(self.std):
+            return f"{self.mean:.{digits}f}"
+        return f"{self.mean:.{digits}f} ± {self.std:.{digits}f}"
+
+    def interval_text(self, digits: int) -> str:
+        """``[90.1, 97.5]``, or a dash."""
+        if math.isnan(self.low):
+            return "-"
+        return f"[{self.low:.{digits}f}, {self.high:.{digits}f}]"
+
+
+@dataclass(frozen=True)
+class PairedTest:
+    """Two methods on the same initial states: mean difference, t, p and effect size d_z."""
+
+    difference: float
+    t: float
+    p: float
+    effect: float
+    n: int
+
+
+def over_seeds(values: ArrayLike) -> Value:
+    """Mean and sample standard deviation (n - 1) of one number per seed; NaNs are left out."""
+    data = np.asarray(values, dtype=np.float64)
+    data = data[~np.isnan(data)]
+    if data.size == 0:
+        return Value(math.nan, n=0)
+    std = float(data.std(ddof=1)) if data.size > 1 else math.nan
+    return Value(float(data.mean()), std, int(data.size))
+
+
+def wilson(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Wilson's score interval of a proportion (Wilson 1927), both ends in [0, 1]."""
+    if trials <= 0:
+        return math.nan, math.nan
+    z = float(scipy.stats.norm.ppf(0.5 + confidence / 2))
+    share = successes / trials
+    centre = (share + z * z / (2 * trials)) / (1 + z * z / trials)
+    half = z * math.sqrt(share * (1 - share) / trials + (z / (2 * trials)) ** 2)
+    half /= 1 + z * z / trials
+    # at 0 and 1 successes the ends are exact; rounding must not step outside
+    return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def interquartile_mean(scores: ArrayLike) -> float:
+    """Mean of the middle half of all scores, as rliable defines it."""
+    return float(scipy.stats.trim_mean(np.asarray(scores, dtype=np.float64), 0.25, axis=None))
+
+
+def stratified_bootstrap(
+    scores: ArrayLike,
+    statistic: Callable[[Array], float] = interquartile_mean,
+    repetitions: int = 2_000,
+    confidence: float = 0.95,
+    seed: int = 0,
+) -> tuple[float, float]:
+    """Percentile interval of ``statistic`` by resampling the runs of each task separately.
+
+    Agarwal et al. 2021 (rliable): columns are tasks, rows are runs, and each column's runs are
+    drawn with replacement. rliable's own function is not called because the library it draws with
+    does not import beside current pandas; a test holds this one to the definition.
+
+    Args:
+        scores: (runs, tasks).
+        statistic: a number from an array of that shape.
+        repetitions: bootstrap samples.
+        confidence: coverage of the interval.
+        seed: makes the interval repeat.
+
+    Returns:
+        Lower and upper end; NaN with fewer than two runs.
+    """
+    data = np.asarray(scores, dtype=np.float64)
+    if data.ndim != 2:
+        raise ValueError(f"scores must be (runs, tasks), found shape {data.shape}")
+    runs, tasks = data.shape
+    if runs < 2:
+        return math.nan, math.nan
+    rng = np.random.default_rng(seed)
+    columns = np.arange(tasks)
+    draws = [
+        statistic(data[rng.integers(runs, size=(runs, tasks)), columns]) for _ in range(repetitions)
+    ]
+    tail = (1 - confidence) / 2
+    low, high = np.quantile(draws, [tail, 1 - tail])
+    return float(low), float(high)
+
+
+def paired_t_test(ours: ArrayLike, theirs: ArrayLike) -> PairedTest:
+    """Two-sided paired t-test of equal-length samples; pairs with a NaN are left out.
+
+    With fewer than two pairs, or with all differences equal, t, p and the effect are NaN unless
+    the samples are identical (p = 1).
+    """
+    a, b = np.asarray(ours, dtype=np.float64), np.asarray(theirs, dtype=np.float64)
+    if a.shape != b.shape:
+        raise ValueError(f"paired samples must have one shape, found {a.shape} and {b.shape}")
+    difference = a - b
+    difference = difference[~np.isnan(difference)]
+    n = int(difference.size)
+    mean = float(difference.mean()) if n else math.nan
+    spread = float(difference.std(ddof=1)) if n > 1 else math.nan
+    if n < 2 or spread == 0.0:
+        same = n > 1 and mean == 0.0
+        return PairedTest(mean, 0.0 if same else math.nan, 1.0 if same else math.nan, math.nan, n)
+    effect = mean / spread
+    t = effect * math.sqrt(n)
+    p = float(2 * scipy.stats.t.sf(abs(t), n - 1))
+    return PairedTest(mean, t, p, effect, n)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Holm's step-down correction, in the given order; NaN stays NaN and does not count."""
+    finite = [i for i, p in enumerate(p_values) if not math.isnan(p)]
+    adjusted = [math.nan] * len(p_values)
+    running = 0.0
+    for rank, index in enumerate(sorted(finite, key=lambda i: p_values[i])):
+        running = max(running, min(1.0, (len(finite) - rank) * p_values[index]))
+        adjusted[index] = running
+    return adjusted
+
+
+def probability_of_improvement(ours: ArrayLike, theirs: ArrayLike) -> float:
+    """P(ours > theirs) over all pairs of runs, ties counted half (Mann-Whitney)."""
+    a, b = np.asarray(ours, dtype=np.float64), np.asarray(theirs, dtype=np.float64)
+    greater = (a[:, None] > b[None, :]) + 0.5 * (a[:, None] == b[None, :])
+    return float(greater.mean())
+
+
+def moving_average(values: ArrayLike, window: int) -> Array:
+    """Mean of the last ``window`` values at each point; fewer at the start."""
+    data = np.asarray(values, dtype=np.float64)
+    total = np.cumsum(np.concatenate([[0.0], data]))
+    end = np.arange(1, data.size + 1)
+    start = np.maximum(0, end - window)
+    return np.asarray((total[end] - total[start]) / (end - start), dtype=np.float64)

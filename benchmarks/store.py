@@ -1,0 +1,252 @@
+"""The sole owner of the layout of ``results/``.
+
+    results/<preset>/store.json         the schema version
+    results/<preset>/runs/<cell id>/    config.yaml meta.json curve.csv episodes.csv policy.zip
+                                        checkpoint/ tensorboard/  (working files, not in git)
+    results/<preset>/tables/            *.csv *.md *.tex
+    results/<preset>/figures/           *.png
+
+Every file is written beside its place and renamed into it, so a reader sees the old file or the
+new one. A run is complete when its meta.json is there: it is written last.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+import yaml
+from filelock import FileLock, Timeout
+
+from benchmarks.errors import BenchmarkError
+
+SCHEMA: Final = 1
+
+
+def write_atomic(path: Path, write: Callable[[Path], None]) -> None:
+    """Let ``write`` fill a temporary file beside ``path``, flush it, and rename it into place."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        with temporary.open("rb") as stream:
+            os.fsync(stream.fileno())
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write ``text`` atomically as UTF-8."""
+    write_atomic(path, lambda temporary: _write_text(temporary, text))
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8", newline="\n")
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
+    """Write rows of equal keys atomically; floats with seven digits, truth values as 0 and 1."""
+
+    def write(temporary: Path) -> None:
+        with temporary.open("w", encoding="utf-8", newline="") as stream:
+            columns = list(rows[0]) if rows else []
+            writer = csv.DictWriter(stream, columns, lineterminator="\n")
+            writer.writeheader()
+            for row in rows:
+                writer.writerow({key: _cell_text(value) for key, value in row.items()})
+
+    write_atomic(path, write)
+
+
+def _cell_text(value: object) -> object:
+    if isinstance(value, bool):
+        return int(value)
+    if isinstance(value, float):
+        return "" if value != value else f"{value:.7g}"
+    return "" if value is None else value
+
+
+class RunFolder:
+    """The files of one cell."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.policy = path / "policy.zip"
+        self.checkpoint = path / "checkpoint"
+        self.tensorboard = path / "tensorboard"
+
+    @property
+    def id(self) -> str:
+        return self.path.name
+
+    def is_complete(self) -> bool:
+        """Whether the run has ended and its results are stored."""
+        return (self.path / "meta.json").is_file()
+
+    def begin(self, config: Mapping[str, Any]) -> None:
+        """Claim the folder for ``config``; a folder with other settings is left untouched.
+
+        Raises:
+            BenchmarkError: the folder holds a run with other settings.
+        """
+        self.check_config(config)
+        if not (self.path / "config.yaml").is_file():
+            text = yaml.safe_dump(dict(config), sort_keys=False)
+            write_text(self.path / "config.yaml", text)
+
+    def check_config(self, config: Mapping[str, Any]) -> None:
+        """Raise BenchmarkError if the folder holds a run with other settings than ``config``."""
+        if not (self.path / "config.yaml").is_file():
+            return
+        stored = self.config()
+        wanted = yaml.safe_load(yaml.safe_dump(dict(config)))
+        if stored != wanted:
+            old, new = _flatten(stored), _flatten(wanted)
+            changed = [
+                f"{key}: {old.get(key, 'absent')} -> {new.get(key, 'absent')}"
+                for key in sorted(old.keys() | new.keys())
+                if old.get(key) != new.get(key)
+            ]
+            raise BenchmarkError(
+                f"{self.path} holds a run with other settings ({'; '.join(changed[:4])}); "
+                "use another --results folder, or delete that one"
+            )
+
+    def config(self) -> dict[str, Any]:
+        """The run's settings."""
+        return dict(yaml.safe_load((self.path / "config.yaml").read_text(encoding="utf-8")))
+
+    def meta(self) -> dict[str, Any]:
+        """What the run says of itself: commit, versions, machine, seeds, time, steps."""
+        return dict(json.loads((self.path / "meta.json").read_text(encoding="utf-8")))
+
+    def write_meta(self, meta: Mapping[str, Any]) -> None:
+        """Write meta.json, which makes the run complete."""
+        text = json.dumps({"schema": SCHEMA, **meta}, indent=1, sort_keys=True)
+        write_text(self.path / "meta.json", text + "\n")
+
+    def write_rows(self, name: str, rows: Sequence[Mapping[str, object]]) -> None:
+        """Write ``<name>.csv`` (curve, episodes, design)."""
+        write_csv(self.path / f"{name}.csv", rows)
+
+    def rows(self, name: str) -> pd.DataFrame:
+        """Read ``<name>.csv``."""
+        return pd.read_csv(self.path / f"{name}.csv")
+
+    def has_rows(self, name: str) -> bool:
+        return (self.path / f"{name}.csv").is_file()
+
+    def write_progress(self, done: float, note: str) -> None:
+        """Say how far the run is (0 to 1), for the harness that waits for it."""
+        text = json.dumps({"done": done, "note": note})
+        write_text(self.checkpoint / "progress.json", text)
+
+    def progress(self) -> tuple[float, str]:
+        """How far the run is, and a word on it."""
+        if self.is_complete():
+            return 1.0, "complete"
+        try:
+            data = json.loads((self.checkpoint / "progress.json").read_text(encoding="utf-8"))
+            return float(data["done"]), str(data["note"])
+        except (OSError, ValueError, KeyError):
+            return 0.0, ""
+
+    def drop_checkpoint(self) -> None:
+        """Remove the working files of a run that is complete."""
+        shutil.rmtree(self.checkpoint, ignore_errors=True)
+
+
+class Store:
+    """The results of one preset."""
+
+    def __init__(self, root: Path, preset: str) -> None:
+        self.folder = Path(root) / preset
+        self.tables = self.folder / "tables"
+        self.figures = self.folder / "figures"
+
+    @classmethod
+    def open(cls, root: Path | str, preset: str, create: bool = False) -> Store:
+        """Open a store, and with ``create`` make it.
+
+        Raises:
+            BenchmarkError: the folder is missing, or of another schema version.
+        """
+        store = cls(Path(root), preset)
+        marker = store.folder / "store.json"
+        if marker.is_file():
+            store._check_schema(marker)
+        elif store.folder.is_dir() and any(store.folder.iterdir()):
+            raise BenchmarkError(
+                f"{store.folder} has files but no store.json: it is no results folder of this "
+                "harness; use another --results folder"
+            )
+        elif create:
+            write_text(marker, json.dumps({"schema": SCHEMA}) + "\n")
+        else:
+            raise BenchmarkError(
+                f"{store.folder} has no results; run: python -m benchmarks run --preset {preset}"
+            )
+        return store
+
+    @staticmethod
+    def _check_schema(marker: Path) -> None:
+        try:
+            schema = json.loads(marker.read_text(encoding="utf-8"))["schema"]
+        except (ValueError, KeyError, TypeError):
+            schema = "unreadable"
+        if schema != SCHEMA:
+            raise BenchmarkError(
+                f"{marker.parent} was written with results schema {schema}, this version reads "
+                f"{SCHEMA}; move it away or use another --results folder"
+            )
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Hold the store for one harness.
+
+        Raises:
+            BenchmarkError: another harness holds it.
+        """
+        lock = FileLock(str(self.folder / "store.lock"))
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            raise BenchmarkError(
+                f"another harness is at work in {self.folder}; wait for it, or use another "
+                "--results folder"
+            ) from None
+        try:
+            yield
+        finally:
+            lock.release()
+
+    def run(self, cell_id: str) -> RunFolder:
+        """The folder of one cell, present or not."""
+        return RunFolder(self.folder / "runs" / cell_id)
+
+    def completed(self) -> list[RunFolder]:
+        """All complete runs, by id."""
+        runs = [RunFolder(path) for path in sorted((self.folder / "runs").glob("*"))]
+        return [run for run in runs if run.is_complete()]
+
+
+def _flatten(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in data.items():
+        if isinstance(value, Mapping):
+            flat.update(_flatten(value, f"{prefix}{key}."))
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
