@@ -1,0 +1,99 @@
+"""Targets and losses as pure functions of tensors. B: batch, A: actions, N: atoms."""
+
+import torch as th
+from torch.nn import functional as F
+
+
+def mask_q_values(q_values: th.Tensor, action_masks: th.Tensor | None) -> th.Tensor:
+    """
+    Q-values with forbidden actions at minus infinity.
+
+    Masks act on expected values, never on the logits of a distribution: there they would only
+    deform the distribution over returns.
+
+    :param q_values: shape ``(B, A)``
+    :param action_masks: shape ``(B, A)``, True where allowed; None allows everything
+    :return: shape ``(B, A)``
+    """
+    if action_masks is None:
+        return q_values
+    return q_values.masked_fill(~action_masks, -th.inf)
+
+
+def project_distribution(
+    probabilities: th.Tensor,
+    rewards: th.Tensor,
+    discounts: th.Tensor,
+    support: th.Tensor,
+    v_min: float,
+    v_max: float,
+) -> th.Tensor:
+    """
+    Categorical projection of ``r + discount * Z`` onto the support (Bellemare et al. 2017,
+    equation 7).
+
+    The lower neighbour is at most the last atom but one, and its upper neighbour one above: an
+    atom that falls exactly on the grid, or is clipped to either end, keeps its whole mass without
+    a special case.
+
+    :param probabilities: distribution of Z over the atoms, shape ``(B, N)``
+    :param rewards: n-step returns, shape ``(B, 1)``
+    :param discounts: gamma^k, and 0 where the episode terminated, shape ``(B, 1)``
+    :param support: the N atoms, evenly spaced from ``v_min`` to ``v_max``, shape ``(N,)``
+    :param v_min: lowest atom
+    :param v_max: highest atom
+    :return: shape ``(B, N)``, rows sum to 1
+    """
+    n_atoms = probabilities.shape[1]
+    delta_z = (v_max - v_min) / (n_atoms - 1)
+    atoms = (rewards + discounts * support).clamp(v_min, v_max)
+    position = ((atoms - v_min) / delta_z).clamp(0, n_atoms - 1)
+    lower = position.floor().clamp(max=n_atoms - 2)
+    upper_mass = probabilities * (position - lower)
+    index = lower.long()
+    projected = th.zeros_like(probabilities)
+    projected.scatter_add_(1, index, probabilities - upper_mass)
+    projected.scatter_add_(1, index + 1, upper_mass)
+    return projected
+
+
+def clipped_share(
+    probabilities: th.Tensor,
+    rewards: th.Tensor,
+    discounts: th.Tensor,
+    support: th.Tensor,
+    v_min: float,
+    v_max: float,
+) -> th.Tensor:
+    """
+    Share of the target's probability mass that falls outside ``[v_min, v_max]``; scalar.
+
+    Arguments as in :func:`project_distribution`. A share that does not vanish says that the
+    support is too narrow for the returns.
+    """
+    atoms = rewards + discounts * support
+    tolerance = 1e-6 * (v_max - v_min)
+    outside = (atoms < v_min - tolerance) | (atoms > v_max + tolerance)
+    return (probabilities * outside).sum(dim=1).mean()
+
+
+def categorical_losses(logits: th.Tensor, target: th.Tensor) -> th.Tensor:
+    """
+    Cross-entropy of the projected target with the predicted distribution, one value per sample.
+
+    :param logits: of the action taken, shape ``(B, N)``
+    :param target: projected distribution, shape ``(B, N)``
+    :return: shape ``(B,)``
+    """
+    return -(target * F.log_softmax(logits, dim=1)).sum(dim=1)
+
+
+def huber_losses(q_values: th.Tensor, target: th.Tensor) -> th.Tensor:
+    """
+    Huber loss of scalar Q-values with threshold 1, one value per sample.
+
+    :param q_values: of the action taken, shape ``(B,)``
+    :param target: shape ``(B,)``
+    :return: shape ``(B,)``
+    """
+    return F.smooth_l1_loss(q_values, target, reduction="none")

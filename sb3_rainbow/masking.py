@@ -1,0 +1,85 @@
+"""Action masks in the conventions of sb3-contrib, and the masks that autoreset would lose."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sb3_contrib.common.maskable.utils import is_masking_supported
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
+
+TERMINAL_MASK_KEY = "terminal_action_mask"
+
+
+class TerminalActionMask(gym.Wrapper):
+    """
+    Put the mask of an episode's last state into ``info["terminal_action_mask"]``.
+
+    A ``VecEnv`` resets an env at the end of its episode, after which ``action_masks()`` tells of
+    the next episode's first state; a truncated episode's target needs the mask of its last one.
+    Rainbow wraps the envs of a ``DummyVecEnv`` by itself. In a ``SubprocVecEnv`` they live in other
+    processes: wrap them there, ``make_vec_env(..., wrapper_class=TerminalActionMask)``. Everything
+    else, attributes that are set included, passes through to the env.
+
+    :param env: an env with a method ``action_masks``
+    """
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step the env; where the episode ended, add the mask to ``info``."""
+        obs, reward, terminated, truncated, info = self.env.step(action)
+        if terminated or truncated:
+            mask = np.array(self.env.get_wrapper_attr("action_masks")(), dtype=bool)
+            info = {**info, TERMINAL_MASK_KEY: mask}
+        return obs, reward, terminated, truncated, info
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name == "env":
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        return self.env.get_wrapper_attr(name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name.startswith("_") or name == "env":
+            super().__setattr__(name, value)
+        else:
+            setattr(self.env, name, value)
+
+
+def innermost_vec_env(env: VecEnv) -> VecEnv:
+    """The ``VecEnv`` below all ``VecEnvWrapper``."""
+    while isinstance(env, VecEnvWrapper):
+        env = env.venv
+    return env
+
+
+def capture_terminal_masks(env: VecEnv) -> None:
+    """Wrap the envs of a ``DummyVecEnv`` in :class:`TerminalActionMask` where they have masks."""
+    inner = innermost_vec_env(env)
+    if not isinstance(inner, DummyVecEnv) or not is_masking_supported(inner):
+        return
+    for i, wrapped in enumerate(inner.env_is_wrapped(TerminalActionMask)):
+        if not wrapped:
+            inner.envs[i] = TerminalActionMask(inner.envs[i])
+
+
+def as_action_masks(masks: ArrayLike, n_envs: int, n_actions: int) -> NDArray[np.bool_]:
+    """
+    Masks as booleans, checked.
+
+    :param masks: one row per env, shape ``(n_envs, n_actions)``
+    :param n_envs: expected rows
+    :param n_actions: expected columns
+    :raises ValueError: for another shape, or a row that allows no action
+    """
+    checked = np.asarray(masks, dtype=bool)
+    if checked.shape != (n_envs, n_actions):
+        raise ValueError(
+            f"Action masks must have shape {(n_envs, n_actions)} (envs, actions), "
+            f"got {checked.shape}"
+        )
+    allowed = checked.any(axis=1)
+    if not allowed.all():
+        raise ValueError(
+            f"The action mask of env {int(np.argmin(allowed))} allows no action; at least one must "
+            "be True (if nothing is valid, let action_masks() return all True)"
+        )
+    return checked

@@ -1,0 +1,427 @@
+"""Rainbow on Stable-Baselines3."""
+
+import io
+import pathlib
+from collections.abc import Iterable
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule, TensorDict
+from stable_baselines3.common.utils import LinearSchedule
+from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
+
+from sb3_rainbow.buffers import PrioritizedReplayBuffer, check_replay_parameters
+from sb3_rainbow.learner import Learner, as_batch
+from sb3_rainbow.masked_off_policy import MaskedOffPolicyAlgorithm
+from sb3_rainbow.networks import RainbowNetwork
+from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy, RainbowPolicy
+from sb3_rainbow.rng import get_rng_state, set_rng_state
+from sb3_rainbow.type_aliases import ObsArray, UseMasking
+
+SelfRainbow = TypeVar("SelfRainbow", bound="Rainbow")
+
+# Updates between two looks at what only the logs need
+_DIAGNOSTICS_INTERVAL = 100
+
+
+class Rainbow(MaskedOffPolicyAlgorithm):
+    """
+    Rainbow DQN (Hessel et al. 2018, https://arxiv.org/abs/1710.02298) with action masks.
+
+    Six extensions of DQN, each of which can be off: ``double_q``, ``dueling``, ``prioritized``,
+    ``n_steps`` (off: 1), ``noisy`` (off: epsilon-greedy), ``distributional`` (off: Huber loss on
+    scalar Q-values). The arguments up to ``device`` are those of SB3's ``DQN``, in its order.
+
+    :param policy: "MlpPolicy", "CnnPolicy", "MultiInputPolicy", or a policy class
+    :param env: environment to learn from, or the name of a registered one
+    :param learning_rate: learning rate, or a function of the remaining progress (from 1 to 0)
+    :param buffer_size: transitions in the replay buffer, over all envs
+    :param learning_starts: steps of random (allowed) actions before learning starts
+    :param batch_size: transitions per update
+    :param tau: Polyak coefficient of the target network, 1 for a copy
+    :param gamma: discount factor
+    :param train_freq: steps between two rounds of updates, or a tuple such as ``(2, "episode")``
+    :param gradient_steps: updates per round; -1 for as many as steps were taken
+    :param replay_buffer_class: ``None`` for :class:`PrioritizedReplayBuffer`; SB3's own buffers,
+        ``HerReplayBuffer`` included, need ``prioritized=False`` and ``n_steps=1``
+    :param replay_buffer_kwargs: more keyword arguments for the buffer
+    :param optimize_memory_usage: for SB3's buffers; the default one always stores each observation
+        once
+    :param n_steps: rewards per return
+    :param target_update_interval: ``None`` (default) moves the target network by ``tau`` after
+        every update; a number does so every that many steps of the env, as SB3's DQN
+    :param exploration_fraction: with ``noisy=False``, fraction of training over which epsilon falls
+    :param exploration_initial_eps: with ``noisy=False``, epsilon at the start
+    :param exploration_final_eps: with ``noisy=False``, epsilon at the end
+    :param max_grad_norm: gradient norm to clip to
+    :param stats_window_size: episodes to average the logged statistics over
+    :param tensorboard_log: folder of the TensorBoard log
+    :param policy_kwargs: arguments of the policy, such as ``net_arch``, ``noisy_layers``,
+        ``optimizer_kwargs=dict(weight_decay=1e-5)``
+    :param verbose: 0 for no output, 1 for information, 2 for debugging
+    :param seed: seed of all random generators
+    :param device: torch device
+    :param double_q: choose the action at t + n with the online network
+    :param dueling: value and advantage streams
+    :param prioritized: draw transitions in proportion to their losses; uniformly if False
+    :param noisy: explore by noisy layers
+    :param distributional: learn the distribution of returns over ``n_atoms`` values
+    :param n_atoms: atoms of the support
+    :param v_min: lowest return of the support; the default fits rewards in [-1, 1], gamma 0.99
+    :param v_max: highest return of the support
+    :param sigma0: initial scale of the noisy layers
+    :param alpha: exponent of the priorities
+    :param beta_start: importance-sampling exponent at the start of training
+    :param beta_end: the same at the end; linear in between
+    :param use_masking: "auto" uses ``action_masks()`` where the env has it
+    :param _init_setup_model: whether to build the network at the creation of the instance
+    :raises ValueError: for parameters out of range, or combinations that cannot work
+    """
+
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
+        "MlpPolicy": MlpPolicy,
+        "CnnPolicy": CnnPolicy,
+        "MultiInputPolicy": MultiInputPolicy,
+    }
+    exploration_schedule: Schedule
+    q_net: RainbowNetwork
+    q_net_target: RainbowNetwork
+    policy: RainbowPolicy
+
+    def __init__(
+        self,
+        policy: str | type[RainbowPolicy],
+        env: GymEnv | str,
+        learning_rate: float | Schedule = 1e-4,
+        buffer_size: int = 1_000_000,
+        learning_starts: int = 100,
+        batch_size: int = 32,
+        tau: float = 1e-3,
+        gamma: float = 0.99,
+        train_freq: int | tuple[int, str] = 4,
+        gradient_steps: int = 1,
+        replay_buffer_class: type[ReplayBuffer] | None = None,
+        replay_buffer_kwargs: dict[str, Any] | None = None,
+        optimize_memory_usage: bool = False,
+        n_steps: int = 3,
+        target_update_interval: int | None = None,
+        exploration_fraction: float = 0.1,
+        exploration_initial_eps: float = 1.0,
+        exploration_final_eps: float = 0.05,
+        max_grad_norm: float = 10.0,
+        stats_window_size: int = 100,
+        tensorboard_log: str | None = None,
+        policy_kwargs: dict[str, Any] | None = None,
+        verbose: int = 0,
+        seed: int | None = None,
+        device: th.device | str = "auto",
+        double_q: bool = True,
+        dueling: bool = True,
+        prioritized: bool = True,
+        noisy: bool = True,
+        distributional: bool = True,
+        n_atoms: int = 51,
+        v_min: float = -100.0,
+        v_max: float = 100.0,
+        sigma0: float = 0.5,
+        alpha: float = 0.6,
+        beta_start: float = 0.4,
+        beta_end: float = 1.0,
+        use_masking: UseMasking = "auto",
+        _init_setup_model: bool = True,
+    ) -> None:
+        super().__init__(
+            policy,
+            env,
+            learning_rate,
+            buffer_size,
+            learning_starts,
+            batch_size,
+            tau,
+            gamma,
+            train_freq,
+            gradient_steps,
+            action_noise=None,
+            replay_buffer_class=replay_buffer_class,
+            replay_buffer_kwargs=replay_buffer_kwargs,
+            optimize_memory_usage=optimize_memory_usage,
+            n_steps=n_steps,
+            policy_kwargs=policy_kwargs,
+            stats_window_size=stats_window_size,
+            tensorboard_log=tensorboard_log,
+            verbose=verbose,
+            device=device,
+            seed=seed,
+            sde_support=False,
+            supported_action_spaces=(spaces.Discrete,),
+            support_multi_env=True,
+        )
+        self.exploration_initial_eps = exploration_initial_eps
+        self.exploration_final_eps = exploration_final_eps
+        self.exploration_fraction = exploration_fraction
+        self.exploration_rate = 0.0
+        self.target_update_interval = target_update_interval
+        self.max_grad_norm = max_grad_norm
+        self.double_q = double_q
+        self.dueling = dueling
+        self.prioritized = prioritized
+        self.noisy = noisy
+        self.distributional = distributional
+        self.n_atoms = n_atoms
+        self.v_min = v_min
+        self.v_max = v_max
+        self.sigma0 = sigma0
+        self.alpha = alpha
+        self.beta_start = beta_start
+        self.beta_end = beta_end
+        self.use_masking = use_masking
+
+        self._n_calls = 0
+        self._rng_state: dict[str, Any] | None = None
+        if _init_setup_model:
+            self._setup_model()
+
+    def _setup_model(self) -> None:
+        self._check_settings()
+        self._setup_lr_schedule()
+        self.set_random_seed(self.seed)
+        self.exploration_schedule = LinearSchedule(
+            self.exploration_initial_eps, self.exploration_final_eps, self.exploration_fraction
+        )
+        if self.replay_buffer is None:
+            self.replay_buffer = self._make_replay_buffer()
+        self.policy = self.policy_class(  # type: ignore[assignment]
+            self.observation_space,
+            self.action_space,
+            self.lr_schedule,
+            dueling=self.dueling,
+            noisy=self.noisy,
+            sigma0=self.sigma0,
+            distributional=self.distributional,
+            n_atoms=self.n_atoms,
+            v_min=self.v_min,
+            v_max=self.v_max,
+            **self.policy_kwargs,
+        ).to(self.device)
+        self._convert_train_freq()
+        self._create_aliases()
+
+    def _check_settings(self) -> None:
+        check_replay_parameters(
+            self.buffer_size, self.n_envs, self.n_steps, self.gamma, self.alpha, self.beta_start
+        )
+        if not 0.0 <= self.beta_end <= 1.0:
+            raise ValueError(f"beta_end must lie in [0, 1], got {self.beta_end}")
+        if self.use_masking not in ("auto", True, False):
+            raise ValueError(f"use_masking must be 'auto', True or False, got {self.use_masking!r}")
+        if not issubclass(self.policy_class, RainbowPolicy):
+            raise ValueError(
+                f"Rainbow needs a policy derived from RainbowPolicy, got {self.policy_class}; was "
+                "the file saved by another algorithm?"
+            )
+        start = int(getattr(self.action_space, "start", 0))
+        if start != 0:
+            raise ValueError(f"Rainbow needs Discrete actions that start at 0, got start={start}")
+
+    def _make_replay_buffer(self) -> ReplayBuffer:
+        if self.replay_buffer_class is None:
+            self.replay_buffer_class = PrioritizedReplayBuffer
+        buffer_class = self.replay_buffer_class
+        kwargs = dict(self.replay_buffer_kwargs)
+        if issubclass(buffer_class, PrioritizedReplayBuffer):
+            alpha = self.alpha if self.prioritized else 0.0
+            kwargs = {"n_steps": self.n_steps, "gamma": self.gamma, "alpha": alpha, **kwargs}
+        elif self.prioritized:
+            raise ValueError(f"{buffer_class.__name__} keeps no priorities: pass prioritized=False")
+        elif issubclass(buffer_class, NStepReplayBuffer):
+            kwargs = {"n_steps": self.n_steps, "gamma": self.gamma, **kwargs}
+        elif self.n_steps > 1:
+            raise ValueError(
+                f"{buffer_class.__name__} has no n-step returns: pass n_steps=1 "
+                f"instead of n_steps={self.n_steps}"
+            )
+        if issubclass(buffer_class, HerReplayBuffer):
+            assert self.env is not None, "You must pass an environment when using HerReplayBuffer"
+            kwargs["env"] = self.env
+        return buffer_class(
+            self.buffer_size,
+            self.observation_space,
+            self.action_space,
+            device=self.device,
+            n_envs=self.n_envs,
+            optimize_memory_usage=self.optimize_memory_usage,
+            **kwargs,
+        )
+
+    def _create_aliases(self) -> None:
+        self.q_net = self.policy.q_net
+        self.q_net_target = self.policy.q_net_target
+        self._learner = Learner(self.policy, self.double_q, self.max_grad_norm)
+
+    def _setup_learn(
+        self,
+        total_timesteps: int,
+        callback: MaybeCallback = None,
+        reset_num_timesteps: bool = True,
+        tb_log_name: str = "run",
+        progress_bar: bool = False,
+    ) -> tuple[int, BaseCallback]:
+        rng_state, self._rng_state = self._rng_state, None
+        prepared = super()._setup_learn(
+            total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
+        )
+        if rng_state is not None and not reset_num_timesteps:
+            set_rng_state(rng_state, self.action_space)
+        return prepared
+
+    def predict(
+        self,
+        observation: ObsArray,
+        state: tuple[NDArray, ...] | None = None,
+        episode_start: NDArray | None = None,
+        deterministic: bool = False,
+        action_masks: NDArray | None = None,
+    ) -> tuple[NDArray, tuple[NDArray, ...] | None]:
+        """
+        Actions for one observation or a batch.
+
+        Unless ``deterministic``, the policy explores: with fresh noise in its noisy layers, or,
+        with ``noisy=False``, by a random allowed action with probability ``exploration_rate``, each
+        env for itself.
+
+        :param observation: one observation or a batch
+        :param state: passed through (for recurrent policies)
+        :param episode_start: unused (for recurrent policies)
+        :param deterministic: greedy actions of the mean weights
+        :param action_masks: True where allowed, ``(n_actions,)`` or ``(n_envs, n_actions)``
+        :return: actions, and ``state``
+        :raises ValueError: for masks of another shape, or with a row that allows nothing
+        """
+        actions, state = self.policy.predict(
+            observation, state, episode_start, deterministic, action_masks
+        )
+        if self.noisy or deterministic or self.exploration_rate <= 0.0:
+            return actions, state
+        n = actions.size
+        explores = np.random.random_sample(n) < self.exploration_rate  # noqa: NPY002
+        if explores.any():
+            masks = None if action_masks is None else np.asarray(action_masks, bool).reshape(n, -1)
+            random_actions = self._random_actions(n, masks)
+            actions = np.where(
+                explores.reshape(actions.shape), random_actions.reshape(actions.shape), actions
+            )
+        return actions, state
+
+    def _on_step(self) -> None:
+        self._n_calls += 1
+        interval = self.target_update_interval
+        if interval is not None and self._n_calls % max(interval // self.n_envs, 1) == 0:
+            self._learner.move_target(self.tau)
+        if not self.noisy:
+            self.exploration_rate = self.exploration_schedule(self._current_progress_remaining)
+        self.logger.record("rollout/exploration_rate", self.exploration_rate)
+
+    @property
+    def beta(self) -> float:
+        """Importance-sampling exponent at the present progress of training."""
+        progress = min(max(1.0 - self._current_progress_remaining, 0.0), 1.0)
+        return self.beta_start + progress * (self.beta_end - self.beta_start)
+
+    def train(self, gradient_steps: int, batch_size: int = 32) -> None:
+        """
+        Sample the replay buffer and update the networks.
+
+        :param gradient_steps: number of updates
+        :param batch_size: transitions per update
+        """
+        buffer = self.replay_buffer
+        assert buffer is not None
+        if isinstance(buffer, PrioritizedReplayBuffer):
+            buffer.beta = self.beta
+            if not buffer.can_sample:
+                # The first n-step windows are not complete yet.
+                return
+        self.policy.set_training_mode(True)
+        self._update_learning_rate(self.policy.optimizer)
+        learner = self._learner
+        losses = []
+        for _ in range(gradient_steps):
+            samples = buffer.sample(batch_size, env=self._vec_normalize_env)
+            batch = as_batch(samples, self.gamma, self._masking)
+            loss, priorities = learner.update(batch)
+            losses.append(loss)
+            if isinstance(buffer, PrioritizedReplayBuffer) and self.prioritized:
+                buffer.update_priorities(samples.indices, priorities.cpu().numpy())  # type: ignore[attr-defined]
+            if self.target_update_interval is None:
+                learner.move_target(self.tau)
+        logs_due = self._n_updates % _DIAGNOSTICS_INTERVAL < gradient_steps
+        self._n_updates += gradient_steps
+        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
+        self.logger.record("train/loss", float(th.stack(losses).mean()))
+        if self.prioritized:
+            self.logger.record("train/beta", self.beta)
+        if logs_due:
+            for name, value in learner.diagnostics(batch, priorities).items():
+                self.logger.record(f"train/{name}", value)
+
+    def learn(
+        self: SelfRainbow,
+        total_timesteps: int,
+        callback: MaybeCallback = None,
+        log_interval: int = 4,
+        tb_log_name: str = "Rainbow",
+        reset_num_timesteps: bool = True,
+        progress_bar: bool = False,
+    ) -> SelfRainbow:
+        """See ``OffPolicyAlgorithm.learn``."""
+        return super().learn(
+            total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar
+        )
+
+    def save(
+        self,
+        path: str | pathlib.Path | io.BufferedIOBase,
+        exclude: Iterable[str] | None = None,
+        include: Iterable[str] | None = None,
+    ) -> None:
+        """
+        As SB3's ``save``, with the states of the random generators.
+
+        They come back into force when a loaded model goes on learning
+        (``learn(..., reset_num_timesteps=False)``), and not when it only predicts.
+        """
+        self._rng_state = get_rng_state(self.action_space)
+        try:
+            super().save(path, exclude, include)
+        finally:
+            self._rng_state = None
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "q_net", "q_net_target", "_learner"]
+
+    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
+        return ["policy", "policy.optimizer"], []
+
+    def set_parameters(
+        self,
+        load_path_or_dict: str | TensorDict,
+        exact_match: bool = True,
+        device: th.device | str = "auto",
+    ) -> None:
+        """
+        As SB3's ``set_parameters``.
+
+        :raises ValueError: if the parameters were saved with other settings
+        """
+        try:
+            super().set_parameters(load_path_or_dict, exact_match, device)
+        except RuntimeError as error:
+            raise ValueError(
+                f"The checkpoint was saved with other settings than the model's: {error}"
+            ) from error

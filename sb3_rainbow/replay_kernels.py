@@ -1,0 +1,162 @@
+"""Compiled inner loops of the replay buffer. A leaf is ``step * n_envs + env``."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+RUNNING, TERMINATED, TRUNCATED = 0, 1, 2
+
+
+@njit(cache=True)
+def complete_windows(
+    pending: NDArray[np.int64],
+    ended: NDArray[np.bool_],
+    newest: int,
+    n_rows: int,
+    n_steps: int,
+    leaves: NDArray[np.int64],
+) -> int:
+    """
+    Collect the transitions whose n-step window is complete after step ``newest`` was stored.
+
+    A window is complete after n steps, or earlier where its episode ends. Env by env: the end of
+    one env's episode touches no other env.
+
+    :param pending: stored transitions per env that still wait, ``newest`` included; updated
+    :param ended: whether the env's episode ended (terminated or truncated) at ``newest``
+    :param newest: row of the last stored step
+    :param n_rows: rows of the ring
+    :param n_steps: length of a window
+    :param leaves: receives the completed leaves
+    :return: their number
+    """
+    n_envs = pending.shape[0]
+    count = 0
+    for env in range(n_envs):
+        oldest = (newest - pending[env] + 1) % n_rows
+        if ended[env]:
+            n_complete = pending[env]
+        elif pending[env] >= n_steps:
+            n_complete = pending[env] - n_steps + 1
+        else:
+            n_complete = 0
+        for k in range(n_complete):
+            leaves[count] = ((oldest + k) % n_rows) * n_envs + env
+            count += 1
+        pending[env] -= n_complete
+    return count
+
+
+@njit(cache=True)
+def assemble_windows(
+    leaves: NDArray[np.int64],
+    masses: NDArray[np.float64],
+    rewards: NDArray[np.float32],
+    ends: NDArray[np.uint8],
+    slots: NDArray[np.int32],
+    newest: int,
+    n_steps: int,
+    gamma: float,
+    beta: float,
+    returns: NDArray[np.float32],
+    discounts: NDArray[np.float32],
+    dones: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    last_leaves: NDArray[np.int64],
+    next_rows: NDArray[np.int64],
+    next_slots: NDArray[np.int64],
+) -> None:
+    """
+    Sum the rewards of each window and find where its final observation is stored.
+
+    The return stops at the episode's end, and ``discounts`` is gamma to the number of rewards
+    summed. The final observation is in the boundary store (``next_slots >= 0``) where the episode
+    ended or where it is the newest of all, else it is the observation of the following row.
+    """
+    n_rows, n_envs = rewards.shape
+    smallest = np.inf
+    for i in range(leaves.shape[0]):
+        row = leaves[i] // n_envs
+        env = leaves[i] - row * n_envs
+        total = 0.0
+        discount = 1.0
+        for _ in range(n_steps):
+            last = row
+            total += discount * rewards[row, env]
+            discount *= gamma
+            if ends[row, env] != RUNNING:
+                break
+            row = row + 1 if row + 1 < n_rows else 0
+        returns[i] = total
+        discounts[i] = discount
+        dones[i] = 1.0 if ends[last, env] == TERMINATED else 0.0
+        last_leaves[i] = last * n_envs + env
+        following = last + 1 if last + 1 < n_rows else 0
+        next_rows[i] = following * n_envs + env
+        if ends[last, env] != RUNNING:
+            next_slots[i] = slots[last, env]
+        elif last == newest:
+            next_slots[i] = env
+        else:
+            next_slots[i] = -1
+        smallest = min(smallest, masses[leaves[i]])
+    # N and the total mass cancel when (N P(i))^-beta is divided by the batch maximum.
+    for i in range(leaves.shape[0]):
+        weights[i] = (smallest / masses[leaves[i]]) ** beta
+
+
+@njit(cache=True)
+def gather_observations(
+    rows: NDArray[np.uint8],
+    boundary: NDArray[np.uint8],
+    leaves: NDArray[np.int64],
+    next_rows: NDArray[np.int64],
+    next_slots: NDArray[np.int64],
+    current: NDArray[np.uint8],
+    following: NDArray[np.uint8],
+) -> None:
+    """Copy current and final observations, as bytes, so that one kernel serves every dtype."""
+    width = rows.shape[1]
+    for i in range(leaves.shape[0]):
+        leaf = leaves[i]
+        for j in range(width):
+            current[i, j] = rows[leaf, j]
+        slot = next_slots[i]
+        if slot >= 0:
+            for j in range(width):
+                following[i, j] = boundary[slot, j]
+        else:
+            row = next_rows[i]
+            for j in range(width):
+                following[i, j] = rows[row, j]
+
+
+@njit(cache=True)
+def scale_priorities(
+    leaves: NDArray[np.int64],
+    losses: NDArray[np.float64],
+    masses: NDArray[np.float64],
+    alpha: float,
+    epsilon: float,
+    kept_leaves: NDArray[np.int64],
+    kept_masses: NDArray[np.float64],
+) -> tuple[int, float]:
+    """
+    ``(loss + epsilon) ** alpha`` of the leaves that are still filled.
+
+    :return: their number (-1 if a loss is negative, infinite or NaN) and the largest priority
+    """
+    count = 0
+    largest = 0.0
+    for i in range(leaves.shape[0]):
+        loss = losses[i]
+        if not (0.0 <= loss < np.inf):
+            return -1, loss
+        # A leaf may have been overwritten since it was drawn: it must not come alive half-filled.
+        if masses[leaves[i]] > 0.0:
+            priority = loss + epsilon
+            kept_leaves[count] = leaves[i]
+            kept_masses[count] = priority**alpha
+            largest = max(largest, priority)
+            count += 1
+    return count, largest

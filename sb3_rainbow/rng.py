@@ -1,0 +1,34 @@
+"""Snapshot of every random generator that a training run draws from."""
+
+import random
+from typing import Any
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+
+
+def get_rng_state(action_space: spaces.Space) -> dict[str, Any]:
+    """
+    States of Python's, numpy's and torch's global generators and of the action space.
+
+    :param action_space: the model's, from which the warm-up draws
+    :return: picklable
+    """
+    return {
+        "python": random.getstate(),
+        "numpy": np.random.get_state(),  # noqa: NPY002
+        "torch": th.get_rng_state(),
+        "cuda": th.cuda.get_rng_state_all() if th.cuda.is_available() else [],
+        "action_space": action_space.np_random.bit_generator.state,
+    }
+
+
+def set_rng_state(state: dict[str, Any], action_space: spaces.Space) -> None:
+    """Put the generators back to where :func:`get_rng_state` found them."""
+    random.setstate(state["python"])
+    np.random.set_state(state["numpy"])  # noqa: NPY002
+    th.set_rng_state(state["torch"])
+    if state["cuda"] and len(state["cuda"]) == th.cuda.device_count():
+        th.cuda.set_rng_state_all(state["cuda"])
+    action_space.np_random.bit_generator.state = state["action_space"]

@@ -1,0 +1,84 @@
+"""Layers with learned exploration noise."""
+
+import math
+
+import torch as th
+from torch import nn
+from torch.nn import functional as F
+
+
+def scale_noise_(noise: th.Tensor) -> th.Tensor:
+    """Replace x by sign(x) sqrt(|x|) (Fortunato et al. 2018, section 3), in place."""
+    sign = noise.sign()
+    return noise.abs_().sqrt_().mul_(sign)
+
+
+class NoisyLinear(nn.Module):
+    """
+    Linear layer with factorized Gaussian noise on weights and biases (Fortunato et al. 2018).
+
+    ``y = (mu_w + sigma_w * (e_out e_in^T)) x + mu_b + sigma_b * e_out``, with ``e = f(N(0, 1))``
+    and ``f(x) = sign(x) sqrt(|x|)``: ``in + out`` random numbers instead of ``in * out``.
+
+    Whether the noise acts is the caller's choice at each call and has nothing to do with
+    ``train()`` and ``eval()``: SB3 collects experience in evaluation mode, and a layer that is
+    silent there explores nothing. The noise stays as it is until :meth:`reset_noise`. It lives in
+    buffers, so that a Polyak average over the parameters leaves it alone.
+
+    :param in_features: size of each input
+    :param out_features: size of each output
+    :param sigma0: initial noise scale; every sigma starts at ``sigma0 / sqrt(in_features)``
+    """
+
+    epsilon_in: th.Tensor
+    epsilon_out: th.Tensor
+
+    def __init__(self, in_features: int, out_features: int, sigma0: float = 0.5) -> None:
+        super().__init__()
+        self.in_features = in_features
+        self.out_features = out_features
+        self.sigma0 = sigma0
+        self.weight_mu = nn.Parameter(th.empty(out_features, in_features))
+        self.weight_sigma = nn.Parameter(th.empty(out_features, in_features))
+        self.bias_mu = nn.Parameter(th.empty(out_features))
+        self.bias_sigma = nn.Parameter(th.empty(out_features))
+        self.register_buffer("epsilon_in", th.zeros(in_features))
+        self.register_buffer("epsilon_out", th.zeros(out_features))
+        self.reset_parameters()
+        self.reset_noise()
+
+    def reset_parameters(self) -> None:
+        """Initial means and sigmas of the factorized variant (same paper, section 3.2)."""
+        bound = 1.0 / math.sqrt(self.in_features)
+        nn.init.uniform_(self.weight_mu, -bound, bound)
+        nn.init.uniform_(self.bias_mu, -bound, bound)
+        nn.init.constant_(self.weight_sigma, self.sigma0 * bound)
+        nn.init.constant_(self.bias_sigma, self.sigma0 * bound)
+
+    @th.no_grad()
+    def reset_noise(self) -> None:
+        """Draw new noise from torch's global generator."""
+        scale_noise_(self.epsilon_in.normal_())
+        scale_noise_(self.epsilon_out.normal_())
+
+    @th.no_grad()
+    def noise_magnitude(self) -> th.Tensor:
+        """Mean absolute sigma of the weights: how strongly the layer still explores; scalar."""
+        return self.weight_sigma.abs().mean()
+
+    def forward(self, inputs: th.Tensor, noisy: bool = True) -> th.Tensor:
+        """
+        :param inputs: shape ``(..., in_features)``
+        :param noisy: False for the mean weights alone
+        :return: shape ``(..., out_features)``
+        """
+        if not noisy:
+            return F.linear(inputs, self.weight_mu, self.bias_mu)
+        epsilon = th.outer(self.epsilon_out, self.epsilon_in)
+        weight = th.addcmul(self.weight_mu, self.weight_sigma, epsilon)
+        bias = th.addcmul(self.bias_mu, self.bias_sigma, self.epsilon_out)
+        return F.linear(inputs, weight, bias)
+
+    def extra_repr(self) -> str:
+        """What ``print`` shows of the layer."""
+        return f"{self.in_features}, {self.out_features}, sigma0={self.sigma0}"

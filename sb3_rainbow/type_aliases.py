@@ -1,0 +1,57 @@
+"""Types that the modules of this package exchange."""
+
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+import torch as th
+from numpy.typing import NDArray
+from stable_baselines3.common.type_aliases import TensorDict
+
+ObsArray: TypeAlias = NDArray | dict[str, NDArray]
+NoisyLayers = Literal["last_two", "head", "all"]
+UseMasking = Literal["auto"] | bool
+
+
+class PrioritizedReplayBufferSamples(NamedTuple):
+    """
+    A batch of n-step transitions. B: batch size.
+
+    The first six fields are those of SB3's ``ReplayBufferSamples``.
+
+    :param observations: at t, shape ``(B, ...)``, or a dict of such
+    :param actions: at t, shape ``(B, 1)``, int64
+    :param next_observations: at t + k, k <= n the number of rewards summed
+    :param dones: 1 where the episode terminated at t + k (a truncation is no end), ``(B, 1)``
+    :param rewards: discounted sum of the k rewards, ``(B, 1)``
+    :param discounts: gamma^k, each sample's own, ``(B, 1)``
+    :param weights: importance-sampling weights over their batch maximum, ``(B,)``
+    :param indices: leaves of the sum tree, for ``update_priorities``, ``(B,)``
+    :param next_action_masks: allowed actions at t + k, ``(B, n_actions)``, None without masks
+    """
+
+    observations: th.Tensor | TensorDict
+    actions: th.Tensor
+    next_observations: th.Tensor | TensorDict
+    dones: th.Tensor
+    rewards: th.Tensor
+    discounts: th.Tensor
+    weights: th.Tensor
+    indices: NDArray[np.int64]
+    next_action_masks: th.Tensor | None
+
+
+class Batch(NamedTuple):
+    """
+    What an update needs of a sample, from whatever replay buffer it came.
+
+    Shapes as in :class:`PrioritizedReplayBufferSamples`.
+    """
+
+    observations: th.Tensor | TensorDict
+    actions: th.Tensor
+    next_observations: th.Tensor | TensorDict
+    dones: th.Tensor
+    rewards: th.Tensor
+    discounts: th.Tensor
+    weights: th.Tensor | None
+    next_action_masks: th.Tensor | None

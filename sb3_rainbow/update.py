@@ -1,0 +1,73 @@
+"""Rainbow's temporal-difference error on one batch."""
+
+from typing import NamedTuple
+
+import torch as th
+from torch.nn import functional as F
+
+from sb3_rainbow.losses import (
+    categorical_losses,
+    huber_losses,
+    mask_q_values,
+    project_distribution,
+)
+from sb3_rainbow.networks import RainbowNetwork
+from sb3_rainbow.type_aliases import Batch
+
+
+class Target(NamedTuple):
+    """What the online network should predict, and what the logs tell about it. B: batch size."""
+
+    values: th.Tensor
+    """Distribution over the atoms ``(B, N)``, or scalar ``(B, 1)``."""
+    next_actions: th.Tensor
+    """Actions chosen at t + k, ``(B, 1)``."""
+    next_probabilities: th.Tensor
+    """Distribution at t + k before discounting, ``(B, N)``."""
+
+
+@th.no_grad()
+def td_target(
+    q_net: RainbowNetwork, q_net_target: RainbowNetwork, batch: Batch, double_q: bool
+) -> Target:
+    """
+    n-step target (Hessel et al. 2018, equation 3), or its scalar form.
+
+    The action at t + k is the best allowed there by that state's own mask, in the eyes of the
+    online network with double Q-learning and of the target network without; its value is always
+    the target network's.
+    """
+    streams = q_net_target.streams(batch.next_observations, noisy=True)
+    if double_q:
+        q_values = q_net(batch.next_observations, noisy=True)
+    else:
+        q_values = q_net_target.expected_values(q_net_target.join(streams))
+    actions = mask_q_values(q_values, batch.next_action_masks).argmax(dim=1, keepdim=True)
+    logits = q_net_target.join_taken(streams, actions)
+    discounts = batch.discounts * (1.0 - batch.dones)
+    if not q_net.distributional:
+        return Target(batch.rewards + discounts * logits, actions, logits)
+    probabilities = F.softmax(logits, dim=1)
+    values = project_distribution(
+        probabilities, batch.rewards, discounts, q_net.support, q_net.v_min, q_net.v_max
+    )
+    return Target(values, actions, probabilities)
+
+
+def td_losses(
+    q_net: RainbowNetwork, batch: Batch, target: th.Tensor
+) -> tuple[th.Tensor, th.Tensor]:
+    """
+    Losses and priorities of the batch, before importance weights.
+
+    Distributional: the cross-entropy is both. Scalar: the Huber loss, and the absolute error.
+
+    :param target: the ``values`` of a :class:`Target`
+    :return: losses ``(B,)`` with gradient, priorities ``(B,)`` without
+    """
+    logits = q_net.join_taken(q_net.streams(batch.observations, noisy=True), batch.actions)
+    if q_net.distributional:
+        losses = categorical_losses(logits, target)
+        return losses, losses.detach()
+    losses = huber_losses(logits[:, 0], target[:, 0])
+    return losses, (logits[:, 0] - target[:, 0]).detach().abs()
