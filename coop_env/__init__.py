@@ -1,0 +1,46 @@
+"""Cooperative peg-in-hole with a Delta robot and a 3-RRS, with exact kinematics.
+
+Importing the package registers ``CoopInsertion-v0``; kernels compile when they are first used.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+
+if TYPE_CHECKING:
+    from coop_env.env import CoopInsertionEnv
+    from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, DeltaGeometry, RRSGeometry
+    from coop_env.vec_env import CoopInsertionVecEnv
+
+_HOMES = {
+    "CoopInsertionEnv": "coop_env.env",
+    "CoopInsertionVecEnv": "coop_env.vec_env",
+    "DeltaGeometry": "coop_env.geometry",
+    "RRSGeometry": "coop_env.geometry",
+    "GEOMETRIES": "coop_env.geometry",
+    "INITIAL": "coop_env.geometry",
+    "OPTIMIZED": "coop_env.geometry",
+}
+
+__all__ = [
+    "GEOMETRIES",
+    "INITIAL",
+    "OPTIMIZED",
+    "CoopInsertionEnv",
+    "CoopInsertionVecEnv",
+    "DeltaGeometry",
+    "RRSGeometry",
+]
+
+gymnasium.register(id="CoopInsertion-v0", entry_point="coop_env.env:CoopInsertionEnv")
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for, and not SB3 (so torch) unless the batched environment is."""
+    import importlib
+
+    if name not in _HOMES:
+        raise AttributeError(f"module 'coop_env' has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOMES[name]), name)

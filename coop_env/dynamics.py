@@ -1,0 +1,363 @@
+"""The MDP's transition: one scalar kernel over one row of state.
+
+The single environment (a batch of one), the batched environment and the planners all call it, so a
+row of a batch is bit-identical to an environment of its own. A configuration is its start plus an
+integer number of moves along each axis, so a move and its reverse cancel to the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+
+from coop_env import rewards
+from coop_env.collision import collides, hole, peg_tip
+from coop_env.kinematics import delta_kernels, rrs_kernels
+from coop_env.kinematics.rrs_kernels import Pose
+from coop_env.kinematics.singularity import Row
+from coop_env.task import (
+    DT,
+    N_ACTIONS,
+    N_AXES,
+    N_HOLES,
+    SINGULAR_MARGIN,
+    STEP,
+    EnvParams,
+)
+
+VALID: Final = 0
+INVALID: Final = 1
+COLLISION: Final = 2
+SINGULAR: Final = 3
+
+Configuration = tuple[float, float, float, float, float, float]
+Record = Any  # a row of STATE or OUTCOME, whose fields numba reads as attributes
+
+STATE: Final = np.dtype(
+    [
+        ("start", "f8", (N_AXES,)),
+        ("offset", "i8", (N_AXES,)),  # moves from the start along each axis
+        ("configuration", "f8", (N_AXES,)),
+        ("theta", "f8", (3,)),  # Delta joint angles, rad
+        ("q", "f8", (3,)),  # 3-RRS joint angles, rad
+        ("sigma", "f8"),  # signed sigma_min
+        ("tip", "f8", (3,)),  # world, m
+        ("mouths", "f8", (N_HOLES, 3)),  # world, m
+        ("normals", "f8", (N_HOLES, 3)),
+        ("inside", "u1", (N_HOLES,)),  # tip meets the hole's insertion criterion
+        ("active", "u1", (N_HOLES,)),
+        ("filled", "u1", (N_HOLES,)),
+        ("target", "i8"),
+        ("distance", "f8"),  # tip to target mouth, m
+        ("angle", "f8"),  # peg axis to target normal, rad
+        ("moves", "i8"),
+        ("insertions", "i8"),  # in this episode; `filled` may have held some from the start
+        ("energy", "f8"),  # J
+        ("mask", "u1", (N_ACTIONS,)),
+        ("over", "u1"),
+    ],
+    align=True,
+)
+"""One row of state, in SI units; everything that the next step depends on."""
+
+OUTCOME: Final = np.dtype(
+    [
+        ("success", "?"),
+        ("n_filled", "i8"),
+        ("inserted", "?"),
+        ("inserted_hole", "i8"),  # -1 for none
+        ("collision", "?"),
+        ("violation", "?"),
+        ("duplicate", "?"),
+        ("singular", "?"),
+        ("sigma_min", "f8"),
+        ("alignment_error", "f8"),
+        ("distance", "f8"),
+        ("target", "i8"),
+        ("time", "f8"),
+        ("energy", "f8"),
+        ("terms", "f8", (len(rewards.TERMS),)),
+        ("reward", "f8"),
+        ("terminated", "?"),
+        ("truncated", "?"),
+    ],
+    align=True,
+)
+"""What a move led to."""
+
+INFO_FIELDS: Final = (OUTCOME.names or ())[:14]
+"""Fields of an outcome that go into ``info``, beside the reward's terms."""
+
+
+@njit(cache=True)
+def lattice_configuration(start: np.ndarray, offset: np.ndarray) -> Configuration:
+    """``start + offset * STEP``: the one place where a lattice point becomes numbers."""
+    return (
+        start[0] + offset[0] * STEP[0],
+        start[1] + offset[1] * STEP[1],
+        start[2] + offset[2] * STEP[2],
+        start[3] + offset[3] * STEP[3],
+        start[4] + offset[4] * STEP[4],
+        start[5] + offset[5] * STEP[5],
+    )
+
+
+@njit(cache=True)
+def delta_valid(c: Configuration, p: EnvParams) -> bool:
+    """Whether the Delta's half of a configuration is within its workspace."""
+    return delta_kernels.is_valid(c[0], c[1], c[2], p.delta)
+
+
+@njit(cache=True)
+def rrs_valid(c: Configuration, p: EnvParams) -> bool:
+    """Whether the 3-RRS's half of a configuration is within its limits."""
+    return rrs_kernels.is_valid(c[3], c[4], c[5], p.rrs)
+
+
+@njit(cache=True)
+def joint_angles(c: Configuration, p: EnvParams) -> tuple[bool, Row, Pose, Row]:
+    """Validity of a configuration, theta, the platform's pose, and q."""
+    pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
+    ok_delta, theta = delta_kernels.inverse(c[0], c[1], c[2], p.delta)
+    ok_rrs, q = rrs_kernels.inverse(pose, p.rrs)
+    valid = (
+        ok_delta
+        and ok_rrs
+        and delta_kernels.within_limits(c[0], c[1], c[2], p.delta)
+        and rrs_kernels.within_limits(c[3], c[4], c[5], p.rrs)
+        and rrs_kernels.joints_within_limits(q, p.rrs)
+    )
+    return valid, theta, pose, q
+
+
+@njit(cache=True)
+def is_singular(sigma: float) -> bool:
+    """Whether signed sigma_min is under the margin or on the far side of det A = 0 (or NaN)."""
+    return not sigma >= SINGULAR_MARGIN
+
+
+@njit(cache=True)
+def configuration_status(c: Configuration, p: EnvParams) -> int:
+    """VALID, INVALID, COLLISION or SINGULAR, the first that applies in the order of a move."""
+    valid, theta, pose, q = joint_angles(c, p)
+    if not valid:
+        return INVALID
+    if collides(c[0], c[1], c[2], theta, pose, q, p):
+        return COLLISION
+    if is_singular(rrs_kernels.signed_sigma_min(pose, q, p.rrs)):
+        return SINGULAR
+    return VALID
+
+
+@njit(cache=True)
+def alignment_angle(normal_x: float, normal_y: float, normal_z: float) -> float:
+    """Angle between the peg's axis (vertical) and a hole's normal, rad."""
+    return math.atan2(math.hypot(normal_x, normal_y), normal_z)
+
+
+@njit(cache=True)
+def hole_error(s: Record, index: int) -> tuple[float, float]:
+    """Distance (m) and angle (rad) between the peg and a hole."""
+    dx = s.mouths[index, 0] - s.tip[0]
+    dy = s.mouths[index, 1] - s.tip[1]
+    dz = s.mouths[index, 2] - s.tip[2]
+    angle = alignment_angle(s.normals[index, 0], s.normals[index, 1], s.normals[index, 2])
+    return math.sqrt(dx * dx + dy * dy + dz * dz), angle
+
+
+@njit(cache=True)
+def _place(s: Record, c: Configuration, theta: Row, pose: Pose, q: Row, p: EnvParams) -> None:
+    """Write a configuration and what follows from it into the state (but not sigma and masks)."""
+    tip = peg_tip(c[0], c[1], c[2], p.delta)
+    for k in range(N_AXES):
+        s.configuration[k] = c[k]
+    for k in range(3):
+        s.theta[k] = theta[k]
+        s.q[k] = q[k]
+        s.tip[k] = tip[k]
+    for i in range(N_HOLES):
+        mouth, normal = hole(pose, i)
+        for k in range(3):
+            s.mouths[i, k] = mouth[k]
+            s.normals[i, k] = normal[k]
+        distance, angle = hole_error(s, i)
+        s.inside[i] = distance < p.task.chamfer and angle < p.task.angle_tolerance
+
+
+@njit(cache=True)
+def _aim(s: Record, target: int) -> None:
+    s.target = target
+    s.distance, s.angle = hole_error(s, target)
+
+
+@njit(cache=True)
+def _nearest_open_hole(s: Record) -> int:
+    """The unfilled active hole nearest to the tip, or -1."""
+    best, least = -1, math.inf
+    for i in range(N_HOLES):
+        if s.active[i] and not s.filled[i]:
+            distance, _ = hole_error(s, i)
+            if distance < least:
+                best, least = i, distance
+    return best
+
+
+@njit(cache=True)
+def _neighbour(s: Record, action: int) -> Configuration:
+    axis, sign = action // 2, 1 - 2 * (action % 2)
+    s.offset[axis] += sign
+    c = lattice_configuration(s.start, s.offset)
+    s.offset[axis] -= sign
+    return c
+
+
+@njit(cache=True)
+def update_mask(s: Record, delta: bool, rrs: bool, p: EnvParams) -> None:
+    """Recompute the action mask of the robots that moved: the halves do not depend on each other.
+
+    With ``mask_singularities`` collisions couple them, and both are recomputed. If nothing is
+    valid, everything is allowed.
+    """
+    couple = p.task.mask_singularities
+    blocked = s.mask.sum() == N_ACTIONS  # may stand for "nothing valid": start afresh
+    for action in range(N_ACTIONS):
+        if couple:
+            s.mask[action] = configuration_status(_neighbour(s, action), p) == VALID
+        elif action < 6:
+            if delta or blocked:
+                s.mask[action] = delta_valid(_neighbour(s, action), p)
+        elif rrs or blocked:
+            s.mask[action] = rrs_valid(_neighbour(s, action), p)
+    if s.mask.sum() == 0:
+        s.mask[:] = 1
+
+
+@njit(cache=True)
+def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p: EnvParams) -> int:
+    """Start an episode at a configuration with the given holes; returns the configuration's status.
+
+    The target is left to :func:`set_target`. The state is written only if the status is VALID.
+    """
+    valid, theta, pose, q = joint_angles(c, p)
+    if not valid:
+        return INVALID
+    if collides(c[0], c[1], c[2], theta, pose, q, p):
+        return COLLISION
+    sigma = rrs_kernels.signed_sigma_min(pose, q, p.rrs)
+    if is_singular(sigma):
+        return SINGULAR
+    for k in range(N_AXES):
+        s.start[k] = c[k]
+        s.offset[k] = 0
+    s.active[:] = active
+    s.filled[:] = filled
+    s.sigma = sigma
+    s.moves = 0
+    s.insertions = 0
+    s.energy = 0.0
+    s.over = False
+    _place(s, c, theta, pose, q, p)
+    update_mask(s, True, True, p)
+    return VALID
+
+
+@njit(cache=True)
+def set_target(s: Record, target: int) -> None:
+    """Aim at a hole (see :func:`begin`)."""
+    _aim(s, target)
+
+
+@njit(cache=True)
+def _attempt(s: Record, action: int, p: EnvParams) -> int:
+    """Try a move: VALID and SINGULAR ones are executed, INVALID and COLLISION ones are not."""
+    c = _neighbour(s, action)
+    valid, theta, pose, q = joint_angles(c, p)
+    if not valid:
+        return INVALID
+    if collides(c[0], c[1], c[2], theta, pose, q, p):
+        return COLLISION
+    s.offset[action // 2] += 1 - 2 * (action % 2)
+    for k in range(3):
+        s.energy += abs(theta[k] - s.theta[k]) + abs(q[k] - s.q[k])
+    _place(s, c, theta, pose, q, p)
+    moved_rrs = action >= 6
+    if moved_rrs:
+        s.sigma = rrs_kernels.signed_sigma_min(pose, q, p.rrs)
+    update_mask(s, not moved_rrs, moved_rrs, p)
+    return SINGULAR if is_singular(s.sigma) else VALID
+
+
+@njit(cache=True)
+def _entered_filled_hole(s: Record, was_inside: tuple[int, int, int, int, int, int]) -> bool:
+    entered = False
+    for i in range(N_HOLES):
+        entered |= s.filled[i] == 1 and s.inside[i] == 1 and was_inside[i] == 0
+    return entered
+
+
+@njit(cache=True)
+def step(s: Record, action: int, p: EnvParams, out: Record) -> None:
+    """One move of one environment: writes the next state to ``s`` and what happened to ``out``."""
+    inside = s.inside
+    before = (inside[0], inside[1], inside[2], inside[3], inside[4], inside[5])
+    distance, angle = s.distance, s.angle
+    status = _attempt(s, action, p)
+    s.moves += 1
+    v = status != VALID
+    target = s.target
+    s.distance, s.angle = hole_error(s, target)
+    u = not v and _entered_filled_hole(s, before)
+    z = not v and s.inside[target] == 1 and s.filled[target] == 0
+    if z:
+        s.filled[target] = 1
+        s.insertions += 1
+    out.alignment_error, out.distance = s.angle, s.distance
+    n_filled = s.filled.sum()
+    n_left = 0
+    for i in range(N_HOLES):
+        n_left += s.active[i] == 1 and s.filled[i] == 0
+    terminated = status == SINGULAR or n_left == 0
+    time = s.moves * DT
+    after = (s.distance, s.angle)
+    if z and n_left > 0:
+        _aim(s, _nearest_open_hole(s))
+    _reward(s, (v, z, u, terminated), n_filled, time, (distance, angle), after, p, out)
+    out.success = s.insertions > 0
+    out.n_filled = n_filled
+    out.inserted = z
+    out.inserted_hole = target if z else -1
+    out.collision = status == COLLISION
+    out.violation = v
+    out.duplicate = u
+    out.singular = status == SINGULAR
+    out.sigma_min = s.sigma
+    out.target = s.target
+    out.time = time
+    out.energy = s.energy
+    out.terminated = terminated
+    out.truncated = not terminated and s.moves >= p.task.max_moves
+    s.over = out.terminated or out.truncated
+
+
+@njit(cache=True)
+def _reward(
+    s: Record, flags: tuple[bool, bool, bool, bool], n_filled: int, time: float,
+    before: tuple[float, float], after: tuple[float, float], p: EnvParams, out: Record,
+) -> None:  # fmt: skip
+    v, z, u, terminated = flags
+    if p.reward.paper:
+        terms = rewards.paper_terms(v, z, u, n_filled, time, before[0], after[0], p.reward)
+    else:
+        if not math.isnan(p.reward.gamma):
+            # The potential of the next state: towards its own target, nought once it is terminal.
+            after = (0.0, 0.0) if terminated else (s.distance, s.angle)
+        d, a = (before[0], after[0]), (before[1], after[1])
+        terms = rewards.progress_terms(v, z, u, n_filled, time, d, a, p.reward)
+    total = 0.0
+    for k in range(len(terms)):
+        out.terms[k] = terms[k]
+        total += terms[k]
+    out.reward = total

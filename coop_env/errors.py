@@ -1,0 +1,23 @@
+"""The named errors of the environment; each is a ``ValueError`` whose message names the mend."""
+
+from __future__ import annotations
+
+
+class ArgumentError(ValueError):
+    """A constructor argument of the environment is unknown, out of range or of the wrong kind."""
+
+
+class RewardError(ArgumentError):
+    """An unknown reward, an unknown key of ``reward_kwargs``, or a scale that makes no sense."""
+
+
+class ActionError(ValueError):
+    """An action that is not one of the integers 0 to 11."""
+
+
+class ResetOptionError(ValueError):
+    """A reset option that is unknown, malformed, or names a state that cannot be taken."""
+
+
+class StateError(ValueError):
+    """A snapshot that does not fit the environment it is loaded into."""

@@ -1,0 +1,108 @@
+"""The observation: its fields, fixed bounds, and the kernel that writes it."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from gymnasium import spaces
+from numba import njit
+from numpy.typing import NDArray
+
+from coop_env.dynamics import Record
+from coop_env.errors import ArgumentError
+from coop_env.task import DOME_RADIUS, DT, N_HOLES, EnvParams
+
+PAPER_FIELDS: Final = (
+    "x", "y", "z", "roll", "pitch", "heave",
+    "e_x", "e_y", "e_z", "n_x", "n_y", "n_z",
+)  # fmt: skip
+MARKOV_FIELDS: Final = (*PAPER_FIELDS, *(f"filled_{i}" for i in range(N_HOLES)), "time")
+
+ERROR_BOUND: Final = 0.15
+"""Half-width of the normalized e_rel, m. The 10 mm of an insertion are then a thirtieth of it."""
+
+
+class ObservationParams(NamedTuple):
+    """Bounds (size,) of the fields in SI units, and whether to normalize them to [0, 1]."""
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    normalize: bool
+
+
+def make_observation(
+    observation: str, normalize: bool, p: EnvParams
+) -> tuple[ObservationParams, spaces.Box]:
+    """The kernel's parameters and the Gymnasium space of an observation.
+
+    Args:
+        observation: ``"paper"``, 12 fields, or ``"markov"``, which appends the filled holes and
+            the time elapsed, both of which the reward depends on.
+        normalize: fields scaled to [0, 1] and clipped, or plain SI units.
+
+    Raises:
+        ArgumentError: ``observation`` is neither, or ``normalize`` is no bool.
+    """
+    if observation not in ("paper", "markov"):
+        raise ArgumentError(f"observation = {observation!r}: must be 'paper' or 'markov'")
+    if not isinstance(normalize, bool):
+        raise ArgumentError(f"normalize = {normalize!r}: must be True or False")
+    low, high = _bounds(p, ERROR_BOUND if normalize else _largest_error(p))
+    if observation == "paper":
+        low, high = low[: len(PAPER_FIELDS)], high[: len(PAPER_FIELDS)]
+    params = ObservationParams(low, high, normalize)
+    if normalize:
+        return params, spaces.Box(0.0, 1.0, low.shape, np.float32)
+    return params, spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+
+
+def _bounds(p: EnvParams, error: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    d, r = p.delta, p.rrs
+    reach, drop = d.proximal_length + d.distal_length, abs(d.proximal_length - d.distal_length)
+    low = [-d.planar_limit, -d.planar_limit, -reach, -r.max_tilt, -r.max_tilt, r.heave_min]
+    high = [d.planar_limit, d.planar_limit, -drop, r.max_tilt, r.max_tilt, r.heave_max]
+    low += [-error] * 3 + [-1.0] * 3 + [0.0] * (N_HOLES + 1)
+    high += [error] * 3 + [1.0] * 3 + [1.0] * N_HOLES + [p.task.max_moves * DT]
+    return np.array(low), np.array(high)
+
+
+def _largest_error(p: EnvParams) -> float:
+    """A bound on every component of hole - tip, m, from the two workspaces."""
+    d, r = p.delta, p.rrs
+    planar = d.planar_limit + DOME_RADIUS + r.platform_radius
+    tip_low = d.base_height - d.peg_length - d.proximal_length - d.distal_length
+    tip_high = d.base_height - d.peg_length - abs(d.proximal_length - d.distal_length)
+    hole_low, hole_high = r.heave_min - DOME_RADIUS, r.heave_max + DOME_RADIUS
+    return max(planar, hole_high - tip_low, tip_high - hole_low)
+
+
+@njit(cache=True)
+def _write(row: np.ndarray, k: int, value: float, o: ObservationParams) -> None:
+    if k >= row.shape[0]:
+        return
+    if o.normalize:
+        value = (value - o.low[k]) / (o.high[k] - o.low[k])
+        value = min(max(value, 0.0), 1.0)
+    row[k] = value
+
+
+@njit(cache=True)
+def observe(s: Record, o: ObservationParams, row: np.ndarray) -> None:
+    """Write the observation of one row of state to ``row (size,)``, float32."""
+    target = s.target
+    for k in range(6):
+        _write(row, k, s.configuration[k], o)
+    for k in range(3):
+        _write(row, 6 + k, s.mouths[target, k] - s.tip[k], o)
+        _write(row, 9 + k, s.normals[target, k], o)
+    for i in range(N_HOLES):
+        _write(row, 12 + i, float(s.filled[i]), o)
+    _write(row, 12 + N_HOLES, s.moves * DT, o)
+
+
+@njit(cache=True)
+def observe_batch(states: np.ndarray, o: ObservationParams, rows: np.ndarray) -> None:
+    """Observations ``rows (n, size)`` of ``states (n,)``."""
+    for i in range(states.shape[0]):
+        observe(states[i], o, rows[i])
