@@ -1,0 +1,163 @@
+"""The Delta: inverse against forward, Jacobian against differences, workspace, bad input."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
+
+from coop_env.geometry import DELTA, DeltaGeometry
+from coop_env.kinematics import delta, delta_kernels
+
+AZIMUTHS = np.radians([0.0, 120.0, 240.0])
+RADIAL = np.stack([np.cos(AZIMUTHS), np.sin(AZIMUTHS), np.zeros(3)], axis=-1)
+OTHER = DeltaGeometry(base_radius=0.2, effector_radius=0.05, proximal_length=0.3, distal_length=0.7)
+
+
+def _positions(count: int, seed: int = 0, geometry: DeltaGeometry = DELTA) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    r = geometry.planar_limit
+    low = -(geometry.proximal_length + geometry.distal_length)
+    high = -abs(geometry.proximal_length - geometry.distal_length)
+    points = rng.uniform([-r, -r, low], [r, r, high], size=(10 * count, 3))
+    return points[delta.is_valid(points, geometry)][:count]
+
+
+@pytest.mark.parametrize("geometry", [DELTA, OTHER], ids=["default", "other"])
+def test_forward_undoes_inverse_over_the_workspace(geometry: DeltaGeometry) -> None:
+    points = _positions(5000, geometry=geometry)
+    theta, reachable = delta.inverse(points, geometry)
+    assert reachable.all()
+    found = delta.forward(theta, geometry)
+    assert found.reachable.all()
+    # at the edge of reach the map q -> x is steep: a rounding error grows by 1 / sqrt(margin)
+    np.testing.assert_allclose(found.position, points, atol=1e-9)
+    assert found.residual.max() < 1e-12
+
+
+def test_links_have_their_lengths_and_knees_point_out() -> None:
+    points = _positions(2000, seed=1)
+    limbs = delta.limb_points(points)
+    proximal = np.linalg.norm(limbs[..., 1, :] - limbs[..., 0, :], axis=-1)
+    distal = np.linalg.norm(limbs[..., 2, :] - limbs[..., 1, :], axis=-1)
+    np.testing.assert_allclose(proximal, DELTA.proximal_length, atol=1e-12)
+    np.testing.assert_allclose(distal, DELTA.distal_length, atol=1e-12)
+    # of the two knees that close a limb, the one further out
+    chord = limbs[..., 2, :] - limbs[..., 0, :]
+    to_knee = limbs[..., 1, :] - limbs[..., 0, :]
+    radial = np.einsum("nia,ia->ni", chord, RADIAL)
+    knee_radial = np.einsum("nia,ia->ni", to_knee, RADIAL)
+    outward = knee_radial * -chord[..., 2] + to_knee[..., 2] * radial
+    assert (outward > -1e-12).all()
+
+
+def test_forward_agrees_with_a_numerical_solver() -> None:
+    points = _positions(30, seed=2)
+    theta = delta.inverse(points).theta
+    for angles, expected in zip(theta, points, strict=True):
+        reach = DELTA.base_radius + DELTA.proximal_length * np.cos(angles)
+        knees = reach[:, None] * RADIAL
+        knees[:, 2] = -DELTA.proximal_length * np.sin(angles)
+
+        def closure(x: np.ndarray, knees: np.ndarray = knees) -> np.ndarray:
+            joints = x + DELTA.effector_radius * RADIAL
+            return np.sum((joints - knees) ** 2, axis=-1) - DELTA.distal_length**2
+
+        solution = least_squares(closure, [0.0, 0.0, -0.6], xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+        np.testing.assert_allclose(delta.forward(angles).position, solution, atol=1e-8)
+        np.testing.assert_allclose(solution, expected, atol=1e-8)
+
+
+def test_jacobian_is_the_derivative_of_the_inverse() -> None:
+    points = _positions(500, seed=3)
+    points = points[delta.limb_margin(points).min(axis=-1) > 0.05]
+    h = 1e-4
+    numeric = np.empty((len(points), 3, 3))
+    for k in range(3):
+        step = np.zeros(3)
+        step[k] = h
+        ahead, behind = delta.inverse(points + step).theta, delta.inverse(points - step).theta
+        far, near = delta.inverse(points + 2 * step).theta, delta.inverse(points - 2 * step).theta
+        numeric[:, :, k] = (8 * (ahead - behind) - (far - near)) / (12 * h)
+    np.testing.assert_allclose(
+        delta.jacobian(points), DELTA.proximal_length * numeric, atol=1e-6, rtol=1e-6
+    )
+    values = delta.singular_values(points)
+    np.testing.assert_allclose(
+        values, np.linalg.svd(delta.jacobian(points), compute_uv=False), rtol=1e-12
+    )
+    np.testing.assert_allclose(delta.condition_number(points), values[:, 0] / values[:, 2])
+
+
+def test_home_side_is_positive_over_the_whole_workspace() -> None:
+    sigma = delta.signed_sigma_min(_positions(5000, seed=4))
+    assert (sigma > 0).all()
+
+
+@given(x=st.floats(-0.15, 0.15), y=st.floats(-0.15, 0.15), z=st.floats(-0.6, -0.26))
+@settings(max_examples=150, deadline=None)
+def test_turning_by_120_degrees_permutes_the_limbs(x: float, y: float, z: float) -> None:
+    c, s = np.cos(2 * np.pi / 3), np.sin(2 * np.pi / 3)
+    a, ok_a = delta.inverse([x, y, z])
+    b, ok_b = delta.inverse([c * x - s * y, s * x + c * y, z])
+    assert ok_a == ok_b or delta.limb_margin([x, y, z]).min() < 1e-9
+    if ok_a and ok_b:
+        np.testing.assert_allclose(b, np.roll(a, 1), atol=1e-7)
+
+
+def test_the_workspace_is_the_papers_with_its_sign_mended() -> None:
+    inside = [[0.0, 0.0, -0.5], [0.0, 0.0, -0.26], [0.159, 0.0, -0.45]]
+    outside = [[0.0, 0.0, -0.24], [0.0, 0.0, -0.66], [0.161, 0.0, -0.45], [0.0, 0.0, 0.3]]
+    assert delta.is_valid(inside).all()
+    assert not delta.is_valid(outside).any()
+    assert (delta.workspace_margin(inside) > 0).all()
+    assert (delta.workspace_margin(outside) < 0).all()
+
+
+def test_a_batch_is_a_loop_and_the_kernel_to_the_bit() -> None:
+    points = np.random.default_rng(5).uniform([-0.3, -0.3, -0.7], [0.3, 0.3, -0.1], (300, 3))
+    p = delta_kernels.make_params(DELTA)
+    theta, reachable = delta.inverse(points)
+    assert 0 < reachable.sum() < 300
+    found, valid = delta.forward(theta), delta.is_valid(points)
+    for i, (x, y, z) in enumerate(points.tolist()):
+        ok, angles = delta_kernels.inverse(x, y, z, p)
+        assert ok == reachable[i] == found.reachable[i]
+        if ok:
+            assert angles == tuple(theta[i])
+            assert delta_kernels.forward(angles, p)[1] == tuple(found.position[i])
+        assert delta_kernels.is_valid(x, y, z, p) == valid[i]
+        np.testing.assert_array_equal(delta.jacobian(points)[i], delta.jacobian(points[i]))
+
+
+@pytest.mark.parametrize(
+    "theta", [[np.nan, 0.0, 0.0], [np.pi, np.pi, -np.pi / 2], [0.0, np.pi / 2, -np.pi / 2]]
+)
+def test_limbs_that_cannot_meet_say_so(theta: list[float]) -> None:
+    small = DeltaGeometry(
+        base_radius=0.3, effector_radius=0.04, proximal_length=0.26, distal_length=0.28
+    )
+    found = delta.forward(theta, small)
+    if found.reachable:  # then it must close
+        assert found.residual < 1e-12
+    else:
+        assert np.isnan(found.position).all()
+        assert np.isnan(found.residual)
+
+
+def test_bad_input() -> None:
+    with pytest.raises(delta.ShapeError, match="position has shape"):
+        delta.inverse([0.0, 0.0])
+    with pytest.raises(delta.ShapeError, match="theta has shape"):
+        delta.forward(np.zeros((3, 4)))
+    with pytest.raises(TypeError, match="real numbers"):
+        delta.inverse("x")
+    for bad in ([np.nan, 0.0, -0.5], [0.0, 0.0, -0.9], [0.0, 0.0, -np.inf]):
+        theta, reachable = delta.inverse(bad)
+        assert not reachable
+        assert np.isnan(theta).all()
+        assert np.isnan(delta.jacobian(bad)).all()
+        assert np.isnan(delta.signed_sigma_min(bad))
+        assert not delta.is_valid(bad)

@@ -1,0 +1,158 @@
+"""3-RRS forward kinematics: the inverse undone, and no silent jump of assembly mode."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from coop_env.geometry import GEOMETRIES, RRSGeometry
+from coop_env.kinematics import rrs
+
+EVERY = sorted(GEOMETRIES)
+
+
+def _valid_poses(geometry: RRSGeometry, count: int, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    low, high = [-0.78, -0.78, 0.21], [0.78, 0.78, 0.25]
+    poses = rng.uniform(low, high, size=(20 * count, 3))
+    return poses[rrs.is_valid(poses, geometry)][:count]
+
+
+@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("pose_model", ["exact", "paper"])
+def test_undoes_the_inverse_from_the_pose_itself(name: str, pose_model: str) -> None:
+    g = GEOMETRIES[name]
+    poses = _valid_poses(g, 2000, seed=1)
+    q, reachable = rrs.inverse(poses, g, pose_model)
+    found = rrs.forward(q, poses, g, pose_model)
+    assert found.converged[reachable].all()
+    np.testing.assert_allclose(found.pose[reachable], poses[reachable], atol=1e-12)
+    assert (found.residual[reachable] < 1e-12).all()
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_one_move_away_on_the_same_side_of_the_singularity(name: str) -> None:
+    g = GEOMETRIES[name]
+    poses = _valid_poses(g, 4000, seed=2)
+    rng = np.random.default_rng(3)
+    step = rng.uniform([-0.03, -0.03, -0.02], [0.03, 0.03, 0.02], poses.shape)
+    before = np.clip(poses + step, [-0.78, -0.78, 0.21], [0.78, 0.78, 0.25])
+    side = rrs.signed_sigma_min(poses, g)
+    other = rrs.signed_sigma_min(before, g)
+    # Nearer to the singularity, the straight line in q may itself run across it.
+    clear = rrs.is_valid(before, g) & (side * other > 0)
+    clear &= np.minimum(np.abs(side), np.abs(other)) > 0.1
+    found = rrs.forward(rrs.inverse(poses, g).q, before, g)
+    assert clear.sum() > 1000
+    assert found.converged[clear].all()
+    np.testing.assert_allclose(found.pose[clear], poses[clear], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_from_afar_it_is_the_pose_or_says_that_it_is_not(name: str) -> None:
+    """All pairs on home's side: the straight line in q either leads there, or ends on the way."""
+    g = GEOMETRIES[name]
+    poses = _valid_poses(g, 6000, seed=4)
+    poses = poses[rrs.signed_sigma_min(poses, g) > 0]
+    before = np.random.default_rng(5).permutation(poses)
+    found = rrs.forward(rrs.inverse(poses, g).q, before, g)
+    assert found.converged.mean() > 0.9
+    np.testing.assert_allclose(found.pose[found.converged], poses[found.converged], atol=1e-8)
+    assert np.isnan(found.pose[~found.converged]).all()
+    assert (found.residual[~found.converged] > 1e-10).all()
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_where_it_gives_up_the_branch_has_ended_in_a_singularity(name: str) -> None:
+    g = GEOMETRIES[name]
+    poses = _valid_poses(g, 6000, seed=7)
+    poses = poses[rrs.signed_sigma_min(poses, g) > 0]
+    before = np.random.default_rng(8).permutation(poses)
+    goal, start = rrs.inverse(poses, g).q, rrs.inverse(before, g).q
+    lost = np.flatnonzero(~rrs.forward(goal, before, g).converged)[:40]
+    assert len(lost) == 40
+    pose, alive = before[lost], np.ones(len(lost), dtype=bool)
+    for fraction in np.linspace(0.0, 1.0, 1001)[1:]:
+        found = rrs.forward(start[lost] + fraction * (goal[lost] - start[lost]), pose, g)
+        alive &= found.converged
+        pose = np.where(alive[:, None], found.pose, pose)
+    assert not alive.any()  # in small steps it ends as well
+    assert np.abs(rrs.signed_sigma_min(pose, g)).max() < 0.1
+    assert np.median(np.abs(rrs.signed_sigma_min(pose, g))) < 0.02
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_two_assembly_modes_of_one_q_are_told_apart_by_the_previous_pose(name: str) -> None:
+    """A pose beyond the singularity shares its q with another on home's side."""
+    g = GEOMETRIES[name]
+    poses = _valid_poses(g, 6000, seed=6)
+    beyond = poses[rrs.signed_sigma_min(poses, g) < -0.05]
+    assert len(beyond) > 100
+    q = rrs.inverse(beyond, g).q
+    from_home = rrs.forward(q, [0.0, 0.0, 0.21], g)
+    from_there = rrs.forward(q, beyond + np.array([1e-3, -1e-3, 1e-4]), g)
+    np.testing.assert_allclose(from_there.pose, beyond, atol=1e-9)
+    other = from_home.pose[from_home.converged]
+    assert len(other) > 20
+    assert (np.abs(other - beyond[from_home.converged]).max(axis=-1) > 1e-3).all()
+    assert (from_home.residual[from_home.converged] < 1e-12).all()  # and it closes as well
+
+
+def test_it_stops_at_the_singularity_rather_than_cross_it() -> None:
+    """Push the cranks along a roll until past the branch's end."""
+    start = np.array([0.0, 0.0, 0.21])
+    line = np.zeros((400, 3))
+    line[:, 0], line[:, 2] = np.linspace(0.0, 0.75, 400), 0.21
+    sigma = rrs.signed_sigma_min(line)
+    q = rrs.inverse(line).q
+    pose, crossed = start, False
+    for angles, s in zip(q, sigma, strict=True):
+        found = rrs.forward(angles, pose)
+        if s < -0.01:
+            crossed = True
+            at = found.pose if found.converged else np.full(3, np.nan)
+            assert not found.converged or rrs.signed_sigma_min(at) > -1e-6
+            if not found.converged:
+                assert np.isnan(found.pose).all()
+        if found.converged:
+            pose = found.pose
+    assert crossed
+
+
+@given(
+    roll=st.floats(-0.5, 0.5),
+    pitch=st.floats(-0.5, 0.5),
+    heave=st.floats(0.21, 0.25),
+    name=st.sampled_from(EVERY),
+)
+@settings(max_examples=150, deadline=None)
+def test_from_home(roll: float, pitch: float, heave: float, name: str) -> None:
+    g = GEOMETRIES[name]
+    pose = np.array([roll, pitch, heave])
+    q, reachable = rrs.inverse(pose, g)
+    if not reachable or rrs.signed_sigma_min(pose, g) < 0.15:
+        return
+    found = rrs.forward(q, [0.0, 0.0, 0.21], g)
+    if found.converged:
+        np.testing.assert_allclose(found.pose, pose, atol=1e-9)
+        points = rrs.limb_points(found.pose, g)
+        distal = np.linalg.norm(points[:, 2] - points[:, 1], axis=-1)
+        assert np.abs(distal - g.distal_length).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("q", "previous"),
+    [
+        ([np.nan, 0.5, 0.5], [0.0, 0.0, 0.21]),
+        ([np.inf, 0.5, 0.5], [0.0, 0.0, 0.21]),
+        ([0.5, 0.5, 0.5], [np.nan, 0.0, 0.21]),
+        ([0.5, 0.5, 0.5], [0.0, 0.0, 0.9]),
+        ([1.5, 0.1, 0.1], [0.0, 0.0, 0.21]),
+    ],
+)
+def test_hopeless_input_ends_in_nan_and_a_flag(q: list[float], previous: list[float]) -> None:
+    found = rrs.forward(q, previous)
+    assert not found.converged
+    assert np.isnan(found.pose).all()

@@ -1,0 +1,66 @@
+"""Rotations, against scipy's; and every worked example of the kinematics library."""
+
+from __future__ import annotations
+
+import doctest
+from types import ModuleType
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from coop_env.kinematics import delta, rotations, rrs
+
+ANGLES = np.random.default_rng(0).uniform(-1.2, 1.2, size=(4, 50, 3))
+
+
+def test_euler_matrix_is_scipys() -> None:
+    expected = Rotation.from_euler("XYZ", ANGLES.reshape(-1, 3)).as_matrix().reshape(4, 50, 3, 3)
+    np.testing.assert_allclose(rotations.roll_pitch_yaw_matrix(ANGLES), expected, atol=1e-14)
+    np.testing.assert_allclose(rotations.yaw_of(expected), ANGLES[..., 2], atol=1e-13)
+    np.testing.assert_allclose(rotations.normal(ANGLES[..., :2]), expected[..., :, 2], atol=1e-14)
+
+
+def test_tilt_matrix_is_the_shortest_rotation() -> None:
+    n = rotations.normal(ANGLES[..., :2]).reshape(-1, 3)
+    tilt = rotations.tilt_azimuth(ANGLES[..., :2]).reshape(-1, 2)
+    turn = Rotation.from_matrix(rotations.tilt_matrix(n))
+    np.testing.assert_allclose(turn.apply([0.0, 0.0, 1.0]), n, atol=1e-13)
+    np.testing.assert_allclose(turn.magnitude(), tilt[:, 0], atol=1e-12)
+    np.testing.assert_allclose(np.arctan2(n[:, 1], n[:, 0]), tilt[:, 1], atol=1e-12)
+
+
+def test_torsion_is_what_is_turned_about_the_normal() -> None:
+    n = rotations.normal(ANGLES[..., :2]).reshape(-1, 3)
+    turn = ANGLES[..., 2].reshape(-1)
+    turned = Rotation.from_rotvec(turn[:, None] * n) * Rotation.from_matrix(
+        rotations.tilt_matrix(n)
+    )
+    np.testing.assert_allclose(rotations.torsion_of(turned.as_matrix()), turn, atol=1e-12)
+
+
+def test_roll_pitch_undoes_normal_at_any_length() -> None:
+    n = rotations.normal(ANGLES[..., :2])
+    np.testing.assert_allclose(rotations.roll_pitch(3.0 * n), ANGLES[..., :2], atol=1e-13)
+
+
+def test_angles_between_nearly_parallel_vectors_keep_their_digits() -> None:
+    small = 1e-9
+    assert rotations.angle_between([1.0, 0.0, 0.0], [np.cos(small), np.sin(small), 0.0]) == (
+        pytest.approx(small, rel=1e-9)
+    )
+    assert rotations.angle_between([0.0, 0.0, 2.0], [0.0, 0.0, -5.0]) == pytest.approx(np.pi)
+
+
+def test_bad_shapes_are_named() -> None:
+    with pytest.raises(rotations.ShapeError, match="angles has shape"):
+        rotations.normal([0.1, 0.2, 0.3])
+    with pytest.raises(rotations.ShapeError, match="rotation has shape"):
+        rotations.yaw_of(np.zeros((2, 3)))
+
+
+@pytest.mark.parametrize("module", [rrs, delta, rotations], ids=lambda m: m.__name__)
+def test_worked_examples(module: ModuleType) -> None:
+    result = doctest.testmod(module)
+    assert result.failed == 0
+    assert result.attempted >= len(module.__all__) - 5  # named tuples and errors need none
