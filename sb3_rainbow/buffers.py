@@ -103,6 +103,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         self._pending = np.zeros(self.n_envs, dtype=np.int64)
         self.tree = SumTree(self.buffer_size * self.n_envs)
         self.max_priority = 1.0
+        self.last_indices: NDArray[np.int64] | None = None
 
     # SB3's names for what is stored
     @property
@@ -237,7 +238,14 @@ class PrioritizedReplayBuffer(ReplayBuffer):
                 "The replay buffer holds no complete n-step window yet: raise learning_starts "
                 f"(n_steps={self.n_steps}, n_envs={self.n_envs})"
             )
-        return self._get_samples(self.tree.sample(batch_size), env)
+        self.last_indices = self.tree.sample(batch_size)
+        return self._get_samples(self.last_indices, env)
+
+    def samples_at(
+        self, indices: NDArray[np.int64], env: VecNormalize | None = None
+    ) -> PrioritizedReplayBufferSamples:
+        """The transitions of given indices, as an earlier sample named them."""
+        return self._get_samples(indices, env)
 
     def _get_samples(  # type: ignore[override]
         self, batch_inds: NDArray[np.int64], env: VecNormalize | None = None

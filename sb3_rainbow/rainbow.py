@@ -1,8 +1,5 @@
 """Rainbow on Stable-Baselines3."""
 
-import io
-import pathlib
-from collections.abc import Iterable
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -10,7 +7,6 @@ import torch as th
 from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule, TensorDict
 from stable_baselines3.common.utils import LinearSchedule
@@ -18,10 +14,9 @@ from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
 
 from sb3_rainbow.buffers import PrioritizedReplayBuffer, check_replay_parameters
 from sb3_rainbow.learner import Learner, as_batch
-from sb3_rainbow.masked_off_policy import MaskedOffPolicyAlgorithm
 from sb3_rainbow.networks import RainbowNetwork
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy, RainbowPolicy
-from sb3_rainbow.rng import get_rng_state, set_rng_state
+from sb3_rainbow.resumable import ResumableAlgorithm
 from sb3_rainbow.type_aliases import ObsArray, UseMasking
 
 SelfRainbow = TypeVar("SelfRainbow", bound="Rainbow")
@@ -30,7 +25,7 @@ SelfRainbow = TypeVar("SelfRainbow", bound="Rainbow")
 _DIAGNOSTICS_INTERVAL = 100
 
 
-class Rainbow(MaskedOffPolicyAlgorithm):
+class Rainbow(ResumableAlgorithm):
     """
     Rainbow DQN (Hessel et al. 2018, https://arxiv.org/abs/1710.02298) with action masks.
 
@@ -183,7 +178,6 @@ class Rainbow(MaskedOffPolicyAlgorithm):
         self.use_masking = use_masking
 
         self._n_calls = 0
-        self._rng_state: dict[str, Any] | None = None
         if _init_setup_model:
             self._setup_model()
 
@@ -263,22 +257,6 @@ class Rainbow(MaskedOffPolicyAlgorithm):
         self.q_net = self.policy.q_net
         self.q_net_target = self.policy.q_net_target
         self._learner = Learner(self.policy, self.double_q, self.max_grad_norm)
-
-    def _setup_learn(
-        self,
-        total_timesteps: int,
-        callback: MaybeCallback = None,
-        reset_num_timesteps: bool = True,
-        tb_log_name: str = "run",
-        progress_bar: bool = False,
-    ) -> tuple[int, BaseCallback]:
-        rng_state, self._rng_state = self._rng_state, None
-        prepared = super()._setup_learn(
-            total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
-        )
-        if rng_state is not None and not reset_num_timesteps:
-            set_rng_state(rng_state, self.action_space)
-        return prepared
 
     def predict(
         self,
@@ -370,37 +348,33 @@ class Rainbow(MaskedOffPolicyAlgorithm):
             for name, value in learner.diagnostics(batch, priorities).items():
                 self.logger.record(f"train/{name}", value)
 
-    def learn(
+    def learn(  # type: ignore[override]
         self: SelfRainbow,
         total_timesteps: int,
         callback: MaybeCallback = None,
         log_interval: int = 4,
         tb_log_name: str = "Rainbow",
         reset_num_timesteps: bool = True,
+        use_masking: UseMasking | None = None,
         progress_bar: bool = False,
     ) -> SelfRainbow:
-        """See ``OffPolicyAlgorithm.learn``."""
+        """
+        Learn for ``total_timesteps`` steps.
+
+        :param total_timesteps: steps of the env, over all envs
+        :param callback: called at every step
+        :param log_interval: episodes between two log entries
+        :param tb_log_name: name of the run in TensorBoard
+        :param reset_num_timesteps: False to go on counting
+        :param use_masking: overrides the constructor's, from here on
+        :param progress_bar: show a progress bar
+        :return: self
+        """
+        if use_masking is not None:
+            self.use_masking = use_masking
         return super().learn(
             total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar
         )
-
-    def save(
-        self,
-        path: str | pathlib.Path | io.BufferedIOBase,
-        exclude: Iterable[str] | None = None,
-        include: Iterable[str] | None = None,
-    ) -> None:
-        """
-        As SB3's ``save``, with the states of the random generators.
-
-        They come back into force when a loaded model goes on learning
-        (``learn(..., reset_num_timesteps=False)``), and not when it only predicts.
-        """
-        self._rng_state = get_rng_state(self.action_space)
-        try:
-            super().save(path, exclude, include)
-        finally:
-            self._rng_state = None
 
     def _excluded_save_params(self) -> list[str]:
         return [*super()._excluded_save_params(), "q_net", "q_net_target", "_learner"]
@@ -419,9 +393,10 @@ class Rainbow(MaskedOffPolicyAlgorithm):
 
         :raises ValueError: if the parameters were saved with other settings
         """
-        try:
-            super().set_parameters(load_path_or_dict, exact_match, device)
-        except RuntimeError as error:
+        super().set_parameters(load_path_or_dict, exact_match, device)
+        support = th.linspace(self.v_min, self.v_max, self.q_net.n_atoms, device=self.device)
+        if not th.allclose(self.q_net.support, support):
+            found = self.q_net.support[[0, -1]].tolist()
             raise ValueError(
-                f"The checkpoint was saved with other settings than the model's: {error}"
-            ) from error
+                f"The checkpoint's support is {found}, the model's [{self.v_min}, {self.v_max}]"
+            )
