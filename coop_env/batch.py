@@ -31,17 +31,18 @@ def step_batch(
 def make_infos(outcomes: NDArray[np.void]) -> list[dict[str, Any]]:
     """The ``info`` of each outcome (n,), by columns: one dictionary display per environment."""
     columns = (outcomes[name].tolist() for name in dynamics.INFO_FIELDS)
-    return list(map(_info, *columns, outcomes["terms"].tolist()))
+    return list(map(_info, outcomes["terms"].tolist(), *columns))
 
 
 def make_info(outcome: np.void) -> dict[str, Any]:
     """The ``info`` of one outcome; for a batch of them :func:`make_infos` is faster."""
-    values: tuple[Any, ...] = outcome.item()
+    values: list[Any] = list(outcome.item())
     n = len(dynamics.INFO_FIELDS)
-    return _info(*values[:n], values[n].tolist())
+    return _info(values[n].tolist(), *values[:n])
 
 
 def _info(
+    terms: list[float],
     success: bool,
     n_filled: int,
     inserted: bool,
@@ -56,7 +57,6 @@ def _info(
     target: int,
     time: float,
     energy: float,
-    terms: list[float],
 ) -> dict[str, Any]:
     return {
         "success": success,
