@@ -1,0 +1,179 @@
+"""The card beside the scene: time, holes, distance, and how far the 3-RRS is from a singularity."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+import matplotlib
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageDraw, ImageFont
+
+from coop_env.rendering.bodies import COLOURS, Colour, hole_state
+from coop_env.scene import Scene
+
+Image8 = npt.NDArray[np.uint8]
+Box = tuple[int, int, int, int]  # left, top, right, bottom in px
+Ink = tuple[int, int, int]
+
+INK: Final = (38, 45, 54)
+MUTED: Final = (110, 120, 132)
+CARD: Final = (252, 253, 254)
+RIM: Final = (203, 210, 218)
+TROUGH: Final = (226, 230, 235)
+GOOD: Final = (42, 163, 90)
+WARN: Final = (232, 150, 20)
+BAD: Final = (200, 52, 44)
+
+CARD_WIDTH: Final = (0.30, 0.40)  # at most so much of the picture's width, and of its height
+MIN_WIDTH: Final = 400  # px; a smaller picture has no room to read a card
+SIGMA_FULL: Final = 0.6  # signed sigma_min at which the bar is full
+SIGMA_LOW: Final = 0.15  # the bar warns below the design's threshold (paper, A_w)
+STATUS_COLOURS: Final = {"running": MUTED, "success": GOOD, "singular": BAD, "timeout": WARN}
+
+
+@lru_cache(maxsize=16)
+def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name), size)
+
+
+def card_box(size: tuple[int, int]) -> Box | None:
+    """Where the card goes in a picture (width, height); None if that is too small for one."""
+    width, height = size
+    if width < MIN_WIDTH or height < 0.6 * MIN_WIDTH:
+        return None
+    margin = round(0.016 * width)
+    across = round(min(CARD_WIDTH[0] * width, CARD_WIDTH[1] * height))
+    return margin, margin, margin + across, height - margin
+
+
+def inset_box(card: Box) -> Box | None:
+    """Where in the card the close view of the dome goes: a square at its foot, if there is room."""
+    left, top, right, bottom = card
+    pad = round(0.05 * (right - left))
+    side = min(right - left - 2 * pad, round(0.42 * (bottom - top)))
+    if side < 80:
+        return None
+    centre = (left + right) // 2
+    return centre - side // 2, bottom - pad - side, centre - side // 2 + side, bottom - pad
+
+
+def _pixels(colour: Colour) -> Ink:
+    red, green, blue = (round(255 * c) for c in colour)
+    return red, green, blue
+
+
+@lru_cache(maxsize=32)
+def _disc(diameter: int, colour: Ink) -> Image.Image:
+    """A disc on the card, drawn large and shrunk for a smooth edge."""
+    over = 4 * diameter
+    large = Image.new("RGB", (over, over), CARD)
+    ImageDraw.Draw(large).ellipse((0, 0, over - 1, over - 1), colour)
+    return large.resize((diameter, diameter), Image.Resampling.BOX)
+
+
+class _Card:
+    """Draws lines of text downwards within a box, all sizes in units of its width."""
+
+    def __init__(self, picture: Image.Image, box: Box) -> None:
+        self.picture = picture
+        self.brush = ImageDraw.Draw(picture)
+        self.unit = (box[2] - box[0]) / 100.0
+        self.left = box[0] + self.px(6.5)
+        self.right = box[2] - self.px(6.5)
+        self.y = box[1] + self.px(5.0)
+
+    def px(self, units: float) -> int:
+        return max(round(units * self.unit), 1)
+
+    def title(self, text: str, colour: Ink, note: str) -> None:
+        self.brush.text((self.left, self.y), text, INK, _font(self.px(9.6), True))
+        self.brush.text(
+            (self.right, self.y + self.px(2.2)), note, colour, _font(self.px(7.0), True), "ra"
+        )
+        self.y += self.px(16.0)
+
+    def row(self, label: str, value: str, colour: Ink = INK, swatch: Ink | None = None) -> None:
+        """Label to the left, after a disc of colour ``swatch`` if there is one; value right."""
+        font, x = _font(self.px(7.0)), self.left
+        if swatch is not None:
+            disc = _disc(self.px(6.4), swatch)
+            self.picture.paste(disc, (x, self.y + self.px(1.2)))
+            x += disc.width + self.px(3.0)
+        self.brush.text((x, self.y), label, MUTED, font)
+        self.brush.text((self.right, self.y), value, colour, font, "ra")
+        self.y += self.px(11.0)
+
+    def dots(self, colours: list[Ink]) -> None:
+        """The holes in their order, one disc each."""
+        discs = [_disc(self.px(7.4), colour) for colour in colours]
+        gap = self.px(3.2)
+        x = self.right - sum(d.width for d in discs) - gap * (len(discs) - 1)
+        self.brush.text((self.left, self.y), "holes", MUTED, _font(self.px(7.0)))
+        for disc in discs:
+            self.picture.paste(disc, (x, self.y + self.px(0.6)))
+            x += disc.width + gap
+        self.y += self.px(11.8)
+
+    def bar(self, value: float, full: float, limit: float, colour: Ink) -> None:
+        """A trough filled up to ``value`` of ``full``, with a mark at ``limit``."""
+        self.y += self.px(0.8)
+        height, span = self.px(4.6), self.right - self.left
+        bottom = self.y + height
+        self.brush.rounded_rectangle((self.left, self.y, self.right, bottom), height // 2, TROUGH)
+        share = min(max(value / full, 0.0), 1.0)
+        if share > 0.0:
+            end = max(self.left + round(share * span), self.left + height)
+            self.brush.rounded_rectangle((self.left, self.y, end, bottom), height // 2, colour)
+        mark = self.left + round(limit / full * span)
+        overhang = self.px(1.4)
+        self.brush.line((mark, self.y - overhang, mark, bottom + overhang), BAD, self.px(0.9))
+        self.y += self.px(10.0)
+
+
+def _sigma_colour(scene: Scene) -> Ink:
+    if scene.sigma_min < scene.singular_margin:
+        return BAD
+    return WARN if scene.sigma_min < SIGMA_LOW else GOOD
+
+
+def _write(card: _Card, scene: Scene) -> None:
+    states = [hole_state(scene, i) for i in range(len(scene.filled))]
+    ink = {state: _pixels(COLOURS[state]) for state in ("filled", "target", "open", "inactive")}
+    card.title(f"{scene.time:.1f} s", STATUS_COLOURS[scene.status], scene.status)
+    card.dots([ink[state] for state in states])
+    total = int(scene.active.sum())
+    card.row("filled", f"{states.count('filled')} of {total}", swatch=ink["filled"])
+    card.row("open", f"{states.count('open')}", swatch=ink["open"])
+    target = f"hole {scene.target}" if "target" in states else "none"
+    card.row("target", target, swatch=ink["target"])
+    card.row("distance", f"{1e3 * scene.distance:.0f} mm")
+    card.row("misaligned", f"{math.degrees(scene.alignment_error):.1f}°")
+    roll, pitch = np.degrees(scene.configuration[3:5])
+    card.row("tilt", f"{roll:+.0f}°, {pitch:+.0f}°")
+    colour = _sigma_colour(scene)
+    card.row("\u03c3 min", f"{scene.sigma_min:+.3f}", colour)
+    card.bar(scene.sigma_min, SIGMA_FULL, scene.singular_margin, colour)
+
+
+def draw_card(
+    image: Image8, scene: Scene, box: Box, inset: Callable[[tuple[int, int]], Image8]
+) -> Image8:
+    """The picture with the card in ``box``; ``inset`` draws a close view of (width, height)."""
+    picture = Image.fromarray(image)
+    brush = ImageDraw.Draw(picture)
+    radius = round(0.04 * (box[2] - box[0]))
+    brush.rounded_rectangle(box, radius, CARD, RIM)
+    card = _Card(picture, box)
+    _write(card, scene)
+    close = inset_box(box)
+    if close is not None and close[1] >= card.y:
+        left, top, right, bottom = close
+        picture.paste(Image.fromarray(inset((right - left, bottom - top))), (left, top))
+        brush.rectangle((left, top, right - 1, bottom - 1), outline=RIM)
+    return np.asarray(picture)
