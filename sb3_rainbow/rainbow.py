@@ -23,6 +23,10 @@ SelfRainbow = TypeVar("SelfRainbow", bound="Rainbow")
 
 # Updates between two looks at what only the logs need
 _DIAGNOSTICS_INTERVAL = 100
+# Constructor arguments that Rainbow hands to its policy
+_NETWORK_ARGUMENTS = frozenset(
+    ("dueling", "noisy", "sigma0", "distributional", "n_atoms", "v_min", "v_max")
+)
 
 
 class Rainbow(ResumableAlgorithm):
@@ -194,13 +198,7 @@ class Rainbow(ResumableAlgorithm):
             self.observation_space,
             self.action_space,
             self.lr_schedule,
-            dueling=self.dueling,
-            noisy=self.noisy,
-            sigma0=self.sigma0,
-            distributional=self.distributional,
-            n_atoms=self.n_atoms,
-            v_min=self.v_min,
-            v_max=self.v_max,
+            **{name: getattr(self, name) for name in _NETWORK_ARGUMENTS},
             **self.policy_kwargs,
         ).to(self.device)
         self._convert_train_freq()
@@ -219,7 +217,12 @@ class Rainbow(ResumableAlgorithm):
                 f"Rainbow needs a policy derived from RainbowPolicy, got {self.policy_class}; was "
                 "the file saved by another algorithm?"
             )
-        start = int(getattr(self.action_space, "start", 0))
+        clashing = _NETWORK_ARGUMENTS & set(self.policy_kwargs)
+        if clashing:
+            raise ValueError(
+                f"Pass {', '.join(sorted(clashing))} to Rainbow itself, not in policy_kwargs"
+            )
+        start = int(self.action_space.start)
         if start != 0:
             raise ValueError(f"Rainbow needs Discrete actions that start at 0, got start={start}")
 
@@ -229,6 +232,8 @@ class Rainbow(ResumableAlgorithm):
         buffer_class = self.replay_buffer_class
         kwargs = dict(self.replay_buffer_kwargs)
         if issubclass(buffer_class, PrioritizedReplayBuffer):
+            # Its observations are stored once in any case; SB3's loop would cut an episode for it.
+            self.optimize_memory_usage = False
             alpha = self.alpha if self.prioritized else 0.0
             kwargs = {"n_steps": self.n_steps, "gamma": self.gamma, "alpha": alpha, **kwargs}
         elif self.prioritized:

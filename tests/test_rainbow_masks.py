@@ -1,0 +1,259 @@
+"""Masks wherever an action is chosen or valued, and the masks that autoreset hides."""
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
+from sb3_contrib.common.maskable.evaluation import evaluate_policy
+from sb3_contrib.common.maskable.utils import get_action_masks
+from sb3_contrib.common.wrappers import ActionMasker
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+
+from sb3_rainbow import PrioritizedReplayBuffer, Rainbow, TerminalActionMask
+
+N_ACTIONS = 6
+
+
+class ClockEnv(gym.Env):
+    """
+    The observation is (episode, time); the mask depends on both, and a forbidden action raises.
+
+    :param length: steps of an episode
+    :param truncates: whether it ends by truncation
+    """
+
+    def __init__(self, length: int = 5, truncates: bool = True) -> None:
+        self.observation_space = spaces.Box(-1.0, 1e6, (2,), np.float32)
+        self.action_space = spaces.Discrete(N_ACTIONS)
+        self.length, self.truncates = length, truncates
+        self.episode, self.time = -1, 0
+        self.stage = 0
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        super().reset(seed=seed)
+        self.episode, self.time = self.episode + 1, 0
+        return self.observation(), {}
+
+    def observation(self) -> np.ndarray:
+        return np.array([self.episode, self.time], np.float32)
+
+    def step(self, action: int) -> Any:
+        assert self.action_masks()[action], f"action {action} is forbidden at {self.observation()}"
+        self.time += 1
+        ended = self.time == self.length
+        terminated, truncated = ended and not self.truncates, ended and self.truncates
+        return self.observation(), float(action == 2), terminated, truncated, {}
+
+    def action_masks(self) -> np.ndarray:
+        return mask_at(self.episode, self.time)
+
+    def set_stage(self, stage: int) -> None:
+        self.stage = stage
+
+
+def mask_at(episode: float, time: float) -> np.ndarray:
+    allowed = np.zeros(N_ACTIONS, dtype=bool)
+    allowed[[int(3 * episode + time) % N_ACTIONS, int(episode + 2 * time + 1) % N_ACTIONS]] = True
+    return allowed
+
+
+def make_clock() -> gym.Env:
+    return ClockEnv()
+
+
+def make_wrapped_clock() -> gym.Env:
+    return TerminalActionMask(ClockEnv())
+
+
+def small_model(env: gym.Env | VecEnv, **kwargs: Any) -> Rainbow:
+    settings: dict[str, Any] = {
+        "learning_starts": 20,
+        "train_freq": 1,
+        "buffer_size": 1000,
+        "batch_size": 16,
+        "seed": 0,
+        **kwargs,
+    }
+    return Rainbow("MlpPolicy", env, **settings)
+
+
+def check_stored_masks(buffer: Any, n_expected: int) -> None:
+    """Every drawable transition has the mask of the very state that its window ended in."""
+    assert isinstance(buffer, PrioritizedReplayBuffer)
+    samples = buffer.samples_at(np.flatnonzero(buffer.tree.leaves))
+    assert samples.next_action_masks is not None
+    assert len(samples.indices) == n_expected
+    for obs, mask in zip(samples.next_observations, samples.next_action_masks, strict=True):
+        np.testing.assert_array_equal(mask, mask_at(*obs.tolist()))
+    times = samples.next_observations[:, 1].numpy()  # type: ignore[call-overload]
+    assert (times == 5).any()
+
+
+# The environment itself raises where a forbidden action is taken: in the warm-up (first 20 steps),
+# by noise, by epsilon-greedy exploration and by the greedy policy.
+@pytest.mark.parametrize("noisy", [True, False])
+@pytest.mark.parametrize("n_envs", [1, 3])
+def test_no_forbidden_action_is_ever_taken(noisy: bool, n_envs: int) -> None:
+    env = DummyVecEnv([make_clock] * n_envs)
+    model = small_model(env, noisy=noisy, exploration_final_eps=0.5)
+    model.learn(150)
+    check_stored_masks(model.replay_buffer, n_expected=n_drawable(150, n_envs))
+
+
+def n_drawable(n_steps: int, n_envs: int) -> int:
+    """Of the open episode of each env, the last n - 1 = 2 windows are not complete yet."""
+    per_env = n_steps // n_envs
+    waiting = min(per_env % 5, 2)
+    return (per_env - waiting) * n_envs
+
+
+def test_a_single_env_and_the_action_masker_wrapper() -> None:
+    class Hidden(ClockEnv):
+        action_masks = None  # type: ignore[assignment]
+
+        def allowed(self) -> np.ndarray:
+            return mask_at(self.episode, self.time)
+
+        def step(self, action: int) -> Any:
+            assert self.allowed()[action]
+            self.time += 1
+            return self.observation(), 0.0, False, self.time == self.length, {}
+
+    model = small_model(ActionMasker(Hidden(), lambda env: env.allowed()))  # type: ignore[attr-defined]
+    model.learn(100)
+    check_stored_masks(model.replay_buffer, 100)
+
+
+def test_subprocess_envs_with_the_public_wrapper() -> None:
+    env = SubprocVecEnv([make_wrapped_clock] * 2, start_method="fork")
+    model = small_model(env)
+    model.learn(60)
+    check_stored_masks(model.replay_buffer, n_drawable(60, 2))
+    env.close()
+
+
+def test_subprocess_envs_without_it_warn_once() -> None:
+    env = SubprocVecEnv([make_clock] * 2, start_method="fork")
+    model = small_model(env)
+    with pytest.warns(UserWarning, match="wrap each env in sb3_rainbow.TerminalActionMask") as seen:
+        model.learn(60)
+    assert len(seen) == 1
+    env.close()
+
+
+def test_a_native_vec_env_that_reports_the_terminal_mask() -> None:
+    class Native(DummyVecEnv):
+        """As a batched env would: no gym envs to wrap, the mask in the info."""
+
+        def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+            return [True] * self.num_envs
+
+        def step_wait(self) -> Any:
+            obs, rewards, dones, infos = super().step_wait()
+            for done, info in zip(dones, infos, strict=True):
+                if done:
+                    info["terminal_action_mask"] = mask_at(*info["terminal_observation"])
+            return obs, rewards, dones, infos
+
+    model = small_model(Native([make_clock] * 3))
+    model.learn(90)
+    check_stored_masks(model.replay_buffer, 90)
+
+
+def test_a_terminated_state_may_allow_nothing() -> None:
+    class DeadEnd(ClockEnv):
+        def action_masks(self) -> np.ndarray:
+            if self.time == self.length:
+                return np.zeros(N_ACTIONS, dtype=bool)
+            return super().action_masks()
+
+    small_model(DeadEnd(truncates=False)).learn(60)
+
+
+def test_the_wrapper_is_transparent() -> None:
+    inner = ClockEnv()
+    env = DummyVecEnv([lambda: inner])
+    small_model(env).learn(30)
+    assert isinstance(env.envs[0], TerminalActionMask)
+    env.set_attr("stage", 3)
+    assert inner.stage == 3
+    env.env_method("set_stage", 4)
+    assert env.get_attr("stage") == [4]
+    assert env.envs[0].length == 5  # type: ignore[attr-defined]
+    # Wrapping again is harmless.
+    small_model(env).learn(30)
+    assert env.envs[0].env is inner
+
+
+def test_predict_obeys_masks_of_one_observation_and_of_a_batch() -> None:
+    model = small_model(ClockEnv(), noisy=False)
+    model.exploration_rate = 0.5
+    obs = np.zeros((40, 2), np.float32)
+    masks = np.random.default_rng(0).random((40, N_ACTIONS)) < 0.3
+    masks[np.arange(40), np.arange(40) % N_ACTIONS] = True
+    for deterministic in (True, False):
+        actions, _ = model.predict(obs, deterministic=deterministic, action_masks=masks)
+        assert masks[np.arange(40), actions].all()
+    only = np.zeros(N_ACTIONS, dtype=bool)
+    only[4] = True
+    action, _ = model.predict(obs[0], action_masks=only)
+    assert action.shape == ()
+    assert action == 4
+
+
+@pytest.mark.parametrize(
+    ("masks", "message"),
+    [
+        (np.ones(N_ACTIONS - 1, bool), r"shape \(1, 6\) \(envs, actions\), got \(1, 5\)"),
+        (np.zeros(N_ACTIONS, bool), "mask of env 0 allows no action"),
+        (np.ones((2, N_ACTIONS), bool), "shape"),
+    ],
+)
+def test_bad_masks_in_predict(masks: np.ndarray, message: str) -> None:
+    model = small_model(ClockEnv())
+    with pytest.raises(ValueError, match=message):
+        model.predict(np.zeros(2, np.float32), action_masks=masks)
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        (lambda: np.ones(4, bool), r"must have shape \(1, 6\)"),
+        (lambda: np.zeros(N_ACTIONS, bool), "allows no action"),
+    ],
+)
+def test_bad_masks_of_an_env(bad: Callable[[], np.ndarray], message: str) -> None:
+    env = ActionMasker(ClockEnv(), lambda _: bad())
+    with pytest.raises(ValueError, match=message):
+        small_model(env).learn(10)
+
+
+def test_use_masking() -> None:
+    with pytest.raises(ValueError, match="has no action_masks"):
+        small_model(gym.make("CartPole-v1"), use_masking=True).learn(10)
+    small_model(gym.make("CartPole-v1")).learn(30)
+    with pytest.raises(AssertionError, match="is forbidden"):
+        small_model(ClockEnv(), use_masking=False).learn(50)
+    with pytest.raises(AssertionError, match="is forbidden"):
+        small_model(ClockEnv()).learn(50, use_masking=False)
+    with pytest.raises(ValueError, match="use_masking must be"):
+        small_model(ClockEnv(), use_masking="yes")
+
+
+def test_sb3_contribs_evaluation_and_callback(tmp_path: Any) -> None:
+    model = small_model(ClockEnv())
+    callback = MaskableEvalCallback(
+        Monitor(ClockEnv()), eval_freq=50, n_eval_episodes=3, verbose=0, log_path=str(tmp_path)
+    )
+    model.learn(100, callback=callback)
+    assert (tmp_path / "evaluations.npz").exists()
+    env = make_vec_env(make_clock, n_envs=2)
+    mean, _ = evaluate_policy(model, env, n_eval_episodes=4)  # type: ignore[arg-type]
+    assert 0 <= mean <= 5
+    assert get_action_masks(env).shape == (2, N_ACTIONS)

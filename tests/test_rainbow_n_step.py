@@ -1,0 +1,262 @@
+"""n-step replay against a loop over recorded episodes, written without looking at the buffer."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.buffers import NStepReplayBuffer
+
+from sb3_rainbow import PrioritizedReplayBuffer
+
+GAMMA = 0.9
+
+
+@dataclass
+class Step:
+    """One step of one env."""
+
+    obs: float
+    next_obs: float
+    action: int
+    reward: float
+    terminated: bool
+    truncated: bool
+    mask: np.ndarray
+
+
+@dataclass
+class World:
+    """Envs whose episodes end at random, and whose every observation is a number of its own."""
+
+    n_envs: int
+    seed: int
+    p_end: float = 0.2
+    steps: list[list[Step]] = field(default_factory=list)
+    _counter: int = 0
+
+    def __post_init__(self) -> None:
+        self.rng = np.random.default_rng(self.seed)
+        self.steps = [[] for _ in range(self.n_envs)]
+        self.current = [self.fresh() for _ in range(self.n_envs)]
+
+    def fresh(self) -> float:
+        self._counter += 1
+        return float(self._counter)
+
+    def step(self) -> list[Step]:
+        row = []
+        for env in range(self.n_envs):
+            ends = self.rng.random() < self.p_end
+            truncated = bool(ends and self.rng.random() < 0.5)
+            mask = self.rng.random(5) < 0.5
+            mask[self.rng.integers(5)] = True
+            next_obs = self.fresh()
+            step = Step(
+                self.current[env],
+                next_obs,
+                int(self.rng.integers(5)),
+                float(self.rng.normal()),
+                ends and not truncated,
+                truncated,
+                mask,
+            )
+            self.steps[env].append(step)
+            self.current[env] = self.fresh() if ends else next_obs
+            row.append(step)
+        return row
+
+    def reset(self) -> None:
+        """Leave all episodes in the middle."""
+        for env in range(self.n_envs):
+            if self.steps[env]:
+                last = self.steps[env][-1]
+                last.truncated = last.truncated or not last.terminated
+            self.current[env] = self.fresh()
+
+
+def expected_samples(world: World, capacity: int, n_steps: int) -> dict[float, dict[str, Any]]:
+    """By first observation: what every transition that is due must look like."""
+    result = {}
+    for steps in world.steps:
+        oldest = max(0, len(steps) - capacity)
+        for start in range(oldest, len(steps)):
+            window = []
+            for step in steps[start : start + n_steps]:
+                window.append(step)
+                if step.terminated or step.truncated:
+                    break
+            last = window[-1]
+            if len(window) < n_steps and not (last.terminated or last.truncated):
+                continue
+            result[steps[start].obs] = {
+                "action": steps[start].action,
+                "return": sum(GAMMA**k * step.reward for k, step in enumerate(window)),
+                "discount": GAMMA ** len(window),
+                "done": float(last.terminated),
+                "next_obs": last.next_obs,
+                "mask": last.mask,
+            }
+    return result
+
+
+def encode(values: list[float], kind: str) -> Any:
+    column = np.array(values, dtype=np.float32)
+    if kind == "dict":
+        return {"a": np.stack([column, -column], 1), "b": (column % 251)[:, None].astype(np.uint8)}
+    if kind == "discrete":
+        return column.astype(np.int64)
+    if kind == "image":
+        low, high = column % 256, column // 256
+        return np.stack([low, high], 1).astype(np.uint8).reshape(-1, 2, 1, 1)
+    return np.stack([column, -column], 1)
+
+
+def decode(obs: Any, kind: str) -> np.ndarray:
+    if kind == "dict":
+        np.testing.assert_array_equal(obs["a"][:, 0] % 251, obs["b"][:, 0])
+        return obs["a"][:, 0].numpy()
+    if kind == "image":
+        return obs[:, 0, 0, 0].numpy() + 256.0 * obs[:, 1, 0, 0].numpy()
+    return obs[:, 0].numpy().astype(float)
+
+
+SPACES: dict[str, spaces.Space] = {
+    "box": spaces.Box(-np.inf, np.inf, (2,), np.float32),
+    "box64": spaces.Box(-np.inf, np.inf, (2,), np.float64),
+    "discrete": spaces.Discrete(100_000),
+    "image": spaces.Box(0, 255, (2, 1, 1), np.uint8),
+    "dict": spaces.Dict(
+        a=spaces.Box(-np.inf, np.inf, (2,), np.float32), b=spaces.Box(0, 255, (1,), np.uint8)
+    ),
+}
+
+
+def make_buffer(kind: str, n_envs: int, capacity: int, n_steps: int) -> PrioritizedReplayBuffer:
+    return PrioritizedReplayBuffer(
+        capacity * n_envs,
+        SPACES[kind],
+        spaces.Discrete(5),
+        device="cpu",
+        n_envs=n_envs,
+        n_steps=n_steps,
+        gamma=GAMMA,
+    )
+
+
+def add(buffer: PrioritizedReplayBuffer, row: list[Step], kind: str = "box") -> None:
+    buffer.add(
+        encode([step.obs for step in row], kind),
+        encode([step.next_obs for step in row], kind),
+        np.array([step.action for step in row]),
+        np.array([step.reward for step in row]),
+        np.array([step.terminated or step.truncated for step in row]),
+        [{"TimeLimit.truncated": step.truncated} for step in row],
+        np.array([step.mask for step in row]),
+    )
+
+
+def check(buffer: PrioritizedReplayBuffer, world: World, kind: str = "box") -> None:
+    """Every transition that is due can be drawn, no other, and each is right in all fields."""
+    expected = expected_samples(world, buffer.buffer_size, buffer.n_steps)
+    leaves = np.flatnonzero(buffer.tree.leaves)
+    assert leaves.size == len(expected)
+    if not leaves.size:
+        return
+    samples = buffer.samples_at(leaves)
+    found = decode(samples.observations, kind)
+    assert set(found) == set(expected)
+    assert samples.next_action_masks is not None
+    for i, obs in enumerate(found):
+        want = expected[obs]
+        assert samples.actions[i, 0] == want["action"]
+        assert samples.rewards[i, 0].item() == pytest.approx(want["return"], abs=1e-5)
+        assert samples.discounts[i, 0].item() == pytest.approx(want["discount"], rel=1e-6)
+        assert samples.dones[i, 0] == want["done"]
+        assert decode(samples.next_observations, kind)[i] == want["next_obs"]
+        np.testing.assert_array_equal(samples.next_action_masks[i], want["mask"])
+
+
+@pytest.mark.parametrize("n_envs", [1, 3])
+@pytest.mark.parametrize("n_steps", [1, 3, 5])
+def test_after_every_step_the_buffer_holds_what_the_loop_says(n_envs: int, n_steps: int) -> None:
+    world = World(n_envs, seed=10 * n_envs + n_steps)
+    buffer = make_buffer("box", n_envs, 11, n_steps)
+    for _ in range(60):
+        add(buffer, world.step())
+        check(buffer, world)
+    assert buffer.full
+
+
+@pytest.mark.parametrize("kind", list(SPACES))
+def test_every_kind_of_observation(kind: str) -> None:
+    world = World(2, seed=5)
+    buffer = make_buffer(kind, 2, 17, 3)
+    for _ in range(50):
+        add(buffer, world.step(), kind)
+    check(buffer, world, kind)
+
+
+@pytest.mark.parametrize("p_end", [0.0, 1.0])
+def test_endless_episodes_and_episodes_of_one_step(p_end: float) -> None:
+    world = World(2, seed=1, p_end=p_end)
+    buffer = make_buffer("box", 2, 8, 3)
+    for _ in range(30):
+        add(buffer, world.step())
+        check(buffer, world)
+
+
+def test_a_reset_without_done_cuts_the_windows_there() -> None:
+    world = World(2, seed=3, p_end=0.1)
+    buffer = make_buffer("box", 2, 20, 4)
+    for i in range(60):
+        if i % 7 == 6:
+            world.reset()
+        add(buffer, world.step())
+        check(buffer, world)
+
+
+def test_pickling_keeps_open_windows_and_samples() -> None:
+    import pickle
+
+    for n in (7, 40):
+        world = World(2, seed=8)
+        buffer = make_buffer("box", 2, 20, 3)
+        for _ in range(n):
+            add(buffer, world.step())
+        buffer = pickle.loads(pickle.dumps(buffer))
+        for _ in range(15):
+            check(buffer, world)
+            add(buffer, world.step())
+        check(buffer, world)
+
+
+def test_agrees_with_sb3s_own_n_step_buffer_on_complete_windows() -> None:
+    world = World(1, seed=4)
+    ours = make_buffer("box", 1, 40, 3)
+    theirs = NStepReplayBuffer(
+        40, SPACES["box"], spaces.Discrete(5), device="cpu", n_steps=3, gamma=GAMMA
+    )
+    for _ in range(70):
+        row = world.step()
+        add(ours, row)
+        infos = [{"TimeLimit.truncated": row[0].truncated}]
+        end = row[0].terminated or row[0].truncated
+        obs, next_obs = encode([row[0].obs], "box"), encode([row[0].next_obs], "box")
+        theirs.add(
+            obs, next_obs, np.array([row[0].action]), np.array([row[0].reward]), [end], infos
+        )
+    leaves = np.flatnonzero(ours.tree.leaves)
+    a, b = ours.samples_at(leaves), theirs._get_samples(leaves)
+    for name in ("observations", "actions", "next_observations", "dones", "rewards", "discounts"):
+        th.testing.assert_close(getattr(a, name), getattr(b, name))
+
+
+def test_truncations_count_as_ends_where_timeouts_are_not_handled() -> None:
+    buffer = PrioritizedReplayBuffer(
+        10, SPACES["box"], spaces.Discrete(5), device="cpu", handle_timeout_termination=False
+    )
+    add(buffer, [Step(1.0, 2.0, 0, 1.0, False, True, np.ones(5, bool))])
+    assert buffer.sample(1).dones.item() == 1.0

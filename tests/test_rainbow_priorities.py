@@ -1,0 +1,161 @@
+"""Prioritized sampling: frequencies, weights, updates, and use under SB3's own DQN."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+from scipy.stats import chisquare
+from stable_baselines3 import DQN
+
+from sb3_rainbow import PrioritizedReplayBuffer, PrioritizedReplayCallback
+
+
+def filled_buffer(n_rows: int = 10, n_envs: int = 3, **kwargs: Any) -> PrioritizedReplayBuffer:
+    buffer = PrioritizedReplayBuffer(
+        n_rows * n_envs,
+        spaces.Box(-1000, 1000, (1,), np.float32),
+        spaces.Discrete(2),
+        device="cpu",
+        n_envs=n_envs,
+        **kwargs,
+    )
+    for row in range(n_rows):
+        obs = np.full((n_envs, 1), row, np.float32)
+        zeros = np.zeros(n_envs)
+        buffer.add(obs, obs + 1, zeros, zeros, zeros, [{}] * n_envs)
+    return buffer
+
+
+def draw(buffer: PrioritizedReplayBuffer, n: int) -> np.ndarray:
+    return np.concatenate([buffer.sample(1).indices for _ in range(n)])
+
+
+def test_frequencies_follow_losses_to_the_power_alpha() -> None:
+    np.random.seed(3)
+    buffer = filled_buffer(alpha=0.7, epsilon=0.01)
+    losses = np.random.default_rng(0).uniform(0.1, 4.0, 30)
+    buffer.update_priorities(np.arange(30), losses)
+    counts = np.bincount(draw(buffer, 20_000), minlength=30)
+    probabilities = (losses + 0.01) ** 0.7
+    probabilities /= probabilities.sum()
+    assert chisquare(counts, probabilities * counts.sum()).pvalue > 1e-3
+
+
+def test_alpha_zero_is_uniform_over_all_pairs_of_step_and_env() -> None:
+    np.random.seed(4)
+    buffer = filled_buffer(alpha=0.0)
+    buffer.update_priorities(np.arange(30), np.linspace(0.0, 100.0, 30))
+    counts = np.bincount(draw(buffer, 20_000), minlength=30)
+    assert chisquare(counts).pvalue > 1e-3
+    assert set(buffer.sample(64).weights.tolist()) == {1.0}
+
+
+def test_weights_undo_the_bias_and_have_maximum_one() -> None:
+    buffer = filled_buffer(alpha=0.6, beta=0.4)
+    losses = np.random.default_rng(1).uniform(0.1, 4.0, 30)
+    buffer.update_priorities(np.arange(30), losses)
+    samples = buffer.sample(16)
+    mass = (losses + 1e-6) ** 0.6
+    probability = (mass / mass.sum())[samples.indices]
+    expected = (30 * probability) ** -0.4
+    np.testing.assert_allclose(samples.weights.numpy(), expected / expected.max(), rtol=1e-5)
+    buffer.beta = 0.0
+    assert set(buffer.sample(16).weights.tolist()) == {1.0}
+
+
+def test_new_transitions_enter_at_the_running_maximum() -> None:
+    buffer = filled_buffer(n_rows=4, n_envs=1, alpha=0.5, epsilon=0.0)
+    np.testing.assert_allclose(buffer.tree.leaves, 1.0)
+    buffer.update_priorities(np.array([1, 2]), np.array([9.0, 0.25]))
+    buffer.update_priorities(np.array([1]), np.array([4.0]))
+    zeros = np.zeros((1, 1), np.float32)
+    buffer.add(zeros, zeros, np.zeros(1), np.zeros(1), np.zeros(1), [{}])
+    np.testing.assert_allclose(buffer.tree.leaves, [3.0, 2.0, 0.5, 1.0])
+
+
+def test_a_transition_overwritten_since_it_was_drawn_stays_dead() -> None:
+    buffer = filled_buffer(n_rows=4, n_envs=1, n_steps=2)
+    drawn = np.array([0])
+    zeros = np.zeros((1, 1), np.float32)
+    buffer.add(zeros + 4, zeros, np.zeros(1), np.zeros(1), np.zeros(1), [{}])
+    assert buffer.tree.leaves[0] == 0.0
+    buffer.update_priorities(drawn, np.array([5.0]))
+    assert buffer.tree.leaves[0] == 0.0
+
+
+@pytest.mark.parametrize("loss", [np.nan, np.inf, -1.0])
+def test_a_loss_that_is_no_priority_is_refused(loss: float) -> None:
+    buffer = filled_buffer()
+    before = buffer.tree.leaves.copy()
+    with pytest.raises(ValueError, match="finite loss >= 0"):
+        buffer.update_priorities(np.array([0, 1]), np.array([1.0, loss]))
+    np.testing.assert_array_equal(buffer.tree.leaves, before)
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"alpha": -0.1}, "alpha must lie in .0, 1. .*got -0.1"),
+        ({"alpha": 1.1}, "alpha"),
+        ({"beta": 2.0}, "beta must lie in .0, 1., got 2.0"),
+        ({"gamma": 1.5}, "gamma"),
+        ({"n_steps": 0}, "n_steps must be at least 1, got 0"),
+        ({"n_rows": 3, "n_steps": 3}, "buffer_size=9 is too small: 3 envs with n_steps=3 need"),
+    ],
+)
+def test_parameters_out_of_range(kwargs: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        filled_buffer(**kwargs)
+
+
+def test_sampling_before_a_window_is_complete_says_so() -> None:
+    buffer = filled_buffer(n_rows=20, n_steps=3)
+    buffer.reset()
+    assert not buffer.can_sample
+    with pytest.raises(ValueError, match="no complete n-step window"):
+        buffer.sample(4)
+
+
+def test_reset_forgets_everything() -> None:
+    buffer = filled_buffer()
+    assert buffer.full
+    buffer.reset()
+    assert buffer.size() == 0
+    assert buffer.tree.total == 0.0
+
+
+def test_under_sb3s_dqn() -> None:
+    model = DQN(
+        "MlpPolicy",
+        "CartPole-v1",
+        learning_starts=50,
+        train_freq=1,
+        buffer_size=500,
+        replay_buffer_class=PrioritizedReplayBuffer,
+        replay_buffer_kwargs={"n_steps": 3, "gamma": 0.99, "alpha": 0.6},
+        seed=0,
+    )
+    model.learn(300, callback=PrioritizedReplayCallback())
+    buffer = model.replay_buffer
+    assert isinstance(buffer, PrioritizedReplayBuffer)
+    filled = buffer.tree.leaves[buffer.tree.leaves > 0]
+    assert np.unique(filled).size > 100
+
+
+def test_the_callback_wants_the_buffer() -> None:
+    model = DQN("MlpPolicy", "CartPole-v1", buffer_size=100)
+    with pytest.raises(ValueError, match="replay_buffer_class=PrioritizedReplayBuffer"):
+        model.learn(10, callback=PrioritizedReplayCallback())
+
+
+def test_memory_of_a_million_transitions_stays_below_300_megabytes() -> None:
+    buffer = PrioritizedReplayBuffer(
+        1_000_000, spaces.Box(0, 1, (12,), np.float32), spaces.Discrete(12), device="cpu", n_envs=16
+    )
+    masks = np.ones((16, 12), bool)
+    obs = np.zeros((16, 12), np.float32)
+    buffer.add(obs, obs, np.zeros(16), np.zeros(16), np.zeros(16), [{}] * 16, masks)
+    arrays = [buffer.observations, buffer.actions, buffer.rewards, buffer.ends]
+    arrays += [buffer.next_action_masks, buffer.tree._tree, buffer._store.slots]
+    assert sum(np.asarray(array).nbytes for array in arrays) < 300e6

@@ -1,0 +1,344 @@
+"""Rainbow runs in every combination that SB3's users expect of an off-policy algorithm."""
+
+import inspect
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch as th
+from gymnasium import spaces
+from stable_baselines3 import DQN, HerReplayBuffer
+from stable_baselines3.common.buffers import DictReplayBuffer, NStepReplayBuffer, ReplayBuffer
+from stable_baselines3.common.callbacks import (
+    CallbackList,
+    CheckpointCallback,
+    EvalCallback,
+    StopTrainingOnMaxEpisodes,
+)
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.envs import (
+    BitFlippingEnv,
+    FakeImageEnv,
+    IdentityEnv,
+    SimpleMultiObsEnv,
+)
+from stable_baselines3.common.logger import KVWriter, Logger
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+from torch import nn
+
+from sb3_rainbow import PrioritizedReplayBuffer, Rainbow
+
+FAST: dict[str, Any] = {
+    "learning_starts": 20,
+    "train_freq": 4,
+    "buffer_size": 500,
+    "batch_size": 8,
+    "seed": 0,
+    "policy_kwargs": {"net_arch": [16]},
+}
+COMPONENTS = ("double_q", "dueling", "prioritized", "noisy", "distributional")
+
+
+class Recorder(KVWriter):
+    """Keeps every value that was ever logged."""
+
+    def __init__(self) -> None:
+        self.values: dict[str, list[Any]] = {}
+
+    def write(self, key_values: Any, key_excluded: Any, step: int = 0) -> None:
+        for key, value in key_values.items():
+            self.values.setdefault(key, []).append(value)
+
+    def close(self) -> None:
+        pass
+
+
+def record(model: Rainbow, n_steps: int, **kwargs: Any) -> dict[str, list[Any]]:
+    recorder = Recorder()
+    model.set_logger(Logger(None, [recorder]))
+    model.learn(n_steps, log_interval=1, **kwargs)
+    return recorder.values
+
+
+@pytest.mark.parametrize("n_envs", [1, 3])
+@pytest.mark.parametrize("off", [(), *[(name,) for name in COMPONENTS], COMPONENTS])
+def test_each_component_off_and_on(off: tuple[str, ...], n_envs: int) -> None:
+    switches = {name: name not in off for name in COMPONENTS}
+    env = make_vec_env("CartPole-v1", n_envs=n_envs)
+    before = Rainbow("MlpPolicy", env, n_steps=1 if off else 3, **switches, **FAST)
+    weights = th.nn.utils.parameters_to_vector(before.q_net.parameters()).clone()
+    before.learn(120)
+    after = th.nn.utils.parameters_to_vector(before.q_net.parameters())
+    assert not th.equal(weights, after)
+    assert before._n_updates > 0
+    assert np.isfinite(after.detach().numpy()).all()
+
+
+def test_the_constructor_begins_with_dqns_arguments_in_their_order() -> None:
+    dqn = list(inspect.signature(DQN.__init__).parameters)
+    ours = list(inspect.signature(Rainbow.__init__).parameters)
+    assert ours[: len(dqn) - 1] == dqn[:-1]
+    assert ours[-1] == dqn[-1] == "_init_setup_model"
+
+
+@pytest.mark.parametrize(
+    ("env", "policy"),
+    [
+        (lambda: gym.make("CliffWalking-v1"), "MlpPolicy"),
+        (lambda: FakeImageEnv(screen_height=36, screen_width=36, n_channels=1), "CnnPolicy"),
+        (lambda: SimpleMultiObsEnv(random_start=False), "MultiInputPolicy"),
+    ],
+)
+def test_every_kind_of_observation(env: Any, policy: str) -> None:
+    settings = {**FAST, "policy_kwargs": {}, "buffer_size": 100}
+    model = Rainbow(policy, env(), **settings)
+    model.learn(60)
+    vec_env = model.get_env()
+    assert vec_env is not None
+    obs = vec_env.reset()
+    action, _ = model.predict(obs, deterministic=True)
+    assert vec_env.action_space.contains(action[0])
+
+
+def test_custom_extractor_optimizer_and_activation() -> None:
+    class Extractor(BaseFeaturesExtractor):
+        def __init__(self, observation_space: spaces.Space, width: int) -> None:
+            super().__init__(observation_space, features_dim=width)
+            self.net = nn.Sequential(nn.Linear(4, width), nn.BatchNorm1d(width))
+
+        def forward(self, obs: th.Tensor) -> th.Tensor:
+            return self.net(obs)
+
+    model = Rainbow(
+        "MlpPolicy",
+        "CartPole-v1",
+        **{
+            **FAST,
+            "policy_kwargs": {
+                "features_extractor_class": Extractor,
+                "features_extractor_kwargs": {"width": 7},
+                "optimizer_class": th.optim.RMSprop,
+                "optimizer_kwargs": {"alpha": 0.9},
+                "activation_fn": nn.Tanh,
+                "net_arch": [12, 10],
+                "noisy_layers": "all",
+            },
+        },
+    )
+    model.learn(100)
+    assert model.q_net.layers[0].in_features == 7
+    # Batch normalization's running means reach the target network, which Polyak does not touch.
+    online = model.q_net.features_extractor.net[1].running_mean  # type: ignore[union-attr, index]
+    target = model.q_net_target.features_extractor.net[1].running_mean  # type: ignore[union-attr, index]
+    assert th.equal(online, target)
+
+
+def test_vec_normalize() -> None:
+    env = VecNormalize(make_vec_env("Pendulum-v1", n_envs=2, wrapper_class=Discretize))
+    model = Rainbow("MlpPolicy", env, **FAST)
+    model.learn(450)
+    buffer = model.replay_buffer
+    assert isinstance(buffer, PrioritizedReplayBuffer)
+    # Stored as the env gave them, normalized with today's statistics when drawn
+    leaves = np.flatnonzero(buffer.tree.leaves)
+    plain, normalized = buffer.samples_at(leaves), buffer.samples_at(leaves, env)
+    obs = np.asarray(plain.observations)
+    np.testing.assert_allclose(obs[:, 0] ** 2 + obs[:, 1] ** 2, 1.0, rtol=1e-4)
+    np.testing.assert_allclose(normalized.observations, env.normalize_obs(obs), rtol=1e-5)
+    one_step = [env.normalize_reward(r) for r in buffer.rewards.reshape(-1)]
+    leaf = int(leaves[0])
+    expected = sum(0.99**k * one_step[leaf + 2 * k] for k in range(3))
+    assert normalized.rewards[0, 0].item() == pytest.approx(expected, rel=1e-5)
+    # The terminal observation at the time limit is unnormalized too.
+    terminal = np.asarray(plain.next_observations)
+    np.testing.assert_allclose(terminal[:, 0] ** 2 + terminal[:, 1] ** 2, 1.0, rtol=1e-3)
+
+
+class Discretize(gym.ActionWrapper):
+    """Three torques."""
+
+    def __init__(self, env: gym.Env) -> None:
+        super().__init__(env)
+        self.action_space = spaces.Discrete(3)
+
+    def action(self, action: int) -> np.ndarray:
+        return np.array([2.0 * action - 2.0], np.float32)
+
+
+def test_hindsight_replay_without_priorities() -> None:
+    env = BitFlippingEnv(n_bits=4, continuous=False)
+    kwargs = {**FAST, "replay_buffer_class": HerReplayBuffer, "learning_starts": 30}
+    model = Rainbow("MultiInputPolicy", env, prioritized=False, n_steps=1, **kwargs)
+    model.learn(120)
+    assert model._n_updates > 0
+    with pytest.raises(ValueError, match="HerReplayBuffer keeps no priorities: pass prioritized=F"):
+        Rainbow("MultiInputPolicy", env, n_steps=1, **kwargs)
+    with pytest.raises(ValueError, match="no n-step returns: pass n_steps=1 instead of n_steps=3"):
+        Rainbow("MultiInputPolicy", env, prioritized=False, **kwargs)
+
+
+@pytest.mark.parametrize("buffer_class", [ReplayBuffer, NStepReplayBuffer, DictReplayBuffer])
+def test_sb3s_buffers(buffer_class: type[ReplayBuffer]) -> None:
+    is_dict = buffer_class is DictReplayBuffer
+    model = Rainbow(
+        "MultiInputPolicy" if is_dict else "MlpPolicy",
+        SimpleMultiObsEnv() if is_dict else "CartPole-v1",
+        replay_buffer_class=buffer_class,
+        prioritized=False,
+        n_steps=3 if buffer_class is NStepReplayBuffer else 1,
+        **FAST,
+    )
+    model.learn(60)
+    assert type(model.replay_buffer) is buffer_class
+    if buffer_class is NStepReplayBuffer:
+        assert model.replay_buffer.n_steps == 3  # type: ignore[attr-defined]
+
+
+def test_callbacks(tmp_path: Any) -> None:
+    callbacks = CallbackList(
+        [
+            CheckpointCallback(50, str(tmp_path), save_replay_buffer=True),
+            EvalCallback(make_vec_env("CartPole-v1"), eval_freq=60, n_eval_episodes=1, verbose=0),
+            StopTrainingOnMaxEpisodes(max_episodes=5),
+        ]
+    )
+    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
+    model.learn(10_000, callback=callbacks)
+    assert model._episode_num <= 5
+    assert list(tmp_path.glob("*_50_steps.zip"))
+
+
+def test_what_is_logged() -> None:
+    logged = record(Rainbow("MlpPolicy", "CartPole-v1", learning_rate=lambda p: 1e-3 * p, **FAST), 300)
+    expected = {
+        "rollout/ep_rew_mean",
+        "rollout/ep_len_mean",
+        "rollout/exploration_rate",
+        "time/fps",
+        "time/total_timesteps",
+        "train/n_updates",
+        "train/loss",
+        "train/learning_rate",
+        "train/max_q",
+        "train/clipped_support",
+        "train/beta",
+        "train/priority_spread",
+        "train/noise_magnitude",
+        "train/noise_magnitude_layer0",
+        "train/noise_magnitude_layer1",
+    }
+    assert expected <= set(logged)
+    assert all(np.isfinite(value) for values in logged.values() for value in values)
+    assert logged["train/beta"][0] < 0.5 < logged["train/beta"][-1] <= 1.0
+    assert logged["train/learning_rate"][0] > logged["train/learning_rate"][-1]
+    assert 0 <= logged["train/clipped_support"][-1] <= 1
+
+
+def test_beta_runs_linearly_from_start_to_end() -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", beta_start=0.2, beta_end=0.8, **FAST)
+    found = []
+    model.learn(100, callback=lambda local, _: found.append(model.beta) is None)
+    # The callback of step i + 1 sees the progress after step i.
+    np.testing.assert_allclose(found, 0.2 + 0.6 * np.arange(100) / 100, atol=1e-9)
+
+
+def test_epsilon_greedy_follows_sb3s_schedule_only_without_noise() -> None:
+    plain = record(Rainbow("MlpPolicy", "CartPole-v1", noisy=False, **FAST), 300)
+    assert plain["rollout/exploration_rate"][0] > plain["rollout/exploration_rate"][-1] == 0.05
+    noisy = record(Rainbow("MlpPolicy", "CartPole-v1", **FAST), 300)
+    assert set(noisy["rollout/exploration_rate"]) == {0.0}
+
+
+def test_noise_explores_and_deterministic_predictions_do_not() -> None:
+    model = Rainbow("MlpPolicy", IdentityEnv(6), sigma0=3.0, **FAST)
+    obs = np.array([2])
+    assert len({int(model.predict(obs)[0][0]) for _ in range(60)}) > 1
+    assert len({int(model.predict(obs, deterministic=True)[0][0]) for _ in range(60)}) == 1
+
+
+def test_the_target_moves_at_every_update_or_at_an_interval() -> None:
+    def distance(**kwargs: Any) -> float:
+        model = Rainbow("MlpPolicy", "CartPole-v1", **kwargs, **FAST)
+        model.learn(64)
+        online = th.nn.utils.parameters_to_vector(model.q_net.parameters())
+        target = th.nn.utils.parameters_to_vector(model.q_net_target.parameters())
+        return float((online - target).norm())
+
+    assert distance(tau=1.0) == 0.0
+    assert distance(tau=0.0) > distance(tau=0.1) > 0.0
+    # Steps 21 to 64 train; the copy at step 64 comes before that step's update.
+    assert 0.0 < distance(tau=1.0, target_update_interval=64) < distance(tau=0.0)
+
+
+def test_polyak_average_of_one_update() -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", tau=0.25, **FAST)
+    before = [p.clone() for p in model.q_net_target.parameters()]
+    for p in model.q_net.parameters():
+        p.data += 1.0
+    model._learner.move_target(0.25)
+    for old, new in zip(before, model.q_net_target.parameters(), strict=True):
+        th.testing.assert_close(new, old + 0.25)
+
+
+def test_training_before_a_window_is_complete_waits() -> None:
+    settings = {**FAST, "learning_starts": 0, "train_freq": 1}
+    model = Rainbow("MlpPolicy", "CartPole-v1", n_steps=5, **settings)
+    model.learn(12)
+    assert model._n_updates == 12 - 4
+
+
+def test_set_env_and_learning_again() -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
+    model.learn(52)
+    model.set_env(DummyVecEnv([lambda: gym.make("CartPole-v1")]))
+    model.learn(48, reset_num_timesteps=False)
+    assert model.num_timesteps == 100
+    model.learn(40)
+    assert model.num_timesteps == 40
+
+
+def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
+    pytest.importorskip("tensorboard")
+    Rainbow("MlpPolicy", "CartPole-v1", tensorboard_log=str(tmp_path), **FAST).learn(30)
+    assert (tmp_path / "Rainbow_1").is_dir()
+
+
+def test_optimize_memory_usage_is_accepted() -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", optimize_memory_usage=True, **FAST)
+    model.learn(40)
+    model.learn(40)
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"n_steps": 0}, "n_steps must be at least 1, got 0"),
+        ({"alpha": 1.5}, "alpha must lie in"),
+        ({"beta_start": -0.5}, "beta must lie in .0, 1., got -0.5"),
+        ({"beta_end": 1.5}, "beta_end must lie in .0, 1., got 1.5"),
+        ({"v_min": 5.0, "v_max": 5.0}, "v_min must be below v_max"),
+        ({"buffer_size": 3}, "buffer_size=3 is too small"),
+        ({"policy_kwargs": {"n_atoms": 11}}, "Pass n_atoms to Rainbow itself"),
+    ],
+)
+def test_bad_arguments(kwargs: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, **kwargs})
+
+
+def test_bad_environments() -> None:
+    with pytest.raises(AssertionError, match=r"only supports .*Discrete"):
+        Rainbow("MlpPolicy", "Pendulum-v1")
+    with pytest.raises(ValueError, match="MultiInputPolicy"):
+        Rainbow("MlpPolicy", SimpleMultiObsEnv())
+
+    class FromFive(gym.ActionWrapper):
+        action_space = spaces.Discrete(2, start=5)
+
+        def action(self, action: int) -> int:
+            return action - 5
+
+    with pytest.raises(ValueError, match="start at 0, got start=5"):
+        Rainbow("MlpPolicy", FromFive(gym.make("CartPole-v1")))
