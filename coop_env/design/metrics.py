@@ -1,0 +1,82 @@
+"""The figures of the paper's table of design results, measured on any design."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from coop_env.design.problem import DesignProblem, Samples, sample_points, workspace_map
+from coop_env.geometry import RRSGeometry
+from coop_env.kinematics import rrs
+from coop_env.kinematics.rotations import tilt_azimuth
+
+#: Tilt of the fixed cone over which the least sigma_min is compared, rad.
+CONE = math.radians(28.0)
+
+
+@dataclass(frozen=True, slots=True)
+class DesignMetrics:
+    """What the table compares; Omega is the connected component of home at home's heave.
+
+    Attributes:
+        area: A_w, rad^2.
+        sigma_cone: least signed sigma_min over the cone of 28 degrees tilt. Over Omega itself
+            it is the threshold by definition.
+        max_angle: largest \\|roll\\| or \\|pitch\\| in Omega, rad.
+        kappa_variation: standard deviation of the condition number over Omega, relative to its
+            mean.
+        kappa_variation_cone: the same over the cone, which does not grow with Omega.
+        joint_low: least actuated angle over Omega, rad.
+        joint_high: greatest, rad.
+    """
+
+    area: float
+    sigma_cone: float
+    max_angle: float
+    kappa_variation: float
+    kappa_variation_cone: float
+    joint_low: float
+    joint_high: float
+
+
+def measure(
+    geometry: RRSGeometry,
+    problem: DesignProblem | None = None,
+    samples: Samples | None = None,
+) -> DesignMetrics:
+    """The table's figures of a design; NaN where home itself is not in the workspace.
+
+    >>> from coop_env.geometry import INITIAL
+    >>> round(measure(INITIAL).sigma_cone, 3)
+    0.078
+    """
+    problem = problem or DesignProblem()
+    samples = samples or sample_points(problem)
+    found = workspace_map(geometry, problem, samples)
+    cone = tilt_azimuth(np.stack(samples, axis=-1))[..., 0] <= CONE
+    nan = math.nan
+    if not found.inside.any():
+        return DesignMetrics(0.0, _least(found.sigma[cone]), nan, nan, nan, nan, nan)
+    angles = np.abs(np.stack(samples, axis=-1)[found.inside])
+    poses = np.stack([*samples, np.full_like(samples.roll, problem.home_heave)], axis=-1)
+    q = rrs.inverse(poses[found.inside], geometry, problem.pose_model).q
+    return DesignMetrics(
+        found.area,
+        _least(found.sigma[cone]),
+        float(angles.max()),
+        _variation(found.kappa[found.inside]),
+        _variation(found.kappa[cone]),
+        float(q.min()),
+        float(q.max()),
+    )
+
+
+def _least(values: np.ndarray) -> float:
+    """The least value; NaN if any pose is out of reach, so that a gap is not passed over."""
+    return float(values.min())
+
+
+def _variation(values: np.ndarray) -> float:
+    return float(values.std() / values.mean())

@@ -1,0 +1,307 @@
+"""Optimizers over (lambda1, lambda2): the paper's Nelder-Mead, a global search, and the atlas."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import OptimizeResult, differential_evolution, minimize
+
+from coop_env.design.problem import (
+    DesignError,
+    DesignProblem,
+    Floats,
+    Objective,
+    Samples,
+    sample_points,
+    workspace_area,
+)
+from coop_env.geometry import INITIAL, GeometryError, RRSGeometry
+
+Constraint = Callable[[RRSGeometry], float]  # satisfied where it is not negative
+Bounds = tuple[tuple[float, float], tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Optimum:
+    """Where an optimizer ended. ``path`` holds every design it evaluated ``(n, 3)``:
+    lambda1, lambda2 and the objective, NaN where a constraint is broken."""
+
+    lambda1: float
+    lambda2: float
+    value: float
+    start_value: float
+    evaluations: int
+    converged: bool
+    message: str
+    geometry: RRSGeometry
+    path: Floats
+
+    @property
+    def lambda3(self) -> float:
+        """Rp / eta, which the sum of 4 fixes."""
+        return 4.0 - self.lambda1 - self.lambda2
+
+
+class _Cost:
+    """The negated objective with the constraints as a penalty, and a record of every call."""
+
+    def __init__(
+        self,
+        problem: DesignProblem,
+        objective: Objective,
+        samples: Samples,
+        constraints: Sequence[Constraint],
+    ) -> None:
+        self.problem, self.objective, self.samples = problem, objective, samples
+        self.constraints = constraints
+        self.path: list[tuple[float, float, float]] = []
+
+    def value(self, lambda1: float, lambda2: float) -> float:
+        """The objective, or minus the amount by which the constraints are broken, as a penalty."""
+        broken = _violation(lambda1, lambda2)
+        if broken > 0.0:
+            return -broken
+        try:
+            geometry = self.problem.geometry(lambda1, lambda2)
+        except GeometryError:
+            return -1e-9  # on a bound itself, by rounding
+        broken = sum(max(0.0, -constraint(geometry)) for constraint in self.constraints)
+        if broken > 0.0:
+            return -broken
+        found = self.objective(geometry, self.problem, self.samples)
+        if not math.isfinite(found):
+            raise DesignError(
+                f"the objective is {found!r} at lambda1 = {lambda1:.4f}, lambda2 = {lambda2:.4f}: "
+                "it must be finite on every design that meets the constraints"
+            )
+        return found
+
+    def __call__(self, x: Floats) -> float:
+        lambda1, lambda2 = float(x[0]), float(x[1])
+        value = self.value(lambda1, lambda2)
+        self.path.append((lambda1, lambda2, value if value >= 0.0 else math.nan))
+        # A broken constraint costs more than any design that meets them, and more the further off.
+        return -value if value >= 0.0 else 1.0 - 10.0 * value
+
+
+def _violation(lambda1: float, lambda2: float) -> float:
+    """How far a design vector is outside the paper's constraints; zero inside."""
+    lambda3 = 4.0 - lambda1 - lambda2
+    over = (-lambda2, -lambda3, lambda3 - lambda1, lambda1 - 2.0)
+    return sum(max(0.0, amount) for amount in over)
+
+
+def _cost_and_start(
+    problem: DesignProblem | None,
+    start: tuple[float, float],
+    objective: Objective,
+    constraints: Sequence[Constraint],
+    seed: int | None,
+) -> tuple[_Cost, float]:
+    problem = problem or DesignProblem()
+    rng = None if seed is None else np.random.default_rng(seed)
+    cost = _Cost(problem, objective, sample_points(problem, rng), constraints)
+    lambda1, lambda2 = start
+    if not (math.isfinite(lambda1) and math.isfinite(lambda2)) or _violation(*start) > 0.0:
+        problem.geometry(lambda1, lambda2)  # says which constraint
+        raise DesignError(f"start = {start}: outside lambda3 < lambda1 < 2, lambda2 > 0")
+    value = cost.value(lambda1, lambda2)
+    if value < 0.0:
+        raise DesignError(f"start = {start} breaks a constraint by {-value:.3g}: start within them")
+    if value == 0.0:
+        raise DesignError(
+            f"start = {start} has objective 0 at heave {problem.home_heave:.4g} m: its home is out "
+            f"of reach, of the joint limits, or below sigma_min = {problem.threshold:.3g}, and all "
+            "about it is as flat; start from a design with some workspace (see atlas)"
+        )
+    return cost, value
+
+
+def _optimum(cost: _Cost, result: OptimizeResult, start_value: float) -> Optimum:
+    lambda1, lambda2 = (float(v) for v in result.x)
+    return Optimum(
+        lambda1,
+        lambda2,
+        -float(result.fun),
+        start_value,
+        int(result.nfev),
+        bool(result.success),
+        str(result.message),
+        cost.problem.geometry(lambda1, lambda2),
+        np.array(cost.path),
+    )
+
+
+def optimize(
+    problem: DesignProblem | None = None,
+    start: tuple[float, float] = INITIAL.lambdas[:2],
+    *,
+    objective: Objective = workspace_area,
+    constraints: Sequence[Constraint] = (),
+    simplex: float = 0.15,
+    seed: int | None = None,
+    tolerance: float = 1e-4,
+    max_evaluations: int = 400,
+) -> Optimum:
+    """Maximize an objective over (lambda1, lambda2) by Nelder-Mead, as the paper does.
+
+    Args:
+        problem: scale, limits, heaves, threshold and grid; the paper's by default.
+        start: (lambda1, lambda2) of the first vertex; the initial design by default.
+        objective: ``objective(geometry, problem, samples)``, not negative; A_w by default.
+        constraints: functions of a geometry, each satisfied where not negative; they and the
+            paper's own act as a penalty.
+        simplex: edge of the initial simplex, along each axis.
+        seed: of the jitter, one draw per cell that is kept for the whole run; None for the
+            cells' centres.
+        tolerance: the search ends when the simplex is smaller than this in lambda and in value.
+        max_evaluations: of the objective.
+
+    Raises:
+        GeometryError: the start breaks the paper's constraints.
+        DesignError: the start has no workspace, or breaks a constraint; or a value is not finite.
+
+    >>> found = optimize()
+    >>> found.converged, round(found.value, 1), found.value > found.start_value
+    (True, 1.2, True)
+    """
+    if not simplex > 0.0:
+        raise DesignError(f"simplex = {simplex!r}: its edge must be above zero")
+    cost, start_value = _cost_and_start(problem, start, objective, constraints, seed)
+    first = np.array(start)
+    result = minimize(
+        cost,
+        first,
+        method="Nelder-Mead",
+        options={
+            "initial_simplex": first + np.array([[0.0, 0.0], [simplex, 0.0], [0.0, simplex]]),
+            "xatol": tolerance,
+            "fatol": tolerance,
+            "maxfev": max_evaluations,
+        },
+    )
+    return _optimum(cost, result, start_value)
+
+
+def repeat(
+    runs: int = 10, problem: DesignProblem | None = None, seed: int = 0, **arguments: object
+) -> list[Optimum]:
+    """``runs`` runs of :func:`optimize`, each with a jitter of its own, frozen within the run.
+
+    Args:
+        runs: how many; the paper averages over 10.
+        problem: as in :func:`optimize`.
+        seed: of the first run; run i has ``seed + i``.
+        arguments: the others of :func:`optimize`.
+    """
+    if runs < 1:
+        raise DesignError(f"runs = {runs!r}: must be at least 1")
+    return [optimize(problem, seed=seed + i, **arguments) for i in range(runs)]  # type: ignore[arg-type]
+
+
+def optimize_globally(
+    problem: DesignProblem | None = None,
+    bounds: Bounds = ((1.0, 2.0), (0.3, 2.4)),
+    *,
+    objective: Objective = workspace_area,
+    constraints: Sequence[Constraint] = (),
+    seed: int = 0,
+    population: int = 12,
+    generations: int = 30,
+    start: tuple[float, float] = INITIAL.lambdas[:2],
+) -> Optimum:
+    """Maximize over a box by differential evolution, to see whether Nelder-Mead's is the best.
+
+    Its end is polished by Nelder-Mead with a small simplex. Arguments as in :func:`optimize`;
+    ``seed`` is the search's own and the cells' centres are sampled. ``start`` joins the first
+    generation.
+    """
+    cost, start_value = _cost_and_start(problem, start, objective, constraints, None)
+    result = differential_evolution(
+        cost,
+        bounds,
+        x0=np.array(start),
+        rng=np.random.default_rng(seed),
+        popsize=population,
+        maxiter=generations,
+        tol=1e-3,
+        polish=False,
+    )
+    coarse = _optimum(cost, result, start_value)
+    fine = optimize(
+        problem,
+        (coarse.lambda1, coarse.lambda2),
+        objective=objective,
+        constraints=constraints,
+        simplex=0.02,
+    )
+    return replace(
+        fine,
+        start_value=start_value,
+        evaluations=coarse.evaluations + fine.evaluations,
+        converged=coarse.converged and fine.converged,
+        path=np.concatenate([coarse.path, fine.path]),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Atlas:
+    """The objective over designs: ``value[i, j]`` at ``lambda1[i]``, ``lambda2[j]``; NaN where
+    the constraints are broken."""
+
+    lambda1: Floats
+    lambda2: Floats
+    value: Floats
+
+    @property
+    def best(self) -> tuple[float, float, float]:
+        """(lambda1, lambda2, value) of the greatest entry."""
+        i, j = np.unravel_index(np.nanargmax(self.value), self.value.shape)
+        return float(self.lambda1[i]), float(self.lambda2[j]), float(self.value[i, j])
+
+
+def atlas(
+    problem: DesignProblem | None = None,
+    lambda1: Sequence[float] | Floats | None = None,
+    lambda2: Sequence[float] | Floats | None = None,
+    *,
+    objective: Objective = workspace_area,
+    constraints: Sequence[Constraint] = (),
+    progress: Callable[[int, int], None] | None = None,
+) -> Atlas:
+    """The objective on a grid of designs, by default in steps of 0.04 over the feasible triangle.
+
+    Args:
+        problem: as in :func:`optimize`.
+        lambda1: grid along the first axis.
+        lambda2: grid along the second.
+        objective: as in :func:`optimize`.
+        constraints: as in :func:`optimize`.
+        progress: called with rows done and rows in all.
+    """
+    problem = problem or DesignProblem()
+    rows = np.arange(1.0, 2.0, 0.04) if lambda1 is None else np.asarray(lambda1, dtype=float)
+    columns = np.arange(0.3, 2.4, 0.04) if lambda2 is None else np.asarray(lambda2, dtype=float)
+    cost = _Cost(problem, objective, sample_points(problem), constraints)
+    value = np.full((len(rows), len(columns)), np.nan)
+    for i, a in enumerate(rows):
+        for j, b in enumerate(columns):
+            found = cost.value(float(a), float(b))
+            if found >= 0.0:
+                value[i, j] = found
+        if progress is not None:
+            progress(i + 1, len(rows))
+    return Atlas(rows, columns, value)
+
+
+def at_heaves(problem: DesignProblem, heaves: Sequence[float], how: str = "min") -> DesignProblem:
+    """The same problem measured over a band of heaves; home stays where it was, and counts.
+
+    >>> at_heaves(DesignProblem(), [0.20, 0.22]).heaves
+    (0.21, 0.2, 0.22)
+    """
+    others = tuple(float(h) for h in heaves if h != problem.home_heave)
+    return replace(problem, heaves=(problem.home_heave, *others), over_heaves=how)

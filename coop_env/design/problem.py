@@ -1,0 +1,228 @@
+"""What is optimized: the singularity-free orientation workspace A_w of a 3-RRS.
+
+The paper's equation (constraints) reduces the lengths to (lambda1, lambda2) at fixed scale eta, and
+its objective integrates over the orientations with ``sigma_min(J) >= 0.15``. Two things it leaves
+open are settled here. sigma_min carries the sign of det A, and only the connected component of home
+counts: beyond a parallel singularity sigma rises again, in an assembly mode that the platform
+cannot enter without crossing it. And a cell counts only if all limbs reach it within their joint
+limits. No tilt limit applies within the grid's +-60 degrees unless ``max_tilt`` sets one; on the
+paper's two designs the environment's 45 degrees would change nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coop_env.design.kernels import flood
+from coop_env.geometry import INITIAL, OPTIMIZED, RRSGeometry
+from coop_env.kinematics import rrs
+from coop_env.kinematics.rrs_kernels import RRSParams, make_params
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+#: eta of the fitted designs, m: the mean of the two, which differ by rounding of their lengths.
+ETA: Final = round(0.5 * (INITIAL.characteristic_length + OPTIMIZED.characteristic_length), 4)
+
+
+class DesignError(ValueError):
+    """A design problem that cannot be solved as posed; the message names the value and the mend."""
+
+
+@dataclass(frozen=True, slots=True)
+class DesignProblem:
+    """The setting in which designs (lambda1, lambda2) are compared. Lengths in m, angles in rad.
+
+    Attributes:
+        eta: scale ``(Rb + 2 L1 + Rp) / 4``; every design has it.
+        distal_length: L2; every design has it.
+        heaves: heights at which A_w is measured. The first is home, where det A defines its sign.
+        threshold: least sigma_min that counts; the paper's 0.15.
+        joint_min: lower limit of the actuated angles.
+        joint_max: upper limit.
+        extent: the grid covers roll and pitch within +- this.
+        max_tilt: limit on \\|roll\\| and \\|pitch\\| within the grid.
+        cells: cells along an axis of the grid.
+        pose_model: ``"exact"``, or ``"paper"`` to see what its error does to the design.
+        over_heaves: how several heaves make one number: ``"min"`` or ``"mean"``.
+
+    Raises:
+        DesignError: a value out of range.
+    """
+
+    eta: float = ETA
+    distal_length: float = INITIAL.distal_length
+    heaves: tuple[float, ...] = (INITIAL.home_heave,)
+    threshold: float = 0.15
+    joint_min: float = INITIAL.joint_min
+    joint_max: float = INITIAL.joint_max
+    extent: float = math.pi / 3
+    max_tilt: float = math.pi / 3
+    cells: int = 120
+    pose_model: str = "exact"
+    over_heaves: str = "min"
+
+    def __post_init__(self) -> None:
+        positive = {
+            "eta": self.eta,
+            "distal_length": self.distal_length,
+            "threshold": self.threshold,
+            "extent": self.extent,
+            "max_tilt": self.max_tilt,
+            **{f"heaves[{i}]": heave for i, heave in enumerate(self.heaves)},
+        }
+        for name, value in positive.items():
+            if not (math.isfinite(value) and value > 0.0):
+                raise DesignError(f"{name} = {value!r}: must be finite and above zero")
+        if not self.heaves:
+            raise DesignError("heaves is empty: give at least the home heave")
+        if not self.extent < math.pi / 2:
+            raise DesignError(f"extent = {self.extent!r} rad: must be below pi/2")
+        if not self.joint_min < self.joint_max:
+            raise DesignError(
+                f"joint_min = {self.joint_min!r} must be below joint_max = {self.joint_max!r}"
+            )
+        if self.cells < 2:
+            raise DesignError(f"cells = {self.cells!r}: must be at least 2")
+        if self.pose_model not in ("exact", "paper"):
+            raise DesignError(f"pose_model = {self.pose_model!r}: must be 'exact' or 'paper'")
+        if self.over_heaves not in ("min", "mean"):
+            raise DesignError(f"over_heaves = {self.over_heaves!r}: must be 'min' or 'mean'")
+
+    @property
+    def home_heave(self) -> float:
+        """Height at which the sign of det A is taken, m."""
+        return self.heaves[0]
+
+    @property
+    def cell_area(self) -> float:
+        """Area of a cell, rad^2."""
+        return (2.0 * self.extent / self.cells) ** 2
+
+    def geometry(self, lambda1: float, lambda2: float) -> RRSGeometry:
+        """The machine of a design vector, with this problem's scale and limits.
+
+        Raises:
+            GeometryError: the paper's constraints are broken.
+        """
+        return RRSGeometry.from_lambdas(
+            lambda1,
+            lambda2,
+            eta=self.eta,
+            distal_length=self.distal_length,
+            joint_min=self.joint_min,
+            joint_max=self.joint_max,
+            heave_min=min(self.heaves),
+            heave_max=max(self.heaves) + 1e-9,
+            home_heave=self.home_heave,
+        )
+
+    def params(self, geometry: RRSGeometry) -> RRSParams:
+        """A machine as the kernels take it, under this problem's limits."""
+        p = make_params(geometry, self.pose_model)
+        return p._replace(
+            joint_min=self.joint_min, joint_max=self.joint_max, max_tilt=self.max_tilt
+        )
+
+    def centres(self) -> Floats:
+        """Cell centres along an axis ``(cells,)``, rad."""
+        step = 2.0 * self.extent / self.cells
+        return np.arange(0.5, self.cells) * step - self.extent
+
+
+class Samples(NamedTuple):
+    """Where each cell is sampled: roll and pitch ``(cells, cells)``, rad."""
+
+    roll: Floats
+    pitch: Floats
+
+
+class WorkspaceMap(NamedTuple):
+    """A workspace at one heave; each array ``(cells, cells)``, axis 0 roll, axis 1 pitch."""
+
+    samples: Samples
+    sigma: Floats
+    kappa: Floats
+    inside: Bools
+    area: float
+
+
+Objective = Callable[[RRSGeometry, DesignProblem, Samples], float]
+
+
+def sample_points(problem: DesignProblem, rng: np.random.Generator | None = None) -> Samples:
+    """Cell centres, or one uniform draw within each cell if a generator is given.
+
+    The paper integrates over jittered samples. Draw them once for a run of an optimizer: redrawn
+    at every evaluation they make the objective noise, on which a simplex never converges.
+    """
+    roll, pitch = np.meshgrid(problem.centres(), problem.centres(), indexing="ij")
+    if rng is None:
+        return Samples(roll, pitch)
+    half = problem.extent / problem.cells
+    return Samples(
+        roll + rng.uniform(-half, half, roll.shape), pitch + rng.uniform(-half, half, pitch.shape)
+    )
+
+
+def component(
+    geometry: RRSGeometry, problem: DesignProblem, samples: Samples, heave: float
+) -> Bools:
+    """The cells ``(cells, cells)`` of home's connected component at a heave."""
+    mask = np.zeros(samples.roll.shape, dtype=np.int8)
+    flood(*samples, heave, problem.threshold, problem.params(geometry), mask)
+    return mask == 1
+
+
+def workspace_area(
+    geometry: RRSGeometry,
+    problem: DesignProblem | None = None,
+    samples: Samples | None = None,
+) -> float:
+    """A_w in rad^2: area of the connected component of home; zero if home itself is not in it.
+
+    With several heaves, the least or the mean over them (``problem.over_heaves``).
+
+    >>> from coop_env.geometry import INITIAL, OPTIMIZED
+    >>> round(workspace_area(INITIAL), 2), round(workspace_area(OPTIMIZED), 2)
+    (0.82, 1.16)
+    """
+    problem = problem or DesignProblem()
+    samples = samples or sample_points(problem)
+    p = problem.params(geometry)
+    counts = []
+    for heave in problem.heaves:
+        mask = np.zeros(samples.roll.shape, dtype=np.int8)
+        counts.append(flood(*samples, heave, problem.threshold, p, mask))
+    combined = min(counts) if problem.over_heaves == "min" else sum(counts) / len(counts)
+    return problem.cell_area * combined
+
+
+def workspace_map(
+    geometry: RRSGeometry,
+    problem: DesignProblem | None = None,
+    samples: Samples | None = None,
+    heave: float | None = None,
+) -> WorkspaceMap:
+    """Signed sigma_min and condition number over the whole grid, and the component of home.
+
+    NaN where a limb cannot reach.
+    """
+    problem = problem or DesignProblem()
+    samples = samples or sample_points(problem)
+    height = problem.home_heave if heave is None else heave
+    poses = np.stack([*samples, np.full_like(samples.roll, height)], axis=-1)
+    inside = component(geometry, problem, samples, height)
+    return WorkspaceMap(
+        samples,
+        rrs.signed_sigma_min(poses, geometry, problem.pose_model),
+        rrs.condition_number(poses, geometry, problem.pose_model),
+        inside,
+        problem.cell_area * float(inside.sum()),
+    )

@@ -1,0 +1,125 @@
+"""How much a design's workspace hangs on the threshold, on heave, and on the lengths as built."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from coop_env.design.optimize import optimize
+from coop_env.design.problem import (
+    DesignError,
+    DesignProblem,
+    Floats,
+    sample_points,
+    workspace_area,
+)
+from coop_env.geometry import INITIAL, GeometryError, RRSGeometry
+
+LENGTHS = ("base_radius", "proximal_length", "platform_radius", "distal_length")
+
+
+def over_heaves(
+    geometry: RRSGeometry, heaves: Sequence[float] | Floats, problem: DesignProblem | None = None
+) -> Floats:
+    """A_w ``(n,)`` in rad^2 at each heave; the sign of det A is still taken at the design's home.
+
+    >>> from coop_env.geometry import OPTIMIZED
+    >>> over_heaves(OPTIMIZED, [0.20, 0.21]).round(2).tolist()  # the cliff below home
+    [0.57, 1.16]
+    """
+    problem = problem or DesignProblem()
+    samples = sample_points(problem)
+    return np.array(
+        [
+            workspace_area(geometry, replace(problem, heaves=(float(heave),)), samples)
+            for heave in heaves
+        ]
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ThresholdSweep:
+    """A_w by threshold ``(n,)``: of given designs ``(n, designs)``, and of the design that
+    Nelder-Mead finds for that threshold, with its lambdas ``(n, 2)``."""
+
+    thresholds: Floats
+    given: Floats
+    optimum: Floats
+    lambdas: Floats
+
+
+def over_thresholds(
+    geometries: Sequence[RRSGeometry],
+    thresholds: Sequence[float] | Floats,
+    problem: DesignProblem | None = None,
+    start: tuple[float, float] = INITIAL.lambdas[:2],
+) -> ThresholdSweep:
+    """How the areas and the optimum itself move with the threshold on sigma_min.
+
+    Raises:
+        DesignError: the start has no workspace at one of the thresholds.
+    """
+    problem = problem or DesignProblem()
+    given, optimum, lambdas = [], [], []
+    for threshold in thresholds:
+        here = replace(problem, threshold=float(threshold))
+        given.append([workspace_area(geometry, here) for geometry in geometries])
+        found = optimize(here, start)
+        optimum.append(found.value)
+        lambdas.append([found.lambda1, found.lambda2])
+    return ThresholdSweep(
+        np.asarray(thresholds, dtype=float), np.array(given), np.array(optimum), np.array(lambdas)
+    )
+
+
+def slopes(
+    geometry: RRSGeometry, problem: DesignProblem | None = None, step: float = 5e-4
+) -> dict[str, float]:
+    """Change of A_w, rad^2 per mm, by each length in turn (central difference of 0.5 mm)."""
+    if not step > 0.0:
+        raise DesignError(f"step = {step!r} m: must be above zero")
+    problem = problem or DesignProblem()
+    samples = sample_points(problem)
+    found = {}
+    for name in LENGTHS:
+        length = getattr(geometry, name)
+        high, low = (
+            workspace_area(replace(geometry, **{name: length + sign * step}), problem, samples)
+            for sign in (1.0, -1.0)
+        )
+        found[name] = (high - low) / (2e3 * step)
+    return found
+
+
+def under_tolerances(
+    geometry: RRSGeometry,
+    tolerance: float,
+    draws: int = 100,
+    problem: DesignProblem | None = None,
+    seed: int = 0,
+) -> Floats:
+    """A_w ``(draws,)`` with every length off by an independent uniform error of +-``tolerance`` m.
+
+    The error of a length is the same on all three limbs, because the closed forms used here rest
+    on their symmetry. Draws that break the paper's constraints count as zero.
+    """
+    if not tolerance >= 0.0:
+        raise DesignError(f"tolerance = {tolerance!r} m: must not be negative")
+    problem = problem or DesignProblem()
+    samples = sample_points(problem)
+    rng = np.random.default_rng(seed)
+    areas = np.zeros(draws)
+    for i in range(draws):
+        errors = rng.uniform(-tolerance, tolerance, len(LENGTHS))
+        lengths = {
+            name: getattr(geometry, name) + float(error)
+            for name, error in zip(LENGTHS, errors, strict=True)
+        }
+        try:
+            built = replace(geometry, **lengths)
+        except GeometryError:
+            continue
+        areas[i] = workspace_area(built, problem, samples)
+    return areas

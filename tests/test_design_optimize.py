@@ -1,0 +1,143 @@
+"""The optimizers: the paper's gain, constraints kept, starts that cannot work refused."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from coop_env import design
+from coop_env.design import DesignError, DesignProblem, Samples
+from coop_env.geometry import INITIAL, GeometryError, RRSGeometry
+
+COARSE = DesignProblem(cells=60)
+
+
+def test_nelder_mead_from_the_initial_design_finds_the_papers_gain() -> None:
+    found = design.optimize()
+    assert found.converged
+    assert found.start_value == pytest.approx(0.82, abs=0.005)
+    assert found.value == pytest.approx(1.165, abs=0.005)
+    assert (found.lambda1, found.lambda2) == pytest.approx((1.44, 1.66), abs=0.02)
+    assert design.workspace_area(found.geometry) == pytest.approx(found.value, abs=1e-12)
+
+
+def test_runs_differ_by_their_jitter_and_repeat_by_their_seed() -> None:
+    runs = design.repeat(3, COARSE)
+    again = design.repeat(3, COARSE)
+    assert [run.value for run in runs] == [run.value for run in again]
+    assert len({run.lambda1 for run in runs}) == 3
+    assert all(run.converged for run in runs)
+    with pytest.raises(DesignError, match="runs = 0"):
+        design.repeat(0)
+
+
+def test_no_evaluated_design_breaks_the_constraints() -> None:
+    found = design.optimize(COARSE)
+    counted = found.path[np.isfinite(found.path[:, 2])]
+    lambda3 = 4.0 - counted[:, 0] - counted[:, 1]
+    assert len(counted) > 10
+    assert (lambda3 > 0).all()
+    assert (lambda3 < counted[:, 0]).all()
+    assert (counted[:, 0] < 2).all()
+    assert (counted[:, 1] > 0).all()
+
+
+def test_differential_evolution_finds_nothing_better() -> None:
+    local = design.optimize(COARSE)
+    far = design.optimize_globally(COARSE, seed=3, population=10, generations=15)
+    assert far.value == pytest.approx(local.value, rel=0.01)
+
+
+def test_the_atlas_peaks_where_nelder_mead_ends() -> None:
+    grid = design.atlas(COARSE, np.arange(1.2, 1.9, 0.06), np.arange(1.2, 2.0, 0.06))
+    lambda1, lambda2, value = grid.best
+    found = design.optimize(COARSE)
+    assert value <= found.value + 1e-9
+    assert math.hypot(lambda1 - found.lambda1, lambda2 - found.lambda2) < 0.12
+    i, j = 3, 4
+    geometry = COARSE.geometry(grid.lambda1[i], grid.lambda2[j])
+    assert grid.value[i, j] == design.workspace_area(geometry, COARSE)
+
+
+def test_the_atlas_is_nan_exactly_outside_the_constraints_and_reports_progress() -> None:
+    rows: list[tuple[int, int]] = []
+    tiny = DesignProblem(cells=4)
+    grid = design.atlas(
+        tiny, [0.9, 1.5, 2.1], [0.5, 1.5, 2.6], progress=lambda done, of: rows.append((done, of))
+    )
+    for i, a in enumerate(grid.lambda1):
+        for j, b in enumerate(grid.lambda2):
+            c = 4.0 - a - b
+            feasible = 0 < c < a < 2 and b > 0
+            assert np.isfinite(grid.value[i, j]) == feasible
+    assert rows == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_a_start_without_workspace_is_an_error_not_a_flat_optimum() -> None:
+    with pytest.raises(DesignError, match=r"objective 0 at heave 0.5 m.*start from a design"):
+        design.optimize(DesignProblem(heaves=(0.5,)))
+    with pytest.raises(DesignError, match="objective 0"):
+        design.optimize_globally(DesignProblem(threshold=5.0))
+
+
+@pytest.mark.parametrize("start", [(2.5, 1.0), (1.0, 0.5), (1.5, -0.2), (math.nan, 1.0)])
+def test_a_start_outside_the_constraints_is_named(start: tuple[float, float]) -> None:
+    with pytest.raises(GeometryError, match="lambda"):
+        design.optimize(start=start)
+
+
+def test_another_designers_objective_and_constraint() -> None:
+    """Least platform radius, subject to a base no larger than 0.2 m and a workspace of 0.5."""
+
+    def small_platform(geometry: RRSGeometry, problem: DesignProblem, samples: Samples) -> float:
+        return max(0.0, 0.3 - geometry.platform_radius)
+
+    def enough(geometry: RRSGeometry) -> float:
+        return design.workspace_area(geometry, COARSE) - 0.5
+
+    found = design.optimize(
+        COARSE,
+        (1.5, 1.6),
+        objective=small_platform,
+        constraints=[enough, lambda g: 0.2 - g.base_radius],
+    )
+    assert found.value > found.start_value
+    assert enough(found.geometry) >= 0.0
+    assert found.geometry.base_radius <= 0.2
+    with pytest.raises(DesignError, match="breaks a constraint"):
+        design.optimize(COARSE, constraints=[lambda g: 0.1 - g.base_radius])
+
+
+def test_an_objective_that_is_not_finite_is_named() -> None:
+    with pytest.raises(DesignError, match="objective is nan"):
+        design.optimize(COARSE, objective=lambda *_: math.nan)
+
+
+def test_other_limits_heave_and_threshold_reach_the_search() -> None:
+    strict = DesignProblem(
+        cells=60, threshold=0.3, heaves=(0.22,), joint_min=math.radians(20), joint_max=1.2
+    )
+    found = design.optimize(strict)
+    metrics = design.measure(found.geometry, strict)
+    assert metrics.joint_low >= math.radians(20)
+    assert metrics.joint_high <= 1.2
+    inside = design.workspace_map(found.geometry, strict)
+    assert inside.sigma[inside.inside].min() >= 0.3
+    assert found.geometry.home_heave == 0.22
+
+
+def test_a_design_for_a_band_of_heave_has_no_cliff_in_it() -> None:
+    band = design.at_heaves(COARSE, [0.20, 0.23, 0.25])
+    robust = design.optimize(band)
+    printed = design.optimize(COARSE)
+    low, home = design.over_heaves(robust.geometry, [0.20, 0.21], COARSE)
+    assert low > 0.95 * home
+    assert robust.value > 1.5 * design.workspace_area(printed.geometry, band)
+
+
+def test_the_initial_lambdas_are_the_default_start() -> None:
+    found = design.optimize(DesignProblem(cells=30))
+    assert tuple(found.path[0, :2]) == pytest.approx(INITIAL.lambdas[:2])
+    assert found.lambda1 + found.lambda2 + found.lambda3 == pytest.approx(4.0)
