@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -31,13 +30,14 @@ class Metric:
         return float(episodes[self.column].mean()) * self.scale
 
 
-# the paper's six; collisions count over the whole episode, the others up to the first insertion
+# the paper's six; collisions and energy count over the whole episode, as the paper defines them,
+# time, alignment and trajectory up to the first insertion
 PAPER_METRICS: Final = (
     Metric("success", "Success rate (%)", "success", 1, 100.0),
     Metric("time_first", "Avg. completion time (s)", "time_first", 2),
     Metric("alignment_error", "Avg. alignment error (deg)", "alignment_error", 2),
     Metric("collisions", "Avg. collisions per episode", "collisions", 2),
-    Metric("energy_first", "Avg. energy proxy (J)", "energy_first", 2),
+    Metric("energy", "Avg. energy proxy (J)", "energy", 2),
     Metric("trajectory_error", "RMS trajectory error (mm)", "trajectory_error", 2),
 )
 
@@ -46,8 +46,6 @@ EXTRA_METRICS: Final = (
     Metric("all_holes", "All six holes (% of episodes)", "all_holes", 1, 100.0),
     Metric("time_per_hole", "Time per hole, first to last (s)", "time_per_hole", 2),
     Metric("collisions_first", "Collisions up to the first insertion", "collisions_first", 2),
-    Metric("energy", "Energy proxy, whole episode (J)", "energy", 1),
+    Metric("energy_first", "Energy proxy up to the first insertion (J)", "energy_first", 2),
     Metric("singular", "Singularity terminations / 1000 ep.", "singular", 0, 1000.0),
 )
-
-Reducer = Callable[[pd.DataFrame], float]

@@ -38,7 +38,7 @@ PERFORMANCE: Final[dict[str, dict[str, str]]] = {
     "time_first": {"rrt_connect": "12.4 ± 1.2", "dqn": "9.8 ± 0.9", "rainbow": "7.1 ± 0.5"},
     "alignment_error": {"rrt_connect": "1.8 ± 0.3", "dqn": "1.2 ± 0.2", "rainbow": "0.6 ± 0.1"},
     "collisions": {"rrt_connect": "0.5 ± 0.1", "dqn": "0.3 ± 0.1", "rainbow": "0.1 ± 0.05"},
-    "energy_first": {"rrt_connect": "15.4 ± 1.1", "dqn": "13.2 ± 0.8", "rainbow": "12.3 ± 0.6"},
+    "energy": {"rrt_connect": "15.4 ± 1.1", "dqn": "13.2 ± 0.8", "rainbow": "12.3 ± 0.6"},
     "trajectory_error": {"rrt_connect": "4.2 ± 0.4", "dqn": "2.8 ± 0.3", "rainbow": "1.5 ± 0.2"},
 }
 

@@ -1,0 +1,145 @@
+"""One cell from start to end: train or plan, test, store. Runs in a process of its own."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from benchmarks import machine
+from benchmarks.plan import DESIGN, Cell, settings
+from benchmarks.presets import Preset
+from benchmarks.seeding import derive
+from benchmarks.store import RunFolder, Store
+
+
+class StopFlag:
+    """True once the process was asked to end (SIGTERM or Ctrl-C); a run then saves and stops."""
+
+    def __init__(self) -> None:
+        self.requested = False
+
+    def __call__(self) -> bool:
+        return self.requested
+
+    def listen(self) -> None:
+        """Let the signals set the flag; outside the main thread there are no signals to take."""
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGTERM, signal.SIGINT):
+                signal.signal(number, self._set)
+
+    def _set(self, number: int, frame: object) -> None:
+        self.requested = True
+
+
+def run_cell(
+    preset: Preset, cell: Cell, store: Store, stop_requested: Callable[[], bool] = lambda: False
+) -> bool:
+    """Run a cell to its end, or until ``stop_requested``; a complete one is left as it is.
+
+    Returns:
+        Whether the cell is complete.
+
+    Raises:
+        BenchmarkError: the cell's folder holds a run with other settings.
+    """
+    folder = store.run(cell.id)
+    folder.begin(settings(preset, cell))
+    if folder.is_complete():
+        return True
+    clock = _Clock()
+    if cell.method == DESIGN:
+        training = _run_design(preset, folder)
+    elif cell.learns:
+        outcome = _run_learner(preset, cell, folder, stop_requested)
+        if outcome is None:
+            return False
+        training = outcome
+    else:
+        training = _run_planner(preset, cell, folder)
+    folder.write_meta(_meta(preset, cell, training, clock))
+    folder.drop_checkpoint()
+    return True
+
+
+class _Clock:
+    """Wall and CPU time since its making."""
+
+    def __init__(self) -> None:
+        self._began = time.perf_counter(), time.process_time()
+
+    def read(self) -> tuple[float, float]:
+        wall, cpu = self._began
+        return time.perf_counter() - wall, time.process_time() - cpu
+
+
+def _run_learner(
+    preset: Preset, cell: Cell, folder: RunFolder, stop_requested: Callable[[], bool]
+) -> dict[str, Any] | None:
+    from benchmarks.evaluate import evaluate_policy, model_policy
+    from benchmarks.store import write_atomic
+    from benchmarks.train import env_arguments, train
+
+    trained = train(preset, cell, folder, stop_requested)
+    if trained is None:
+        return None
+    model, summary = trained
+    folder.write_progress(1.0, "testing")
+    began = time.perf_counter()
+    arguments = env_arguments(preset, cell, preset.tracks[cell.track])
+    rows = evaluate_policy(model_policy(model), preset, cell.seed, arguments)
+    folder.write_rows("episodes", rows)
+    # the optimizer's moments are half of the file and serve only to go on training
+    model.policy.optimizer.state.clear()
+    write_atomic(folder.policy, lambda temporary: _save_model(model, temporary))
+    return {**summary, "test_seconds": time.perf_counter() - began}
+
+
+def _save_model(model: Any, temporary: Any) -> None:
+    with temporary.open("wb") as stream:
+        model.save(stream)
+
+
+def _run_planner(preset: Preset, cell: Cell, folder: RunFolder) -> dict[str, Any]:
+    from benchmarks.evaluate import evaluate_planner
+    from benchmarks.train import env_arguments
+
+    rows = evaluate_planner(
+        preset, cell, env_arguments(preset, cell), lambda share: folder.write_progress(share, "")
+    )
+    folder.write_rows("episodes", rows)
+    return {}
+
+
+def _run_design(preset: Preset, folder: RunFolder) -> dict[str, Any]:
+    from benchmarks.design import geometry_rows
+
+    assert preset.design is not None
+    rows: list[Mapping[str, object]] = geometry_rows(preset.design.runs)
+    folder.write_rows("design", rows)
+    return {}
+
+
+def _meta(preset: Preset, cell: Cell, training: dict[str, Any], clock: _Clock) -> dict[str, Any]:
+    wall, cpu = clock.read()
+    # a resumed run's training time is the sum over its processes
+    earlier = training.get("wall_seconds"), training.get("cpu_seconds")
+    if earlier[0] is not None and earlier[1] is not None:
+        tested = training["test_seconds"]
+        wall, cpu = max(wall, earlier[0] + tested), max(cpu, earlier[1])
+    return {
+        "cell": cell.id,
+        "preset": preset.name,
+        "seeds": {
+            "cell": cell.seed,
+            "train": derive("train", cell.seed),
+            "learner": derive("learner", cell.seed),
+            "first_test_episode": derive("test", cell.seed, 0),
+        },
+        "training": training,
+        "wall_seconds": wall,
+        "cpu_seconds": cpu,
+        **machine.describe(),
+    }

@@ -1,0 +1,124 @@
+"""The test protocol: every method on the same initial states, deterministic, all holes, to the end.
+
+Learners act on all episodes of a seed at once, so that the network is asked once per move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.episodes import Episode
+from benchmarks.plan import Cell
+from benchmarks.planners.base import Plan
+from benchmarks.presets import Preset
+from benchmarks.seeding import derive, episode_seeds
+from coop_env.env import CoopInsertionEnv
+
+Observations = NDArray[np.float32]
+Masks = NDArray[np.bool_]
+Policy = Callable[[Observations, Masks], NDArray[Any]]
+Rows = list[dict[str, object]]
+
+
+def begin_episodes(
+    arguments: dict[str, Any], seed: int, number: int, stream: str = "test"
+) -> list[Episode]:
+    """``number`` episodes, each in an environment of its own, on the stream's initial states."""
+    seeds = episode_seeds(seed, number, stream)
+    return [Episode(CoopInsertionEnv(**arguments), i, s) for i, s in enumerate(seeds)]
+
+
+def run_policy(policy: Policy, episodes: Sequence[Episode], noise: float, noise_seed: int) -> Rows:
+    """Run a policy on all episodes side by side until each is over.
+
+    Args:
+        policy: observations (n, size) and action masks (n, 12) to actions (n,).
+        episodes: fresh episodes.
+        noise: standard deviation of Gaussian noise on the normalized observations; clipped to
+            [0, 1] like the observations themselves.
+        noise_seed: of the noise, drawn per episode so that it is the same for every method.
+    """
+    generators = [np.random.default_rng((noise_seed, episode.number)) for episode in episodes]
+    while running := [i for i, episode in enumerate(episodes) if not episode.over]:
+        observations = np.stack([episodes[i].observation for i in running])
+        if noise > 0.0:
+            size = observations.shape[1]
+            drawn = np.stack([generators[i].normal(0.0, noise, size) for i in running])
+            observations = np.clip(observations + drawn, 0.0, 1.0).astype(np.float32)
+        masks = np.stack([episodes[i].env.action_masks() for i in running])
+        for i, action in zip(running, policy(observations, masks), strict=True):
+            episodes[i].move(int(action))
+    return [episode.row(noise) for episode in episodes]
+
+
+def model_policy(model: Any) -> Policy:
+    """Greedy actions of an SB3 model; masks go to those whose ``predict`` takes them."""
+    from sb3_contrib import MaskablePPO
+
+    from sb3_rainbow import Rainbow
+
+    takes_masks = isinstance(model, (Rainbow, MaskablePPO))
+
+    def act(observations: Observations, masks: Masks) -> NDArray[Any]:
+        arguments = {"action_masks": masks} if takes_masks else {}
+        actions, _ = model.predict(observations, deterministic=True, **arguments)
+        return np.asarray(actions)
+
+    return act
+
+
+def evaluate_policy(policy: Policy, preset: Preset, seed: int, arguments: dict[str, Any]) -> Rows:
+    """Rows of all test episodes of one seed, at every level of noise of the preset."""
+    rows: Rows = []
+    for noise in preset.evaluation.noise:
+        episodes = begin_episodes(arguments, seed, preset.evaluation.episodes)
+        rows += run_policy(policy, episodes, noise, derive("noise", seed))
+    return rows
+
+
+def evaluate_planner(
+    preset: Preset, cell: Cell, arguments: dict[str, Any], tell: Callable[[float], None]
+) -> Rows:
+    """Rows of all test episodes of one planner cell; planners see the true state, without noise."""
+    execute = planner_runner(preset, cell)
+    episodes = begin_episodes(arguments, cell.seed, preset.evaluation.episodes)
+    rows: Rows = []
+    for number, episode in enumerate(episodes):
+        execute(episode)
+        rows.append(episode.row())
+        tell((number + 1) / len(episodes))
+    return rows
+
+
+def planner_runner(preset: Preset, cell: Cell) -> Callable[[Episode], None]:
+    """How a planner plays one episode."""
+    from benchmarks.planners import rrt_connect
+    from benchmarks.planners.oracle import LatticeOracle
+
+    limits = preset.planner
+    oracle = LatticeOracle(node_limit=limits.node_limit)
+    if cell.method == "optimum":
+        return lambda episode: follow(episode, oracle.plan)
+    rrt = rrt_connect.RRTConnect(
+        limits.time_limit, limits.max_iterations, 1 + derive("planner", cell.seed) % 2**30
+    )
+    if cell.method == "rrt_lattice":
+        return lambda episode: rrt_connect.execute(episode, rrt.plan, finish=oracle.plan)
+    return lambda episode: rrt_connect.execute(episode, rrt.plan)
+
+
+def follow(episode: Episode, plan: Callable[[CoopInsertionEnv], Plan]) -> None:
+    """Fill hole after hole by exact plans until none is left, or one has no plan."""
+    while not episode.over:
+        answer = plan(episode.env)
+        if not episode.insertions:
+            episode.plan_seconds = answer.seconds
+        if answer.moves is None or not len(answer.moves):
+            episode.failure = answer.status
+            return
+        for move in answer.moves[: episode.moves_left]:
+            episode.move(int(move))

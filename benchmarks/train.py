@@ -1,0 +1,147 @@
+"""Training of one learning cell: build the learner, resume if it was cut off, learn, keep going.
+
+A run is checkpointed between two rounds of collection, where model, replay buffer, environments and
+callbacks agree with one another, so that a resumed run goes on as if it had never stopped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from stable_baselines3 import DQN
+from stable_baselines3.common.callbacks import CallbackList
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.utils import LinearSchedule
+from stable_baselines3.common.vec_env import VecMonitor
+
+from benchmarks.callbacks import CurriculumCallback, CurveRecorder
+from benchmarks.checkpoint import Watch, load_newest
+from benchmarks.plan import ABLATIONS, Cell
+from benchmarks.presets import Preset, Track
+from benchmarks.seeding import derive
+from benchmarks.store import RunFolder
+from coop_env.geometry import RRSGeometry
+from coop_env.vec_env import CoopInsertionVecEnv
+from sb3_rainbow import Rainbow
+
+ALGORITHMS: dict[str, type[OffPolicyAlgorithm]] = {"rainbow": Rainbow, "dqn": DQN}
+
+
+def env_arguments(preset: Preset, cell: Cell, track: Track | None = None) -> dict[str, Any]:
+    """Keyword arguments of the environment of a cell; without a track, of a planner's."""
+    geometry: str | RRSGeometry = cell.geometry
+    if cell.geometry in preset.geometries:
+        geometry = RRSGeometry(**preset.geometries[cell.geometry])
+    if track is None:
+        return {"geometry": geometry, "reward": "progress"}
+    return {
+        "geometry": geometry,
+        "reward": track.reward,
+        "reward_kwargs": dict(track.reward_kwargs) or None,
+        "observation": track.observation,
+    }
+
+
+def make_training_env(preset: Preset, cell: Cell) -> VecMonitor:
+    """The batched training environment, at the curriculum's first stage."""
+    track = preset.tracks[cell.track]
+    env = CoopInsertionVecEnv(
+        track.hyperparameters.n_envs,
+        seed=derive("train", cell.seed),
+        stage=0 if track.curriculum.enabled else 1,
+        **env_arguments(preset, cell, track),
+    )
+    return VecMonitor(env)
+
+
+def build_model(preset: Preset, cell: Cell, env: VecMonitor) -> OffPolicyAlgorithm:
+    """The learner of a cell, untrained."""
+    track = preset.tracks[cell.track]
+    h = track.hyperparameters
+    common: dict[str, Any] = {
+        "learning_rate": LinearSchedule(h.learning_rate, h.learning_rate_end, 1.0),
+        "buffer_size": h.buffer_size,
+        "learning_starts": h.learning_starts,
+        "batch_size": h.batch_size,
+        "tau": h.tau,
+        "gamma": h.gamma,
+        "train_freq": 1,
+        "gradient_steps": h.gradient_steps,
+        "max_grad_norm": h.max_grad_norm,
+        "exploration_initial_eps": h.epsilon_start,
+        "exploration_final_eps": h.epsilon_end,
+        "exploration_fraction": min(1.0, h.epsilon_steps / track.timesteps),
+        "policy_kwargs": {
+            "net_arch": list(h.net_arch),
+            "optimizer_kwargs": {"weight_decay": h.weight_decay},
+        },
+        "seed": derive("learner", cell.seed),
+        "device": "cpu",
+    }
+    if cell.method == "dqn":
+        # SB3 moves the target once per round of collection, not once per update: tau is compounded
+        common["tau"] = 1.0 - (1.0 - h.tau) ** h.gradient_steps
+        return DQN("MlpPolicy", env, target_update_interval=h.n_envs, **common)
+    rainbow: dict[str, Any] = {
+        "n_steps": h.n_steps,
+        "n_atoms": h.n_atoms,
+        "v_min": h.v_min,
+        "v_max": h.v_max,
+        "sigma0": h.sigma0,
+        "alpha": h.alpha,
+        "beta_start": h.beta_start,
+        "beta_end": h.beta_end,
+    }
+    return Rainbow("MlpPolicy", env, **common, **(rainbow | ABLATIONS[cell.ablation]))
+
+
+def train(
+    preset: Preset,
+    cell: Cell,
+    folder: RunFolder,
+    stop_requested: Callable[[], bool] = lambda: False,
+) -> tuple[OffPolicyAlgorithm, dict[str, Any]] | None:
+    """Train a cell, from its newest checkpoint if there is one.
+
+    Args:
+        preset: the experiment.
+        cell: a learning cell of it.
+        folder: where checkpoints, the curve and TensorBoard's events go.
+        stop_requested: asked between rounds; True saves a checkpoint and ends the call.
+
+    Returns:
+        The trained model and what meta.json says of the training, or None if it was stopped.
+    """
+    torch.set_num_threads(1)
+    track = preset.tracks[cell.track]
+    env = make_training_env(preset, cell)
+    curriculum = CurriculumCallback(track.curriculum)
+    curve = CurveRecorder(track, curriculum)
+    watch = Watch(
+        folder, curriculum, curve, preset.checkpoint_seconds, track.timesteps, stop_requested
+    )
+    model = load_newest(folder, ALGORITHMS[cell.method], env, watch)
+    if model is None:
+        model = build_model(preset, cell, env)
+    model.set_logger(configure(str(folder.tensorboard), ["tensorboard"]))
+    remaining = track.timesteps - model.num_timesteps
+    if remaining > 0:
+        model.learn(
+            remaining,
+            callback=CallbackList([curriculum, curve, watch]),
+            log_interval=10**9,  # the curve recorder writes, at even intervals of steps
+            reset_num_timesteps=model.num_timesteps == 0,
+        )
+    if watch.stopped:
+        return None
+    curve.flush()
+    folder.write_rows("curve", curve.rows)
+    return model, {
+        **curve.summary(),
+        **watch.times(),
+        "resumed_at": watch.resumed_at,
+        "timesteps": model.num_timesteps,
+    }
