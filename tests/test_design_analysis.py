@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks import design_reference as reference
 from coop_env import design
 from coop_env.design import (
     DesignError,
