@@ -243,11 +243,9 @@ def test_agrees_with_sb3s_own_n_step_buffer_on_complete_windows() -> None:
         row = world.step()
         add(ours, row)
         infos = [{"TimeLimit.truncated": row[0].truncated}]
-        end = row[0].terminated or row[0].truncated
+        end = np.array([row[0].terminated or row[0].truncated])
         obs, next_obs = encode([row[0].obs], "box"), encode([row[0].next_obs], "box")
-        theirs.add(
-            obs, next_obs, np.array([row[0].action]), np.array([row[0].reward]), [end], infos
-        )
+        theirs.add(obs, next_obs, np.array([row[0].action]), np.array([row[0].reward]), end, infos)
     leaves = np.flatnonzero(ours.tree.leaves)
     a, b = ours.samples_at(leaves), theirs._get_samples(leaves)
     for name in ("observations", "actions", "next_observations", "dones", "rewards", "discounts"):

@@ -96,11 +96,11 @@ def test_online_and_target_noise_are_independent() -> None:
     policy = make_policy()
     policy.q_net.reset_noise()
     policy.q_net_target.reset_noise()
-    online, target = policy.q_net.layers[-1].epsilon_in, policy.q_net_target.layers[-1].epsilon_in
+    online, target = policy.q_net.noise, policy.q_net_target.noise
     assert not th.equal(online, target)
     before = target.clone()
     policy.q_net.reset_noise()
-    assert th.equal(policy.q_net_target.layers[-1].epsilon_in, before)
+    assert th.equal(policy.q_net_target.noise, before)
 
 
 def test_noise_survives_copies_and_moves() -> None:
@@ -173,7 +173,7 @@ def test_the_papers_net() -> None:
         net_arch=[256, 128, 64],
         activation_fn=nn.ReLU,
     )
-    shapes = [(layer.in_features, layer.out_features) for layer in policy.q_net.layers]
+    shapes: list[Any] = [(x.in_features, x.out_features) for x in policy.q_net.layers]
     assert shapes == [(12, 256), (256, 128), (128, 64), (64, 13 * 51)]
 
 

@@ -7,6 +7,7 @@ import pytest
 from gymnasium import spaces
 from scipy.stats import chisquare
 from stable_baselines3 import DQN
+from stable_baselines3.common.utils import set_random_seed
 
 from sb3_rainbow import PrioritizedReplayBuffer, PrioritizedReplayCallback
 
@@ -32,7 +33,7 @@ def draw(buffer: PrioritizedReplayBuffer, n: int) -> np.ndarray:
 
 
 def test_frequencies_follow_losses_to_the_power_alpha() -> None:
-    np.random.seed(3)
+    set_random_seed(3)
     buffer = filled_buffer(alpha=0.7, epsilon=0.01)
     losses = np.random.default_rng(0).uniform(0.1, 4.0, 30)
     buffer.update_priorities(np.arange(30), losses)
@@ -43,7 +44,7 @@ def test_frequencies_follow_losses_to_the_power_alpha() -> None:
 
 
 def test_alpha_zero_is_uniform_over_all_pairs_of_step_and_env() -> None:
-    np.random.seed(4)
+    set_random_seed(4)
     buffer = filled_buffer(alpha=0.0)
     buffer.update_priorities(np.arange(30), np.linspace(0.0, 100.0, 30))
     counts = np.bincount(draw(buffer, 20_000), minlength=30)
@@ -156,6 +157,6 @@ def test_memory_of_a_million_transitions_stays_below_300_megabytes() -> None:
     masks = np.ones((16, 12), bool)
     obs = np.zeros((16, 12), np.float32)
     buffer.add(obs, obs, np.zeros(16), np.zeros(16), np.zeros(16), [{}] * 16, masks)
-    arrays = [buffer.observations, buffer.actions, buffer.rewards, buffer.ends]
+    arrays: list[Any] = [buffer.observations, buffer.actions, buffer.rewards, buffer.ends]
     arrays += [buffer.next_action_masks, buffer.tree._tree, buffer._store.slots]
-    assert sum(np.asarray(array).nbytes for array in arrays) < 300e6
+    assert sum(array.nbytes for array in arrays) < 300e6

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chisquare
+from stable_baselines3.common.utils import set_random_seed
 
 from sb3_rainbow import SumTree
 
@@ -62,7 +63,7 @@ def test_a_million_updates_leave_no_drift() -> None:
 
 
 def test_frequencies_follow_the_masses() -> None:
-    np.random.seed(0)
+    set_random_seed(0)
     rng = np.random.default_rng(1)
     masses = rng.uniform(0.0, 3.0, 37)
     masses[[4, 20]] = 0.0
@@ -79,7 +80,7 @@ def test_frequencies_follow_the_masses() -> None:
 
 
 def test_every_stratum_gives_one_draw() -> None:
-    np.random.seed(0)
+    set_random_seed(0)
     tree = SumTree(64)
     tree.set(np.arange(64), np.ones(64))
     np.testing.assert_array_equal(tree.sample(64), np.arange(64))

@@ -1,0 +1,82 @@
+"""Cheap gates: Rainbow and each of its reductions solve tasks that can be solved in seconds."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+from sb3_contrib.common.envs import InvalidActionEnvDiscrete
+from sb3_contrib.common.maskable.evaluation import evaluate_policy as evaluate_masked
+from stable_baselines3.common.envs import IdentityEnv
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from sb3_rainbow import Rainbow
+
+IDENTITY: dict[str, Any] = {
+    "learning_rate": 3e-3,
+    "learning_starts": 100,
+    "gamma": 0.5,
+    "tau": 0.05,
+    "train_freq": 1,
+    "gradient_steps": 1,
+    "batch_size": 32,
+    "buffer_size": 2000,
+    "v_min": -1.0,
+    "v_max": 3.0,
+    "exploration_fraction": 0.5,
+    "policy_kwargs": {"net_arch": [32]},
+    "seed": 1,
+}
+
+
+@pytest.mark.parametrize(
+    "off", [(), ("noisy",), ("distributional",), ("prioritized", "double_q", "dueling")]
+)
+def test_identity(off: tuple[str, ...]) -> None:
+    env = DummyVecEnv([lambda: IdentityEnv(4)])
+    switches: dict[str, Any] = dict.fromkeys(off, False)
+    model = Rainbow("MlpPolicy", env, **switches, **IDENTITY)
+    model.learn(1200)
+    mean, _ = evaluate_policy(model, env, n_eval_episodes=10, warn=False)
+    # 100 steps an episode, a reward for every right answer
+    assert np.mean(mean) > 95
+
+
+def test_identity_with_masks_and_several_envs() -> None:
+    env = DummyVecEnv(
+        [lambda: InvalidActionEnvDiscrete(dim=10, n_invalid_actions=5) for _ in range(4)]
+    )
+    model = Rainbow("MlpPolicy", env, **{**IDENTITY, "gradient_steps": 2})
+    model.learn(2400)
+    mean, _ = evaluate_masked(model, env, n_eval_episodes=8, warn=False)  # type: ignore[arg-type]
+    assert np.mean(mean) > 90
+
+
+def test_values_of_a_chain_are_those_of_the_bellman_equation() -> None:
+    """A walk of three steps with reward 1 at its end: Q = gamma^2, gamma, 1 from its start."""
+    import gymnasium as gym
+
+    class Chain(gym.Env):
+        observation_space = spaces.Discrete(3)
+        action_space = spaces.Discrete(2)
+
+        def reset(self, **kwargs: Any) -> Any:
+            self.place = 0
+            return self.place, {}
+
+        def step(self, action: int) -> Any:
+            # Action 0 goes on, action 1 ends the episode without reward.
+            if action == 1:
+                return self.place, 0.0, True, False, {}
+            self.place += 1
+            ended = self.place == 3
+            return min(self.place, 2), float(ended), ended, False, {}
+
+    settings = {**IDENTITY, "v_min": -0.5, "v_max": 1.5, "n_steps": 1, "gamma": 0.8, "noisy": False}
+    model = Rainbow("MlpPolicy", Chain(), **{**settings, "exploration_final_eps": 0.3})
+    model.learn(2500)
+    obs, _ = model.policy.obs_to_tensor(np.arange(3))
+    q_values = model.q_net(obs).detach().numpy()
+    np.testing.assert_allclose(q_values[:, 0], [0.64, 0.8, 1.0], atol=0.06)
+    np.testing.assert_allclose(q_values[:, 1], 0.0, atol=0.06)

@@ -1,0 +1,220 @@
+"""Two runs with one seed agree, and a run cut in two goes on as if it had not been."""
+
+import io
+import pickle
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch as th
+from stable_baselines3 import DQN
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
+
+from sb3_rainbow import PrioritizedReplayBuffer, Rainbow
+from sb3_rainbow.policies import MlpPolicy
+
+FAST: dict[str, Any] = {
+    "learning_rate": 1e-3,
+    "learning_starts": 40,
+    "train_freq": 2,
+    "buffer_size": 300,
+    "batch_size": 8,
+    "policy_kwargs": {"net_arch": [16, 16]},
+    "seed": 7,
+}
+
+
+class StatefulVecEnv(DummyVecEnv):
+    """CartPoles that can tell and take their exact state, as a batched simulator can."""
+
+    def get_state(self) -> bytes:
+        return pickle.dumps((self.envs, self.buf_obs))
+
+    def set_state(self, state: bytes) -> None:
+        self.envs, self.buf_obs = pickle.loads(state)
+
+
+def make_stateful(n_envs: int = 3) -> StatefulVecEnv:
+    return StatefulVecEnv([lambda: gym.make("CartPole-v1") for _ in range(n_envs)])
+
+
+def assert_same(a: BaseAlgorithm, b: BaseAlgorithm) -> None:
+    """Networks, optimizer, counters and replay are identical to the last bit."""
+    assert isinstance(a, Rainbow)
+    assert isinstance(b, Rainbow)
+    assert a.num_timesteps == b.num_timesteps
+    assert a._n_updates == b._n_updates
+    for name, value in a.policy.state_dict().items():
+        assert th.equal(value, b.policy.state_dict()[name]), name
+    states = (a.policy.optimizer.state_dict()["state"], b.policy.optimizer.state_dict()["state"])
+    for x, y in zip(*(state.values() for state in states), strict=True):
+        assert all(th.equal(x[key], y[key]) for key in x)
+    x, y = a.replay_buffer, b.replay_buffer
+    assert isinstance(x, PrioritizedReplayBuffer)
+    assert isinstance(y, PrioritizedReplayBuffer)
+    np.testing.assert_array_equal(x.observations, y.observations)
+    np.testing.assert_array_equal(x.tree.leaves, y.tree.leaves)
+    np.testing.assert_array_equal(x.rewards, y.rewards)
+
+
+@pytest.mark.parametrize("noisy", [True, False])
+@pytest.mark.parametrize("n_envs", [1, 3])
+def test_two_runs_with_one_seed_are_identical(n_envs: int, noisy: bool) -> None:
+    def run(seed: int) -> Rainbow:
+        env = make_vec_env("CartPole-v1", n_envs=n_envs)
+        model = Rainbow("MlpPolicy", env, noisy=noisy, **{**FAST, "seed": seed})
+        return model.learn(360)
+
+    assert_same(run(7), run(7))
+    with pytest.raises(AssertionError):
+        assert_same(run(7), run(8))
+
+
+@pytest.mark.parametrize("noisy", [True, False])
+def test_a_cut_run_equals_a_whole_one(tmp_path: Any, noisy: bool) -> None:
+    # Annealing depends on a run's length: constant schedules make both runs comparable.
+    settings = {**FAST, "noisy": noisy, "beta_end": 0.4, "exploration_final_eps": 1.0}
+    whole = Rainbow("MlpPolicy", "CartPole-v1", **settings).learn(500)
+
+    first = Rainbow("MlpPolicy", "CartPole-v1", **settings).learn(350)
+    first.save(tmp_path / "model")
+    first.save_replay_buffer(tmp_path / "buffer")
+    env = first.get_env()
+    del first
+    set_random_seed(1)
+    second = Rainbow.load(tmp_path / "model", env=env, force_reset=False)
+    second.load_replay_buffer(tmp_path / "buffer")
+    second.learn(150, reset_num_timesteps=False)
+    assert_same(whole, second)
+
+
+def test_a_checkpoint_in_the_middle_of_a_run_with_several_envs(tmp_path: Any) -> None:
+    class Checkpoint(BaseCallback):
+        """Writes one when a round of training is over, and goes on."""
+
+        def _on_rollout_start(self) -> None:
+            if self.num_timesteps == 360:
+                assert isinstance(self.model, Rainbow)
+                self.model.save_checkpoint(tmp_path / "run.ckpt")
+
+        def _on_step(self) -> bool:
+            return True
+
+    def make_env() -> VecNormalize:
+        return VecNormalize(VecMonitor(make_stateful()))
+
+    settings = {**FAST, "learning_rate": lambda progress: 1e-3 * progress}
+    whole = Rainbow("MlpPolicy", make_env(), **settings).learn(600, callback=Checkpoint())
+    env = make_env()
+    env.seed(99)
+    env.reset()
+    model = Rainbow.load_checkpoint(tmp_path / "run.ckpt", env)
+    assert model.num_timesteps == 360
+    assert [path.name for path in tmp_path.iterdir()] == ["run.ckpt"]
+    model.learn(600 - model.num_timesteps, reset_num_timesteps=False)
+    assert_same(whole, model)
+
+
+def test_a_checkpoint_of_an_env_that_cannot_tell_its_state_resets_it(tmp_path: Any) -> None:
+    Rainbow("MlpPolicy", "CartPole-v1", **FAST).learn(100).save_checkpoint(tmp_path / "c")
+    model = Rainbow.load_checkpoint(tmp_path / "c", gym.make("CartPole-v1"))
+    assert model.replay_buffer is not None
+    assert model.replay_buffer.size() == 100
+    model.learn(100, reset_num_timesteps=False)
+    assert model.num_timesteps == 200
+
+
+def test_files_that_are_no_checkpoint(tmp_path: Any) -> None:
+    (tmp_path / "text").write_text("hello")
+    env = gym.make("CartPole-v1")
+    with pytest.raises(ValueError, match="is no checkpoint of Rainbow"):
+        Rainbow.load_checkpoint(tmp_path / "text", env)
+    Rainbow("MlpPolicy", env, **FAST).save(tmp_path / "model.zip")
+    with pytest.raises(ValueError, match=r"written by save\(\)\? Then use load\(\)"):
+        Rainbow.load_checkpoint(tmp_path / "model.zip", env)
+    model = Rainbow("MlpPolicy", make_stateful(1), **FAST)
+    model.save_checkpoint(tmp_path / "c")
+    with pytest.raises(ValueError, match="no set_state"):
+        Rainbow.load_checkpoint(tmp_path / "c", make_vec_env("CartPole-v1"))
+
+
+def test_predictions_parameters_and_settings_survive(tmp_path: Any) -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", v_min=-3.0, n_steps=5, dueling=False, **FAST)
+    model.learn(100)
+    obs = np.random.default_rng(0).normal(size=(20, 4)).astype(np.float32)
+    expected, _ = model.predict(obs, deterministic=True)
+    model.save(tmp_path / "m")
+    loaded = Rainbow.load(tmp_path / "m")
+    np.testing.assert_array_equal(loaded.predict(obs, deterministic=True)[0], expected)
+    assert (loaded.v_min, loaded.n_steps, loaded.dueling) == (-3.0, 5, False)
+    assert loaded.q_net is loaded.policy.q_net
+    assert set(loaded.get_parameters()) == {"policy", "policy.optimizer"}
+    loaded.set_parameters(model.get_parameters())  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="do not match"):
+        loaded.set_parameters({}, exact_match=True)
+
+
+def test_a_policy_alone_survives(tmp_path: Any) -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", distributional=False, **FAST)
+    model.policy.save(str(tmp_path / "p"))
+    policy = MlpPolicy.load(str(tmp_path / "p"))
+    obs = np.zeros((3, 4), np.float32)
+    expected = model.policy.predict(obs, deterministic=True)[0]
+    np.testing.assert_array_equal(policy.predict(obs, deterministic=True)[0], expected)
+
+
+def test_loading_for_prediction_leaves_the_random_generators_alone() -> None:
+    file = io.BytesIO()
+    Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, "seed": None}).save(file)
+    file.seek(0)
+    set_random_seed(5)
+    expected = th.rand(3)
+    set_random_seed(5)
+    Rainbow.load(file).predict(np.zeros((1, 4), np.float32), deterministic=True)
+    assert th.equal(th.rand(3), expected)
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ({"n_atoms": 21}, "saved with other settings.*size mismatch"),
+        ({"dueling": False}, "saved with other settings"),
+        ({"noisy": False}, "saved with other settings"),
+        ({"v_max": 50.0}, r"support is \[-100.0, 100.0\], the model's \[-100.0, 50.0\]"),
+    ],
+)
+def test_a_model_of_other_settings(tmp_path: Any, other: dict[str, Any], message: str) -> None:
+    Rainbow("MlpPolicy", "CartPole-v1", **FAST).save(tmp_path / "m")
+    with pytest.raises(ValueError, match=f"(?s){message}"):
+        Rainbow.load(tmp_path / "m", **other)
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ({"n_steps": 2}, "filled with n_steps=3, the model has n_steps=2"),
+        ({"gamma": 0.9}, "gamma=0.99"),
+        ({"alpha": 0.5}, "alpha=0.6"),
+        ({"prioritized": False}, "alpha"),
+    ],
+)
+def test_a_replay_buffer_of_other_settings(
+    tmp_path: Any, other: dict[str, Any], message: str
+) -> None:
+    Rainbow("MlpPolicy", "CartPole-v1", **FAST).learn(50).save_replay_buffer(tmp_path / "b")
+    model = Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, **other})
+    present = model.replay_buffer
+    with pytest.raises(ValueError, match=message):
+        model.load_replay_buffer(tmp_path / "b.pkl")
+    assert model.replay_buffer is present
+
+
+def test_a_model_of_another_algorithm(tmp_path: Any) -> None:
+    DQN("MlpPolicy", "CartPole-v1", buffer_size=100).save(tmp_path / "dqn")
+    with pytest.raises(ValueError, match="saved by another algorithm"):
+        Rainbow.load(tmp_path / "dqn")
