@@ -36,7 +36,7 @@ CAMERAS: Final = MappingProxyType(
         "side": Camera(6.0, 0.0),
         "top": Camera(62.0, -90.0, target=(0.0, 0.0, 0.40)),
         "close": Camera(30.0, -50.0, 1.25, (0.0, 0.0, 0.06), follows=True),
-        "dome": Camera(46.0, -50.0, 0.66, (0.0, 0.0, 0.085), follows=True),
+        "dome": Camera(30.0, -50.0, 0.70, (0.0, 0.0, 0.080), follows=True),
     }
 )
 CameraSpec = str | Camera | tuple[float, float]

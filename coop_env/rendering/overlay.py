@@ -31,7 +31,7 @@ BAD: Final = (200, 52, 44)
 
 CARD_WIDTH: Final = (0.30, 0.40)  # at most so much of the picture's width, and of its height
 MIN_WIDTH: Final = 400  # px; a smaller picture has no room to read a card
-SIGMA_FULL: Final = 0.6  # signed sigma_min at which the bar is full
+SIGMA_FULL: Final = 1.0  # signed sigma_min at which the bar is full
 SIGMA_LOW: Final = 0.15  # the bar warns below the design's threshold (paper, A_w)
 STATUS_COLOURS: Final = {"running": MUTED, "success": GOOD, "singular": BAD, "timeout": WARN}
 
