@@ -5,9 +5,12 @@ Importing the package registers ``CoopInsertion-v0``; kernels compile when they 
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
+
+from coop_env.kernel_cache import drop_stale_kernels
 
 if TYPE_CHECKING:
     from coop_env.env import CoopInsertionEnv
@@ -34,6 +37,7 @@ __all__ = [
     "RRSGeometry",
 ]
 
+drop_stale_kernels(Path(__file__).parent, Path(__file__).parent)
 gymnasium.register(id="CoopInsertion-v0", entry_point="coop_env.env:CoopInsertionEnv")
 
 

@@ -151,14 +151,25 @@ def _capsule_hits_limbs(a: Row, b: Row, radius: float, pose: Pose, q: Row, p: RR
 
 
 @njit(cache=True)
+def ceiling(heave: float, p: EnvParams) -> float:
+    """A height above which there is nothing of the 3-RRS, m."""
+    above = max(DOME_RADIUS, p.rrs.platform_radius + SPOKE_RADIUS)
+    return max(heave + above, p.rrs.proximal_length + LIMB_RADIUS)
+
+
+@njit(cache=True)
+def below_ceiling(c: tuple[float, float, float, float, float, float], p: EnvParams) -> bool:
+    """Whether the peg of a configuration reaches low enough to touch anything."""
+    return peg_tip(c[0], c[1], c[2], p.delta)[2] < ceiling(c[5], p)
+
+
+@njit(cache=True)
 def collides(x: float, y: float, z: float, theta: Row, pose: Pose, q: Row, p: EnvParams) -> bool:
     """Whether the two robots touch; ``theta`` and ``q`` must be the joint angles of the poses."""
     tip = peg_tip(x, y, z, p.delta)
     effector = (x, y, z + p.delta.base_height)
-    # Nothing of the 3-RRS reaches above this, so a high Delta needs no further test.
-    above = max(DOME_RADIUS, p.rrs.platform_radius + SPOKE_RADIUS)
-    ceiling = max(pose.z + above, p.rrs.proximal_length + LIMB_RADIUS)
-    if tip[2] >= ceiling:
+    top = ceiling(pose.z, p)
+    if tip[2] >= top:
         return False
     centre = (pose.x, pose.y, pose.z)
     peg_radius = p.delta.peg_radius
@@ -169,7 +180,7 @@ def collides(x: float, y: float, z: float, theta: Row, pose: Pose, q: Row, p: En
         return True
     if _capsule_hits_limbs(peg_end, effector, peg_radius, pose, q, p.rrs):
         return True
-    if effector[2] - EFFECTOR_RADIUS >= ceiling:
+    if effector[2] - EFFECTOR_RADIUS >= top:
         return False
     return _arms_collide(x, y, z, theta, pose, q, p)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from coop_env import rewards
-from coop_env.collision import collides, hole, peg_tip
+from coop_env.collision import below_ceiling, collides, hole, peg_tip
 from coop_env.kinematics import delta_kernels, rrs_kernels
 from coop_env.kinematics.rrs_kernels import Pose
 from coop_env.kinematics.singularity import Row
@@ -159,38 +159,56 @@ def alignment_angle(normal_x: float, normal_y: float, normal_z: float) -> float:
 
 
 @njit(cache=True)
-def hole_error(s: Record, index: int) -> tuple[float, float]:
-    """Distance (m) and angle (rad) between the peg and a hole."""
+def _hole_distance(s: Record, index: int) -> float:
+    """Distance from the tip to a hole's mouth, m."""
     dx = s.mouths[index, 0] - s.tip[0]
     dy = s.mouths[index, 1] - s.tip[1]
     dz = s.mouths[index, 2] - s.tip[2]
-    angle = alignment_angle(s.normals[index, 0], s.normals[index, 1], s.normals[index, 2])
-    return math.sqrt(dx * dx + dy * dy + dz * dz), angle
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
 @njit(cache=True)
-def _place(s: Record, c: Configuration, theta: Row, pose: Pose, q: Row, p: EnvParams) -> None:
-    """Write a configuration and what follows from it into the state (but not sigma and masks)."""
+def _hole_angle(s: Record, index: int) -> float:
+    """Angle between the peg's axis and a hole's normal, rad."""
+    return alignment_angle(s.normals[index, 0], s.normals[index, 1], s.normals[index, 2])
+
+
+@njit(cache=True)
+def _place_delta(s: Record, c: Configuration, theta: Row, p: EnvParams) -> None:
+    """Write the Delta's half of a configuration and what follows from it alone."""
     tip = peg_tip(c[0], c[1], c[2], p.delta)
-    for k in range(N_AXES):
-        s.configuration[k] = c[k]
     for k in range(3):
+        s.configuration[k] = c[k]
         s.theta[k] = theta[k]
-        s.q[k] = q[k]
         s.tip[k] = tip[k]
+
+
+@njit(cache=True)
+def _place_rrs(s: Record, c: Configuration, pose: Pose, q: Row, p: EnvParams) -> None:
+    """Write the 3-RRS's half of a configuration and what follows from it alone, but sigma."""
+    for k in range(3):
+        s.configuration[3 + k] = c[3 + k]
+        s.q[k] = q[k]
     for i in range(N_HOLES):
         mouth, normal = hole(pose, i)
         for k in range(3):
             s.mouths[i, k] = mouth[k]
             s.normals[i, k] = normal[k]
-        distance, angle = hole_error(s, i)
-        s.inside[i] = distance < p.task.chamfer and angle < p.task.angle_tolerance
+
+
+@njit(cache=True)
+def _update_inside(s: Record, p: EnvParams) -> None:
+    """Write which holes' insertion criterion the peg meets."""
+    for i in range(N_HOLES):
+        s.inside[i] = (
+            _hole_distance(s, i) < p.task.chamfer and _hole_angle(s, i) < p.task.angle_tolerance
+        )
 
 
 @njit(cache=True)
 def _aim(s: Record, target: int) -> None:
     s.target = target
-    s.distance, s.angle = hole_error(s, target)
+    s.distance, s.angle = _hole_distance(s, target), _hole_angle(s, target)
 
 
 @njit(cache=True)
@@ -199,7 +217,7 @@ def _nearest_open_hole(s: Record) -> int:
     best, least = -1, math.inf
     for i in range(N_HOLES):
         if s.active[i] and not s.filled[i]:
-            distance, _ = hole_error(s, i)
+            distance = _hole_distance(s, i)
             if distance < least:
                 best, least = i, distance
     return best
@@ -259,7 +277,9 @@ def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p
     s.insertions = 0
     s.energy = 0.0
     s.over = False
-    _place(s, c, theta, pose, q, p)
+    _place_delta(s, c, theta, p)
+    _place_rrs(s, c, pose, q, p)
+    _update_inside(s, p)
     update_mask(s, True, True, p)
     return VALID
 
@@ -271,23 +291,55 @@ def set_target(s: Record, target: int) -> None:
 
 
 @njit(cache=True)
-def _attempt(s: Record, action: int, p: EnvParams) -> int:
-    """Try a move: VALID and SINGULAR ones are executed, INVALID and COLLISION ones are not."""
+def _move_delta(s: Record, action: int, p: EnvParams) -> int:
+    """Try a move of the Delta, with what the state holds of the 3-RRS."""
     c = _neighbour(s, action)
-    valid, theta, pose, q = joint_angles(c, p)
-    if not valid:
+    if not delta_kernels.within_limits(c[0], c[1], c[2], p.delta):
         return INVALID
-    if collides(c[0], c[1], c[2], theta, pose, q, p):
+    real, theta = delta_kernels.inverse(c[0], c[1], c[2], p.delta)
+    if not real:
+        return INVALID
+    if below_ceiling(c, p):
+        pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
+        if collides(c[0], c[1], c[2], theta, pose, (s.q[0], s.q[1], s.q[2]), p):
+            return COLLISION
+    s.offset[action // 2] += 1 - 2 * (action % 2)
+    for k in range(3):
+        s.energy += abs(theta[k] - s.theta[k])
+    _place_delta(s, c, theta, p)
+    return VALID
+
+
+@njit(cache=True)
+def _move_rrs(s: Record, action: int, p: EnvParams) -> int:
+    """Try a move of the 3-RRS, with what the state holds of the Delta."""
+    c = _neighbour(s, action)
+    if not rrs_kernels.within_limits(c[3], c[4], c[5], p.rrs):
+        return INVALID
+    pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
+    real, q = rrs_kernels.inverse(pose, p.rrs)
+    if not (real and rrs_kernels.joints_within_limits(q, p.rrs)):
+        return INVALID
+    theta = (s.theta[0], s.theta[1], s.theta[2])
+    if below_ceiling(c, p) and collides(c[0], c[1], c[2], theta, pose, q, p):
         return COLLISION
     s.offset[action // 2] += 1 - 2 * (action % 2)
     for k in range(3):
-        s.energy += abs(theta[k] - s.theta[k]) + abs(q[k] - s.q[k])
-    _place(s, c, theta, pose, q, p)
-    moved_rrs = action >= 6
-    if moved_rrs:
-        s.sigma = rrs_kernels.signed_sigma_min(pose, q, p.rrs)
-    update_mask(s, not moved_rrs, moved_rrs, p)
+        s.energy += abs(q[k] - s.q[k])
+    _place_rrs(s, c, pose, q, p)
+    s.sigma = rrs_kernels.signed_sigma_min(pose, q, p.rrs)
     return SINGULAR if is_singular(s.sigma) else VALID
+
+
+@njit(cache=True)
+def _attempt(s: Record, action: int, p: EnvParams) -> int:
+    """Try a move: VALID and SINGULAR ones are executed, INVALID and COLLISION ones are not."""
+    rrs = action >= 6
+    status = _move_rrs(s, action, p) if rrs else _move_delta(s, action, p)
+    if status != INVALID and status != COLLISION:
+        _update_inside(s, p)
+        update_mask(s, not rrs, rrs, p)
+    return status
 
 
 @njit(cache=True)
@@ -308,7 +360,7 @@ def step(s: Record, action: int, p: EnvParams, out: Record) -> None:
     s.moves += 1
     v = status != VALID
     target = s.target
-    s.distance, s.angle = hole_error(s, target)
+    s.distance, s.angle = _hole_distance(s, target), _hole_angle(s, target)
     u = not v and _entered_filled_hole(s, before)
     z = not v and s.inside[target] == 1 and s.filled[target] == 0
     if z:

@@ -78,27 +78,21 @@ def _largest_error(p: EnvParams) -> float:
 
 
 @njit(cache=True)
-def _write(row: np.ndarray, k: int, value: float, o: ObservationParams) -> None:
-    if k >= row.shape[0]:
-        return
-    if o.normalize:
-        value = (value - o.low[k]) / (o.high[k] - o.low[k])
-        value = min(max(value, 0.0), 1.0)
-    row[k] = value
-
-
-@njit(cache=True)
 def observe(s: Record, o: ObservationParams, row: np.ndarray) -> None:
     """Write the observation of one row of state to ``row (size,)``, float32."""
     target = s.target
     for k in range(6):
-        _write(row, k, s.configuration[k], o)
+        row[k] = s.configuration[k]
     for k in range(3):
-        _write(row, 6 + k, s.mouths[target, k] - s.tip[k], o)
-        _write(row, 9 + k, s.normals[target, k], o)
-    for i in range(N_HOLES):
-        _write(row, 12 + i, float(s.filled[i]), o)
-    _write(row, 12 + N_HOLES, s.moves * DT, o)
+        row[6 + k] = s.mouths[target, k] - s.tip[k]
+        row[9 + k] = s.normals[target, k]
+    if row.shape[0] > 12:
+        for i in range(N_HOLES):
+            row[12 + i] = s.filled[i]
+        row[12 + N_HOLES] = s.moves * DT
+    if o.normalize:
+        for k in range(row.shape[0]):
+            row[k] = min(max((row[k] - o.low[k]) / (o.high[k] - o.low[k]), 0.0), 1.0)
 
 
 @njit(cache=True)

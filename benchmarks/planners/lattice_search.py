@@ -8,17 +8,22 @@ sub-lattice alone are therefore a lower bound that no collision-free path can be
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+import coop_env
 from coop_env import dynamics
 from coop_env.collision import collides, hole, peg_tip
 from coop_env.dynamics import Configuration
+from coop_env.kernel_cache import drop_stale_kernels
 from coop_env.kinematics import rrs_kernels
 from coop_env.task import STEP, EnvParams
+
+drop_stale_kernels(Path(__file__).parent, Path(coop_env.__file__).parent)
 
 UNREACHED: Final = 1 << 20  # above any path, and sums of two stay small integers
 NODE_LIMIT: Final = -1

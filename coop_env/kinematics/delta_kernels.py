@@ -150,7 +150,12 @@ def within_limits(x: float, y: float, z: float, p: DeltaParams) -> bool:
 @njit(cache=True)
 def is_valid(x: float, y: float, z: float, p: DeltaParams) -> bool:
     """Whether a position is within the workspace and real on all three limbs."""
-    return within_limits(x, y, z, p) and inverse(x, y, z, p)[0]
+    if not within_limits(x, y, z, p):
+        return False
+    for limb in range(3):
+        if not abs(limb_triangle(x, y, z, limb, p)[1]) <= 1.0:
+            return False
+    return True
 
 
 def make_params(geometry: DeltaGeometry) -> DeltaParams:
