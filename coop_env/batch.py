@@ -9,20 +9,26 @@ from numba import njit
 from numpy.typing import NDArray
 
 from coop_env import dynamics, observation
-from coop_env.observation import ObservationParams
-from coop_env.task import EnvParams
+from coop_env.task import unpack
+
+_N_FIELDS = len(dynamics.INFO_FIELDS)  # the reward's terms come next
 
 
 @njit(cache=True)
 def step_batch(
     states: np.ndarray,
     actions: np.ndarray,
-    p: EnvParams,
-    o: ObservationParams,
+    packed: np.ndarray,
+    o: np.ndarray,
     outcomes: np.ndarray,
     rows: np.ndarray,
 ) -> None:
-    """Move ``actions (n,)`` on ``states (n,)``; writes ``outcomes (n,)`` and ``rows (n, size)``."""
+    """Move ``actions (n,)`` on ``states (n,)``; writes ``outcomes (n,)`` and ``rows (n, size)``.
+
+    ``packed`` holds the parameters as :func:`coop_env.task.pack` gives them, ``o`` the
+    observation's transform.
+    """
+    p = unpack(packed)
     for i in range(states.shape[0]):
         dynamics.step(states[i], actions[i], p, outcomes[i])
         observation.observe(states[i], o, rows[i])
@@ -34,11 +40,9 @@ def make_infos(outcomes: NDArray[np.void]) -> list[dict[str, Any]]:
     return list(map(_info, outcomes["terms"].tolist(), *columns))
 
 
-def make_info(outcome: np.void) -> dict[str, Any]:
-    """The ``info`` of one outcome; for a batch of them :func:`make_infos` is faster."""
-    values: list[Any] = list(outcome.item())
-    n = len(dynamics.INFO_FIELDS)
-    return _info(values[n].tolist(), *values[:n])
+def make_info(outcome: tuple[Any, ...]) -> dict[str, Any]:
+    """The ``info`` of one outcome, a tuple; for a batch of them :func:`make_infos` is faster."""
+    return _info(outcome[_N_FIELDS].tolist(), *outcome[:_N_FIELDS])
 
 
 def _info(

@@ -75,6 +75,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
             pose_model,
             _task(max_moves, mask_singularities),
         )
+        self._packed = task.pack(self._params)
         self.observation_space: spaces.Box
         self._observation, self.observation_space = make_observation(
             observation, normalize, self._params
@@ -82,7 +83,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         self.action_space = spaces.Discrete(N_ACTIONS)
         self._states = np.zeros(1, dynamics.STATE)
         self._outcomes = np.zeros(1, dynamics.OUTCOME)
-        self._rows = np.zeros((1, *self._observation.low.shape), np.float32)
+        self._rows = np.zeros((1, self._observation.shape[1]), np.float32)
         self._actions = np.zeros(1, np.int64)
         self._started = False
         self._trace: list[NDArray[np.float64]] = []
@@ -171,31 +172,26 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
             raise ResetNeeded("call reset() first: there is no running episode")
         self._actions[0] = check_action(action)
         batch.step_batch(
-            self._states, self._actions, self._params, self._observation, self._outcomes, self._rows
+            self._states, self._actions, self._packed, self._observation, self._outcomes, self._rows
         )
-        outcome = self._outcomes[0]
+        outcome: Any = self._outcomes.item(0)
         if self.render_mode is not None:
             self._trace.append(self._states["tip"][0].copy())
             self._show()
-        return (
-            self._rows[0].copy(),
-            float(outcome["reward"]),
-            bool(outcome["terminated"]),
-            bool(outcome["truncated"]),
-            batch.make_info(outcome),
-        )
+        reward, terminated, truncated = outcome[-3:]
+        return self._rows[0].copy(), reward, terminated, truncated, batch.make_info(outcome)
 
     def _reset_info(self) -> dict[str, Any]:
         """The keys of a move's info, before any move."""
         row = self._states[0]
-        outcome = np.zeros(1, dynamics.OUTCOME)
+        outcome: Any = np.zeros(1, dynamics.OUTCOME)
         outcome["n_filled"] = row["filled"].sum()
         outcome["inserted_hole"] = -1
         outcome["sigma_min"] = row["sigma"]
         outcome["alignment_error"] = row["angle"]
         outcome["distance"] = row["distance"]
         outcome["target"] = row["target"]
-        return batch.make_info(outcome[0])
+        return batch.make_info(outcome.item(0))
 
     def scene(self) -> Scene:
         """Every body of the scene at this instant, world frame."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from gymnasium import spaces
@@ -23,18 +23,14 @@ ERROR_BOUND: Final = 0.15
 """Half-width of the normalized e_rel, m. The 10 mm of an insertion are then a thirtieth of it."""
 
 
-class ObservationParams(NamedTuple):
-    """Bounds (size,) of the fields in SI units, and whether to normalize them to [0, 1]."""
-
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-    normalize: bool
+Transform = NDArray[np.float64]
+"""(4, size): offset, scale, least and largest; a field becomes ``clip((v - offset) scale)``."""
 
 
 def make_observation(
     observation: str, normalize: bool, p: EnvParams
-) -> tuple[ObservationParams, spaces.Box]:
-    """The kernel's parameters and the Gymnasium space of an observation.
+) -> tuple[Transform, spaces.Box]:
+    """The kernel's transform and the Gymnasium space of an observation.
 
     Args:
         observation: ``"paper"``, 12 fields, or ``"markov"``, which appends the filled holes and
@@ -51,10 +47,12 @@ def make_observation(
     low, high = _bounds(p, ERROR_BOUND if normalize else _largest_error(p))
     if observation == "paper":
         low, high = low[: len(PAPER_FIELDS)], high[: len(PAPER_FIELDS)]
-    params = ObservationParams(low, high, normalize)
+    zeros, ones = np.zeros_like(low), np.ones_like(low)
     if normalize:
-        return params, spaces.Box(0.0, 1.0, low.shape, np.float32)
-    return params, spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+        transform = np.stack([low, 1.0 / (high - low), zeros, ones])
+        return transform, spaces.Box(0.0, 1.0, low.shape, np.float32)
+    transform = np.stack([zeros, ones, zeros - np.inf, zeros + np.inf])
+    return transform, spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 
 def _bounds(p: EnvParams, error: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -78,8 +76,8 @@ def _largest_error(p: EnvParams) -> float:
 
 
 @njit(cache=True)
-def observe(s: Record, o: ObservationParams, row: np.ndarray) -> None:
-    """Write the observation of one row of state to ``row (size,)``, float32."""
+def observe(s: Record, o: np.ndarray, row: np.ndarray) -> None:
+    """Write the observation of one row of state to ``row (size,)``, float32; o is a Transform."""
     target = s.target
     for k in range(6):
         row[k] = s.configuration[k]
@@ -90,13 +88,12 @@ def observe(s: Record, o: ObservationParams, row: np.ndarray) -> None:
         for i in range(N_HOLES):
             row[12 + i] = s.filled[i]
         row[12 + N_HOLES] = s.moves * DT
-    if o.normalize:
-        for k in range(row.shape[0]):
-            row[k] = min(max((row[k] - o.low[k]) / (o.high[k] - o.low[k]), 0.0), 1.0)
+    for k in range(row.shape[0]):
+        row[k] = min(max((row[k] - o[0, k]) * o[1, k], o[2, k]), o[3, k])
 
 
 @njit(cache=True)
-def observe_batch(states: np.ndarray, o: ObservationParams, rows: np.ndarray) -> None:
+def observe_batch(states: np.ndarray, o: np.ndarray, rows: np.ndarray) -> None:
     """Observations ``rows (n, size)`` of ``states (n,)``."""
     for i in range(states.shape[0]):
         observe(states[i], o, rows[i])

@@ -10,6 +10,10 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
 from coop_env.geometry import DELTA, DeltaGeometry, RRSGeometry
 from coop_env.kinematics import delta_kernels, rrs_kernels
 from coop_env.kinematics.delta_kernels import DeltaParams
@@ -109,4 +113,20 @@ def make_params(
         delta_kernels.make_params(delta),
         TaskParams() if task is None else task,
         reward,
+    )
+
+
+def pack(p: EnvParams) -> NDArray[np.float64]:
+    """The parameters as one vector: numba takes an array ten times faster than nested tuples."""
+    return np.array([*p.rrs, *p.delta, *p.task, *p.reward], np.float64)
+
+
+@njit(cache=True)
+def unpack(v: np.ndarray) -> EnvParams:
+    """The inverse of :func:`pack`."""
+    return EnvParams(
+        RRSParams(v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10] != 0.0, v[11]),
+        DeltaParams(v[12], v[13], v[14], v[15], v[16], v[17], v[18], v[19]),
+        TaskParams(v[20], v[21], int(v[22]), v[23] != 0.0),
+        RewardParams(v[24] != 0.0, v[25], v[26], v[27], v[28], v[29], v[30], v[31]),
     )

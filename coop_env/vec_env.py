@@ -51,9 +51,10 @@ class CoopInsertionVecEnv(VecEnv):
         self.render_mode = first.render_mode
         self.metadata = first.metadata
         self._params, self._observation = first.params, first._observation
+        self._packed = first._packed
         self._states = np.zeros(n_envs, dynamics.STATE)
         self._outcomes = np.zeros(n_envs, dynamics.OUTCOME)
-        self._rows = np.zeros((n_envs, *first._observation.low.shape), np.float32)
+        self._rows = np.zeros((n_envs, self._observation.shape[1]), np.float32)
         self._actions = np.zeros(n_envs, np.int64)
         for i, env in enumerate(self.envs):
             row = slice(i, i + 1)
@@ -96,7 +97,7 @@ class CoopInsertionVecEnv(VecEnv):
     def step_wait(self) -> StepReturn:
         """Move all environments; those whose episode ends are reset."""
         batch.step_batch(
-            self._states, self._actions, self._params, self._observation, self._outcomes, self._rows
+            self._states, self._actions, self._packed, self._observation, self._outcomes, self._rows
         )
         outcomes = self._outcomes
         rewards = outcomes["reward"].astype(np.float32)
