@@ -1,0 +1,321 @@
+"""Both robots in the browser: sliders, the twelve moves, and a policy or planner at play (viser).
+
+``python -m coop_env.rendering.viewer`` opens it on its own; :func:`view` shows an environment of
+the caller's and lets a callable act in it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from coop_env.env import CoopInsertionEnv
+from coop_env.errors import ResetOptionError
+from coop_env.geometry import GEOMETRIES
+from coop_env.rendering.browser import Stage, ViewerError, open_server, summary
+from coop_env.task import AXES, DT, N_ACTIONS
+
+Act = Callable[[Any, npt.NDArray[np.bool_]], int]
+MakeEnv = Callable[[str], CoopInsertionEnv]
+
+_REFUSALS: Final = {
+    1: "out of reach or beyond a joint limit",
+    2: "the robots would collide",
+    3: "too near a singularity, or beyond it",
+}
+_ANGLES: Final = (3, 4)  # axes shown in degrees
+_SIGMA_FULL: Final = 1.0
+
+
+class Viewer:
+    """A browser view of one environment, which it plays.
+
+    Args:
+        env: what to show; it is reset first.
+        act: chooses a move from (observation, action masks) for the play button; None has none.
+        make_env: builds the environment for a geometry's name; None leaves out the switch.
+        host: address to listen on; the default is reachable from this machine alone.
+        port: 1 to 65535, free.
+
+    Raises:
+        ViewerError: viser is not installed, or the port cannot be used.
+    """
+
+    def __init__(
+        self,
+        env: CoopInsertionEnv,
+        act: Act | None = None,
+        *,
+        make_env: MakeEnv | None = None,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+    ) -> None:
+        self._server = open_server(host, port)
+        self.port = port
+        self.env = env
+        self._act = act
+        self._make_env = make_env
+        self._lock = threading.RLock()  # the browser's events come on threads of their own
+        self._playing = threading.Event()
+        self._closed = threading.Event()
+        self._stage = Stage(self._server)
+        self._set_scene()
+        self._build_panel()
+        self.reset()
+        self._player = threading.Thread(target=self._play_loop, daemon=True)
+        self._player.start()
+
+    def _set_scene(self) -> None:
+        server = self._server
+        server.gui.configure_theme(show_logo=False, show_share_button=False)
+        server.gui.main_panel.dock_right()
+        server.scene.set_up_direction("+z")
+        server.initial_camera.fov = 0.7
+        server.initial_camera.position = (1.05, -1.40, 0.95)
+        server.initial_camera.look_at = (0.0, 0.0, 0.40)
+        server.scene.add_grid(
+            "/floor", 2.0, 2.0, cell_size=0.1, section_size=0.5, position=(0.0, 0.0, -0.024)
+        )
+
+    def _build_panel(self) -> None:
+        gui = self._server.gui
+        self.status = gui.add_markdown("")
+        self._margin: Any = gui.add_progress_bar(0.0)
+        self.message = gui.add_markdown("")
+        gui.add_button("Reset").on_click(lambda _: self.reset())
+        if self._act is not None:
+            self._play = gui.add_button("Play")
+            self._play.on_click(lambda _: self.toggle_play())
+        if self._make_env is not None:
+            switch = gui.add_dropdown(
+                "geometry", tuple(GEOMETRIES), initial_value=_geometry_name(self.env)
+            )
+            switch.on_update(lambda event: self.switch_geometry(str(event.target.value)))
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Degrees of freedom"):
+            self.sliders = [self._add_slider(axis) for axis in range(len(AXES))]
+        with tabs.add_tab("Moves"):
+            self.buttons = [self._add_button(action) for action in range(N_ACTIONS)]
+
+    def _add_slider(self, axis: int) -> Any:
+        low, high, unit = _range(self.env, axis)
+        step = 0.5 if axis in _ANGLES else 0.001
+        slider = self._server.gui.add_slider(f"{AXES[axis]} [{unit}]", low, high, step, low)
+
+        def on_update(event: Any) -> None:
+            if event.client is not None:  # None: the slider follows the robot, nobody moved it
+                self.place(axis, float(slider.value))
+
+        slider.on_update(on_update)
+        return slider
+
+    def _add_button(self, action: int) -> Any:
+        sign = "+" if action % 2 == 0 else "-"
+        button = self._server.gui.add_button(f"{sign} {AXES[action // 2]}")
+
+        def on_click(event: Any) -> None:
+            self.move(action)
+
+        button.on_click(on_click)
+        return button
+
+    def place(self, axis: int, value: float) -> bool:
+        """Put one degree of freedom at ``value`` (m or degrees) and begin an episode from there.
+
+        Target and filled holes stay, unless all are filled. A pose that cannot be taken is refused
+        with a message, and the slider goes back.
+        """
+        with self._lock:
+            self.stop()
+            configuration = self.env.configuration
+            configuration[axis] = math.radians(value) if axis in _ANGLES else value
+            status = self.env.configuration_status(configuration)
+            if status != 0:
+                return self._refuse(f"{AXES[axis]} = {value:g}: {_REFUSALS[status]}")
+            scene = self.env.scene()
+            options: dict[str, Any] = {"configuration": configuration}
+            if not scene.filled[scene.target]:
+                options |= {"target": scene.target, "filled": np.flatnonzero(scene.filled)}
+            try:
+                self._observation, _ = self.env.reset(options=options)
+            except ResetOptionError as error:
+                return self._refuse(str(error))
+            self._show("")
+            return True
+
+    def move(self, action: int) -> bool:
+        """Make one of the twelve moves; a masked or colliding one is refused with a message."""
+        with self._lock:
+            name = f"{'+-'[action % 2]} {AXES[action // 2]}"
+            if self.env.scene().status != "running":
+                return self._refuse("the episode is over: reset, or move a slider")
+            if not self.env.action_masks()[action]:
+                return self._refuse(f"{name}: {_REFUSALS[1]}")
+            self._observation, reward, _, _, info = self.env.step(action)
+            if info["collision"]:
+                return self._refuse(f"{name}: {_REFUSALS[2]}")
+            self._show(f"{name}: reward {reward:+.2f}" + (", inserted" * info["inserted"]))
+            return True
+
+    def reset(self) -> None:
+        """Begin an episode at a drawn start."""
+        with self._lock:
+            self.stop()
+            self._observation, _ = self.env.reset()
+            self._show("")
+
+    def switch_geometry(self, name: str) -> None:
+        """Go on with the other machine, from a start of its own."""
+        if self._make_env is None:
+            raise ViewerError("no make_env was given, so the geometry cannot change")
+        with self._lock:
+            self.stop()
+            old, self.env = self.env, self._make_env(name)
+            old.close()
+            self.reset()
+
+    def toggle_play(self) -> None:
+        """Let ``act`` play at the robots' own pace, or stop it."""
+        if self._playing.is_set():
+            self.stop()
+        elif self._act is not None:
+            self._playing.set()
+            self._play.label = "Stop"
+
+    def stop(self) -> None:
+        """Stop playing, if anything plays."""
+        if self._playing.is_set():
+            self._playing.clear()
+            self._play.label = "Play"
+
+    def _play_loop(self) -> None:
+        while not self._closed.is_set():
+            if not self._playing.wait(timeout=0.2):
+                continue
+            began = time.perf_counter()
+            with self._lock:
+                self._play_move()
+            time.sleep(max(DT - (time.perf_counter() - began), 0.0))
+
+    def _play_move(self) -> None:
+        if not self._playing.is_set() or self._act is None:
+            return
+        if self.env.scene().status != "running":
+            self.stop()
+            return
+        try:
+            action = int(self._act(self._observation, self.env.action_masks()))
+            self._observation, *_ = self.env.step(action)
+        except Exception as error:  # whatever a caller's policy raises belongs on the screen
+            self.stop()
+            self._refuse(f"playing stopped: {error}")
+            return
+        self._show("")
+
+    def _refuse(self, reason: str) -> bool:
+        self._show(f"**Refused.** {reason}")
+        return False
+
+    def _show(self, message: str) -> None:
+        """Bring the browser up to date with the environment."""
+        scene = self.env.scene()
+        self._stage.show(scene)
+        self.message.content = message
+        self.status.content = summary(scene)
+        share = min(max(scene.sigma_min / _SIGMA_FULL, 0.0), 1.0)
+        self._margin.value = 100.0 * share
+        self._margin.color = "green" if scene.sigma_min >= 3 * scene.singular_margin else "red"
+        for axis, slider in enumerate(self.sliders):
+            value = scene.configuration[axis]
+            slider.value = round(math.degrees(value) if axis in _ANGLES else value, 6)
+        masks = self.env.action_masks() & (scene.status == "running")
+        for button, possible in zip(self.buttons, masks, strict=True):
+            button.disabled = not possible
+
+    def close(self) -> None:
+        """Stop the server and the player; harmless when done twice."""
+        if not self._closed.is_set():
+            self._closed.set()
+            self._playing.set()
+            self._player.join()
+            self._server.stop()
+
+
+def _geometry_name(env: CoopInsertionEnv) -> str | None:
+    """Which of the named geometries the environment has, if any."""
+    rrs = env.params.rrs
+    own = (rrs.base_radius, rrs.proximal_length, rrs.platform_radius, rrs.distal_length)
+    for name, g in GEOMETRIES.items():
+        if own == (g.base_radius, g.proximal_length, g.platform_radius, g.distal_length):
+            return name
+    return None
+
+
+def _range(env: CoopInsertionEnv, axis: int) -> tuple[float, float, str]:
+    """Least and greatest value of a degree of freedom, and its unit."""
+    delta, rrs = env.params.delta, env.params.rrs
+    if axis < 2:
+        return -delta.planar_limit, delta.planar_limit, "m"
+    if axis == 2:
+        low = -(delta.proximal_length + delta.distal_length)
+        return low, -abs(delta.proximal_length - delta.distal_length), "m"
+    if axis in _ANGLES:
+        tilt = math.degrees(rrs.max_tilt)
+        return -tilt, tilt, "deg"
+    return rrs.heave_min, rrs.heave_max, "m"
+
+
+def view(
+    env: CoopInsertionEnv,
+    act: Act | None = None,
+    *,
+    make_env: MakeEnv | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+) -> None:
+    """Show an environment in the browser until interrupted; see :class:`Viewer`."""
+    viewer = Viewer(env, act, make_env=make_env, host=host, port=port)
+    print(f"open http://{host}:{port} in a browser; Ctrl-C ends", flush=True)
+    try:
+        while True:
+            time.sleep(1.0)
+    except KeyboardInterrupt:
+        viewer.close()
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m coop_env.rendering.viewer", description="Both robots in the browser."
+    )
+    parser.add_argument("--geometry", choices=list(GEOMETRIES), default="optimized")
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
+    parser.add_argument("--port", type=int, default=8080)
+    arguments = parser.parse_args(argv)
+
+    def make_env(geometry: str) -> CoopInsertionEnv:
+        return CoopInsertionEnv(geometry=geometry, render_mode="rgb_array")
+
+    try:
+        view(
+            make_env(arguments.geometry),
+            make_env=make_env,
+            host=arguments.host,
+            port=arguments.port,
+        )
+    except ViewerError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
