@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from scipy.optimize import OptimizeResult, differential_evolution, minimize
@@ -22,6 +23,9 @@ from coop_env.geometry import INITIAL, GeometryError, RRSGeometry
 
 Constraint = Callable[[RRSGeometry], float]  # satisfied where it is not negative
 Bounds = tuple[tuple[float, float], tuple[float, float]]
+
+#: Where the paper's constraints leave designs with a workspace: beyond, lambda2 would exceed 3.4.
+FEASIBLE_BOX: Final[Bounds] = ((0.5, 2.0), (0.1, 3.4))
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +208,7 @@ def repeat(
 
 def optimize_globally(
     problem: DesignProblem | None = None,
-    bounds: Bounds = ((1.0, 2.0), (0.3, 2.4)),
+    bounds: Bounds = FEASIBLE_BOX,
     *,
     objective: Objective = workspace_area,
     constraints: Sequence[Constraint] = (),
@@ -272,7 +276,7 @@ def atlas(
     constraints: Sequence[Constraint] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> Atlas:
-    """The objective on a grid of designs, by default in steps of 0.04 over the feasible triangle.
+    """The objective on a grid of designs, by default in steps of 0.04 over the feasible box.
 
     Args:
         problem: as in :func:`optimize`.
@@ -283,8 +287,10 @@ def atlas(
         progress: called with rows done and rows in all.
     """
     problem = problem or DesignProblem()
-    rows = np.arange(1.0, 2.0, 0.04) if lambda1 is None else np.asarray(lambda1, dtype=float)
-    columns = np.arange(0.3, 2.4, 0.04) if lambda2 is None else np.asarray(lambda2, dtype=float)
+    rows, columns = (
+        np.arange(low, high, 0.04) if given is None else np.asarray(given, dtype=float)
+        for given, (low, high) in zip((lambda1, lambda2), FEASIBLE_BOX, strict=True)
+    )
     cost = _Cost(problem, objective, sample_points(problem), constraints)
     value = np.full((len(rows), len(columns)), np.nan)
     for i, a in enumerate(rows):

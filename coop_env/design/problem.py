@@ -219,10 +219,11 @@ def workspace_map(
     height = problem.home_heave if heave is None else heave
     poses = np.stack([*samples, np.full_like(samples.roll, height)], axis=-1)
     inside = component(geometry, problem, samples, height)
+    found = rrs.manipulability(poses, geometry, problem.pose_model)
     return WorkspaceMap(
         samples,
-        rrs.signed_sigma_min(poses, geometry, problem.pose_model),
-        rrs.condition_number(poses, geometry, problem.pose_model),
+        found.signed_sigma_min,
+        found.condition_number,
         inside,
         problem.cell_area * float(inside.sum()),
     )

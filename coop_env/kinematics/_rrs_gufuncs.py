@@ -13,7 +13,7 @@ from numba import boolean, float64, guvectorize, njit
 
 from coop_env.kinematics import rrs_forward_kernels as fk
 from coop_env.kinematics import rrs_kernels as rrs
-from coop_env.kinematics.singularity import Matrix3, singular_values_3x3
+from coop_env.kinematics.singularity import Matrix3
 
 _V, _M, _T = float64[:], float64[:, :], float64[:, :, :]
 _S, _B = float64[:], boolean[:]  # a scalar output is a one-element array
@@ -67,14 +67,9 @@ def jacobian(rph: Any, params: Any, matrix: Any, values: Any, signed: Any) -> No
         values[:] = math.nan
         signed[0] = math.nan
         return
-    a, b = rrs.jacobian_parts(at, q, p)
-    j = rrs.jacobian(a, b)
+    j, sigma, signed[0] = rrs.singular_state(at, q, p)
     _put(matrix, j)
-    signed[0] = rrs.signed_sigma_min(at, q, p)
-    if math.isnan(signed[0]):  # type I singularity: J is infinite
-        values[:] = math.nan
-    else:
-        values[0], values[1], values[2] = singular_values_3x3(j)
+    values[0], values[1], values[2] = sigma
 
 
 @guvectorize([(_V, _V, _V, _V, _S, _B)], "(n),(n),(m)->(n),(),()", cache=True)

@@ -36,6 +36,7 @@ from coop_env.kinematics.rrs_kernels import make_params
 __all__ = [
     "Forward",
     "Inverse",
+    "Manipulability",
     "PlatformPose",
     "ShapeError",
     "condition_number",
@@ -47,6 +48,7 @@ __all__ = [
     "joint_rates",
     "limb_margin",
     "limb_points",
+    "manipulability",
     "parasitic",
     "plane_offset",
     "platform_pose",
@@ -54,6 +56,14 @@ __all__ = [
     "singular_values",
     "twist_matrix",
 ]
+
+
+class Manipulability(NamedTuple):
+    """Singular values of J ``(..., 3)``, the least with its sign ``(...)``, and kappa ``(...)``."""
+
+    singular_values: Floats
+    signed_sigma_min: Floats
+    condition_number: Floats
 
 
 class PlatformPose(NamedTuple):
@@ -217,6 +227,19 @@ def jacobian(
         return gufuncs.jacobian(_pose(pose), _packed(geometry, pose_model))[0]
 
 
+def manipulability(
+    pose: ArrayLike, geometry: RRSGeometry = OPTIMIZED, pose_model: str = "exact"
+) -> Manipulability:
+    """All that J's singular values say, in one pass; the three functions below give one each.
+
+    >>> manipulability([0.0, 0.0, 0.21]).condition_number.round(4)
+    np.float64(1.5678)
+    """
+    with quiet():
+        _, values, signed = gufuncs.jacobian(_pose(pose), _packed(geometry, pose_model))
+        return Manipulability(values, signed, values[..., 0] / values[..., 2])
+
+
 def singular_values(
     pose: ArrayLike, geometry: RRSGeometry = OPTIMIZED, pose_model: str = "exact"
 ) -> Floats:
@@ -225,8 +248,7 @@ def singular_values(
     >>> singular_values([0.0, 0.0, 0.21]).round(4)
     array([1.5593, 0.9946, 0.9946])
     """
-    with quiet():
-        return gufuncs.jacobian(_pose(pose), _packed(geometry, pose_model))[1]
+    return manipulability(pose, geometry, pose_model).singular_values
 
 
 def signed_sigma_min(
@@ -241,8 +263,7 @@ def signed_sigma_min(
     >>> signed_sigma_min(np.stack([roll, 0 * roll, 0 * roll + 0.21], axis=-1)).round(3)
     array([ 0.995,  0.263,  0.03 , -0.318])
     """
-    with quiet():
-        return gufuncs.jacobian(_pose(pose), _packed(geometry, pose_model))[2]
+    return manipulability(pose, geometry, pose_model).signed_sigma_min
 
 
 def condition_number(
@@ -253,9 +274,7 @@ def condition_number(
     >>> float(condition_number([0.0, 0.0, 0.21]).round(4))
     1.5678
     """
-    values = singular_values(pose, geometry, pose_model)
-    with quiet():
-        return values[..., 0] / values[..., 2]
+    return manipulability(pose, geometry, pose_model).condition_number
 
 
 def twist_matrix(

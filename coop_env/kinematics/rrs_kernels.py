@@ -248,17 +248,27 @@ def jacobian(a: Matrix3, b: Row) -> Matrix3:
 
 
 @njit(cache=True)
+def singular_state(pose: Pose, q: Row, p: RRSParams) -> tuple[Matrix3, Row, float]:
+    """J by rows, its singular values descending, and the least with the sign of det A.
+
+    All but J are NaN at a type I (serial) singularity, where J is infinite.
+    """
+    a, b = jacobian_parts(pose, q, p)
+    j = jacobian(a, b)
+    if b[0] == 0.0 or b[1] == 0.0 or b[2] == 0.0:
+        return j, (math.nan, math.nan, math.nan), math.nan
+    values = singular_values_3x3(j)
+    return j, values, math.copysign(values[2], determinant_3x3(a) * p.home_sign)
+
+
+@njit(cache=True)
 def signed_sigma_min(pose: Pose, q: Row, p: RRSParams) -> float:
     """Least singular value of J, with the sign of det A relative to home.
 
     A zero crossing of it is a type II (parallel) singularity. Unsigned, sigma rises again beyond
     it, in another assembly mode, and a coarse grid steps across without notice.
     """
-    a, b = jacobian_parts(pose, q, p)
-    if b[0] == 0.0 or b[1] == 0.0 or b[2] == 0.0:
-        return math.nan
-    sigma = singular_values_3x3(jacobian(a, b))[2]
-    return math.copysign(sigma, determinant_3x3(a) * p.home_sign)
+    return singular_state(pose, q, p)[2]
 
 
 @njit(cache=True)
