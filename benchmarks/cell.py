@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 from benchmarks import machine
@@ -114,11 +114,10 @@ def _run_planner(preset: Preset, cell: Cell, folder: RunFolder) -> dict[str, Any
 
 
 def _run_design(preset: Preset, folder: RunFolder) -> dict[str, Any]:
-    from benchmarks.design import geometry_rows
+    from benchmarks.design_table import geometry_rows
 
     assert preset.design is not None
-    rows: list[Mapping[str, object]] = geometry_rows(preset.design.runs)
-    folder.write_rows("design", rows)
+    folder.write_rows("design", geometry_rows(preset.design.runs))
     return {}
 
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import pandas as pd
 
-from benchmarks.stats import Value, over_seeds, stratified_bootstrap, wilson
+from benchmarks.stats import Value, means, over_seeds, stratified_bootstrap, wilson
 from benchmarks.store import RunFolder, Store
 
 TRACK_ORDER: Final = ("printed", "repaired", "tuned")
@@ -58,7 +58,7 @@ class Group:
             low, high = wilson(int(tests[0]["success"].sum()), len(tests[0]))
             return Value(value.mean, value.std, 1, 100 * low, 100 * high)
         if value.n > 1:
-            low, high = stratified_bootstrap([[rate] for rate in rates], _mean)
+            low, high = stratified_bootstrap([[rate] for rate in rates], means)
             return Value(value.mean, value.std, value.n, low, high)
         return value
 
@@ -73,10 +73,6 @@ class Group:
         if not frames:
             return pd.DataFrame()
         return pd.concat(frames).set_index(["seed", "episode"])
-
-
-def _mean(scores: Any) -> float:
-    return float(scores.mean())
 
 
 class Results:
@@ -130,9 +126,7 @@ def excess_over_optimum(ours: Group, optimum: Group) -> Value:
     for run in ours.runs:
         if run.seed not in best:
             continue
-        theirs = best[run.seed].set_index("episode")
-        mine = run.test().set_index("episode")
-        both = mine.join(theirs, rsuffix="_optimum", how="inner")
+        both = run.test().merge(best[run.seed], on="episode", suffixes=("", "_optimum"))
         both = both[(both["success"] == 1) & (both["success_optimum"] == 1)]
         if len(both):
             values.append(

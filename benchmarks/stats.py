@@ -78,12 +78,23 @@ def wilson(successes: int, trials: int, confidence: float = 0.95) -> tuple[float
 
 def interquartile_mean(scores: ArrayLike) -> float:
     """Mean of the middle half of all scores, as rliable defines it."""
-    return float(scipy.stats.trim_mean(np.asarray(scores, dtype=np.float64), 0.25, axis=None))
+    return float(interquartile_means(np.asarray(scores, dtype=np.float64)[None])[0])
+
+
+def interquartile_means(scores: Array) -> Array:
+    """:func:`interquartile_mean` of each of k sets of scores (k, ...)."""
+    flat = scores.reshape(scores.shape[0], -1)
+    return np.asarray(scipy.stats.trim_mean(flat, 0.25, axis=1), dtype=np.float64)
+
+
+def means(scores: Array) -> Array:
+    """The mean of each of k sets of scores (k, ...)."""
+    return np.asarray(scores.reshape(scores.shape[0], -1).mean(axis=1), dtype=np.float64)
 
 
 def stratified_bootstrap(
     scores: ArrayLike,
-    statistic: Callable[[Array], float] = interquartile_mean,
+    statistic: Callable[[Array], Array] = interquartile_means,
     repetitions: int = 2_000,
     confidence: float = 0.95,
     seed: int = 0,
@@ -96,7 +107,7 @@ def stratified_bootstrap(
 
     Args:
         scores: (runs, tasks).
-        statistic: a number from an array of that shape.
+        statistic: numbers (k,) from k resamples (k, runs, tasks).
         repetitions: bootstrap samples.
         confidence: coverage of the interval.
         seed: makes the interval repeat.
@@ -111,10 +122,8 @@ def stratified_bootstrap(
     if runs < 2:
         return math.nan, math.nan
     rng = np.random.default_rng(seed)
-    columns = np.arange(tasks)
-    draws = [
-        statistic(data[rng.integers(runs, size=(runs, tasks)), columns]) for _ in range(repetitions)
-    ]
+    drawn = rng.integers(runs, size=(repetitions, runs, tasks))
+    draws = statistic(data[drawn, np.arange(tasks)])
     tail = (1 - confidence) / 2
     low, high = np.quantile(draws, [tail, 1 - tail])
     return float(low), float(high)

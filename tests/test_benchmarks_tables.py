@@ -1,0 +1,277 @@
+"""Tables, figures, README and verify, from a fabricated store whose numbers are known."""
+
+from __future__ import annotations
+
+import csv
+import io
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.figures import write_figures
+from benchmarks.plan import Cell, expand, settings
+from benchmarks.presets import Preset, load_preset
+from benchmarks.readme import BEGIN, END, rewrite
+from benchmarks.report import Number, Table
+from benchmarks.results import Results, excess_over_optimum
+from benchmarks.stats import Value
+from benchmarks.store import Store
+from benchmarks.tables import PRINTED, build_tables, write_tables
+from benchmarks.verify import verify
+
+EPISODES = 10
+
+
+def episode(number: int, noise: float, success: bool, moves: int) -> dict[str, object]:
+    nothing = float("nan")
+    return {
+        "episode": number,
+        "reset_seed": number,
+        "start": f"start{number}",
+        "noise": noise,
+        "success": success,
+        "holes": 2 * success,
+        "all_holes": False,
+        "singular": False,
+        "moves": 300,
+        "moves_first": moves if success else nothing,
+        "time_first": 0.2 * moves if success else nothing,
+        "time_per_hole": 6.0 if success else nothing,
+        "alignment_error": 0.5 if success else nothing,
+        "trajectory_error": 3.0 if success else nothing,
+        "collisions": number % 2,
+        "collisions_first": 0.0 if success else nothing,
+        "energy": 10.0,
+        "energy_first": 5.0 if success else nothing,
+        "failure": "" if success else "precision",
+        "plan_seconds": 0.003,
+    }
+
+
+def fill(store: Store, preset: Preset, cell: Cell, solved: int, moves: int) -> None:
+    """A complete run that solves the first ``solved`` episodes (one fewer with noise)."""
+    run = store.run(cell.id)
+    run.begin(settings(preset, cell))
+    levels = preset.evaluation.noise if cell.learns else [0.0]
+    run.write_rows(
+        "episodes",
+        [
+            episode(i, noise, i < solved - (noise > 0), moves)
+            for noise in levels
+            for i in range(EPISODES)
+        ],
+    )
+    training: dict[str, Any] = {}
+    if cell.learns:
+        run.write_rows("curve", [
+            {"timesteps": t, "episode_reward": t / 10, "learning_rate": 1e-3, "noise": 0.1,
+             "holes": 1.0, "success": 0.5, "mean_max_q": 2.0, "loss": 1.0, "duration": 40.0}
+            for t in range(100, 600, 100)
+        ])  # fmt: skip
+        training = {"steps_to_75": 30_000 if solved > 7 else None, "curriculum_switch": 200}
+        training |= {"singular_per_1000": 4.0, "final_success_20": 0.9}
+    run.write_meta({
+        "training": training, "wall_seconds": 60.0, "commit": "abc", "dirty": False,
+        "machine": {"processor": "test"},
+    })  # fmt: skip
+
+
+@pytest.fixture
+def make_store(tmp_path: Path) -> Callable[[list[int]], Store]:
+    def make(seeds: list[int]) -> Store:
+        import dataclasses
+
+        preset = dataclasses.replace(load_preset("quick"), seeds=seeds)
+        store = Store.open(tmp_path / "results", "quick", create=True)
+        for cell in expand(preset):
+            if cell.method == "design":
+                continue
+            solved = {"rainbow": 9, "dqn": 6, "rrt_connect": 5, "optimum": 10}[cell.method]
+            solved -= cell.ablation != "full"
+            solved -= cell.seed  # seeds differ
+            fill(store, preset, cell, solved, 20 if cell.method == "optimum" else 25)
+        return store
+
+    return make
+
+
+def find(store: Store, name: str) -> Table:
+    return next(table for table in build_tables(store) if table.name == name)
+
+
+def column(table: Table, header: str) -> dict[str, str]:
+    index = table.header.index(header)
+    return {row[0]: row[index] for row in table.texts()}
+
+
+def test_performance_has_our_value_beside_the_papers(
+    make_store: Callable[[list[int]], Store],
+) -> None:
+    table = find(make_store([0]), "performance")
+    ours, paper = column(table, "Rainbow DQN, tuned"), column(table, "Rainbow DQN, paper")
+    assert (ours["Success rate (%)"], paper["Success rate (%)"]) == ("90.0", "95 ± 2")
+    assert ours["Avg. completion time (s)"] == "5.00"
+    assert ours["Moves to first insertion over the optimum (%)"] == "25.0"
+    assert column(table, "Exact optimum")["Success rate (%)"] == "100.0"
+    assert "n = 1" in table.notes[0]
+    assert "±" not in "".join(ours.values())
+    assert any("precision 5" in note for note in table.notes)
+
+
+def test_seeds_give_mean_and_sample_standard_deviation(
+    make_store: Callable[[list[int]], Store],
+) -> None:
+    store = make_store([0, 1, 2])
+    table = find(store, "performance")
+    ours = column(table, "Rainbow DQN, tuned")
+    assert ours["Success rate (%)"] == "80.0 ± 10.0"
+    assert ours["Success rate, IQM over seeds [95 % interval]"].startswith("80.0 [")
+    value = Results(store).group("rainbow", track="tuned").success()
+    assert value.n == 3
+    assert 70.0 <= value.low <= 80.0 <= value.high <= 90.0
+
+
+def test_the_ablation_has_seven_rows_and_the_optimum(
+    make_store: Callable[[list[int]], Store],
+) -> None:
+    table = find(make_store([0]), "ablation")
+    assert len(table.rows) == 8
+    success = column(table, "Success (%), tuned")
+    assert success["Full Rainbow"] == "90.0"
+    assert success["- Dueling head"] == "80.0"
+    assert success["Exact optimum"] == "100.0"
+    assert column(table, "Success (%), paper")["- Dueling head"] == "85 ± 3"
+
+
+def test_geometry_and_robustness_rows(make_store: Callable[[list[int]], Store]) -> None:
+    store = make_store([0])
+    geometry = find(store, "geometry")
+    steps = geometry.texts()[0]
+    assert steps == ["Env. steps to 75 % success (1e5)", "11.2 ± 1.1", "0.30", "7.6 ± 0.8", "0.30"]
+    noise = column(find(store, "robustness"), "Change at 0.01 (points)")
+    assert noise["Rainbow DQN, tuned"] == "-10.0"
+
+
+def test_a_run_that_never_reached_the_threshold_says_so(
+    make_store: Callable[[list[int]], Store],
+) -> None:
+    store = make_store([0, 2])  # the second seed solves 7 of 10
+    steps = column(find(store, "ablation"), "Steps to 75 % (1e5), tuned")
+    assert steps["Full Rainbow"] == "0.30 (1 of 2 never)"
+
+
+def test_pairs_are_made_by_initial_state(make_store: Callable[[list[int]], Store]) -> None:
+    table = find(make_store([0]), "significance")
+    row = next(row for row in table.texts() if "RRT-Connect" in row[0] and "Success" in row[1])
+    # 9 against 5 of the same 10 starts: differences 0.4 on average
+    assert row[2] == "+40.0"
+    assert row[-1] == "10"
+    time = next(row for row in table.texts() if "RRT-Connect" in row[0] and "time" in row[1])
+    assert time[-1] == "5"
+
+
+def test_excess_counts_only_starts_that_both_solved(
+    make_store: Callable[[list[int]], Store],
+) -> None:
+    results = Results(make_store([0]))
+    value = excess_over_optimum(results.group("dqn", track="tuned"), results.group("optimum"))
+    assert value.mean == pytest.approx(25.0)
+
+
+def test_tables_are_written_in_three_forms_that_agree_and_repeat(
+    make_store: Callable[[list[int]], Store],
+) -> None:
+    store = make_store([0, 1])
+    paths = write_tables(store)
+    assert {path.suffix for path in paths} == {".csv", ".md", ".tex"}
+    first = {path: path.read_bytes() for path in paths}
+    write_tables(store)
+    assert {path: path.read_bytes() for path in paths} == first
+    text = (store.tables / "ablation.tex").read_text(encoding="utf-8")
+    assert r"\toprule" in text
+    assert r"85.0 $\pm$ 7.1" in text
+    rows = list(csv.DictReader(io.StringIO((store.tables / "ablation.csv").read_text("utf-8"))))
+    full = rows[0]
+    assert float(full["Success (%), tuned | mean"]) == pytest.approx(85.0)
+    assert float(full["Success (%), tuned | std"]) == pytest.approx(7.071068)
+    assert full["Success (%), tuned | n"] == "2"
+
+
+def test_an_empty_store_gives_tables_of_dashes(tmp_path: Path) -> None:
+    store = Store.open(tmp_path, "quick", create=True)
+    assert {table.name for table in build_tables(store)} >= set(PRINTED)
+    write_tables(store)
+    assert verify(store) == []
+
+
+def test_verify_is_green_and_red_after_one_digit(
+    make_store: Callable[[list[int]], Store], tmp_path: Path
+) -> None:
+    store = make_store([0])
+    write_tables(store)
+    readme = tmp_path / "README.md"
+    readme.write_text(f"# Title\n\n{BEGIN}\n{END}\n\nThe end.\n", encoding="utf-8")
+    assert rewrite(readme, store)
+    assert not rewrite(readme, store)
+    assert verify(store, readme) == []
+    path = store.tables / "ablation.md"
+    path.write_text(path.read_text("utf-8").replace("90.0", "91.0", 1), encoding="utf-8")
+    (problem,) = verify(store, readme)
+    assert "ablation.md" in problem
+    assert "91.0" in problem
+    write_tables(store)
+    readme.write_text(readme.read_text("utf-8").replace("90.0", "91.0", 1), encoding="utf-8")
+    (problem,) = verify(store, readme)
+    assert "README.md" in problem
+
+
+def test_the_readme_keeps_what_is_outside_the_block(
+    make_store: Callable[[list[int]], Store], tmp_path: Path
+) -> None:
+    readme = tmp_path / "README.md"
+    with pytest.raises(BenchmarkError, match="missing"):
+        rewrite(readme, make_store([0]))
+    readme.write_text("no markers", encoding="utf-8")
+    store = Store.open(tmp_path / "results", "quick")
+    with pytest.raises(BenchmarkError, match="no block"):
+        rewrite(readme, store)
+    readme.write_text(f"above\n{BEGIN}\nold\n{END}\nbelow\n", encoding="utf-8")
+    rewrite(readme, store)
+    text = readme.read_text(encoding="utf-8")
+    assert text.startswith("above\n")
+    assert text.endswith("\nbelow\n")
+    assert "old" not in text
+    assert text.count("| Success rate (%)") == 1
+
+
+def test_figures_are_drawn_and_repeat(make_store: Callable[[list[int]], Store]) -> None:
+    store = make_store([0, 1])
+    first = {path.name: path.read_bytes() for path in write_figures(store)}
+    assert {"tuned_cumulative_reward.png", "tuned_loss.png", "robustness.png"} <= set(first)
+    assert all(data.startswith(b"\x89PNG") for data in first.values())
+    assert {path.name: path.read_bytes() for path in write_figures(store)} == first
+
+
+def test_tables_and_figures_do_without_torch() -> None:
+    code = (
+        "import sys, benchmarks.tables, benchmarks.figures, benchmarks.verify, benchmarks.readme;"
+        "print([m for m in ('torch', 'stable_baselines3', 'coop_env') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_markup_of_tables_is_escaped() -> None:
+    number = Number(Value(1.0, 0.5, 3), 1)
+    table = Table("t", "50 % & more", ["a|b", "x_1"], [["p < 0.01", number]], ["100 %"])
+    assert r"a\|b" in table.markdown()
+    assert r"50 \% \& more" in table.latex()
+    assert r"x\_1" in table.latex()
+    assert "p $<$ 0.01 & 1.0 $\\pm$ 0.5" in table.latex()
+    with pytest.raises(ValueError, match="does not fit"):
+        Table("t", "t", ["a"], [["1", "2"]])
