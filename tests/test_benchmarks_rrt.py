@@ -154,8 +154,7 @@ def test_bad_limits_and_ignored_seeds_are_refused() -> None:
 def test_a_seed_repeats_its_plans_from_process_to_process() -> None:
     code = (
         "from benchmarks.planners.rrt_connect import RRTConnect;"
-        "from coop_env import dynamics
-from coop_env.env import CoopInsertionEnv;"
+        "from coop_env.env import CoopInsertionEnv;"
         "env = CoopInsertionEnv(); env.reset(seed=5);"
         "print(RRTConnect(seed={}).plan(env).moves.tolist())"
     )
