@@ -15,6 +15,7 @@ from coop_env.kernel_cache import drop_stale_kernels
 if TYPE_CHECKING:
     from coop_env.env import CoopInsertionEnv
     from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, DeltaGeometry, RRSGeometry
+    from coop_env.sim_to_real import SimToReal
     from coop_env.vec_env import CoopInsertionVecEnv
 
 _HOMES = {
@@ -25,6 +26,7 @@ _HOMES = {
     "GEOMETRIES": "coop_env.geometry",
     "INITIAL": "coop_env.geometry",
     "OPTIMIZED": "coop_env.geometry",
+    "SimToReal": "coop_env.sim_to_real",
 }
 
 __all__ = [
@@ -35,6 +37,7 @@ __all__ = [
     "CoopInsertionVecEnv",
     "DeltaGeometry",
     "RRSGeometry",
+    "SimToReal",
 ]
 
 drop_stale_kernels(Path(__file__).parent, Path(__file__).parent)

@@ -9,9 +9,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from coop_env import dynamics, observation
+from coop_env.state import INFO_FIELDS
 from coop_env.task import unpack
 
-_N_FIELDS = len(dynamics.INFO_FIELDS)  # the reward's terms come next
+_N_FIELDS = len(INFO_FIELDS)  # the reward's terms come next
 
 
 @njit(cache=True)
@@ -31,12 +32,12 @@ def step_batch(
     p = unpack(packed)
     for i in range(states.shape[0]):
         dynamics.step(states[i], actions[i], p, outcomes[i])
-        observation.observe(states[i], o, rows[i])
+        observation.observe(states[i], p, o, rows[i])
 
 
 def make_infos(outcomes: NDArray[np.void]) -> list[dict[str, Any]]:
     """The ``info`` of each outcome (n,), by columns: one dictionary display per environment."""
-    columns = (outcomes[name].tolist() for name in dynamics.INFO_FIELDS)
+    columns = (outcomes[name].tolist() for name in INFO_FIELDS)
     return list(map(_info, outcomes["terms"].tolist(), *columns))
 
 

@@ -1,263 +1,59 @@
 """The MDP's transition: one scalar kernel over one row of state.
 
 The single environment (a batch of one), the batched environment and the planners all call it, so a
-row of a batch is bit-identical to an environment of its own. A configuration is its start plus an
-integer number of moves along each axis, so a move and its reverse cancel to the last bit.
+row of a batch is bit-identical to an environment of its own.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, Final
 
 import numpy as np
 from numba import njit
 
-from coop_env import rewards
-from coop_env.collision import below_ceiling, collides, hole, peg_tip
+from coop_env import machine, rewards
+from coop_env.collision import below_ceiling, collides, peg_tip
 from coop_env.kinematics import delta_kernels, rrs_kernels
-from coop_env.kinematics.rrs_kernels import Pose
-from coop_env.kinematics.singularity import Row
-from coop_env.task import (
-    DT,
-    N_ACTIONS,
-    N_AXES,
-    N_HOLES,
-    SINGULAR_MARGIN,
-    STEP,
-    EnvParams,
+from coop_env.state import (
+    COLLISION,
+    INVALID,
+    SINGULAR,
+    VALID,
+    Configuration,
+    Record,
+    aim,
+    configuration_status,
+    hole_angle,
+    hole_distance,
+    is_singular,
+    joint_angles,
+    nearest_open_hole,
+    neighbour,
+    open_holes,
+    place_delta,
+    place_rrs,
+    update_inside,
+    update_mask,
 )
+from coop_env.task import DT, N_AXES, N_HOLES, EnvParams
 
-VALID: Final = 0
-INVALID: Final = 1
-COLLISION: Final = 2
-SINGULAR: Final = 3
-
-Configuration = tuple[float, float, float, float, float, float]
-Record = Any  # a row of STATE or OUTCOME, whose fields numba reads as attributes
-
-STATE: Final = np.dtype(
-    [
-        ("start", "f8", (N_AXES,)),
-        ("offset", "i8", (N_AXES,)),  # moves from the start along each axis
-        ("configuration", "f8", (N_AXES,)),
-        ("theta", "f8", (3,)),  # Delta joint angles, rad
-        ("q", "f8", (3,)),  # 3-RRS joint angles, rad
-        ("sigma", "f8"),  # signed sigma_min
-        ("tip", "f8", (3,)),  # world, m
-        ("mouths", "f8", (N_HOLES, 3)),  # world, m
-        ("normals", "f8", (N_HOLES, 3)),
-        ("inside", "u1", (N_HOLES,)),  # tip meets the hole's insertion criterion
-        ("active", "u1", (N_HOLES,)),
-        ("filled", "u1", (N_HOLES,)),
-        ("target", "i8"),
-        ("distance", "f8"),  # tip to target mouth, m
-        ("angle", "f8"),  # peg axis to target normal, rad
-        ("moves", "i8"),
-        ("insertions", "i8"),  # in this episode; `filled` may have held some from the start
-        ("energy", "f8"),  # J
-        ("mask", "u1", (N_ACTIONS,)),
-        ("over", "u1"),
-    ],
-    align=True,
-)
-"""One row of state, in SI units; everything that the next step depends on."""
-
-OUTCOME: Final = np.dtype(
-    [
-        ("success", "?"),
-        ("n_filled", "i8"),
-        ("inserted", "?"),
-        ("inserted_hole", "i8"),  # -1 for none
-        ("collision", "?"),
-        ("violation", "?"),
-        ("duplicate", "?"),
-        ("singular", "?"),
-        ("sigma_min", "f8"),
-        ("alignment_error", "f8"),
-        ("distance", "f8"),
-        ("target", "i8"),
-        ("time", "f8"),
-        ("energy", "f8"),
-        ("terms", "f8", (len(rewards.TERMS),)),
-        ("reward", "f8"),
-        ("terminated", "?"),
-        ("truncated", "?"),
-    ],
-    align=True,
-)
-"""What a move led to."""
-
-INFO_FIELDS: Final = (OUTCOME.names or ())[:14]
-"""Fields of an outcome that go into ``info``, beside the reward's terms."""
-
-
-@njit(cache=True)
-def lattice_configuration(start: np.ndarray, offset: np.ndarray) -> Configuration:
-    """``start + offset * STEP``: the one place where a lattice point becomes numbers."""
-    return (
-        start[0] + offset[0] * STEP[0],
-        start[1] + offset[1] * STEP[1],
-        start[2] + offset[2] * STEP[2],
-        start[3] + offset[3] * STEP[3],
-        start[4] + offset[4] * STEP[4],
-        start[5] + offset[5] * STEP[5],
-    )
-
-
-@njit(cache=True)
-def delta_valid(c: Configuration, p: EnvParams) -> bool:
-    """Whether the Delta's half of a configuration is within its workspace."""
-    return delta_kernels.is_valid(c[0], c[1], c[2], p.delta)
-
-
-@njit(cache=True)
-def rrs_valid(c: Configuration, p: EnvParams) -> bool:
-    """Whether the 3-RRS's half of a configuration is within its limits."""
-    return rrs_kernels.is_valid(c[3], c[4], c[5], p.rrs)
-
-
-@njit(cache=True)
-def joint_angles(c: Configuration, p: EnvParams) -> tuple[bool, Row, Pose, Row]:
-    """Validity of a configuration, theta, the platform's pose, and q."""
-    pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
-    ok_delta, theta = delta_kernels.inverse(c[0], c[1], c[2], p.delta)
-    ok_rrs, q = rrs_kernels.inverse(pose, p.rrs)
-    valid = (
-        ok_delta
-        and ok_rrs
-        and delta_kernels.within_limits(c[0], c[1], c[2], p.delta)
-        and rrs_kernels.within_limits(c[3], c[4], c[5], p.rrs)
-        and rrs_kernels.joints_within_limits(q, p.rrs)
-    )
-    return valid, theta, pose, q
-
-
-@njit(cache=True)
-def is_singular(sigma: float) -> bool:
-    """Whether signed sigma_min is under the margin or on the far side of det A = 0 (or NaN)."""
-    return not sigma >= SINGULAR_MARGIN
-
-
-@njit(cache=True)
-def configuration_status(c: Configuration, p: EnvParams) -> int:
-    """VALID, INVALID, COLLISION or SINGULAR, the first that applies in the order of a move."""
-    valid, theta, pose, q = joint_angles(c, p)
-    if not valid:
-        return INVALID
-    if collides(c[0], c[1], c[2], theta, pose, q, p):
-        return COLLISION
-    if is_singular(rrs_kernels.signed_sigma_min(pose, q, p.rrs)):
-        return SINGULAR
-    return VALID
-
-
-@njit(cache=True)
-def alignment_angle(normal_x: float, normal_y: float, normal_z: float) -> float:
-    """Angle between the peg's axis (vertical) and a hole's normal, rad."""
-    return math.atan2(math.hypot(normal_x, normal_y), normal_z)
-
-
-@njit(cache=True)
-def _hole_distance(s: Record, index: int) -> float:
-    """Distance from the tip to a hole's mouth, m."""
-    dx = s.mouths[index, 0] - s.tip[0]
-    dy = s.mouths[index, 1] - s.tip[1]
-    dz = s.mouths[index, 2] - s.tip[2]
-    return math.sqrt(dx * dx + dy * dy + dz * dz)
-
-
-@njit(cache=True)
-def _hole_angle(s: Record, index: int) -> float:
-    """Angle between the peg's axis and a hole's normal, rad."""
-    return alignment_angle(s.normals[index, 0], s.normals[index, 1], s.normals[index, 2])
-
-
-@njit(cache=True)
-def _place_delta(s: Record, c: Configuration, theta: Row, p: EnvParams) -> None:
-    """Write the Delta's half of a configuration and what follows from it alone."""
-    tip = peg_tip(c[0], c[1], c[2], p.delta)
-    for k in range(3):
-        s.configuration[k] = c[k]
-        s.theta[k] = theta[k]
-        s.tip[k] = tip[k]
-
-
-@njit(cache=True)
-def _place_rrs(s: Record, c: Configuration, pose: Pose, q: Row, p: EnvParams) -> None:
-    """Write the 3-RRS's half of a configuration and what follows from it alone, but sigma."""
-    for k in range(3):
-        s.configuration[3 + k] = c[3 + k]
-        s.q[k] = q[k]
-    for i in range(N_HOLES):
-        mouth, normal = hole(pose, i)
-        for k in range(3):
-            s.mouths[i, k] = mouth[k]
-            s.normals[i, k] = normal[k]
-
-
-@njit(cache=True)
-def _update_inside(s: Record, p: EnvParams) -> None:
-    """Write which holes' insertion criterion the peg meets."""
-    for i in range(N_HOLES):
-        s.inside[i] = (
-            _hole_distance(s, i) < p.task.chamfer and _hole_angle(s, i) < p.task.angle_tolerance
-        )
-
-
-@njit(cache=True)
-def _aim(s: Record, target: int) -> None:
-    s.target = target
-    s.distance, s.angle = _hole_distance(s, target), _hole_angle(s, target)
-
-
-@njit(cache=True)
-def _nearest_open_hole(s: Record) -> int:
-    """The unfilled active hole nearest to the tip, or -1."""
-    best, least = -1, math.inf
-    for i in range(N_HOLES):
-        if s.active[i] and not s.filled[i]:
-            distance = _hole_distance(s, i)
-            if distance < least:
-                best, least = i, distance
-    return best
-
-
-@njit(cache=True)
-def _neighbour(s: Record, action: int) -> Configuration:
-    axis, sign = action // 2, 1 - 2 * (action % 2)
-    s.offset[axis] += sign
-    c = lattice_configuration(s.start, s.offset)
-    s.offset[axis] -= sign
-    return c
-
-
-@njit(cache=True)
-def update_mask(s: Record, delta: bool, rrs: bool, p: EnvParams) -> None:
-    """Recompute the action mask of the robots that moved: the halves do not depend on each other.
-
-    With ``mask_singularities`` collisions couple them, and both are recomputed. If nothing is
-    valid, everything is allowed.
-    """
-    couple = p.task.mask_singularities
-    blocked = s.mask.sum() == N_ACTIONS  # may stand for "nothing valid": start afresh
-    for action in range(N_ACTIONS):
-        if couple:
-            s.mask[action] = configuration_status(_neighbour(s, action), p) == VALID
-        elif action < 6:
-            if delta or blocked:
-                s.mask[action] = delta_valid(_neighbour(s, action), p)
-        elif rrs or blocked:
-            s.mask[action] = rrs_valid(_neighbour(s, action), p)
-    if s.mask.sum() == 0:
-        s.mask[:] = 1
+__all__ = [
+    "COLLISION",
+    "INVALID",
+    "SINGULAR",
+    "VALID",
+    "begin",
+    "configuration_status",
+    "settle",
+    "step",
+]
 
 
 @njit(cache=True)
 def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p: EnvParams) -> int:
     """Start an episode at a configuration with the given holes; returns the configuration's status.
 
-    The target is left to :func:`set_target`. The state is written only if the status is VALID.
+    The target is left to :func:`coop_env.state.aim`. Nothing is written unless it is VALID.
     """
     valid, theta, pose, q = joint_angles(c, p)
     if not valid:
@@ -277,23 +73,37 @@ def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p
     s.insertions = 0
     s.energy = 0.0
     s.over = False
-    _place_delta(s, c, theta, p)
-    _place_rrs(s, c, pose, q, p)
-    _update_inside(s, p)
+    place_delta(s, c, theta, peg_tip(c[0], c[1], c[2], p.delta))
+    place_rrs(s, c, pose, q)
+    update_inside(s, p.task.chamfer, p)
     update_mask(s, True, True, p)
     return VALID
 
 
 @njit(cache=True)
-def set_target(s: Record, target: int) -> None:
-    """Aim at a hole (see :func:`begin`)."""
-    _aim(s, target)
+def settle(s: Record, p: EnvParams) -> int:
+    """Let the imperfect machine in ``s`` take the pose of a state begun; returns its status.
+
+    The joints come to rest at what is commanded, without play; a machine that collides, that is
+    singular, or that starts in a hole is refused.
+    """
+    m = s.machine
+    for k in range(3):
+        m.joints[k], m.joints[3 + k] = s.theta[k], s.q[k]
+    for k in range(N_AXES):
+        m.actual[k] = s.configuration[k]
+    c = s.configuration
+    status = _follow(s, (c[0], c[1], c[2], c[3], c[4], c[5]), p)
+    s.energy = 0.0
+    if status == VALID and s.inside.sum() > 0:
+        return COLLISION
+    return status
 
 
 @njit(cache=True)
 def _move_delta(s: Record, action: int, p: EnvParams) -> int:
     """Try a move of the Delta, with what the state holds of the 3-RRS."""
-    c = _neighbour(s, action)
+    c = neighbour(s, action)
     if not delta_kernels.within_limits(c[0], c[1], c[2], p.delta):
         return INVALID
     real, theta = delta_kernels.inverse(c[0], c[1], c[2], p.delta)
@@ -303,17 +113,16 @@ def _move_delta(s: Record, action: int, p: EnvParams) -> int:
         pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
         if collides(c[0], c[1], c[2], theta, pose, (s.q[0], s.q[1], s.q[2]), p):
             return COLLISION
-    s.offset[action // 2] += 1 - 2 * (action % 2)
     for k in range(3):
         s.energy += abs(theta[k] - s.theta[k])
-    _place_delta(s, c, theta, p)
+    place_delta(s, c, theta, peg_tip(c[0], c[1], c[2], p.delta))
     return VALID
 
 
 @njit(cache=True)
 def _move_rrs(s: Record, action: int, p: EnvParams) -> int:
     """Try a move of the 3-RRS, with what the state holds of the Delta."""
-    c = _neighbour(s, action)
+    c = neighbour(s, action)
     if not rrs_kernels.within_limits(c[3], c[4], c[5], p.rrs):
         return INVALID
     pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
@@ -323,11 +132,42 @@ def _move_rrs(s: Record, action: int, p: EnvParams) -> int:
     theta = (s.theta[0], s.theta[1], s.theta[2])
     if below_ceiling(c, p) and collides(c[0], c[1], c[2], theta, pose, q, p):
         return COLLISION
-    s.offset[action // 2] += 1 - 2 * (action % 2)
     for k in range(3):
         s.energy += abs(q[k] - s.q[k])
-    _place_rrs(s, c, pose, q, p)
+    place_rrs(s, c, pose, q)
     s.sigma = rrs_kernels.signed_sigma_min(pose, q, p.rrs)
+    return SINGULAR if is_singular(s.sigma) else VALID
+
+
+@njit(cache=True)
+def _follow(s: Record, c: Configuration, p: EnvParams) -> int:
+    """Let the imperfect machine follow a command: its model plans, its real links move.
+
+    The state's configuration is the model's; angles, tip, mouths and sigma are the real ones.
+    """
+    valid, theta, _, q = joint_angles(c, p)
+    if not valid:
+        return INVALID
+    m = s.machine
+    real = machine.real_params(m, p)
+    joints = machine.answer(m, theta, q)
+    closed, at, tilt = machine.forward(m, joints, real)
+    if not closed:
+        return INVALID
+    theta, q = (joints[0], joints[1], joints[2]), (joints[3], joints[4], joints[5])
+    pose = rrs_kernels.platform_pose(tilt[0], tilt[1], tilt[2], real.rrs)
+    met = machine.displaced(m, pose)
+    if collides(at[0], at[1], at[2], theta, met, q, real):
+        return COLLISION
+    for k in range(3):
+        s.energy += abs(theta[k] - s.theta[k]) + abs(q[k] - s.q[k])
+        m.actual[k], m.actual[3 + k] = at[k], tilt[k]
+    for k in range(6):
+        m.joints[k] = joints[k]
+    place_delta(s, c, theta, peg_tip(at[0], at[1], at[2], real.delta))
+    place_rrs(s, c, met, q)
+    update_inside(s, m.chamfer, p)
+    s.sigma = rrs_kernels.signed_sigma_min(pose, q, real.rrs)
     return SINGULAR if is_singular(s.sigma) else VALID
 
 
@@ -335,11 +175,37 @@ def _move_rrs(s: Record, action: int, p: EnvParams) -> int:
 def _attempt(s: Record, action: int, p: EnvParams) -> int:
     """Try a move: VALID and SINGULAR ones are executed, INVALID and COLLISION ones are not."""
     rrs = action >= 6
-    status = _move_rrs(s, action, p) if rrs else _move_delta(s, action, p)
-    if status != INVALID and status != COLLISION:
-        _update_inside(s, p)
-        update_mask(s, not rrs, rrs, p)
+    if p.task.imperfect:
+        status = _follow(s, neighbour(s, action), p)
+    elif rrs:
+        status = _move_rrs(s, action, p)
+    else:
+        status = _move_delta(s, action, p)
+    if status in (INVALID, COLLISION):
+        return status
+    s.offset[action // 2] += 1 - 2 * (action % 2)
+    if not p.task.imperfect:
+        update_inside(s, p.task.chamfer, p)
+    update_mask(s, not rrs, rrs, p)
     return status
+
+
+@njit(cache=True)
+def _due(s: Record, action: int, p: EnvParams) -> int:
+    """The action that is executed now: with latency the last one, -1 at first."""
+    if not (p.task.imperfect and s.machine.latency):
+        return action
+    late = s.machine.pending
+    s.machine.pending = action
+    return late
+
+
+@njit(cache=True)
+def _inserts(s: Record, p: EnvParams) -> bool:
+    """Whether the peg goes into the target: the criterion, and with a rough chamfer the luck."""
+    if s.inside[s.target] == 0 or s.filled[s.target] == 1:
+        return False
+    return not p.task.imperfect or machine.uniform(s.machine) < s.machine.insertion_probability
 
 
 @njit(cache=True)
@@ -356,50 +222,52 @@ def step(s: Record, action: int, p: EnvParams, out: Record) -> None:
     inside = s.inside
     before = (inside[0], inside[1], inside[2], inside[3], inside[4], inside[5])
     distance, angle = s.distance, s.angle
-    status = _attempt(s, action, p)
+    due = _due(s, action, p)
+    status = _attempt(s, due, p) if due >= 0 else VALID
     s.moves += 1
-    v = status != VALID
-    target = s.target
-    s.distance, s.angle = _hole_distance(s, target), _hole_angle(s, target)
+    v, target = status != VALID, s.target
+    s.distance, s.angle = hole_distance(s, target), hole_angle(s, target)
     u = not v and _entered_filled_hole(s, before)
-    z = not v and s.inside[target] == 1 and s.filled[target] == 0
+    z = not v and due >= 0 and _inserts(s, p)
     if z:
         s.filled[target] = 1
         s.insertions += 1
     out.alignment_error, out.distance = s.angle, s.distance
-    n_filled = s.filled.sum()
-    n_left = 0
-    for i in range(N_HOLES):
-        n_left += s.active[i] == 1 and s.filled[i] == 0
-    terminated = status == SINGULAR or n_left == 0
-    time = s.moves * DT
     after = (s.distance, s.angle)
-    if z and n_left > 0:
-        _aim(s, _nearest_open_hole(s))
-    _reward(s, (v, z, u, terminated), n_filled, time, (distance, angle), after, p, out)
-    out.success = s.insertions > 0
-    out.n_filled = n_filled
+    n_open = open_holes(s)
+    terminated = status == SINGULAR or n_open == 0
+    if z and n_open > 0:
+        aim(s, nearest_open_hole(s))
+    _reward(s, (v, z, u, terminated), (distance, angle), after, p, out)
     out.inserted = z
     out.inserted_hole = target if z else -1
     out.collision = status == COLLISION
     out.violation = v
     out.duplicate = u
     out.singular = status == SINGULAR
-    out.sigma_min = s.sigma
-    out.target = s.target
-    out.time = time
-    out.energy = s.energy
+    _report(s, out)
     out.terminated = terminated
     out.truncated = not terminated and s.moves >= p.task.max_moves
     s.over = out.terminated or out.truncated
 
 
 @njit(cache=True)
+def _report(s: Record, out: Record) -> None:
+    out.success = s.insertions > 0
+    out.n_filled = s.filled.sum()
+    out.sigma_min = s.sigma
+    out.target = s.target
+    out.time = s.moves * DT
+    out.energy = s.energy
+
+
+@njit(cache=True)
 def _reward(
-    s: Record, flags: tuple[bool, bool, bool, bool], n_filled: int, time: float,
+    s: Record, flags: tuple[bool, bool, bool, bool],
     before: tuple[float, float], after: tuple[float, float], p: EnvParams, out: Record,
 ) -> None:  # fmt: skip
     v, z, u, terminated = flags
+    n_filled, time = s.filled.sum(), s.moves * DT
     if p.reward.paper:
         terms = rewards.paper_terms(v, z, u, n_filled, time, before[0], after[0], p.reward)
     else:

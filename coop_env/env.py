@@ -12,12 +12,13 @@ from gymnasium import spaces
 from gymnasium.error import DependencyNotInstalled, ResetNeeded
 from numpy.typing import NDArray
 
-from coop_env import batch, dynamics, rewards, start_states, task
+from coop_env import batch, rewards, start_states, state, task
 from coop_env.errors import ActionError, ArgumentError, StateError
 from coop_env.geometry import GEOMETRIES, GeometryError, RRSGeometry
 from coop_env.kinematics import rrs_kernels
 from coop_env.observation import make_observation, observe_batch
 from coop_env.scene import Scene, make_scene
+from coop_env.sim_to_real import SimToReal, resolve
 from coop_env.task import N_ACTIONS, EnvParams, TaskParams
 
 Observation = NDArray[np.float32]
@@ -38,6 +39,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         stage: 0, the four peripheral holes, or 1, all six.
         pose_model: ``"exact"``, with parasitic motion, or ``"paper"``.
         max_moves: moves until truncation; 300 are the paper's 60 s.
+        sim_to_real: None, ``"randomized"`` or a :class:`~coop_env.sim_to_real.SimToReal`.
         render_mode: None, ``"rgb_array"``, ``"human"`` or ``"ansi"``.
 
     Raises:
@@ -62,6 +64,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         stage: int = 1,
         pose_model: str = "exact",
         max_moves: int = 300,
+        sim_to_real: str | SimToReal | None = None,
         render_mode: str | None = None,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
@@ -69,11 +72,12 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
             raise ArgumentError(f"render_mode = {render_mode!r}: must be None or one of {modes}")
         self.render_mode = render_mode
         self._stage = start_states.check_stage(stage)
+        self._knobs = resolve(sim_to_real)
         self._params = _params(
             _geometry(geometry),
             rewards.make_reward(reward, reward_kwargs),
             pose_model,
-            _task(max_moves, mask_singularities),
+            _task(max_moves, mask_singularities, self._knobs.active),
         )
         self._packed = task.pack(self._params)
         self.observation_space: spaces.Box
@@ -81,8 +85,8 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
             observation, normalize, self._params
         )
         self.action_space = spaces.Discrete(N_ACTIONS)
-        self._states = np.zeros(1, dynamics.STATE)
-        self._outcomes = np.zeros(1, dynamics.OUTCOME)
+        self._states = np.zeros(1, state.STATE)
+        self._outcomes = np.zeros(1, state.OUTCOME)
         self._rows = np.zeros((1, self._observation.shape[1]), np.float32)
         self._actions = np.zeros(1, np.int64)
         self._started = False
@@ -114,7 +118,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
 
     @property
     def state(self) -> np.void:
-        """A copy of the row of :data:`coop_env.dynamics.STATE` that the kernels work on."""
+        """A copy of the row of :data:`coop_env.state.STATE` that the kernels work on."""
         return self._row.copy()
 
     @property
@@ -131,7 +135,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
             ResetOptionError: ``configuration`` is not six numbers.
         """
         c = start_states.as_configuration(configuration)
-        return int(dynamics.configuration_status(c, self._params))
+        return int(state.configuration_status(c, self._params))
 
     def action_masks(self) -> NDArray[np.bool_]:
         """(12,): True where the move leads to a valid configuration; all True if none does."""
@@ -153,9 +157,9 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         """
         start = start_states.StartOptions(options, self._stage, self._params)
         super().reset(seed=seed)
-        self._states[:] = start_states.draw_start(start, self._params, self.np_random)
+        self._states[:] = start_states.draw_start(start, self._params, self._knobs, self.np_random)
         self._started = True
-        observe_batch(self._states, self._observation, self._rows)
+        observe_batch(self._states, self._packed, self._observation, self._rows)
         if self.render_mode is not None:
             self._trace = [self._states["tip"][0].copy()]
             self._show()
@@ -184,7 +188,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
     def _reset_info(self) -> dict[str, Any]:
         """The keys of a move's info, before any move."""
         row = self._states[0]
-        outcome: Any = np.zeros(1, dynamics.OUTCOME)
+        outcome: Any = np.zeros(1, state.OUTCOME)
         outcome["n_filled"] = row["filled"].sum()
         outcome["inserted_hole"] = -1
         outcome["sigma_min"] = row["sigma"]
@@ -228,24 +232,24 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
     def get_state(self) -> dict[str, Any]:
         """An exact, picklable snapshot: the state, the random generator and the stage."""
         return {
-            "params": self._params,
+            "params": (self._params, self._knobs),
             "states": self._states.copy(),
             "started": self._started,
             "stage": self._stage,
             "rng": self.np_random.bit_generator.state,
         }
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, snapshot: Mapping[str, Any]) -> None:
         """Return to a snapshot of :meth:`get_state`.
 
         Raises:
             StateError: the snapshot is of an environment with other arguments, or is none.
         """
-        check_snapshot(state, self.get_state())
-        self._states[:] = state["states"]
-        self._started = state["started"]
-        self._stage = state["stage"]
-        self.np_random.bit_generator.state = state["rng"]
+        check_snapshot(snapshot, self.get_state())
+        self._states[:] = snapshot["states"]
+        self._started = snapshot["started"]
+        self._stage = snapshot["stage"]
+        self.np_random.bit_generator.state = snapshot["rng"]
         self._trace = []
 
     def _attach(
@@ -283,21 +287,21 @@ def check_action(action: Any) -> int:
     return int(action)
 
 
-def check_snapshot(state: Mapping[str, Any], own: Mapping[str, Any]) -> None:
+def check_snapshot(snapshot: Mapping[str, Any], own: Mapping[str, Any]) -> None:
     """Compare a snapshot with one of the environment that is to take it.
 
     Raises:
         StateError: its keys, its shapes or its parameters differ.
     """
-    if not isinstance(state, Mapping) or set(state) != set(own):
+    if not isinstance(snapshot, Mapping) or set(snapshot) != set(own):
         raise StateError(f"the snapshot must be a mapping with the keys {sorted(own)}")
-    states = state["states"]
+    states = snapshot["states"]
     if states.dtype != own["states"].dtype or states.shape != own["states"].shape:
         raise StateError(
             f"the snapshot holds {states.shape} states of another layout than this "
             f"environment's {own['states'].shape}: build it as the saved one was built"
         )
-    if repr(state["params"]) != repr(own["params"]):  # repr, as NaN does not equal itself
+    if repr(snapshot["params"]) != repr(own["params"]):  # repr, as NaN does not equal itself
         raise StateError("the snapshot is of an environment with other arguments (geometry, ...)")
 
 
@@ -311,14 +315,16 @@ def _geometry(geometry: str | RRSGeometry) -> RRSGeometry:
     )
 
 
-def _task(max_moves: int, mask_singularities: bool) -> TaskParams:
+def _task(max_moves: int, mask_singularities: bool, imperfect: bool) -> TaskParams:
     if isinstance(max_moves, bool) or not isinstance(max_moves, (int, np.integer)):
         raise ArgumentError(f"max_moves = {max_moves!r}: must be an integer of at least 1")
     if max_moves < 1:
         raise ArgumentError(f"max_moves = {max_moves!r}: must be an integer of at least 1")
     if not isinstance(mask_singularities, bool):
         raise ArgumentError(f"mask_singularities = {mask_singularities!r}: must be True or False")
-    return TaskParams(max_moves=int(max_moves), mask_singularities=mask_singularities)
+    return TaskParams(
+        max_moves=int(max_moves), mask_singularities=mask_singularities, imperfect=imperfect
+    )
 
 
 def _params(

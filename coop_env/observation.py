@@ -9,9 +9,12 @@ from gymnasium import spaces
 from numba import njit
 from numpy.typing import NDArray
 
-from coop_env.dynamics import Record
+from coop_env import machine
+from coop_env.collision import hole, peg_tip
 from coop_env.errors import ArgumentError
-from coop_env.task import DOME_RADIUS, DT, N_HOLES, EnvParams
+from coop_env.kinematics import rrs_kernels
+from coop_env.state import Record
+from coop_env.task import DOME_RADIUS, DT, N_HOLES, EnvParams, unpack
 
 PAPER_FIELDS: Final = (
     "x", "y", "z", "roll", "pitch", "heave",
@@ -51,7 +54,7 @@ def make_observation(
     if normalize:
         transform = np.stack([low, 1.0 / (high - low), zeros, ones])
         return transform, spaces.Box(0.0, 1.0, low.shape, np.float32)
-    transform = np.stack([zeros, ones, zeros - np.inf, zeros + np.inf])
+    transform = np.stack([zeros, ones, low, high])
     return transform, spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 
@@ -76,7 +79,18 @@ def _largest_error(p: EnvParams) -> float:
 
 
 @njit(cache=True)
-def observe(s: Record, o: np.ndarray, row: np.ndarray) -> None:
+def _observe_model(s: Record, p: EnvParams, row: np.ndarray) -> None:
+    """Overwrite e_rel and n_target by what the controller's model makes of the configuration."""
+    c = s.configuration
+    tip = peg_tip(c[0], c[1], c[2], p.delta)
+    mouth, normal = hole(rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs), s.target)
+    for k in range(3):
+        row[6 + k] = mouth[k] - tip[k]
+        row[9 + k] = normal[k]
+
+
+@njit(cache=True)
+def observe(s: Record, p: EnvParams, o: np.ndarray, row: np.ndarray) -> None:
     """Write the observation of one row of state to ``row (size,)``, float32; o is a Transform."""
     target = s.target
     for k in range(6):
@@ -84,16 +98,23 @@ def observe(s: Record, o: np.ndarray, row: np.ndarray) -> None:
     for k in range(3):
         row[6 + k] = s.mouths[target, k] - s.tip[k]
         row[9 + k] = s.normals[target, k]
+    if p.task.imperfect:
+        _observe_model(s, p, row)
     if row.shape[0] > 12:
         for i in range(N_HOLES):
             row[12 + i] = s.filled[i]
         row[12 + N_HOLES] = s.moves * DT
+    noise = s.machine.noise if p.task.imperfect else 0.0
     for k in range(row.shape[0]):
-        row[k] = min(max((row[k] - o[0, k]) * o[1, k], o[2, k]), o[3, k])
+        value = (row[k] - o[0, k]) * o[1, k]
+        if noise > 0.0 and k < len(PAPER_FIELDS):
+            value += noise * (o[3, k] - o[2, k]) * machine.gaussian(s.machine)
+        row[k] = min(max(value, o[2, k]), o[3, k])
 
 
 @njit(cache=True)
-def observe_batch(states: np.ndarray, o: np.ndarray, rows: np.ndarray) -> None:
-    """Observations ``rows (n, size)`` of ``states (n,)``."""
+def observe_batch(states: np.ndarray, packed: np.ndarray, o: np.ndarray, rows: np.ndarray) -> None:
+    """Observations ``rows (n, size)`` of ``states (n,)``; the rest as for ``step_batch``."""
+    p = unpack(packed)
     for i in range(states.shape[0]):
-        observe(states[i], o, rows[i])
+        observe(states[i], p, o, rows[i])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from coop_env import task
 from coop_env.collision import arm_points, limb_points
-from coop_env.dynamics import joint_angles
+from coop_env.state import joint_angles
 from coop_env.task import DT, EnvParams
 
 Points = NDArray[np.float64]
@@ -78,7 +78,7 @@ def _status(state: np.void, sigma: float) -> str:
 
 
 def make_scene(state: np.void, p: EnvParams, trace: Sequence[Points] = ()) -> Scene:
-    """The scene of one row of :data:`coop_env.dynamics.STATE`, with the tip's path so far."""
+    """The scene of one row of :data:`coop_env.state.STATE`, with the tip's path so far."""
     x, y, z, roll, pitch, heave = (float(v) for v in state["configuration"])
     _, theta, pose, q = joint_angles((x, y, z, roll, pitch, heave), p)
     arms = np.array([arm_points(x, y, z, theta, i, p.delta) for i in range(3)])

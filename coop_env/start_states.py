@@ -12,10 +12,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from coop_env import dynamics
-from coop_env.dynamics import STATE, VALID, Record
+from coop_env import dynamics, state
 from coop_env.errors import ArgumentError, ResetOptionError
 from coop_env.kinematics import rrs_kernels
+from coop_env.sim_to_real import SimToReal, draw_machine
+from coop_env.state import STATE, VALID, Record
 from coop_env.task import (
     DOME_RADIUS,
     N_AXES,
@@ -31,10 +32,11 @@ from coop_env.task import (
 OPTIONS: Final = ("configuration", "target", "filled")
 _BLOCK: Final = 16
 _MAX_BLOCKS: Final = 512
+_MAX_MACHINES: Final = 100
 _STATUS: Final = {
-    dynamics.INVALID: "outside a robot's workspace or joint limits",
-    dynamics.COLLISION: "a collision",
-    dynamics.SINGULAR: "singular (signed sigma_min below 0.05)",
+    state.INVALID: "outside a robot's workspace or joint limits",
+    state.COLLISION: "a collision",
+    state.SINGULAR: "singular (signed sigma_min below 0.05)",
 }
 
 
@@ -94,23 +96,36 @@ class StartOptions:
         self.configuration = _configuration(given.get("configuration"), p)
 
 
-def draw_start(options: StartOptions, p: EnvParams, rng: np.random.Generator) -> NDArray[np.void]:
-    """A start state, as an array (1,) of :data:`coop_env.dynamics.STATE`.
+def draw_start(
+    options: StartOptions, p: EnvParams, knobs: SimToReal, rng: np.random.Generator
+) -> NDArray[np.void]:
+    """A start state, as an array (1,) of :data:`coop_env.state.STATE`.
 
     Raises:
-        ResetOptionError: no acceptable start was found; the geometry has hardly any workspace
-            with sigma_min of at least 0.15.
+        ResetOptionError: no acceptable start was found: the geometry has hardly any workspace
+            with sigma_min of at least 0.15, or no machine within the knobs can stand there.
     """
     scratch = np.zeros(1, STATE)
-    if options.configuration is not None:
-        dynamics.begin(scratch[0], options.configuration, options.active, options.filled, p)
+    for _ in range(_MAX_MACHINES):
+        if options.configuration is not None:
+            dynamics.begin(scratch[0], options.configuration, options.active, options.filled, p)
+        else:
+            _draw_until_accepted(scratch, options, p, rng)
+        if not p.task.imperfect:
+            break
+        draw_machine(scratch[0]["machine"], knobs, p, rng)
+        if dynamics.settle(scratch[0], p) == VALID:
+            break
     else:
-        _draw_until_accepted(scratch, options, p, rng)
+        raise ResetOptionError(
+            f"none of {_MAX_MACHINES} machines within {knobs} can stand at a start state: "
+            "turn the sim-to-real knobs down, or choose another configuration"
+        )
     target = options.target
     if target is None:
         open_holes = np.flatnonzero((options.active == 1) & (options.filled == 0))
         target = int(open_holes[rng.integers(open_holes.size)])
-    dynamics.set_target(scratch[0], target)
+    state.aim(scratch[0], target)
     return scratch
 
 
@@ -163,7 +178,7 @@ def _target(value: object, active: NDArray[np.uint8], filled: NDArray[np.uint8])
     return target
 
 
-def as_configuration(value: object) -> dynamics.Configuration:
+def as_configuration(value: object) -> state.Configuration:
     """Six floats (x, y, z, roll, pitch, heave).
 
     Raises:
@@ -181,13 +196,13 @@ def as_configuration(value: object) -> dynamics.Configuration:
     return x, y, z, roll, pitch, heave
 
 
-def _configuration(value: object, p: EnvParams) -> dynamics.Configuration | None:
+def _configuration(value: object, p: EnvParams) -> state.Configuration | None:
     if value is None:
         return None
     configuration = as_configuration(value)
     if not np.all(np.isfinite(configuration)):
         raise ResetOptionError(f"configuration = {configuration}: must be finite")
-    status = dynamics.configuration_status(configuration, p)
+    status = state.configuration_status(configuration, p)
     if status != VALID:
         raise ResetOptionError(f"configuration = {configuration}: is {_STATUS[status]}")
     return configuration

@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env.base_vec_env import (
     VecEnvIndices,
 )
 
-from coop_env import batch, dynamics
+from coop_env import batch, state
 from coop_env.env import CoopInsertionEnv, check_snapshot
 from coop_env.errors import ActionError, ArgumentError
 from coop_env.task import N_ACTIONS
@@ -50,10 +50,10 @@ class CoopInsertionVecEnv(VecEnv):
         first = self.envs[0]
         self.render_mode = first.render_mode
         self.metadata = first.metadata
-        self._params, self._observation = first.params, first._observation
+        self._params, self._observation = (first.params, first._knobs), first._observation
         self._packed = first._packed
-        self._states = np.zeros(n_envs, dynamics.STATE)
-        self._outcomes = np.zeros(n_envs, dynamics.OUTCOME)
+        self._states = np.zeros(n_envs, state.STATE)
+        self._outcomes = np.zeros(n_envs, state.OUTCOME)
         self._rows = np.zeros((n_envs, self._observation.shape[1]), np.float32)
         self._actions = np.zeros(n_envs, np.int64)
         for i, env in enumerate(self.envs):
@@ -172,14 +172,14 @@ class CoopInsertionVecEnv(VecEnv):
             "options": list(self._options),
         }
 
-    def set_state(self, state: Mapping[str, Any]) -> None:
+    def set_state(self, snapshot: Mapping[str, Any]) -> None:
         """Return to a snapshot of :meth:`get_state`; the observations are written anew.
 
         Raises:
             StateError: the snapshot is of another batch: other arguments, another ``n_envs``.
         """
-        check_snapshot(state, self.get_state())
-        for env, snapshot in zip(self.envs, state["envs"], strict=True):
-            env.set_state(snapshot)
-        self._seeds = list(state["seeds"])
-        self._options = list(state["options"])
+        check_snapshot(snapshot, self.get_state())
+        for env, own in zip(self.envs, snapshot["envs"], strict=True):
+            env.set_state(own)
+        self._seeds = list(snapshot["seeds"])
+        self._options = list(snapshot["options"])

@@ -16,11 +16,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 import coop_env
-from coop_env import dynamics
+from coop_env import state
 from coop_env.collision import collides, hole, peg_tip
-from coop_env.dynamics import Configuration
 from coop_env.kernel_cache import drop_stale_kernels
 from coop_env.kinematics import rrs_kernels
+from coop_env.state import Configuration
 from coop_env.task import STEP, EnvParams
 
 drop_stale_kernels(Path(__file__).parent, Path(coop_env.__file__).parent)
@@ -83,7 +83,7 @@ def configuration_at(
     for k in range(3):
         offset[k] = node_offset(delta, delta_node, k)
         offset[3 + k] = node_offset(rrs, rrs_node, k)
-    return dynamics.lattice_configuration(start, offset)
+    return state.lattice_configuration(start, offset)
 
 
 @njit(cache=True)
@@ -93,10 +93,10 @@ def fill_free(start: NDArray[np.float64], delta: Grid, rrs: Grid, p: EnvParams) 
     some_delta = node_at(delta, np.zeros(3, np.int64))
     for node in range(delta.free.size):
         c = configuration_at(start, delta, rrs, node, some_rrs)
-        delta.free[node] = dynamics.delta_valid(c, p)
+        delta.free[node] = state.delta_valid(c, p)
     for node in range(rrs.free.size):
         c = configuration_at(start, delta, rrs, some_delta, node)
-        rrs.free[node] = dynamics.rrs_valid(c, p) and not dynamics.is_singular(
+        rrs.free[node] = state.rrs_valid(c, p) and not state.is_singular(
             rrs_kernels.sigma_at(c[3], c[4], c[5], p.rrs)
         )
 
@@ -135,7 +135,7 @@ def goals(
         c = configuration_at(start, delta, rrs, some_delta, rrs_node)
         pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
         mouth, normal = hole(pose, target)
-        if dynamics.alignment_angle(normal[0], normal[1], normal[2]) >= p.task.angle_tolerance:
+        if state.alignment_angle(normal[0], normal[1], normal[2]) >= p.task.angle_tolerance:
             continue
         above = mouth[2] - p.delta.base_height + p.delta.peg_length
         for k, wanted in enumerate((mouth[0], mouth[1], above)):
@@ -175,7 +175,7 @@ def _pair_collides(
     start: NDArray[np.float64], delta: Grid, rrs: Grid, delta_node: int, rrs_node: int, p: EnvParams
 ) -> bool:
     c = configuration_at(start, delta, rrs, delta_node, rrs_node)
-    _, theta, pose, q = dynamics.joint_angles(c, p)
+    _, theta, pose, q = state.joint_angles(c, p)
     return collides(c[0], c[1], c[2], theta, pose, q, p)
 
 

@@ -14,6 +14,7 @@ from benchmarks.planners import lattice_search as search
 from benchmarks.planners.base import Plan
 from benchmarks.planners.lattice_search import Grid
 from coop_env import dynamics
+from coop_env.state import OUTCOME
 from coop_env.task import N_ACTIONS, STEP, EnvParams
 
 DEFAULT_NODE_LIMIT: Final = 2_000_000
@@ -177,7 +178,7 @@ def _execute(state: Any, moves: NDArray[np.int64], p: EnvParams) -> bool:
 
     The kernel does not look at ``over``, so a plan longer than the moves left is run to its end.
     """
-    outcome = np.zeros(1, dynamics.OUTCOME)
+    outcome = np.zeros(1, OUTCOME)
     inserted = False
     for move in moves:
         if inserted:
