@@ -43,6 +43,11 @@ def test_agrees_with_numpy_and_batched_svd_cell_by_cell(name: str) -> None:
     found = design.workspace_map(g)
     np.testing.assert_array_equal(found.inside, component)
     np.testing.assert_allclose(found.sigma, sigma, atol=1e-8)
+    poses = np.stack([*found.samples, np.full_like(sigma, 0.21)], axis=-1)
+    np.testing.assert_array_equal(found.kappa, rrs.condition_number(poses, g))
+    np.testing.assert_array_equal(
+        found.inside, design.component(g, DesignProblem(), found.samples, 0.21)
+    )
     assert found.area == pytest.approx(design.workspace_area(g), abs=1e-12)
 
 

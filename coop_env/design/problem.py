@@ -19,9 +19,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coop_env.design.kernels import flood
+from coop_env.design.kernels import flood, survey
 from coop_env.geometry import INITIAL, OPTIMIZED, RRSGeometry
-from coop_env.kinematics import rrs
 from coop_env.kinematics.rrs_kernels import RRSParams, make_params
 
 Floats = NDArray[np.float64]
@@ -176,7 +175,7 @@ def component(
 ) -> Bools:
     """The cells ``(cells, cells)`` of home's connected component at a heave."""
     mask = np.zeros(samples.roll.shape, dtype=np.int8)
-    flood(*samples, heave, problem.threshold, problem.params(geometry), mask)
+    flood(*samples, heave, problem.threshold, problem.params(geometry), mask, False)
     return mask == 1
 
 
@@ -199,7 +198,7 @@ def workspace_area(
     counts = []
     for heave in problem.heaves:
         mask = np.zeros(samples.roll.shape, dtype=np.int8)
-        counts.append(flood(*samples, heave, problem.threshold, p, mask))
+        counts.append(flood(*samples, heave, problem.threshold, p, mask, False))
     combined = min(counts) if problem.over_heaves == "min" else sum(counts) / len(counts)
     return problem.cell_area * combined
 
@@ -216,14 +215,10 @@ def workspace_map(
     """
     problem = problem or DesignProblem()
     samples = samples or sample_points(problem)
-    height = problem.home_heave if heave is None else heave
-    poses = np.stack([*samples, np.full_like(samples.roll, height)], axis=-1)
-    inside = component(geometry, problem, samples, height)
-    found = rrs.manipulability(poses, geometry, problem.pose_model)
-    return WorkspaceMap(
-        samples,
-        found.signed_sigma_min,
-        found.condition_number,
-        inside,
-        problem.cell_area * float(inside.sum()),
-    )
+    height = problem.home_heave if heave is None else float(heave)
+    p = problem.params(geometry)
+    sigma, kappa = np.empty(samples.roll.shape), np.empty(samples.roll.shape)
+    mask = np.empty(samples.roll.shape, dtype=np.int8)
+    survey(*samples, height, problem.threshold, p, sigma, kappa, mask)
+    count = flood(*samples, height, problem.threshold, p, mask, True)
+    return WorkspaceMap(samples, sigma, kappa, mask == 1, problem.cell_area * count)

@@ -16,7 +16,7 @@ Row = tuple[float, float, float]
 Matrix3 = tuple[Row, Row, Row]
 
 _MAX_SWEEPS = 30
-_ORTHOGONAL = 1e-15
+_ORTHOGONAL = 1e-30  # squared cosine between columns
 
 
 @njit(cache=True)
@@ -25,10 +25,11 @@ def _rotate(a: Row, b: Row) -> tuple[Row, Row, bool]:
     aa = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
     bb = b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
     ab = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    if ab == 0.0 or abs(ab) <= _ORTHOGONAL * math.sqrt(aa * bb):
+    if ab * ab <= _ORTHOGONAL * (aa * bb):
         return a, b, False
-    zeta = (bb - aa) / (2.0 * ab)
-    t = math.copysign(1.0, zeta) / (abs(zeta) + math.sqrt(1.0 + zeta * zeta))
+    # tan of the angle from the Gram entries; this form has one root and one quotient to wait for
+    d, h = bb - aa, 2.0 * ab
+    t = math.copysign(1.0, d) * h / (abs(d) + math.sqrt(d * d + h * h))
     c = 1.0 / math.sqrt(1.0 + t * t)
     s = c * t
     new_a = (c * a[0] - s * b[0], c * a[1] - s * b[1], c * a[2] - s * b[2])
