@@ -22,7 +22,7 @@ from PIL import Image
 
 from coop_env.env import CoopInsertionEnv
 from coop_env.rendering import viewer as viewer_module
-from coop_env.rendering.bodies import COLOURS, bodies
+from coop_env.rendering.bodies import COLOURS
 from coop_env.rendering.browser import ViewerError
 from coop_env.rendering.viewer import Viewer
 
@@ -261,10 +261,3 @@ def test_browser_shows_both_robots_and_moves_with_a_slider(view: Viewer, tmp_pat
         assert view.env.configuration[1:] == pytest.approx(before[1:], abs=0.0)
     finally:
         browser.close()
-
-
-def test_every_body_is_in_the_browser_once(view: Viewer) -> None:
-    names = [body.name for body in bodies(view.env.scene())]
-    assert len(names) == len(set(names))
-    for part in ("delta/base", "delta/peg", "rrs/base", "rrs/platform", "rrs/dome"):
-        assert part in names
