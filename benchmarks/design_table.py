@@ -61,7 +61,8 @@ def table_rows(found: Sequence[Measured]) -> list[Row]:
         "large kappa in both, and the larger workspace has the longer rim. Over the fixed cone of "
         f"28° it falls from {cone[0]:.0f} to {cone[1]:.0f} %.",
         "joint_range": "Joint angle range: does not come out. The optimized design tilts further, "
-        "so it uses more of its joints' travel, not less, and the 12° limit bounds its workspace.",
+        "so it uses more of its joints' travel, not less, and both limits bound its workspace; the "
+        "paper's initial range is that of the limits themselves.",
     }
     values: dict[str, tuple[Callable[[DesignMetrics], Sequence[float]], int]] = {
         "workspace": (lambda m: [m.area], 3),

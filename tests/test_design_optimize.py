@@ -73,6 +73,8 @@ def test_the_atlas_is_nan_exactly_outside_the_constraints_and_reports_progress()
             feasible = 0 < c < a < 2 and b > 0
             assert np.isfinite(grid.value[i, j]) == feasible
     assert rows == [(1, 3), (2, 3), (3, 3)]
+    with pytest.raises(DesignError, match="no design of this atlas"):
+        _ = design.atlas(tiny, [0.1], [0.1]).best
 
 
 def test_a_start_without_workspace_is_an_error_not_a_flat_optimum() -> None:

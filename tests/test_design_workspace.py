@@ -193,6 +193,7 @@ def test_at_least_five_times_faster_than_numpy_and_batched_svd(
         ("extent", 2.0),
         ("joint_min", 2.0),
         ("cells", 1),
+        ("cells", 2.5),
         ("pose_model", "papr"),
         ("over_heaves", "max"),
     ],

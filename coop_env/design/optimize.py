@@ -262,7 +262,15 @@ class Atlas:
 
     @property
     def best(self) -> tuple[float, float, float]:
-        """(lambda1, lambda2, value) of the greatest entry."""
+        """(lambda1, lambda2, value) of the greatest entry.
+
+        Raises:
+            DesignError: no design of the grid meets the constraints.
+        """
+        if not np.isfinite(self.value).any():
+            raise DesignError(
+                "no design of this atlas meets the constraints lambda3 < lambda1 < 2: widen its grid"
+            )
         i, j = np.unravel_index(np.nanargmax(self.value), self.value.shape)
         return float(self.lambda1[i]), float(self.lambda2[j]), float(self.value[i, j])
 

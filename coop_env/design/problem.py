@@ -87,8 +87,8 @@ class DesignProblem:
             raise DesignError(
                 f"joint_min = {self.joint_min!r} must be below joint_max = {self.joint_max!r}"
             )
-        if self.cells < 2:
-            raise DesignError(f"cells = {self.cells!r}: must be at least 2")
+        if not (isinstance(self.cells, int) and self.cells >= 2):
+            raise DesignError(f"cells = {self.cells!r}: must be a whole number of at least 2")
         if self.pose_model not in ("exact", "paper"):
             raise DesignError(f"pose_model = {self.pose_model!r}: must be 'exact' or 'paper'")
         if self.over_heaves not in ("min", "mean"):

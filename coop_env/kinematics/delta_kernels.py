@@ -152,7 +152,7 @@ def is_valid(x: float, y: float, z: float, p: DeltaParams) -> bool:
     """Whether a position is within the workspace and real on all three limbs."""
     if not within_limits(x, y, z, p):
         return False
-    for limb in range(3):
+    for limb in range(3):  # noqa: SIM110 (numba takes no generator)
         if not abs(limb_triangle(x, y, z, limb, p)[1]) <= 1.0:
             return False
     return True
