@@ -1,0 +1,206 @@
+"""Bad input: one named error each, and the environment left as it was."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+
+from coop_env import OPTIMIZED, CoopInsertionEnv, CoopInsertionVecEnv, RRSGeometry, SimToReal
+from coop_env.errors import (
+    ActionError,
+    ArgumentError,
+    ResetOptionError,
+    RewardError,
+    StateError,
+)
+from coop_env.geometry import GeometryError
+from coop_env.kinematics import rrs_kernels
+
+VALID = (0.0, 0.0, -0.33, 0.1, 0.1, 0.22)
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "error", "message"),
+    [
+        ({"geometry": "better"}, ArgumentError, "'better'.*initial.*optimized"),
+        ({"geometry": None}, ArgumentError, "None"),
+        ({"reward": "dense"}, RewardError, "'dense'.*'paper' or 'progress'"),
+        ({"reward": "paper", "reward_kwargs": {"gamma": 1.0}}, RewardError, "takes no scales"),
+        ({"reward": "progress", "reward_kwargs": {"scale": 1}}, RewardError, "scale.*known"),
+        ({"reward": "progress", "reward_kwargs": {"step_cost": -0.5}}, RewardError, "-0.5"),
+        ({"reward": "progress", "reward_kwargs": {"step_cost": math.nan}}, RewardError, "nan"),
+        ({"reward": "progress", "reward_kwargs": {"step_cost": None}}, RewardError, "None"),
+        ({"reward": "progress", "reward_kwargs": {"gamma": 1.5}}, RewardError, "1.5"),
+        ({"observation": "full"}, ArgumentError, "'full'"),
+        ({"normalize": 1}, ArgumentError, "normalize = 1"),
+        ({"mask_singularities": "yes"}, ArgumentError, "'yes'"),
+        ({"stage": 2}, ArgumentError, "stage = 2"),
+        ({"stage": True}, ArgumentError, "stage = True"),
+        ({"pose_model": "approximate"}, ArgumentError, "'approximate'"),
+        ({"max_moves": 0}, ArgumentError, "max_moves = 0"),
+        ({"max_moves": 3.5}, ArgumentError, "max_moves = 3.5"),
+        ({"render_mode": "opengl"}, ArgumentError, "'opengl'"),
+        ({"sim_to_real": "harsh"}, ArgumentError, "'harsh'"),
+    ],
+)
+def test_arguments(kwargs: dict[str, Any], error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        CoopInsertionEnv(**kwargs)
+
+
+def test_an_unknown_keyword() -> None:
+    with pytest.raises(TypeError, match="geomtry"):
+        gym.make("CoopInsertion-v0", geomtry="initial")
+
+
+def test_a_geometry_that_cannot_be_assembled() -> None:
+    with pytest.raises(GeometryError, match="home"):
+        CoopInsertionEnv(geometry=RRSGeometry(0.1778, 0.1024, 0.1114, distal_length=0.08))
+    with pytest.raises(GeometryError, match="lambda"):
+        RRSGeometry.from_lambdas(0.5, 1.0)
+
+
+def test_a_geometry_without_start_states_is_told_not_searched_for_ever() -> None:
+    p = CoopInsertionEnv().params.rrs
+    home = rrs_kernels.inverse(rrs_kernels.platform_pose(0.0, 0.0, 0.21, p), p)[1][0]
+    limits = {"joint_min": home - 1e-5, "joint_max": home + 1e-5}
+    env = CoopInsertionEnv(geometry=RRSGeometry(**{**OPTIMIZED.as_dict(), **limits}))
+    with pytest.raises(ResetOptionError, match="too little workspace"):
+        env.reset(seed=0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"config": VALID}, "config.*known"),
+        ({"configuration": (0.0, 0.0)}, r"shape \(2,\)"),
+        ({"configuration": "home"}, "six numbers"),
+        ({"configuration": (math.nan, *VALID[1:])}, "finite"),
+        ({"configuration": (0.0, 0.0, -0.1, 0.0, 0.0, 0.22)}, "workspace"),
+        ({"configuration": (0.0, 0.0, -0.33, 0.0, 0.0, 0.5)}, "workspace"),
+        ({"configuration": (0.0, 0.0, -0.6, 0.0, 0.0, 0.22)}, "collision"),
+        ({"target": 6}, "target = 6"),
+        ({"target": 1.0}, "target = 1.0"),
+        ({"target": True}, "target = True"),
+        ({"filled": 3}, "filled = 3"),
+        ({"filled": "all"}, "filled = 'all'"),
+        ({"filled": [7]}, "7"),
+        ({"filled": range(6)}, "leaves no active hole"),
+        ({"filled": [2], "target": 2}, "target = 2"),
+    ],
+)
+def test_reset_options(options: dict[str, Any], message: str) -> None:
+    env = CoopInsertionEnv()
+    env.reset(seed=3)
+    env.step(int(np.flatnonzero(env.action_masks())[0]))
+    before = env.get_state()
+    with pytest.raises(ResetOptionError, match=message):
+        env.reset(seed=4, options=options)
+    after = env.get_state()
+    assert after["states"].tobytes() == before["states"].tobytes()
+    assert after["rng"] == before["rng"]
+
+
+def test_a_target_that_is_not_active() -> None:
+    env = CoopInsertionEnv(stage=0)
+    with pytest.raises(ResetOptionError, match="target = 5: not active"):
+        env.reset(seed=0, options={"target": 5})
+    with pytest.raises(ResetOptionError, match="leaves no active hole"):
+        env.reset(seed=0, options={"filled": [0, 1, 2, 3]})
+
+
+def test_a_singular_start() -> None:
+    env = CoopInsertionEnv(geometry="initial")
+    rng = np.random.default_rng(0)
+    for _ in range(10_000):
+        c = (0.0, 0.0, -0.27, *rng.uniform(-0.75, 0.75, 2), rng.uniform(0.21, 0.25))
+        if env.configuration_status(c) == 3:
+            break
+    with pytest.raises(ResetOptionError, match="singular"):
+        env.reset(options={"configuration": c})
+
+
+@pytest.mark.parametrize("action", [12, -1, 1.5, "up", None, True, np.array([1]), np.float64(2)])
+def test_actions(action: Any) -> None:
+    env = CoopInsertionEnv()
+    env.reset(seed=0)
+    before = env.state.tobytes()
+    with pytest.raises(ActionError, match="0 to 11"):
+        env.step(action)
+    assert env.state.tobytes() == before
+
+
+@pytest.mark.parametrize(
+    "actions", [[0, 1], [0, 1, 12], [0, -1, 2], [0.0, 1.0, 2.0], [[0, 1, 2]], 0, ["a", "b", "c"]]
+)
+def test_batch_actions(actions: Any) -> None:
+    batch = CoopInsertionVecEnv(3, seed=0)
+    batch.reset()
+    before = batch.get_state()["states"].tobytes()
+    with pytest.raises(ActionError):
+        batch.step(actions)
+    assert batch.get_state()["states"].tobytes() == before
+
+
+def test_use_out_of_turn() -> None:
+    env = CoopInsertionEnv(max_moves=1)
+    for use in (lambda: env.step(0), env.action_masks, lambda: env.configuration, env.scene):
+        with pytest.raises(ResetNeeded):
+            use()
+    env.reset(seed=0)
+    assert env.step(0)[3]
+    with pytest.raises(ResetNeeded):
+        env.step(0)
+
+
+def test_batch_arguments() -> None:
+    for n_envs in (0, -1, 2.0, True):
+        with pytest.raises(ArgumentError, match="n_envs"):
+            CoopInsertionVecEnv(n_envs)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="geomtry"):
+        CoopInsertionVecEnv(2, geomtry="initial")
+    with pytest.raises(ArgumentError, match="speed"):
+        CoopInsertionVecEnv(2).set_attr("speed", 1)
+
+
+def test_snapshots_of_something_else() -> None:
+    env = CoopInsertionEnv()
+    env.reset(seed=0)
+    with pytest.raises(StateError, match="other arguments"):
+        env.set_state(CoopInsertionEnv(geometry="initial").get_state())
+    with pytest.raises(StateError, match="keys"):
+        env.set_state({})
+    batch = CoopInsertionVecEnv(2, seed=0)
+    batch.reset()
+    with pytest.raises(StateError, match="states"):
+        batch.set_state(CoopInsertionVecEnv(3).get_state())
+
+
+def test_configuration_status_of_nonsense() -> None:
+    env = CoopInsertionEnv()
+    assert env.configuration_status([math.nan] * 6) == 1
+    assert env.configuration_status([math.inf, 0, 0, 0, 0, 0]) == 1
+    with pytest.raises(ResetOptionError, match="shape"):
+        env.configuration_status([0.0] * 5)
+
+
+@pytest.mark.parametrize(
+    "knobs",
+    [
+        {"observation_noise": -0.1},
+        {"link_length_error": 0.5},
+        {"backlash": math.nan},
+        {"latency": 2},
+        {"latency": 0.5},
+        {"insertion_probability": 1.1},
+        {"chamfer_error": "big"},
+    ],
+)
+def test_knobs(knobs: dict[str, Any]) -> None:
+    with pytest.raises(ArgumentError, match=next(iter(knobs))):
+        SimToReal(**knobs)
