@@ -150,7 +150,8 @@ def load_newest(
             with (path / "state.pkl").open("rb") as stream:
                 state = pickle.load(stream)
             model = algorithm.load(path / "model.zip", env=env, force_reset=False, device="cpu")
-            model.load_replay_buffer(path / "buffer.pkl")
+            with (path / "buffer.pkl").open("rb") as stream:
+                model.load_replay_buffer(stream)
         except Exception as error:
             # whatever a damaged file makes of the loaders, the run must go on
             aside = path.with_name(f"broken-{path.name}")

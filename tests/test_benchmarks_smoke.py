@@ -1,0 +1,215 @@
+"""The whole chain through the ``smoke`` preset: four methods, tables, skipping, bad input."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from benchmarks.__main__ import main
+from benchmarks.store import SCHEMA, Store
+
+RUNS = {
+    "rainbow-optimized-tuned-s0",
+    "dqn-optimized-tuned-s0",
+    "rrt_connect-optimized-s0",
+    "optimum-optimized-s0",
+}
+CURVES = {
+    "episode_reward",
+    "learning_rate",
+    "noise_magnitude",
+    "holes_per_episode",
+    "success_rate",
+    "mean_max_q",
+    "loss",
+    "episode_duration_s",
+}
+
+
+def harness(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "benchmarks", *words],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "MPLBACKEND": "Agg"},
+        timeout=280,
+    )
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("results")
+    done = harness("--preset", "smoke", "--results", str(folder), "--jobs", "2")
+    assert done.returncode == 0, done.stdout + done.stderr
+    for title in (
+        "Geometric optimization",
+        "Performance on the test episodes",
+        "Rainbow with one component removed",
+        "Full Rainbow before and after",
+        "under observation noise",
+        "Tables (CSV, Markdown, LaTeX)",
+    ):
+        assert title in done.stdout
+    return folder
+
+
+def test_all_four_methods_ran_and_say_how(results: Path) -> None:
+    runs = {run.id: run for run in Store.open(results, "smoke").completed()}
+    assert set(runs) == RUNS
+    for run in runs.values():
+        meta = run.meta()
+        assert meta["schema"] == SCHEMA
+        assert meta["wall_seconds"] > 0 < meta["cpu_seconds"]
+        assert {"commit", "dirty", "versions", "machine", "seeds"} <= set(meta)
+        assert not run.checkpoint.exists()
+    for name in ("rainbow-optimized-tuned-s0", "dqn-optimized-tuned-s0"):
+        assert runs[name].policy.is_file()
+        assert runs[name].meta()["training"]["timesteps"] == 480
+        assert runs[name].rows("curve")["timesteps"].is_monotonic_increasing
+
+
+def test_every_method_began_the_same_episodes(results: Path) -> None:
+    store = Store.open(results, "smoke")
+    episodes = {run.id: run.rows("episodes") for run in store.completed()}
+    starts = {name: tuple(rows["start"].unique()) for name, rows in episodes.items()}
+    assert len(set(starts.values())) == 1
+    assert set(episodes["rainbow-optimized-tuned-s0"]["noise"]) == {0.0, 0.01}
+    optimum = episodes["optimum-optimized-s0"]
+    assert optimum["success"].all()
+    assert (optimum["collisions"] == 0).all()
+
+
+def test_tables_and_figures_lie_where_it_says(results: Path) -> None:
+    store = Store.open(results, "smoke")
+    names = {path.name for path in store.tables.iterdir()}
+    for table in ("performance", "ablation", "geometry", "robustness", "design"):
+        assert {f"{table}.csv", f"{table}.md", f"{table}.tex"} <= names
+    assert (store.figures / "tuned_success.png").is_file()
+
+
+def test_tensorboard_has_the_papers_curves(results: Path) -> None:
+    module = importlib.import_module("tensorboard.backend.event_processing.event_accumulator")
+    run = Store.open(results, "smoke").run("rainbow-optimized-tuned-s0")
+    events = module.EventAccumulator(str(run.tensorboard))
+    events.Reload()
+    tags = set(events.Tags()["scalars"])
+    # no episode of 300 moves need end within so few steps: what counts episodes may be missing
+    always = {"learning_rate", "noise_magnitude", "mean_max_q", "loss"}
+    assert {f"paper/{name}" for name in always} <= tags
+    assert {tag for tag in tags if tag.startswith("paper/")} <= {
+        f"paper/{name}" for name in CURVES | {"stage"}
+    }
+
+
+def test_a_second_call_trains_nothing_and_changes_no_result(results: Path) -> None:
+    files = [p for p in results.rglob("*") if p.is_file() and "runs" in p.parts]
+    before = {path: path.stat().st_mtime_ns for path in files}
+    tables = {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()}
+    began = time.perf_counter()
+    done = harness("run", "--preset", "smoke", "--results", str(results))
+    assert done.returncode == 0
+    assert "4 runs were complete already" in done.stdout
+    assert time.perf_counter() - began < 60
+    assert {path: path.stat().st_mtime_ns for path in files} == before
+    assert {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()} == tables
+
+
+def test_plan_verify_curves_and_evaluate(
+    results: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    place = ["--preset", "smoke", "--results", str(results)]
+    assert main(["plan", *place]) == 0
+    out = capsys.readouterr().out
+    assert out.count("complete") == 4
+    assert main(["verify", *place, "--readme", str(tmp_path / "none.md")]) == 0
+    assert main(["curves", *place]) == 0
+    assert "75 % over 20 at never" in capsys.readouterr().out
+    assert main(["evaluate", *place]) == 0
+    out = capsys.readouterr().out
+    assert "rainbow-optimized-tuned-s0, seed 0, noise 0.01" in out
+    policy = results / "smoke" / "runs" / "dqn-optimized-tuned-s0" / "policy.zip"
+    words = ["--model", str(policy), "--algorithm", "dqn", "--episodes", "1"]
+    assert main(["evaluate", *place, *words]) == 0
+    stored = pd.read_csv(policy.parent / "episodes.csv")
+    first = stored[(stored["episode"] == 0) & (stored["noise"] == 0.0)].iloc[0]
+    assert f"Success rate (%) {100.0 * first['success']:.1f}" in capsys.readouterr().out
+
+
+def test_verify_is_red_after_a_change(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(results / "smoke", tmp_path / "smoke")
+    table = tmp_path / "smoke" / "tables" / "performance.csv"
+    table.write_text(table.read_text(encoding="utf-8").replace("100", "101", 1), encoding="utf-8")
+    words = ["--preset", "smoke", "--results", str(tmp_path)]
+    assert main(["verify", *words, "--readme", str(tmp_path / "none.md")]) == 1
+    assert "performance.csv" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["run", "--preset", "fast"], "unknown preset 'fast'"),
+        (["plan", "--preset", "_tracks"], "unknown preset"),
+        (["train", "--preset", "smoke", "--cell", "ppo-s0"], "has no cell 'ppo-s0'"),
+        (["tables", "--preset", "smoke"], "has no results"),
+        (["speed", "light"], "known: env, rainbow"),
+        (["evaluate", "--preset", "smoke", "--model", "no.zip"], "no.zip is missing"),
+        (
+            ["evaluate", "--preset", "smoke", "--model", "x", "--algorithm", "sarsa"],
+            "unknown algorithm 'sarsa'",
+        ),
+    ],
+)
+def test_bad_input_is_one_error_and_writes_nothing(
+    words: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert message in error
+    written = [path for path in tmp_path.rglob("*") if path.name != "store.json" and path.is_file()]
+    assert written == []
+
+
+def test_results_of_another_version_are_left_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "smoke"
+    folder.mkdir()
+    (folder / "store.json").write_text('{"schema": 99}', encoding="utf-8")
+    assert main(["--preset", "smoke", "--results", str(tmp_path)]) == 2
+    assert "schema 99" in capsys.readouterr().err
+    assert [path.name for path in folder.iterdir()] == ["store.json"]
+
+
+def test_a_model_that_is_none_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "model.zip"
+    path.write_bytes(b"not a zip")
+    assert main(["evaluate", "--preset", "smoke", "--model", str(path)]) == 2
+    assert "is no model of 'rainbow'" in capsys.readouterr().err
+
+
+def test_a_run_made_with_other_settings_is_not_overwritten(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(results / "smoke", tmp_path / "smoke")
+    config = tmp_path / "smoke" / "runs" / "dqn-optimized-tuned-s0" / "config.yaml"
+    config.write_text(config.read_text("utf-8").replace("gamma: 0.93", "gamma: 0.5"), "utf-8")
+    assert main(["run", "--preset", "smoke", "--results", str(tmp_path)]) == 2
+    assert "gamma: 0.5 -> 0.93" in capsys.readouterr().err
