@@ -1,11 +1,14 @@
 """One gradient step of Rainbow, from a batch of transitions to moved networks."""
 
+import warnings
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch as th
 from stable_baselines3.common.utils import get_parameters_by_name, polyak_update
 
+from sb3_rainbow.flat_parameters import FlatParameters
 from sb3_rainbow.losses import clipped_share
 from sb3_rainbow.policies import RainbowPolicy
 from sb3_rainbow.type_aliases import Batch
@@ -19,17 +22,37 @@ class Learner:
     :param policy: whose networks and optimizer to work on
     :param double_q: double Q-learning
     :param max_grad_norm: gradient norm to clip to
+    :param compile_loss: whether ``torch.compile`` makes one graph of target and loss
+    :param mixed_precision: whether to compute the loss in bfloat16 where that is safe (CUDA)
     """
 
-    def __init__(self, policy: RainbowPolicy, double_q: bool, max_grad_norm: float) -> None:
+    def __init__(
+        self,
+        policy: RainbowPolicy,
+        double_q: bool,
+        max_grad_norm: float,
+        compile_loss: bool = False,
+        mixed_precision: bool = False,
+    ) -> None:
         self.q_net = policy.q_net
         self.q_net_target = policy.q_net_target
         self.optimizer = policy.optimizer
         self.double_q = double_q
         self.max_grad_norm = max_grad_norm
+        self._loss: Callable[[Batch], tuple[th.Tensor, th.Tensor]] = (
+            self._first_compiled_loss if compile_loss else self._eager_loss
+        )
+        self._mixed_precision = mixed_precision
+        self._device_type = policy.device.type
         # Collected once: walking the modules at every update costs as much as a matrix product.
+        self._flat = policy.flat
+        self._flat_target: FlatParameters | None = None
         self._online: list[th.Tensor] = list(self.q_net.parameters())
         self._target: list[th.Tensor] = list(self.q_net_target.parameters())
+        if self._flat is not None:
+            self._flat_target = FlatParameters(self.q_net_target.parameters())
+            self._online = [self._flat.vector]
+            self._target = [self._flat_target.vector]
         self._online_statistics = get_parameters_by_name(self.q_net, ["running_"])
         self._target_statistics = get_parameters_by_name(self.q_net_target, ["running_"])
 
@@ -39,20 +62,63 @@ class Learner:
 
         :return: mean loss, scalar, and priorities ``(B,)``; both stay on the device
         """
+        self._zero_grad()
         self.q_net.reset_noise()
         self.q_net_target.reset_noise()
-        target = td_target(self.q_net, self.q_net_target, batch, self.double_q)
-        losses, priorities = td_losses(self.q_net, batch, target.values)
-        loss = (losses if batch.weights is None else losses * batch.weights).mean()
-        self.optimizer.zero_grad()
+        loss, priorities = self._loss(batch)
         loss.backward()
-        th.nn.utils.clip_grad_norm_(self._online, self.max_grad_norm)
+        self._clip_grad()
         self.optimizer.step()
         return loss.detach(), priorities
+
+    def _eager_loss(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
+        """Weighted mean loss with gradient, and priorities ``(B,)``."""
+        with th.autocast(self._device_type, th.bfloat16, enabled=self._mixed_precision):
+            weights = self.q_net.noisy_weights()
+            target = td_target(self.q_net, self.q_net_target, batch, self.double_q, weights)
+            losses, priorities = td_losses(self.q_net, batch, target.values, weights)
+        loss = (losses if batch.weights is None else losses * batch.weights).mean()
+        return loss, priorities
+
+    def _first_compiled_loss(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
+        """Compile at the first call; without a working compiler, stay eager from here on."""
+        compiled = th.compile(self._eager_loss, fullgraph=True, dynamic=False)
+        try:
+            result = compiled(batch)
+        except Exception as error:  # whatever the compiler's back end raises
+            reason = str(error).strip().splitlines()[0] if str(error).strip() else repr(error)
+            warnings.warn(
+                f"compile=True has no effect, torch.compile failed: {reason}", stacklevel=2
+            )
+            self._loss = self._eager_loss
+            return self._eager_loss(batch)
+        self._loss = compiled
+        return result
+
+    def _zero_grad(self) -> None:
+        if self._flat is None:
+            self.optimizer.zero_grad()
+            return
+        if not self._flat.is_tied:
+            self._flat.tie()
+        assert self._flat.vector.grad is not None
+        self._flat.vector.grad.zero_()
+
+    def _clip_grad(self) -> None:
+        """Scale the gradient down to ``max_grad_norm``, without a look at it from the host."""
+        if self._flat is None:
+            th.nn.utils.clip_grad_norm_(self._online, self.max_grad_norm)
+            return
+        grad = self._flat.vector.grad
+        assert grad is not None
+        scale = (self.max_grad_norm / (grad.norm() + 1e-6)).clamp_(max=1.0)
+        grad.mul_(scale)
 
     @th.no_grad()
     def move_target(self, tau: float) -> None:
         """Move the target network towards the online one by ``tau`` (Polyak average)."""
+        if self._flat_target is not None and not self._flat_target.is_tied:
+            self._flat_target.tie()
         th._foreach_lerp_(self._target, self._online, tau)
         if self._online_statistics:
             polyak_update(self._online_statistics, self._target_statistics, 1.0)

@@ -105,6 +105,8 @@ class RainbowNetwork(BasePolicy):
                 NoisyLinear(n_in, n_out, self.sigma0) if is_noisy else nn.Linear(n_in, n_out)
             )
         self.activation = self.activation_fn()
+        # Iterating over a ModuleList costs more than the small layers themselves.
+        self._linear_layers: list[NoisyLinear | nn.Linear] = list(self.layers)  # type: ignore[arg-type]
         self._noisy_modules = [layer for layer in self.layers if isinstance(layer, NoisyLinear)]
         n_noise = sum(layer.in_features + layer.out_features for layer in self._noisy_modules)
         self.register_buffer("noise", th.zeros(n_noise), persistent=False)
@@ -150,10 +152,31 @@ class RainbowNetwork(BasePolicy):
         """
         hidden = self.extract_features(obs, self.features_extractor)
         last = len(self.layers) - 1
-        for i, layer in enumerate(self.layers):
+        for i, layer in enumerate(self._linear_layers):
             hidden = layer(hidden, noisy) if isinstance(layer, NoisyLinear) else layer(hidden)
             if i < last:
                 hidden = self.activation(hidden)
+        return hidden.view(hidden.shape[0], -1, self.n_atoms)
+
+    def noisy_weights(self) -> list[tuple[th.Tensor, th.Tensor]]:
+        """Weight and bias of every layer under the current noise, with gradients."""
+        return [
+            layer.noisy_weights() if isinstance(layer, NoisyLinear) else (layer.weight, layer.bias)
+            for layer in self._linear_layers
+        ]
+
+    def streams_under(
+        self, weights: list[tuple[th.Tensor, th.Tensor]], obs: PyTorchObs
+    ) -> th.Tensor:
+        """
+        As :meth:`streams`, with given weights.
+
+        Forming the noisy weights once serves several batches under the same noise.
+        """
+        hidden = self.extract_features(obs, self.features_extractor)
+        for weight, bias in weights[:-1]:
+            hidden = self.activation(F.linear(hidden, weight, bias))
+        hidden = F.linear(hidden, *weights[-1])
         return hidden.view(hidden.shape[0], -1, self.n_atoms)
 
     def join(self, streams: th.Tensor) -> th.Tensor:
@@ -176,11 +199,15 @@ class RainbowNetwork(BasePolicy):
         :param actions: shape ``(B, 1)``, int64
         :return: shape ``(B, N)``
         """
-        index = actions.unsqueeze(-1).expand(-1, -1, self.n_atoms)
-        if not self.dueling:
-            return streams.gather(1, index).squeeze(1)
-        taken = streams.gather(1, index + 1).squeeze(1)
-        return taken + streams[:, 0] - streams[:, 1:].mean(dim=1)
+        # A product with mixing coefficients costs half of indexing, sums and their gradients.
+        n_streams = streams.shape[1]
+        first = int(self.dueling)
+        share = 1.0 / self.n_actions if self.dueling else 0.0
+        mixing = streams.new_full((streams.shape[0], n_streams), -share)
+        mixing.scatter_(1, actions + first, 1.0 - share)
+        if self.dueling:
+            mixing[:, 0] = 1.0
+        return th.bmm(mixing.unsqueeze(1), streams).squeeze(1)
 
     def expected_values(self, logits: th.Tensor) -> th.Tensor:
         """
@@ -208,6 +235,17 @@ class RainbowNetwork(BasePolicy):
         :return: shape ``(B, A, N)``
         """
         return F.softmax(self.join(self.streams(obs, noisy)), dim=-1)
+
+    def set_training_mode(self, mode: bool) -> None:
+        """
+        Tell the parts that may care, which the linear layers are not: walking them at every step
+        would cost as much as a small layer.
+
+        :param mode: True for training, False for evaluation
+        """
+        self.training = mode
+        self.features_extractor.train(mode)
+        self.activation.train(mode)
 
     def _predict(
         self,

@@ -16,9 +16,13 @@ from stable_baselines3.common.torch_layers import (
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from torch import nn
 
+from sb3_rainbow.flat_parameters import FlatParameters
 from sb3_rainbow.masking import as_action_masks
 from sb3_rainbow.networks import RainbowNetwork
 from sb3_rainbow.type_aliases import NoisyLayers, ObsArray
+
+# Optimizers that treat every number by itself, whatever tensor it lies in
+_ELEMENTWISE = (th.optim.Adam, th.optim.AdamW)
 
 
 class RainbowPolicy(BasePolicy):
@@ -103,14 +107,25 @@ class RainbowPolicy(BasePolicy):
         self.q_net_target.requires_grad_(False)
         self.q_net_target.set_training_mode(False)
         kwargs = dict(self.optimizer_kwargs)
-        if self.optimizer_class in (th.optim.Adam, th.optim.AdamW) and "foreach" not in kwargs:
-            # One kernel for all parameters: a third of the default's time.
-            kwargs.setdefault("fused", True)
+        parameters = list(self.q_net.parameters())
+        self.flat: FlatParameters | None = None
+        if self.optimizer_class in _ELEMENTWISE and FlatParameters.is_possible(parameters):
+            # One vector and one kernel: a quarter of the time of a step per parameter.
+            self.flat = FlatParameters(parameters)
+            parameters = [self.flat.vector]
+            if "foreach" not in kwargs:
+                kwargs.setdefault("fused", True)
         self.optimizer = self.optimizer_class(
-            self.q_net.parameters(),
+            parameters,
             lr=lr_schedule(1),  # type: ignore[call-arg]
             **kwargs,
         )
+
+    def _apply(self, *args: Any, **kwargs: Any) -> "RainbowPolicy":
+        super()._apply(*args, **kwargs)
+        if self.flat is not None and not self.flat.is_tied:
+            self.flat.tie()
+        return self
 
     def make_q_net(self) -> RainbowNetwork:
         """A network with its own features extractor."""
@@ -179,7 +194,7 @@ class RainbowPolicy(BasePolicy):
 
         :param mode: True for training
         """
-        if mode != self.q_net.training:
+        if mode != self.training:
             self.q_net.set_training_mode(mode)
         self.training = mode
 

@@ -79,6 +79,9 @@ class Rainbow(ResumableAlgorithm):
     :param beta_start: importance-sampling exponent at the start of training
     :param beta_end: the same at the end; linear in between
     :param use_masking: "auto" uses ``action_masks()`` where the env has it
+    :param compile: one graph of target and loss by ``torch.compile``; the first update then takes
+        some seconds. Without a compiler, one warning and no effect
+    :param mixed_precision: bfloat16 in the loss, on CUDA only
     :param _init_setup_model: whether to build the network at the creation of the instance
     :raises ValueError: for parameters out of range, or combinations that cannot work
     """
@@ -133,6 +136,8 @@ class Rainbow(ResumableAlgorithm):
         beta_start: float = 0.4,
         beta_end: float = 1.0,
         use_masking: UseMasking = "auto",
+        compile: bool = False,
+        mixed_precision: bool = False,
         _init_setup_model: bool = True,
     ) -> None:
         super().__init__(
@@ -180,6 +185,8 @@ class Rainbow(ResumableAlgorithm):
         self.beta_start = beta_start
         self.beta_end = beta_end
         self.use_masking = use_masking
+        self.compile = compile
+        self.mixed_precision = mixed_precision
 
         self._n_calls = 0
         if _init_setup_model:
@@ -217,6 +224,8 @@ class Rainbow(ResumableAlgorithm):
                 f"Rainbow needs a policy derived from RainbowPolicy, got {self.policy_class}; was "
                 "the file saved by another algorithm?"
             )
+        if self.mixed_precision and self.device.type != "cuda":
+            raise ValueError(f"mixed_precision needs a CUDA device, got {self.device}")
         clashing = _NETWORK_ARGUMENTS & set(self.policy_kwargs)
         if clashing:
             raise ValueError(
@@ -261,7 +270,9 @@ class Rainbow(ResumableAlgorithm):
     def _create_aliases(self) -> None:
         self.q_net = self.policy.q_net
         self.q_net_target = self.policy.q_net_target
-        self._learner = Learner(self.policy, self.double_q, self.max_grad_norm)
+        self._learner = Learner(
+            self.policy, self.double_q, self.max_grad_norm, self.compile, self.mixed_precision
+        )
 
     def predict(
         self,

@@ -66,18 +66,25 @@ class NoisyLinear(nn.Module):
         """Mean absolute sigma of the weights: how strongly the layer still explores; scalar."""
         return self.weight_sigma.abs().mean()
 
+    def noisy_weights(self) -> tuple[th.Tensor, th.Tensor]:
+        """Weight ``(out, in)`` and bias ``(out,)`` under the current noise, with gradients."""
+        epsilon = th.outer(self.epsilon_out, self.epsilon_in)
+        weight = th.addcmul(self.weight_mu, self.weight_sigma, epsilon)
+        return weight, th.addcmul(self.bias_mu, self.bias_sigma, self.epsilon_out)
+
     def forward(self, inputs: th.Tensor, noisy: bool = True) -> th.Tensor:
         """
+        The noise matrix is never formed: ``(sigma * e_out e_in^T) x = e_out * sigma (e_in * x)``.
+
         :param inputs: shape ``(..., in_features)``
         :param noisy: False for the mean weights alone
         :return: shape ``(..., out_features)``
         """
+        outputs = F.linear(inputs, self.weight_mu, self.bias_mu)
         if not noisy:
-            return F.linear(inputs, self.weight_mu, self.bias_mu)
-        epsilon = th.outer(self.epsilon_out, self.epsilon_in)
-        weight = th.addcmul(self.weight_mu, self.weight_sigma, epsilon)
-        bias = th.addcmul(self.bias_mu, self.bias_sigma, self.epsilon_out)
-        return F.linear(inputs, weight, bias)
+            return outputs
+        noise = F.linear(inputs * self.epsilon_in, self.weight_sigma, self.bias_sigma)
+        return th.addcmul(outputs, noise, self.epsilon_out)
 
     def extra_repr(self) -> str:
         """What ``print`` shows of the layer."""

@@ -1,0 +1,57 @@
+"""compile=True changes the speed and nothing else, and does without where it cannot."""
+
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+
+from sb3_rainbow import Rainbow
+
+FAST: dict[str, Any] = {
+    "learning_starts": 20,
+    "train_freq": 4,
+    "buffer_size": 500,
+    "batch_size": 8,
+    "seed": 0,
+    "policy_kwargs": {"net_arch": [16]},
+    "compile": True,
+    "device": "cpu",
+}
+
+
+def test_without_a_compiler_one_warning_and_the_same_run(monkeypatch: Any) -> None:
+    def broken(*args: Any, **kwargs: Any) -> Any:
+        def call(*args: Any) -> Any:
+            raise RuntimeError("no C++ compiler was found\nand a long trace")
+
+        return call
+
+    plain = Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, "compile": False}).learn(100)
+    monkeypatch.setattr(th, "compile", broken)
+    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
+    with pytest.warns(UserWarning, match="compile=True has no effect.*no C.. compiler") as seen:
+        model.learn(100)
+    assert len(seen) == 1
+    for name, value in plain.policy.state_dict().items():
+        assert th.equal(value, model.policy.state_dict()[name])
+
+
+@pytest.mark.slow
+def test_compiled_losses_are_the_eager_ones(tmp_path: Any) -> None:
+    with warnings.catch_warnings():
+        # Inductor and its dependencies warn about things of their own.
+        warnings.simplefilter("ignore")
+        warnings.filterwarnings("error", message="compile=True has no effect")
+        model = Rainbow("MlpPolicy", "CartPole-v1", **FAST).learn(60)
+        plain = Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, "compile": False}).learn(60)
+        model.save(tmp_path / "m")
+    for name, value in plain.policy.state_dict().items():
+        np.testing.assert_allclose(model.policy.state_dict()[name], value, rtol=1e-3, atol=1e-5)
+    assert Rainbow.load(tmp_path / "m").compile is True
+
+
+def test_mixed_precision_wants_a_gpu() -> None:
+    with pytest.raises(ValueError, match="mixed_precision needs a CUDA device, got cpu"):
+        Rainbow("MlpPolicy", "CartPole-v1", mixed_precision=True, device="cpu")
