@@ -141,6 +141,7 @@ def run(store: DesignStore, runs: int, atlas_step: float, progress: _Progress) -
     store.write_rows("trajectory", trajectory)
     store.write_rows("validation", validation)
     store.write_rows("pose_model", study.pose_model_rows())
+    store.write_rows("pose_model_design", study.pose_model_design_rows())
     store.write_maps(**study.map_arrays())
 
     progress.enter("speed")

@@ -207,6 +207,26 @@ def _pose_model(store: DesignStore) -> str:
     )
 
 
+def _pose_model_design(store: DesignStore) -> str:
+    frame = store.rows("pose_model_design")
+    frame["range"] = [
+        f"[{low:.1f}, {high:.1f}]"
+        for low, high in zip(frame["joint_low"], frame["joint_high"], strict=True)
+    ]
+    return _table(
+        frame,
+        [
+            ("pose_model", "pose model", ""),
+            ("design", "design", ""),
+            ("a_w", "A_w (rad²)", ".3f"),
+            ("sigma_cone", "least sigma_min in 28°", ".3f"),
+            ("max_angle", "max roll/pitch (°)", ".1f"),
+            ("kappa_variation", "kappa variation (%)", ".1f"),
+            ("range", "joints (°)", ""),
+        ],
+    )
+
+
 def _provenance(store: DesignStore) -> str:
     meta = store.meta()
     return (
@@ -225,4 +245,5 @@ BLOCKS: Final[dict[str, Callable[[DesignStore], str]]] = {
     "design-speed": _speed,
     "design-provenance": _provenance,
     "pose-model": _pose_model,
+    "design-pose-model": _pose_model_design,
 }

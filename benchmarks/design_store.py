@@ -35,6 +35,7 @@ FILES: Final = {
     "trajectory": "joint angles along the test trajectory",
     "validation": "what the designs do along it",
     "pose_model": "what the paper's pose model costs, by tilt",
+    "pose_model_design": "the table's figures under either pose model",
     "speed": "milliseconds of one A_w map",
 }
 

@@ -213,6 +213,27 @@ def pose_model_rows() -> list[Row]:
     return rows
 
 
+def pose_model_design_rows() -> list[Row]:
+    """The table's figures of both designs, with the mechanism's pose and with the paper's."""
+    rows: list[Row] = []
+    for model in ("exact", "paper"):
+        for name, g in GEOMETRIES.items():
+            found = design.measure(g, DesignProblem(pose_model=model))
+            rows.append(
+                {
+                    "pose_model": model,
+                    "design": name,
+                    "a_w": found.area,
+                    "sigma_cone": found.sigma_cone,
+                    "max_angle": math.degrees(found.max_angle),
+                    "kappa_variation": 100.0 * found.kappa_variation,
+                    "joint_low": math.degrees(found.joint_low),
+                    "joint_high": math.degrees(found.joint_high),
+                }
+            )
+    return rows
+
+
 def _worst(values: np.ndarray) -> float:
     return float(np.nanmax(np.abs(values)))
 

@@ -268,9 +268,7 @@ class Atlas:
             DesignError: no design of the grid meets the constraints.
         """
         if not np.isfinite(self.value).any():
-            raise DesignError(
-                "no design of this atlas meets the constraints lambda3 < lambda1 < 2: widen its grid"
-            )
+            raise DesignError("no design of this atlas meets lambda3 < lambda1 < 2: widen its grid")
         i, j = np.unravel_index(np.nanargmax(self.value), self.value.shape)
         return float(self.lambda1[i]), float(self.lambda2[j]), float(self.value[i, j])
 
