@@ -30,7 +30,7 @@ MACHINE: Final = np.dtype(
         ("noise", "f8"),  # of the observation, in units of its range
         ("chamfer", "f8"),  # m
         ("insertion_probability", "f8"),
-        ("latency", "u1"),
+        ("latency", "i8"),
         ("joints", "f8", (6,)),  # where theta and q really are, rad
         ("actual", "f8", (6,)),  # the configuration that follows from them
         ("pending", "i8"),  # the late command, -1 for none

@@ -39,18 +39,18 @@ STATE: Final = np.dtype(
         ("tip", "f8", (3,)),  # world, m
         ("mouths", "f8", (N_HOLES, 3)),  # world, m
         ("normals", "f8", (N_HOLES, 3)),
-        ("inside", "u1", (N_HOLES,)),  # tip meets the hole's insertion criterion
-        ("active", "u1", (N_HOLES,)),
-        ("filled", "u1", (N_HOLES,)),
         ("target", "i8"),
         ("distance", "f8"),  # tip to target mouth, m
         ("angle", "f8"),  # peg axis to target normal, rad
         ("moves", "i8"),
         ("insertions", "i8"),  # in this episode; `filled` may have held some from the start
         ("energy", "f8"),  # J
-        ("mask", "u1", (N_ACTIONS,)),
-        ("over", "u1"),
         ("machine", MACHINE),  # what sim-to-real knobs make of the nominal machine
+        ("inside", "u1", (N_HOLES,)),  # tip meets the hole's insertion criterion
+        ("active", "u1", (N_HOLES,)),
+        ("filled", "u1", (N_HOLES,)),
+        ("mask", "u1", (N_ACTIONS,)),
+        ("over", "u2"),  # two bytes leave no padding, so that rows compare by their bytes
     ],
     align=True,
 )

@@ -13,6 +13,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 
 import coop_env
 from coop_env import CoopInsertionEnv, CoopInsertionVecEnv
+from coop_env.state import STATE
 from coop_env.task import STEP
 
 
@@ -118,6 +119,11 @@ def test_a_snapshot_resumes_exactly() -> None:
         assert got[0].tobytes() == obs.tobytes()
         assert got[1].tobytes() == rewards.tobytes()
         assert got[2].tolist() == dones.tolist()
+
+
+def test_rows_have_no_padding_so_that_bytes_compare() -> None:
+    sizes = [STATE[name].itemsize for name in STATE.names or ()]
+    assert sum(sizes) == STATE.itemsize
 
 
 def test_the_stage_changes_at_the_next_reset() -> None:
