@@ -144,6 +144,22 @@ def test_a_failed_plan_ends_the_episode_with_its_cause() -> None:
     assert episode.row()["failure"] == "precision"
 
 
+def test_a_plan_into_a_singularity_ends_there(planner: RRTConnect) -> None:
+    causes = set()
+    for number in range(6):
+        episode = begin(number, "initial")
+        # roll on until the mechanism or the limits stop it
+        roll = Plan("solved", np.full(40, 6), 0.1)
+
+        def always(env: object, roll: Plan = roll) -> Plan:
+            return roll
+
+        rrt_connect.execute(episode, always, finish=planner.plan)
+        causes.add(episode.failure)
+        assert episode.over or episode.failure
+    assert "singularity" in causes
+
+
 def test_bad_limits_and_ignored_seeds_are_refused() -> None:
     with pytest.raises(ValueError, match="seed = 0"):
         RRTConnect(seed=0)

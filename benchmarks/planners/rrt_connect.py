@@ -274,6 +274,8 @@ def _attempt(episode: Episode, plan: PlanFunction) -> str:
         refused += bool(info["violation"])
         if len(episode.insertions) > filled:
             return ""
+        if episode.over:
+            break
     return _cause(episode, info, refused)
 
 
