@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -162,23 +160,6 @@ def test_a_home_that_cannot_be_reached_has_no_area() -> None:
     assert metrics.area == 0.0
     assert math.isnan(metrics.kappa_variation)
     assert math.isnan(metrics.sigma_cone)
-
-
-@pytest.mark.parametrize("function", [design.workspace_area, design.workspace_map])
-def test_at_least_five_times_faster_than_numpy_and_batched_svd(
-    function: Callable[[RRSGeometry], object],
-) -> None:
-    """The best of several of each, turn about, so that a busy machine hurts both."""
-    function(OPTIMIZED)
-    kernel, numpy_svd = [], []
-    for _ in range(9):
-        start = time.perf_counter()
-        function(OPTIMIZED)
-        kernel.append(time.perf_counter() - start)
-        start = time.perf_counter()
-        reference.workspace_map(OPTIMIZED)
-        numpy_svd.append(time.perf_counter() - start)
-    assert min(numpy_svd) > 5.0 * min(kernel)
 
 
 @pytest.mark.parametrize(
