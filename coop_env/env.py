@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -52,6 +53,9 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         "render_modes": ["rgb_array", "human", "ansi"],
         "render_fps": round(1.0 / task.DT),
     }
+    render_kwargs: Mapping[str, Any] = MappingProxyType({})
+    """``size``, ``camera``, ``panel``, ``samples`` of :func:`coop_env.rendering.render_frame` for
+    the modes ``"rgb_array"`` and ``"human"``; set it on the instance, for a window before reset."""
 
     def __init__(
         self,
@@ -214,13 +218,14 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
             return self.scene().describe()
         if self.render_mode == "human":
             return self._show()
-        return _rendering("render_frame")(self.scene())
+        return _rendering("render_frame")(self.scene(), **self.render_kwargs)
 
     def _show(self) -> None:
         if self.render_mode != "human":
             return
         if self._window is None:
-            self._window = _rendering("open_window")(self.metadata["render_fps"])
+            fps = self.metadata["render_fps"]
+            self._window = _rendering("open_window")(fps, **self.render_kwargs)
         self._window.show(self.scene())
 
     def close(self) -> None:

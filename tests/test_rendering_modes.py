@@ -54,6 +54,18 @@ def test_rgb_array_is_the_scene_and_follows_the_robots() -> None:
     env.close()
 
 
+def test_camera_and_size_can_be_chosen_for_the_environment() -> None:
+    env = CoopInsertionEnv(render_mode="rgb_array")
+    env.reset(seed=0)
+    env.render_kwargs = {"camera": "close", "size": (320, 240)}
+    wanted = render_frame(env.scene(), camera="close", size=(320, 240))
+    assert np.array_equal(env.render(), wanted)
+    env.render_kwargs = {"colour": "red"}
+    with pytest.raises(TypeError, match="colour"):
+        env.render()
+    assert CoopInsertionEnv().render_kwargs == {}
+
+
 def test_ansi_tells_time_target_and_holes() -> None:
     env = gym.make(ID, render_mode="ansi")
     env.reset(seed=0, options={"target": 1, "filled": [0]})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pygame
 
 from coop_env.rendering.camera import CAMERAS, CameraSpec, resolve
@@ -19,13 +21,19 @@ class Window:
     """
 
     def __init__(
-        self, fps: float, *, size: tuple[int, int] = (960, 720), camera: CameraSpec = "iso"
+        self,
+        fps: float,
+        *,
+        size: tuple[int, int] = (960, 720),
+        camera: CameraSpec = "iso",
+        panel: bool = True,
+        samples: int = 2,
     ) -> None:
         resolve(camera)
         if not fps > 0.0:
             raise ValueError(f"fps = {fps!r}: must be above zero")
         self._fps = fps
-        self._size = size
+        self._size, self._panel, self._samples = size, panel, samples
         self._camera: CameraSpec = camera
         pygame.display.init()
         self._screen: pygame.Surface | None = pygame.display.set_mode(size)
@@ -42,7 +50,13 @@ class Window:
         self._answer_events()
         if self._screen is None:
             return
-        frame = render_frame(scene, size=self._size, camera=self._camera)
+        frame = render_frame(
+            scene,
+            size=self._size,
+            camera=self._camera,
+            panel=self._panel,
+            samples=self._samples,
+        )
         self._screen.blit(pygame.surfarray.make_surface(frame.swapaxes(0, 1)), (0, 0))
         pygame.display.flip()
         self._clock.tick(self._fps)
@@ -65,13 +79,11 @@ class Window:
             pygame.display.quit()
 
 
-def open_window(
-    fps: float, *, size: tuple[int, int] = (960, 720), camera: CameraSpec = "iso"
-) -> Window:
-    """A window for scenes.
+def open_window(fps: float, **options: Any) -> Window:
+    """A window for scenes; ``options`` as for :func:`~coop_env.rendering.render_frame`.
 
     Raises:
         ValueError: unknown camera or an fps that is not above zero.
         pygame.error: there is no display (set SDL_VIDEODRIVER=dummy to do without).
     """
-    return Window(fps, size=size, camera=camera)
+    return Window(fps, **options)
