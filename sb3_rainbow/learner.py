@@ -10,6 +10,7 @@ from stable_baselines3.common.utils import get_parameters_by_name, polyak_update
 
 from sb3_rainbow.flat_parameters import FlatParameters
 from sb3_rainbow.losses import clipped_share
+from sb3_rainbow.mlp_update import MlpUpdate
 from sb3_rainbow.policies import RainbowPolicy
 from sb3_rainbow.type_aliases import Batch
 from sb3_rainbow.update import td_losses, td_target
@@ -24,6 +25,7 @@ class Learner:
     :param max_grad_norm: gradient norm to clip to
     :param compile_loss: whether ``torch.compile`` makes one graph of target and loss
     :param mixed_precision: whether to compute the loss in bfloat16 where that is safe (CUDA)
+    :param cpu_kernels: whether compiled kernels take over where they can
     """
 
     def __init__(
@@ -33,6 +35,7 @@ class Learner:
         max_grad_norm: float,
         compile_loss: bool = False,
         mixed_precision: bool = False,
+        cpu_kernels: bool = True,
     ) -> None:
         self.q_net = policy.q_net
         self.q_net_target = policy.q_net_target
@@ -53,6 +56,13 @@ class Learner:
             self._flat_target = FlatParameters(self.q_net_target.parameters())
             self._online = [self._flat.vector]
             self._target = [self._flat_target.vector]
+        self._mlp: MlpUpdate | None = None
+        if cpu_kernels and MlpUpdate.is_possible(self.q_net, self._flat, self.optimizer):
+            assert self._flat is not None
+            assert self._flat_target is not None
+            self._mlp = MlpUpdate(
+                self.q_net, self.q_net_target, self._flat, self._flat_target, self.optimizer
+            )
         self._online_statistics = get_parameters_by_name(self.q_net, ["running_"])
         self._target_statistics = get_parameters_by_name(self.q_net_target, ["running_"])
 
@@ -65,6 +75,8 @@ class Learner:
         self._zero_grad()
         self.q_net.reset_noise()
         self.q_net_target.reset_noise()
+        if self._mlp is not None:
+            return self._mlp.update(batch, self.double_q, self.max_grad_norm)
         loss, priorities = self._loss(batch)
         loss.backward()
         self._clip_grad()

@@ -1,0 +1,351 @@
+"""Forward and backward of Rainbow's multilayer perceptron, written out for one processor core.
+
+All arrays are float32 and C-ordered; matrices of weights are ``(outputs, inputs)``. A network is
+one vector of parameters with a table of where each layer lies in it, one row per layer:
+
+    inputs, outputs, noisy (0 or 1), offset among the parameters, offset among the noise, offset
+    among the effective weights, offset (per sample) among the hidden units
+
+A layer's parameters are weight and bias, or, where it is noisy, the means of the weight, its
+sigmas, then those of the bias. Its effective weight and bias include the noise of the moment.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+INPUTS, OUTPUTS, NOISY, PARAMETERS, NOISE, EFFECTIVE, HIDDEN = range(7)
+
+Vector = NDArray[np.float32]
+Matrix = NDArray[np.float32]
+Table = NDArray[np.int64]
+# Sums may be reordered, so that they run in vector registers; NaN and infinity stay themselves.
+_FAST = {"reassoc", "contract", "nsz", "arcp"}
+
+
+@njit(cache=True, fastmath=_FAST)
+def effective_weights(parameters: Vector, noise: Vector, table: Table, effective: Vector) -> None:
+    """``mu + sigma * epsilon`` for all layers."""
+    for layer in range(table.shape[0]):
+        n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
+        size = n_in * n_out
+        p, e = table[layer, PARAMETERS], table[layer, EFFECTIVE]
+        if table[layer, NOISY] == 0:
+            effective[e : e + size + n_out] = parameters[p : p + size + n_out]
+            continue
+        first = table[layer, NOISE]
+        epsilon_in = noise[first : first + n_in]
+        for j in range(n_out):
+            epsilon_out = noise[first + n_in + j]
+            mu = parameters[p + j * n_in : p + (j + 1) * n_in]
+            sigma = parameters[p + size + j * n_in : p + size + (j + 1) * n_in]
+            row = effective[e + j * n_in : e + (j + 1) * n_in]
+            for i in range(n_in):
+                row[i] = mu[i] + sigma[i] * (epsilon_out * epsilon_in[i])
+            bias = p + 2 * size + j
+            effective[e + size + j] = parameters[bias] + parameters[bias + n_out] * epsilon_out
+
+
+@njit(cache=True, fastmath=_FAST)
+def parameter_gradients(gradient: Vector, noise: Vector, table: Table, out: Vector) -> None:
+    """Gradients of the parameters from those of the effective weights."""
+    for layer in range(table.shape[0]):
+        n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
+        size = n_in * n_out
+        p, e = table[layer, PARAMETERS], table[layer, EFFECTIVE]
+        if table[layer, NOISY] == 0:
+            out[p : p + size + n_out] = gradient[e : e + size + n_out]
+            continue
+        first = table[layer, NOISE]
+        epsilon_in = noise[first : first + n_in]
+        out[p : p + size] = gradient[e : e + size]
+        bias = p + 2 * size
+        for j in range(n_out):
+            epsilon_out = noise[first + n_in + j]
+            row = gradient[e + j * n_in : e + (j + 1) * n_in]
+            sigma = out[p + size + j * n_in : p + size + (j + 1) * n_in]
+            for i in range(n_in):
+                sigma[i] = row[i] * (epsilon_out * epsilon_in[i])
+            out[bias + j] = gradient[e + size + j]
+            out[bias + n_out + j] = gradient[e + size + j] * epsilon_out
+
+
+@njit(cache=True, fastmath=_FAST)
+def hidden_units(effective: Vector, table: Table, inputs: Matrix, hidden: Vector) -> Matrix:
+    """ReLU layers up to the head; ``hidden`` keeps every layer's outputs, the last is returned."""
+    batch = inputs.shape[0]
+    current = inputs
+    for layer in range(table.shape[0] - 1):
+        n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
+        e, h = table[layer, EFFECTIVE], table[layer, HIDDEN] * batch
+        weight = effective[e : e + n_in * n_out].reshape((n_out, n_in))
+        bias = effective[e + n_in * n_out : e + n_in * n_out + n_out]
+        outputs = hidden[h : h + batch * n_out].reshape((batch, n_out))
+        np.dot(current, weight.T, outputs)
+        for b in range(batch):
+            for j in range(n_out):
+                outputs[b, j] = max(outputs[b, j] + bias[j], np.float32(0.0))
+        current = outputs
+    return current
+
+
+@njit(cache=True, fastmath=_FAST)
+def all_logits(
+    effective: Vector, table: Table, units: Matrix, dueling: bool, streams: Matrix, n_atoms: int
+) -> None:
+    """The head's logits for every action, joined in place; advantages start at ``n_atoms``."""
+    head = table[table.shape[0] - 1]
+    n_in, n_out, e = head[INPUTS], head[OUTPUTS], head[EFFECTIVE]
+    weight = effective[e : e + n_in * n_out].reshape((n_out, n_in))
+    bias = effective[e + n_in * n_out : e + n_in * n_out + n_out]
+    np.dot(units, weight.T, streams)
+    n_actions = n_out // n_atoms - (1 if dueling else 0)
+    shift = np.empty(n_atoms, np.float32)
+    for b in range(units.shape[0]):
+        row = streams[b]
+        for j in range(n_out):
+            row[j] += bias[j]
+        if not dueling:
+            continue
+        shift[:] = 0.0
+        for a in range(1, n_actions + 1):
+            for j in range(n_atoms):
+                shift[j] += row[a * n_atoms + j]
+        for j in range(n_atoms):
+            shift[j] = row[j] - shift[j] / np.float32(n_actions)
+        for a in range(1, n_actions + 1):
+            for j in range(n_atoms):
+                row[a * n_atoms + j] += shift[j]
+
+
+@njit(cache=True, fastmath=_FAST)
+def shared_weight(
+    effective: Vector, table: Table, n_atoms: int, dueling: bool, weight: Matrix, bias: Vector
+) -> None:
+    """What every action has in common, ``W_V - mean W_A``; zero without dueling."""
+    weight[:] = 0.0
+    bias[:] = 0.0
+    if not dueling:
+        return
+    head = table[table.shape[0] - 1]
+    n_in, n_out, e = head[INPUTS], head[OUTPUTS], head[EFFECTIVE]
+    n_actions = n_out // n_atoms - 1
+    size = n_atoms * n_in
+    flat = weight.reshape(size)
+    for a in range(1, n_actions + 1):
+        start = e + a * size
+        for k in range(size):
+            flat[k] += effective[start + k]
+        for j in range(n_atoms):
+            bias[j] += effective[e + n_in * n_out + a * n_atoms + j]
+    share = np.float32(1.0 / n_actions)
+    for k in range(size):
+        flat[k] = effective[e + k] - share * flat[k]
+    for j in range(n_atoms):
+        bias[j] = effective[e + n_in * n_out + j] - share * bias[j]
+
+
+@njit(cache=True, fastmath=_FAST)
+def taken_logits(
+    effective: Vector,
+    table: Table,
+    units: Matrix,
+    actions: NDArray[np.int64],
+    dueling: bool,
+    common: Matrix,
+    common_bias: Vector,
+    logits: Matrix,
+) -> None:
+    """Logits of one action per sample: a twelfth of the head's arithmetic for twelve actions."""
+    head = table[table.shape[0] - 1]
+    n_in, n_out, e = head[INPUTS], head[OUTPUTS], head[EFFECTIVE]
+    n_atoms = logits.shape[1]
+    np.dot(units, common.T, logits)
+    first_stream = 1 if dueling else 0
+    for b in range(units.shape[0]):
+        first = (actions[b] + first_stream) * n_atoms
+        unit = units[b]
+        for j in range(n_atoms):
+            start = e + (first + j) * n_in
+            row = effective[start : start + n_in]
+            total = np.float32(0.0)
+            for i in range(n_in):
+                total += row[i] * unit[i]
+            logits[b, j] += total + common_bias[j] + effective[e + n_in * n_out + first + j]
+
+
+@njit(cache=True, fastmath=_FAST)
+def backward(
+    effective: Vector,
+    table: Table,
+    inputs: Matrix,
+    hidden: Vector,
+    actions: NDArray[np.int64],
+    dueling: bool,
+    common: Matrix,
+    slope: Matrix,
+    gradient: Vector,
+) -> None:
+    """
+    Gradient of the effective weights from that of the taken logits, ``slope`` ``(B, n_atoms)``.
+    """
+    batch, n_atoms = slope.shape
+    n_layers = table.shape[0]
+    head = table[n_layers - 1]
+    n_in, n_out, e = head[INPUTS], head[OUTPUTS], head[EFFECTIVE]
+    units = inputs
+    if n_layers > 1:
+        start = table[n_layers - 2, HIDDEN] * batch
+        units = hidden[start : start + batch * n_in].reshape((batch, n_in))
+    size = n_atoms * n_in
+    n_streams = n_out // n_atoms
+    bias = gradient[e + n_in * n_out : e + n_in * n_out + n_out]
+    gradient[e : e + n_in * n_out] = 0.0
+    bias[:] = 0.0
+    first_stream = 0
+    if dueling:
+        first_stream = 1
+        value = gradient[e : e + size]
+        np.dot(slope.T, units, value.reshape((n_atoms, n_in)))
+        for b in range(batch):
+            for j in range(n_atoms):
+                bias[j] += slope[b, j]
+        share = np.float32(-1.0 / (n_streams - 1))
+        for a in range(1, n_streams):
+            for k in range(size):
+                gradient[e + a * size + k] = share * value[k]
+            for j in range(n_atoms):
+                bias[a * n_atoms + j] = share * bias[j]
+    delta = np.dot(slope, common)
+    for b in range(batch):
+        first = (actions[b] + first_stream) * n_atoms
+        unit, back = units[b], delta[b]
+        for j in range(n_atoms):
+            s = slope[b, j]
+            start = e + (first + j) * n_in
+            row = effective[start : start + n_in]
+            out = gradient[start : start + n_in]
+            for i in range(n_in):
+                out[i] += s * unit[i]
+                back[i] += s * row[i]
+            bias[first + j] += s
+    for layer in range(n_layers - 2, -1, -1):
+        n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
+        e, h = table[layer, EFFECTIVE], table[layer, HIDDEN] * batch
+        outputs = hidden[h : h + batch * n_out].reshape((batch, n_out))
+        layer_bias = gradient[e + n_in * n_out : e + n_in * n_out + n_out]
+        layer_bias[:] = 0.0
+        for b in range(batch):
+            for j in range(n_out):
+                if outputs[b, j] <= 0.0:
+                    delta[b, j] = 0.0
+                layer_bias[j] += delta[b, j]
+        below = inputs
+        if layer > 0:
+            start = table[layer - 1, HIDDEN] * batch
+            below = hidden[start : start + batch * n_in].reshape((batch, n_in))
+        np.dot(delta.T, below, gradient[e : e + n_in * n_out].reshape((n_out, n_in)))
+        if layer > 0:
+            delta = np.dot(delta, effective[e : e + n_in * n_out].reshape((n_out, n_in)))
+
+
+@njit(cache=True)
+def categorical_slopes(
+    logits: Matrix,
+    target_logits: Matrix,
+    returns: Matrix,
+    discounts: Matrix,
+    dones: Matrix,
+    weights: Vector,
+    v_min: float,
+    v_max: float,
+    losses: Vector,
+    slope: Matrix,
+) -> None:
+    """Projected target, cross-entropies, and the slope of their weighted mean in the logits."""
+    batch, n_atoms = logits.shape
+    delta_z = (v_max - v_min) / (n_atoms - 1)
+    target = np.empty(n_atoms, np.float32)
+    for b in range(batch):
+        target[:] = 0.0
+        top = target_logits[b].max()
+        total = np.float32(0.0)
+        for j in range(n_atoms):
+            slope[b, j] = math.exp(target_logits[b, j] - top)
+            total += slope[b, j]
+        discount = discounts[b, 0] * (1.0 - dones[b, 0])
+        for j in range(n_atoms):
+            z = returns[b, 0] + discount * (v_min + j * delta_z)
+            position = (min(max(z, v_min), v_max) - v_min) / delta_z
+            lower = min(int(position), n_atoms - 2)
+            mass = slope[b, j] / total
+            upper_mass = mass * min(position - lower, 1.0)
+            target[lower] += mass - upper_mass
+            target[lower + 1] += upper_mass
+        top = logits[b].max()
+        total = np.float32(0.0)
+        for j in range(n_atoms):
+            slope[b, j] = math.exp(logits[b, j] - top)
+            total += slope[b, j]
+        log_total = math.log(total)
+        loss = 0.0
+        for j in range(n_atoms):
+            loss -= target[j] * (logits[b, j] - top - log_total)
+            slope[b, j] = (slope[b, j] / total - target[j]) * (weights[b] / batch)
+        losses[b] = loss
+
+
+@njit(cache=True)
+def huber_slopes(
+    values: Matrix,
+    target_values: Matrix,
+    returns: Matrix,
+    discounts: Matrix,
+    dones: Matrix,
+    weights: Vector,
+    losses: Vector,
+    errors: Vector,
+    slope: Matrix,
+) -> None:
+    """Huber losses, absolute errors, and the slope of the losses' weighted mean in the values."""
+    batch = values.shape[0]
+    for b in range(batch):
+        target = returns[b, 0] + discounts[b, 0] * (1.0 - dones[b, 0]) * target_values[b, 0]
+        error = values[b, 0] - target
+        errors[b] = abs(error)
+        losses[b] = 0.5 * error * error if abs(error) < 1.0 else abs(error) - 0.5
+        slope[b, 0] = min(max(error, -1.0), 1.0) * (weights[b] / batch)
+
+
+@njit(cache=True, fastmath=_FAST)
+def adam_step(
+    parameters: Vector,
+    gradient: Vector,
+    first: Vector,
+    second: Vector,
+    max_norm: float,
+    lr: float,
+    beta1: float,
+    beta2: float,
+    epsilon: float,
+    weight_decay: float,
+    step: float,
+) -> None:
+    """Clip the gradient to ``max_norm`` (in place), then one step of Adam with L2 decay."""
+    square = np.float32(0.0)
+    for i in range(gradient.shape[0]):
+        square += gradient[i] * gradient[i]
+    scale = np.float32(min(1.0, max_norm / (math.sqrt(square) + 1e-6)))
+    b1, b2, decay = np.float32(beta1), np.float32(beta2), np.float32(weight_decay)
+    one = np.float32(1.0)
+    size = np.float32(lr / (1.0 - beta1**step))
+    correction = np.float32(1.0 / math.sqrt(1.0 - beta2**step))
+    small = np.float32(epsilon)
+    for i in range(gradient.shape[0]):
+        gradient[i] *= scale
+        g = gradient[i] + decay * parameters[i]
+        first[i] += (one - b1) * (g - first[i])
+        second[i] = b2 * second[i] + (one - b2) * g * g
+        parameters[i] -= size * first[i] / (np.float32(math.sqrt(second[i])) * correction + small)

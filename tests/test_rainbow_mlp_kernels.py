@@ -1,0 +1,119 @@
+"""The compiled kernels against torch's autograd and optimizer, one and several updates long."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+from gymnasium import spaces
+from torch import nn
+
+from sb3_rainbow import Rainbow
+from sb3_rainbow.learner import Learner
+from sb3_rainbow.policies import MlpPolicy
+from sb3_rainbow.type_aliases import Batch
+
+N_ACTIONS = 5
+
+
+def make_learner(cpu_kernels: bool, double_q: bool = True, **kwargs: Any) -> Learner:
+    th.manual_seed(3)
+    settings: dict[str, Any] = {
+        "net_arch": [24, 16, 12],
+        "v_min": -4.0,
+        "v_max": 4.0,
+        # A large epsilon, so that Adam does not blow up the rounding of tiny gradients
+        "optimizer_kwargs": {"weight_decay": 1e-3, "eps": 1e-2},
+        **kwargs,
+    }
+    policy = MlpPolicy(
+        spaces.Box(-1, 1, (6,), np.float32), spaces.Discrete(N_ACTIONS), lambda _: 1e-2, **settings
+    )
+    for p in policy.q_net_target.parameters():
+        p.data += 0.3 * th.randn_like(p)
+    learner = Learner(policy, double_q, max_grad_norm=0.5, cpu_kernels=cpu_kernels)
+    assert (learner._mlp is not None) == cpu_kernels
+    return learner
+
+
+def make_batch(seed: int, masked: bool) -> Batch:
+    generator = th.Generator().manual_seed(seed)
+    n = 32
+    masks = th.rand(n, N_ACTIONS, generator=generator) < 0.5
+    masks[:, seed % N_ACTIONS] = True
+    return Batch(
+        observations=th.randn(n, 6, generator=generator),
+        actions=th.randint(0, N_ACTIONS, (n, 1), generator=generator),
+        next_observations=th.randn(n, 6, generator=generator),
+        dones=(th.rand(n, 1, generator=generator) < 0.3).float(),
+        rewards=2 * th.randn(n, 1, generator=generator),
+        discounts=0.9 ** th.randint(1, 4, (n, 1), generator=generator).float(),
+        weights=th.rand(n, generator=generator),
+        next_action_masks=masks if masked else None,
+    )
+
+
+@pytest.mark.parametrize(
+    "kwargs",
+    [
+        {},
+        {"double_q": False},
+        {"dueling": False},
+        {"noisy": False},
+        {"noisy_layers": "all"},
+        {"distributional": False},
+        {"distributional": False, "dueling": False, "noisy": False, "double_q": False},
+        {"net_arch": []},
+        {"net_arch": [10]},
+    ],
+    ids=str,
+)
+def test_updates_agree_with_torch(kwargs: dict[str, Any]) -> None:
+    ours, reference = make_learner(True, **kwargs), make_learner(False, **kwargs)
+    for seed in range(4):
+        batch = make_batch(seed, masked=seed % 2 == 0)
+        results = []
+        for learner in (ours, reference):
+            th.manual_seed(seed)
+            results.append(learner.update(batch))
+            learner.move_target(0.1)
+        th.testing.assert_close(results[0], results[1], rtol=1e-4, atol=1e-5)
+        for name, value in reference.q_net.state_dict().items():
+            th.testing.assert_close(ours.q_net.state_dict()[name], value, rtol=1e-4, atol=1e-5)
+    assert ours._flat is not None
+    assert reference._flat is not None
+    grads = ours._flat.vector.grad, reference._flat.vector.grad
+    th.testing.assert_close(*grads, rtol=1e-3, atol=1e-5)
+    states = [x.optimizer.state_dict()["state"][0] for x in (ours, reference)]
+    assert states[0]["step"] == states[1]["step"] == 4
+    th.testing.assert_close(states[0]["exp_avg"], states[1]["exp_avg"], rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "policy_kwargs",
+    [
+        {"activation_fn": nn.Tanh},
+        {"optimizer_class": th.optim.RMSprop},
+        {"optimizer_kwargs": {"amsgrad": True}},
+    ],
+    ids=str,
+)
+def test_torch_does_what_the_kernels_cannot(policy_kwargs: dict[str, Any]) -> None:
+    model = Rainbow(
+        "MlpPolicy",
+        "CartPole-v1",
+        learning_starts=20,
+        buffer_size=100,
+        policy_kwargs=policy_kwargs,
+        device="cpu",
+    )
+    assert model._learner._mlp is None
+    model.learn(40)
+
+
+def test_discrete_observations_are_one_hot_for_the_kernels_too() -> None:
+    model = Rainbow(
+        "MlpPolicy", "CliffWalking-v1", learning_starts=20, buffer_size=100, device="cpu"
+    )
+    assert model._learner._mlp is not None
+    model.learn(60)
