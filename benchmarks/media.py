@@ -128,7 +128,7 @@ def write_video(path: Path, frames: Sequence[Image8], fps: int) -> None:
     def write(temporary: Path) -> None:
         height, width = frames[0].shape[:2]
         writer = imageio_ffmpeg.write_frames(
-            str(temporary), (width, height), fps=fps, quality=8, output_params=["-f", "mp4"]
+            str(temporary), (width, height), fps=fps, quality=6, output_params=["-f", "mp4"]
         )
         writer.send(None)
         for frame in frames:

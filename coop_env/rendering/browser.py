@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import math
 import socket
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from coop_env.env import CoopInsertionEnv
+from coop_env.geometry import GEOMETRIES
 from coop_env.rendering.bodies import COLOURS, Body, bodies, hole_state
 from coop_env.scene import Scene
 
 if TYPE_CHECKING:
     import viser
+
+
+ANGLES: Final = (3, 4)
+"""Axes that the view shows in degrees."""
 
 
 class ViewerError(RuntimeError):
@@ -109,3 +115,27 @@ def summary(scene: Scene) -> str:
         f"target {scene.target}: {1e3 * scene.distance:.0f} mm, "
         f"{math.degrees(scene.alignment_error):.1f}°; sigma_min {scene.sigma_min:+.3f}"
     )
+
+
+def geometry_name(env: CoopInsertionEnv) -> str | None:
+    """Which of the named geometries the environment has, if any."""
+    rrs = env.params.rrs
+    own = (rrs.base_radius, rrs.proximal_length, rrs.platform_radius, rrs.distal_length)
+    for name, g in GEOMETRIES.items():
+        if own == (g.base_radius, g.proximal_length, g.platform_radius, g.distal_length):
+            return name
+    return None
+
+
+def slider_range(env: CoopInsertionEnv, axis: int) -> tuple[float, float, str]:
+    """Least and greatest value of a degree of freedom, and its unit."""
+    delta, rrs = env.params.delta, env.params.rrs
+    if axis < 2:
+        return -delta.planar_limit, delta.planar_limit, "m"
+    if axis == 2:
+        low = -(delta.proximal_length + delta.distal_length)
+        return low, -abs(delta.proximal_length - delta.distal_length), "m"
+    if axis in ANGLES:
+        tilt = math.degrees(rrs.max_tilt)
+        return -tilt, tilt, "deg"
+    return rrs.heave_min, rrs.heave_max, "m"

@@ -20,7 +20,15 @@ import numpy.typing as npt
 from coop_env.env import CoopInsertionEnv
 from coop_env.errors import ResetOptionError
 from coop_env.geometry import GEOMETRIES
-from coop_env.rendering.browser import Stage, ViewerError, open_server, summary
+from coop_env.rendering.browser import (
+    ANGLES,
+    Stage,
+    ViewerError,
+    geometry_name,
+    open_server,
+    slider_range,
+    summary,
+)
 from coop_env.task import AXES, DT, N_ACTIONS
 
 Act = Callable[[Any, npt.NDArray[np.bool_]], int]
@@ -31,7 +39,6 @@ _REFUSALS: Final = {
     2: "the robots would collide",
     3: "too near a singularity, or beyond it",
 }
-_ANGLES: Final = (3, 4)  # axes shown in degrees
 _SIGMA_FULL: Final = 1.0
 
 
@@ -96,7 +103,7 @@ class Viewer:
             self._play.on_click(lambda _: self.toggle_play())
         if self._make_env is not None:
             switch = gui.add_dropdown(
-                "geometry", tuple(GEOMETRIES), initial_value=_geometry_name(self.env)
+                "geometry", tuple(GEOMETRIES), initial_value=geometry_name(self.env)
             )
             switch.on_update(lambda event: self.switch_geometry(str(event.target.value)))
         tabs = gui.add_tab_group()
@@ -106,8 +113,8 @@ class Viewer:
             self.buttons = [self._add_button(action) for action in range(N_ACTIONS)]
 
     def _add_slider(self, axis: int) -> Any:
-        low, high, unit = _range(self.env, axis)
-        step = 0.5 if axis in _ANGLES else 0.001
+        low, high, unit = slider_range(self.env, axis)
+        step = 0.5 if axis in ANGLES else 0.001
         slider = self._server.gui.add_slider(f"{AXES[axis]} [{unit}]", low, high, step, low)
 
         def on_update(event: Any) -> None:
@@ -136,7 +143,7 @@ class Viewer:
         with self._lock:
             self.stop()
             configuration = self.env.configuration
-            configuration[axis] = math.radians(value) if axis in _ANGLES else value
+            configuration[axis] = math.radians(value) if axis in ANGLES else value
             status = self.env.configuration_status(configuration)
             if status != 0:
                 return self._refuse(f"{AXES[axis]} = {value:g}: {_REFUSALS[status]}")
@@ -235,7 +242,7 @@ class Viewer:
         self._margin.color = "green" if scene.sigma_min >= 3 * scene.singular_margin else "red"
         for axis, slider in enumerate(self.sliders):
             value = scene.configuration[axis]
-            slider.value = round(math.degrees(value) if axis in _ANGLES else value, 6)
+            slider.value = round(math.degrees(value) if axis in ANGLES else value, 6)
         masks = self.env.action_masks() & (scene.status == "running")
         for button, possible in zip(self.buttons, masks, strict=True):
             button.disabled = not possible
@@ -247,30 +254,6 @@ class Viewer:
             self._playing.set()
             self._player.join()
             self._server.stop()
-
-
-def _geometry_name(env: CoopInsertionEnv) -> str | None:
-    """Which of the named geometries the environment has, if any."""
-    rrs = env.params.rrs
-    own = (rrs.base_radius, rrs.proximal_length, rrs.platform_radius, rrs.distal_length)
-    for name, g in GEOMETRIES.items():
-        if own == (g.base_radius, g.proximal_length, g.platform_radius, g.distal_length):
-            return name
-    return None
-
-
-def _range(env: CoopInsertionEnv, axis: int) -> tuple[float, float, str]:
-    """Least and greatest value of a degree of freedom, and its unit."""
-    delta, rrs = env.params.delta, env.params.rrs
-    if axis < 2:
-        return -delta.planar_limit, delta.planar_limit, "m"
-    if axis == 2:
-        low = -(delta.proximal_length + delta.distal_length)
-        return low, -abs(delta.proximal_length - delta.distal_length), "m"
-    if axis in _ANGLES:
-        tilt = math.degrees(rrs.max_tilt)
-        return -tilt, tilt, "deg"
-    return rrs.heave_min, rrs.heave_max, "m"
 
 
 def view(
