@@ -59,7 +59,7 @@ def _parser() -> argparse.ArgumentParser:
 
     one = argparse.ArgumentParser(add_help=False)
     one.add_argument("--cell", required=True, help="a cell's id, as `plan` lists them")
-    one.add_argument("--under-lock", action="store_true", help=argparse.SUPPRESS)
+    one.add_argument("--parent", type=int, default=None, help=argparse.SUPPRESS)
     model = argparse.ArgumentParser(add_help=False)
     model.add_argument("--model", type=Path, default=None, help="a .zip saved by an SB3 algorithm")
     model.add_argument("--algorithm", default="rainbow", help="its class: rainbow, dqn, ppo, ...")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 import time
@@ -16,13 +17,20 @@ from benchmarks.store import RunFolder, Store
 
 
 class StopFlag:
-    """True once the process was asked to end (SIGTERM or Ctrl-C); a run then saves and stops."""
+    """True once the process was asked to end (SIGTERM or Ctrl-C); a run then saves and stops.
 
-    def __init__(self) -> None:
+    Args:
+        parent: process id of the harness that started this process, if one did; when it is gone,
+            killed without a word, that counts as being asked.
+    """
+
+    def __init__(self, parent: int | None = None) -> None:
         self.requested = False
+        self.parent = parent
 
     def __call__(self) -> bool:
-        return self.requested
+        orphaned = self.parent is not None and os.getppid() != self.parent
+        return self.requested or orphaned
 
     def listen(self) -> None:
         """Let the signals set the flag; outside the main thread there are no signals to take."""
@@ -43,12 +51,19 @@ def run_cell(
         Whether the cell is complete.
 
     Raises:
-        BenchmarkError: the cell's folder holds a run with other settings.
+        BenchmarkError: the cell's folder holds a run with other settings, or another process
+            works on it.
     """
     folder = store.run(cell.id)
-    folder.begin(settings(preset, cell))
+    folder.check_config(settings(preset, cell))
     if folder.is_complete():
         return True
+    with folder.lock():
+        folder.begin(settings(preset, cell))
+        return _run(preset, cell, folder, stop_requested)
+
+
+def _run(preset: Preset, cell: Cell, folder: RunFolder, stop_requested: Callable[[], bool]) -> bool:
     clock = _Clock()
     if cell.method == DESIGN:
         training = _run_design(preset, folder)

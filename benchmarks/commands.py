@@ -111,16 +111,13 @@ def _measured_rate(preset: Preset, store: Store) -> dict[str, float]:
 
 def train(arguments: argparse.Namespace) -> int:
     """One cell in this process; what the harness starts, and what a cluster can start."""
-    from contextlib import nullcontext
-
     from benchmarks.cell import StopFlag, run_cell
 
     preset, store = _open(arguments, create=True)
     cell = find(preset, arguments.cell)
-    flag = StopFlag()
+    flag = StopFlag(arguments.parent)
     flag.listen()
-    with nullcontext() if arguments.under_lock else store.lock():
-        complete = run_cell(preset, cell, store, flag)
+    complete = run_cell(preset, cell, store, flag)
     folder = store.run(cell.id).path
     if not complete:
         print(f"{cell.id}: stopped, the checkpoint is in {folder}; the same command resumes")

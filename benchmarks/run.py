@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,10 +17,13 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.progress import TimeRemainingColumn as Remaining
 
+from benchmarks.errors import BenchmarkError
 from benchmarks.plan import Cell, expand, settings, work_units
 from benchmarks.presets import Preset
 from benchmarks.store import RunFolder, Store
 
+RUN_BYTES: Final = 20_000_000  # a run's small files, its TensorBoard events, its model twice
+TRANSITION_BYTES: Final = 200  # of a checkpointed replay buffer, generously
 POLL_SECONDS: Final = 0.3
 GRACE_SECONDS: Final = 60.0  # for children to save their checkpoints after Ctrl-C
 PINNED: Final = dict.fromkeys(
@@ -65,6 +69,26 @@ def missing(preset: Preset, store: Store) -> tuple[list[Cell], list[Cell]]:
     return todo, done
 
 
+def check_disk(preset: Preset, store: Store, todo: Sequence[Cell]) -> None:
+    """Refuse to start what would fill the disk: two checkpoints for each run, and its results.
+
+    Raises:
+        BenchmarkError: there is too little room.
+    """
+    needed = 0
+    for cell in todo:
+        needed += RUN_BYTES
+        if cell.learns:
+            h = preset.tracks[cell.track].hyperparameters
+            needed += 2 * h.buffer_size * TRANSITION_BYTES
+    free = shutil.disk_usage(store.folder).free
+    if free < needed:
+        raise BenchmarkError(
+            f"{store.folder}: {needed / 1e9:.1f} GB may be needed for {len(todo)} runs, "
+            f"{free / 1e9:.1f} GB are free; make room or use another --results folder"
+        )
+
+
 class Harness:
     """Runs cells in child processes.
 
@@ -108,6 +132,7 @@ class Harness:
             Remaining(),
             TextColumn("{task.fields[note]}"),
         )
+        check_disk(self.preset, self.store, todo)
         interrupted = False
         with Progress(*columns, console=self.console, refresh_per_second=2) as progress:
             total = sum(work_units(self.preset, cell) for cell in todo)
@@ -147,7 +172,7 @@ class Harness:
         command = [
             *(sys.executable, "-m", "benchmarks", "train"),
             *("--preset", self.preset_argument, "--results", str(self.results)),
-            *("--cell", cell.id, "--under-lock"),
+            *("--cell", cell.id, "--parent", str(os.getpid())),
         ]
         with log.open("ab") as stream:
             # a session of its own: Ctrl-C reaches the harness alone, which then asks politely

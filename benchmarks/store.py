@@ -18,7 +18,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -163,6 +163,14 @@ class RunFolder:
         except (OSError, ValueError, KeyError):
             return 0.0, ""
 
+    def lock(self) -> AbstractContextManager[None]:
+        """Hold the run for one process.
+
+        Raises:
+            BenchmarkError: another process holds it.
+        """
+        return _held(self.path / "run.lock", f"another process is at work on {self.path}")
+
     def drop_checkpoint(self) -> None:
         """Remove the working files of a run that is complete."""
         shutil.rmtree(self.checkpoint, ignore_errors=True)
@@ -212,25 +220,17 @@ class Store:
                 f"{SCHEMA}; move it away or use another --results folder"
             )
 
-    @contextmanager
-    def lock(self) -> Iterator[None]:
+    def lock(self) -> AbstractContextManager[None]:
         """Hold the store for one harness.
 
         Raises:
             BenchmarkError: another harness holds it.
         """
-        lock = FileLock(str(self.folder / "store.lock"))
-        try:
-            lock.acquire(timeout=0)
-        except Timeout:
-            raise BenchmarkError(
-                f"another harness is at work in {self.folder}; wait for it, or use another "
-                "--results folder"
-            ) from None
-        try:
-            yield
-        finally:
-            lock.release()
+        return _held(
+            self.folder / "store.lock",
+            f"another harness is at work in {self.folder}; wait for it, or use another --results "
+            "folder",
+        )
 
     def run(self, cell_id: str) -> RunFolder:
         """The folder of one cell, present or not."""
@@ -240,6 +240,20 @@ class Store:
         """All complete runs, by id."""
         runs = [RunFolder(path) for path in sorted((self.folder / "runs").glob("*"))]
         return [run for run in runs if run.is_complete()]
+
+
+@contextmanager
+def _held(path: Path, refusal: str) -> Iterator[None]:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(str(path))
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise BenchmarkError(refusal) from None
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def _flatten(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

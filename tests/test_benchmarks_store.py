@@ -109,3 +109,6 @@ def test_two_harnesses_cannot_hold_one_folder(tmp_path: Path) -> None:
         pass
     with second.lock():
         pass
+    run = first.run("cell")
+    with run.lock(), pytest.raises(BenchmarkError, match="another process"), run.lock():
+        pass
