@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch as th
+from numpy.typing import NDArray
 from stable_baselines3.common.utils import get_parameters_by_name, polyak_update
 
 from sb3_rainbow.flat_parameters import FlatParameters
@@ -106,6 +107,20 @@ class Learner:
             return self._eager_loss(batch)
         self._loss = compiled
         return result
+
+    def act(
+        self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None
+    ) -> NDArray[np.int64] | None:
+        """
+        Greedy actions under fresh noise, ``(n_envs,)``; None where torch has to find them.
+
+        :param obs: observations, ``(n_envs, ...)``
+        :param action_masks: True where allowed, ``(n_envs, n_actions)``
+        """
+        if self._mlp is None:
+            return None
+        self.q_net.reset_noise()
+        return self._mlp.act(obs, action_masks)
 
     def _zero_grad(self) -> None:
         if self._flat is None:

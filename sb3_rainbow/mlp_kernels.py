@@ -21,11 +21,12 @@ INPUTS, OUTPUTS, NOISY, PARAMETERS, NOISE, EFFECTIVE, HIDDEN = range(7)
 Vector = NDArray[np.float32]
 Matrix = NDArray[np.float32]
 Table = NDArray[np.int64]
-# Sums may be reordered, so that they run in vector registers; NaN and infinity stay themselves.
+# Sums may be reordered, so that they run in vector registers; NaN and infinity stay themselves. The
+# check for a division by zero (error_model) would forbid vector registers as well.
 _FAST = {"reassoc", "contract", "nsz", "arcp"}
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
 def effective_weights(parameters: Vector, noise: Vector, table: Table, effective: Vector) -> None:
     """``mu + sigma * epsilon`` for all layers."""
     for layer in range(table.shape[0]):
@@ -48,7 +49,7 @@ def effective_weights(parameters: Vector, noise: Vector, table: Table, effective
             effective[e + size + j] = parameters[bias] + parameters[bias + n_out] * epsilon_out
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
 def parameter_gradients(gradient: Vector, noise: Vector, table: Table, out: Vector) -> None:
     """Gradients of the parameters from those of the effective weights."""
     for layer in range(table.shape[0]):
@@ -72,7 +73,7 @@ def parameter_gradients(gradient: Vector, noise: Vector, table: Table, out: Vect
             out[bias + n_out + j] = gradient[e + size + j] * epsilon_out
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
 def hidden_units(effective: Vector, table: Table, inputs: Matrix, hidden: Vector) -> Matrix:
     """ReLU layers up to the head; ``hidden`` keeps every layer's outputs, the last is returned."""
     batch = inputs.shape[0]
@@ -91,7 +92,7 @@ def hidden_units(effective: Vector, table: Table, inputs: Matrix, hidden: Vector
     return current
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
 def all_logits(
     effective: Vector, table: Table, units: Matrix, dueling: bool, streams: Matrix, n_atoms: int
 ) -> None:
@@ -120,7 +121,7 @@ def all_logits(
                 row[a * n_atoms + j] += shift[j]
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
 def shared_weight(
     effective: Vector, table: Table, n_atoms: int, dueling: bool, weight: Matrix, bias: Vector
 ) -> None:
@@ -147,7 +148,7 @@ def shared_weight(
         bias[j] = effective[e + n_in * n_out + j] - share * bias[j]
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
 def taken_logits(
     effective: Vector,
     table: Table,
@@ -176,7 +177,7 @@ def taken_logits(
             logits[b, j] += total + common_bias[j] + effective[e + n_in * n_out + first + j]
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
 def backward(
     effective: Vector,
     table: Table,
@@ -251,7 +252,7 @@ def backward(
             delta = np.dot(delta, effective[e : e + n_in * n_out].reshape((n_out, n_in)))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def categorical_slopes(
     logits: Matrix,
     target_logits: Matrix,
@@ -297,7 +298,7 @@ def categorical_slopes(
         losses[b] = loss
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def huber_slopes(
     values: Matrix,
     target_values: Matrix,
@@ -319,7 +320,7 @@ def huber_slopes(
         slope[b, 0] = min(max(error, -1.0), 1.0) * (weights[b] / batch)
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
 def adam_step(
     parameters: Vector,
     gradient: Vector,

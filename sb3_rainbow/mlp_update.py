@@ -47,12 +47,25 @@ class MlpUpdate:
         self._effective, self._effective_target, self._gradient = (
             np.zeros(n_effective, np.float32) for _ in range(3)
         )
+        self._capacity = 0
         self._common, self._common_target = (
             np.zeros((q_net.n_atoms, n_in), np.float32) for _ in range(2)
         )
         self._common_bias, self._common_bias_target = (
             np.zeros(q_net.n_atoms, np.float32) for _ in range(2)
         )
+
+    def _reserve(self, batch_size: int) -> None:
+        """Scratch for batches up to this size: fresh pages at every update would cost more."""
+        if batch_size <= self._capacity:
+            return
+        self._capacity = batch_size
+        n_hidden = batch_size * int(self.table[:-1, kernels.OUTPUTS].sum())
+        self._hidden, self._hidden_next, self._hidden_target = (
+            np.empty(n_hidden, np.float32) for _ in range(3)
+        )
+        n_out = int(self.table[-1, kernels.OUTPUTS])
+        self._streams = np.empty((batch_size, n_out), np.float32)
 
     @staticmethod
     def is_possible(
@@ -97,6 +110,23 @@ class MlpUpdate:
         self._step(max_grad_norm)
         return th.tensor(float(losses @ weights) / n), th.from_numpy(priorities)
 
+    def act(self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None) -> NDArray[np.int64]:
+        """
+        Greedy actions of the online network under its current noise.
+
+        :param obs: observations, ``(n_envs, ...)``
+        :param action_masks: True where allowed, ``(n_envs, n_actions)``
+        :return: shape ``(n_envs,)``
+        """
+        features = self._features(obs)
+        self._reserve(features.shape[0])
+        kernels.effective_weights(
+            self.flat.vector.detach().numpy(), self.q_net.noise.numpy(), self.table, self._effective
+        )
+        units = kernels.hidden_units(self._effective, self.table, features, self._hidden)
+        masks = None if action_masks is None else th.from_numpy(action_masks)
+        return self._best_actions(self._effective, units, masks)
+
     def _features(self, obs: th.Tensor | dict[str, th.Tensor]) -> NDArray[np.float32]:
         with th.no_grad():
             features = self.q_net.extract_features(obs, self.q_net.features_extractor)
@@ -112,10 +142,7 @@ class MlpUpdate:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         """Slope of the weighted mean loss in the taken logits, losses and priorities."""
         net, table, n = self.q_net, self.table, obs.shape[0]
-        n_hidden = n * int(table[:, kernels.OUTPUTS][:-1].sum())
-        self._hidden = np.empty(n_hidden, np.float32)
-        scratch = np.empty(n_hidden, np.float32)
-        scratch_target = np.empty(n_hidden, np.float32)
+        self._reserve(n)
         online, target = self._effective, self._effective_target
         kernels.effective_weights(
             self.flat.vector.detach().numpy(), net.noise.numpy(), table, online
@@ -126,9 +153,12 @@ class MlpUpdate:
             table,
             target,
         )
-        units_target = kernels.hidden_units(target, table, next_obs, scratch_target)
+        units_target = kernels.hidden_units(target, table, next_obs, self._hidden_target)
         if double_q:
-            chooser, units_next = online, kernels.hidden_units(online, table, next_obs, scratch)
+            chooser, units_next = (
+                online,
+                kernels.hidden_units(online, table, next_obs, self._hidden_next),
+            )
         else:
             chooser, units_next = target, units_target
         next_actions = self._best_actions(chooser, units_next, batch.next_action_masks)
@@ -165,7 +195,7 @@ class MlpUpdate:
         self, effective: NDArray[np.float32], units: NDArray[np.float32], masks: th.Tensor | None
     ) -> NDArray[np.int64]:
         net, n = self.q_net, units.shape[0]
-        streams = np.empty((n, int(self.table[-1, kernels.OUTPUTS])), np.float32)
+        streams = self._streams[:n]
         kernels.all_logits(effective, self.table, units, net.dueling, streams, net.n_atoms)
         logits = th.from_numpy(streams).view(n, -1, net.n_atoms)[:, int(net.dueling) :]
         with th.no_grad():

@@ -321,6 +321,16 @@ class Rainbow(ResumableAlgorithm):
             )
         return actions, state
 
+    def _explore(self, obs: ObsArray, action_masks: NDArray[np.bool_] | None) -> NDArray:
+        # Without noise the actions are epsilon-greedy, which is predict's business.
+        if self.noisy and isinstance(obs, np.ndarray):
+            obs_tensor, _ = self.policy.obs_to_tensor(obs)
+            assert isinstance(obs_tensor, th.Tensor)
+            actions = self._learner.act(obs_tensor, action_masks)
+            if actions is not None:
+                return actions
+        return super()._explore(obs, action_masks)
+
     def _on_step(self) -> None:
         self._n_calls += 1
         interval = self.target_update_interval

@@ -117,3 +117,17 @@ def test_discrete_observations_are_one_hot_for_the_kernels_too() -> None:
     )
     assert model._learner._mlp is not None
     model.learn(60)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_exploring_actions_are_those_of_the_policy_under_the_same_noise(masked: bool) -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", buffer_size=100, sigma0=2.0, seed=0, device="cpu")
+    obs = np.random.default_rng(0).normal(size=(50, 4)).astype(np.float32)
+    masks = np.random.default_rng(1).random((50, 2)) < 0.6 if masked else None
+    if masks is not None:
+        masks[:, 0] |= ~masks.any(axis=1)
+    th.manual_seed(4)
+    expected, _ = model.predict(obs, action_masks=masks)
+    th.manual_seed(4)
+    np.testing.assert_array_equal(model._explore(obs, masks), expected)
+    assert 0 < expected.mean() < 1
