@@ -92,6 +92,11 @@ class RainbowNetwork(BasePolicy):
         self.register_buffer("support", th.linspace(v_min, v_max, self.n_atoms))
         self._build_layers()
 
+    @property
+    def device(self) -> th.device:
+        """Where the network lives; SB3's own way walks over the parameters at every step."""
+        return self.support.device
+
     def _build_layers(self) -> None:
         n_streams = self.n_actions + (1 if self.dueling else 0)
         sizes = [self.features_dim, *self.net_arch, n_streams * self.n_atoms]

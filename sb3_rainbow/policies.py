@@ -127,6 +127,11 @@ class RainbowPolicy(BasePolicy):
             self.flat.tie()
         return self
 
+    @property
+    def device(self) -> th.device:
+        """Where the policy lives."""
+        return self.q_net.device if "q_net" in self._modules else super().device
+
     def make_q_net(self) -> RainbowNetwork:
         """A network with its own features extractor."""
         net_args = self._update_features_extractor(self.net_args, features_extractor=None)

@@ -17,6 +17,7 @@ FAST: dict[str, Any] = {
     "seed": 0,
     "policy_kwargs": {"net_arch": [16]},
     "compile": True,
+    "cpu_kernels": False,
     "device": "cpu",
 }
 
