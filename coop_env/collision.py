@@ -2,7 +2,7 @@
 
 Bodies of the Delta: peg and forearms as capsules, effector as a sphere. Bodies of the 3-RRS: dome
 as a sphere, platform as three spokes from its centre to the spherical joints, proximal and distal
-links as capsules. The peg may touch the dome inside a hole's chamfer.
+links as capsules. The peg may enter the dome through a hole's mouth, chamfer included.
 """
 
 from __future__ import annotations
@@ -97,12 +97,12 @@ def hole(pose: Pose, index: int) -> tuple[Row, Row]:
 
 
 @njit(cache=True)
-def in_chamfer(tip: Row, pose: Pose, chamfer: float) -> bool:
-    """Whether the tip lies within the lead-in of any hole."""
+def in_opening(tip: Row, pose: Pose, radius: float) -> bool:
+    """Whether the tip lies within a radius of any hole's mouth."""
     for i in range(N_HOLES):
         mouth, _ = hole(pose, i)
         dx, dy, dz = tip[0] - mouth[0], tip[1] - mouth[1], tip[2] - mouth[2]
-        if math.sqrt(dx * dx + dy * dy + dz * dz) < chamfer:
+        if math.sqrt(dx * dx + dy * dy + dz * dz) < radius:
             return True
     return False
 
@@ -173,10 +173,12 @@ def collides(x: float, y: float, z: float, theta: Row, pose: Pose, q: Row, p: En
         return False
     centre = (pose.x, pose.y, pose.z)
     peg_radius = p.delta.peg_radius
+    # The bore takes the peg, and the chamfer is as much wider all round as its width.
+    opening = p.task.chamfer + peg_radius
     peg_end = (tip[0], tip[1], tip[2] + peg_radius)  # the capsule's cap ends at the tip
     if point_segment_distance(
         centre, peg_end, effector
-    ) < DOME_RADIUS + peg_radius and not in_chamfer(tip, pose, p.task.chamfer):
+    ) < DOME_RADIUS + peg_radius and not in_opening(tip, pose, opening):
         return True
     if _capsule_hits_limbs(peg_end, effector, peg_radius, pose, q, p.rrs):
         return True

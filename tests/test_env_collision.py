@@ -70,7 +70,7 @@ def clearance(env: CoopInsertionEnv, c: Configuration) -> float:
     lower += [(sampled(elbow, joint), task.LIMB_RADIUS) for _, elbow, joint in limbs]
     lower += [(sampled(base, elbow), task.LIMB_RADIUS) for base, elbow, _ in limbs]
     mouths = centre + task.DOME_RADIUS * np.array(HOLE_NORMALS) @ rotation.T
-    exempt = np.linalg.norm(mouths - tip, axis=1).min() < p.task.chamfer
+    exempt = np.linalg.norm(mouths - tip, axis=1).min() < p.task.chamfer + p.delta.peg_radius
     gaps = [least(a, b) - ra - rb for a, ra in upper for b, rb in lower]
     for k, (a, ra) in enumerate(upper):
         if k > 0 or not exempt:
