@@ -73,11 +73,13 @@ class Learner:
 
         :return: mean loss, scalar, and priorities ``(B,)``; both stay on the device
         """
-        self._zero_grad()
         self.q_net.reset_noise()
         self.q_net_target.reset_noise()
+        if self._flat is not None and not self._flat.is_tied:
+            self._flat.tie()
         if self._mlp is not None:
             return self._mlp.update(batch, self.double_q, self.max_grad_norm)
+        self._zero_grad()
         loss, priorities = self._loss(batch)
         loss.backward()
         self._clip_grad()
@@ -126,8 +128,6 @@ class Learner:
         if self._flat is None:
             self.optimizer.zero_grad()
             return
-        if not self._flat.is_tied:
-            self._flat.tie()
         assert self._flat.vector.grad is not None
         self._flat.vector.grad.zero_()
 

@@ -94,31 +94,77 @@ def hidden_units(effective: Vector, table: Table, inputs: Matrix, hidden: Vector
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
 def all_logits(
-    effective: Vector, table: Table, units: Matrix, dueling: bool, streams: Matrix, n_atoms: int
+    effective: Vector, table: Table, units: Matrix, dueling: bool, value: Matrix, logits: Matrix
 ) -> None:
-    """The head's logits for every action, joined in place; advantages start at ``n_atoms``."""
+    """
+    The head's logits for every action, each action's shifted to a maximum of zero.
+
+    :param value: scratch for the value stream, ``(B, n_atoms)``
+    :param logits: result, ``(B, n_actions * n_atoms)``
+    """
     head = table[table.shape[0] - 1]
     n_in, n_out, e = head[INPUTS], head[OUTPUTS], head[EFFECTIVE]
+    n_atoms, n_logits = value.shape[1], logits.shape[1]
+    skipped = n_atoms if dueling else 0
     weight = effective[e : e + n_in * n_out].reshape((n_out, n_in))
     bias = effective[e + n_in * n_out : e + n_in * n_out + n_out]
-    np.dot(units, weight.T, streams)
-    n_actions = n_out // n_atoms - (1 if dueling else 0)
+    np.dot(units, weight[skipped:].T, logits)
+    if dueling:
+        np.dot(units, weight[:n_atoms].T, value)
+    share = np.float32(n_atoms / n_logits)
     shift = np.empty(n_atoms, np.float32)
     for b in range(units.shape[0]):
-        row = streams[b]
-        for j in range(n_out):
-            row[j] += bias[j]
-        if not dueling:
-            continue
+        row = logits[b]
+        for j in range(n_logits):
+            row[j] += bias[skipped + j]
         shift[:] = 0.0
-        for a in range(1, n_actions + 1):
+        if dueling:
+            for first in range(0, n_logits, n_atoms):
+                for j in range(n_atoms):
+                    shift[j] += row[first + j]
             for j in range(n_atoms):
-                shift[j] += row[a * n_atoms + j]
-        for j in range(n_atoms):
-            shift[j] = row[j] - shift[j] / np.float32(n_actions)
-        for a in range(1, n_actions + 1):
+                shift[j] = value[b, j] + bias[j] - share * shift[j]
+        for first in range(0, n_logits, n_atoms):
+            part = row[first : first + n_atoms]
+            top = part[0] + shift[0]
             for j in range(n_atoms):
-                row[a * n_atoms + j] += shift[j]
+                part[j] += shift[j]
+                top = max(top, part[j])
+            if n_atoms > 1:
+                for j in range(n_atoms):
+                    part[j] -= top
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def best_actions(
+    masses: Matrix, support: Vector, masks: NDArray[np.bool_], actions: NDArray[np.int64]
+) -> None:
+    """
+    The allowed action of the highest expectation.
+
+    :param masses: proportional to the atoms' probabilities, ``(B, n_actions * n_atoms)``; with one
+        atom, the values themselves
+    :param masks: ``(B, n_actions)``, or ``(0, 0)`` to allow everything
+    :param actions: result, ``(B,)``
+    """
+    n_atoms = support.shape[0]
+    n_actions = masses.shape[1] // n_atoms
+    for b in range(masses.shape[0]):
+        best, chosen = np.float32(0.0), -1
+        for a in range(n_actions):
+            if masks.shape[0] > 0 and not masks[b, a]:
+                continue
+            part = masses[b, a * n_atoms : (a + 1) * n_atoms]
+            expectation = part[0]
+            if n_atoms > 1:
+                total, moment = np.float32(0.0), np.float32(0.0)
+                for j in range(n_atoms):
+                    total += part[j]
+                    moment += part[j] * support[j]
+                expectation = moment / total
+            if chosen < 0 or expectation > best:
+                best, chosen = expectation, a
+        actions[b] = chosen
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")

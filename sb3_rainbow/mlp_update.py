@@ -4,14 +4,14 @@ import numpy as np
 import torch as th
 from numpy.typing import NDArray
 from torch import nn
-from torch.nn import functional as F
 
 from sb3_rainbow import mlp_kernels as kernels
 from sb3_rainbow.flat_parameters import FlatParameters
-from sb3_rainbow.losses import mask_q_values
 from sb3_rainbow.networks import RainbowNetwork
 from sb3_rainbow.torch_layers import NoisyLinear
 from sb3_rainbow.type_aliases import Batch
+
+_NO_MASKS = np.zeros((0, 0), dtype=np.bool_)
 
 
 class MlpUpdate:
@@ -64,8 +64,9 @@ class MlpUpdate:
         self._hidden, self._hidden_next, self._hidden_target = (
             np.empty(n_hidden, np.float32) for _ in range(3)
         )
-        n_out = int(self.table[-1, kernels.OUTPUTS])
-        self._streams = np.empty((batch_size, n_out), np.float32)
+        n_logits = self.q_net.n_actions * self.q_net.n_atoms
+        self._logits = np.empty((batch_size, n_logits), np.float32)
+        self._value = np.empty((batch_size, self.q_net.n_atoms), np.float32)
 
     @staticmethod
     def is_possible(
@@ -124,7 +125,7 @@ class MlpUpdate:
             self.flat.vector.detach().numpy(), self.q_net.noise.numpy(), self.table, self._effective
         )
         units = kernels.hidden_units(self._effective, self.table, features, self._hidden)
-        masks = None if action_masks is None else th.from_numpy(action_masks)
+        masks = _NO_MASKS if action_masks is None else action_masks
         return self._best_actions(self._effective, units, masks)
 
     def _features(self, obs: th.Tensor | dict[str, th.Tensor]) -> NDArray[np.float32]:
@@ -161,7 +162,10 @@ class MlpUpdate:
             )
         else:
             chooser, units_next = target, units_target
-        next_actions = self._best_actions(chooser, units_next, batch.next_action_masks)
+        masks = batch.next_action_masks
+        next_actions = self._best_actions(
+            chooser, units_next, _NO_MASKS if masks is None else masks.numpy()
+        )
         units = kernels.hidden_units(online, table, obs, self._hidden)
         self._actions = batch.actions[:, 0].numpy()
         logits = self._taken(online, units, self._actions, self._common, self._common_bias)
@@ -192,17 +196,20 @@ class MlpUpdate:
         return slope, losses, errors
 
     def _best_actions(
-        self, effective: NDArray[np.float32], units: NDArray[np.float32], masks: th.Tensor | None
+        self,
+        effective: NDArray[np.float32],
+        units: NDArray[np.float32],
+        masks: NDArray[np.bool_],
     ) -> NDArray[np.int64]:
         net, n = self.q_net, units.shape[0]
-        streams = self._streams[:n]
-        kernels.all_logits(effective, self.table, units, net.dueling, streams, net.n_atoms)
-        logits = th.from_numpy(streams).view(n, -1, net.n_atoms)[:, int(net.dueling) :]
-        with th.no_grad():
-            # torch's vectorized exponential is several times faster than a compiled loop's
-            q_values = F.softmax(logits, dim=-1) @ net.support if net.distributional else logits
-            q_values = mask_q_values(q_values.reshape(n, -1), masks)
-            return q_values.argmax(dim=1).numpy()
+        logits = self._logits[:n]
+        kernels.all_logits(effective, self.table, units, net.dueling, self._value[:n], logits)
+        if net.distributional:
+            # torch's vectorized exponential is several times faster than a compiled loop's.
+            th.from_numpy(logits).exp_()
+        actions = np.empty(n, np.int64)
+        kernels.best_actions(logits, net.support.numpy(), masks, actions)
+        return actions
 
     def _taken(
         self,
