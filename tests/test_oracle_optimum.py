@@ -160,6 +160,32 @@ def test_an_episode_is_planned_hole_after_hole() -> None:
     assert filled >= 3
 
 
+def test_with_sim_to_real_knobs_the_plan_is_the_models() -> None:
+    real = CoopInsertionEnv(sim_to_real="randomized")
+    twin = CoopInsertionEnv()
+    for seed in range(5):
+        real.reset(seed=seed)
+        plan = LatticeOracle().plan(real)
+        start = {"configuration": real.configuration, "target": int(real.state["target"])}
+        twin.reset(options=start)
+        expected = LatticeOracle().plan(twin)
+        assert plan.status == expected.status
+        if expected.moves is not None:
+            np.testing.assert_array_equal(plan.moves, expected.moves)
+
+
+def test_the_paper_pose_model_is_planned_too() -> None:
+    env = CoopInsertionEnv(pose_model="paper")
+    solved = 0
+    for seed in range(10):
+        env.reset(seed=seed)
+        plan = LatticeOracle().plan(env)
+        if plan.moves is not None:
+            solved += 1
+            assert executes(env, plan.moves)
+    assert solved > 5
+
+
 def test_the_node_limit_is_told() -> None:
     env = CoopInsertionEnv()
     env.reset(seed=0)

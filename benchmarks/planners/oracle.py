@@ -14,7 +14,7 @@ from benchmarks.planners import lattice_search as search
 from benchmarks.planners.base import Plan
 from benchmarks.planners.lattice_search import Grid
 from coop_env import dynamics
-from coop_env.state import OUTCOME
+from coop_env.state import OUTCOME, STATE, aim
 from coop_env.task import N_ACTIONS, STEP, EnvParams
 
 DEFAULT_NODE_LIMIT: Final = 2_000_000
@@ -52,10 +52,11 @@ class LatticeOracle:
 
         Returns:
             ``"solved"`` with the moves, ``"infeasible"`` if no sequence of moves inserts, or
-            ``"node_limit"``. ``detail`` has ``length``, ``expanded`` (pairs), ``goals`` (lattice
+            ``"node_limit"``. With sim-to-real knobs the plan is the nominal model's, as any
+            planner's would be. ``detail`` has ``length``, ``expanded`` (pairs), ``goals`` (lattice
             points that meet the criterion) and ``bound`` (moves if nothing collided).
         """
-        return self._plan(env.unwrapped.state, env.unwrapped.params)
+        return self._plan(*_nominal(env.unwrapped.state, env.unwrapped.params))
 
     def plan_episode(self, env: Any) -> list[Plan]:
         """One plan per hole, each from where the last one ends, until the holes or moves run out.
@@ -64,7 +65,7 @@ class LatticeOracle:
         changed. The last plan has no moves if it failed: ``"timeout"`` if it is too long for the
         moves left.
         """
-        state, p = env.unwrapped.state, env.unwrapped.params
+        state, p = _nominal(env.unwrapped.state, env.unwrapped.params)
         plans: list[Plan] = []
         while not state["over"]:
             plan = self._plan(state, p)
@@ -163,6 +164,23 @@ def _distances(
     to_delta, to_rrs = to_delta[near], to_rrs[near]
     bound = search.lower_bound(source[0], source[1], to_delta, to_rrs) if near.any() else -1
     return to_delta, to_rrs, int(bound)
+
+
+def _nominal(state: Any, p: EnvParams) -> tuple[Any, EnvParams]:
+    """The state and parameters as the controller's model has them."""
+    if not p.task.imperfect:
+        return state, p
+    p = p._replace(task=p.task._replace(imperfect=False))
+    twin = np.zeros(1, STATE)[0]
+    x, y, z, roll, pitch, heave = (float(v) for v in state["configuration"])
+    status = dynamics.begin(
+        twin, (x, y, z, roll, pitch, heave), state["active"], state["filled"], p
+    )
+    if status != dynamics.VALID:  # only the real machine can stand here
+        raise ValueError("the model takes this state for a collision or singular: reset first")
+    aim(twin, int(state["target"]))
+    twin["moves"] = state["moves"]
+    return twin, p
 
 
 def _there_and_back(state: Any, p: EnvParams) -> tuple[NDArray[np.int64], int]:
