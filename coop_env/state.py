@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from coop_env import rewards
-from coop_env.collision import collides, hole
+from coop_env.collision import below_ceiling, collides, hole
 from coop_env.kinematics import delta_kernels, rrs_kernels
 from coop_env.kinematics.rrs_kernels import Pose
 from coop_env.kinematics.singularity import Row
@@ -234,6 +234,15 @@ def neighbour(s: Record, action: int) -> Configuration:
 
 
 @njit(cache=True)
+def _is_safe(s: Record, action: int, p: EnvParams) -> bool:
+    """Whether a move leads to a configuration of status VALID; most are settled without a test."""
+    c = neighbour(s, action)
+    if action < 6 and not p.task.imperfect and not below_ceiling(c, p):
+        return delta_valid(c, p) and not is_singular(s.sigma)
+    return configuration_status(c, p) == VALID
+
+
+@njit(cache=True)
 def update_mask(s: Record, delta: bool, rrs: bool, p: EnvParams) -> None:
     """Recompute the action mask of the robots that moved: the halves do not depend on each other.
 
@@ -244,7 +253,7 @@ def update_mask(s: Record, delta: bool, rrs: bool, p: EnvParams) -> None:
     blocked = s.mask.sum() == N_ACTIONS  # may stand for "nothing valid": start afresh
     for action in range(N_ACTIONS):
         if couple:
-            s.mask[action] = configuration_status(neighbour(s, action), p) == VALID
+            s.mask[action] = _is_safe(s, action, p)
         elif action < 6:
             if delta or blocked:
                 s.mask[action] = delta_valid(neighbour(s, action), p)
