@@ -15,6 +15,7 @@ from benchmarks.plan import expand, find, settings, work_units
 from benchmarks.presets import Preset, load_preset
 from benchmarks.store import Store
 
+GUESSED_RATE: Final = 1.5e-3  # seconds per unit of work, where nothing was measured yet
 DELEGATED: Final = ("speed", "design")
 SPEED: Final = {"env": "benchmarks.speed_env", "rainbow": "benchmarks.speed_rainbow"}
 
@@ -69,30 +70,33 @@ def _write_figures(store: Store, console: Console) -> None:
 
 def plan(arguments: argparse.Namespace) -> int:
     """The cells of a preset, whether they are complete, and what they cost."""
-    from rich.table import Table
+    from rich.table import Column, Table
 
     preset = load_preset(arguments.preset)
     cells = expand(preset)
     store = Store(arguments.results, preset.name)
     if store.folder.is_dir() and any(store.folder.iterdir()):
         store = Store.open(arguments.results, preset.name)
-    table = Table("cell", "state", "wall (s)", "left (s, about)")
-    seconds_per_unit = _measured_rate(preset, store)
+    width = max(len(cell.id) for cell in cells)
+    name = Column("cell", no_wrap=True, min_width=width)
+    table = Table(name, "state", Column("wall (s)", no_wrap=True), Column("left (s)", no_wrap=True))
+    rates = _measured_rate(preset, store)
     left = 0.0
     for cell in cells:
         folder = store.run(cell.id)
         folder.check_config(settings(preset, cell))
-        share, note = folder.progress()
+        share, _ = folder.progress()
         if folder.is_complete():
             table.add_row(cell.id, "complete", f"{folder.meta()['wall_seconds']:.0f}", "")
             continue
-        ahead = (1.0 - share) * work_units(preset, cell) * seconds_per_unit.get(cell.method, 0.0)
+        ahead = (1.0 - share) * work_units(preset, cell) * rates.get(cell.method, GUESSED_RATE)
         left += ahead
-        state = f"{100 * share:.0f} % ({note})" if share else "missing"
-        table.add_row(cell.id, state, "", f"{ahead:.0f}" if ahead else "?")
+        state = f"{100 * share:.0f} %" if share else "missing"
+        table.add_row(cell.id, state, "", f"{ahead:.0f}")
     console = Console(soft_wrap=True)
     console.print(table)
-    text = f"; about {left / 60:.0f} min of one core left" if left else ""
+    guess = "" if rates else ", a guess before the first run"
+    text = f"; about {left / 60:.0f} min of one core left{guess}" if left else ""
     console.print(f"{len(cells)} cells of preset '{preset.name}' in {store.folder}{text}")
     return 0
 
