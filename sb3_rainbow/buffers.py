@@ -19,6 +19,7 @@ from sb3_rainbow.replay_kernels import (
     complete_windows,
     scale_priorities,
 )
+from sb3_rainbow.settings import check_replay_parameters
 from sb3_rainbow.sum_tree import SumTree
 from sb3_rainbow.type_aliases import ObsArray, PrioritizedReplayBufferSamples
 
@@ -364,24 +365,3 @@ class PrioritizedReplayBuffer(ReplayBuffer):
                 whole = np.zeros((self.buffer_size, *used.shape[1:]), dtype=used.dtype)
                 whole[: len(used)] = used
                 setattr(self, name, whole)
-
-
-def check_replay_parameters(
-    buffer_size: int, n_envs: int, n_steps: int, gamma: float, alpha: float, beta: float
-) -> None:
-    """
-    :raises ValueError: naming the first parameter that is out of range
-    """
-    if n_steps < 1:
-        raise ValueError(f"n_steps must be at least 1, got {n_steps}")
-    if not 0.0 <= gamma <= 1.0:
-        raise ValueError(f"gamma must lie in [0, 1], got {gamma}")
-    if not 0.0 <= alpha <= 1.0:
-        raise ValueError(f"alpha must lie in [0, 1] (0 is uniform replay), got {alpha}")
-    if not 0.0 <= beta <= 1.0:
-        raise ValueError(f"beta must lie in [0, 1], got {beta}")
-    if buffer_size // n_envs <= n_steps:
-        raise ValueError(
-            f"buffer_size={buffer_size} is too small: {n_envs} envs with n_steps={n_steps} need "
-            f"at least {n_envs * (n_steps + 1)}"
-        )

@@ -94,6 +94,18 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
             return np.array([self.action_space.sample() for _ in range(n)])
         return np.array([self.action_space.sample(mask) for mask in masks.astype(np.int8)])
 
+    def _epsilon_greedy(
+        self, actions: NDArray, epsilon: float, action_masks: NDArray | None
+    ) -> NDArray:
+        """Each env's action replaced by a random allowed one with probability ``epsilon``."""
+        n = actions.size
+        explores = np.random.random_sample(n) < epsilon  # noqa: NPY002
+        if not explores.any():
+            return actions
+        masks = None if action_masks is None else np.asarray(action_masks, bool).reshape(n, -1)
+        chosen = np.where(explores, self._random_actions(n, masks), actions.reshape(n))
+        return chosen.reshape(actions.shape)
+
     def _explore(self, obs: ObsArray, action_masks: NDArray[np.bool_] | None) -> NDArray:
         """Exploring actions of a subclass's policy, ``(n_envs,)``."""
         actions, _ = self.predict(obs, action_masks=action_masks)  # type: ignore[call-arg]

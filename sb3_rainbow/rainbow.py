@@ -6,27 +6,24 @@ import numpy as np
 import torch as th
 from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
+from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule, TensorDict
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
 
-from sb3_rainbow.buffers import PrioritizedReplayBuffer, check_replay_parameters
+from sb3_rainbow.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.learner import Learner, as_batch
 from sb3_rainbow.networks import RainbowNetwork
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy, RainbowPolicy
 from sb3_rainbow.resumable import ResumableAlgorithm
+from sb3_rainbow.settings import NETWORK_ARGUMENTS, check_settings, sb3_buffer_kwargs
 from sb3_rainbow.type_aliases import ObsArray, UseMasking
 
 SelfRainbow = TypeVar("SelfRainbow", bound="Rainbow")
 
 # Updates between two looks at what only the logs need
 _DIAGNOSTICS_INTERVAL = 100
-# Constructor arguments that Rainbow hands to its policy
-_NETWORK_ARGUMENTS = frozenset(
-    ("dueling", "noisy", "sigma0", "distributional", "n_atoms", "v_min", "v_max")
-)
 
 
 class Rainbow(ResumableAlgorithm):
@@ -197,7 +194,7 @@ class Rainbow(ResumableAlgorithm):
             self._setup_model()
 
     def _setup_model(self) -> None:
-        self._check_settings()
+        check_settings(self)
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
         self.exploration_schedule = LinearSchedule(
@@ -209,55 +206,24 @@ class Rainbow(ResumableAlgorithm):
             self.observation_space,
             self.action_space,
             self.lr_schedule,
-            **{name: getattr(self, name) for name in _NETWORK_ARGUMENTS},
+            **{name: getattr(self, name) for name in NETWORK_ARGUMENTS},
             **self.policy_kwargs,
         ).to(self.device)
         self._convert_train_freq()
         self._create_aliases()
 
-    def _check_settings(self) -> None:
-        check_replay_parameters(
-            self.buffer_size, self.n_envs, self.n_steps, self.gamma, self.alpha, self.beta_start
-        )
-        if not 0.0 <= self.beta_end <= 1.0:
-            raise ValueError(f"beta_end must lie in [0, 1], got {self.beta_end}")
-        if self.use_masking not in ("auto", True, False):
-            raise ValueError(f"use_masking must be 'auto', True or False, got {self.use_masking!r}")
-        if not issubclass(self.policy_class, RainbowPolicy):
-            raise ValueError(
-                f"Rainbow needs a policy derived from RainbowPolicy, got {self.policy_class}; was "
-                "the file saved by another algorithm?"
-            )
-        if self.mixed_precision and self.device.type != "cuda":
-            raise ValueError(f"mixed_precision needs a CUDA device, got {self.device}")
-        clashing = _NETWORK_ARGUMENTS & set(self.policy_kwargs)
-        if clashing:
-            raise ValueError(
-                f"Pass {', '.join(sorted(clashing))} to Rainbow itself, not in policy_kwargs"
-            )
-        start = int(self.action_space.start)
-        if start != 0:
-            raise ValueError(f"Rainbow needs Discrete actions that start at 0, got start={start}")
-
     def _make_replay_buffer(self) -> ReplayBuffer:
         if self.replay_buffer_class is None:
             self.replay_buffer_class = PrioritizedReplayBuffer
         buffer_class = self.replay_buffer_class
-        kwargs = dict(self.replay_buffer_kwargs)
         if issubclass(buffer_class, PrioritizedReplayBuffer):
             # Its observations are stored once in any case; SB3's loop would cut an episode for it.
             self.optimize_memory_usage = False
             alpha = self.alpha if self.prioritized else 0.0
-            kwargs = {"n_steps": self.n_steps, "gamma": self.gamma, "alpha": alpha, **kwargs}
-        elif self.prioritized:
-            raise ValueError(f"{buffer_class.__name__} keeps no priorities: pass prioritized=False")
-        elif issubclass(buffer_class, NStepReplayBuffer):
-            kwargs = {"n_steps": self.n_steps, "gamma": self.gamma, **kwargs}
-        elif self.n_steps > 1:
-            raise ValueError(
-                f"{buffer_class.__name__} has no n-step returns: pass n_steps=1 "
-                f"instead of n_steps={self.n_steps}"
-            )
+            kwargs: dict[str, Any] = {"n_steps": self.n_steps, "gamma": self.gamma, "alpha": alpha}
+        else:
+            kwargs = sb3_buffer_kwargs(buffer_class, self.prioritized, self.n_steps, self.gamma)
+        kwargs.update(self.replay_buffer_kwargs)
         if issubclass(buffer_class, HerReplayBuffer):
             assert self.env is not None, "You must pass an environment when using HerReplayBuffer"
             kwargs["env"] = self.env
@@ -309,16 +275,8 @@ class Rainbow(ResumableAlgorithm):
         actions, state = self.policy.predict(
             observation, state, episode_start, deterministic, action_masks
         )
-        if self.noisy or deterministic or self.exploration_rate <= 0.0:
-            return actions, state
-        n = actions.size
-        explores = np.random.random_sample(n) < self.exploration_rate  # noqa: NPY002
-        if explores.any():
-            masks = None if action_masks is None else np.asarray(action_masks, bool).reshape(n, -1)
-            random_actions = self._random_actions(n, masks)
-            actions = np.where(
-                explores.reshape(actions.shape), random_actions.reshape(actions.shape), actions
-            )
+        if not (self.noisy or deterministic):
+            actions = self._epsilon_greedy(actions, self.exploration_rate, action_masks)
         return actions, state
 
     def _explore(self, obs: ObsArray, action_masks: NDArray[np.bool_] | None) -> NDArray:

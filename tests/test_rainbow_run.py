@@ -83,9 +83,26 @@ def test_the_constructor_begins_with_dqns_arguments_in_their_order() -> None:
     assert ours[-1] == dqn[-1] == "_init_setup_model"
 
 
+class Flags(gym.Env):
+    """Observations of a given space, drawn at random."""
+
+    def __init__(self, space: spaces.Space) -> None:
+        self.observation_space, self.action_space = space, spaces.Discrete(3)
+
+    def reset(self, **kwargs: Any) -> Any:
+        return self.observation_space.sample(), {}
+
+    def step(self, action: int) -> Any:
+        return self.observation_space.sample(), 1.0, bool(self.np_random.random() < 0.1), False, {}
+
+
 @pytest.mark.parametrize(
     ("env", "policy"),
     [
+        (lambda: Flags(spaces.MultiBinary(5)), "MlpPolicy"),
+        (lambda: Flags(spaces.MultiDiscrete([3, 4])), "MlpPolicy"),
+        (lambda: Flags(spaces.Box(-1.0, 1.0, (2, 3), np.float64)), "MlpPolicy"),
+        (lambda: Flags(spaces.Dict(a=spaces.Discrete(3), b=spaces.Box(0, 1))), "MultiInputPolicy"),
         (lambda: gym.make("CliffWalking-v1"), "MlpPolicy"),
         (lambda: FakeImageEnv(screen_height=36, screen_width=36, n_channels=1), "CnnPolicy"),
         (lambda: SimpleMultiObsEnv(random_start=False), "MultiInputPolicy"),
