@@ -21,7 +21,7 @@ class Scene:
     """One instant. World frame (the 3-RRS's base), m, rad, s; limbs at 0, 120 and 240 degrees.
 
     ``status`` is ``"running"``, ``"success"`` (all active holes filled), ``"singular"`` or
-    ``"timeout"``. ``parameters`` has lengths and radii for drawing solids.
+    ``"timeout"``. With sim-to-real knobs tip and holes are the real ones, links the model's.
     """
 
     delta_base_joints: Points  # (3, 3)
