@@ -91,7 +91,8 @@ def make_store(tmp_path: Path) -> Callable[[list[int]], Store]:
         for cell in expand(preset):
             if cell.method == "design":
                 continue
-            solved = {"rainbow": 9, "dqn": 6, "rrt_connect": 5, "optimum": 10}[cell.method]
+            levels = {"rainbow": 9, "dqn": 6, "rrt_connect": 5, "rrt_lattice": 8, "optimum": 10}
+            solved = levels[cell.method]
             solved -= cell.ablation != "full"
             solved -= cell.seed  # seeds differ
             fill(store, preset, cell, solved, 20 if cell.method == "optimum" else 25)
