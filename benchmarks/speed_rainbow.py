@@ -238,6 +238,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--no-compile", action="store_true", help="only the default path")
     arguments = parser.parse_args(argv)
+    if os.environ.get("OMP_NUM_THREADS") != "1":
+        # The BLAS libraries count their threads when they are loaded, which is too late now.
+        command = [sys.executable, "-m", "benchmarks.speed_rainbow", *(argv or [])]
+        return subprocess.call(command, env={**os.environ, "OMP_NUM_THREADS": "1"})
 
     import torch as th
 
