@@ -9,6 +9,7 @@ import torch as th
 from numpy.typing import NDArray
 from stable_baselines3.common.utils import get_parameters_by_name, polyak_update
 
+from sb3_rainbow.blas import single_blas_thread
 from sb3_rainbow.flat_parameters import FlatParameters
 from sb3_rainbow.losses import clipped_share
 from sb3_rainbow.mlp_update import MlpUpdate
@@ -78,7 +79,8 @@ class Learner:
         if self._flat is not None and not self._flat.is_tied:
             self._flat.tie()
         if self._mlp is not None:
-            return self._mlp.update(batch, self.double_q, self.max_grad_norm)
+            with single_blas_thread():
+                return self._mlp.update(batch, self.double_q, self.max_grad_norm)
         self._zero_grad()
         loss, priorities = self._loss(batch)
         loss.backward()
@@ -122,7 +124,8 @@ class Learner:
         if self._mlp is None:
             return None
         self.q_net.reset_noise()
-        return self._mlp.act(obs, action_masks)
+        with single_blas_thread():
+            return self._mlp.act(obs, action_masks)
 
     def _zero_grad(self) -> None:
         if self._flat is None:
