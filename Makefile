@@ -36,7 +36,7 @@ results: $(STAMP) ## Train, plan, compare, print the tables (PRESET=quick)
 test: lint type pytest ## Lint, types, tests
 
 pytest: $(STAMP) ## Tests alone
-	@$(BIN)/python -m pytest -q -n auto --dist loadfile
+	@$(BIN)/python -m pytest -q -n auto --dist loadfile --max-worker-restart 0
 
 lint: $(STAMP) ## ruff
 	@$(BIN)/ruff check .

@@ -1,4 +1,4 @@
-"""Keep numba's on-disk cache honest across modules.
+"""Keep numba's on-disk cache honest across modules and processes.
 
 numba recompiles a cached kernel when its own file changes, but not when a kernel that it calls from
 another file does, so an edited formula would go on living in its callers' caches.
@@ -6,8 +6,15 @@ another file does, so an edited formula would go on living in its callers' cache
 
 from __future__ import annotations
 
-from contextlib import suppress
+import getpass
+import hashlib
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from filelock import FileLock
 
 
 def drop_stale_kernels(folder: Path, sources: Path) -> int:
@@ -33,3 +40,18 @@ def drop_stale_kernels(folder: Path, sources: Path) -> int:
                 index.unlink()
                 dropped += 1
     return dropped
+
+
+@contextmanager
+def compiling_alone() -> Iterator[None]:
+    """Let one process at a time import the modules that compile gufuncs.
+
+    numba caches a gufunc in two files, kernel and wrapper, written one after the other. Of two
+    processes that compile it at once, one may leave the kernel and the other the wrapper, and
+    whoever loads that pair crashes, until the cache is deleted by hand.
+    """
+    user = os.getuid() if hasattr(os, "getuid") else getpass.getuser()
+    owner = f"{user}:{Path(__file__).resolve()}"
+    name = hashlib.sha256(owner.encode()).hexdigest()[:16]
+    with FileLock(Path(tempfile.gettempdir()) / f"coop_env-{name}.lock"):
+        yield

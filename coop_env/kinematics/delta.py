@@ -17,9 +17,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from coop_env.geometry import DELTA, DeltaGeometry
-from coop_env.kinematics import _delta_gufuncs as gufuncs
+from coop_env.kernel_cache import compiling_alone
 from coop_env.kinematics._batch import Bools, Floats, ShapeError, as_points, quiet
 from coop_env.kinematics.delta_kernels import make_params
+
+with compiling_alone():
+    from coop_env.kinematics import _delta_gufuncs as gufuncs
 
 __all__ = [
     "Forward",

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from coop_env.geometry import OPTIMIZED, RRSGeometry
-from coop_env.kinematics import _rrs_gufuncs as gufuncs
+from coop_env.kernel_cache import compiling_alone
 from coop_env.kinematics._batch import (
     Bools,
     Floats,
@@ -32,6 +32,9 @@ from coop_env.kinematics._batch import (
 )
 from coop_env.kinematics.rotations import yaw_of
 from coop_env.kinematics.rrs_kernels import make_params
+
+with compiling_alone():
+    from coop_env.kinematics import _rrs_gufuncs as gufuncs
 
 __all__ = [
     "Forward",
