@@ -8,8 +8,6 @@ every step is followed by the action masks, as a masked learner needs them.
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import statistics
 import sys
 import time
@@ -21,8 +19,8 @@ import gymnasium as gym
 import numpy as np
 
 from benchmarks.design_reference import workspace_map
-from benchmarks.machine import describe
 from benchmarks.planners.oracle import LatticeOracle
+from benchmarks.speed_report import measured, provenance, write
 from coop_env import batch as kernels
 from coop_env import design
 from coop_env.env import CoopInsertionEnv
@@ -248,25 +246,19 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--starts", type=int, default=500, help="starts for the exact optimum")
     parser.add_argument("--memory-steps", type=int, default=1_000_000)
     arguments = parser.parse_args(argv)
+    steps, rounds = arguments.steps, arguments.rounds
     found: dict[str, Any] = {
-        "command": " ".join(["python -m benchmarks speed env", *(argv or [])]),
-        "machine": describe(),
-        "load": os.getloadavg()[0],
-        "steps": arguments.steps,
-        "rounds": arguments.rounds,
+        **provenance("env", argv),
+        "steps": steps,
+        "rounds": rounds,
         "memory_steps": arguments.memory_steps,
-        "step_us": measure_steps(arguments.steps, arguments.rounds),
-        "area_ms": measure_area(arguments.rounds),
-        "oracle": measure_oracle(arguments.starts),
-        "memory_mb": measure_memory(arguments.memory_steps),
+        "step_us": measured("steps", measure_steps, steps, rounds),
+        "area_ms": measured("the workspace map", measure_area, rounds),
+        "oracle": measured("the exact optimum", measure_oracle, arguments.starts),
+        "memory_mb": measured("memory", measure_memory, arguments.memory_steps),
     }
     found["ratios"] = ratios(found)
-    folder = arguments.results / "speed"
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "env.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    text = report(found)
-    (folder / "env.md").write_text(text, encoding="utf-8")
-    print(text)
+    write(arguments.results, "env", found, report(found))
     return 0
 
 

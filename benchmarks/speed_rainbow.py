@@ -11,7 +11,6 @@ the machine does falls on all of them; CPU seconds of the process are reported b
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import statistics
 import subprocess
@@ -26,7 +25,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from benchmarks.machine import describe
+from benchmarks.speed_report import measured, provenance, write
 
 N_INPUTS: Final = 12
 N_ACTIONS: Final = 12
@@ -249,25 +248,18 @@ def main(argv: list[str] | None = None) -> int:
     th.set_num_threads(1)
     try:
         models = make_models(not arguments.no_compile)
-        updates = measure_updates(models, arguments.steps, arguments.rounds)
+        updates = measured("updates", measure_updates, models, arguments.steps, arguments.rounds)
     finally:
         th.set_num_threads(threads)
     found = {
-        "command": " ".join(["python -m benchmarks speed rainbow", *(argv or [])]),
-        "machine": describe(),
-        "load": os.getloadavg()[0],
+        **provenance("rainbow", argv),
         "rounds": arguments.rounds,
         "steps": arguments.steps,
         "updates": updates,
-        "replay": measure_replay(arguments.rounds),
-        "memory_mb": measure_memory(),
+        "replay": measured("replay", measure_replay, arguments.rounds),
+        "memory_mb": measured("memory", measure_memory),
     }
-    folder = arguments.results / "speed"
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "rainbow.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    text = report(found)
-    (folder / "rainbow.md").write_text(text, encoding="utf-8")
-    print(text)
+    write(arguments.results, "rainbow", found, report(found))
     return 0
 
 
