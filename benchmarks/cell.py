@@ -56,9 +56,10 @@ def run_cell(
     """
     folder = store.run(cell.id)
     folder.check_config(settings(preset, cell))
-    if folder.is_complete():
+    if folder.is_done(cell.learns):
         return True
     with folder.lock():
+        folder.reopen()
         folder.begin(settings(preset, cell))
         return _run(preset, cell, folder, stop_requested)
 

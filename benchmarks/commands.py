@@ -85,8 +85,8 @@ def plan(arguments: argparse.Namespace) -> int:
     for cell in cells:
         folder = store.run(cell.id)
         folder.check_config(settings(preset, cell))
-        share, _ = folder.progress()
-        if folder.is_complete():
+        share = 0.0 if folder.is_complete() else folder.progress()[0]
+        if folder.is_done(cell.learns):
             table.add_row(cell.id, "complete", f"{folder.meta()['wall_seconds']:.0f}", "")
             continue
         ahead = (1.0 - share) * work_units(preset, cell) * rates.get(cell.method, GUESSED_RATE)

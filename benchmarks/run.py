@@ -65,7 +65,7 @@ def missing(preset: Preset, store: Store) -> tuple[list[Cell], list[Cell]]:
     for cell in expand(preset):
         folder = store.run(cell.id)
         folder.check_config(settings(preset, cell))
-        (done if folder.is_complete() else todo).append(cell)
+        (done if folder.is_done(cell.learns) else todo).append(cell)
     return todo, done
 
 

@@ -65,14 +65,14 @@ def score_store(preset: Preset, store: Store, episodes: int | None) -> Iterator[
     found = False
     for cell in expand(preset):
         folder = store.run(cell.id)
-        if not cell.learns or not folder.is_complete():
+        if not cell.learns or not folder.is_done(cell.learns):
             continue
         found = True
         model = load_model(folder.policy, cell.method)
         arguments = env_arguments(preset, cell, preset.tracks[cell.track])
         yield from _score(preset, model, arguments, episodes, cell.id, [cell.seed])
     if not found:
-        raise BenchmarkError(f"{store.folder} has no complete training run to score")
+        raise BenchmarkError(f"{store.folder} has no trained policy to score: run the preset first")
 
 
 def _score(

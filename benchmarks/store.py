@@ -95,6 +95,18 @@ class RunFolder:
         """Whether the run has ended and its results are stored."""
         return (self.path / "meta.json").is_file()
 
+    def is_done(self, learns: bool) -> bool:
+        """Whether there is nothing left to run: complete and, of a learner, with its policy.
+
+        A fresh clone holds the rows of the `quick` preset but not its policies: the tables can be
+        made and checked at once, and a run still trains.
+        """
+        return self.is_complete() and (not learns or self.policy.is_file())
+
+    def reopen(self) -> None:
+        """Let a complete run be run again; its rows stay until the new ones replace them."""
+        (self.path / "meta.json").unlink(missing_ok=True)
+
     def begin(self, config: Mapping[str, Any]) -> None:
         """Claim the folder for ``config``; a folder with other settings is left untouched.
 

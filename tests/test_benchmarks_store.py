@@ -112,3 +112,15 @@ def test_two_harnesses_cannot_hold_one_folder(tmp_path: Path) -> None:
     run = first.run("cell")
     with run.lock(), pytest.raises(BenchmarkError, match="another process"), run.lock():
         pass
+
+
+def test_a_learners_run_without_its_policy_is_run_again(tmp_path: Path) -> None:
+    run = Store.open(tmp_path, "smoke", create=True).run("a")
+    run.begin({"x": 1})
+    run.write_meta({"wall_seconds": 1.0})
+    assert run.is_done(learns=False)
+    assert not run.is_done(learns=True)
+    run.policy.write_bytes(b"weights")
+    assert run.is_done(learns=True)
+    run.reopen()
+    assert not run.is_complete()
