@@ -74,7 +74,8 @@ class RRSGeometry:
         if not lambda1 < 2.0:
             raise GeometryError(
                 f"lambda1 = {lambda1:.4g} is not below 2: base_radius = {self.base_radius:.4g} m "
-                "exceeds proximal_length + platform_radius / 2 + base_radius / 2 (lower it)"
+                f"must be below 2 proximal_length + platform_radius = "
+                f"{2.0 * self.proximal_length + self.platform_radius:.4g} m"
             )
 
     @property
