@@ -25,7 +25,7 @@ SMOOTHING: Final = 10
 # figure name -> (columns of curve.csv, axis label, logarithmic)
 CURVES: Final[dict[str, tuple[tuple[str, ...], str, bool]]] = {
     "cumulative_reward": (("episode_reward",), "Episode reward", False),
-    "exploration": (("learning_rate", "noise"), "Learning rate; noise magnitude", True),
+    "exploration": (("learning_rate", "noise"), "Learning rate; exploration", True),
     "holes": (("holes",), "Holes per episode", False),
     "success": (("success",), "Success rate", False),
     "max_q": (("mean_max_q",), "Mean max Q", False),
@@ -84,7 +84,7 @@ def _curves(groups: dict[str, Group], columns: tuple[str, ...], title: str, log:
     for colour, (name, group) in enumerate(groups.items()):
         frames = [run.folder.rows("curve") for run in group.runs if run.folder.has_rows("curve")]
         for style, column in zip(("-", "--"), columns, strict=False):
-            label = name if len(columns) == 1 else f"{name}: {column.replace('_', ' ')}"
+            label = name if len(columns) == 1 else f"{name}: {_quantity(column, group)}"
             drawn |= _curve(axes, frames, column, label, f"C{colour}", style)
         for steps in _switches(group):
             axes.axvline(steps, color=f"C{colour}", linestyle=":", linewidth=1.0)
@@ -95,6 +95,15 @@ def _curves(groups: dict[str, Group], columns: tuple[str, ...], title: str, log:
     if drawn:
         axes.legend(fontsize=8)
     return figure
+
+
+def _quantity(column: str, group: Group) -> str:
+    """What a column holds: without noisy layers "noise" is the epsilon of epsilon-greedy."""
+    if column != "noise":
+        return column.replace("_", " ")
+    cells = [run.config["cell"] for run in group.runs]
+    greedy = any(c["method"] == "dqn" or c["ablation"] == "no_noisy" for c in cells)
+    return "epsilon" if greedy else "noise magnitude"
 
 
 def _curve(

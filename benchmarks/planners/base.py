@@ -1,9 +1,9 @@
-"""What the harness asks of a planner."""
+"""A planner's answer; a planner is anything whose ``plan(env)`` gives one and leaves env alone."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +24,3 @@ class Plan:
     moves: NDArray[np.int64] | None
     seconds: float
     detail: dict[str, Any] = field(default_factory=dict)
-
-
-class Planner(Protocol):
-    """Plans from the state of a ``CoopInsertionEnv`` to an insertion in its current target."""
-
-    def plan(self, env: Any) -> Plan:
-        """Plan without changing ``env``."""
