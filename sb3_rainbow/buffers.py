@@ -7,10 +7,9 @@ import torch as th
 from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.buffers import ReplayBuffer
-from stable_baselines3.common.type_aliases import TensorDict
 from stable_baselines3.common.vec_env import VecNormalize
 
-from sb3_rainbow.observation_store import ObservationStore, Rows
+from sb3_rainbow.observation_store import ObservationStore, Rows, stored_dtype
 from sb3_rainbow.replay_kernels import (
     RUNNING,
     TERMINATED,
@@ -21,6 +20,7 @@ from sb3_rainbow.replay_kernels import (
 )
 from sb3_rainbow.settings import check_replay_parameters
 from sb3_rainbow.sum_tree import SumTree
+from sb3_rainbow.transfer import to_device
 from sb3_rainbow.type_aliases import ObsArray, PrioritizedReplayBufferSamples
 
 _TRIMMED = ("actions", "rewards", "ends", "next_action_masks")
@@ -50,7 +50,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
 
     :param buffer_size: transitions to keep, over all envs
     :param observation_space: any space that SB3 supports, dicts included
-    :param action_space: discrete
+    :param action_space: any that SB3 supports; action masks need a discrete one
     :param device: where samples go
     :param n_envs: number of environments that add in step
     :param optimize_memory_usage: accepted for SB3's sake; observations are always stored once
@@ -96,7 +96,8 @@ class PrioritizedReplayBuffer(ReplayBuffer):
     def _allocate(self) -> None:
         shape = (self.buffer_size, self.n_envs)
         self._store = ObservationStore(*shape, self.observation_space, self.obs_shape)
-        self.actions = np.zeros((*shape, self.action_dim), dtype=np.int64)
+        # Discrete for Rainbow; other algorithms bring what they choose
+        self.actions = np.zeros((*shape, self.action_dim), dtype=stored_dtype(self.action_space))
         self.rewards = np.zeros(shape, dtype=np.float32)
         self.ends = np.zeros(shape, dtype=np.uint8)
         self.next_action_masks: NDArray[np.bool_] | None = None
@@ -148,7 +149,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         :param obs: observations the actions were chosen on, ``(n_envs, ...)``
         :param next_obs: observations after the step; where an episode ended, its terminal
             observation, not the first one of the next episode
-        :param action: shape ``(n_envs,)`` or ``(n_envs, 1)``
+        :param action: shape ``(n_envs,)`` or ``(n_envs, action_dim)``
         :param reward: shape ``(n_envs,)``
         :param done: terminated or truncated, ``(n_envs,)``
         :param infos: ``"TimeLimit.truncated"`` tells truncations from terminations
@@ -279,21 +280,36 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             observations = env.normalize_obs(observations)
             next_observations = env.normalize_obs(next_observations)
             returns = self._normalized_returns(batch_inds, env)
-        masks = None
+        arrays = {
+            "actions": self.actions.reshape(-1, self.action_dim)[batch_inds],
+            "dones": dones,
+            "rewards": returns,
+            "discounts": discounts,
+            "weights": weights,
+        }
         if self.next_action_masks is not None:
             n_actions = self.next_action_masks.shape[-1]
-            masks = self._to_device(self.next_action_masks.reshape(-1, n_actions)[last_leaves])
-        return PrioritizedReplayBufferSamples(
-            observations=self._obs_to_device(observations),
-            actions=self._to_device(self.actions.reshape(-1, self.action_dim)[batch_inds]),
-            next_observations=self._obs_to_device(next_observations),
-            dones=self._to_device(dones),
-            rewards=self._to_device(returns),
-            discounts=self._to_device(discounts),
-            weights=self._to_device(weights),
-            indices=batch_inds,
-            next_action_masks=masks,
-        )
+            masks = self.next_action_masks.reshape(-1, n_actions)
+            arrays["next_action_masks"] = masks[last_leaves]
+        tensors = self._with_observations(arrays, observations, next_observations)
+        tensors.setdefault("next_action_masks", None)
+        return PrioritizedReplayBufferSamples(indices=batch_inds, **tensors)
+
+    def _with_observations(
+        self, arrays: dict[str, NDArray], observations: ObsArray, next_observations: ObsArray
+    ) -> dict[str, Any]:
+        """All of a sample on the device, observations as arrays or dicts of such."""
+        if not isinstance(observations, dict):
+            assert not isinstance(next_observations, dict)
+            arrays |= {"observations": observations, "next_observations": next_observations}
+            return dict(to_device(arrays, self.device))
+        assert isinstance(next_observations, dict)
+        arrays |= {f"observations/{key}": part for key, part in observations.items()}
+        arrays |= {f"next_observations/{key}": part for key, part in next_observations.items()}
+        tensors: dict[str, Any] = dict(to_device(arrays, self.device))
+        for name in ("observations", "next_observations"):
+            tensors[name] = {key: tensors.pop(f"{name}/{key}") for key in observations}
+        return tensors
 
     def _normalized_returns(
         self, leaves: NDArray[np.int64], env: VecNormalize
@@ -336,15 +352,6 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             )
         self.tree.set(leaves[:count], masses[:count])
         self.max_priority = max(self.max_priority, largest)
-
-    def _obs_to_device(self, obs: ObsArray) -> th.Tensor | TensorDict:
-        if isinstance(obs, dict):
-            return {key: self._to_device(part) for key, part in obs.items()}
-        return self._to_device(obs)
-
-    def _to_device(self, array: NDArray) -> th.Tensor:
-        # The arrays are fresh from a gather: on the CPU the tensor may share their memory.
-        return th.from_numpy(array).to(self.device)
 
     def __getstate__(self) -> dict[str, Any]:
         n_used = self.size()

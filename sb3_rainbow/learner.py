@@ -1,7 +1,5 @@
 """One gradient step of Rainbow, from a batch of transitions to moved networks."""
 
-import warnings
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,11 +9,12 @@ from stable_baselines3.common.utils import get_parameters_by_name, polyak_update
 
 from sb3_rainbow.blas import single_blas_thread
 from sb3_rainbow.flat_parameters import FlatParameters
+from sb3_rainbow.gradients import BatchLoss, Gradients
 from sb3_rainbow.losses import clipped_share
 from sb3_rainbow.mlp_update import MlpUpdate
 from sb3_rainbow.policies import RainbowPolicy
 from sb3_rainbow.type_aliases import Batch
-from sb3_rainbow.update import td_losses, td_target
+from sb3_rainbow.update import td_target
 
 
 class Learner:
@@ -25,7 +24,7 @@ class Learner:
     :param policy: whose networks and optimizer to work on
     :param double_q: double Q-learning
     :param max_grad_norm: gradient norm to clip to
-    :param compile_loss: whether ``torch.compile`` makes one graph of target and loss
+    :param compile_loss: whether ``torch.compile`` makes one graph of target, loss and gradient
     :param mixed_precision: whether to compute the loss in bfloat16 where that is safe (CUDA)
     :param cpu_kernels: whether compiled kernels take over where they can
     """
@@ -39,16 +38,11 @@ class Learner:
         mixed_precision: bool = False,
         cpu_kernels: bool = True,
     ) -> None:
+        self.policy = policy
         self.q_net = policy.q_net
         self.q_net_target = policy.q_net_target
-        self.optimizer = policy.optimizer
         self.double_q = double_q
         self.max_grad_norm = max_grad_norm
-        self._loss: Callable[[Batch], tuple[th.Tensor, th.Tensor]] = (
-            self._first_compiled_loss if compile_loss else self._eager_loss
-        )
-        self._mixed_precision = mixed_precision
-        self._device_type = policy.device.type
         # Collected once: walking the modules at every update costs as much as a matrix product.
         self._flat = policy.flat
         self._flat_target: FlatParameters | None = None
@@ -58,15 +52,34 @@ class Learner:
             self._flat_target = FlatParameters(self.q_net_target.parameters())
             self._online = [self._flat.vector]
             self._target = [self._flat_target.vector]
+        loss = BatchLoss(self.q_net, self.q_net_target, double_q, mixed_precision)
+        self._gradients = Gradients(loss, self._flat, max_grad_norm, compile_loss)
+        self._cpu_kernels = cpu_kernels
+        self._use_optimizer(policy.optimizer)
+        self._online_statistics = get_parameters_by_name(self.q_net, ["running_"])
+        self._target_statistics = get_parameters_by_name(self.q_net_target, ["running_"])
+
+    def check_trained_parameters(self) -> None:
+        """
+        :raises ValueError: if a parameter was frozen or freed since the model was made
+        """
+        trained = [id(p) for p in self.q_net.parameters() if p.requires_grad]
+        if trained != [id(p) for p in self._gradients.parameters]:
+            raise ValueError(
+                "Which parameters train was changed after the model was made, when its optimizer "
+                "was: call requires_grad_(False) where they are made, in the constructor of the "
+                "features extractor"
+            )
+
+    def _use_optimizer(self, optimizer: th.optim.Optimizer) -> None:
+        self.optimizer = optimizer
         self._mlp: MlpUpdate | None = None
-        if cpu_kernels and MlpUpdate.is_possible(self.q_net, self._flat, self.optimizer):
+        if self._cpu_kernels and MlpUpdate.is_possible(self.q_net, self._flat, optimizer):
             assert self._flat is not None
             assert self._flat_target is not None
             self._mlp = MlpUpdate(
-                self.q_net, self.q_net_target, self._flat, self._flat_target, self.optimizer
+                self.q_net, self.q_net_target, self._flat, self._flat_target, optimizer
             )
-        self._online_statistics = get_parameters_by_name(self.q_net, ["running_"])
-        self._target_statistics = get_parameters_by_name(self.q_net_target, ["running_"])
 
     def update(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
         """
@@ -78,39 +91,15 @@ class Learner:
         self.q_net_target.reset_noise()
         if self._flat is not None and not self._flat.is_tied:
             self._flat.tie()
+        if self.policy.optimizer is not self.optimizer:
+            # Somebody gave the policy another one.
+            self._use_optimizer(self.policy.optimizer)
         if self._mlp is not None:
             with single_blas_thread():
                 return self._mlp.update(batch, self.double_q, self.max_grad_norm)
-        self._zero_grad()
-        loss, priorities = self._loss(batch)
-        loss.backward()
-        self._clip_grad()
+        loss, priorities = self._gradients(batch)
         self.optimizer.step()
-        return loss.detach(), priorities
-
-    def _eager_loss(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
-        """Weighted mean loss with gradient, and priorities ``(B,)``."""
-        with th.autocast(self._device_type, th.bfloat16, enabled=self._mixed_precision):
-            weights = self.q_net.noisy_weights()
-            target = td_target(self.q_net, self.q_net_target, batch, self.double_q, weights)
-            losses, priorities = td_losses(self.q_net, batch, target.values, weights)
-        loss = (losses if batch.weights is None else losses * batch.weights).mean()
         return loss, priorities
-
-    def _first_compiled_loss(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
-        """Compile at the first call; without a working compiler, stay eager from here on."""
-        compiled = th.compile(self._eager_loss, fullgraph=True, dynamic=False)
-        try:
-            result = compiled(batch)
-        except Exception as error:  # whatever the compiler's back end raises
-            reason = str(error).strip().splitlines()[0] if str(error).strip() else repr(error)
-            warnings.warn(
-                f"compile=True has no effect, torch.compile failed: {reason}", stacklevel=2
-            )
-            self._loss = self._eager_loss
-            return self._eager_loss(batch)
-        self._loss = compiled
-        return result
 
     def act(
         self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None
@@ -126,23 +115,6 @@ class Learner:
         self.q_net.reset_noise()
         with single_blas_thread():
             return self._mlp.act(obs, action_masks)
-
-    def _zero_grad(self) -> None:
-        if self._flat is None:
-            self.optimizer.zero_grad()
-            return
-        assert self._flat.vector.grad is not None
-        self._flat.vector.grad.zero_()
-
-    def _clip_grad(self) -> None:
-        """Scale the gradient down to ``max_grad_norm``, without a look at it from the host."""
-        if self._flat is None:
-            th.nn.utils.clip_grad_norm_(self._online, self.max_grad_norm)
-            return
-        grad = self._flat.vector.grad
-        assert grad is not None
-        scale = (self.max_grad_norm / (grad.norm() + 1e-6)).clamp_(max=1.0)
-        grad.mul_(scale)
 
     @th.no_grad()
     def move_target(self, tau: float) -> None:

@@ -88,6 +88,16 @@ def categorical_losses(logits: th.Tensor, target: th.Tensor) -> th.Tensor:
     return -(target * F.log_softmax(logits, dim=1)).sum(dim=1)
 
 
+def target_entropies(target: th.Tensor) -> th.Tensor:
+    """
+    Entropy of the projected target, one value per sample; what no prediction can take away.
+
+    :param target: projected distribution, shape ``(B, N)``
+    :return: shape ``(B,)``
+    """
+    return -th.special.xlogy(target, target).sum(dim=1)
+
+
 def huber_losses(q_values: th.Tensor, target: th.Tensor) -> th.Tensor:
     """
     Huber loss of scalar Q-values with threshold 1, one value per sample.

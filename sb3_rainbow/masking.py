@@ -68,9 +68,16 @@ def as_action_masks(masks: ArrayLike, n_envs: int, n_actions: int) -> NDArray[np
     :param masks: one row per env, shape ``(n_envs, n_actions)``
     :param n_envs: expected rows
     :param n_actions: expected columns
-    :raises ValueError: for another shape, or a row that allows no action
+    :raises ValueError: for another shape, for entries other than False and True (0 and 1), or for
+        a row that allows no action
     """
-    checked = np.asarray(masks, dtype=bool)
+    given = np.asarray(masks)
+    checked = given.astype(bool, copy=False)
+    if given.dtype != np.bool_ and not np.array_equal(given, checked):
+        raise ValueError(
+            "An action mask holds True or False (1 or 0) for each action, not "
+            f"{given[given != checked].flat[0]}: is it a list of actions?"
+        )
     if checked.shape != (n_envs, n_actions):
         raise ValueError(
             f"Action masks must have shape {(n_envs, n_actions)} (envs, actions), "

@@ -298,50 +298,87 @@ def backward(
             delta = np.dot(delta, effective[e : e + n_in * n_out].reshape((n_out, n_in)))
 
 
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def shift_to_zero(logits: Matrix) -> None:
+    """Subtract each row's maximum, so that no exponential overflows."""
+    for b in range(logits.shape[0]):
+        row = logits[b]
+        top = row[0]
+        for j in range(row.shape[0]):
+            top = max(top, row[j])
+        for j in range(row.shape[0]):
+            row[j] -= top
+
+
 @njit(cache=True, error_model="numpy")
-def categorical_slopes(
-    logits: Matrix,
-    target_logits: Matrix,
+def projected_target(
+    masses: Matrix,
     returns: Matrix,
     discounts: Matrix,
     dones: Matrix,
-    weights: Vector,
     v_min: float,
     v_max: float,
-    losses: Vector,
-    slope: Matrix,
+    target: Matrix,
 ) -> None:
-    """Projected target, cross-entropies, and the slope of their weighted mean in the logits."""
-    batch, n_atoms = logits.shape
+    """
+    As :func:`~sb3_rainbow.losses.project_distribution`.
+
+    :param masses: proportional to the atoms' probabilities at t + k, ``(B, n_atoms)``
+    :param target: result, ``(B, n_atoms)``
+    """
+    batch, n_atoms = masses.shape
     delta_z = (v_max - v_min) / (n_atoms - 1)
-    target = np.empty(n_atoms, np.float32)
+    target[:] = 0.0
     for b in range(batch):
-        target[:] = 0.0
-        top = target_logits[b].max()
         total = np.float32(0.0)
         for j in range(n_atoms):
-            slope[b, j] = math.exp(target_logits[b, j] - top)
-            total += slope[b, j]
+            total += masses[b, j]
         discount = discounts[b, 0] * (1.0 - dones[b, 0])
         for j in range(n_atoms):
             z = returns[b, 0] + discount * (v_min + j * delta_z)
             position = (min(max(z, v_min), v_max) - v_min) / delta_z
             lower = min(int(position), n_atoms - 2)
-            mass = slope[b, j] / total
+            mass = masses[b, j] / total
             upper_mass = mass * min(position - lower, 1.0)
-            target[lower] += mass - upper_mass
-            target[lower + 1] += upper_mass
-        top = logits[b].max()
+            target[b, lower] += mass - upper_mass
+            target[b, lower + 1] += upper_mass
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def categorical_slopes(
+    logits: Matrix,
+    masses: Matrix,
+    target: Matrix,
+    log_target: Matrix,
+    weights: Vector,
+    losses: Vector,
+    divergences: Vector,
+    slope: Matrix,
+) -> None:
+    """
+    Cross-entropies, Kullback-Leibler divergences, and the slope of the cross-entropies' weighted
+    mean in the logits.
+
+    :param logits: up to a constant per row, ``(B, n_atoms)``
+    :param masses: their exponentials
+    :param log_target: logarithm of ``target``; finite where that is 0
+    """
+    batch, n_atoms = logits.shape
+    for b in range(batch):
         total = np.float32(0.0)
         for j in range(n_atoms):
-            slope[b, j] = math.exp(logits[b, j] - top)
-            total += slope[b, j]
-        log_total = math.log(total)
-        loss = 0.0
+            total += masses[b, j]
+        log_total = np.float32(math.log(total))
+        scale = np.float32(weights[b] / batch)
+        share = scale / total
+        loss = entropy = np.float32(0.0)
         for j in range(n_atoms):
-            loss -= target[j] * (logits[b, j] - top - log_total)
-            slope[b, j] = (slope[b, j] / total - target[j]) * (weights[b] / batch)
+            t = target[b, j]
+            loss -= t * (logits[b, j] - log_total)
+            entropy -= t * log_target[b, j]
+            slope[b, j] = masses[b, j] * share - t * scale
         losses[b] = loss
+        divergences[b] = max(loss - entropy, np.float32(0.0))
 
 
 @njit(cache=True, error_model="numpy")

@@ -11,6 +11,10 @@ from sb3_rainbow.networks import RainbowNetwork
 from sb3_rainbow.torch_layers import NoisyLinear
 from sb3_rainbow.type_aliases import Batch
 
+# Options of torch's Adam that adam_step does not know
+_UNKNOWN_TO_KERNELS = ("amsgrad", "maximize", "decoupled_weight_decay")
+# Below any probability that float32 holds as a normal number
+_TINY = float(np.finfo(np.float32).tiny)
 _NO_MASKS = np.zeros((0, 0), dtype=np.bool_)
 
 
@@ -82,7 +86,8 @@ class MlpUpdate:
             and type(q_net.activation) is nn.ReLU
             and not any(True for _ in q_net.features_extractor.parameters())
             and type(optimizer) is th.optim.Adam
-            and not (group["amsgrad"] or group["maximize"])
+            and [id(p) for p in group["params"]] == [id(flat.vector)]
+            and not any(group[name] for name in _UNKNOWN_TO_KERNELS)
         )
 
     def update(
@@ -175,25 +180,25 @@ class MlpUpdate:
         slope, losses = np.empty_like(logits), np.empty(n, np.float32)
         returns, discounts = batch.rewards.numpy(), batch.discounts.numpy()
         dones = batch.dones.numpy()
+        priorities = np.empty(n, np.float32)
         if net.distributional:
-            kernels.categorical_slopes(
-                logits,
-                target_logits,
-                returns,
-                discounts,
-                dones,
-                weights,
-                net.v_min,
-                net.v_max,
-                losses,
-                slope,
+            target = np.empty_like(logits)
+            kernels.projected_target(
+                _exponential(target_logits),
+                *(returns, discounts, dones),
+                *(net.v_min, net.v_max),
+                target,
             )
-            return slope, losses, losses
-        errors = np.empty(n, np.float32)
-        kernels.huber_slopes(
-            logits, target_logits, returns, discounts, dones, weights, losses, errors, slope
-        )
-        return slope, losses, errors
+            log_target = th.from_numpy(target).clamp(min=_TINY).log_().numpy()
+            masses = _exponential(logits)
+            kernels.categorical_slopes(
+                logits, masses, target, log_target, weights, losses, priorities, slope
+            )
+        else:
+            kernels.huber_slopes(
+                logits, target_logits, returns, discounts, dones, weights, losses, priorities, slope
+            )
+        return slope, losses, priorities
 
     def _best_actions(
         self,
@@ -205,7 +210,6 @@ class MlpUpdate:
         logits = self._logits[:n]
         kernels.all_logits(effective, self.table, units, net.dueling, self._value[:n], logits)
         if net.distributional:
-            # torch's vectorized exponential is several times faster than a compiled loop's.
             th.from_numpy(logits).exp_()
         actions = np.empty(n, np.int64)
         kernels.best_actions(logits, net.support.numpy(), masks, actions)
@@ -253,6 +257,16 @@ class MlpUpdate:
             float(group["weight_decay"]),
             float(state["step"]),
         )
+
+
+def _exponential(logits: NDArray[np.float32]) -> NDArray[np.float32]:
+    """
+    Exponentials of logits, which are shifted to a maximum of 0 in place.
+
+    Torch's are vectorized, and several times faster than those of a compiled loop.
+    """
+    kernels.shift_to_zero(logits)
+    return th.from_numpy(logits).exp().numpy()
 
 
 def _table(net: RainbowNetwork) -> NDArray[np.int64]:

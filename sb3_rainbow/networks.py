@@ -89,7 +89,8 @@ class RainbowNetwork(BasePolicy):
         self.n_atoms = n_atoms if distributional else 1
         self.v_min = v_min
         self.v_max = v_max
-        self.register_buffer("support", th.linspace(v_min, v_max, self.n_atoms))
+        # A constant, not a weight: what loads or randomizes the weights must not change it.
+        self.register_buffer("support", th.linspace(v_min, v_max, self.n_atoms), persistent=False)
         self._build_layers()
 
     @property
@@ -113,6 +114,11 @@ class RainbowNetwork(BasePolicy):
         # Iterating over a ModuleList costs more than the small layers themselves.
         self._linear_layers: list[NoisyLinear | nn.Linear] = list(self.layers)  # type: ignore[arg-type]
         self._noisy_modules = [layer for layer in self.layers if isinstance(layer, NoisyLinear)]
+        extractor = list(self.features_extractor.modules())
+        self._has_plain_modes = all(type(module).train is nn.Module.train for module in extractor)
+        self._with_modes: list[nn.Module] = [self, self.activation]
+        if self._has_plain_modes:
+            self._with_modes += extractor
         n_noise = sum(layer.in_features + layer.out_features for layer in self._noisy_modules)
         self.register_buffer("noise", th.zeros(n_noise), persistent=False)
         self._tie_noise()
@@ -248,9 +254,13 @@ class RainbowNetwork(BasePolicy):
 
         :param mode: True for training, False for evaluation
         """
-        self.training = mode
-        self.features_extractor.train(mode)
-        self.activation.train(mode)
+        if mode == self.training:
+            return
+        if not self._has_plain_modes:
+            self.features_extractor.train(mode)
+        for module in self._with_modes:
+            # Module's own way of setting an attribute costs ten times as much.
+            module.__dict__["training"] = mode
 
     def _predict(
         self,
@@ -275,7 +285,7 @@ def check_support(n_atoms: int, v_min: float, v_max: float) -> None:
     """
     :raises ValueError: if the atoms do not form a support
     """
-    if n_atoms < 2:
-        raise ValueError(f"n_atoms must be at least 2, got {n_atoms}")
+    if n_atoms < 2 or n_atoms != int(n_atoms):
+        raise ValueError(f"n_atoms must be a whole number, at least 2, got {n_atoms}")
     if not (np.isfinite(v_min) and np.isfinite(v_max) and v_min < v_max):
         raise ValueError(f"v_min must be below v_max, both finite, got {v_min} and {v_max}")

@@ -158,12 +158,13 @@ def _layout(
     """Shape and dtype of one observation in each store."""
     if isinstance(space, spaces.Dict):
         assert isinstance(obs_shape, dict)
-        return {key: (obs_shape[key], _stored_dtype(part)) for key, part in space.spaces.items()}
+        return {key: (obs_shape[key], stored_dtype(part)) for key, part in space.spaces.items()}
     assert isinstance(obs_shape, tuple)
-    return {_PLAIN: (obs_shape, _stored_dtype(space))}
+    return {_PLAIN: (obs_shape, stored_dtype(space))}
 
 
-def _stored_dtype(space: spaces.Space) -> np.dtype:
+def stored_dtype(space: spaces.Space) -> np.dtype:
+    """In which dtype elements of a space are kept."""
     # The networks compute in float32: the other half of a float64 would only cost memory.
     dtype = np.dtype(space.dtype)
     return np.dtype(np.float32) if dtype == np.float64 else dtype

@@ -185,7 +185,11 @@ class RainbowPolicy(BasePolicy):
                 next(iter(obs_tensor.values())) if isinstance(obs_tensor, dict) else obs_tensor
             )
             n_actions = int(self.q_net.action_space.n)
-            checked = as_action_masks(np.asarray(action_masks).reshape(n_obs, -1), n_obs, n_actions)
+            given = np.asarray(action_masks)
+            if given.ndim == 1:
+                # As sb3-contrib: one observation's mask, or those of a batch one after another
+                given = given.reshape(n_obs, -1) if given.size % n_obs == 0 else given[None]
+            checked = as_action_masks(given, n_obs, n_actions)
             masks = th.as_tensor(checked, device=self.device)
         with th.no_grad():
             if not deterministic:
@@ -199,9 +203,8 @@ class RainbowPolicy(BasePolicy):
 
         :param mode: True for training
         """
-        if mode != self.training:
-            self.q_net.set_training_mode(mode)
-        self.training = mode
+        self.q_net.set_training_mode(mode)
+        self.__dict__["training"] = mode
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()

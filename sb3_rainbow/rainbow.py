@@ -8,6 +8,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule, TensorDict
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
@@ -17,7 +18,13 @@ from sb3_rainbow.learner import Learner, as_batch
 from sb3_rainbow.networks import RainbowNetwork
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy, RainbowPolicy
 from sb3_rainbow.resumable import ResumableAlgorithm
-from sb3_rainbow.settings import NETWORK_ARGUMENTS, check_settings, sb3_buffer_kwargs
+from sb3_rainbow.settings import (
+    NETWORK_ARGUMENTS,
+    check_settings,
+    check_support_of_file,
+    sb3_buffer_kwargs,
+)
+from sb3_rainbow.transfer import from_device
 from sb3_rainbow.type_aliases import ObsArray, UseMasking
 
 SelfRainbow = TypeVar("SelfRainbow", bound="Rainbow")
@@ -40,7 +47,8 @@ class Rainbow(ResumableAlgorithm):
     :param buffer_size: transitions in the replay buffer, over all envs
     :param learning_starts: steps of random (allowed) actions before learning starts
     :param batch_size: transitions per update
-    :param tau: Polyak coefficient of the target network, 1 for a copy
+    :param tau: Polyak coefficient of the target network, 1 for a copy. ``None`` (default) is 0.001,
+        or with a ``target_update_interval`` SB3's 1
     :param gamma: discount factor
     :param train_freq: steps between two rounds of updates, or a tuple such as ``(2, "episode")``
     :param gradient_steps: updates per round; -1 for as many as steps were taken
@@ -103,7 +111,7 @@ class Rainbow(ResumableAlgorithm):
         buffer_size: int = 1_000_000,
         learning_starts: int = 100,
         batch_size: int = 32,
-        tau: float = 1e-3,
+        tau: float | None = None,
         gamma: float = 0.99,
         train_freq: int | tuple[int, str] = 4,
         gradient_steps: int = 1,
@@ -140,6 +148,8 @@ class Rainbow(ResumableAlgorithm):
         cpu_kernels: bool = True,
         _init_setup_model: bool = True,
     ) -> None:
+        if tau is None:
+            tau = 1e-3 if target_update_interval is None else 1.0
         super().__init__(
             policy,
             env,
@@ -190,11 +200,14 @@ class Rainbow(ResumableAlgorithm):
         self.cpu_kernels = cpu_kernels
 
         self._n_calls = 0
+        # Saved with the model: what its weights were trained for
+        self._support: tuple[float, float] | None = None
         if _init_setup_model:
             self._setup_model()
 
     def _setup_model(self) -> None:
         check_settings(self)
+        self._support = (self.v_min, self.v_max)
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
         self.exploration_schedule = LinearSchedule(
@@ -321,20 +334,23 @@ class Rainbow(ResumableAlgorithm):
         self.policy.set_training_mode(True)
         self._update_learning_rate(self.policy.optimizer)
         learner = self._learner
-        losses = []
+        losses: list[Any] = []  # numbers, or tensors that nobody has waited for
         for _ in range(gradient_steps):
             samples = buffer.sample(batch_size, env=self._vec_normalize_env)
             batch = as_batch(samples, self.gamma, self._masking)
             loss, priorities = learner.update(batch)
-            losses.append(loss)
             if isinstance(buffer, PrioritizedReplayBuffer) and self.prioritized:
-                buffer.update_priorities(samples.indices, priorities.cpu().numpy())  # type: ignore[attr-defined]
+                mean_loss, errors = from_device(loss, priorities)
+                buffer.update_priorities(samples.indices, errors)  # type: ignore[attr-defined]
+                losses.append(mean_loss)
+            else:
+                losses.append(loss)
             if self.target_update_interval is None:
                 learner.move_target(self.tau)
         logs_due = self._n_updates % _DIAGNOSTICS_INTERVAL < gradient_steps
         self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-        self.logger.record("train/loss", float(th.stack(losses).mean()))
+        self.logger.record("train/loss", float(sum(losses) / len(losses)))
         if self.prioritized:
             self.logger.record("train/beta", self.beta)
         if logs_due:
@@ -362,18 +378,15 @@ class Rainbow(ResumableAlgorithm):
         :param use_masking: overrides the constructor's, from here on
         :param progress_bar: show a progress bar
         :return: self
+        :raises ValueError: for masks that the env or the buffer cannot serve, or for parameters
+            that were frozen after the model was made
         """
         if use_masking is not None:
             self.use_masking = use_masking
+        self._learner.check_trained_parameters()
         return super().learn(
             total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar
         )
-
-    def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "q_net", "q_net_target", "_learner"]
-
-    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
-        return ["policy", "policy.optimizer"], []
 
     def set_parameters(
         self,
@@ -384,12 +397,16 @@ class Rainbow(ResumableAlgorithm):
         """
         As SB3's ``set_parameters``.
 
-        :raises ValueError: if the parameters were saved with other settings
+        :raises SettingsMismatchError: if the parameters were saved with other settings
         """
-        super().set_parameters(load_path_or_dict, exact_match, device)
-        support = th.linspace(self.v_min, self.v_max, self.q_net.n_atoms, device=self.device)
-        if not th.allclose(self.q_net.support, support):
-            found = self.q_net.support[[0, -1]].tolist()
-            raise ValueError(
-                f"The checkpoint's support is {found}, the model's [{self.v_min}, {self.v_max}]"
-            )
+        parameters: Any = load_path_or_dict
+        if not isinstance(parameters, dict):
+            data, parameters, _ = load_from_zip_file(parameters, device=device)
+            check_support_of_file((data or {}).get("_support"), self.v_min, self.v_max)
+        super().set_parameters(parameters, exact_match, device)
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "q_net", "q_net_target", "_learner"]
+
+    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
+        return ["policy", "policy.optimizer"], []

@@ -13,6 +13,7 @@ from sb3_rainbow.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.checkpoint import load_checkpoint, save_checkpoint
 from sb3_rainbow.masked_off_policy import MaskedOffPolicyAlgorithm
 from sb3_rainbow.rng import get_rng_state, set_rng_state
+from sb3_rainbow.settings import SettingsMismatchError
 
 SelfResumable = TypeVar("SelfResumable", bound="ResumableAlgorithm")
 
@@ -68,12 +69,12 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         """
         As SB3's ``set_parameters``.
 
-        :raises ValueError: if the parameters were saved with other settings
+        :raises SettingsMismatchError: if the parameters were saved with other settings
         """
         try:
             super().set_parameters(load_path_or_dict, exact_match, device)
         except RuntimeError as error:
-            raise ValueError(
+            raise SettingsMismatchError(
                 f"The checkpoint was saved with other settings than the model's: {error}"
             ) from error
 
@@ -95,7 +96,7 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
                 expected, found = getattr(present, name), getattr(loaded, name, None)
                 if expected != found:
                     self.replay_buffer = present
-                    raise ValueError(
+                    raise SettingsMismatchError(
                         f"The replay buffer in {path} was filled with {name}={found}, "
                         f"the model has {name}={expected}"
                     )

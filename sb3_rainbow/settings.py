@@ -1,5 +1,6 @@
 """Which settings can work, and what a replay buffer must be told of them."""
 
+import warnings
 from typing import TYPE_CHECKING, Any
 
 from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
@@ -15,6 +16,15 @@ NETWORK_ARGUMENTS = frozenset(
 )
 
 
+class SettingsMismatchError(ValueError, RuntimeError):
+    """
+    What is loaded was saved with other settings.
+
+    SB3 raises ``RuntimeError`` where a tensor is missing or has another shape, and ``ValueError``
+    for everything else: code written for SB3 may catch either.
+    """
+
+
 def check_replay_parameters(
     buffer_size: int, n_envs: int, n_steps: int, gamma: float, alpha: float, beta: float
 ) -> None:
@@ -23,6 +33,8 @@ def check_replay_parameters(
     """
     if n_steps < 1:
         raise ValueError(f"n_steps must be at least 1, got {n_steps}")
+    if n_steps != int(n_steps):
+        raise ValueError(f"n_steps must be a whole number, got {n_steps}")
     if not 0.0 <= gamma <= 1.0:
         raise ValueError(f"gamma must lie in [0, 1], got {gamma}")
     if not 0.0 <= alpha <= 1.0:
@@ -44,16 +56,30 @@ def sb3_buffer_kwargs(
 
     :raises ValueError: if it cannot serve them
     """
+    knows_n_steps = issubclass(buffer_class, NStepReplayBuffer)
+    lacking, mend = [], []
     if prioritized:
-        raise ValueError(f"{buffer_class.__name__} keeps no priorities: pass prioritized=False")
-    if issubclass(buffer_class, NStepReplayBuffer):
-        return {"n_steps": n_steps, "gamma": gamma}
-    if n_steps > 1:
+        lacking.append("no priorities")
+        mend.append("prioritized=False")
+    if n_steps > 1 and not knows_n_steps:
+        lacking.append("no n-step returns")
+        mend.append(f"n_steps=1 instead of {n_steps}")
+    if lacking:
         raise ValueError(
-            f"{buffer_class.__name__} has no n-step returns: pass n_steps=1 "
-            f"instead of n_steps={n_steps}"
+            f"{buffer_class.__name__} keeps {' and '.join(lacking)}: pass {', '.join(mend)}"
         )
-    return {}
+    return {"n_steps": n_steps, "gamma": gamma} if knows_n_steps else {}
+
+
+def check_support_of_file(found: tuple[float, float] | None, v_min: float, v_max: float) -> None:
+    """
+    :param found: ends of the support that the loaded weights were trained for, if known
+    :raises SettingsMismatchError: if they are not the model's
+    """
+    if found is not None and tuple(found) != (v_min, v_max):
+        raise SettingsMismatchError(
+            f"The checkpoint's support is {list(found)}, the model's [{v_min}, {v_max}]"
+        )
 
 
 def check_settings(model: "Rainbow") -> None:
@@ -65,6 +91,23 @@ def check_settings(model: "Rainbow") -> None:
     )
     if not 0.0 <= model.beta_end <= 1.0:
         raise ValueError(f"beta_end must lie in [0, 1], got {model.beta_end}")
+    if model.batch_size < 1:
+        raise ValueError(f"batch_size must be at least 1, got {model.batch_size}")
+    if not 0.0 <= model.tau <= 1.0:
+        raise ValueError(f"tau must lie in [0, 1], got {model.tau}")
+    interval = model.target_update_interval
+    if interval is not None and interval < 1:
+        raise ValueError(f"target_update_interval must be at least 1, or None, got {interval}")
+    if interval is not None and model.n_envs > interval:
+        warnings.warn(
+            "The number of environments used is greater than the target network update interval "
+            f"({model.n_envs} > {interval}): the target network will be updated after each call "
+            f"to env.step(), which are {model.n_envs} steps",
+            stacklevel=4,
+        )
+    check_support_of_file(model._support, model.v_min, model.v_max)
+    if not model.sigma0 >= 0.0:
+        raise ValueError(f"sigma0 must not be negative, got {model.sigma0}")
     if model.use_masking not in ("auto", True, False):
         raise ValueError(f"use_masking must be 'auto', True or False, got {model.use_masking!r}")
     if not issubclass(model.policy_class, RainbowPolicy):

@@ -9,8 +9,7 @@ from torch.nn import functional as F
 
 def scale_noise_(noise: th.Tensor) -> th.Tensor:
     """Replace x by sign(x) sqrt(|x|) (Fortunato et al. 2018, section 3), in place."""
-    sign = noise.sign()
-    return noise.abs_().sqrt_().mul_(sign)
+    return th.copysign(noise.abs().sqrt_(), noise, out=noise)
 
 
 class NoisyLinear(nn.Module):

@@ -10,6 +10,7 @@ from sb3_rainbow.losses import (
     huber_losses,
     mask_q_values,
     project_distribution,
+    target_entropies,
 )
 from sb3_rainbow.networks import RainbowNetwork
 from sb3_rainbow.type_aliases import Batch
@@ -73,7 +74,10 @@ def td_losses(
     """
     Losses and priorities of the batch, before importance weights.
 
-    Distributional: the cross-entropy is both. Scalar: the Huber loss, and the absolute error.
+    Distributional: the cross-entropy, and the Kullback-Leibler divergence (Hessel et al. 2018,
+    section "Multi-step learning"), whose gradients are the same. They differ by the target's
+    entropy, which says how uncertain the return is and not what is left to learn: as priorities,
+    cross-entropies are all but uniform. Scalar: the Huber loss, and the absolute error.
 
     :param target: the ``values`` of a :class:`Target`
     :param online_weights: ``q_net.noisy_weights()``, if at hand
@@ -83,6 +87,7 @@ def td_losses(
     logits = q_net.join_taken(q_net.streams_under(weights, batch.observations), batch.actions)
     if q_net.distributional:
         losses = categorical_losses(logits, target)
-        return losses, losses.detach()
+        divergences = losses.detach() - target_entropies(target)
+        return losses, divergences.clamp(min=0.0)
     losses = huber_losses(logits[:, 0], target[:, 0])
     return losses, (logits[:, 0] - target[:, 0]).detach().abs()

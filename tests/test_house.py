@@ -39,6 +39,25 @@ FORBIDDEN: dict[str, tuple[str, ...]] = {
 }
 
 
+# what makes tables, figures and the report: from stored data, without learning anything
+STORED_DATA = (
+    "compare",
+    "deviations",
+    "figure_comparisons",
+    "figure_parts",
+    "html_report",
+    "leaderboard",
+    "report",
+    "results",
+    "table_hyperparameters",
+    "tables_statistics",
+)
+FORBIDDEN |= {
+    f"benchmarks.{name}": ("torch", "stable_baselines3", "sb3_contrib", "sb3_rainbow", "coop_env")
+    for name in STORED_DATA
+}
+
+
 def _is_within(module: str, prefix: str) -> bool:
     return module == prefix or module.startswith(prefix + ".")
 

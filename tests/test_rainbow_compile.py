@@ -6,6 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from torch import nn
 
 from sb3_rainbow import Rainbow
 
@@ -37,6 +40,57 @@ def test_without_a_compiler_one_warning_and_the_same_run(monkeypatch: Any) -> No
     assert len(seen) == 1
     for name, value in plain.policy.state_dict().items():
         assert th.equal(value, model.policy.state_dict()[name])
+
+
+class Normalized(BaseFeaturesExtractor):
+    """Its statistics change on the way, which no pure function can."""
+
+    def __init__(self, observation_space: spaces.Space) -> None:
+        super().__init__(observation_space, features_dim=4)
+        self.norm = nn.BatchNorm1d(4)
+
+    def forward(self, obs: th.Tensor) -> th.Tensor:
+        return self.norm(obs)
+
+
+class Frozen(BaseFeaturesExtractor):
+    """Trained before, and not to be trained any more."""
+
+    def __init__(self, observation_space: spaces.Space) -> None:
+        super().__init__(observation_space, features_dim=5)
+        self.linear = nn.Linear(4, 5).requires_grad_(False)
+
+    def forward(self, obs: th.Tensor) -> th.Tensor:
+        return self.linear(obs)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"distributional": False, "dueling": False, "double_q": False, "noisy": False},
+        {"policy_kwargs": {"net_arch": [16], "optimizer_class": th.optim.RMSprop}},
+        {"policy_kwargs": {"net_arch": [16], "features_extractor_class": Normalized}},
+        {"policy_kwargs": {"net_arch": [16], "features_extractor_class": Frozen}},
+        {"max_grad_norm": 1e-3},
+    ],
+    ids=str,
+)
+def test_one_graph_of_loss_and_gradient_is_what_autograd_does(
+    monkeypatch: Any, settings: dict[str, Any]
+) -> None:
+    """Whether all of it can be one graph, without the minutes of a real compiler."""
+    compiled = th.compile
+    monkeypatch.setattr(
+        th, "compile", lambda f, **kwargs: compiled(f, backend="eager", fullgraph=True)
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.filterwarnings("error", message="compile=True has no effect")
+        model = Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, **settings}).learn(60)
+    plain = Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, **settings, "compile": False}).learn(60)
+    for name, value in plain.policy.state_dict().items():
+        np.testing.assert_allclose(model.policy.state_dict()[name], value, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.slow

@@ -212,12 +212,24 @@ def test_predict_obeys_masks_of_one_observation_and_of_a_batch() -> None:
         (np.ones(N_ACTIONS - 1, bool), r"shape \(1, 6\) \(envs, actions\), got \(1, 5\)"),
         (np.zeros(N_ACTIONS, bool), "mask of env 0 allows no action"),
         (np.ones((2, N_ACTIONS), bool), "shape"),
+        (np.arange(N_ACTIONS), "True or False .* not 2: is it a list of actions"),
     ],
 )
 def test_bad_masks_in_predict(masks: np.ndarray, message: str) -> None:
     model = small_model(ClockEnv())
     with pytest.raises(ValueError, match=message):
         model.predict(np.zeros(2, np.float32), action_masks=masks)
+
+
+def test_masks_of_a_batch_in_the_wrong_order_are_not_reshaped() -> None:
+    model = small_model(ClockEnv())
+    obs, masks = np.zeros((3, 2), np.float32), np.ones((3, N_ACTIONS), np.int8)
+    model.predict(obs, action_masks=masks)
+    model.predict(obs, action_masks=masks.reshape(-1))
+    with pytest.raises(ValueError, match=r"shape \(3, 6\) \(envs, actions\), got \(6, 3\)"):
+        model.predict(obs, action_masks=masks.T)
+    with pytest.raises(ValueError, match=r"got \(1, 7\)"):
+        model.predict(obs, action_masks=np.ones(7, bool))
 
 
 @pytest.mark.parametrize(

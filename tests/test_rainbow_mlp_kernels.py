@@ -95,6 +95,7 @@ def test_updates_agree_with_torch(kwargs: dict[str, Any]) -> None:
         {"activation_fn": nn.Tanh},
         {"optimizer_class": th.optim.RMSprop},
         {"optimizer_kwargs": {"amsgrad": True}},
+        {"optimizer_kwargs": {"decoupled_weight_decay": True, "weight_decay": 0.1}},
     ],
     ids=str,
 )
@@ -109,6 +110,18 @@ def test_torch_does_what_the_kernels_cannot(policy_kwargs: dict[str, Any]) -> No
     )
     assert model._learner._mlp is None
     model.learn(40)
+
+
+def test_an_optimizer_given_later_is_the_one_that_steps() -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", learning_starts=20, buffer_size=100, device="cpu")
+    model.learn(40)
+    model.policy.optimizer = th.optim.Adam(model.q_net.parameters())
+    before = nn.utils.parameters_to_vector(model.q_net.parameters())
+    model.learn(60, reset_num_timesteps=False)
+    assert model._learner._mlp is None
+    steps = {int(state["step"]) for state in model.policy.optimizer.state.values()}
+    assert steps == {15}
+    assert not th.equal(before, nn.utils.parameters_to_vector(model.q_net.parameters()))
 
 
 def test_discrete_observations_are_one_hot_for_the_kernels_too() -> None:

@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch as th
 from gymnasium import spaces
 from scipy.stats import chisquare
-from stable_baselines3 import DQN
+from stable_baselines3 import DQN, SAC
 from stable_baselines3.common.utils import set_random_seed
 
 from sb3_rainbow import PrioritizedReplayBuffer, PrioritizedReplayCallback
@@ -142,6 +143,23 @@ def test_under_sb3s_dqn() -> None:
     assert isinstance(buffer, PrioritizedReplayBuffer)
     filled = buffer.tree.leaves[buffer.tree.leaves > 0]
     assert np.unique(filled).size > 100
+
+
+def test_continuous_actions_of_other_algorithms_are_kept_whole() -> None:
+    model = SAC(
+        "MlpPolicy",
+        "Pendulum-v1",
+        learning_starts=20,
+        buffer_size=500,
+        replay_buffer_class=PrioritizedReplayBuffer,
+        seed=0,
+    )
+    model.learn(40)
+    buffer = model.replay_buffer
+    assert isinstance(buffer, PrioritizedReplayBuffer)
+    actions = buffer.sample(20).actions
+    assert actions.dtype == th.float32
+    assert (actions != actions.round()).all()
 
 
 def test_the_callback_wants_the_buffer() -> None:

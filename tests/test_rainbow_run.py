@@ -193,8 +193,11 @@ def test_hindsight_replay_without_priorities() -> None:
     assert model._n_updates > 0
     with pytest.raises(ValueError, match="HerReplayBuffer keeps no priorities: pass prioritized=F"):
         Rainbow("MultiInputPolicy", env, n_steps=1, **kwargs)
-    with pytest.raises(ValueError, match="no n-step returns: pass n_steps=1 instead of n_steps=3"):
+    with pytest.raises(ValueError, match="no n-step returns: pass n_steps=1 instead of 3"):
         Rainbow("MultiInputPolicy", env, prioritized=False, **kwargs)
+    both = "no priorities and no n-step returns: pass prioritized=False, n_steps=1 instead of 3"
+    with pytest.raises(ValueError, match=both):
+        Rainbow("MultiInputPolicy", env, **kwargs)
 
 
 @pytest.mark.parametrize("buffer_class", [ReplayBuffer, NStepReplayBuffer, DictReplayBuffer])
@@ -297,6 +300,23 @@ def test_the_target_moves_at_every_update_or_at_an_interval() -> None:
     assert 0.0 < distance(tau=1.0, target_update_interval=64) < distance(tau=0.0)
 
 
+def test_tau_is_sb3s_where_the_target_moves_at_sb3s_interval() -> None:
+    assert Rainbow("MlpPolicy", "CartPole-v1", **FAST).tau == 1e-3
+    copies = Rainbow("MlpPolicy", "CartPole-v1", target_update_interval=32, **FAST)
+    assert copies.tau == 1.0
+    copies.learn(32)
+    before = [p.clone() for p in copies.q_net.parameters()]
+    copies.learn(33, reset_num_timesteps=False)
+    assert all(
+        not th.equal(p, q) for p, q in zip(before, copies.q_net_target.parameters(), strict=True)
+    )
+
+
+def test_more_envs_than_the_target_interval_is_a_warning() -> None:
+    with pytest.warns(UserWarning, match=r"number of environments used is greater.*\(2 > 1\)"):
+        Rainbow("MlpPolicy", make_vec_env("CartPole-v1", 2), target_update_interval=1, **FAST)
+
+
 def test_polyak_average_of_one_update() -> None:
     model = Rainbow("MlpPolicy", "CartPole-v1", tau=0.25, **FAST)
     before = [p.clone() for p in model.q_net_target.parameters()]
@@ -340,6 +360,12 @@ def test_optimize_memory_usage_is_accepted() -> None:
     ("kwargs", "message"),
     [
         ({"n_steps": 0}, "n_steps must be at least 1, got 0"),
+        ({"n_steps": 2.5}, "n_steps must be a whole number, got 2.5"),
+        ({"batch_size": 0}, "batch_size must be at least 1, got 0"),
+        ({"n_atoms": 20.5}, "n_atoms must be a whole number, at least 2, got 20.5"),
+        ({"tau": 1.5}, "tau must lie in .0, 1., got 1.5"),
+        ({"target_update_interval": 0}, "target_update_interval must be at least 1"),
+        ({"sigma0": -0.1}, "sigma0 must not be negative, got -0.1"),
         ({"alpha": 1.5}, "alpha must lie in"),
         ({"beta_start": -0.5}, "beta must lie in .0, 1., got -0.5"),
         ({"beta_end": 1.5}, "beta_end must lie in .0, 1., got 1.5"),
@@ -351,6 +377,15 @@ def test_optimize_memory_usage_is_accepted() -> None:
 def test_bad_arguments(kwargs: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, **kwargs})
+
+
+def test_freezing_after_the_model_was_made_is_an_error() -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
+    model.q_net.layers[0].requires_grad_(False)
+    with pytest.raises(ValueError, match="changed after the model was made"):
+        model.learn(10)
+    model.q_net.layers[0].requires_grad_(True)
+    model.learn(10)
 
 
 def test_bad_environments() -> None:

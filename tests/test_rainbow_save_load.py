@@ -214,6 +214,31 @@ def test_a_replay_buffer_of_other_settings(
     assert model.replay_buffer is present
 
 
+def test_parameters_of_other_settings(tmp_path: Any) -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
+    Rainbow("MlpPolicy", "CartPole-v1", v_max=50.0, **FAST).save(tmp_path / "m")
+    with pytest.raises(ValueError, match=r"support is \[-100.0, 50.0\]"):
+        model.set_parameters(str(tmp_path / "m"))
+    # SB3 raises RuntimeError for tensors that do not fit, and its users catch that.
+    parameters: Any = model.get_parameters()
+    last = list(parameters["policy"])[-1]
+    del parameters["policy"][last]
+    with pytest.raises(RuntimeError, match=last):
+        model.set_parameters(parameters)
+
+
+def test_random_weights_leave_the_support_alone(tmp_path: Any) -> None:
+    # As SB3's own tests of saving do
+    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
+    state = {name: th.rand_like(tensor) for name, tensor in model.policy.state_dict().items()}
+    model.policy.load_state_dict(state)
+    model.save(tmp_path / "m")
+    loaded = Rainbow.load(tmp_path / "m")
+    assert loaded.q_net.support[[0, -1]].tolist() == [-100.0, 100.0]
+    for name, tensor in loaded.policy.state_dict().items():
+        assert th.equal(tensor, state[name])
+
+
 def test_a_model_of_another_algorithm(tmp_path: Any) -> None:
     DQN("MlpPolicy", "CartPole-v1", buffer_size=100).save(tmp_path / "dqn")
     with pytest.raises(ValueError, match="saved by another algorithm"):

@@ -106,7 +106,7 @@ def test_the_scalar_target() -> None:
     th.testing.assert_close(losses, th.where(errors < 1, 0.5 * errors**2, errors - 0.5))
 
 
-def test_distributional_losses_are_the_priorities() -> None:
+def test_priorities_are_divergences() -> None:
     policy = make_policy()
     batch = make_batch()
     target = td_target(policy.q_net, policy.q_net_target, batch, True)
@@ -114,7 +114,9 @@ def test_distributional_losses_are_the_priorities() -> None:
     predicted = policy.q_net.distribution(batch.observations, noisy=True)
     taken = predicted[th.arange(64), batch.actions[:, 0]]
     th.testing.assert_close(losses, -(target.values * taken.log()).sum(1), rtol=1e-4, atol=1e-5)
-    assert th.equal(priorities, losses.detach())
+    ahead = th.distributions.Categorical(probs=target.values)
+    divergences = th.distributions.kl_divergence(ahead, th.distributions.Categorical(probs=taken))
+    th.testing.assert_close(priorities, divergences.detach(), rtol=1e-4, atol=1e-5)
     assert not priorities.requires_grad
 
 
