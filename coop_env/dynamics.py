@@ -27,6 +27,7 @@ from coop_env.state import (
     hole_distance,
     is_singular,
     joint_angles,
+    leave,
     nearest_open_hole,
     neighbour,
     open_holes,
@@ -70,6 +71,7 @@ def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p
     s.filled[:] = filled
     s.sigma = sigma
     s.moves = 0
+    s.trailed = 0
     s.insertions = 0
     s.energy = 0.0
     s.over = False
@@ -183,6 +185,8 @@ def _attempt(s: Record, action: int, p: EnvParams) -> int:
         status = _move_delta(s, action, p)
     if status in (INVALID, COLLISION):
         return status
+    if p.task.visited > 0:
+        leave(s)
     s.offset[action // 2] += 1 - 2 * (action % 2)
     if not p.task.imperfect:
         update_inside(s, p.task.chamfer, p)
@@ -238,6 +242,9 @@ def step(s: Record, action: int, p: EnvParams, out: Record) -> None:
     terminated = status == SINGULAR or n_open == 0
     if z and n_open > 0:
         aim(s, nearest_open_hole(s))
+        if p.task.visited > 0:  # the way to the next hole may lead back
+            s.trailed = 0
+            update_mask(s, True, True, p)
     _reward(s, (v, z, u, terminated), (distance, angle), after, p, out)
     out.inserted = z
     out.inserted_hole = target if z else -1

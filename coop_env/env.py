@@ -37,6 +37,8 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         observation: ``"paper"``, 12 numbers, or ``"markov"``, 19 with filled holes and time.
         normalize: observation in [0, 1], or in SI units.
         mask_singularities: action masks also exclude collisions and singular moves.
+        mask_visited: they also exclude moves back to the last so many configurations (at most 64)
+            visited since the last insertion: 1 forbids undoing the last move, 0 nothing.
         stage: 0, the four peripheral holes, or 1, all six.
         pose_model: ``"exact"``, with parasitic motion, or ``"paper"``.
         max_moves: moves until truncation; 300 are the paper's 60 s.
@@ -65,6 +67,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         observation: str = "paper",
         normalize: bool = True,
         mask_singularities: bool = False,
+        mask_visited: int = 0,
         stage: int = 1,
         pose_model: str = "exact",
         max_moves: int = 300,
@@ -81,7 +84,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
             _geometry(geometry),
             rewards.make_reward(reward, reward_kwargs),
             pose_model,
-            _task(max_moves, mask_singularities, self._knobs.active),
+            _task(max_moves, mask_singularities, mask_visited, self._knobs.active),
         )
         self._packed = task.pack(self._params)
         self.observation_space: spaces.Box
@@ -320,15 +323,28 @@ def _geometry(geometry: str | RRSGeometry) -> RRSGeometry:
     )
 
 
-def _task(max_moves: int, mask_singularities: bool, imperfect: bool) -> TaskParams:
+def _task(
+    max_moves: int, mask_singularities: bool, mask_visited: int, imperfect: bool
+) -> TaskParams:
     if isinstance(max_moves, bool) or not isinstance(max_moves, (int, np.integer)):
         raise ArgumentError(f"max_moves = {max_moves!r}: must be an integer of at least 1")
     if max_moves < 1:
         raise ArgumentError(f"max_moves = {max_moves!r}: must be an integer of at least 1")
     if not isinstance(mask_singularities, bool):
         raise ArgumentError(f"mask_singularities = {mask_singularities!r}: must be True or False")
+    if (
+        isinstance(mask_visited, bool)
+        or not isinstance(mask_visited, (int, np.integer))
+        or not 0 <= mask_visited <= task.TRAIL
+    ):
+        raise ArgumentError(
+            f"mask_visited = {mask_visited!r}: must be an integer from 0 to {task.TRAIL}"
+        )
     return TaskParams(
-        max_moves=int(max_moves), mask_singularities=mask_singularities, imperfect=imperfect
+        max_moves=int(max_moves),
+        mask_singularities=mask_singularities,
+        visited=int(mask_visited),
+        imperfect=imperfect,
     )
 
 

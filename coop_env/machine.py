@@ -76,7 +76,7 @@ def real_params(m: Record, p: EnvParams) -> EnvParams:
         ),
         TaskParams(
             m.chamfer, p.task.angle_tolerance, p.task.max_moves, p.task.mask_singularities,
-            p.task.imperfect,
+            p.task.visited, p.task.imperfect,
         ),
         p.reward,
     )  # fmt: skip

@@ -18,7 +18,15 @@ from coop_env.kinematics import delta_kernels, rrs_kernels
 from coop_env.kinematics.rrs_kernels import Pose
 from coop_env.kinematics.singularity import Row
 from coop_env.machine import MACHINE
-from coop_env.task import N_ACTIONS, N_AXES, N_HOLES, SINGULAR_MARGIN, STEP, EnvParams
+from coop_env.task import (
+    N_ACTIONS,
+    N_AXES,
+    N_HOLES,
+    SINGULAR_MARGIN,
+    STEP,
+    TRAIL,
+    EnvParams,
+)
 
 VALID: Final = 0
 INVALID: Final = 1
@@ -45,6 +53,8 @@ STATE: Final = np.dtype(
         ("moves", "i8"),
         ("insertions", "i8"),  # in this episode; `filled` may have held some from the start
         ("energy", "f8"),  # J
+        ("trail", "i8", (TRAIL,)),  # keys of configurations left, a ring
+        ("trailed", "i8"),  # number of them since the start or the last insertion
         ("machine", MACHINE),  # what sim-to-real knobs make of the nominal machine
         ("inside", "u1", (N_HOLES,)),  # tip meets the hole's insertion criterion
         ("active", "u1", (N_HOLES,)),
@@ -243,21 +253,68 @@ def _is_safe(s: Record, action: int, p: EnvParams) -> bool:
 
 
 @njit(cache=True)
+def _key(s: Record, action: int) -> int:
+    """A number of its own for the lattice point that an action leads to; for -1, the present one.
+
+    Ten bits for each axis: no workspace is 1024 steps wide.
+    """
+    key = 0
+    for k in range(N_AXES):
+        offset = s.offset[k]
+        if action // 2 == k:
+            offset += 1 - 2 * (action % 2)
+        key |= (offset & 1023) << (10 * k)
+    return key
+
+
+@njit(cache=True)
+def leave(s: Record) -> None:
+    """Remember the present configuration, which a move is about to leave."""
+    s.trail[s.trailed % TRAIL] = _key(s, -1)
+    s.trailed += 1
+
+
+@njit(cache=True)
+def _forbid_visited(s: Record, visited: int) -> None:
+    """Take out of the mask what leads back to the last ``visited`` configurations, unless all does.
+
+    A shortest path never returns to where it was, so that none is lost.
+    """
+    free = s.mask.sum()
+    known = min(s.trailed, visited)
+    back = np.zeros(N_ACTIONS, np.uint8)
+    for action in range(N_ACTIONS):
+        if s.mask[action] == 1:
+            key = _key(s, action)
+            for i in range(known):
+                if s.trail[(s.trailed - 1 - i) % TRAIL] == key:
+                    back[action] = 1
+                    free -= 1
+                    break
+    if free > 0:
+        for action in range(N_ACTIONS):
+            s.mask[action] &= 1 - back[action]
+
+
+@njit(cache=True)
 def update_mask(s: Record, delta: bool, rrs: bool, p: EnvParams) -> None:
     """Recompute the action mask of the robots that moved: the halves do not depend on each other.
 
-    With ``mask_singularities`` collisions couple them, and both are recomputed. If nothing is
-    valid, everything is allowed.
+    With ``mask_singularities`` collisions couple them, with ``visited`` the past does, and both are
+    recomputed. If nothing is valid, everything is allowed.
     """
     couple = p.task.mask_singularities
-    blocked = s.mask.sum() == N_ACTIONS  # may stand for "nothing valid": start afresh
+    # a full mask may stand for "nothing valid"
+    afresh = p.task.visited > 0 or s.mask.sum() == N_ACTIONS
     for action in range(N_ACTIONS):
         if couple:
             s.mask[action] = _is_safe(s, action, p)
         elif action < 6:
-            if delta or blocked:
+            if delta or afresh:
                 s.mask[action] = delta_valid(neighbour(s, action), p)
-        elif rrs or blocked:
+        elif rrs or afresh:
             s.mask[action] = rrs_valid(neighbour(s, action), p)
+    if p.task.visited > 0:
+        _forbid_visited(s, p.task.visited)
     if s.mask.sum() == 0:
         s.mask[:] = 1

@@ -51,6 +51,9 @@ START_TILT: Final = 0.5
 START_PLANAR: Final = 0.06
 START_CLEARANCE: Final = (0.05, 0.15)
 
+TRAIL: Final = 64
+"""Configurations that a state can remember for ``mask_visited``."""
+
 # Collision bodies, m. The paper mentions none; docs/fidelity.md says why these.
 EFFECTOR_RADIUS: Final = 0.04
 FOREARM_RADIUS: Final = 0.010
@@ -62,13 +65,15 @@ class TaskParams(NamedTuple):
     """What may vary from one environment to another, as numba takes it.
 
     ``chamfer`` (m) and ``angle_tolerance`` (rad) decide an insertion; ``max_moves`` truncates;
-    ``imperfect`` says that a sim-to-real knob is turned.
+    ``visited`` is the number of configurations back to which masks forbid to go; ``imperfect`` says
+    that a sim-to-real knob is turned.
     """
 
     chamfer: float = 0.010
     angle_tolerance: float = math.radians(5.0)
     max_moves: int = 300
     mask_singularities: bool = False
+    visited: int = 0
     imperfect: bool = False
 
 
@@ -129,6 +134,6 @@ def unpack(v: np.ndarray) -> EnvParams:
     return EnvParams(
         RRSParams(v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10] != 0.0, v[11]),
         DeltaParams(v[12], v[13], v[14], v[15], v[16], v[17], v[18], v[19]),
-        TaskParams(v[20], v[21], int(v[22]), v[23] != 0.0, v[24] != 0.0),
-        RewardParams(v[25] != 0.0, v[26], v[27], v[28], v[29], v[30], v[31], v[32]),
+        TaskParams(v[20], v[21], int(v[22]), v[23] != 0.0, int(v[24]), v[25] != 0.0),
+        RewardParams(v[26] != 0.0, v[27], v[28], v[29], v[30], v[31], v[32], v[33]),
     )

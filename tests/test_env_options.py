@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 from typing import Any
 
@@ -23,6 +24,7 @@ CHOICES: dict[str, tuple[Any, ...]] = {
     "observation": ("paper", "markov"),
     "normalize": (True, False),
     "mask_singularities": (False, True),
+    "mask_visited": (0, 1, 64),
     "stage": (0, 1),
     "pose_model": ("exact", "paper"),
     "sim_to_real": (None, "randomized"),
@@ -150,3 +152,57 @@ def test_reset_options_reach_the_batch() -> None:
 def test_knobs_left_alone_change_nothing() -> None:
     assert not SimToReal().active
     assert not SimToReal(randomize=True).active
+
+
+@pytest.mark.parametrize("visited", [0, 1, 5, 64])
+@pytest.mark.parametrize("mask_singularities", [False, True])
+def test_mask_visited_excludes_the_last_configurations(
+    visited: int, mask_singularities: bool
+) -> None:
+    """Against a list of the configurations since the last insertion, kept here."""
+    env = CoopInsertionEnv(mask_visited=visited, mask_singularities=mask_singularities)
+    free = CoopInsertionEnv(mask_singularities=mask_singularities)
+    rng = np.random.default_rng(visited)
+    hidden = insertions = 0
+    for episode in range(12):
+        env.reset(seed=episode)
+        free.reset(seed=episode)
+        past: list[tuple[int, ...]] = []
+        for _ in range(300):
+            allowed, masks = free.action_masks(), env.action_masks()
+            here = np.array(env.state["offset"])
+            back = np.zeros(12, bool)
+            for action in range(12):
+                there = here.copy()
+                there[action // 2] += 1 - 2 * (action % 2)
+                back[action] = tuple(there) in past[max(0, len(past) - visited) :]
+            expected = allowed & ~back if (allowed & ~back).any() else allowed
+            assert masks.tolist() == expected.tolist()
+            hidden += int((allowed & back).sum())
+            if episode % 2:  # towards the hole, so that there are insertions
+                action = _closest(env, masks, rng)
+            else:
+                action = int(rng.choice(np.flatnonzero(masks)))
+            *_, terminated, truncated, info = env.step(action)
+            free.step(action)
+            if info["inserted"]:
+                past, insertions = [], insertions + 1
+            elif tuple(env.state["offset"]) != tuple(here):
+                past.append(tuple(here))
+            if terminated or truncated:
+                break
+    assert (hidden > 50) == (visited > 0)
+    assert insertions > 2
+
+
+def _closest(env: CoopInsertionEnv, masks: np.ndarray, rng: np.random.Generator) -> int:
+    """The move that brings the tip and the peg's axis nearest to the target; one in five random."""
+    if rng.random() < 0.2:
+        return int(rng.choice(np.flatnonzero(masks)))
+    costs = np.full(12, np.inf)
+    for action in np.flatnonzero(masks):
+        probe = copy.deepcopy(env)
+        *_, terminated, _, info = probe.step(int(action))
+        if not info["violation"] and not (terminated and info["singular"]):
+            costs[action] = info["distance"] + 0.3 * info["alignment_error"]
+    return int(np.argmin(costs)) if np.isfinite(costs).any() else int(np.flatnonzero(masks)[0])
