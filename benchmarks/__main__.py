@@ -9,8 +9,10 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from benchmarks import commands
+from benchmarks.backends import BACKENDS
 from benchmarks.errors import BenchmarkError
 from benchmarks.presets import DEFAULT_PRESET, preset_names
 
@@ -22,7 +24,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     if not words or (words[0].startswith("-") and words[0] not in ("-h", "--help")):
         words = ["run", *words]
-    if words[0] in commands.DELEGATED and words[1:2] != ["--help"]:
+    # speed alone has no parser of its own before its second word
+    if words[0] in commands.DELEGATED and words[:2] != ["speed", "--help"]:
         return _guarded(lambda: commands.delegate(words[0], words[1:]))
     parser = _parser()
     arguments = parser.parse_args(words)
@@ -49,8 +52,20 @@ def _parser() -> argparse.ArgumentParser:
         help=f"{', '.join(preset_names())}, or a .yaml file (default: {DEFAULT_PRESET})",
     )
     common.add_argument("--results", type=Path, default=Path("results"), help="results folder")
+    device = argparse.ArgumentParser(add_help=False)
+    device.add_argument(
+        "--device", choices=("cpu", "cuda"), help="of the networks (default: cpu, with GPUs cuda)"
+    )
     jobs = argparse.ArgumentParser(add_help=False)
     jobs.add_argument("--jobs", type=_positive, default=None, help="processes (default: cores)")
+    place = argparse.ArgumentParser(add_help=False)
+    place.add_argument(
+        "--backend", choices=BACKENDS, default=BACKENDS[0], help="processes here, or a Ray cluster"
+    )
+    place.add_argument("--address", help="of the Ray cluster, 'auto' for the one at hand")
+    place.add_argument(
+        "--gpus-per-run", type=float, default=0.0, help="GPUs, or part of one, for each run (Ray)"
+    )
     verbs = parser.add_subparsers(required=True, metavar="command")
 
     def add(name: str, command: Command, text: str, *more: argparse.ArgumentParser) -> None:
@@ -60,25 +75,65 @@ def _parser() -> argparse.ArgumentParser:
     one = argparse.ArgumentParser(add_help=False)
     one.add_argument("--cell", required=True, help="a cell's id, as `plan` lists them")
     one.add_argument("--parent", type=int, default=None, help=argparse.SUPPRESS)
+    one.add_argument(
+        "--wait", type=float, default=0.0, help="seconds to wait for another process on the cell"
+    )
     model = argparse.ArgumentParser(add_help=False)
-    model.add_argument("--model", type=Path, default=None, help="a .zip saved by an SB3 algorithm")
-    model.add_argument("--algorithm", default="rainbow", help="its class: rainbow, dqn, ppo, ...")
-    model.add_argument("--episodes", type=_positive, default=None, help="test episodes per seed")
+    _add_entry(model)
     page = argparse.ArgumentParser(add_help=False)
     page.add_argument("--readme", type=Path, default=Path("README.md"), help="the file")
 
-    add("run", commands.run, "train, plan and test what is missing, then the tables", jobs)
-    add("plan", commands.plan, "list the cells of a preset and their state")
-    add("train", commands.train, "run one cell in this process", one)
-    add("evaluate", commands.evaluate, "score stored policies, or --model, on the tests", model)
+    what = "train, plan and test what is missing, then the tables"
+    add("run", commands.run, what, jobs, device, place)
+    add("plan", commands.plan, "list the cells of a preset, their state and cost", jobs)
+    add("train", commands.train, "run one cell in this process", one, device)
+    text = "score a --model or --planner of your own for the leaderboard, or stored policies again"
+    add("evaluate", commands.evaluate, text, model)
     add("tables", commands.tables, "write and print the tables from stored data")
     add("figures", commands.figures, "draw the learning figures from stored data")
+    add("report", commands.report, "tables, figures and a one-page HTML report of both")
     add("curves", commands.curves, "say where the training curves of each run stand")
-    add("verify", commands.verify, "check tables and README against stored episodes", page)
+    _add_verify(verbs, page)
     add("readme", commands.readme, "rewrite the results section of the README", page)
     verbs.add_parser("speed", help="measure speed: speed env, speed rainbow")
+    verbs.add_parser("tune", help="search hyperparameters: the paper's grid, or TPE")
     verbs.add_parser("design", help="the geometric optimization: table and figures")
+    verbs.add_parser("classic", help="Rainbow beside DQN and QR-DQN on other tasks")
     return parser
+
+
+def _add_entry(model: argparse.ArgumentParser) -> None:
+    add = model.add_argument
+    add(
+        "--model",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        default=[],
+        help=".zip of any SB3 or sb3-contrib algorithm: one, or one per seed",
+    )
+    add(
+        "--planner",
+        default="",
+        metavar="NAME",
+        help="a planner: rrt_connect, rrt_lattice, optimum, or module:function of your own",
+    )
+    add("--name", default=None, help="on the leaderboard (default: the file's name)")
+    add("--algorithm", "--algo", default=None, help="the model's class (default: found out)")
+    add("--mask-singularities", action="store_true", help="as the model was trained")
+    add("--mask-visited", type=int, default=0, metavar="N", help="as the model was trained")
+    add("--replace", action="store_true", help="take the place of another entry of this name")
+    add("--episodes", type=_positive, default=None,
+        help="test episodes per seed, for a quick look: nothing is stored")  # fmt: skip
+
+
+def _add_verify(verbs: Any, page: argparse.ArgumentParser) -> None:
+    text = "check tables, README and docs against the stored data of every preset"
+    verb = verbs.add_parser("verify", help=text, description=text, parents=[page])
+    verb.add_argument("--preset", default=None, help="one preset (default: all with results)")
+    verb.add_argument("--results", type=Path, default=Path("results"), help="results folder")
+    verb.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the docs")
+    verb.set_defaults(command=commands.verify)
 
 
 def _positive(text: str) -> int:

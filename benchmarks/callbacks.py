@@ -58,7 +58,7 @@ class CurveRecorder(BaseCallback):
     A row is the mean over an interval of environment steps: episode reward, holes, success and
     duration over the episodes that ended in it, loss over its updates; learning rate, noise
     magnitude (mean absolute sigma of the noisy layers, or epsilon) and mean max Q over the current
-    observations at its end.
+    observations at its end (of an actor-critic its critic's value).
     """
 
     def __init__(self, track: Track, curriculum: CurriculumCallback) -> None:
@@ -144,13 +144,15 @@ class CurveRecorder(BaseCallback):
     def _mean_max_q(self) -> float:
         observation = self.model._last_obs
         assert isinstance(observation, np.ndarray)
-        q_net: Any = self.model.policy.q_net
+        policy: Any = self.model.policy
         with torch.no_grad():
-            tensor, _ = self.model.policy.obs_to_tensor(observation)
-            return float(q_net(tensor).max(dim=1).values.mean())
+            tensor, _ = policy.obs_to_tensor(observation)
+            if hasattr(policy, "q_net"):
+                return float(policy.q_net(tensor).max(dim=1).values.mean())
+            return float(policy.predict_values(tensor).mean())
 
     def _noise(self) -> float:
-        q_net: Any = self.model.policy.q_net
+        q_net: Any = getattr(self.model.policy, "q_net", None)
         magnitudes = q_net.noise_magnitudes() if hasattr(q_net, "noise_magnitudes") else {}
         if magnitudes:
             return float(np.mean(list(magnitudes.values())))

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from benchmarks import machine
+from benchmarks.errors import BenchmarkError
 from benchmarks.plan import DESIGN, Cell, settings
 from benchmarks.presets import Preset
 from benchmarks.seeding import derive
@@ -42,10 +43,34 @@ class StopFlag:
         self.requested = True
 
 
+def check_device(device: str) -> None:
+    """Raise BenchmarkError if torch has no such device here."""
+    if device == "cuda":
+        import torch
+
+        if not torch.cuda.is_available():
+            raise BenchmarkError(
+                f"--device {device}: torch {torch.__version__} sees no GPU here; use --device cpu"
+            )
+
+
 def run_cell(
-    preset: Preset, cell: Cell, store: Store, stop_requested: Callable[[], bool] = lambda: False
+    preset: Preset,
+    cell: Cell,
+    store: Store,
+    stop_requested: Callable[[], bool] = lambda: False,
+    wait: float = 0.0,
+    device: str = "cpu",
 ) -> bool:
     """Run a cell to its end, or until ``stop_requested``; a complete one is left as it is.
+
+    Args:
+        preset: the experiment.
+        cell: a cell of it.
+        store: where its results go.
+        stop_requested: asked between rounds of training.
+        wait: seconds to wait for another process that works on the cell.
+        device: where a learner's network lives: cpu or cuda.
 
     Returns:
         Whether the cell is complete.
@@ -58,23 +83,35 @@ def run_cell(
     folder.check_config(settings(preset, cell))
     if folder.is_done(cell.learns):
         return True
-    with folder.lock():
+    with folder.lock(wait):
+        if folder.is_done(cell.learns):  # by the process that was waited for
+            return True
         folder.reopen()
         folder.begin(settings(preset, cell))
-        return _run(preset, cell, folder, stop_requested)
+        return _run(preset, cell, folder, stop_requested, device)
 
 
-def _run(preset: Preset, cell: Cell, folder: RunFolder, stop_requested: Callable[[], bool]) -> bool:
+def _run(
+    preset: Preset,
+    cell: Cell,
+    folder: RunFolder,
+    stop_requested: Callable[[], bool],
+    device: str,
+) -> bool:
     clock = _Clock()
+    machine.describe()  # now: the sources may change while the run is on
     if cell.method == DESIGN:
         training = _run_design(preset, folder)
     elif cell.learns:
-        outcome = _run_learner(preset, cell, folder, stop_requested)
+        outcome = _run_learner(preset, cell, folder, stop_requested, device)
         if outcome is None:
             return False
         training = outcome
     else:
-        training = _run_planner(preset, cell, folder)
+        planned = _run_planner(preset, cell, folder, stop_requested)
+        if planned is None:
+            return False
+        training = planned
     folder.write_meta(_meta(preset, cell, training, clock))
     folder.drop_checkpoint()
     return True
@@ -92,39 +129,51 @@ class _Clock:
 
 
 def _run_learner(
-    preset: Preset, cell: Cell, folder: RunFolder, stop_requested: Callable[[], bool]
+    preset: Preset,
+    cell: Cell,
+    folder: RunFolder,
+    stop_requested: Callable[[], bool],
+    device: str,
 ) -> dict[str, Any] | None:
+    from benchmarks import policy_file
     from benchmarks.evaluate import evaluate_policy, model_policy
-    from benchmarks.store import write_atomic
     from benchmarks.train import env_arguments, train
 
-    trained = train(preset, cell, folder, stop_requested)
+    trained = train(preset, cell, folder, stop_requested, device)
     if trained is None:
         return None
     model, summary = trained
     folder.write_progress(1.0, "testing")
     began = time.perf_counter()
+    summary["weights_sha256"] = policy_file.digest(model)
+    policy_file.reduce_to_greedy(model)
     arguments = env_arguments(preset, cell, preset.tracks[cell.track])
     rows = evaluate_policy(model_policy(model), preset, cell.seed, arguments)
     folder.write_rows("episodes", rows)
-    # the optimizer's moments are half of the file and serve only to go on training
-    model.policy.optimizer.state.clear()
-    write_atomic(folder.policy, lambda temporary: _save_model(model, temporary))
+    policy_file.save(model, folder.policy)
     return {**summary, "test_seconds": time.perf_counter() - began}
 
 
-def _save_model(model: Any, temporary: Any) -> None:
-    with temporary.open("wb") as stream:
-        model.save(stream)
+class _Stopped(Exception):
+    """Asked to end; a planner has no checkpoint, its episodes are soon planned again."""
 
 
-def _run_planner(preset: Preset, cell: Cell, folder: RunFolder) -> dict[str, Any]:
+def _run_planner(
+    preset: Preset, cell: Cell, folder: RunFolder, stop_requested: Callable[[], bool]
+) -> dict[str, Any] | None:
     from benchmarks.evaluate import evaluate_planner
     from benchmarks.train import env_arguments
 
-    rows = evaluate_planner(
-        preset, cell, env_arguments(preset, cell), lambda share: folder.write_progress(share, "")
-    )
+    def tell(share: float) -> None:
+        folder.write_progress(share, "")
+        if stop_requested():
+            raise _Stopped
+
+    try:
+        rows = evaluate_planner(preset, cell, env_arguments(preset, cell), tell)
+    except _Stopped:
+        folder.write_progress(0.0, "stopped")
+        return None
     folder.write_rows("episodes", rows)
     return {}
 

@@ -6,17 +6,21 @@ import argparse
 import importlib
 import sys
 from collections.abc import Sequence
-from typing import Any, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Console
 
 from benchmarks.errors import BenchmarkError, known
-from benchmarks.plan import expand, find, settings, work_units
+from benchmarks.plan import expand, find
 from benchmarks.presets import Preset, load_preset
 from benchmarks.store import Store
 
-GUESSED_RATE: Final = 1.5e-3  # seconds per unit of work, where nothing was measured yet
-DELEGATED: Final = ("speed", "design")
+if TYPE_CHECKING:
+    from benchmarks.figure_parts import Picture
+    from benchmarks.report import Table
+
+DELEGATED: Final = ("speed", "design", "classic", "audit", "failures", "tune")
 SPEED: Final = {"env": "benchmarks.speed_env", "rainbow": "benchmarks.speed_rainbow"}
 
 
@@ -28,21 +32,28 @@ def _open(arguments: argparse.Namespace, create: bool = False) -> tuple[Preset, 
 
 def run(arguments: argparse.Namespace) -> int:
     """Everything: what is missing is run, then tables and figures are written."""
-    from benchmarks.run import Harness, default_jobs
+    from benchmarks.backends import open_backend
+    from benchmarks.run import Harness
 
     console = Console(soft_wrap=True)
     preset, store = _open(arguments, create=True)
-    with store.lock():
-        jobs = default_jobs() if arguments.jobs is None else arguments.jobs
-        harness = Harness(preset, arguments.preset, store, arguments.results, jobs, console)
+    place = (arguments.address, arguments.gpus_per_run)
+    device = arguments.device or ("cuda" if arguments.gpus_per_run else "cpu")
+    with store.lock(), open_backend(arguments.backend, arguments.jobs, *place) as backend:
+        console.print(f"{backend.describe()}, networks on {device}", markup=False)
+        # a process of a cluster starts in another folder
+        is_file = Path(arguments.preset).suffix in (".yaml", ".yml")
+        name = str(Path(arguments.preset).resolve()) if is_file else arguments.preset
+        results = arguments.results.resolve()
+        options = ("--device", device)
+        harness = Harness(preset, name, store, results, backend, console, options)
         outcome = harness.run()
         if outcome.skipped:
             console.print(f"{len(outcome.skipped)} runs were complete already")
         if outcome.interrupted:
             console.print(f"Interrupted; the same command resumes. Results so far: {store.folder}")
             return 130
-        _write_tables(store, console)
-        _write_figures(store, console)
+        _write_report(store, console)
     console.print(f"Runs: {store.folder / 'runs'}")
     if outcome.failed:
         console.print(f"Failed: {', '.join(outcome.failed)}; the same command tries again")
@@ -50,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _write_tables(store: Store, console: Console) -> None:
+def _write_tables(store: Store, console: Console) -> list[Table]:
     from benchmarks.tables import PRINTED, build_tables, write_tables
 
     built = build_tables(store)
@@ -59,69 +70,76 @@ def _write_tables(store: Store, console: Console) -> None:
         if table.name in PRINTED:
             console.print(table.markdown(), markup=False, highlight=False)
     console.print(f"Tables (CSV, Markdown, LaTeX): {store.tables}")
+    return built
 
 
-def _write_figures(store: Store, console: Console) -> None:
+def _write_figures(store: Store, console: Console) -> list[tuple[Picture, Path]]:
     from benchmarks.figures import write_figures
 
-    if write_figures(store):
+    drawn = write_figures(store)
+    if drawn:
         console.print(f"Figures: {store.figures}")
+    return drawn
+
+
+def _write_report(store: Store, console: Console) -> None:
+    from benchmarks.html_report import write_report
+
+    path = write_report(store, _write_tables(store, console), _write_figures(store, console))
+    console.print(f"Report: {path}")
 
 
 def plan(arguments: argparse.Namespace) -> int:
     """The cells of a preset, whether they are complete, and what they cost."""
     from rich.table import Column, Table
 
+    from benchmarks.backends import default_jobs
+    from benchmarks.costs import costs, duration, wall_seconds
+
     preset = load_preset(arguments.preset)
-    cells = expand(preset)
     store = Store(arguments.results, preset.name)
     if store.folder.is_dir() and any(store.folder.iterdir()):
         store = Store.open(arguments.results, preset.name)
-    width = max(len(cell.id) for cell in cells)
-    name = Column("cell", no_wrap=True, min_width=width)
-    table = Table(name, "state", Column("wall (s)", no_wrap=True), Column("left (s)", no_wrap=True))
-    rates = _measured_rate(preset, store)
-    left = 0.0
-    for cell in cells:
-        folder = store.run(cell.id)
-        folder.check_config(settings(preset, cell))
-        share = 0.0 if folder.is_complete() else folder.progress()[0]
-        if folder.is_done(cell.learns):
-            table.add_row(cell.id, "complete", f"{folder.meta()['wall_seconds']:.0f}", "")
-            continue
-        ahead = (1.0 - share) * work_units(preset, cell) * rates.get(cell.method, GUESSED_RATE)
-        left += ahead
-        state = f"{100 * share:.0f} %" if share else "missing"
-        table.add_row(cell.id, state, "", f"{ahead:.0f}")
+    others = [
+        Store(arguments.results, path.parent.name)
+        for path in sorted(arguments.results.glob("*/store.json"))
+        if path.parent != store.folder
+    ]
+    found = costs(preset, store, others)
+    name = Column("cell", no_wrap=True, min_width=max(len(cost.cell.id) for cost in found))
+    table = Table(name, "state", Column("took", no_wrap=True), Column("left", no_wrap=True))
+    for cost in found:
+        times = (duration(cost.seconds), "") if cost.complete else ("", duration(cost.seconds))
+        table.add_row(cost.cell.id, cost.state, *times)
     console = Console(soft_wrap=True)
     console.print(table)
-    guess = "" if rates else ", a guess before the first run"
-    text = f"; about {left / 60:.0f} min of one core left{guess}" if left else ""
-    console.print(f"{len(cells)} cells of preset '{preset.name}' in {store.folder}{text}")
+    todo = [cost for cost in found if not cost.complete]
+    console.print(
+        f"{len(found)} cells of preset '{preset.name}' in {store.folder}, {len(todo)} to run"
+    )
+    if todo:
+        jobs = default_jobs() if arguments.jobs is None else arguments.jobs
+        alone = duration(sum(cost.seconds for cost in todo))
+        guessed = sum(cost.guessed for cost in todo)
+        text = f"About {alone} of one core left, {duration(wall_seconds(found, jobs))} with "
+        text += f"{jobs} process{'es' if jobs > 1 else ''}"
+        if guessed:
+            text += f"; a guess for {guessed} cells of a kind that never ran here"
+        console.print(text)
     return 0
-
-
-def _measured_rate(preset: Preset, store: Store) -> dict[str, float]:
-    """Seconds per unit of work of each method, from complete runs."""
-    totals: dict[str, tuple[float, int]] = {}
-    for cell in expand(preset):
-        folder = store.run(cell.id)
-        if folder.is_complete():
-            seconds, units = totals.get(cell.method, (0.0, 0))
-            wall = float(folder.meta()["wall_seconds"])
-            totals[cell.method] = seconds + wall, units + work_units(preset, cell)
-    return {method: seconds / units for method, (seconds, units) in totals.items()}
 
 
 def train(arguments: argparse.Namespace) -> int:
     """One cell in this process; what the harness starts, and what a cluster can start."""
-    from benchmarks.cell import StopFlag, run_cell
+    from benchmarks.cell import StopFlag, check_device, run_cell
 
     preset, store = _open(arguments, create=True)
     cell = find(preset, arguments.cell)
+    device = arguments.device or "cpu"
+    check_device(device)
     flag = StopFlag(arguments.parent)
     flag.listen()
-    complete = run_cell(preset, cell, store, flag)
+    complete = run_cell(preset, cell, store, flag, arguments.wait, device)
     folder = store.run(cell.id).path
     if not complete:
         print(f"{cell.id}: stopped, the checkpoint is in {folder}; the same command resumes")
@@ -131,17 +149,48 @@ def train(arguments: argparse.Namespace) -> int:
 
 
 def evaluate(arguments: argparse.Namespace) -> int:
-    """Score stored policies again, or a model of one's own, on the test episodes."""
-    from benchmarks.scores import score_model, score_store
+    """Score a model or planner of one's own for the leaderboard, or stored policies again."""
+    if arguments.model or arguments.planner:
+        return _evaluate_entry(arguments)
+    from benchmarks.scores import score_store
 
     preset = load_preset(arguments.preset)
-    if arguments.model is not None:
-        lines = score_model(preset, arguments.model, arguments.algorithm, arguments.episodes)
-    else:
-        store = Store.open(arguments.results, preset.name)
-        lines = score_store(preset, store, arguments.episodes)
-    for line in lines:
+    store = Store.open(arguments.results, preset.name)
+    for line in score_store(preset, store, arguments.episodes):
         print(line)
+    return 0
+
+
+def _evaluate_entry(arguments: argparse.Namespace) -> int:
+    from benchmarks.entries import Entry, glance, join, prepare
+
+    preset, console = load_preset(arguments.preset), Console(soft_wrap=True)
+    source = arguments.model[0].stem if arguments.model else arguments.planner.partition(":")[2]
+    entry = Entry(
+        arguments.name or source or arguments.planner,
+        tuple(arguments.model),
+        arguments.algorithm,
+        arguments.planner,
+        arguments.mask_singularities,
+        arguments.mask_visited,
+    )
+    if arguments.episodes is not None:
+        for line in glance(preset, entry, arguments.episodes):
+            print(line)
+        print("Nothing was stored: the leaderboard needs all test episodes")
+        return 0
+    from benchmarks.tables import build_tables, write_tables
+
+    scorers = prepare(preset, entry)
+    store = Store.open(arguments.results, preset.name, create=True)
+    with store.lock():
+        folders = join(preset, store, entry, scorers, console, arguments.replace)
+        built = build_tables(store)
+        write_tables(store, built)
+    board = next(table for table in built if table.name == "leaderboard")
+    console.print(board.markdown(), markup=False, highlight=False)
+    console.print(f"Episodes: {', '.join(str(folder) for folder in folders)}")
+    console.print(f"Leaderboard (CSV, Markdown, LaTeX): {store.tables / 'leaderboard.md'}")
     return 0
 
 
@@ -161,6 +210,14 @@ def figures(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def report(arguments: argparse.Namespace) -> int:
+    """Tables, figures and the one-page report from stored data."""
+    _, store = _open(arguments)
+    with store.lock():
+        _write_report(store, Console(soft_wrap=True))
+    return 0
+
+
 def curves(arguments: argparse.Namespace) -> int:
     """Where each learner's training curve ended."""
     from benchmarks.results import Results
@@ -172,11 +229,12 @@ def curves(arguments: argparse.Namespace) -> int:
         return 0
     for run_result in learners:
         training = run_result.meta["training"]
-        reached = training["steps_to_75"]
+        reached, share = training["steps_to_75"], training["final_success_20"]
+        last = "no episode" if share is None else f"{100 * share:.0f} %"
         print(
             f"{run_result.folder.id}: {training['episodes']} episodes in "
             f"{training['timesteps']} steps, 75 % over 20 at {reached or 'never'}, "
-            f"last 20: {100 * training['final_success_20']:.0f} %, "
+            f"last 20: {last}, "
             f"{run_result.folder.path / 'curve.csv'}"
         )
     print(f"TensorBoard: tensorboard --logdir {store.folder}")
@@ -184,32 +242,50 @@ def curves(arguments: argparse.Namespace) -> int:
 
 
 def verify(arguments: argparse.Namespace) -> int:
-    """Recompute every table; exit code 1 if one, or the README, disagrees."""
-    from benchmarks.verify import verify as check
+    """Recompute every table; exit code 1 if one, the README or the docs disagree."""
+    from benchmarks.verify import verify_all
 
-    _, store = _open(arguments)
-    problems = check(store, arguments.readme)
-    for problem in problems:
+    presets = [] if arguments.preset is None else [load_preset(arguments.preset).name]
+    report = verify_all(arguments.results, presets, arguments.readme, arguments.docs)
+    for line in report.checked:
+        print(line)
+    for problem in report.problems:
         print(problem, file=sys.stderr)
-    if not problems:
-        print(f"{store.folder}: tables and README agree with the stored episodes")
-    return 1 if problems else 0
+    if report.problems:
+        number = len(report.problems)
+        print(f"{number} difference{'s' if number > 1 else ''} found", file=sys.stderr)
+        return 1
+    print("Everything agrees with the stored data")
+    return 0
 
 
 def readme(arguments: argparse.Namespace) -> int:
-    """Rewrite the README's results section."""
+    """Rewrite the README's results section, and what the pages beside it include."""
+    from benchmarks.includes import rewrite_all
     from benchmarks.readme import rewrite
 
     _, store = _open(arguments)
     changed = rewrite(arguments.readme, store)
     print(f"{arguments.readme}: {'rewritten' if changed else 'up to date'}")
+    for page in rewrite_all(arguments.readme.parent / "docs", arguments.results):
+        print(f"{page}: its included tables are up to date")
     return 0
 
 
 def delegate(word: str, rest: Sequence[str]) -> int:
-    """``speed`` and ``design`` have command lines of their own."""
+    """``speed``, ``design``, ``classic`` and ``tune`` have command lines of their own."""
+    if word == "tune":
+        try:
+            import optuna  # noqa: F401
+        except ImportError as error:
+            raise BenchmarkError(f"tune needs pip install '.[tune]': {error}") from error
+        return _main_of("benchmarks.tune", rest)
+    if word in ("audit", "failures"):
+        return _main_of(f"benchmarks.{word}", rest)
     if word == "design":
         return _main_of("benchmarks.design", rest)
+    if word == "classic":
+        return _main_of("benchmarks.classic.command", rest)
     if not rest or rest[0] not in SPEED:
         given = f"'{rest[0]}'" if rest else "nothing"
         raise BenchmarkError(f"speed of what? known: {known(SPEED)}; given: {given}")

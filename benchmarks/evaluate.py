@@ -5,6 +5,7 @@ Learners act on all episodes of a seed at once, so that the network is asked onc
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -57,11 +58,7 @@ def run_policy(policy: Policy, episodes: Sequence[Episode], noise: float, noise_
 
 def model_policy(model: Any) -> Policy:
     """Greedy actions of an SB3 model; masks go to those whose ``predict`` takes them."""
-    from sb3_contrib import MaskablePPO
-
-    from sb3_rainbow import Rainbow
-
-    takes_masks = isinstance(model, (Rainbow, MaskablePPO))
+    takes_masks = "action_masks" in inspect.signature(model.predict).parameters
 
     def act(observations: Observations, masks: Masks) -> NDArray[Any]:
         arguments = {"action_masks": masks} if takes_masks else {}
@@ -71,12 +68,23 @@ def model_policy(model: Any) -> Policy:
     return act
 
 
-def evaluate_policy(policy: Policy, preset: Preset, seed: int, arguments: dict[str, Any]) -> Rows:
-    """Rows of all test episodes of one seed, at every level of noise of the preset."""
+def evaluate_policy(
+    policy: Policy,
+    preset: Preset,
+    seed: int,
+    arguments: dict[str, Any],
+    tell: Callable[[float], None] = lambda share: None,
+) -> Rows:
+    """Rows of all test episodes of one seed, at every level of noise of the preset.
+
+    ``tell`` hears after each level which share is done.
+    """
     rows: Rows = []
-    for noise in preset.evaluation.noise:
+    levels = preset.evaluation.noise
+    for number, noise in enumerate(levels, start=1):
         episodes = begin_episodes(arguments, seed, preset.evaluation.episodes)
         rows += run_policy(policy, episodes, noise, derive("noise", seed))
+        tell(number / len(levels))
     return rows
 
 
@@ -84,13 +92,23 @@ def evaluate_planner(
     preset: Preset, cell: Cell, arguments: dict[str, Any], tell: Callable[[float], None]
 ) -> Rows:
     """Rows of all test episodes of one planner cell; planners see the true state, without noise."""
-    execute = planner_runner(preset, cell)
-    episodes = begin_episodes(arguments, cell.seed, preset.evaluation.episodes)
+    return play_episodes(planner_runner(preset, cell), preset, cell.seed, arguments, tell)
+
+
+def play_episodes(
+    play: Callable[[Episode], None],
+    preset: Preset,
+    seed: int,
+    arguments: dict[str, Any],
+    tell: Callable[[float], None],
+) -> Rows:
+    """Rows of all test episodes of one seed, played one after the other, without noise."""
+    episodes = begin_episodes(arguments, seed, preset.evaluation.episodes)
     rows: Rows = []
-    for number, episode in enumerate(episodes):
-        execute(episode)
+    for number, episode in enumerate(episodes, start=1):
+        play(episode)
         rows.append(episode.row())
-        tell((number + 1) / len(episodes))
+        tell(number / len(episodes))
     return rows
 
 

@@ -1,156 +1,239 @@
-"""The paper's learning figures and a robustness curve, from stored data alone."""
+"""The paper's learning figures and ours beyond them, from stored data alone: no torch."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Final
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks import labels
+from benchmarks.figure_comparisons import comparisons
+from benchmarks.figure_parts import (
+    EPISODES,
+    METHOD_COLOURS,
+    Picture,
+    canvas,
+    curve_frames,
+    draw_curve,
+    draw_stages,
+    finish,
+    mark_switches,
+    seed_curves,
+    switches,
+)
 from benchmarks.results import Group, Results
-from benchmarks.stats import moving_average
 from benchmarks.store import Store, write_atomic
+from benchmarks.tables_statistics import N_HOLES, configurations
 
-SMOOTHING: Final = 10
+STAGE_0_HOLES: Final = 4
+WIDE: Final = 50  # episodes of the moving average where many lines share the axes
 
-# figure name -> (columns of curve.csv, axis label, logarithmic)
-CURVES: Final[dict[str, tuple[tuple[str, ...], str, bool]]] = {
-    "cumulative_reward": (("episode_reward",), "Episode reward", False),
-    "exploration": (("learning_rate", "noise"), "Learning rate; exploration", True),
-    "holes": (("holes",), "Holes per episode", False),
-    "success": (("success",), "Success rate", False),
-    "max_q": (("mean_max_q",), "Mean max Q", False),
-    "loss": (("loss",), "Loss", True),
-    "duration": (("duration",), "Episode duration (s)", False),
+Groups = dict[str, Group]
+
+# figure name -> (column of curve.csv, axis label, logarithmic, caption)
+CURVES: Final[dict[str, tuple[str, str, bool, str]]] = {
+    "cumulative_reward": (
+        "episode_reward",
+        "Episode reward",
+        False,
+        "Cumulative reward per episode: mean of the last ten, unsmoothed behind it",
+    ),
+    "success": ("success", "Success rate", False, "Success rate over training"),
+    "max_q": ("mean_max_q", "Mean max Q", False, "Average maximum Q-value"),
+    "loss": (
+        "loss",
+        "Loss",
+        True,
+        "Training loss: Rainbow's is a cross-entropy, DQN's a Huber loss, so that levels are not "
+        "to be compared between methods",
+    ),
+    "duration": (
+        "duration",
+        "Episode duration (s)",
+        False,
+        "Duration of an episode: mean of the last ten, unsmoothed behind it",
+    ),
 }
+RAW: Final = frozenset({"cumulative_reward", "duration"})
 
 
-def write_figures(store: Store) -> list[Path]:
-    """Draw all figures of a store; returns their paths."""
-    results = Results(store)
-    paths = []
+def pictures(results: Results) -> list[Picture]:
+    """All figures of a store, in the order of the report."""
+    found: list[Picture] = []
     for track in results.tracks():
-        methods = {
-            labels.METHODS[method]: results.group(method, track=track)
-            for method in ("rainbow", "dqn")
-        }
-        for name, (columns, title, log) in CURVES.items():
-            figure = _curves(methods, columns, title, log)
-            paths.append(_save(store, f"{track}_{name}", figure))
-        ablations = {
-            title: results.group("rainbow", track=track, ablation=key)
-            for key, title in labels.ABLATIONS.items()
-        }
-        figure = _curves(ablations, ("success",), "Success rate", False)
-        paths.append(_save(store, f"{track}_ablation", figure))
-        geometries = {
-            f"{name} geometry": results.group("rainbow", name, track)
-            for name in ("optimized", "initial")
-        }
-        figure = _curves(geometries, ("success",), "Success rate", False)
-        paths.append(_save(store, f"{track}_geometry", figure))
-    if results.tracks():
-        paths.append(_save(store, "robustness", _robustness(results)))
-    return paths
+        found += _learning(results, track)
+        found += _variants(results, track)
+    if any(group.n for _, group in configurations(results)):
+        found += comparisons(results)
+    return found
 
 
-def _axes() -> tuple[Figure, Axes]:
-    figure, axes = plt.subplots(figsize=(6.0, 3.6), dpi=110, layout="constrained")
-    axes.grid(alpha=0.3)
-    return figure, axes
+def write_figures(store: Store) -> list[tuple[Picture, Path]]:
+    """Draw all figures of a store; returns them with their paths."""
+    drawn = []
+    for picture in pictures(Results(store)):
+        path = store.figures / f"{picture.name}.png"
+        data = picture.png()
+        write_atomic(path, partial(_write, data))
+        drawn.append((picture, path))
+    return drawn
 
 
-def _save(store: Store, name: str, figure: Figure) -> Path:
-    path = store.figures / f"{name}.png"
-    # no creation date: the same data must give the same file
-    metadata = {"Software": None}
-    write_atomic(path, lambda temporary: figure.savefig(temporary, format="png", metadata=metadata))
-    plt.close(figure)
-    return path
+def _write(data: bytes, path: Path) -> None:
+    path.write_bytes(data)
 
 
-def _curves(groups: dict[str, Group], columns: tuple[str, ...], title: str, log: bool) -> Figure:
-    figure, axes = _axes()
-    drawn = False
-    for colour, (name, group) in enumerate(groups.items()):
-        frames = [run.folder.rows("curve") for run in group.runs if run.folder.has_rows("curve")]
-        for style, column in zip(("-", "--"), columns, strict=False):
-            label = name if len(columns) == 1 else f"{name}: {_quantity(column, group)}"
-            drawn |= _curve(axes, frames, column, label, f"C{colour}", style)
-        for steps in _switches(group):
-            axes.axvline(steps, color=f"C{colour}", linestyle=":", linewidth=1.0)
-    axes.set_xlabel("Environment steps (dotted: curriculum switch)")
-    axes.set_ylabel(title)
-    if log and drawn:
+def _learning(results: Results, track: str) -> list[Picture]:
+    """The paper's seven learning figures of one track."""
+    groups = {labels.METHODS[method]: group for method, group in results.learners(track)}
+    if not any(curve_frames(group) for group in groups.values()):
+        return []
+    section = f"Learning, {labels.track(track)}"
+    found = [
+        Picture(
+            f"{track}_{name}",
+            section,
+            f"{caption}, {labels.track(track)}.",
+            _alt_of_curves(groups, column, label),
+            partial(_curves, groups, column, label, log, name in RAW),
+        )
+        for name, (column, label, log, caption) in CURVES.items()
+    ]
+    found.insert(1, Picture(
+        f"{track}_exploration", section,
+        f"Learning rate, and noise magnitude or epsilon, {labels.track(track)}.",
+        _alt_of_curves({n: g for n, g in groups.items() if _quantity(g)}, "noise", "Exploration"),
+        partial(_exploration, groups),
+    ))  # fmt: skip
+    found.insert(2, Picture(
+        f"{track}_holes", section,
+        f"Holes per episode by stage of the curriculum, {labels.track(track)}.",
+        _alt_of_curves(groups, "holes", "Holes per episode"),
+        partial(_holes, groups),
+    ))  # fmt: skip
+    return found
+
+
+def _variants(results: Results, track: str) -> list[Picture]:
+    """Success over training of the ablations and of both geometries."""
+    ablations = {
+        title: results.group("rainbow", track=track, ablation=key)
+        for key, title in labels.ABLATIONS.items()
+    }
+    geometries = {
+        f"{name} geometry": results.group("rainbow", name, track)
+        for name in ("optimized", "initial")
+    }
+    found = []
+    for name, groups, caption in (
+        ("ablation", ablations, "Success rate with one component removed: mean of the last fifty"),
+        ("geometry", geometries, "Success rate on either geometry: mean of the last fifty"),
+    ):
+        if sum(bool(curve_frames(group)) for group in groups.values()) > 1:
+            found.append(Picture(
+                f"{track}_{name}", f"Learning, {labels.track(track)}",
+                f"{caption}, {labels.track(track)}.",
+                _alt_of_curves(groups, "success", "Success rate"),
+                partial(_curves, groups, "success", "Success rate", window=WIDE,
+                        band=name == "geometry"),
+            ))  # fmt: skip
+    return found
+
+
+def _alt_of_curves(groups: Groups, column: str, label: str) -> str:
+    """What a chart of curves shows, in words: where each line ends and when the stage changed."""
+    parts = []
+    for name, group in groups.items():
+        _, values = seed_curves(curve_frames(group), column)
+        if values.size:
+            seeds = "1 seed" if len(values) == 1 else f"{len(values)} seeds"
+            parts.append(f"{name} ({seeds}) ends at {values[:, -1].mean():.3g}")
+        steps = switches(group)
+        if steps:
+            parts.append(f"its curriculum switches at {np.mean(steps):.0f} steps")
+    return f"Line chart of {label.lower()} over environment steps: {', '.join(parts)}."
+
+
+def _coloured(groups: Groups) -> list[tuple[str, Group, str]]:
+    """Methods in their own colours; ablations and geometries one after the other."""
+    methods = {labels.METHODS[key]: colour for key, colour in METHOD_COLOURS.items()}
+    return [
+        (name, group, methods.get(name, f"C{i}")) for i, (name, group) in enumerate(groups.items())
+    ]
+
+
+def _curves(
+    groups: Groups,
+    column: str,
+    label: str,
+    log: bool = False,
+    raw: bool = False,
+    band: bool = True,
+    window: int = EPISODES,
+) -> Figure:
+    figure, (axes,) = canvas()
+    for name, group, colour in _coloured(groups):
+        frames = curve_frames(group)
+        draw_curve(axes, frames, column, name, colour, band=band, raw=raw, window=window)
+    if column == "mean_max_q":
+        _mark_support(axes, groups)
+    if band:
+        mark_switches(axes, [(group, colour) for _, group, colour in _coloured(groups)])
+    finish(axes, label)
+    if log and axes.get_lines():
         axes.set_yscale("log")
-    if drawn:
-        axes.legend(fontsize=8)
     return figure
 
 
-def _quantity(column: str, group: Group) -> str:
-    """What a column holds: without noisy layers "noise" is the epsilon of epsilon-greedy."""
-    if column != "noise":
-        return column.replace("_", " ")
+def _mark_support(axes: Axes, groups: Groups) -> None:
+    """The upper end of the support, above which a distributional value cannot go."""
+    for group in groups.values():
+        for run in group.runs[:1]:
+            if run.config["cell"]["method"] == "rainbow":
+                top = float(run.config["track"]["hyperparameters"]["v_max"])
+                axes.axhline(top, color="0.4", linestyle="--", linewidth=0.9, label="V_max")
+
+
+def _exploration(groups: Groups) -> Figure:
+    figure, (above, below) = canvas(2, below=True)
+    for name, group, colour in _coloured(groups):
+        frames = curve_frames(group)
+        draw_curve(above, frames, "learning_rate", name, colour)
+        quantity = _quantity(group)
+        if quantity:
+            draw_curve(below, frames, "noise", f"{name}: {quantity}", colour)
+    for axes, label in ((above, "Learning rate"), (below, "Exploration")):
+        mark_switches(axes, [(group, colour) for _, group, colour in _coloured(groups)])
+        finish(axes, label)
+        if axes.get_lines():
+            axes.set_yscale("log")
+    above.set_xlabel("")
+    return figure
+
+
+def _quantity(group: Group) -> str:
+    """What "noise" holds: without noisy layers epsilon, of an actor-critic nothing."""
     cells = [run.config["cell"] for run in group.runs]
+    if not all(cell["method"] in ("rainbow", "dqn") for cell in cells):
+        return ""
     greedy = any(c["method"] == "dqn" or c["ablation"] == "no_noisy" for c in cells)
     return "epsilon" if greedy else "noise magnitude"
 
 
-def _curve(
-    axes: Axes, frames: Iterable[pd.DataFrame], column: str, label: str, colour: str, style: str
-) -> bool:
-    """Mean over seeds with the range between them, on the steps that all seeds share."""
-    series = []
-    for frame in frames:
-        rows = frame[["timesteps", column]].dropna()
-        if len(rows):
-            steps = rows["timesteps"].to_numpy(dtype=float)
-            series.append((steps, moving_average(rows[column].to_numpy(dtype=float), SMOOTHING)))
-    if not series:
-        return False
-    end = min(steps[-1] for steps, _ in series)
-    grid = np.linspace(max(steps[0] for steps, _ in series), end, 300)
-    values = np.stack([np.interp(grid, steps, y) for steps, y in series])
-    axes.plot(grid, values.mean(axis=0), style, color=colour, label=label, linewidth=1.3)
-    if len(series) > 1:
-        low, high = values.min(axis=0), values.max(axis=0)
-        axes.fill_between(grid, low, high, color=colour, alpha=0.2, linewidth=0)
-    return True
-
-
-def _switches(group: Group) -> list[float]:
-    steps = [run.meta.get("training", {}).get("curriculum_switch") for run in group.runs]
-    return [float(step) for step in steps if step is not None]
-
-
-def _robustness(results: Results) -> Figure:
-    figure, axes = _axes()
-    levels = results.noise_levels()
-    for method in ("rainbow", "dqn"):
-        for track in results.tracks():
-            group = results.group(method, track=track)
-            if not group.n:
-                continue
-            values = [group.success(level) for level in levels]
-            mean = np.array([value.mean for value in values])
-            error = np.array([
-                [value.mean - value.low for value in values],
-                [value.high - value.mean for value in values],
-            ])  # fmt: skip
-            label = f"{labels.METHODS[method]}, {labels.track(track)}"
-            axes.errorbar(levels, mean, np.maximum(error, 0.0), label=label, capsize=3, marker="o")
-    axes.set_xlabel("Observation noise (share of the normalized range)")
-    axes.set_ylabel("Success rate (%)")
-    if axes.get_legend_handles_labels()[1]:
-        axes.legend(fontsize=8)
+def _holes(groups: Groups) -> Figure:
+    figure, (axes,) = canvas()
+    for name, group, colour in _coloured(groups):
+        draw_stages(axes, curve_frames(group), name, colour)
+    for holes, stage in ((STAGE_0_HOLES, 0), (N_HOLES, 1)):
+        axes.axhline(holes, color="0.6", linewidth=0.8)
+        text = f"all of stage {stage}"
+        axes.annotate(text, (0.995, holes), xycoords=("axes fraction", "data"), ha="right",
+                      va="bottom", fontsize=7, color="0.4")  # fmt: skip
+    mark_switches(axes, [(group, colour) for _, group, colour in _coloured(groups)])
+    finish(axes, "Holes per episode")
+    axes.set_ylim(-0.2, N_HOLES + 0.6)
     return figure

@@ -7,6 +7,7 @@ from typing import Final
 METHODS: Final = {
     "rainbow": "Rainbow DQN",
     "dqn": "Vanilla DQN",
+    "maskable_ppo": "MaskablePPO",
     "rrt_connect": "RRT-Connect",
     "rrt_lattice": "RRT-Connect + lattice insertion",
     "optimum": "Exact optimum",
@@ -19,6 +20,7 @@ ABLATIONS: Final = {
     "no_noisy": "- NoisyNets",
     "no_distributional": "- Distributional head",
     "no_double_q": "- Double Q-learning",
+    "none": "All six off (masked DQN)",
 }
 TRACKS: Final = {"printed": "as printed", "repaired": "repaired", "tuned": "tuned"}
 DESIGN_METRICS: Final = {

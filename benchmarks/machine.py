@@ -10,7 +10,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-PACKAGES: Final = ("torch", "stable-baselines3", "gymnasium", "numpy", "numba", "ompl")
+PACKAGES: Final = (
+    *("torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "numba", "ompl"),
+    *("MinAtar", "Box2D"),
+)
 REPOSITORY: Final = Path(__file__).resolve().parent.parent
 
 

@@ -6,7 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
@@ -14,7 +16,7 @@ class Metric:
     """One row of the performance table.
 
     ``column`` is averaged over the episodes where it is there (an episode without an insertion has
-    no completion time), times ``scale``.
+    no completion time), times ``scale``; ``proportion`` says that it holds 0 and 1 alone.
     """
 
     key: str
@@ -22,18 +24,24 @@ class Metric:
     column: str
     digits: int
     scale: float = 1.0
+    proportion: bool = False
+
+    def values(self, episodes: pd.DataFrame) -> NDArray[np.float64]:
+        """The metric of each episode that has it, unscaled."""
+        if self.column not in episodes:
+            return np.empty(0)
+        return np.asarray(episodes[self.column].dropna(), dtype=np.float64)
 
     def reduce(self, episodes: pd.DataFrame) -> float:
         """The metric of one seed's episodes; NaN if no episode has it."""
-        if self.column not in episodes or not len(episodes):
-            return math.nan
-        return float(episodes[self.column].mean()) * self.scale
+        values = self.values(episodes)
+        return float(values.mean()) * self.scale if len(values) else math.nan
 
 
 # the paper's six; collisions and energy count over the whole episode, as the paper defines them,
 # time, alignment and trajectory up to the first insertion
 PAPER_METRICS: Final = (
-    Metric("success", "Success rate (%)", "success", 1, 100.0),
+    Metric("success", "Success rate (%)", "success", 1, 100.0, True),
     Metric("time_first", "Avg. completion time (s)", "time_first", 2),
     Metric("alignment_error", "Avg. alignment error (deg)", "alignment_error", 2),
     Metric("collisions", "Avg. collisions per episode", "collisions", 2),
@@ -41,11 +49,15 @@ PAPER_METRICS: Final = (
     Metric("trajectory_error", "RMS trajectory error (mm)", "trajectory_error", 2),
 )
 
+SUCCESS: Final = PAPER_METRICS[0]
+
 EXTRA_METRICS: Final = (
     Metric("holes", "Holes per episode (of 6)", "holes", 2),
-    Metric("all_holes", "All six holes (% of episodes)", "all_holes", 1, 100.0),
+    Metric("all_holes", "All six holes (% of episodes)", "all_holes", 1, 100.0, True),
     Metric("time_per_hole", "Time per hole, first to last (s)", "time_per_hole", 2),
     Metric("collisions_first", "Collisions up to the first insertion", "collisions_first", 2),
     Metric("energy_first", "Energy proxy up to the first insertion (J)", "energy_first", 2),
-    Metric("singular", "Singularity terminations / 1000 ep.", "singular", 0, 1000.0),
+    Metric("singular", "Singularity terminations / 1000 ep.", "singular", 0, 1000.0, True),
 )
+
+HOLES: Final = EXTRA_METRICS[0]

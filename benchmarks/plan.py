@@ -12,7 +12,7 @@ from typing import Any, Final
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.presets import Preset, RunGroup, as_dict
 
-LEARNERS: Final = ("rainbow", "dqn")
+LEARNERS: Final = ("rainbow", "dqn", "maskable_ppo")
 PLANNERS: Final = ("rrt_connect", "rrt_lattice", "optimum")
 DESIGN: Final = "design"
 METHODS: Final = (*LEARNERS, *PLANNERS)
@@ -27,6 +27,14 @@ ABLATIONS: Final[dict[str, dict[str, Any]]] = {
     "no_noisy": {"noisy": False},
     "no_distributional": {"distributional": False},
     "no_double_q": {"double_q": False},
+    "none": {
+        "prioritized": False,
+        "dueling": False,
+        "n_steps": 1,
+        "noisy": False,
+        "distributional": False,
+        "double_q": False,
+    },
 }
 
 
@@ -63,7 +71,8 @@ def expand(preset: Preset) -> list[Cell]:
     """All cells of ``preset``, each once, the longest runs first.
 
     Raises:
-        BenchmarkError: a method, ablation, geometry or track is unknown or cannot be combined.
+        BenchmarkError: a method, ablation, geometry or track is unknown or cannot be combined, or
+            there is no cell.
     """
     cells: dict[Cell, None] = {}
     for group in preset.runs:
@@ -76,6 +85,10 @@ def expand(preset: Preset) -> list[Cell]:
                             cells[Cell(method, ablation, geometry, track, seed)] = None
     if preset.design is not None:
         cells[Cell(DESIGN, "full", "optimized", "", 0)] = None
+    if not cells:
+        raise BenchmarkError(
+            f"preset '{preset.name}' holds no run: runs and design are empty, or a group's methods"
+        )
     return sorted(cells, key=lambda cell: (-work_units(preset, cell), cell.seed))
 
 
@@ -95,12 +108,16 @@ def find(preset: Preset, cell_id: str) -> Cell:
 
 def work_units(preset: Preset, cell: Cell) -> int:
     """A rough cost in environment steps, for progress bars and the order of runs."""
-    if cell.learns:
-        return preset.tracks[cell.track].timesteps
-    if cell.method == DESIGN:
-        assert preset.design is not None
-        return 1_500 * preset.design.runs
-    return 150 * preset.evaluation.episodes
+    return units_of(settings(preset, cell))
+
+
+def units_of(config: dict[str, Any]) -> int:
+    """:func:`work_units` of a run by its settings, of whatever preset it is."""
+    if "track" in config:
+        return int(config["track"]["timesteps"])
+    if "design" in config:
+        return 1_500 * int(config["design"]["runs"])
+    return 150 * int(config["evaluation"]["episodes"])
 
 
 def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
@@ -114,6 +131,8 @@ def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
         config["dimensions"] = dict(preset.geometries[cell.geometry])
     if cell.learns:
         config["track"] = as_dict(preset.tracks[cell.track])
+        if cell.method != "maskable_ppo":
+            del config["track"]["ppo"]  # so that its settings can change without the others' runs
         config["switches"] = dict(ABLATIONS[cell.ablation])
     else:
         config["planner"] = as_dict(preset.planner)

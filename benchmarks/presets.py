@@ -1,7 +1,8 @@
 """Presets: YAML files with strict keys that say what is trained, for how long and how often.
 
 ``presets/_tracks.yaml`` holds the tracks (a reward and the hyperparameters that go with it) in
-full; a preset names the tracks it uses and overrides what it must, usually only ``timesteps``.
+full; a preset names the tracks it uses and overrides what it must, usually only ``timesteps``. A
+track of another name says with ``base`` which of them it varies.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import yaml
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.strict import build, merge
+from coop_env.task import TRAIL
 
 PRESETS = Path(__file__).parent / "presets"
 DEFAULT_PRESET = "quick"
@@ -56,6 +58,20 @@ class Hyperparameters:
 
 
 @dataclass(frozen=True)
+class PPOSettings:
+    """sb3-contrib's MaskablePPO, a further reference; gamma, net and envs are the track's."""
+
+    learning_rate: float = 1.0e-3
+    learning_rate_end: float = 1.0e-5  # linear decay over the run
+    n_steps: int = 128
+    batch_size: int = 256
+    n_epochs: int = 10
+    gae_lambda: float = 0.95
+    ent_coef: float = 0.01
+    clip_range: float = 0.2
+
+
+@dataclass(frozen=True)
 class Curriculum:
     """Stage 0 has the four peripheral holes, stage 1 all six."""
 
@@ -74,7 +90,10 @@ class Track:
     hyperparameters: Hyperparameters
     reward_kwargs: dict[str, float] = field(default_factory=dict)
     observation: str = "paper"
+    mask_singularities: bool = False  # these two as CoopInsertionEnv's
+    mask_visited: int = 0
     curriculum: Curriculum = field(default_factory=Curriculum)
+    ppo: PPOSettings = field(default_factory=PPOSettings)
 
 
 @dataclass(frozen=True)
@@ -127,9 +146,24 @@ class Preset:
     checkpoint_seconds: float = 60.0
 
 
-def preset_names() -> list[str]:
+def preset_names(folder: Path = PRESETS) -> list[str]:
     """The presets that come with the package."""
-    return sorted(p.stem for p in PRESETS.glob("*.yaml") if not p.stem.startswith("_"))
+    return sorted(p.stem for p in folder.glob("*.yaml") if not p.stem.startswith("_"))
+
+
+def preset_file(name: str, folder: Path, kind: str) -> Path:
+    """The file of a preset of ``folder``, or of a path; ``kind`` says in errors what is known.
+
+    Raises:
+        BenchmarkError: there is no such preset.
+    """
+    path = Path(name) if name.endswith((".yaml", ".yml")) else folder / f"{name}.yaml"
+    if not path.is_file() or (path.parent == folder and path.stem.startswith("_")):
+        raise BenchmarkError(
+            f"unknown preset '{name}'; {kind}: {known(preset_names(folder))} "
+            "(or the path of a .yaml file)"
+        )
+    return path
 
 
 def load_preset(name: str) -> Preset:
@@ -138,13 +172,8 @@ def load_preset(name: str) -> Preset:
     Raises:
         BenchmarkError: there is no such preset, or the file has an unknown or impossible key.
     """
-    path = Path(name) if name.endswith((".yaml", ".yml")) else PRESETS / f"{name}.yaml"
-    if not path.is_file() or (path.parent == PRESETS and path.stem.startswith("_")):
-        raise BenchmarkError(
-            f"unknown preset '{name}'; known presets: {known(preset_names())} "
-            "(or the path of a .yaml file)"
-        )
-    return parse_preset(_read_yaml(path), path.stem, str(path.name))
+    path = preset_file(name, PRESETS, "known presets")
+    return parse_preset(read_yaml(path), path.stem, str(path.name))
 
 
 def parse_preset(data: dict[str, Any], name: str, where: str) -> Preset:
@@ -154,12 +183,18 @@ def parse_preset(data: dict[str, Any], name: str, where: str) -> Preset:
     tracks = data.get("tracks", {})
     if not isinstance(tracks, dict):
         raise BenchmarkError(f"{where}: tracks: expected a mapping, found {tracks!r}")
-    library = _read_yaml(PRESETS / "_tracks.yaml")
+    library = read_yaml(PRESETS / "_tracks.yaml")
     full = {}
     for track, override in tracks.items():
         if override is not None and not isinstance(override, dict):
             raise BenchmarkError(f"{where}: tracks: {track}: expected a mapping: {override!r}")
-        full[track] = merge(library.get(track, {}), override or {})
+        override = dict(override or {})
+        base = override.pop("base", track)
+        if base != track and base not in library:
+            raise BenchmarkError(
+                f"{where}: tracks: {track}: unknown base '{base}'; known: {known(library)}"
+            )
+        full[track] = merge(library.get(base, {}), override)
     preset = build(Preset, {**data, "name": name, "tracks": full}, where)
     _check(preset, where)
     return preset
@@ -187,6 +222,11 @@ def _check(preset: Preset, where: str) -> None:
             raise BenchmarkError(
                 f"{where}: tracks: {name}: unknown reward '{track.reward}'; known: paper, progress"
             )
+        if not 0 <= track.mask_visited <= TRAIL:
+            raise BenchmarkError(
+                f"{where}: tracks: {name}: mask_visited = {track.mask_visited} must be from 0 to "
+                f"{TRAIL}"
+            )
     _check_geometries(preset, where)
 
 
@@ -207,7 +247,12 @@ def as_dict(value: object) -> dict[str, Any]:
     return dataclasses.asdict(value)  # type: ignore[call-overload]
 
 
-def _read_yaml(path: Path) -> dict[str, Any]:
+def read_yaml(path: Path) -> dict[str, Any]:
+    """The mapping that a YAML file holds.
+
+    Raises:
+        BenchmarkError: the file is no YAML, or no mapping.
+    """
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
     except yaml.YAMLError as error:

@@ -9,6 +9,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.report import Table
 from benchmarks.results import Results
 from benchmarks.store import Store, write_text
+from benchmarks.summary import sentences
 from benchmarks.tables import PRINTED, build_tables
 
 BEGIN: Final = "<!-- results:begin -->"
@@ -16,18 +17,21 @@ END: Final = "<!-- results:end -->"
 
 
 def results_block(store: Store, tables: list[Table] | None = None) -> str:
-    """The five printed tables and where they come from, between the two markers."""
+    """What came out in sentences, the printed tables, their origin; between the two markers."""
     built = build_tables(store) if tables is None else tables
     preset = store.folder.name
     parts = [BEGIN, f"<!-- written by: python -m benchmarks readme --preset {preset} -->", ""]
-    parts.append(_provenance(Results(store), preset))
+    results = Results(store)
+    parts += [provenance(results, preset), ""]
+    parts += [f"- {sentence}" for sentence in sentences(results)]
     for table in built:
         if table.name in PRINTED:
             parts += ["", table.markdown().rstrip()]
     return "\n".join([*parts, "", END])
 
 
-def _provenance(results: Results, preset: str) -> str:
+def provenance(results: Results, preset: str) -> str:
+    """How many runs, how long, at which commit and on which machine."""
     runs = results.all()
     if not runs:
         return f"Preset `{preset}`: no run is complete."

@@ -7,21 +7,53 @@ import io
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final
 
+from benchmarks.compare import judged, outside
 from benchmarks.stats import Value
 from benchmarks.store import write_text
+
+FLAG: Final = "†"
+NARROW: Final = 5  # columns of a table that fits one column of a paper
 
 
 @dataclass(frozen=True)
 class Number:
-    """A cell with a value, and the digits to print it with."""
+    """A cell with a value of ours.
+
+    Attributes:
+        value: the number, its spread and its interval.
+        digits: after the point.
+        suffix: printed behind it.
+        paper: what the paper prints for it, if anything.
+        shown: printed in place of the value, where that is no plain number.
+        differs: whether it disagrees with the paper, where the interval alone cannot tell.
+    """
 
     value: Value
     digits: int = 1
     suffix: str = ""
+    paper: str = ""
+    shown: str = ""
+    differs: bool | None = None
+
+    @property
+    def judged(self) -> bool:
+        """Whether it could be held against the paper's number."""
+        return self.differs is not None or judged(self.value, self.paper)
+
+    @property
+    def flagged(self) -> bool:
+        """Whether the paper's number lies outside our interval."""
+        return outside(self.value, self.paper) if self.differs is None else self.differs
+
+    def plain(self) -> str:
+        """The value as printed, without a flag."""
+        return self.shown or self.value.text(self.digits) + (self.suffix if self.value.n else "")
 
     def text(self) -> str:
-        return self.value.text(self.digits) + (self.suffix if self.value.n else "")
+        """The value as printed, with a flag if the paper's number lies outside our interval."""
+        return f"{self.plain()} {FLAG}" if self.flagged else self.plain()
 
 
 Cell = str | Number
@@ -29,13 +61,18 @@ Cell = str | Number
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the report: header, rows, and notes that belong under it."""
+    """A table of the report: header, rows, and notes that belong under it.
+
+    ``left`` are the columns set flush left; of them ``prose`` hold sentences and wrap.
+    """
 
     name: str
     title: str
     header: list[str]
     rows: list[list[Cell]]
     notes: list[str] = field(default_factory=list)
+    left: tuple[int, ...] = (0,)
+    prose: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         for row in self.rows:
@@ -51,20 +88,27 @@ class Table:
         grid = [[_escape_markdown(text) for text in row] for row in self.texts()]
         head = [_escape_markdown(text) for text in self.header]
         widths = [max(len(r[i]) for r in [head, *grid]) for i in range(len(head))]
+        for i in self.prose:
+            widths[i] = len(head[i])  # sentences are not padded to the longest
+        left = {*self.left, *self.prose}
         lines = [f"**{self.title}**", ""]
-        lines.append(_pipe(head, widths))
-        align = ["-" * widths[0]] + ["-" * (w - 1) + ":" for w in widths[1:]]
+        lines.append(_pipe(head, widths, left))
+        align = ["-" * w if i in left else "-" * (w - 1) + ":" for i, w in enumerate(widths)]
         lines.append("| " + " | ".join(align) + " |")
-        lines += [_pipe(row, widths) for row in grid]
+        lines += [_pipe(row, widths, left) for row in grid]
         if self.notes:
             lines += ["", *[f"- {note}" for note in self.notes]]
         return "\n".join(lines) + "\n"
 
     def latex(self) -> str:
-        """A booktabs ``table`` environment; needs ``\\usepackage{booktabs}``."""
-        columns = "l" + "c" * (len(self.header) - 1)
+        """A booktabs ``table``, across both columns if wide; needs ``\\usepackage{booktabs}``."""
+        environment = "table" if len(self.header) <= NARROW else "table*"
+        columns = "".join(
+            r"p{0.3\linewidth}" if i in self.prose else "l" if i in self.left else "c"
+            for i in range(len(self.header))
+        )
         lines = [
-            r"\begin{table}[t]",
+            rf"\begin{{{environment}}}[t]",
             rf"    \caption{{{_escape_latex(self.title)}}}",
             rf"    \label{{tab:{self.name}}}",
             r"    \centering",
@@ -78,7 +122,7 @@ class Table:
         ]
         lines += [r"        \bottomrule", r"    \end{tabular}"]
         lines += [rf"    \par\footnotesize {_escape_latex(note)}" for note in self.notes]
-        lines.append(r"\end{table}")
+        lines.append(rf"\end{{{environment}}}")
         return "\n".join(lines) + "\n"
 
     def csv(self) -> str:
@@ -126,9 +170,9 @@ def _parts(cell: Cell) -> list[str]:
     return ["" if math.isnan(x) else f"{x:.7g}" for x in numbers]
 
 
-def _pipe(cells: list[str], widths: list[int]) -> str:
+def _pipe(cells: list[str], widths: list[int], left: set[int]) -> str:
     padded = [
-        c.ljust(w) if i == 0 else c.rjust(w)
+        c.ljust(w) if i in left else c.rjust(w)
         for i, (c, w) in enumerate(zip(cells, widths, strict=True))
     ]
     return "| " + " | ".join(padded) + " |"
@@ -149,6 +193,7 @@ _LATEX = {
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
     "±": r"$\pm$",
+    "†": r"$^\dagger$",
     "→": r"$\to$",
     "°": r"$^\circ$",
     "²": r"$^2$",

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final
 
 import pandas as pd
 
-from benchmarks.stats import Value, means, over_seeds, stratified_bootstrap, wilson
+from benchmarks.metrics import SUCCESS, Metric
+from benchmarks.plan import DESIGN, LEARNERS, expand
+from benchmarks.presets import load_preset, preset_names
+from benchmarks.stats import Value, mean_interval, over_seeds, wilson
 from benchmarks.store import RunFolder, Store
 
 TRACK_ORDER: Final = ("printed", "repaired", "tuned")
+Key = tuple[str, str, str, str]  # method, ablation, geometry, track
 
 
 @dataclass(frozen=True)
@@ -26,41 +30,90 @@ class Result:
     episodes: pd.DataFrame
 
     def test(self, noise: float = 0.0) -> pd.DataFrame:
-        """Test episodes at one level of observation noise, by episode."""
-        rows = self.episodes[self.episodes["noise"] == noise]
-        return rows.sort_values("episode").reset_index(drop=True)
+        """Test episodes at one level of observation noise, by episode; not to be written to."""
+        return self._by_noise.get(noise, self.episodes.iloc[:0])
+
+    @cached_property
+    def _by_noise(self) -> dict[float, pd.DataFrame]:
+        return {
+            float(str(noise)): rows.sort_values("episode").reset_index(drop=True)
+            for noise, rows in self.episodes.groupby("noise")
+        }
 
 
 @dataclass(frozen=True)
 class Group:
-    """The runs of one configuration, one per seed; empty if there are none."""
+    """The runs of one configuration, one per seed; empty if there are none.
+
+    ``planned`` is how many the preset holds, 0 where that is not known.
+    """
 
     runs: tuple[Result, ...] = ()
+    planned: int = 0
 
     @property
     def n(self) -> int:
         return len(self.runs)
 
-    def value(self, reduce: Callable[[pd.DataFrame], float], noise: float = 0.0) -> Value:
-        """``reduce`` of each seed's test episodes, over seeds."""
-        return over_seeds([reduce(run.test(noise)) for run in self.runs])
+    @property
+    def absent(self) -> str:
+        """What a cell says where no run is complete."""
+        return "missing" if self.planned else "-"
+
+    def value(self, metric: Metric, noise: float = 0.0) -> Value:
+        """A metric of each seed's test episodes, over seeds, with a 95 % interval.
+
+        One seed: over its episodes, Wilson's interval of a proportion and else the bootstrap of a
+        mean. Several: the stratified bootstrap over seeds.
+        """
+        tests = [rows for rows in (run.test(noise) for run in self.runs) if len(rows)]
+        numbers = [metric.reduce(rows) for rows in tests]
+        value = over_seeds(numbers)
+        if value.n == 0:
+            return value
+        if value.n > 1:
+            low, high = mean_interval(numbers)
+            return replace(value, low=low, high=high)
+        (episodes,) = (x for x in (metric.values(rows) for rows in tests) if len(x))
+        if metric.proportion:
+            low, high = wilson(int(episodes.sum()), len(episodes))
+        else:
+            low, high = mean_interval(episodes)
+        return replace(value, low=metric.scale * low, high=metric.scale * high)
 
     def success(self, noise: float = 0.0) -> Value:
-        """Success rate in %, with a 95 % interval.
+        """Success rate in %, with a 95 % interval."""
+        return self.value(SUCCESS, noise)
 
-        One seed: Wilson's interval over its episodes. Several: the stratified bootstrap over seeds.
+    def change(self, noise: float) -> Value:
+        """Change of the success rate, in points, from no noise to ``noise``, with an interval.
+
+        One seed: over its episodes, which are the same at either level.
         """
-        tests = [run.test(noise) for run in self.runs]
-        tests = [rows for rows in tests if len(rows)]
-        rates = [100.0 * float(rows["success"].mean()) for rows in tests]
-        value = over_seeds(rates)
-        if value.n == 1:
-            low, high = wilson(int(tests[0]["success"].sum()), len(tests[0]))
-            return Value(value.mean, value.std, 1, 100 * low, 100 * high)
+        pairs = [(run.test()["success"], run.test(noise)["success"]) for run in self.runs]
+        changes = [100.0 * (b - a).to_numpy(dtype=float) for a, b in pairs if len(a) == len(b)]
+        value = over_seeds([each.mean() for each in changes])
+        if value.n == 0:
+            return value
+        low, high = mean_interval(changes[0] if value.n == 1 else [each.mean() for each in changes])
+        return replace(value, low=low, high=high)
+
+    def singular_per_1000(self) -> Value:
+        """Singularity terminations per 1000 training episodes, with an interval as for success."""
+        numbers = [
+            1000.0 * t["singular"] / t["episodes"] for t in self._training() if t["episodes"]
+        ]
+        value = over_seeds(numbers)
         if value.n > 1:
-            low, high = stratified_bootstrap([[rate] for rate in rates], means)
-            return Value(value.mean, value.std, value.n, low, high)
+            low, high = mean_interval(numbers)
+            return replace(value, low=low, high=high)
+        for training in self._training():
+            low, high = wilson(training["singular"], training["episodes"])
+            return replace(value, low=1000.0 * low, high=1000.0 * high)
         return value
+
+    def _training(self) -> list[dict[str, Any]]:
+        return [run.meta["training"] for run in self.runs if run.meta["training"]]
 
     def meta(self, key: str, scale: float = 1.0) -> Value:
         """A number of meta.json over seeds; null counts as not observed."""
@@ -80,18 +133,22 @@ class Results:
 
     def __init__(self, store: Store) -> None:
         self.design: RunFolder | None = None
-        found: dict[tuple[str, str, str, str], list[Result]] = {}
+        found: dict[Key, list[Result]] = {}
         for folder in store.completed():
             config = folder.config()
             cell = config["cell"]
-            if cell["method"] == "design":
+            if cell["method"] == DESIGN:
                 self.design = folder
                 continue
             key = (cell["method"], cell["ablation"], cell["geometry"], cell["track"])
             result = Result(cell["seed"], config, folder.meta(), folder, folder.rows("episodes"))
             found.setdefault(key, []).append(result)
+        self.planned = _planned(store)
         self._groups = {
-            key: Group(tuple(sorted(runs, key=lambda r: r.seed))) for key, runs in found.items()
+            key: Group(
+                tuple(sorted(found.get(key, []), key=lambda r: r.seed)), self.planned.get(key, 0)
+            )
+            for key in {**found, **self.planned}
         }
 
     def group(
@@ -101,10 +158,16 @@ class Results:
         return self._groups.get((method, ablation, geometry, track), Group())
 
     def tracks(self) -> list[str]:
-        """Tracks that any learner ran in, in the order printed, repaired, tuned, others."""
+        """Tracks that are planned or were run, in the order printed, repaired, tuned, others."""
         names = {key[3] for key in self._groups if key[3]}
         known = [track for track in TRACK_ORDER if track in names]
         return known + sorted(names - set(TRACK_ORDER))
+
+    def learners(self, track: str) -> list[tuple[str, Group]]:
+        """(method, runs) of the learners of a track that are planned or were run; DQN first."""
+        order = ("dqn", "rainbow", *(m for m in LEARNERS if m not in ("dqn", "rainbow")))
+        found = [(method, self.group(method, track=track)) for method in order]
+        return [(method, group) for method, group in found if group.n or group.planned]
 
     def noise_levels(self) -> list[float]:
         """Levels of observation noise that any run was tested at."""
@@ -117,6 +180,18 @@ class Results:
     def all(self) -> list[Result]:
         """Every run but the geometric optimization."""
         return [run for group in self._groups.values() for run in group.runs]
+
+
+def _planned(store: Store) -> dict[Key, int]:
+    """How many runs of each configuration the store's preset holds; empty if it is not at hand."""
+    if store.folder.name not in preset_names():
+        return {}
+    planned: dict[Key, int] = {}
+    for cell in expand(load_preset(store.folder.name)):
+        if cell.method != DESIGN:
+            key = (cell.method, cell.ablation, cell.geometry, cell.track)
+            planned[key] = planned.get(key, 0) + 1
+    return planned
 
 
 def excess_over_optimum(ours: Group, optimum: Group) -> Value:

@@ -1,63 +1,21 @@
-"""Scores on the test episodes: of stored policies, and of any SB3 model brought along."""
+"""Scores of stored policies on the test episodes, once more and in words."""
 
 from __future__ import annotations
 
 import dataclasses
-import zipfile
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from benchmarks.errors import BenchmarkError, known
+from benchmarks.errors import BenchmarkError
 from benchmarks.evaluate import evaluate_policy, model_policy
 from benchmarks.metrics import EXTRA_METRICS, PAPER_METRICS
-from benchmarks.plan import Cell, expand
+from benchmarks.model_files import load_model
+from benchmarks.plan import expand
 from benchmarks.presets import Preset
 from benchmarks.store import Store
-from benchmarks.train import ALGORITHMS, env_arguments
-
-
-def algorithms() -> dict[str, Any]:
-    """Names of the algorithms whose models can be scored."""
-    import sb3_contrib
-    import stable_baselines3
-
-    return {
-        **ALGORITHMS,
-        "ppo": stable_baselines3.PPO,
-        "a2c": stable_baselines3.A2C,
-        "maskable_ppo": sb3_contrib.MaskablePPO,
-        "qrdqn": sb3_contrib.QRDQN,
-    }
-
-
-def load_model(path: Path, algorithm: str) -> Any:
-    """A model saved by SB3.
-
-    Raises:
-        BenchmarkError: the algorithm is unknown, or the file is missing or not its model.
-    """
-    choices = algorithms()
-    if algorithm not in choices:
-        raise BenchmarkError(f"unknown algorithm '{algorithm}'; known: {known(choices)}")
-    if not path.is_file():
-        raise BenchmarkError(f"{path} is missing; give a .zip that model.save() wrote")
-    try:
-        return choices[algorithm].load(path, device="cpu")
-    except (ValueError, KeyError, TypeError, RuntimeError, zipfile.BadZipFile) as error:
-        raise BenchmarkError(f"{path} is no model of '{algorithm}': {error}") from error
-
-
-def score_model(preset: Preset, path: Path, algorithm: str, episodes: int | None) -> Iterator[str]:
-    """One line per seed, level of noise and geometry 'optimized' for a model of one's own."""
-    model = load_model(path, algorithm)
-    cell = Cell(algorithm, "full", "optimized", "", 0)
-    arguments = env_arguments(preset, cell)
-    if model.observation_space.shape != (12,):
-        arguments["observation"] = "markov"
-    yield from _score(preset, model, arguments, episodes, path.name, preset.seeds)
+from benchmarks.train import env_arguments
 
 
 def score_store(preset: Preset, store: Store, episodes: int | None) -> Iterator[str]:
@@ -88,9 +46,14 @@ def _score(
         preset = dataclasses.replace(preset, evaluation=tests)
     for seed in seeds:
         rows = pd.DataFrame(evaluate_policy(model_policy(model), preset, seed, arguments))
-        for noise, group in rows.groupby("noise"):
-            parts = [
-                f"{metric.label} {metric.reduce(group):.{metric.digits}f}"
-                for metric in (*PAPER_METRICS, *EXTRA_METRICS[:2])
-            ]
-            yield f"{name}, seed {seed}, noise {noise:g}: {'; '.join(parts)}"
+        yield from in_words(rows, f"{name}, seed {seed}")
+
+
+def in_words(rows: pd.DataFrame, name: str) -> Iterator[str]:
+    """One line per level of noise: the paper's metrics, and holes."""
+    for noise, group in rows.groupby("noise"):
+        parts = [
+            f"{metric.label} {metric.reduce(group):.{metric.digits}f}"
+            for metric in (*PAPER_METRICS, *EXTRA_METRICS[:2])
+        ]
+        yield f"{name}, noise {noise:g}: {'; '.join(parts)}"

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from benchmarks.machine import describe
+from benchmarks.store import write_text
 
 T = TypeVar("T")
 
@@ -36,8 +37,7 @@ def measured(what: str, measure: Callable[..., T], *arguments: Any) -> T:
 def write(results: Path, name: str, found: dict[str, Any], text: str) -> None:
     """Write ``speed/<name>.json`` and ``.md`` below the results folder, and print the text."""
     folder = results / "speed"
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{name}.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    (folder / f"{name}.md").write_text(text, encoding="utf-8")
+    write_text(folder / f"{name}.json", json.dumps(found, indent=1) + "\n")
+    write_text(folder / f"{name}.md", text)
     print(text)
     print(f"Written to {folder / name}.json and .md")

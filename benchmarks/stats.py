@@ -92,6 +92,36 @@ def means(scores: Array) -> Array:
     return np.asarray(scores.reshape(scores.shape[0], -1).mean(axis=1), dtype=np.float64)
 
 
+def medians(scores: Array) -> Array:
+    """The median over tasks of the mean over runs, of each of k sets (k, runs, tasks)."""
+    return np.asarray(np.median(scores.mean(axis=1), axis=1), dtype=np.float64)
+
+
+def optimality_gaps(scores: Array) -> Array:
+    """What scores lack to 1, those above 1 counted as 1, of each of k sets (k, ...)."""
+    return 1.0 - means(np.minimum(scores, 1.0))
+
+
+def _resamples(scores: Array, repetitions: int, rng: np.random.Generator) -> Array:
+    """Stratified resamples (k, runs, tasks): each task's runs are drawn apart, with replacement."""
+    runs, tasks = scores.shape
+    drawn = rng.integers(runs, size=(repetitions, runs, tasks))
+    return scores[drawn, np.arange(tasks)]
+
+
+def _matrix(scores: ArrayLike) -> Array:
+    data = np.asarray(scores, dtype=np.float64)
+    if data.ndim != 2:
+        raise ValueError(f"scores must be (runs, tasks), found shape {data.shape}")
+    return data
+
+
+def _percentiles(draws: Array, confidence: float) -> tuple[float, float]:
+    tail = (1 - confidence) / 2
+    low, high = np.quantile(draws, [tail, 1 - tail])
+    return float(low), float(high)
+
+
 def stratified_bootstrap(
     scores: ArrayLike,
     statistic: Callable[[Array], Array] = interquartile_means,
@@ -115,18 +145,77 @@ def stratified_bootstrap(
     Returns:
         Lower and upper end; NaN with fewer than two runs.
     """
-    data = np.asarray(scores, dtype=np.float64)
-    if data.ndim != 2:
-        raise ValueError(f"scores must be (runs, tasks), found shape {data.shape}")
-    runs, tasks = data.shape
-    if runs < 2:
+    data = _matrix(scores)
+    if len(data) < 2:
         return math.nan, math.nan
     rng = np.random.default_rng(seed)
-    drawn = rng.integers(runs, size=(repetitions, runs, tasks))
-    draws = statistic(data[drawn, np.arange(tasks)])
-    tail = (1 - confidence) / 2
-    low, high = np.quantile(draws, [tail, 1 - tail])
-    return float(low), float(high)
+    return _percentiles(statistic(_resamples(data, repetitions, rng)), confidence)
+
+
+def mean_interval(values: ArrayLike) -> tuple[float, float]:
+    """95 % bootstrap interval of the mean of a sample; NaNs are left out, NaN below two values."""
+    data = np.asarray(values, dtype=np.float64)
+    return stratified_bootstrap(data[~np.isnan(data)][:, None], means)
+
+
+def t_interval(mean: float, std: float, n: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Student's interval of a mean of which only the sample's mean, deviation and size are kept."""
+    if n < 2 or math.isnan(std):
+        return math.nan, math.nan
+    half = float(scipy.stats.t.ppf(0.5 + confidence / 2, n - 1)) * std / math.sqrt(n)
+    return mean - half, mean + half
+
+
+def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> Array:
+    """Share of all scores above each threshold: Agarwal et al. 2021, equation (3).
+
+    Args:
+        scores: (runs, tasks).
+        thresholds: (T,).
+
+    Returns:
+        (T,) shares.
+    """
+    data, tau = _matrix(scores), np.asarray(thresholds, dtype=np.float64)
+    return np.asarray((data.reshape(1, -1) > tau[:, None]).mean(axis=1), dtype=np.float64)
+
+
+def profile_over_seeds(
+    scores: Sequence[ArrayLike], thresholds: ArrayLike, seed: int = 0
+) -> tuple[Array, Array, Array]:
+    """Mean performance profile of seeds, each with its own test episodes, and a 95 % band.
+
+    Whole seeds are resampled: the episodes of a seed share one trained network, so that drawing
+    them apart would make the band too narrow.
+
+    Args:
+        scores: one array of episode scores per seed.
+        thresholds: (T,).
+        seed: makes the band repeat.
+
+    Returns:
+        Mean, lower and upper end, each (T,); the ends are NaN with fewer than two seeds.
+    """
+    profiles = np.stack([
+        performance_profile(np.asarray(s, dtype=np.float64)[:, None], thresholds) for s in scores
+    ])  # fmt: skip
+    return mean_band(profiles, seed)
+
+
+def mean_band(curves: ArrayLike, seed: int = 0) -> tuple[Array, Array, Array]:
+    """Mean of curves (seeds, T), and at each point a 95 % interval by resampling whole curves.
+
+    Returns:
+        Mean, lower and upper end, each (T,); the ends are NaN with fewer than two curves.
+    """
+    data = _matrix(curves)
+    mean = data.mean(axis=0)
+    if len(data) < 2:
+        return mean, np.full_like(mean, math.nan), np.full_like(mean, math.nan)
+    rng = np.random.default_rng(seed)
+    weights = rng.multinomial(len(data), np.full(len(data), 1.0 / len(data)), 2_000) / len(data)
+    low, high = np.quantile(weights @ data, [0.025, 0.975], axis=0)
+    return mean, low, high
 
 
 def paired_t_test(ours: ArrayLike, theirs: ArrayLike) -> PairedTest:
@@ -164,16 +253,51 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
 
 def probability_of_improvement(ours: ArrayLike, theirs: ArrayLike) -> float:
-    """P(ours > theirs) over all pairs of runs, ties counted half (Mann-Whitney)."""
+    """P(ours > theirs) over all pairs of runs, ties counted half (Mann-Whitney), mean over tasks.
+
+    Args:
+        ours: (n, tasks), or (n,) for one task.
+        theirs: (m, tasks), or (m,).
+    """
     a, b = np.asarray(ours, dtype=np.float64), np.asarray(theirs, dtype=np.float64)
-    greater = (a[:, None] > b[None, :]) + 0.5 * (a[:, None] == b[None, :])
-    return float(greater.mean())
+    a, b = a.reshape(len(a), -1), b.reshape(len(b), -1)
+    return float(_improvements(a[None], b[None])[0])
 
 
-def moving_average(values: ArrayLike, window: int) -> Array:
-    """Mean of the last ``window`` values at each point; fewer at the start."""
+def _improvements(a: Array, b: Array) -> Array:
+    """Probability of improvement (k,) of k pairs of sets (k, n, tasks) and (k, m, tasks)."""
+    left, right = a[:, :, None, :], b[:, None, :, :]
+    return np.asarray(((left > right) + 0.5 * (left == right)).mean(axis=(1, 2, 3)))
+
+
+def improvement_interval(
+    ours: ArrayLike, theirs: ArrayLike, repetitions: int = 2_000, seed: int = 0
+) -> tuple[float, float]:
+    """95 % stratified bootstrap interval of :func:`probability_of_improvement`.
+
+    Both sides are resampled on their own. NaN where a side has fewer than two runs.
+    """
+    a, b = np.asarray(ours, dtype=np.float64), np.asarray(theirs, dtype=np.float64)
+    a, b = a.reshape(len(a), -1), b.reshape(len(b), -1)
+    if min(len(a), len(b)) < 2:
+        return math.nan, math.nan
+    rng = np.random.default_rng(seed)
+    draws = _improvements(_resamples(a, repetitions, rng), _resamples(b, repetitions, rng))
+    return _percentiles(draws, 0.95)
+
+
+def moving_average(values: ArrayLike, window: int, counts: ArrayLike | None = None) -> Array:
+    """At each point the mean of the last ``window`` observations; fewer at the start.
+
+    Args:
+        values: (n,), each the mean of ``counts`` observations (one by default).
+        window: observations; of averaged values as many as hold at least these.
+        counts: (n,) above 0.
+    """
     data = np.asarray(values, dtype=np.float64)
-    total = np.cumsum(np.concatenate([[0.0], data]))
-    end = np.arange(1, data.size + 1)
-    start = np.maximum(0, end - window)
-    return np.asarray((total[end] - total[start]) / (end - start), dtype=np.float64)
+    weights = np.ones_like(data) if counts is None else np.asarray(counts, dtype=np.float64)
+    end = np.cumsum(weights)
+    before = end - weights
+    start = np.maximum(0, np.searchsorted(before, end - window, side="right") - 1)
+    total = np.cumsum(np.concatenate([[0.0], data * weights]))
+    return np.asarray((total[1:] - total[start]) / (end - before[start]), dtype=np.float64)

@@ -3,6 +3,8 @@
     results/<preset>/store.json         the schema version
     results/<preset>/runs/<cell id>/    config.yaml meta.json curve.csv episodes.csv policy.zip
                                         checkpoint/ tensorboard/  (working files, not in git)
+    results/<preset>/entries/<cell id>/ methods that others brought: config.yaml meta.json
+                                        episodes.csv
     results/<preset>/tables/            *.csv *.md *.tex
     results/<preset>/figures/           *.png
 
@@ -18,7 +20,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,6 +31,8 @@ from filelock import FileLock, Timeout
 from benchmarks.errors import BenchmarkError
 
 SCHEMA: Final = 1
+WORDS: Final = ("track.description",)  # settings that decide no result
+BROKEN: Final = "broken-"  # before the name of a checkpoint that could not be read
 
 
 def write_atomic(path: Path, write: Callable[[Path], None]) -> None:
@@ -86,6 +90,7 @@ class RunFolder:
         self.policy = path / "policy.zip"
         self.checkpoint = path / "checkpoint"
         self.tensorboard = path / "tensorboard"
+        self.log = self.checkpoint / "log.txt"
 
     @property
     def id(self) -> str:
@@ -114,6 +119,8 @@ class RunFolder:
             BenchmarkError: the folder holds a run with other settings.
         """
         self.check_config(config)
+        for left in self.path.glob(".*.tmp*"):  # of a process that was killed while it wrote
+            left.unlink(missing_ok=True)
         if not (self.path / "config.yaml").is_file():
             text = yaml.safe_dump(dict(config), sort_keys=False)
             write_text(self.path / "config.yaml", text)
@@ -129,20 +136,49 @@ class RunFolder:
             changed = [
                 f"{key}: {old.get(key, 'absent')} -> {new.get(key, 'absent')}"
                 for key in sorted(old.keys() | new.keys())
-                if old.get(key) != new.get(key)
+                if old.get(key) != new.get(key) and key not in WORDS
             ]
+            if not changed:
+                return
             raise BenchmarkError(
                 f"{self.path} holds a run with other settings ({'; '.join(changed[:4])}); "
                 "use another --results folder, or delete that one"
             )
 
     def config(self) -> dict[str, Any]:
-        """The run's settings."""
-        return dict(yaml.safe_load((self.path / "config.yaml").read_text(encoding="utf-8")))
+        """The run's settings.
+
+        Raises:
+            BenchmarkError: the file is missing or is none of this harness.
+        """
+        return self._read("config.yaml", yaml.safe_load)
 
     def meta(self) -> dict[str, Any]:
-        """What the run says of itself: commit, versions, machine, seeds, time, steps."""
-        return dict(json.loads((self.path / "meta.json").read_text(encoding="utf-8")))
+        """What the run says of itself: commit, versions, machine, seeds, time, steps.
+
+        Raises:
+            BenchmarkError: the file is missing, damaged or of another schema.
+        """
+        meta = self._read("meta.json", json.loads)
+        if meta.get("schema") != SCHEMA:
+            raise BenchmarkError(
+                f"{self.path / 'meta.json'} has results schema {meta.get('schema')}, this version "
+                f"reads {SCHEMA}; move {self.path} away"
+            )
+        return meta
+
+    def _read(self, name: str, parse: Callable[[str], Any]) -> dict[str, Any]:
+        path = self.path / name
+        try:
+            data = parse(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError, yaml.YAMLError) as error:
+            raise BenchmarkError(f"{path} {self._unreadable(error)}") from error
+        if not isinstance(data, dict):
+            raise BenchmarkError(f"{path} {self._unreadable('no mapping')}")
+        return data
+
+    def _unreadable(self, error: object) -> str:
+        return f"cannot be read ({error}); delete {self.path} and run the preset again"
 
     def write_meta(self, meta: Mapping[str, Any]) -> None:
         """Write meta.json, which makes the run complete."""
@@ -154,8 +190,16 @@ class RunFolder:
         write_csv(self.path / f"{name}.csv", rows)
 
     def rows(self, name: str) -> pd.DataFrame:
-        """Read ``<name>.csv``."""
-        return pd.read_csv(self.path / f"{name}.csv")
+        """Read ``<name>.csv``.
+
+        Raises:
+            BenchmarkError: the file is missing or damaged.
+        """
+        path = self.path / f"{name}.csv"
+        try:
+            return pd.read_csv(path)
+        except (OSError, ValueError) as error:
+            raise BenchmarkError(f"{path} {self._unreadable(error)}") from error
 
     def has_rows(self, name: str) -> bool:
         return (self.path / f"{name}.csv").is_file()
@@ -163,7 +207,8 @@ class RunFolder:
     def write_progress(self, done: float, note: str) -> None:
         """Say how far the run is (0 to 1), for the harness that waits for it."""
         text = json.dumps({"done": done, "note": note})
-        write_text(self.checkpoint / "progress.json", text)
+        with suppress(OSError):  # a disk that is full ends no run that has no need of it
+            write_text(self.checkpoint / "progress.json", text)
 
     def progress(self) -> tuple[float, str]:
         """How far the run is, and a word on it."""
@@ -175,17 +220,27 @@ class RunFolder:
         except (OSError, ValueError, KeyError):
             return 0.0, ""
 
-    def lock(self) -> AbstractContextManager[None]:
+    def lock(self, wait: float = 0.0) -> AbstractContextManager[None]:
         """Hold the run for one process.
+
+        Args:
+            wait: seconds to wait for a process that holds it, one that saves and ends, say.
 
         Raises:
             BenchmarkError: another process holds it.
         """
-        return _held(self.path / "run.lock", f"another process is at work on {self.path}")
+        refusal = f"another process is at work on {self.path}; wait for it or stop it"
+        return _held(self.path / "run.lock", refusal, wait)
 
     def drop_checkpoint(self) -> None:
-        """Remove the working files of a run that is complete."""
-        shutil.rmtree(self.checkpoint, ignore_errors=True)
+        """Remove the working files of a run that is complete, but for checkpoints set aside."""
+        for path in self.checkpoint.glob("*"):
+            if path.is_dir() and not path.name.startswith(BROKEN):
+                shutil.rmtree(path, ignore_errors=True)
+            elif not path.is_dir():
+                path.unlink(missing_ok=True)
+        with suppress(OSError):  # something was set aside, or there is no such folder
+            self.checkpoint.rmdir()
 
 
 class Store:
@@ -193,6 +248,7 @@ class Store:
 
     def __init__(self, root: Path, preset: str) -> None:
         self.folder = Path(root) / preset
+        self.entries = self.folder / "entries"
         self.tables = self.folder / "tables"
         self.figures = self.folder / "figures"
 
@@ -253,13 +309,18 @@ class Store:
         runs = [RunFolder(path) for path in sorted((self.folder / "runs").glob("*"))]
         return [run for run in runs if run.is_complete()]
 
+    def entered(self) -> list[RunFolder]:
+        """All methods that others brought, a folder per name and seed."""
+        entries = [RunFolder(path) for path in sorted(self.entries.glob("*"))]
+        return [entry for entry in entries if entry.is_complete()]
+
 
 @contextmanager
-def _held(path: Path, refusal: str) -> Iterator[None]:
+def _held(path: Path, refusal: str, wait: float = 0.0) -> Iterator[None]:
     path.parent.mkdir(parents=True, exist_ok=True)
     lock = FileLock(str(path))
     try:
-        lock.acquire(timeout=0)
+        lock.acquire(timeout=wait)
     except Timeout:
         raise BenchmarkError(refusal) from None
     try:

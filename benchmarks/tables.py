@@ -6,32 +6,57 @@ Nothing is trained or re-evaluated here, and torch is not imported.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Hashable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 from benchmarks import labels, paper_values
+from benchmarks.deviations import deviations
+from benchmarks.leaderboard import leaderboard
 from benchmarks.metrics import EXTRA_METRICS, PAPER_METRICS
-from benchmarks.report import Cell, Number, Table
+from benchmarks.report import FLAG, Cell, Number, Table
 from benchmarks.results import Group, Results, excess_over_optimum
-from benchmarks.stats import holm, interquartile_mean, paired_t_test, stratified_bootstrap
+from benchmarks.stats import (
+    Value,
+    interquartile_mean,
+    mean_interval,
+    stratified_bootstrap,
+    t_interval,
+)
 from benchmarks.store import Store
+from benchmarks.table_hyperparameters import hyperparameters
+from benchmarks.tables_statistics import aggregates, improvement, signed, significance
 
-# the five that a run prints; hyperparameters and significance are written beside them
+# the five that a run prints; the others are written beside them
 PRINTED: Final = ("design", "performance", "ablation", "geometry", "robustness")
 BASELINES: Final = ("rrt_connect", "rrt_lattice")
+FLAG_NOTE: Final = (
+    f"{FLAG} no number that rounds to the paper's lies in our 95 % interval; the reasons are in "
+    "the table `deviations`."
+)
+NOISE: Final = 0.01  # the level of the paper's section "Robustness"
 
 
 def build_tables(store: Store) -> list[Table]:
     """All tables of a store, in the paper's order."""
     results = Results(store)
-    return [
-        hyperparameters(results),
+    compared = [
         design(results),
         performance(results),
-        significance(results),
         ablation(results),
         geometry(results),
         robustness(results),
+    ]
+    return [
+        hyperparameters(results),
+        *compared[:2],
+        significance(results),
+        aggregates(results),
+        improvement(results),
+        *compared[2:],
+        leaderboard(store, results),
+        deviations(compared, store.folder.name),
     ]
 
 
@@ -41,93 +66,65 @@ def write_tables(store: Store, tables: list[Table] | None = None) -> list[Path]:
     return [path for table in built for path in table.write(store.tables)]
 
 
-def hyperparameters(results: Results) -> Table:
-    """Table "hparams": the paper's settings and each track's."""
-    tracks = results.tracks()
-    columns = [_track_settings(results, track) for track in tracks]
-    rows: list[list[Cell]] = [
-        [name, paper, *[column.get(name, "-") for column in columns]]
-        for name, paper in paper_values.HYPERPARAMETERS.items()
-    ]
-    ours = columns[0] if columns else {}
-    extra = [name for name in ours if name not in paper_values.HYPERPARAMETERS]
-    rows += [[name, "not given", *[column[name] for column in columns]] for name in extra]
-    header = ["Parameter", "Paper", *[f"Ours, {labels.track(t)}" for t in tracks]]
-    return Table("hyperparameters", "Training hyperparameters", header, rows)
-
-
-def _track_settings(results: Results, track: str) -> dict[str, str]:
-    run = next(run for run in results.all() if run.config["cell"]["track"] == track)
-    settings = run.config["track"]
-    h: dict[str, Any] = settings["hyperparameters"]
-    decay = "" if h["learning_rate_end"] == h["learning_rate"] else f" → {h['learning_rate_end']:g}"
-    curriculum = settings["curriculum"]
-    kwargs = settings["reward_kwargs"]
-    return {
-        "Optimizer": "Adam",
-        "Learning rate": f"{h['learning_rate']:g}{decay}",
-        "Weight decay": f"{h['weight_decay']:g}",
-        "Gradient clipping": f"{h['max_grad_norm']:g}",
-        "Discount factor gamma": f"{h['gamma']:g}",
-        "n-step return": str(h["n_steps"]),
-        "Replay buffer capacity": str(h["buffer_size"]),
-        "PER alpha; beta": f"{h['alpha']:g}; {h['beta_start']:g} → {h['beta_end']:g}",
-        "Batch size": str(h["batch_size"]),
-        "Target update": f"soft, tau = {h['tau']:g}",
-        "Exploration": "NoisyNets",
-        "Distributional atoms": f"{h['n_atoms']} in [{h['v_min']:g}, {h['v_max']:g}]",
-        "Total environment steps": str(settings["timesteps"]),
-        "Curriculum switch": (
-            f"{100 * curriculum['threshold']:g} % success over {curriculum['window']} episodes"
-            if curriculum["enabled"]
-            else "none"
-        ),
-        "Hardware": _hardware(results, track),
-        "Reward": settings["reward"]
-        + "".join(f", {key} {value:g}" for key, value in kwargs.items()),
-        "Noisy layers' sigma0": f"{h['sigma0']:g}",
-        "Environments": str(h["n_envs"]),
-        "Updates per environment step": f"{h['updates_per_step']:g}",
-        "Random steps before learning": str(h["learning_starts"]),
-        "Hidden layers": "-".join(str(width) for width in h["net_arch"]),
-    }
-
-
-def _hardware(results: Results, track: str) -> str:
-    runs = [r for r in results.all() if r.config["cell"]["track"] == track]
-    minutes = [run.meta["wall_seconds"] / 60.0 for run in runs]
-    return f"1 CPU core, {sum(minutes) / len(minutes):.1f} min a run"
-
-
 def design(results: Results) -> Table:
     """Table "results": the geometric optimization, five metrics."""
     header = ["Metric", "Initial, paper", "Initial, ours", "Optimized, paper", "Optimized, ours"]
     rows: list[list[Cell]] = []
     notes = []
     stored = {}
+    runs = 0
     if results.design is not None:
-        frame = results.design.rows("design").fillna("")
+        frame = results.design.rows("design").fillna({"note": ""})
         stored = {str(row["metric"]): row for row in frame.to_dict("records")}
         notes = [str(row["note"]) for row in stored.values() if row["note"]]
-        runs = results.design.config()["design"]["runs"]
+        runs = int(results.design.config()["design"]["runs"])
         notes.insert(0, f"Ours: mean ± std over {runs} Nelder-Mead runs, each with its own jitter.")
-    for key, (initial, optimized) in paper_values.DESIGN.items():
-        ours = stored.get(key, {"initial": "-", "optimized": "-"})
-        label = labels.DESIGN_METRICS[key]
-        rows.append([label, initial, str(ours["initial"]), optimized, str(ours["optimized"])])
+        notes.append(FLAG_NOTE)
+    for key, paper in paper_values.DESIGN.items():
+        row: list[Cell] = [labels.DESIGN_METRICS[key]]
+        for end, printed in zip(("initial", "optimized"), paper, strict=True):
+            row += [printed, _design_cell(stored[key], end, runs, printed) if stored else "missing"]
+        rows.append(row)
     return Table("design", "Geometric optimization of the 3-RRS", header, rows, notes)
+
+
+def _design_cell(row: dict[Hashable, Any], end: str, runs: int, paper: str) -> Cell:
+    """A measured design metric; a range differs from the paper's if either of its ends does."""
+    mean, std = float(str(row[f"{end}_mean"])), float(str(row[f"{end}_std"]))
+    low, high = t_interval(mean, std, runs)
+    shown = str(row[end])
+    digits = len(shown.split()[0].rstrip(",").partition(".")[2])
+    number = Number(Value(mean, std, runs, low, high), digits, paper=paper, shown=shown)
+    upper = float(str(row[f"{end}_high_mean"]))
+    if math.isnan(upper):
+        return number
+    first, second = paper.strip("[]").split(", ")
+    ends = (
+        replace(number, paper=first),
+        # of the upper end only the mean is kept
+        Number(Value(upper, low=upper, high=upper), paper=second),
+    )
+    return replace(number, differs=any(each.flagged for each in ends))
+
+
+def _cell(group: Group, value: Value, digits: int, paper: str = "", suffix: str = "") -> Cell:
+    """A value of a group, or the word for its absence."""
+    return Number(value, digits, suffix, paper) if group.n else group.absent
 
 
 def _columns(results: Results) -> list[tuple[str, str, Group]]:
     """(header, method, group) of the performance table's own columns."""
     columns = [("RRT-Connect", "rrt_connect", results.group("rrt_connect"))]
     closed = results.group("rrt_lattice")
-    if closed.n:
+    if closed.n or closed.planned:
         columns.append((labels.METHODS["rrt_lattice"], "rrt_lattice", closed))
-    for method in ("dqn", "rainbow"):
-        for track in results.tracks() or ["tuned"]:
-            group = results.group(method, track=track)
-            columns.append((f"{labels.METHODS[method]}, {labels.track(track)}", method, group))
+    learners = [
+        (method, f"{labels.METHODS[method]}, {labels.track(track)}", group)
+        for track in results.tracks()
+        for method, group in results.learners(track)
+    ]
+    for method in dict.fromkeys(method for method, _, _ in learners):
+        columns += [(title, method, group) for each, title, group in learners if each == method]
     columns.append((labels.METHODS["optimum"], "optimum", results.group("optimum")))
     return columns
 
@@ -147,19 +144,20 @@ def performance(results: Results) -> Table:
         layout.append((method, group))
     rows: list[list[Cell]] = []
     for metric in (*PAPER_METRICS, *EXTRA_METRICS):
+        printed = paper_values.PERFORMANCE.get(metric.key, {})
         row: list[Cell] = [metric.label]
         for method, ours in layout:
             if ours is None:
-                row.append(paper_values.PERFORMANCE.get(metric.key, {}).get(method, "-"))
-            elif metric.key == "success":
-                row.append(Number(ours.success(), metric.digits))
+                row.append(printed.get(method, "-"))
             else:
-                row.append(Number(ours.value(metric.reduce), metric.digits))
+                paper = printed.get(method, "")
+                row.append(_cell(ours, ours.value(metric), metric.digits, paper))
         rows.append(row)
     rows.append(_excess_row(results, layout))
     if any(group is not None and group.n > 1 for _, group in layout):
         rows.append(_iqm_row(layout))
-    notes = [_seeds_note([group for _, _, group in columns]), *_failure_notes(results)]
+    groups = {title: group for title, _, group in columns}
+    notes = [*_seeds_notes(groups), *_failure_notes(results), FLAG_NOTE]
     return Table("performance", "Performance on the test episodes", header, rows, notes)
 
 
@@ -167,7 +165,7 @@ def _excess_row(results: Results, layout: list[tuple[str, Group | None]]) -> lis
     optimum = results.group("optimum")
     row: list[Cell] = ["Moves to first insertion over the optimum (%)"]
     for _, group in layout:
-        row.append("-" if group is None else Number(excess_over_optimum(group, optimum), 1))
+        row.append("-" if group is None else _cell(group, excess_over_optimum(group, optimum), 1))
     return row
 
 
@@ -183,16 +181,24 @@ def _iqm_row(layout: list[tuple[str, Group | None]]) -> list[Cell]:
     return row
 
 
-def _seeds_note(groups: list[Group]) -> str:
-    seeds = sorted({group.n for group in groups if group.n})
-    lengths = sorted({len(run.test()) for group in groups for run in group.runs})
+def _seeds_notes(groups: dict[str, Group]) -> list[str]:
+    """How many seeds and episodes are behind the numbers, and which groups are not complete."""
+    seeds = sorted({group.n for group in groups.values() if group.n})
+    lengths = sorted({len(run.test()) for group in groups.values() for run in group.runs})
     if not seeds:
-        return "No run of this preset is complete."
+        return ["No run of this preset is complete."]
     episodes = "/".join(str(n) for n in lengths)
     if seeds == [1]:
-        return f"Ours: n = 1 seed x {episodes} test episodes, so no spread can be given."
-    counts = "/".join(str(n) for n in seeds)
-    return f"Ours: mean ± std over n = {counts} seeds x {episodes} test episodes."
+        first = f"Ours: n = 1 seed x {episodes} test episodes, so no spread can be given."
+    else:
+        counts = "/".join(str(n) for n in seeds)
+        first = f"Ours: mean ± std over n = {counts} seeds x {episodes} test episodes."
+    partial = [
+        f"{name} {group.n} of {group.planned} seeds"
+        for name, group in groups.items()
+        if group.n < group.planned
+    ]
+    return [first, *([f"Not complete: {'; '.join(partial)}."] if partial else [])]
 
 
 def _failure_notes(results: Results) -> list[str]:
@@ -212,76 +218,47 @@ def _failure_notes(results: Results) -> list[str]:
     return notes
 
 
-def significance(results: Results) -> Table:
-    """Paired t-tests of Rainbow against each baseline on the common initial states."""
-    header = ["Comparison", "Metric", "Difference", "t", "p (Holm)", "Effect d_z", "Pairs"]
-    rows: list[list[Cell]] = []
-    for track in results.tracks():
-        ours = results.group("rainbow", track=track).pooled()
-        for method, theirs_group in (
-            ("dqn", results.group("dqn", track=track)),
-            ("rrt_connect", results.group("rrt_connect")),
-            ("rrt_lattice", results.group("rrt_lattice")),
-            ("optimum", results.group("optimum")),
-        ):
-            theirs = theirs_group.pooled()
-            if not len(ours) or not len(theirs):
-                continue
-            common = ours.index.intersection(theirs.index)
-            tests = [
-                paired_t_test(
-                    metric.scale * ours.loc[common, metric.column],
-                    metric.scale * theirs.loc[common, metric.column],
-                )
-                for metric in PAPER_METRICS
-            ]
-            corrected = holm([test.p for test in tests])
-            title = f"Rainbow ({labels.track(track)}) - {labels.METHODS[method]}"
-            for metric, test, p in zip(PAPER_METRICS, tests, corrected, strict=True):
-                rows.append([
-                    title,
-                    metric.label,
-                    _signed(test.difference, metric.digits),
-                    _signed(test.t, 2),
-                    "-" if math.isnan(p) else f"{p:.2g}",
-                    _signed(test.effect, 2),
-                    str(test.n),
-                ])  # fmt: skip
-    notes = [
-        "Two-sided paired t-tests over test episodes with the same initial state; metrics that "
-        "need an insertion pair only episodes in which both inserted. Holm over the six metrics."
-    ]
-    return Table("significance", "Rainbow against each method", header, rows, notes)
-
-
-def _signed(number: float, digits: int) -> str:
-    return "-" if math.isnan(number) else f"{number:+.{digits}f}"
-
-
 def ablation(results: Results) -> Table:
     """Table "ablation": success rate with one component removed at a time."""
-    tracks = results.tracks() or ["tuned"]
+    tracks = _tracks_with(results, [key for key in labels.ABLATIONS if key != "full"])
     header = ["Configuration", "Success (%), paper"]
     for track in tracks:
         name = labels.track(track)
         header += [f"Success (%), {name}", "95 % interval", f"Steps to 75 % (1e5), {name}"]
+        header.append(f"Moves over the optimum (%), {name}")
     rows: list[list[Cell]] = []
-    groups: list[Group] = []
-    for key, paper in paper_values.ABLATION.items():
-        row: list[Cell] = [labels.ABLATIONS[key], paper]
-        for track in tracks:
-            group = results.group("rainbow", track=track, ablation=key)
-            groups.append(group)
+    groups: dict[str, Group] = {}
+    optimum = results.group("optimum")
+    for key, title in labels.ABLATIONS.items():
+        paper = paper_values.ABLATION.get(key, "")
+        mine = [results.group("rainbow", track=track, ablation=key) for track in tracks]
+        if not paper and not any(group.n or group.planned for group in mine):
+            continue
+        row: list[Cell] = [title, paper or "-"]
+        for track, group in zip(tracks, mine, strict=True):
+            groups[f"{title}, {labels.track(track)}"] = group
             success = group.success()
-            row += [Number(success, 1), success.interval_text(1), _steps_to_75(group)]
+            row += [_cell(group, success, 1, paper), success.interval_text(1), _steps_to_75(group)]
+            row.append(_cell(group, excess_over_optimum(group, optimum), 1))
         rows.append(row)
-    best = results.group("optimum").success()
-    optimum: list[Cell] = [labels.METHODS["optimum"], "-"]
+    best = optimum.success()
+    last: list[Cell] = [labels.METHODS["optimum"], "-"]
     for _ in tracks:
-        optimum += [Number(best, 1), best.interval_text(1), "-"]
-    rows.append(optimum)
-    notes = [_seeds_note(groups), _interval_note(groups)]
+        last += [_cell(optimum, best, 1), best.interval_text(1), "-", "-"]
+    rows.append(last)
+    notes = [*_seeds_notes(groups), _interval_note(list(groups.values())), FLAG_NOTE]
     return Table("ablation", "Rainbow with one component removed", header, rows, notes)
+
+
+def _tracks_with(results: Results, ablations: list[str]) -> list[str]:
+    """Tracks in which any of these ablations is planned or was run; all where there is none."""
+    tracks = results.tracks() or ["tuned"]
+    found = []
+    for track in tracks:
+        groups = [results.group("rainbow", track=track, ablation=key) for key in ablations]
+        if any(group.n or group.planned for group in groups):
+            found.append(track)
+    return found or tracks
 
 
 def _interval_note(groups: list[Group]) -> str:
@@ -290,83 +267,97 @@ def _interval_note(groups: list[Group]) -> str:
     return "Intervals: Wilson's, over the test episodes of the one seed."
 
 
-def _steps_to_75(group: Group) -> Cell:
-    value = group.meta("steps_to_75", 1e-5)
+def _steps_to_75(group: Group, paper: str = "") -> Cell:
+    """Environment steps to 75 % success, in 1e5; a run that never got there counts as longer."""
     if not group.n:
-        return "-"
-    if not value.n:
-        return "not reached"
+        return group.absent
+    value = group.meta("steps_to_75", 1e-5)
+    budgets = [1e-5 * float(run.config["track"]["timesteps"]) for run in group.runs]
     missed = group.n - value.n
-    return Number(value, 2, f" ({missed} of {group.n} never)" if missed else "")
+    if not value.n:
+        bound = Value(math.nan, n=0, low=min(budgets), high=math.inf)
+        return Number(bound, 2, paper=paper, shown="not reached")
+    reached = [run.meta["training"]["steps_to_75"] for run in group.runs]
+    steps = [b if s is None else 1e-5 * s for s, b in zip(reached, budgets, strict=True)]
+    low, high = mean_interval(steps)
+    value = replace(value, low=low, high=math.inf if missed and group.n > 1 else high)
+    return Number(value, 2, f" ({missed} of {group.n} never)" if missed else "", paper)
 
 
 def geometry(results: Results) -> Table:
     """Table "geo_ablation": the full Rainbow on the initial and on the optimized geometry."""
     tracks = results.tracks() or ["tuned"]
-    header = ["Metric", "Initial, paper"]
-    header += [f"Initial, {labels.track(t)}" for t in tracks]
-    header += ["Optimized, paper"] + [f"Optimized, {labels.track(t)}" for t in tracks]
-    groups = {
-        name: [results.group("rainbow", name, track) for track in tracks]
-        for name in ("initial", "optimized")
-    }
-    paper = paper_values.GEOMETRY_ABLATION
+    names = ("initial", "optimized")
+    header = ["Metric"]
+    for name in names:
+        title = name.capitalize()
+        header += [f"{title}, paper", *[f"{title}, {labels.track(t)}" for t in tracks]]
+    groups = {name: [results.group("rainbow", name, track) for track in tracks] for name in names}
 
-    def row(label: str, key: str, cell: Any) -> list[Cell]:
-        initial, optimized = paper.get(key, ("-", "-"))
-        ours = [[cell(group) for group in groups[name]] for name in ("initial", "optimized")]
-        return [label, initial, *ours[0], optimized, *ours[1]]
+    def row(label: str, key: str, cell: Callable[[Group, str], Cell]) -> list[Cell]:
+        made: list[Cell] = [label]
+        printed = paper_values.GEOMETRY_ABLATION.get(key, ("", ""))
+        for name, paper in zip(names, printed, strict=True):
+            made += [paper or "-", *[cell(group, paper) for group in groups[name]]]
+        return made
 
     singular = next(metric for metric in EXTRA_METRICS if metric.key == "singular")
     rows = [
         row("Env. steps to 75 % success (1e5)", "steps_to_75", _steps_to_75),
-        row("Final success rate (%)", "success", lambda g: Number(g.success(), 1)),
+        row("Final success rate (%)", "success", lambda g, paper: _cell(g, g.success(), 1, paper)),
         row(
             "Singularity terminations / 1000 training ep.",
             "singular_per_1000",
-            lambda g: Number(g.meta("singular_per_1000"), 1),
+            lambda g, paper: _cell(g, g.singular_per_1000(), 1, paper),
         ),
         row(
             "Singularity terminations / 1000 test ep.",
             "",
-            lambda g: Number(g.value(singular.reduce), 1),
+            lambda g, paper: _cell(g, g.value(singular), 1, paper),
         ),
     ]
     ceiling: list[Cell] = ["Exact optimum's success rate (%)"]
-    for name in ("initial", "optimized"):
-        best = results.group("optimum", name).success()
-        ceiling += ["-", *[Number(best, 1) for _ in tracks]]
+    for name in names:
+        optimum = results.group("optimum", name)
+        ceiling += ["-", *[_cell(optimum, optimum.success(), 1) for _ in tracks]]
     rows.append(ceiling)
-    notes = [_seeds_note([*groups["initial"], *groups["optimized"]])]
+    titled = {
+        f"{name} geometry, {labels.track(track)}": group
+        for name in names
+        for track, group in zip(tracks, groups[name], strict=True)
+    }
+    notes = [*_seeds_notes(titled), FLAG_NOTE]
     return Table("geometry", "Full Rainbow before and after the optimization", header, rows, notes)
 
 
 def robustness(results: Results) -> Table:
     """Section "Robustness": success under Gaussian noise on the normalized observation."""
-    levels = results.noise_levels() or [0.0, 0.01]
-    header = ["Method", *[f"Noise {level:g}" for level in levels], "Change at 0.01 (points)"]
+    levels = results.noise_levels() or [0.0, NOISE]
     paper = paper_values.ROBUSTNESS
+    drop = paper_values.mean(paper[NOISE]) - paper_values.mean(paper[0.0])
+    header = ["Method", *[f"Noise {x:g}" for x in levels], f"Change at {NOISE:g} (points)"]
     rows: list[list[Cell]] = [
-        ["Rainbow DQN, paper", *[paper.get(level, "-") for level in levels], "-7.0"]
+        ["Rainbow DQN, paper", *[paper.get(level, "-") for level in levels], signed(drop, 0)]
     ]
-    groups = []
-    for method in ("rainbow", "dqn"):
-        for track in results.tracks():
-            group = results.group(method, track=track)
-            groups.append(group)
-            values = [group.success(level) for level in levels]
+    groups = {}
+    for track in results.tracks():
+        for method, group in results.learners(track):
             title = f"{labels.METHODS[method]}, {labels.track(track)}"
-            rows.append([title, *[Number(value, 1) for value in values], _change(group)])
-    best = results.group("optimum").success()
-    rows.append(
-        [f"{labels.METHODS['optimum']} (true state)", *[Number(best, 1)] * len(levels), "-"]
-    )
-    notes = [_seeds_note(groups), "Noise: standard deviation as a share of the normalized range."]
+            groups[title] = group
+            printed = paper if method == "rainbow" else {}
+            cells = [_cell(group, group.success(x), 1, printed.get(x, "")) for x in levels]
+            change = group.change(NOISE)
+            text = change.text(1)
+            shown = f"+{text}" if change.mean > 0.0 else text
+            printed_drop = signed(drop, 0) if method == "rainbow" else ""
+            last: Cell = Number(change, 1, paper=printed_drop, shown=shown)
+            rows.append([title, *cells, last if group.n else group.absent])
+    optimum = results.group("optimum")
+    best = _cell(optimum, optimum.success(), 1)
+    rows.append([f"{labels.METHODS['optimum']} (true state)", *[best] * len(levels), "-"])
+    notes = [
+        *_seeds_notes(groups),
+        "Noise: standard deviation as a share of the normalized range.",
+        FLAG_NOTE,
+    ]
     return Table("robustness", "Success rate (%) under observation noise", header, rows, notes)
-
-
-def _change(group: Group) -> str:
-    clean, noisy = group.success(), group.success(0.01)
-    if not noisy.n or not clean.n:
-        return "-"
-    return _signed(noisy.mean - clean.mean, 1)

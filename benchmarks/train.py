@@ -6,19 +6,22 @@ callbacks agree with one another, so that a resumed run goes on as if it had nev
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
+from sb3_contrib import MaskablePPO
 from stable_baselines3 import DQN
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import CallbackList
 from stable_baselines3.common.logger import configure
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecMonitor
 
 from benchmarks.callbacks import CurriculumCallback, CurveRecorder
 from benchmarks.checkpoint import Watch, load_newest
+from benchmarks.errors import BenchmarkError
 from benchmarks.plan import ABLATIONS, Cell
 from benchmarks.presets import Preset, Track
 from benchmarks.seeding import derive
@@ -27,7 +30,12 @@ from coop_env.geometry import RRSGeometry
 from coop_env.vec_env import CoopInsertionVecEnv
 from sb3_rainbow import Rainbow
 
-ALGORITHMS: dict[str, type[OffPolicyAlgorithm]] = {"rainbow": Rainbow, "dqn": DQN}
+CHECKED_BUFFER = 10_000
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
+    "rainbow": Rainbow,
+    "dqn": DQN,
+    "maskable_ppo": MaskablePPO,
+}
 
 
 def env_arguments(preset: Preset, cell: Cell, track: Track | None = None) -> dict[str, Any]:
@@ -42,6 +50,8 @@ def env_arguments(preset: Preset, cell: Cell, track: Track | None = None) -> dic
         "reward": track.reward,
         "reward_kwargs": dict(track.reward_kwargs) or None,
         "observation": track.observation,
+        "mask_singularities": track.mask_singularities,
+        "mask_visited": track.mask_visited,
     }
 
 
@@ -57,10 +67,12 @@ def make_training_env(preset: Preset, cell: Cell) -> VecMonitor:
     return VecMonitor(env)
 
 
-def build_model(preset: Preset, cell: Cell, env: VecMonitor) -> OffPolicyAlgorithm:
+def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu") -> BaseAlgorithm:
     """The learner of a cell, untrained."""
     track = preset.tracks[cell.track]
     h = track.hyperparameters
+    if cell.method == "maskable_ppo":
+        return _build_ppo(track, cell, env, device)
     common: dict[str, Any] = {
         "learning_rate": LinearSchedule(h.learning_rate, h.learning_rate_end, 1.0),
         "buffer_size": h.buffer_size,
@@ -79,7 +91,7 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor) -> OffPolicyAlgorit
             "optimizer_kwargs": {"weight_decay": h.weight_decay},
         },
         "seed": derive("learner", cell.seed),
-        "device": "cpu",
+        "device": device,
     }
     if cell.method == "dqn":
         # SB3 moves the target once per round of collection, not once per update: tau is compounded
@@ -98,12 +110,32 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor) -> OffPolicyAlgorit
     return Rainbow("MlpPolicy", env, **common, **(rainbow | ABLATIONS[cell.ablation]))
 
 
+def _build_ppo(track: Track, cell: Cell, env: VecMonitor, device: str) -> MaskablePPO:
+    h, ppo = track.hyperparameters, track.ppo
+    return MaskablePPO(
+        "MlpPolicy",
+        env,
+        learning_rate=LinearSchedule(ppo.learning_rate, ppo.learning_rate_end, 1.0),
+        n_steps=ppo.n_steps,
+        batch_size=ppo.batch_size,
+        n_epochs=ppo.n_epochs,
+        gamma=h.gamma,
+        gae_lambda=ppo.gae_lambda,
+        ent_coef=ppo.ent_coef,
+        clip_range=ppo.clip_range,
+        policy_kwargs={"net_arch": list(h.net_arch)},
+        seed=derive("learner", cell.seed),
+        device=device,
+    )
+
+
 def train(
     preset: Preset,
     cell: Cell,
     folder: RunFolder,
     stop_requested: Callable[[], bool] = lambda: False,
-) -> tuple[OffPolicyAlgorithm, dict[str, Any]] | None:
+    device: str = "cpu",
+) -> tuple[BaseAlgorithm, dict[str, Any]] | None:
     """Train a cell, from its newest checkpoint if there is one.
 
     Args:
@@ -111,6 +143,7 @@ def train(
         cell: a learning cell of it.
         folder: where checkpoints, the curve and TensorBoard's events go.
         stop_requested: asked between rounds; True saves a checkpoint and ends the call.
+        device: where the network lives: cpu or cuda.
 
     Returns:
         The trained model and what meta.json says of the training, or None if it was stopped.
@@ -123,9 +156,9 @@ def train(
     watch = Watch(
         folder, curriculum, curve, preset.checkpoint_seconds, track.timesteps, stop_requested
     )
-    model = load_newest(folder, ALGORITHMS[cell.method], env, watch)
+    model = load_newest(folder, ALGORITHMS[cell.method], env, watch, device)
     if model is None:
-        model = build_model(preset, cell, env)
+        model = build_model(preset, cell, env, device)
     model.set_logger(configure(str(folder.tensorboard), ["tensorboard"]))
     remaining = track.timesteps - model.num_timesteps
     if remaining > 0:
@@ -143,5 +176,30 @@ def train(
         **curve.summary(),
         **watch.times(),
         "resumed_at": watch.resumed_at,
+        "set_aside": watch.set_aside,
+        "made_with": watch.made_with,
+        "device": str(model.device),
         "timesteps": model.num_timesteps,
     }
+
+
+def check_cells(preset: Preset, cells: Sequence[Cell]) -> None:
+    """Build each kind of these learning cells once, so that what is impossible fails at once.
+
+    Raises:
+        BenchmarkError: an environment or an algorithm refuses its settings.
+    """
+    kinds = {(cell.method, cell.ablation, cell.geometry, cell.track): cell for cell in cells}
+    for cell in kinds.values():
+        track = preset.tracks[cell.track]
+        # settings alone are looked at: room for the whole replay buffer is not
+        small = min(track.hyperparameters.buffer_size, CHECKED_BUFFER)
+        h = replace(track.hyperparameters, buffer_size=small)
+        tracks = {**preset.tracks, cell.track: replace(track, hyperparameters=h)}
+        mine = replace(preset, tracks=tracks)
+        try:
+            build_model(mine, cell, make_training_env(mine, cell))
+        except (ValueError, TypeError, AssertionError, ZeroDivisionError) as error:
+            raise BenchmarkError(
+                f"preset '{preset.name}': cell {cell.id} is impossible: {error}"
+            ) from error

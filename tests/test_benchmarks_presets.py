@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,8 @@ def test_the_paper_preset_has_the_papers_protocol_and_hyperparameters() -> None:
     preset = load_preset("paper")
     assert len(preset.seeds) == 5
     assert preset.evaluation.episodes == 100
-    track = preset.tracks["printed"]
+    track = load_preset("long").tracks["printed"]
+    assert dataclasses.replace(track, timesteps=500_000) == preset.tracks["printed"]
     h = track.hyperparameters
     assert (track.reward, track.timesteps) == ("paper", 1_500_000)
     assert (h.learning_rate, h.weight_decay, h.max_grad_norm, h.gamma) == (1e-4, 1e-5, 5.0, 0.99)
@@ -153,4 +155,16 @@ def test_each_ablation_switches_one_component_and_no_other() -> None:
     for cell in expand(preset):
         if cell.method == "rainbow":
             switches = settings(preset, cell)["switches"]
-            assert len(switches) == (0 if cell.ablation == "full" else 1)
+            assert len(switches) == {"full": 0, "none": 6}.get(cell.ablation, 1)
+
+
+def test_a_track_may_vary_another() -> None:
+    presets = load_preset("attempts").tracks
+    tuned = load_preset("paper").tracks["tuned"]
+    assert presets["undo"].mask_visited == 1
+    changed = dataclasses.replace(presets["undo"], mask_visited=64, description="")
+    assert changed == dataclasses.replace(tuned, description="")
+    data = smoke()
+    data["tracks"] = {"mine": {"base": "tunde"}}
+    with pytest.raises(BenchmarkError, match="unknown base 'tunde'"):
+        parse_preset(data, "mine", "mine.yaml")

@@ -7,7 +7,6 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pandas as pd
@@ -110,15 +109,17 @@ def test_tensorboard_has_the_papers_curves(results: Path) -> None:
 
 
 def test_a_second_call_trains_nothing_and_changes_no_result(results: Path) -> None:
-    files = [p for p in results.rglob("*") if p.is_file() and "runs" in p.parts]
-    before = {path: path.stat().st_mtime_ns for path in files}
+    def stamps() -> dict[Path, int]:
+        files = [p for p in results.rglob("*") if p.is_file() and "runs" in p.parts]
+        return {path: path.stat().st_mtime_ns for path in files}
+
+    # no process was started: not a file of a run is new, gone or touched
+    before = stamps()
     tables = {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()}
-    began = time.perf_counter()
     done = harness("run", "--preset", "smoke", "--results", str(results))
     assert done.returncode == 0
     assert "4 runs were complete already" in done.stdout
-    assert time.perf_counter() - began < 60
-    assert {path: path.stat().st_mtime_ns for path in files} == before
+    assert stamps() == before
     assert {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()} == tables
 
 
@@ -202,7 +203,7 @@ def test_a_model_that_is_none_is_refused(
     path = tmp_path / "model.zip"
     path.write_bytes(b"not a zip")
     assert main(["evaluate", "--preset", "smoke", "--model", str(path)]) == 2
-    assert "is no model of 'rainbow'" in capsys.readouterr().err
+    assert "is no model of Stable-Baselines3" in capsys.readouterr().err
 
 
 def test_a_run_made_with_other_settings_is_not_overwritten(

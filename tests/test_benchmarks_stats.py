@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import math
+import sys
+import types
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +17,10 @@ from rliable import metrics as rliable_metrics
 
 from benchmarks import stats
 
+MATRICES = st.tuples(st.integers(2, 6), st.integers(1, 4), st.integers(0, 2**16)).map(
+    # rounded, so that ties happen
+    lambda key: np.random.default_rng(key[2]).integers(0, 6, key[:2]) / 4.0
+)
 SAMPLES = st.lists(st.floats(-100, 100), min_size=3, max_size=30)
 
 
@@ -132,3 +140,111 @@ def test_probability_of_improvement_is_mann_whitneys() -> None:
     a, b = rng.integers(0, 5, 12).astype(float), rng.integers(1, 6, 9).astype(float)
     theirs = scipy.stats.mannwhitneyu(a, b).statistic / (12 * 9)
     assert stats.probability_of_improvement(a, b) == pytest.approx(theirs)
+
+
+@pytest.fixture
+def rliable_library(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """rliable's library without arch, which does not import beside pandas 3.
+
+    Only its classes for drawing need arch; what is compared here is plain numpy.
+    """
+    stub = types.ModuleType("arch.bootstrap")
+    stub.IIDBootstrap = stub.IndependentSamplesBootstrap = object  # type: ignore[attr-defined]
+    package = types.ModuleType("arch")
+    package.bootstrap = stub  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "arch", package)
+    monkeypatch.setitem(sys.modules, "arch.bootstrap", stub)
+    monkeypatch.delitem(sys.modules, "rliable.library", raising=False)
+    yield importlib.import_module("rliable.library")
+    sys.modules.pop("rliable.library", None)
+
+
+@given(MATRICES)
+def test_aggregates_are_rliables(scores: np.ndarray) -> None:
+    (mean,), (median,), (gap,) = (
+        f(scores[None]) for f in (stats.means, stats.medians, stats.optimality_gaps)
+    )
+    assert mean == pytest.approx(rliable_metrics.aggregate_mean(scores))
+    assert median == pytest.approx(rliable_metrics.aggregate_median(scores))
+    assert gap == pytest.approx(rliable_metrics.aggregate_optimality_gap(scores))
+
+
+@given(MATRICES, st.integers(0, 99))
+def test_probability_of_improvement_over_tasks_is_rliables(scores: np.ndarray, seed: int) -> None:
+    shape = (4, scores.shape[1])
+    other = np.random.default_rng(seed).integers(0, 6, shape) / 4.0
+    theirs = float(rliable_metrics.probability_of_improvement(scores, other))
+    assert stats.probability_of_improvement(scores, other) == pytest.approx(theirs)
+
+
+def test_performance_profiles_are_rliables(rliable_library: Any) -> None:
+    rng = np.random.default_rng(5)
+    scores = rng.integers(0, 7, (5, 3)) / 6.0
+    tau = np.linspace(0.0, 1.0, 13)
+    theirs = rliable_library.score_distributions(scores, tau)
+    assert stats.performance_profile(scores, tau) == pytest.approx(theirs)
+    # rows of equal length: the mean of the seeds' profiles is the profile of all scores
+    mean, low, high = stats.profile_over_seeds(list(scores), tau)
+    assert mean == pytest.approx(theirs)
+    assert (low <= mean + 1e-12).all()
+    assert (mean <= high + 1e-12).all()
+    assert (high - low).max() > 0.0
+
+
+def test_one_seed_has_a_profile_but_no_band() -> None:
+    mean, low, _ = stats.profile_over_seeds([[0.0, 0.5, 1.0]], [0.0, 0.5, 1.0])
+    assert mean == pytest.approx([2 / 3, 1 / 3, 0.0])
+    assert np.isnan(low).all()
+
+
+def test_a_clear_improvement_is_certain_and_equals_are_even() -> None:
+    high, low = np.array([[3.0], [4.0], [5.0]]), np.array([[0.0], [1.0]])
+    assert stats.probability_of_improvement(high, low) == 1.0
+    assert stats.improvement_interval(high, low) == (1.0, 1.0)
+    assert stats.improvement_interval(low, high) == (0.0, 0.0)
+    rng = np.random.default_rng(6)
+    same = rng.normal(size=(30, 2))
+    low_end, high_end = stats.improvement_interval(same, same)
+    assert low_end < 0.5 < high_end
+    assert all(math.isnan(end) for end in stats.improvement_interval(high, low[:1]))
+
+
+def test_the_t_interval_is_scipys() -> None:
+    data = np.random.default_rng(7).normal(size=10)
+    theirs = scipy.stats.t.interval(0.95, 9, data.mean(), scipy.stats.sem(data))
+    ours = stats.t_interval(float(data.mean()), float(data.std(ddof=1)), 10)
+    assert ours == pytest.approx(theirs)
+    assert all(math.isnan(end) for end in stats.t_interval(1.0, math.nan, 1))
+
+
+def test_the_bootstrap_interval_of_a_mean_leaves_out_what_is_missing() -> None:
+    data = np.random.default_rng(8).normal(size=200)
+    low, high = stats.mean_interval(np.append(data, math.nan))
+    half = 1.96 * data.std(ddof=1) / math.sqrt(200)
+    assert (low, high) == pytest.approx((data.mean() - half, data.mean() + half), abs=0.03)
+    assert stats.mean_interval([2.0, 2.0, 2.0]) == (2.0, 2.0)
+    assert all(math.isnan(end) for end in stats.mean_interval([1.0, math.nan]))
+
+
+@given(SAMPLES, st.integers(1, 12), st.integers(0, 99))
+def test_a_moving_average_of_averages_holds_enough_observations(
+    values: list[float], window: int, seed: int
+) -> None:
+    counts = np.random.default_rng(seed).integers(1, 5, len(values))
+    ours = stats.moving_average(values, window, counts)
+    for i, smooth in enumerate(ours):
+        start = i
+        while counts[start : i + 1].sum() < window and start > 0:
+            start -= 1
+        theirs = np.average(values[start : i + 1], weights=counts[start : i + 1])
+        assert smooth == pytest.approx(theirs, abs=1e-6)
+
+
+def test_a_band_over_whole_curves() -> None:
+    curves = np.array([[0.0, 10.0], [1.0, 10.0]])
+    mean, low, high = stats.mean_band(curves)
+    assert mean == pytest.approx([0.5, 10.0])
+    # two of two curves: 0, 1/2 or 1, each end with 1/4
+    assert low == pytest.approx([0.0, 10.0])
+    assert high == pytest.approx([1.0, 10.0])
+    assert np.isnan(stats.mean_band(curves[:1])[1]).all()

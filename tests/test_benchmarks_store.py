@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import threading
+import time
 from pathlib import Path
 
 import pytest
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.store import SCHEMA, Store, write_atomic, write_csv, write_text
+from benchmarks.store import SCHEMA, RunFolder, Store, write_atomic, write_csv, write_text
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:
@@ -81,6 +83,51 @@ def test_other_settings_are_refused_and_named(tmp_path: Path) -> None:
     with pytest.raises(BenchmarkError, match=r"track.gamma: 0.99 -> 0.9"):
         run.begin({"track": {"gamma": 0.9, "tau": 0.1}})
     assert (run.path / "config.yaml").read_bytes() == before
+
+
+def test_other_words_for_the_same_settings_are_no_other_run(tmp_path: Path) -> None:
+    run = Store.open(tmp_path, "smoke", create=True).run("cell")
+    run.begin({"track": {"description": "Fast", "gamma": 0.9}})
+    run.begin({"track": {"description": "Quick", "gamma": 0.9}})
+    with pytest.raises(BenchmarkError, match="gamma"):
+        run.begin({"track": {"description": "Quick", "gamma": 0.8}})
+
+
+def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
+    run = Store.open(tmp_path, "smoke", create=True).run("cell")
+    run.begin({"x": 1})
+    left = run.path / ".curve.csv.abc.tmp"
+    left.write_text("half", encoding="utf-8")
+    run.begin({"x": 1})
+    assert not left.exists()
+
+
+def test_a_lock_can_be_waited_for(tmp_path: Path) -> None:
+    run = Store.open(tmp_path, "smoke", create=True).run("cell")
+    held = threading.Event()
+
+    def hold() -> None:
+        with RunFolder(run.path).lock():
+            held.set()
+            time.sleep(0.3)
+
+    other = threading.Thread(target=hold)
+    other.start()
+    assert held.wait(10)
+    with pytest.raises(BenchmarkError, match="another process"), run.lock():
+        pass
+    with run.lock(wait=30.0):
+        pass
+    other.join()
+
+
+def test_progress_is_not_worth_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*arguments: object) -> None:
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr("benchmarks.store.write_text", full)
+    RunFolder(tmp_path).write_progress(0.5, "")
+    assert RunFolder(tmp_path).progress() == (0.0, "")
 
 
 @pytest.mark.parametrize("marker", ['{"schema": 999}', "{}", "not json"])

@@ -8,14 +8,15 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
+import fabricated_store
 import pytest
 
+from benchmarks import labels
 from benchmarks.errors import BenchmarkError
-from benchmarks.figures import write_figures
-from benchmarks.plan import Cell, expand, settings
-from benchmarks.presets import Preset, load_preset
+from benchmarks.figures import pictures
+from benchmarks.paper_values import ABLATION
+from benchmarks.plan import Cell
 from benchmarks.readme import BEGIN, END, rewrite
 from benchmarks.report import Number, Table
 from benchmarks.results import Results, excess_over_optimum
@@ -24,81 +25,12 @@ from benchmarks.store import Store
 from benchmarks.tables import PRINTED, build_tables, write_tables
 from benchmarks.verify import verify
 
-EPISODES = 10
-
-
-def episode(number: int, noise: float, success: bool, moves: int) -> dict[str, object]:
-    nothing = float("nan")
-    return {
-        "episode": number,
-        "reset_seed": number,
-        "start": f"start{number}",
-        "noise": noise,
-        "success": success,
-        "holes": 2 * success,
-        "all_holes": False,
-        "singular": False,
-        "moves": 300,
-        "moves_first": moves if success else nothing,
-        "time_first": 0.2 * moves if success else nothing,
-        "time_per_hole": 6.0 if success else nothing,
-        "alignment_error": 0.5 if success else nothing,
-        "trajectory_error": 3.0 if success else nothing,
-        "collisions": number % 2,
-        "collisions_first": 0.0 if success else nothing,
-        "energy": 10.0,
-        "energy_first": 5.0 if success else nothing,
-        "failure": "" if success else "precision",
-        "plan_seconds": 0.003,
-    }
-
-
-def fill(store: Store, preset: Preset, cell: Cell, solved: int, moves: int) -> None:
-    """A complete run that solves the first ``solved`` episodes (one fewer with noise)."""
-    run = store.run(cell.id)
-    run.begin(settings(preset, cell))
-    levels = preset.evaluation.noise if cell.learns else [0.0]
-    run.write_rows(
-        "episodes",
-        [
-            episode(i, noise, i < solved - (noise > 0), moves)
-            for noise in levels
-            for i in range(EPISODES)
-        ],
-    )
-    training: dict[str, Any] = {}
-    if cell.learns:
-        run.write_rows("curve", [
-            {"timesteps": t, "episode_reward": t / 10, "learning_rate": 1e-3, "noise": 0.1,
-             "holes": 1.0, "success": 0.5, "mean_max_q": 2.0, "loss": 1.0, "duration": 40.0}
-            for t in range(100, 600, 100)
-        ])  # fmt: skip
-        training = {"steps_to_75": 30_000 if solved > 7 else None, "curriculum_switch": 200}
-        training |= {"singular_per_1000": 4.0, "final_success_20": 0.9}
-    run.write_meta({
-        "training": training, "wall_seconds": 60.0, "commit": "abc", "dirty": False,
-        "machine": {"processor": "test"},
-    })  # fmt: skip
+MakeStore = Callable[[list[int]], Store]
 
 
 @pytest.fixture
-def make_store(tmp_path: Path) -> Callable[[list[int]], Store]:
-    def make(seeds: list[int]) -> Store:
-        import dataclasses
-
-        preset = dataclasses.replace(load_preset("quick"), seeds=seeds)
-        store = Store.open(tmp_path / "results", "quick", create=True)
-        for cell in expand(preset):
-            if cell.method == "design":
-                continue
-            levels = {"rainbow": 9, "dqn": 6, "rrt_connect": 5, "rrt_lattice": 8, "optimum": 10}
-            solved = levels[cell.method]
-            solved -= cell.ablation != "full"
-            solved -= cell.seed  # seeds differ
-            fill(store, preset, cell, solved, 20 if cell.method == "optimum" else 25)
-        return store
-
-    return make
+def make_store(tmp_path: Path) -> MakeStore:
+    return lambda seeds: fabricated_store.make_store(tmp_path / "results", seeds)
 
 
 def find(store: Store, name: str) -> Table:
@@ -110,13 +42,11 @@ def column(table: Table, header: str) -> dict[str, str]:
     return {row[0]: row[index] for row in table.texts()}
 
 
-def test_performance_has_our_value_beside_the_papers(
-    make_store: Callable[[list[int]], Store],
-) -> None:
+def test_performance_has_our_value_beside_the_papers(make_store: MakeStore) -> None:
     table = find(make_store([0]), "performance")
     ours, paper = column(table, "Rainbow DQN, tuned"), column(table, "Rainbow DQN, paper")
     assert (ours["Success rate (%)"], paper["Success rate (%)"]) == ("90.0", "95 ± 2")
-    assert ours["Avg. completion time (s)"] == "5.00"
+    assert ours["Avg. completion time (s)"] == "5.00 †"
     assert ours["Moves to first insertion over the optimum (%)"] == "25.0"
     assert column(table, "Exact optimum")["Success rate (%)"] == "100.0"
     assert "n = 1" in table.notes[0]
@@ -124,24 +54,21 @@ def test_performance_has_our_value_beside_the_papers(
     assert any("precision 5" in note for note in table.notes)
 
 
-def test_seeds_give_mean_and_sample_standard_deviation(
-    make_store: Callable[[list[int]], Store],
-) -> None:
+def test_seeds_give_mean_and_sample_standard_deviation(make_store: MakeStore) -> None:
     store = make_store([0, 1, 2])
     table = find(store, "performance")
     ours = column(table, "Rainbow DQN, tuned")
-    assert ours["Success rate (%)"] == "80.0 ± 10.0"
+    assert ours["Success rate (%)"] == "80.0 ± 10.0 †"
     assert ours["Success rate, IQM over seeds [95 % interval]"].startswith("80.0 [")
     value = Results(store).group("rainbow", track="tuned").success()
     assert value.n == 3
     assert 70.0 <= value.low <= 80.0 <= value.high <= 90.0
 
 
-def test_the_ablation_has_seven_rows_and_the_optimum(
-    make_store: Callable[[list[int]], Store],
-) -> None:
+def test_the_ablation_has_a_row_for_each_component_and_the_optimum(make_store: MakeStore) -> None:
     table = find(make_store([0]), "ablation")
-    assert len(table.rows) == 8
+    assert [row[0] for row in table.rows[:7]] == [labels.ABLATIONS[key] for key in ABLATION]
+    assert table.rows[-1][0] == "Exact optimum"
     success = column(table, "Success (%), tuned")
     assert success["Full Rainbow"] == "90.0"
     assert success["- Dueling head"] == "80.0"
@@ -149,7 +76,7 @@ def test_the_ablation_has_seven_rows_and_the_optimum(
     assert column(table, "Success (%), paper")["- Dueling head"] == "85 ± 3"
 
 
-def test_geometry_and_robustness_rows(make_store: Callable[[list[int]], Store]) -> None:
+def test_geometry_and_robustness_rows(make_store: MakeStore) -> None:
     store = make_store([0])
     geometry = find(store, "geometry")
     steps = geometry.texts()[0]
@@ -158,35 +85,29 @@ def test_geometry_and_robustness_rows(make_store: Callable[[list[int]], Store]) 
     assert noise["Rainbow DQN, tuned"] == "-10.0"
 
 
-def test_a_run_that_never_reached_the_threshold_says_so(
-    make_store: Callable[[list[int]], Store],
-) -> None:
+def test_a_run_that_never_reached_the_threshold_says_so(make_store: MakeStore) -> None:
     store = make_store([0, 2])  # the second seed solves 7 of 10
     steps = column(find(store, "ablation"), "Steps to 75 % (1e5), tuned")
     assert steps["Full Rainbow"] == "0.30 (1 of 2 never)"
 
 
-def test_pairs_are_made_by_initial_state(make_store: Callable[[list[int]], Store]) -> None:
+def test_pairs_are_made_by_initial_state(make_store: MakeStore) -> None:
     table = find(make_store([0]), "significance")
     row = next(row for row in table.texts() if "RRT-Connect" in row[0] and "Success" in row[1])
     # 9 against 5 of the same 10 starts: differences 0.4 on average
     assert row[2] == "+40.0"
-    assert row[-1] == "10"
+    assert row[6] == "10"
     time = next(row for row in table.texts() if "RRT-Connect" in row[0] and "time" in row[1])
-    assert time[-1] == "5"
+    assert time[6] == "5"
 
 
-def test_excess_counts_only_starts_that_both_solved(
-    make_store: Callable[[list[int]], Store],
-) -> None:
+def test_excess_counts_only_starts_that_both_solved(make_store: MakeStore) -> None:
     results = Results(make_store([0]))
     value = excess_over_optimum(results.group("dqn", track="tuned"), results.group("optimum"))
     assert value.mean == pytest.approx(25.0)
 
 
-def test_tables_are_written_in_three_forms_that_agree_and_repeat(
-    make_store: Callable[[list[int]], Store],
-) -> None:
+def test_tables_are_written_in_three_forms_that_agree_and_repeat(make_store: MakeStore) -> None:
     store = make_store([0, 1])
     paths = write_tables(store)
     assert {path.suffix for path in paths} == {".csv", ".md", ".tex"}
@@ -210,9 +131,7 @@ def test_an_empty_store_gives_tables_of_dashes(tmp_path: Path) -> None:
     assert verify(store) == []
 
 
-def test_verify_is_green_and_red_after_one_digit(
-    make_store: Callable[[list[int]], Store], tmp_path: Path
-) -> None:
+def test_verify_is_green_and_red_after_one_digit(make_store: MakeStore, tmp_path: Path) -> None:
     store = make_store([0])
     write_tables(store)
     readme = tmp_path / "README.md"
@@ -231,9 +150,7 @@ def test_verify_is_green_and_red_after_one_digit(
     assert "README.md" in problem
 
 
-def test_the_readme_keeps_what_is_outside_the_block(
-    make_store: Callable[[list[int]], Store], tmp_path: Path
-) -> None:
+def test_the_readme_keeps_what_is_outside_the_block(make_store: MakeStore, tmp_path: Path) -> None:
     readme = tmp_path / "README.md"
     with pytest.raises(BenchmarkError, match="missing"):
         rewrite(readme, make_store([0]))
@@ -250,18 +167,19 @@ def test_the_readme_keeps_what_is_outside_the_block(
     assert text.count("| Success rate (%)") == 1
 
 
-def test_figures_are_drawn_and_repeat(make_store: Callable[[list[int]], Store]) -> None:
-    store = make_store([0, 1])
-    first = {path.name: path.read_bytes() for path in write_figures(store)}
-    assert {"tuned_cumulative_reward.png", "tuned_loss.png", "robustness.png"} <= set(first)
-    assert all(data.startswith(b"\x89PNG") for data in first.values())
-    assert {path.name: path.read_bytes() for path in write_figures(store)} == first
+def test_figures_are_drawn_and_repeat(make_store: MakeStore) -> None:
+    found = {picture.name: picture for picture in pictures(Results(make_store([0, 1])))}
+    assert {"tuned_cumulative_reward", "tuned_loss", "robustness"} <= set(found)
+    for name in ("tuned_cumulative_reward", "performance_profile"):
+        data = found[name].png()
+        assert data.startswith(b"\x89PNG")
+        assert found[name].png() == data
 
 
 def test_tables_and_figures_do_without_torch() -> None:
     code = (
         "import sys, benchmarks.tables, benchmarks.figures, benchmarks.verify, benchmarks.readme;"
-        "print([m for m in ('torch', 'stable_baselines3', 'coop_env') if m in sys.modules])"
+        "print([m for m in ('torch', 'stable_baselines3', 'sb3_contrib') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
@@ -276,3 +194,55 @@ def test_markup_of_tables_is_escaped() -> None:
     assert "p $<$ 0.01 & 1.0 $\\pm$ 0.5" in table.latex()
     with pytest.raises(ValueError, match="does not fit"):
         Table("t", "t", ["a"], [["1", "2"]])
+
+
+def test_a_partly_finished_preset_shows_what_is_missing(tmp_path: Path) -> None:
+    def keep(cell: Cell) -> bool:
+        if cell.method == "dqn":
+            return cell.seed < 2 and cell.track == "repaired"
+        if cell.method == "rainbow":
+            return cell.track != "printed" and cell.ablation == "full"
+        return True
+
+    store = fabricated_store.make_store(tmp_path, range(5), "paper", keep)
+    table = find(store, "performance")
+    assert column(table, "Rainbow DQN, as printed")["Success rate (%)"] == "missing"
+    assert column(table, "Vanilla DQN, tuned")["Avg. energy proxy (J)"] == "missing"
+    assert column(table, "Vanilla DQN, repaired")["Success rate (%)"] == "55.0 ± 7.1 †"
+    assert column(table, "Rainbow DQN, repaired")["Success rate (%)"] == "70.0 ± 15.8 †"
+    (note,) = (note for note in table.notes if note.startswith("Not complete"))
+    assert "Vanilla DQN, repaired 2 of 5 seeds" in note
+    assert "Rainbow DQN, as printed 0 of 5 seeds" in note
+    assert "Rainbow DQN, repaired" not in note
+    headers = find(store, "hyperparameters").header
+    assert headers[2:] == ["Ours, as printed", "Ours, repaired", "Ours, tuned"]
+    write_tables(store)
+    assert verify(store) == []
+
+
+def test_statistics_over_seeds(make_store: MakeStore) -> None:
+    store = make_store([0, 1, 2])
+    # 90, 80, 70 against 50, 40, 30 %: each seed of ours beats each of theirs
+    improvement = find(store, "improvement")
+    row = next(row for row in improvement.texts() if row[0].endswith("over RRT-Connect"))
+    assert row[1] == "1.000 [1.000, 1.000]"
+    assert row[-1] == "3; 3"
+    aggregates = find(store, "aggregates")
+    ours = next(row for row in aggregates.texts() if row[0] == "Rainbow DQN, tuned")
+    assert ours[1] == "Success rate"
+    assert ours[2].startswith("0.800 [0.7")
+    assert ours[5].startswith("0.200 [0.1")
+    significance = find(store, "significance")
+    row = next(row for row in significance.texts() if "RRT" in row[0] and "Success" in row[1])
+    # the difference is 40 points in each seed: no spread between seeds, no test over them
+    assert row[-2:] == ["-", "3"]
+    assert row[6] == "30"
+
+
+def test_episodes_that_began_elsewhere_are_no_pairs(make_store: MakeStore) -> None:
+    store = make_store([0])
+    run = store.run("rrt_connect-optimized-s0")
+    path = run.path / "episodes.csv"
+    path.write_text(path.read_text("utf-8").replace("start3", "start33", 1), encoding="utf-8")
+    with pytest.raises(BenchmarkError, match="episode 3 of seed 0 began"):
+        build_tables(store)
