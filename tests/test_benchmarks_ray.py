@@ -107,10 +107,16 @@ def test_a_lost_worker_and_a_lost_node_change_nothing(
     runs = [Store(results, "small").run(cell) for cell in CELLS]
     (second,) = cluster.worker_nodes
     raylet = second.all_processes["raylet"][0].process.pid
-    workers = [wait_for(partial(worker, run), process) for run in runs]
+    workers = []
+    for run in runs:
+        workers.append(wait_for(partial(worker, run), process))
+        # on a busy machine it would be trained before the other has begun
+        os.kill(workers[-1]["run"], signal.SIGSTOP)
     on_second = [psutil.Process(found["pid"]).ppid() == raylet for found in workers]
     assert sorted(on_second) == [False, True]  # one run on each node
     on_head = on_second.index(False)
+    for found in workers:
+        os.kill(found["run"], signal.SIGCONT)
     os.kill(workers[on_head]["pid"], signal.SIGKILL)
     cluster.remove_node(second, allow_graceful=False)
     out, _ = process.communicate(timeout=240)
