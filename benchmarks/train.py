@@ -29,6 +29,7 @@ from benchmarks.store import RunFolder
 from coop_env.geometry import RRSGeometry
 from coop_env.vec_env import CoopInsertionVecEnv
 from sb3_rainbow import Rainbow
+from sb3_rainbow.denormals import flush_denormals
 
 CHECKED_BUFFER = 10_000
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
@@ -162,12 +163,13 @@ def train(
     model.set_logger(configure(str(folder.tensorboard), ["tensorboard"]))
     remaining = track.timesteps - model.num_timesteps
     if remaining > 0:
-        model.learn(
-            remaining,
-            callback=CallbackList([curriculum, curve, watch]),
-            log_interval=10**9,  # the curve recorder writes, at even intervals of steps
-            reset_num_timesteps=model.num_timesteps == 0,
-        )
+        with flush_denormals():  # for every method alike
+            model.learn(
+                remaining,
+                callback=CallbackList([curriculum, curve, watch]),
+                log_interval=10**9,  # the curve recorder writes, at even intervals of steps
+                reset_num_timesteps=model.num_timesteps == 0,
+            )
     if watch.stopped:
         return None
     curve.flush()

@@ -14,6 +14,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
 
 from sb3_rainbow.buffers import PrioritizedReplayBuffer
+from sb3_rainbow.denormals import flush_denormals
 from sb3_rainbow.learner import Learner, as_batch
 from sb3_rainbow.networks import RainbowNetwork
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy, RainbowPolicy
@@ -335,18 +336,19 @@ class Rainbow(ResumableAlgorithm):
         self._update_learning_rate(self.policy.optimizer)
         learner = self._learner
         losses: list[Any] = []  # numbers, or tensors that nobody has waited for
-        for _ in range(gradient_steps):
-            samples = buffer.sample(batch_size, env=self._vec_normalize_env)
-            batch = as_batch(samples, self.gamma, self._masking)
-            loss, priorities = learner.update(batch)
-            if isinstance(buffer, PrioritizedReplayBuffer) and self.prioritized:
-                mean_loss, errors = from_device(loss, priorities)
-                buffer.update_priorities(samples.indices, errors)  # type: ignore[attr-defined]
-                losses.append(mean_loss)
-            else:
-                losses.append(loss)
-            if self.target_update_interval is None:
-                learner.move_target(self.tau)
+        with flush_denormals():
+            for _ in range(gradient_steps):
+                samples = buffer.sample(batch_size, env=self._vec_normalize_env)
+                batch = as_batch(samples, self.gamma, self._masking)
+                loss, priorities = learner.update(batch)
+                if isinstance(buffer, PrioritizedReplayBuffer) and self.prioritized:
+                    mean_loss, errors = from_device(loss, priorities)
+                    buffer.update_priorities(samples.indices, errors)  # type: ignore[attr-defined]
+                    losses.append(mean_loss)
+                else:
+                    losses.append(loss)
+                if self.target_update_interval is None:
+                    learner.move_target(self.tau)
         logs_due = self._n_updates % _DIAGNOSTICS_INTERVAL < gradient_steps
         self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
