@@ -30,7 +30,7 @@ from benchmarks import labels, machine
 from benchmarks.errors import BenchmarkError
 from benchmarks.plan import Cell
 from benchmarks.planners.oracle import LatticeOracle
-from benchmarks.presets import Track, load_preset
+from benchmarks.presets import Preset, load_preset
 from benchmarks.results import TRACK_ORDER, Results
 from benchmarks.seeding import episode_seeds
 from benchmarks.store import Store, write_atomic, write_csv, write_text
@@ -163,13 +163,11 @@ def random_moves(env: CoopInsertionEnv, simulator: Simulator, length: int, seed:
     return moves
 
 
-def scripted(
-    tracks: dict[str, Track], starts: int, tell: Callable[[], None] = lambda: None
-) -> pd.DataFrame:
+def scripted(preset: Preset, starts: int, tell: Callable[[], None] = lambda: None) -> pd.DataFrame:
     """One row per track, script and start: return, discounted return, holes, moves.
 
     Args:
-        tracks: whose rewards are played.
+        preset: whose tracks' rewards are played.
         starts: number of validation starts (no test episode among them).
         tell: called after each start of a track.
     """
@@ -177,8 +175,7 @@ def scripted(
 
     oracle = LatticeOracle()
     rows = []
-    preset = load_preset("paper")
-    for name, track in tracks.items():
+    for name, track in preset.tracks.items():
         cell = Cell("rainbow", "full", "optimized", name, 0)
         env = CoopInsertionEnv(**env_arguments(preset, cell, track))
         simulator = Simulator(env)
@@ -315,7 +312,7 @@ def main(words: Sequence[str]) -> int:
     console = Console(soft_wrap=True)
     with Progress(console=console) as bar:
         job = bar.add_task("scripted policies", total=len(preset.tracks) * arguments.starts)
-        rows = scripted(preset.tracks, arguments.starts, lambda: bar.advance(job))
+        rows = scripted(preset, arguments.starts, lambda: bar.advance(job))
     try:
         learners = learned(Store.open(arguments.results, preset.name))
     except BenchmarkError:

@@ -6,7 +6,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from benchmarks import machine
@@ -80,50 +80,76 @@ def run_cell(
             works on it.
     """
     folder = store.run(cell.id)
-    folder.check_config(settings(preset, cell))
-    if folder.is_done(cell.learns):
+
+    def work() -> dict[str, Any] | None:
+        clock = Clock()
+        if cell.method == DESIGN:
+            training: dict[str, Any] | None = _run_design(preset, folder)
+        elif cell.learns:
+            training = _run_learner(preset, cell, folder, stop_requested, device)
+        else:
+            training = _run_planner(preset, cell, folder, stop_requested)
+        return None if training is None else _meta(preset, cell, training, clock)
+
+    return run_once(folder, settings(preset, cell), work, cell.learns, wait)
+
+
+def run_once(
+    folder: RunFolder,
+    config: Mapping[str, Any],
+    work: Callable[[], dict[str, Any] | None],
+    learns: bool,
+    wait: float,
+) -> bool:
+    """Do a run's work under its lock unless it is done, and write what meta.json says of it.
+
+    Args:
+        folder: the run's.
+        config: every setting that decides its result.
+        work: returns what meta.json says, without the machine; None if it was stopped.
+        learns: whether the run is complete only with a policy.
+        wait: seconds to wait for another process that works on it.
+
+    Returns:
+        Whether the run is complete.
+
+    Raises:
+        BenchmarkError: the folder holds a run with other settings, or another process works on it.
+    """
+    folder.check_config(config)
+    if folder.is_done(learns):
         return True
     with folder.lock(wait):
-        if folder.is_done(cell.learns):  # by the process that was waited for
+        if folder.is_done(learns):  # by the process that was waited for
             return True
         folder.reopen()
-        folder.begin(settings(preset, cell))
-        return _run(preset, cell, folder, stop_requested, device)
-
-
-def _run(
-    preset: Preset,
-    cell: Cell,
-    folder: RunFolder,
-    stop_requested: Callable[[], bool],
-    device: str,
-) -> bool:
-    clock = _Clock()
-    machine.describe()  # now: the sources may change while the run is on
-    if cell.method == DESIGN:
-        training = _run_design(preset, folder)
-    elif cell.learns:
-        outcome = _run_learner(preset, cell, folder, stop_requested, device)
-        if outcome is None:
+        folder.begin(config)
+        made_by = machine.describe()  # now: the sources may change while the run is on
+        record = work()
+        if record is None:
             return False
-        training = outcome
-    else:
-        planned = _run_planner(preset, cell, folder, stop_requested)
-        if planned is None:
-            return False
-        training = planned
-    folder.write_meta(_meta(preset, cell, training, clock))
-    folder.drop_checkpoint()
-    return True
+        folder.write_meta({**record, **made_by})
+        folder.drop_checkpoint()
+        return True
 
 
-class _Clock:
+def tell_end(cell_id: str, folder: RunFolder, complete: bool) -> int:
+    """Say how a run that was started on its own has ended; returns the exit code."""
+    if not complete:
+        print(f"{cell_id}: stopped, the checkpoint is in {folder.path}; the same command resumes")
+        return 130
+    print(f"{cell_id}: complete, see {folder.path}")
+    return 0
+
+
+class Clock:
     """Wall and CPU time since its making."""
 
     def __init__(self) -> None:
         self._began = time.perf_counter(), time.process_time()
 
     def read(self) -> tuple[float, float]:
+        """Seconds of both."""
         wall, cpu = self._began
         return time.perf_counter() - wall, time.process_time() - cpu
 
@@ -186,7 +212,7 @@ def _run_design(preset: Preset, folder: RunFolder) -> dict[str, Any]:
     return {}
 
 
-def _meta(preset: Preset, cell: Cell, training: dict[str, Any], clock: _Clock) -> dict[str, Any]:
+def _meta(preset: Preset, cell: Cell, training: dict[str, Any], clock: Clock) -> dict[str, Any]:
     wall, cpu = clock.read()
     # a resumed run's training time is the sum over its processes
     earlier = training.get("wall_seconds"), training.get("cpu_seconds")
@@ -205,5 +231,4 @@ def _meta(preset: Preset, cell: Cell, training: dict[str, Any], clock: _Clock) -
         "training": training,
         "wall_seconds": wall,
         "cpu_seconds": cpu,
-        **machine.describe(),
     }

@@ -48,17 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
         options = ("--device", device)
         harness = Harness(preset, name, store, results, backend, console, options)
         outcome = harness.run()
-        if outcome.skipped:
-            console.print(f"{len(outcome.skipped)} runs were complete already")
-        if outcome.interrupted:
-            console.print(f"Interrupted; the same command resumes. Results so far: {store.folder}")
-            return 130
-        _write_report(store, console)
-    console.print(f"Runs: {store.folder / 'runs'}")
-    if outcome.failed:
-        console.print(f"Failed: {', '.join(outcome.failed)}; the same command tries again")
-        return 1
-    return 0
+        return outcome.close(store, console, lambda: _write_report(store, console))
 
 
 def _write_tables(store: Store, console: Console) -> list[Table]:
@@ -131,7 +121,7 @@ def plan(arguments: argparse.Namespace) -> int:
 
 def train(arguments: argparse.Namespace) -> int:
     """One cell in this process; what the harness starts, and what a cluster can start."""
-    from benchmarks.cell import StopFlag, check_device, run_cell
+    from benchmarks.cell import StopFlag, check_device, run_cell, tell_end
 
     preset, store = _open(arguments, create=True)
     cell = find(preset, arguments.cell)
@@ -140,12 +130,7 @@ def train(arguments: argparse.Namespace) -> int:
     flag = StopFlag(arguments.parent)
     flag.listen()
     complete = run_cell(preset, cell, store, flag, arguments.wait, device)
-    folder = store.run(cell.id).path
-    if not complete:
-        print(f"{cell.id}: stopped, the checkpoint is in {folder}; the same command resumes")
-        return 130
-    print(f"{cell.id}: complete, see {folder}")
-    return 0
+    return tell_end(cell.id, store.run(cell.id), complete)
 
 
 def evaluate(arguments: argparse.Namespace) -> int:

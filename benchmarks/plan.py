@@ -6,8 +6,9 @@ see the same test episodes. The geometric optimization is one cell of its own.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Final
+from typing import Any, Final, Protocol, TypeVar
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.presets import Preset, RunGroup, as_dict
@@ -92,18 +93,37 @@ def expand(preset: Preset) -> list[Cell]:
     return sorted(cells, key=lambda cell: (-work_units(preset, cell), cell.seed))
 
 
+class Named(Protocol):
+    """A cell, of this harness or of the classic tasks'."""
+
+    @property
+    def id(self) -> str: ...
+
+
+N = TypeVar("N", bound=Named)
+
+
 def find(preset: Preset, cell_id: str) -> Cell:
     """The cell of that id.
 
     Raises:
         BenchmarkError: the preset has no such cell.
     """
-    cells = {cell.id: cell for cell in expand(preset)}
-    if cell_id not in cells:
+    return pick(expand(preset), preset.name, cell_id)
+
+
+def pick(cells: Sequence[N], preset: str, cell_id: str) -> N:
+    """The one of a preset's cells that has that id.
+
+    Raises:
+        BenchmarkError: there is none.
+    """
+    by_id = {cell.id: cell for cell in cells}
+    if cell_id not in by_id:
         raise BenchmarkError(
-            f"preset '{preset.name}' has no cell '{cell_id}'; known cells: {known(cells)}"
+            f"preset '{preset}' has no cell '{cell_id}'; known cells: {known(by_id)}"
         )
-    return cells[cell_id]
+    return by_id[cell_id]
 
 
 def work_units(preset: Preset, cell: Cell) -> int:

@@ -6,7 +6,7 @@ import shutil
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,6 +48,24 @@ class Outcome:
     @property
     def complete(self) -> bool:
         return not self.failed and not self.interrupted
+
+    def close(self, store: Store, console: Console, write: Callable[[], object]) -> int:
+        """Say what came of it, and ``write`` tables and figures unless it was interrupted.
+
+        Returns:
+            The command's exit code.
+        """
+        if self.skipped:
+            console.print(f"{len(self.skipped)} runs were complete already")
+        if self.interrupted:
+            console.print(f"Interrupted; the same command resumes. Results so far: {store.folder}")
+            return 130
+        write()
+        console.print(f"Runs: {store.folder / 'runs'}")
+        if self.failed:
+            console.print(f"Failed: {', '.join(self.failed)}; the same command tries again")
+            return 1
+        return 0
 
 
 def missing(preset: Preset, store: Store) -> tuple[list[Cell], list[Cell]]:

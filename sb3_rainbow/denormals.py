@@ -19,9 +19,9 @@ def flush_denormals() -> Iterator[None]:
     Compute with denormal numbers as with zero in this thread, and leave the setting as it was.
 
     The probability of an atom far from a sharp distribution, its gradient, and Adam's average of
-    that gradient's square are below 1e-38, where 32-bit numbers become denormal. Many processors take
-    a hundred cycles for each product of such a number. No value that matters is so small. Without
-    effect where the processor has no such mode.
+    that gradient's square are below 1e-38, where 32-bit numbers become denormal. Many processors
+    take a hundred cycles for each product of such a number. No value that matters is so small.
+    Without effect where the processor has no such mode.
     """
     if denormals_are_zero() or not th.set_flush_denormal(True):
         yield

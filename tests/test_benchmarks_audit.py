@@ -43,8 +43,9 @@ def test_the_best_cycle_is_the_best_of_all() -> None:
 
 
 def test_scripts_return_what_the_environment_pays() -> None:
-    tracks = load_preset("paper").tracks
-    rows = audit.scripted({name: tracks[name] for name in ("printed", "tuned")}, 2)
+    preset = load_preset("paper")
+    tracks = {name: preset.tracks[name] for name in ("printed", "tuned")}
+    rows = audit.scripted(dataclasses.replace(preset, tracks=tracks), 2)
     assert set(rows["script"]) == set(audit.SCRIPTS)
     means = {
         (track, script): (float(found["return"].mean()), float(found["holes"].mean()))

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
+from typing import Any
 
-from benchmarks import machine
+from benchmarks.cell import Clock, run_once
 from benchmarks.classic.plan import CLIFF, Cell, settings
 from benchmarks.classic.presets import Preset
 from benchmarks.store import Store
@@ -38,27 +38,15 @@ def run_cell(
     from benchmarks.classic.train import run_learner
 
     folder = store.run(cell.id)
-    folder.check_config(settings(preset, cell))
-    if folder.is_complete():
-        return True
-    with folder.lock(wait):
-        if folder.is_complete():  # by the process that was waited for
-            return True
-        folder.begin(settings(preset, cell))
-        began = time.perf_counter(), time.process_time()
-        work = run_cliff if cell.kind == CLIFF else run_learner
-        training = work(preset, cell, folder, stop_requested)
+
+    def work() -> dict[str, Any] | None:
+        clock = Clock()
+        run = run_cliff if cell.kind == CLIFF else run_learner
+        training = run(preset, cell, folder, stop_requested)
         if training is None:
-            return False
-        spent = {
-            "wall_seconds": time.perf_counter() - began[0],
-            "cpu_seconds": time.process_time() - began[1],
-        }
-        folder.write_meta({
-            "cell": cell.id,
-            "preset": preset.name,
-            "training": {**spent, **training},
-            **machine.describe(),
-        })  # fmt: skip
-        folder.drop_checkpoint()
-    return True
+            return None
+        wall, cpu = clock.read()
+        spent = {"wall_seconds": wall, "cpu_seconds": cpu}
+        return {"cell": cell.id, "preset": preset.name, "training": {**spent, **training}}
+
+    return run_once(folder, settings(preset, cell), work, learns=False, wait=wait)

@@ -102,18 +102,12 @@ def _run(preset: Preset, arguments: argparse.Namespace) -> int:
         )
         harness = ClassicHarness(preset, arguments.preset, store, arguments.results, jobs, console)
         outcome = harness.run()
-        if outcome.skipped:
-            console.print(f"{len(outcome.skipped)} runs were complete already")
-        if outcome.interrupted:
-            console.print(f"Interrupted; the same command resumes. Results so far: {store.folder}")
-            return 130
-        _write_tables(preset, store, console)
-        _write_figures(preset, store, console)
-    console.print(f"Runs: {store.folder / 'runs'}")
-    if outcome.failed:
-        console.print(f"Failed: {', '.join(outcome.failed)}; the same command tries again")
-        return 1
-    return 0
+        return outcome.close(store, console, lambda: _write_page(preset, store, console))
+
+
+def _write_page(preset: Preset, store: Store, console: Console) -> None:
+    _write_tables(preset, store, console)
+    _write_figures(preset, store, console)
 
 
 def _check(preset: Preset) -> None:
@@ -128,7 +122,7 @@ def _check(preset: Preset) -> None:
 
 
 def _train(preset: Preset, arguments: argparse.Namespace) -> int:
-    from benchmarks.cell import StopFlag
+    from benchmarks.cell import StopFlag, tell_end
     from benchmarks.classic.cell import run_cell
 
     if arguments.cell is None:
@@ -138,12 +132,7 @@ def _train(preset: Preset, arguments: argparse.Namespace) -> int:
     flag = StopFlag(arguments.parent)
     flag.listen()
     complete = run_cell(preset, cell, store, flag, arguments.wait)
-    folder = store.run(cell.id).path
-    if not complete:
-        print(f"{cell.id}: stopped; the same command resumes. Its folder: {folder}")
-        return 130
-    print(f"{cell.id}: complete, see {folder}")
-    return 0
+    return tell_end(cell.id, store.run(cell.id), complete)
 
 
 def _plan(preset: Preset, arguments: argparse.Namespace) -> int:

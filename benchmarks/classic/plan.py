@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from benchmarks.classic.presets import Preset
-from benchmarks.errors import BenchmarkError, known
+from benchmarks.plan import pick
 from benchmarks.presets import as_dict
 
 CLIFF: Final = "cliff"
@@ -55,12 +55,7 @@ def find(preset: Preset, cell_id: str) -> Cell:
     Raises:
         BenchmarkError: the preset has no such cell.
     """
-    cells = {cell.id: cell for cell in expand(preset)}
-    if cell_id not in cells:
-        raise BenchmarkError(
-            f"preset '{preset.name}' has no cell '{cell_id}'; known cells: {known(cells)}"
-        )
-    return cells[cell_id]
+    return pick(expand(preset), preset.name, cell_id)
 
 
 def work_units(preset: Preset, cell: Cell) -> int:
