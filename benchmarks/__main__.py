@@ -124,7 +124,14 @@ def _add_entry(model: argparse.ArgumentParser) -> None:
     add("--mask-visited", type=int, default=0, metavar="N", help="as the model was trained")
     add("--replace", action="store_true", help="take the place of another entry of this name")
     add("--episodes", type=_positive, default=None,
-        help="test episodes per seed, for a quick look: nothing is stored")  # fmt: skip
+        help="test episodes per seed, for a quick look: nothing joins the leaderboard")  # fmt: skip
+    add(
+        "--starts",
+        type=_natural,
+        default=None,
+        metavar="NUMBER",
+        help="stored policies: begin where this number says, not at the test episodes' starts",
+    )
 
 
 def _add_verify(verbs: Any, page: argparse.ArgumentParser) -> None:
@@ -134,6 +141,13 @@ def _add_verify(verbs: Any, page: argparse.ArgumentParser) -> None:
     verb.add_argument("--results", type=Path, default=Path("results"), help="results folder")
     verb.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the docs")
     verb.set_defaults(command=commands.verify)
+
+
+def _natural(text: str) -> int:
+    number = int(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"{number} is below 0")
+    return number
 
 
 def _positive(text: str) -> int:

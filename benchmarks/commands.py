@@ -136,13 +136,14 @@ def train(arguments: argparse.Namespace) -> int:
 def evaluate(arguments: argparse.Namespace) -> int:
     """Score a model or planner of one's own for the leaderboard, or stored policies again."""
     if arguments.model or arguments.planner:
+        if arguments.starts is not None:
+            raise BenchmarkError("--starts is for stored policies, not for --model or --planner")
         return _evaluate_entry(arguments)
-    from benchmarks.scores import score_store
+    from benchmarks.scores import score_again
 
-    preset = load_preset(arguments.preset)
-    store = Store.open(arguments.results, preset.name)
-    for line in score_store(preset, store, arguments.episodes):
-        print(line)
+    preset, store = _open(arguments)
+    console = Console(soft_wrap=True)
+    score_again(preset, store, arguments.results, console, arguments.episodes, arguments.starts)
     return 0
 
 

@@ -36,7 +36,7 @@ from benchmarks.model_files import detect_algorithm, fitting_observation, load_m
 from benchmarks.plan import DESIGN, METHODS, PLANNERS, Cell
 from benchmarks.planners.base import Plan
 from benchmarks.presets import Preset, as_dict
-from benchmarks.scores import in_words
+from benchmarks.scores import in_words, progress_bar
 from benchmarks.store import RunFolder, Store
 from benchmarks.train import env_arguments
 
@@ -113,7 +113,7 @@ def join(
     todo = [(seed, folder) for seed, folder in folders if not folder.is_complete()]
     if len(todo) < len(folders):
         console.print(f"{len(folders) - len(todo)} of {len(folders)} seeds were scored already")
-    with _progress(console) as progress:
+    with progress_bar(console) as progress:
         task = progress.add_task(f"{entry.name}", total=len(todo))
         for number, (seed, folder) in enumerate(todo):
             began = time.perf_counter(), time.process_time()
@@ -146,20 +146,6 @@ def glance(preset: Preset, entry: Entry, episodes: int) -> Iterator[str]:
     preset = dataclasses.replace(preset, evaluation=tests)
     for seed, (score, _) in prepare(preset, entry).items():
         yield from in_words(pd.DataFrame(score(lambda share: None)), f"{entry.name}, seed {seed}")
-
-
-def _progress(console: Console) -> Any:
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn(),
-               TimeRemainingColumn())  # fmt: skip
-    return Progress(*columns, console=console, refresh_per_second=2)
 
 
 def _check(preset: Preset, entry: Entry) -> None:

@@ -26,10 +26,14 @@ Rows = list[dict[str, object]]
 
 
 def begin_episodes(
-    arguments: dict[str, Any], seed: int, number: int, stream: str = "test"
+    arguments: dict[str, Any],
+    seed: int,
+    number: int,
+    stream: str = "test",
+    starts: int | None = None,
 ) -> list[Episode]:
     """``number`` episodes, each in an environment of its own, on the stream's initial states."""
-    seeds = episode_seeds(seed, number, stream)
+    seeds = episode_seeds(seed, number, stream, starts)
     return [Episode(CoopInsertionEnv(**arguments), i, s) for i, s in enumerate(seeds)]
 
 
@@ -74,25 +78,31 @@ def evaluate_policy(
     seed: int,
     arguments: dict[str, Any],
     tell: Callable[[float], None] = lambda share: None,
+    starts: int | None = None,
 ) -> Rows:
     """Rows of all test episodes of one seed, at every level of noise of the preset.
 
-    ``tell`` hears after each level which share is done.
+    ``tell`` hears after each level which share is done. With ``starts`` the episodes begin where
+    that number says, not at the test episodes' starts.
     """
     rows: Rows = []
     levels = preset.evaluation.noise
     for number, noise in enumerate(levels, start=1):
-        episodes = begin_episodes(arguments, seed, preset.evaluation.episodes)
+        episodes = begin_episodes(arguments, seed, preset.evaluation.episodes, starts=starts)
         rows += run_policy(policy, episodes, noise, derive("noise", seed))
         tell(number / len(levels))
     return rows
 
 
 def evaluate_planner(
-    preset: Preset, cell: Cell, arguments: dict[str, Any], tell: Callable[[float], None]
+    preset: Preset,
+    cell: Cell,
+    arguments: dict[str, Any],
+    tell: Callable[[float], None],
+    starts: int | None = None,
 ) -> Rows:
     """Rows of all test episodes of one planner cell; planners see the true state, without noise."""
-    return play_episodes(planner_runner(preset, cell), preset, cell.seed, arguments, tell)
+    return play_episodes(planner_runner(preset, cell), preset, cell.seed, arguments, tell, starts)
 
 
 def play_episodes(
@@ -101,9 +111,10 @@ def play_episodes(
     seed: int,
     arguments: dict[str, Any],
     tell: Callable[[float], None],
+    starts: int | None = None,
 ) -> Rows:
     """Rows of all test episodes of one seed, played one after the other, without noise."""
-    episodes = begin_episodes(arguments, seed, preset.evaluation.episodes)
+    episodes = begin_episodes(arguments, seed, preset.evaluation.episodes, starts=starts)
     rows: Rows = []
     for number, episode in enumerate(episodes, start=1):
         play(episode)

@@ -1,52 +1,174 @@
-"""Scores of stored policies on the test episodes, once more and in words."""
+"""Stored policies and the planners play once more; the tables are built from what they do then.
+
+    python -m benchmarks evaluate --preset paper
+    python -m benchmarks evaluate --preset paper --starts 2026
+
+The first plays the test episodes and says whether every episode and every cell of every table came
+out as stored. The second plays episodes that begin elsewhere: any whole number stands for starts of
+its own, none of which was ever trained on or looked at. Nothing of the store is changed; the
+episodes and tables go to ``results/again/``.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import os
+import shutil
 from collections.abc import Iterator
-from typing import Any
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from itertools import zip_longest
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Final
 
 import pandas as pd
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import TimeElapsedColumn as Elapsed
+from rich.progress import TimeRemainingColumn as Remaining
 
+from benchmarks.backends import PINNED, default_jobs
 from benchmarks.errors import BenchmarkError
-from benchmarks.evaluate import evaluate_policy, model_policy
+from benchmarks.evaluate import Rows, evaluate_planner, evaluate_policy, model_policy
 from benchmarks.metrics import EXTRA_METRICS, PAPER_METRICS
 from benchmarks.model_files import load_model
-from benchmarks.plan import expand
+from benchmarks.plan import DESIGN, Cell, expand
 from benchmarks.presets import Preset
-from benchmarks.store import Store
+from benchmarks.report import Table
+from benchmarks.store import RunFolder, Store
+from benchmarks.tables import build_tables, write_tables
 from benchmarks.train import env_arguments
 
-
-def score_store(preset: Preset, store: Store, episodes: int | None) -> Iterator[str]:
-    """One line per stored policy and level of noise."""
-    found = False
-    for cell in expand(preset):
-        folder = store.run(cell.id)
-        if not cell.learns or not folder.is_done(cell.learns):
-            continue
-        found = True
-        model = load_model(folder.policy, cell.method)
-        arguments = env_arguments(preset, cell, preset.tracks[cell.track])
-        yield from _score(preset, model, arguments, episodes, cell.id, [cell.seed])
-    if not found:
-        raise BenchmarkError(f"{store.folder} has no trained policy to score: run the preset first")
+AGAIN: Final = "again"
+TIMES: Final = ("plan_seconds",)  # columns that differ from one play to the next
 
 
-def _score(
+def score_again(
     preset: Preset,
-    model: Any,
-    arguments: dict[str, Any],
-    episodes: int | None,
-    name: str,
-    seeds: list[int],
-) -> Iterator[str]:
+    store: Store,
+    results: Path,
+    console: Console,
+    episodes: int | None = None,
+    starts: int | None = None,
+) -> Store:
+    """Play what a store holds once more, and build its tables from that.
+
+    Args:
+        preset: the experiment.
+        store: with its complete runs; those that are not are left out, and named.
+        results: the folder in which ``again/`` is made.
+        console: hears how far it is and what came of it.
+        episodes: test episodes per seed, for a quick look; None for the preset's.
+        starts: stands for other starts than the test episodes'; None for the test episodes.
+
+    Returns:
+        A store with the episodes and tables of this time.
+
+    Raises:
+        BenchmarkError: the store has no trained policy.
+    """
+    cells = [cell for cell in expand(preset) if cell.method != DESIGN]
+    ready = [cell for cell in cells if store.run(cell.id).is_done(cell.learns)]
+    if not any(cell.learns for cell in ready):
+        raise BenchmarkError(f"{store.folder} has no trained policy to score: run the preset first")
+    if len(ready) < len(cells):
+        console.print(f"Left out, not run yet or without a policy: {len(cells) - len(ready)} runs")
     if episodes is not None:
         tests = dataclasses.replace(preset.evaluation, episodes=episodes)
         preset = dataclasses.replace(preset, evaluation=tests)
-    for seed in seeds:
-        rows = pd.DataFrame(evaluate_policy(model_policy(model), preset, seed, arguments))
-        yield from in_words(rows, f"{name}, seed {seed}")
+    which = "test" if starts is None else f"starts-{starts}"
+    again = _fresh_store(store, results / AGAIN / which)
+    os.environ.update(PINNED)  # of the processes that are started now
+    jobs = min(default_jobs(), len(ready))
+    console.print(f"{len(ready)} runs play again, {jobs} at a time; Ctrl-C ends it")
+    equal = 0
+    with (
+        progress_bar(console) as progress,
+        ProcessPoolExecutor(jobs, get_context("spawn")) as pool,
+    ):
+        task = progress.add_task("test episodes", total=len(ready))
+        futures = {
+            pool.submit(_play, preset, cell, store.run(cell.id).policy, starts): cell
+            for cell in ready
+        }
+        try:
+            for future in as_completed(futures):
+                cell, rows = futures[future], future.result()
+                equal += _keep(store.run(cell.id), again.run(cell.id), rows)
+                progress.advance(task)
+                console.print(next(in_words(pd.DataFrame(rows), cell.id)), markup=False)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    built = build_tables(again)
+    write_tables(again, built)
+    for table in built:
+        if table.name in ("performance", "ablation", "geometry", "robustness"):
+            console.print(table.markdown(), markup=False, highlight=False)
+    if starts is None and episodes is None and len(ready) == len(cells):
+        console.print(f"Runs whose every episode came out as stored: {equal} of {len(ready)}")
+        console.print(_compare(build_tables(store), built), markup=False, highlight=False)
+    console.print(f"Episodes and tables of this time: {again.folder}")
+    return again
+
+
+def progress_bar(console: Console) -> Progress:
+    """What is done, how long it took and will take."""
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), Elapsed(), Remaining())
+    return Progress(*columns, console=console, refresh_per_second=2)
+
+
+def _fresh_store(store: Store, root: Path) -> Store:
+    """A store beside the first with its runs' settings and training, without episodes."""
+    folder = root / store.folder.name
+    if folder.exists():
+        shutil.rmtree(folder)
+    again = Store.open(root, store.folder.name, create=True)
+    for run in store.completed():
+        copy = again.run(run.id).path
+        copy.mkdir(parents=True)
+        names = ["config.yaml", "curve.csv", "design.csv"]
+        if not run.has_rows("episodes"):
+            names.append("meta.json")  # which completes it; the others have to play first
+        for name in names:
+            if (run.path / name).is_file():
+                shutil.copy(run.path / name, copy / name)
+    return again
+
+
+def _keep(stored: RunFolder, again: RunFolder, rows: Rows) -> bool:
+    """Store a run's rows, which completes it; whether they are those of the first time."""
+    again.write_rows("episodes", rows)
+    shutil.copy(stored.path / "meta.json", again.path / "meta.json")
+    first, second = (folder.rows("episodes").drop(columns=[*TIMES]) for folder in (stored, again))
+    return first.equals(second)
+
+
+def _play(preset: Preset, cell: Cell, policy: Path, starts: int | None) -> Rows:
+    import torch
+
+    torch.set_num_threads(1)
+    track = preset.tracks[cell.track] if cell.learns else None
+    arguments = env_arguments(preset, cell, track)
+    if not cell.learns:
+        return evaluate_planner(preset, cell, arguments, lambda share: None, starts)
+    model = load_model(policy, cell.method)
+    return evaluate_policy(model_policy(model), preset, cell.seed, arguments, starts=starts)
+
+
+def _compare(stored: list[Table], again: list[Table]) -> str:
+    cells = differing = 0
+    lines: list[str] = []
+    none: list[str] = []
+    for one, two in zip(stored, again, strict=True):
+        for row, other in zip_longest(one.texts(), two.texts(), fillvalue=none):
+            for name, a, b in zip_longest(one.header, row, other, fillvalue="nothing"):
+                cells += 1
+                if a != b:
+                    differing += 1
+                    lines.append(f"  {one.name}, {(row or other)[0]}, {name}: {a} stored, {b} now")
+    head = f"Cells of the tables that came out as stored: {cells - differing} of {cells}"
+    return "\n".join([head, *lines])
 
 
 def in_words(rows: pd.DataFrame, name: str) -> Iterator[str]:

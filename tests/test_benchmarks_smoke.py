@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -133,15 +134,60 @@ def test_plan_verify_curves_and_evaluate(
     assert main(["verify", *place, "--readme", str(tmp_path / "none.md")]) == 0
     assert main(["curves", *place]) == 0
     assert "75 % over 20 at never" in capsys.readouterr().out
-    assert main(["evaluate", *place]) == 0
-    out = capsys.readouterr().out
-    assert "rainbow-optimized-tuned-s0, seed 0, noise 0.01" in out
     policy = results / "smoke" / "runs" / "dqn-optimized-tuned-s0" / "policy.zip"
     words = ["--model", str(policy), "--algorithm", "dqn", "--episodes", "1"]
     assert main(["evaluate", *place, *words]) == 0
     stored = pd.read_csv(policy.parent / "episodes.csv")
     first = stored[(stored["episode"] == 0) & (stored["noise"] == 0.0)].iloc[0]
     assert f"Success rate (%) {100.0 * first['success']:.1f}" in capsys.readouterr().out
+
+
+def test_what_is_stored_comes_out_again(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(results / "smoke", tmp_path / "smoke")
+    place = ["evaluate", "--preset", "smoke", "--results", str(tmp_path)]
+    rows = tmp_path / "smoke" / "runs" / "rainbow-optimized-tuned-s0" / "episodes.csv"
+    first = pd.read_csv(rows)
+    first.assign(holes=first["holes"] + 1).to_csv(rows, index=False)
+    files = {p: p.read_bytes() for p in (tmp_path / "smoke").rglob("*") if p.is_file()}
+    assert main(place) == 0
+    out = capsys.readouterr().out
+    assert "Runs whose every episode came out as stored: 3 of 4" in out
+    assert re.search(r"performance, Holes per episode.*Rainbow DQN, tuned: .* stored, .* now", out)
+    again = tmp_path / "again" / "test" / "smoke"
+    played = pd.read_csv(again / "runs" / rows.parent.name / "episodes.csv")
+    pd.testing.assert_frame_equal(played, first)
+    first.to_csv(rows, index=False)
+    assert main(place) == 0
+    out = capsys.readouterr().out
+    assert "Runs whose every episode came out as stored: 4 of 4" in out
+    cells = re.search(r"Cells of the tables that came out as stored: (\d+) of (\d+)", out)
+    assert cells is not None
+    assert cells[1] == cells[2]
+    files[rows] = rows.read_bytes()
+    assert {p: p.read_bytes() for p in (tmp_path / "smoke").rglob("*") if p.is_file()} == files
+
+
+def test_other_starts_are_starts_of_their_own(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(results / "smoke", tmp_path / "smoke")
+    words = ["evaluate", "--preset", "smoke", "--results", str(tmp_path), "--episodes", "3"]
+    seen: list[set[str]] = []
+    for starts in ("1", "2"):
+        assert main([*words, "--starts", starts]) == 0
+        out = capsys.readouterr().out
+        assert "Performance on the test episodes" in out
+        folder = tmp_path / "again" / f"starts-{starts}" / "smoke" / "runs"
+        runs = [pd.read_csv(path) for path in sorted(folder.glob("*/episodes.csv"))]
+        assert len(runs) == 4
+        found = [set(rows.loc[rows["noise"] == 0.0, "start"].astype(str)) for rows in runs]
+        assert all(starts == found[0] for starts in found)  # the same for every method
+        seen.append(found[0])
+    stored = pd.read_csv(tmp_path / "smoke" / "runs" / "optimum-optimized-s0" / "episodes.csv")
+    assert not seen[0] & seen[1]
+    assert not (seen[0] | seen[1]) & set(stored["start"].astype(str))
 
 
 def test_verify_is_red_after_a_change(
