@@ -38,8 +38,10 @@ def test_the_paper_preset_has_the_papers_protocol_and_hyperparameters() -> None:
     preset = load_preset("paper")
     assert len(preset.seeds) == 5
     assert preset.evaluation.episodes == 100
-    track = load_preset("long").tracks["printed"]
-    cut = preset.tracks["printed"]
+    whole = parse_preset(
+        smoke() | {"tracks": {"tuned": None, "printed": None}}, "mine", "mine.yaml"
+    )
+    track, cut = whole.tracks["printed"], preset.tracks["printed"]
     assert dataclasses.replace(track, timesteps=cut.timesteps) == cut
     h = track.hyperparameters
     assert (track.reward, track.timesteps) == ("paper", 1_500_000)
