@@ -5,7 +5,8 @@
 The stored policies of all seeds play their test episodes again, up to the first insertion, beside
 the exact optimum. A failure is *infeasible* if no sequence of moves inserts from that start,
 *singular* if the episode ended by a singularity, *cycle* if the last moves ran through the same few
-configurations, and else *wandering*: it went on and found no way. Written to
+configurations, and else *wandering*: it went on and found no way. Of a distributional learner it
+says how far the best action's value stands above the second best allowed one's. Written to
 ``results/<preset>/failures/`` as ``<method>-<track>``: ``.csv``, one row per episode, ``.md``,
 ``.png``.
 """
@@ -13,6 +14,7 @@ configurations, and else *wandering*: it went on and found no way. Written to
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -21,9 +23,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 
+from benchmarks.audit import TAIL
 from benchmarks.errors import BenchmarkError
 from benchmarks.evaluate import begin_episodes, model_policy
 from benchmarks.plan import LEARNERS, Cell, expand
@@ -55,10 +59,12 @@ def play(
         roll, pitch = (float(v) for v in state["configuration"][3:5])
         plan = oracle.plan(episode.env)
         optimum = len(plan.moves) if plan.moves is not None else None
-        trail = []
+        trail, seen, allowed = [], [], []
         singular = False
         while not episode.over and not episode.insertions:
             masks = episode.env.action_masks()[None]
+            seen.append(episode.observation)
+            allowed.append(masks[0])
             action = int(policy(episode.observation[None], masks)[0])
             singular = bool(episode.move(action)["singular"])
             trail.append(episode.env.state["offset"].tobytes())
@@ -82,11 +88,40 @@ def play(
                 "optimum": np.nan if optimum is None else float(optimum),
                 "success": success,
                 "moves": float(episode.moves) if success else np.nan,
+                "gap": action_gap(model, np.array(seen), np.array(allowed)),
                 "cause": cause,
             }
         )
         tell()
     return rows
+
+
+def action_gap(model: Any, observations: NDArray[np.float32], masks: NDArray[np.bool_]) -> float:
+    """The best allowed action's value over the second best's: median, as a share of the support.
+
+    Args:
+        model: a learner; NaN if its values have no support.
+        observations: (n, size), of the states where it had to choose.
+        masks: (n, 12); states with one allowed action do not count.
+    """
+    import torch
+
+    net = getattr(model, "q_net", None)
+    choices = masks.sum(axis=1) > 1
+    if not getattr(net, "distributional", False) or not choices.any():
+        return math.nan
+    assert net is not None
+    with torch.no_grad():
+        values = net(torch.as_tensor(observations[choices], device=net.device)).cpu().numpy()
+    best = np.sort(np.where(masks[choices], values, -np.inf), axis=1)[:, -2:]
+    return float(np.median(best[:, 1] - best[:, 0]) / (net.v_max - net.v_min))
+
+
+def acting_success(store: Store, cell: Cell) -> float:
+    """Share of training episodes that a learner solved in its last tenth, with its exploration."""
+    curve = store.run(cell.id).rows("curve")
+    tail = curve[curve["timesteps"] > (1.0 - TAIL) * curve["timesteps"].max()]
+    return float(tail["success"].mean())
 
 
 def read(path: Path) -> pd.DataFrame:
@@ -115,7 +150,26 @@ def summary(rows: pd.DataFrame) -> str:
     counts = rows.loc[~rows["success"], "cause"].value_counts()
     failed = int((~rows["success"]).sum())
     named = ", ".join(f"{counts.get(cause, 0)} {cause}" for cause in CAUSES)
-    return "\n".join(lines) + f"\n\n{failed} failures of {len(rows)}: {named}.\n"
+    lines += ["", f"{failed} failures of {len(rows)}: {named}."]
+    acting = rows.groupby("seed")["acting"].first().mean()
+    if not math.isnan(acting):  # a training episode ended there
+        lines += [
+            f"The last tenth of training, with exploration: {100.0 * acting:.1f} % of its "
+            "episodes; the greedy policy on the test episodes: "
+            f"{100.0 * rows['success'].mean():.1f} %."
+        ]
+    solved, cycles = rows.loc[rows["success"], "gap"], rows.loc[rows["cause"] == "cycle", "gap"]
+    parts = [
+        f"{100.0 * found.median():.2f} % where it {what}"
+        for found, what in ((solved, "inserts"), (cycles, "cycles"))
+        if found.notna().any()
+    ]
+    if parts:
+        lines += [
+            "The best action's value over the second best's, median, as a share of the support's "
+            f"width: {', '.join(parts)}."
+        ]
+    return "\n".join(lines) + "\n"
 
 
 def _tilt_bins(rows: pd.DataFrame) -> pd.Series:
@@ -204,7 +258,9 @@ def main(words: Sequence[str]) -> int:
         job = bar.add_task("test episodes", total=len(cells) * preset.evaluation.episodes)
         for cell in sorted(cells):
             model = ALGORITHMS[cell.method].load(store.run(cell.id).policy, device="cpu")
-            rows += play(preset, cell, model, oracle, lambda: bar.advance(job))
+            acting = acting_success(store, cell)
+            played = play(preset, cell, model, oracle, lambda: bar.advance(job))
+            rows += [{**row, "acting": acting} for row in played]
     name = f"{arguments.method}-{arguments.track}"
     if arguments.geometry != "optimized":
         name += f"-{arguments.geometry}"

@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+import torch as th
 
 from benchmarks import audit, failures
 from benchmarks.__main__ import main
@@ -73,15 +75,36 @@ def test_both_commands_write_what_they_say(
     assert "no stored policy of rainbow, track tuned" in capsys.readouterr().err
     assert run_cell(preset, find(preset, "rainbow-optimized-tuned-s0"), store)
     assert main(["failures", *words]) == 0
-    rows = pd.read_csv(store.folder / "failures" / "rainbow-tuned.csv")
+    folder = store.folder / "failures"
+    rows = pd.read_csv(folder / "rainbow-tuned.csv")
     assert len(rows) == preset.evaluation.episodes
     assert set(rows.loc[~rows["success"].astype(bool), "cause"]) <= set(failures.CAUSES)
-    assert (store.folder / "failures" / "rainbow-tuned.png").stat().st_size > 10_000
+    assert (folder / "rainbow-tuned.png").stat().st_size > 10_000
+    assert rows["gap"].between(0.0, 1.0).all()
+    assert rows["acting"].isna().all()  # no training episode ended within so few steps
+    assert "last tenth" not in failures.summary(failures.read(folder / "rainbow-tuned.csv"))
+    known = failures.read(folder / "rainbow-tuned.csv").assign(acting=0.5)
+    assert "with exploration: 50.0 %" in failures.summary(known)
     assert main(["audit", *words, "--starts", "1"]) == 0
     learned = pd.read_csv(tmp_path / "audit" / "learned.csv")
     assert learned["method"].tolist() == ["rainbow"]
     assert (tmp_path / "audit" / "audit.png").stat().st_size > 10_000
     assert main(["audit", *words, "--starts", "0"]) == 2
+
+
+def test_the_action_gap_is_that_of_the_allowed_actions_over_the_support() -> None:
+    class Net:
+        distributional, device, v_min, v_max = True, "cpu", -10.0, 40.0
+
+        def __call__(self, observations: th.Tensor) -> th.Tensor:
+            return observations
+
+    model = SimpleNamespace(q_net=Net())
+    values = np.array([[5.0, 4.0, 9.0], [1.0, 3.0, 0.0], [7.0, 0.0, 0.0]], np.float32)
+    masks = np.array([[1, 1, 0], [1, 1, 1], [1, 0, 0]], bool)
+    assert failures.action_gap(model, values, masks) == pytest.approx(1.5 / 50.0)
+    assert math.isnan(failures.action_gap(model, values[2:], masks[2:]))  # no choice
+    assert math.isnan(failures.action_gap(SimpleNamespace(), values, masks))
 
 
 def test_causes_are_told_apart() -> None:
