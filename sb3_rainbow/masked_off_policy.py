@@ -11,8 +11,7 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.type_aliases import MaybeCallback
 
 from sb3_rainbow.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.masking import as_action_masks, capture_terminal_masks
@@ -37,12 +36,6 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
     _masking: bool = False
     _warned_of_lost_mask: bool = False
     _last_action_masks: NDArray[np.bool_] | None = None
-
-    @staticmethod
-    def _wrap_env(env: GymEnv, verbose: int = 0, monitor_wrapper: bool = True) -> VecEnv:
-        vec_env = OffPolicyAlgorithm._wrap_env(env, verbose, monitor_wrapper)
-        capture_terminal_masks(vec_env)
-        return vec_env
 
     def _setup_learn(
         self,
@@ -72,6 +65,9 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
                 "the target needs: pass use_masking=False"
             )
         self._masking = supported
+        if supported:
+            # Only now: who learns without masks may have an env that cannot give them.
+            capture_terminal_masks(self.env)
         self._last_action_masks = self._current_masks() if supported else None
 
     def _current_masks(self) -> NDArray[np.bool_]:

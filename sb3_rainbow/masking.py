@@ -19,15 +19,17 @@ class TerminalActionMask(gym.Wrapper):
     the next episode's first state; a truncated episode's target needs the mask of its last one.
     Rainbow wraps the envs of a ``DummyVecEnv`` by itself. In a ``SubprocVecEnv`` they live in other
     processes: wrap them there, ``make_vec_env(..., wrapper_class=TerminalActionMask)``. Everything
-    else, attributes that are set included, passes through to the env.
+    else passes through; an attribute that is set goes to the layer below that has it, through a
+    ``Monitor`` to the env itself.
 
     :param env: an env with a method ``action_masks``
     """
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the env; where the episode ended, add the mask to ``info``."""
+        """Step the env; where the episode was truncated, add the mask to ``info``."""
         obs, reward, terminated, truncated, info = self.env.step(action)
-        if terminated or truncated:
+        # No target looks at a terminated state's mask, and many envs have none to give there.
+        if truncated and not terminated:
             mask = np.array(self.env.get_wrapper_attr("action_masks")(), dtype=bool)
             info = {**info, TERMINAL_MASK_KEY: mask}
         return obs, reward, terminated, truncated, info
@@ -41,7 +43,15 @@ class TerminalActionMask(gym.Wrapper):
         if name.startswith("_") or name == "env":
             super().__setattr__(name, value)
         else:
-            setattr(self.env, name, value)
+            self.env.set_wrapper_attr(name, value)
+
+    def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
+        """
+        As Gymnasium's, among the layers below: this wrapper seems to have all that they have.
+
+        :return: whether the attribute was set
+        """
+        return self.env.set_wrapper_attr(name, value, force=force)
 
 
 def innermost_vec_env(env: VecEnv) -> VecEnv:

@@ -52,6 +52,7 @@ def with_terminal_masks(
     :param dones: which episodes ended, ``(n_envs,)``
     :param infos: hold ``"terminal_action_mask"``
     :return: a copy, and whether a truncated episode came without its mask
+    :raises ValueError: for a mask of another shape, or one that allows nothing
     """
     if not dones.any():
         return masks, False
@@ -64,6 +65,13 @@ def with_terminal_masks(
             mask = infos[env].get(TERMINAL_MASK_KEY)
             if mask is None:
                 lost = True
-            else:
-                masks[env] = as_action_masks(np.reshape(mask, (1, -1)), 1, masks.shape[1])[0]
+                continue
+            given = np.reshape(mask, (1, -1))
+            if not given.any():
+                raise ValueError(
+                    f"An episode of env {env} was truncated in a state whose action mask allows no "
+                    "action, so its return cannot go on from there: report the state as "
+                    "terminated, or let action_masks() return all True"
+                )
+            masks[env] = as_action_masks(given, 1, masks.shape[1])[0]
     return masks, lost

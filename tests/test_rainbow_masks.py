@@ -175,6 +175,61 @@ def test_a_terminated_state_may_allow_nothing() -> None:
     small_model(DeadEnd(truncates=False)).learn(60)
 
 
+class NoMovesLeft(ClockEnv):
+    """Raises where someone asks for the mask of a state that an episode ended in."""
+
+    def action_masks(self) -> np.ndarray:
+        if self.time == self.length:
+            raise RuntimeError("the game is over")
+        return super().action_masks()
+
+
+def make_wrapped_no_moves_left() -> gym.Env:
+    return TerminalActionMask(NoMovesLeft(truncates=False))
+
+
+def test_no_one_asks_for_the_mask_of_a_terminated_state() -> None:
+    small_model(DummyVecEnv([lambda: NoMovesLeft(truncates=False)] * 2)).learn(60)
+    env = SubprocVecEnv([make_wrapped_no_moves_left] * 2, start_method="fork")
+    small_model(env).learn(60)
+    env.close()
+
+
+def test_without_masking_no_mask_is_ever_asked_for() -> None:
+    class Silent(ClockEnv):
+        def step(self, action: int) -> Any:
+            self.time += 1
+            return self.observation(), 0.0, False, self.time == self.length, {}
+
+        def action_masks(self) -> np.ndarray:
+            raise RuntimeError("nobody should ask")
+
+    small_model(Silent(), use_masking=False).learn(40)
+
+
+def test_a_truncated_state_that_allows_nothing_is_named() -> None:
+    class Stuck(ClockEnv):
+        def action_masks(self) -> np.ndarray:
+            return super().action_masks() & (self.time < self.length)
+
+    env = DummyVecEnv([make_clock, lambda: Stuck(length=4)])
+    with pytest.raises(ValueError, match=r"env 1 was truncated in a state .* allows no action"):
+        small_model(env).learn(40)
+
+
+def test_attributes_are_set_through_a_monitor() -> None:
+    env = make_vec_env(make_clock, n_envs=2)
+    small_model(env).learn(30)
+    assert env.env_is_wrapped(TerminalActionMask) == [True, True]
+    clocks = [wrapped.unwrapped for wrapped in env.envs]  # type: ignore[attr-defined]
+    env.env_method("set_wrapper_attr", "stage", 3)
+    assert [clock.stage for clock in clocks] == env.get_attr("stage") == [3, 3]
+    env.set_attr("stage", 4)
+    assert [clock.stage for clock in clocks] == env.get_attr("stage") == [4, 4]
+    unknown = env.env_method("set_wrapper_attr", "no_such_thing", 1, force=False)
+    assert unknown == [False, False]
+
+
 def test_the_wrapper_is_transparent() -> None:
     inner = ClockEnv()
     env = DummyVecEnv([lambda: inner])
