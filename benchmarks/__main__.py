@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 a run failed or a check found a difference, 2 bad input, 1
 from __future__ import annotations
 
 import argparse
+import errno
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -38,6 +39,15 @@ def _guarded(action: Callable[[], int]) -> int:
         return action()
     except BenchmarkError as error:
         print(f"error: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        print(
+            f"error: {error.strerror}: {error.filename or 'the results folder'}; make room, the "
+            "same command goes on",
+            file=sys.stderr,
+        )
         return 2
     except KeyboardInterrupt:
         return 130
@@ -94,10 +104,12 @@ def _parser() -> argparse.ArgumentParser:
     add("report", commands.report, "tables, figures and a one-page HTML report of both")
     add("curves", commands.curves, "say where the training curves of each run stand")
     _add_verify(verbs, page)
-    add("readme", commands.readme, "rewrite the results section of the README", page)
+    _add_readme(verbs, page)
     verbs.add_parser("speed", help="measure speed: speed env, speed rainbow")
     verbs.add_parser("tune", help="search hyperparameters: the paper's grid, or TPE")
     verbs.add_parser("design", help="the geometric optimization: table and figures")
+    verbs.add_parser("audit", help="what each reward pays for: scripts and learners")
+    verbs.add_parser("failures", help="where stored policies fail, and why")
     verbs.add_parser("classic", help="Rainbow beside DQN and QR-DQN on other tasks")
     return parser
 
@@ -132,6 +144,14 @@ def _add_entry(model: argparse.ArgumentParser) -> None:
         metavar="NUMBER",
         help="stored policies: begin where this number says, not at the test episodes' starts",
     )
+
+
+def _add_readme(verbs: Any, page: argparse.ArgumentParser) -> None:
+    text = "rewrite the results section of the README, and the tables in the docs beside it"
+    verb = verbs.add_parser("readme", help=text, description=text, parents=[page])
+    verb.add_argument("--preset", default=None, help="(default: the one that the README shows)")
+    verb.add_argument("--results", type=Path, default=Path("results"), help="results folder")
+    verb.set_defaults(command=commands.readme)
 
 
 def _add_verify(verbs: Any, page: argparse.ArgumentParser) -> None:

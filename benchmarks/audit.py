@@ -31,7 +31,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.plan import Cell
 from benchmarks.planners.oracle import LatticeOracle
 from benchmarks.presets import Preset, load_preset
-from benchmarks.results import TRACK_ORDER, Results
+from benchmarks.results import TRACK_ORDER, Results, tail_mean
 from benchmarks.seeding import episode_seeds
 from benchmarks.store import Store, write_atomic, write_csv, write_text
 from coop_env import batch, task
@@ -42,7 +42,6 @@ from coop_env.state import OUTCOME
 Moves = list[int]
 SCRIPTS: Final = ("insert", "insert one", "farm", "oscillate", "random")
 DETOUR: Final = 2
-TAIL: Final = 0.1  # share of a training run whose mean return stands for what was learned
 
 
 class Simulator:
@@ -217,7 +216,6 @@ def learned(store: Store) -> pd.DataFrame:
         if not run.folder.has_rows("curve"):
             continue
         curve = run.folder.rows("curve")
-        tail = curve[curve["timesteps"] > (1.0 - TAIL) * curve["timesteps"].max()]
         rows.append(
             {
                 "track": cell["track"],
@@ -225,8 +223,8 @@ def learned(store: Store) -> pd.DataFrame:
                 "ablation": cell["ablation"],
                 "geometry": cell["geometry"],
                 "seed": cell["seed"],
-                "return": float(tail["episode_reward"].mean()),
-                "holes": float(tail["holes"].mean()),
+                "return": tail_mean(curve, "episode_reward"),
+                "holes": tail_mean(curve, "holes"),
             }
         )
     return pd.DataFrame(rows)

@@ -31,6 +31,11 @@ Model = TypeVar("Model", bound=BaseAlgorithm)
 PREFIX: Final = "step-"
 PROGRESS_SECONDS: Final = 0.5
 FULL_BYTES: Final = 1_000_000  # free room below which a failed write is put down to the disk
+# of a network's storage, or of a machine that has too much to do
+PASSING: Final = (
+    *(errno.ESTALE, errno.EIO, errno.ETIMEDOUT, errno.EAGAIN, errno.EACCES),
+    *(errno.ENOMEM, errno.EMFILE, errno.ENFILE),
+)
 
 
 class Watch(BaseCallback):
@@ -214,6 +219,13 @@ def _is_full(root: Path, error: Exception) -> bool:
     return isinstance(error, RuntimeError) and shutil.disk_usage(root).free < FULL_BYTES
 
 
+def _is_passing(error: Exception) -> bool:
+    """Whether it speaks of the machine's state and not of the file."""
+    if isinstance(error, OSError):
+        return error.errno in PASSING
+    return isinstance(error, torch.OutOfMemoryError)
+
+
 def load_newest(
     folder: RunFolder,
     algorithm: type[BaseAlgorithm],
@@ -239,7 +251,7 @@ def read_newest(
 ) -> Model | None:
     """The model of the newest readable checkpoint below ``root``, or None.
 
-    A checkpoint that cannot be read is named in a warning and kept aside as ``broken-...``.
+    A checkpoint that is damaged is named in a warning and kept aside as ``broken-...``.
 
     Args:
         root: the run's folder of checkpoints.
@@ -248,6 +260,9 @@ def read_newest(
         restore: puts the checkpoint's state back; what it raises counts as unreadable.
         set_aside: the names of checkpoints set aside are added to it.
         device: where the network is to live.
+
+    Raises:
+        BenchmarkError: a checkpoint cannot be read now, for a reason that is not the file's.
     """
     for path in reversed(checkpoints(root)):
         try:
@@ -259,6 +274,11 @@ def read_newest(
                     model.load_replay_buffer(stream)
             restore(model, state)
         except Exception as error:
+            if _is_passing(error):
+                raise BenchmarkError(
+                    f"{path} cannot be read now ({type(error).__name__}: {error}); it is kept, the "
+                    "same command tries again"
+                ) from error
             # whatever a damaged file makes of the loaders, the run must go on
             aside = path.with_name(f"{BROKEN}{path.name}")
             shutil.rmtree(aside, ignore_errors=True)

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.plan import expand, find
-from benchmarks.presets import Preset, load_preset
+from benchmarks.presets import DEFAULT_PRESET, Preset, load_preset
 from benchmarks.store import Store
 
 if TYPE_CHECKING:
@@ -139,6 +139,12 @@ def evaluate(arguments: argparse.Namespace) -> int:
         if arguments.starts is not None:
             raise BenchmarkError("--starts is for stored policies, not for --model or --planner")
         return _evaluate_entry(arguments)
+    of_entries = ("name", "algorithm", "mask_singularities", "mask_visited", "replace")
+    given = [word for word in of_entries if getattr(arguments, word)]
+    if given:
+        raise BenchmarkError(
+            f"--{given[0].replace('_', '-')} belongs to a --model or --planner, which is not given"
+        )
     from benchmarks.scores import score_again
 
     preset, store = _open(arguments)
@@ -250,6 +256,11 @@ def readme(arguments: argparse.Namespace) -> int:
     from benchmarks.includes import rewrite_all
     from benchmarks.readme import rewrite
 
+    if arguments.preset is None:  # the one that the page is about
+        from benchmarks.verify import presets_of
+
+        named = presets_of(arguments.readme)
+        arguments.preset = named[0] if named else DEFAULT_PRESET
     _, store = _open(arguments)
     changed = rewrite(arguments.readme, store)
     print(f"{arguments.readme}: {'rewritten' if changed else 'up to date'}")

@@ -27,12 +27,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks.audit import TAIL
 from benchmarks.errors import BenchmarkError
 from benchmarks.evaluate import begin_episodes, model_policy
-from benchmarks.plan import LEARNERS, Cell, expand
+from benchmarks.plan import LEARNERS, Cell, expand, settings
 from benchmarks.planners.oracle import LatticeOracle
 from benchmarks.presets import Preset, load_preset
+from benchmarks.results import tail_mean
 from benchmarks.stats import wilson
 from benchmarks.store import Store, write_atomic, write_csv, write_text
 from coop_env.kinematics.rotations import tilt_azimuth
@@ -119,9 +119,7 @@ def action_gap(model: Any, observations: NDArray[np.float32], masks: NDArray[np.
 
 def acting_success(store: Store, cell: Cell) -> float:
     """Share of training episodes that a learner solved in its last tenth, with its exploration."""
-    curve = store.run(cell.id).rows("curve")
-    tail = curve[curve["timesteps"] > (1.0 - TAIL) * curve["timesteps"].max()]
-    return float(tail["success"].mean())
+    return tail_mean(store.run(cell.id).rows("curve"), "success")
 
 
 def read(path: Path) -> pd.DataFrame:
@@ -257,6 +255,7 @@ def main(words: Sequence[str]) -> int:
     with Progress(console=console) as bar:
         job = bar.add_task("test episodes", total=len(cells) * preset.evaluation.episodes)
         for cell in sorted(cells):
+            store.run(cell.id).check_config(settings(preset, cell))
             model = ALGORITHMS[cell.method].load(store.run(cell.id).policy, device="cpu")
             acting = acting_success(store, cell)
             played = play(preset, cell, model, oracle, lambda: bar.advance(job))

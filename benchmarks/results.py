@@ -194,6 +194,28 @@ def _planned(store: Store) -> dict[Key, int]:
     return planned
 
 
+def tail_mean(curve: pd.DataFrame, column: str, share: float = 0.1) -> float:
+    """Mean over the episodes that ended in the last ``share`` of a training run's steps.
+
+    A row of the curve holds the mean of the episodes since the row before, as many as the count has
+    grown by.
+
+    Args:
+        curve: rows of ``curve.csv``.
+        column: episode_reward, holes, success or duration.
+        share: of the steps.
+
+    Returns:
+        The mean; NaN if no episode ended there.
+    """
+    ended = curve["episodes"].diff().fillna(curve["episodes"])
+    late = (curve["timesteps"] > (1.0 - share) * curve["timesteps"].max()) & (ended > 0)
+    weights = ended[late]
+    if not len(weights):
+        return math.nan
+    return float((curve.loc[late, column] * weights).sum() / weights.sum())
+
+
 def excess_over_optimum(ours: Group, optimum: Group) -> Value:
     """Moves to the first insertion above the optimum's, in %, on starts that both solved."""
     values = []

@@ -194,7 +194,7 @@ class Harness:
                 note="",
             )
             try:
-                with _terminable():
+                with terminable():
                     self._loop(todo, progress, overall, shares)
             except KeyboardInterrupt:
                 interrupted = True
@@ -281,7 +281,7 @@ class Harness:
 
 
 @contextmanager
-def _terminable() -> Iterator[None]:
+def terminable() -> Iterator[None]:
     """Take SIGTERM, with which a batch system ends a job, as Ctrl-C."""
     if threading.current_thread() is not threading.main_thread():
         yield

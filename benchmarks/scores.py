@@ -14,10 +14,13 @@ from __future__ import annotations
 import dataclasses
 import os
 import shutil
+import signal
+import threading
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from itertools import zip_longest
-from multiprocessing import get_context
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import active_children, get_context, parent_process
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Final
 
@@ -32,9 +35,10 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.evaluate import Rows, evaluate_planner, evaluate_policy, model_policy
 from benchmarks.metrics import EXTRA_METRICS, PAPER_METRICS
 from benchmarks.model_files import load_model
-from benchmarks.plan import DESIGN, Cell, expand
+from benchmarks.plan import DESIGN, Cell, expand, settings
 from benchmarks.presets import Preset
 from benchmarks.report import Table
+from benchmarks.run import terminable
 from benchmarks.store import RunFolder, Store
 from benchmarks.tables import build_tables, write_tables
 from benchmarks.train import env_arguments
@@ -68,6 +72,8 @@ def score_again(
         BenchmarkError: the store has no trained policy.
     """
     cells = [cell for cell in expand(preset) if cell.method != DESIGN]
+    for cell in cells:
+        store.run(cell.id).check_config(settings(preset, cell))
     ready = [cell for cell in cells if store.run(cell.id).is_done(cell.learns)]
     if not any(cell.learns for cell in ready):
         raise BenchmarkError(f"{store.folder} has no trained policy to score: run the preset first")
@@ -83,8 +89,9 @@ def score_again(
     console.print(f"{len(ready)} runs play again, {jobs} at a time; Ctrl-C ends it")
     equal = 0
     with (
+        terminable(),
         progress_bar(console) as progress,
-        ProcessPoolExecutor(jobs, get_context("spawn")) as pool,
+        ProcessPoolExecutor(jobs, get_context("spawn"), _begin_worker) as pool,
     ):
         task = progress.add_task("test episodes", total=len(ready))
         futures = {
@@ -97,8 +104,17 @@ def score_again(
                 equal += _keep(store.run(cell.id), again.run(cell.id), rows)
                 progress.advance(task)
                 console.print(next(in_words(pd.DataFrame(rows), cell.id)), markup=False)
-        except BaseException:
+        except BaseException as error:
             pool.shutdown(wait=False, cancel_futures=True)
+            for process in active_children():  # what is queued in them is no use any more
+                process.terminate()
+            if isinstance(error, BrokenProcessPool):
+                raise BenchmarkError(
+                    "a process that played was killed, for want of memory perhaps; the store is as "
+                    "it was, the same command starts again"
+                ) from error
+            if isinstance(error, KeyboardInterrupt):
+                console.print("Interrupted; the store is as it was")
             raise
     built = build_tables(again)
     write_tables(again, built)
@@ -124,6 +140,8 @@ def _fresh_store(store: Store, root: Path) -> Store:
     if folder.exists():
         shutil.rmtree(folder)
     again = Store.open(root, store.folder.name, create=True)
+    if store.entries.is_dir():
+        shutil.copytree(store.entries, again.entries)
     for run in store.completed():
         copy = again.run(run.id).path
         copy.mkdir(parents=True)
@@ -144,6 +162,19 @@ def _keep(stored: RunFolder, again: RunFolder, rows: Rows) -> bool:
     return first.equals(second)
 
 
+def _begin_worker() -> None:
+    """Leave Ctrl-C to the parent, and do not outlive it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    assert parent is not None
+
+    def end_with(sentinel: int) -> None:
+        wait([sentinel])
+        os._exit(1)
+
+    threading.Thread(target=end_with, args=(parent.sentinel,), daemon=True).start()
+
+
 def _play(preset: Preset, cell: Cell, policy: Path, starts: int | None) -> Rows:
     import torch
 
@@ -159,16 +190,26 @@ def _play(preset: Preset, cell: Cell, policy: Path, starts: int | None) -> Rows:
 def _compare(stored: list[Table], again: list[Table]) -> str:
     cells = differing = 0
     lines: list[str] = []
-    none: list[str] = []
     for one, two in zip(stored, again, strict=True):
-        for row, other in zip_longest(one.texts(), two.texts(), fillvalue=none):
-            for name, a, b in zip_longest(one.header, row, other, fillvalue="nothing"):
-                cells += 1
-                if a != b:
-                    differing += 1
-                    lines.append(f"  {one.name}, {(row or other)[0]}, {name}: {a} stored, {b} now")
+        first, second = _by_label(one), _by_label(two)
+        for key in dict.fromkeys([*first, *second]):
+            cells += 1
+            a, b = first.get(key, "nothing"), second.get(key, "nothing")
+            if a != b:
+                differing += 1
+                lines.append(f"  {one.name}, {', '.join(key)}: {a} stored, {b} now")
     head = f"Cells of the tables that came out as stored: {cells - differing} of {cells}"
     return "\n".join([head, *lines])
+
+
+def _by_label(table: Table) -> dict[tuple[str, ...], str]:
+    """Every cell of a table under its row's labels and its column."""
+    labels = {"leaderboard": (1,), "deviations": (0, 1, 2)}.get(table.name, table.left)
+    return {
+        (*(row[i] for i in labels), name): text
+        for row in table.texts()
+        for name, text in zip(table.header, row, strict=True)
+    }
 
 
 def in_words(rows: pd.DataFrame, name: str) -> Iterator[str]:

@@ -92,11 +92,6 @@ def means(scores: Array) -> Array:
     return np.asarray(scores.reshape(scores.shape[0], -1).mean(axis=1), dtype=np.float64)
 
 
-def medians(scores: Array) -> Array:
-    """The median over tasks of the mean over runs, of each of k sets (k, runs, tasks)."""
-    return np.asarray(np.median(scores.mean(axis=1), axis=1), dtype=np.float64)
-
-
 def optimality_gaps(scores: Array) -> Array:
     """What scores lack to 1, those above 1 counted as 1, of each of k sets (k, ...)."""
     return 1.0 - means(np.minimum(scores, 1.0))

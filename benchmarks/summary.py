@@ -8,9 +8,10 @@ from benchmarks import labels
 from benchmarks.metrics import HOLES, PAPER_METRICS
 from benchmarks.paper_values import PERFORMANCE
 from benchmarks.plan import ABLATIONS
-from benchmarks.results import Group, Results, excess_over_optimum
+from benchmarks.results import Group, Results, excess_over_optimum, tail_mean
 from benchmarks.stats import Value, over_seeds
 
+NEAR = 0.98  # of the optimum's success counts as reaching it
 TIME = next(metric for metric in PAPER_METRICS if metric.key == "time_first")
 
 
@@ -56,7 +57,7 @@ def _ceiling(results: Results) -> str:
 def _reaches(ours: Group, optimum: Group) -> bool:
     """Whether success is at least 95 % and at least 0.98 of the optimum's."""
     mean = ours.success().mean
-    return mean >= 95.0 and mean >= 0.98 * optimum.success().mean
+    return mean >= 95.0 and mean >= NEAR * optimum.success().mean
 
 
 def _ranking(results: Results) -> str:
@@ -81,22 +82,21 @@ def _printed(results: Results) -> str:
         return ""
     dqn = results.group("dqn", track="printed")
     also = f", DQN in {_show(dqn.success())} %" if dqn.n else ""
+    success = f"Rainbow inserts in {_show(ours.success())} %{also}"
+    if ours.success().mean >= 50.0:
+        return f"**As printed** {success}."
+    reward, holes = _last_episodes(ours, "episode_reward"), _last_episodes(ours, "holes")
+    why = ""
+    if reward.mean > 0.0 and holes.mean < 0.5:
+        why = ": the reward pays for moving to and fro and for hovering (docs/learning.md)"
     return (
-        f"**As printed the method does not learn the task**: Rainbow inserts in "
-        f"{_show(ours.success())} %{also}; its last training episodes earn "
-        f"{_show(_final_reward(ours), 0)} each, for hovering near a hole and not for filling it "
-        "(docs/learning.md)."
-        if ours.success().mean < 50.0
-        else f"**As printed** Rainbow inserts in {_show(ours.success())} %{also}."
+        f"**As printed the method does not learn the task**: {success}. Its last training episodes "
+        f"earn {_show(reward, 0)} each and fill {_show(holes, 2)} holes{why}."
     )
 
 
-def _final_reward(group: Group) -> Value:
-    means = []
-    for run in group.runs:
-        curve = run.folder.rows("curve")
-        means.append(float(curve.tail(max(1, len(curve) // 10))["episode_reward"].mean()))
-    return over_seeds(means)
+def _last_episodes(group: Group, column: str) -> Value:
+    return over_seeds([tail_mean(run.folder.rows("curve"), column) for run in group.runs])
 
 
 def _components(results: Results) -> str:
@@ -139,12 +139,14 @@ def _geometry(results: Results) -> str:
     if any(value.n == 0 for value in pairs):
         return ""
     before, after, low, high = pairs
-    return (
-        f"**The design stage's effect reproduces at its ceiling**: from the initial to the "
-        f"optimized 3-RRS the optimum goes from {_show(low)} to {_show(high)} %, Rainbow from "
-        f"{_show(before)} to {_show(after)} %, so that what the learner gains is what the geometry "
-        "makes reachable."
-        if after.mean - before.mean > 0
-        else f"**The design stage's effect does not reproduce** in the learner: {_show(before)} to "
-        f"{_show(after)} % (optimum {_show(low)} to {_show(high)} %)."
+    figures = (
+        f"from the initial to the optimized 3-RRS the optimum goes from {_show(low)} to "
+        f"{_show(high)} %, Rainbow from {_show(before)} to {_show(after)} %"
     )
+    if before.mean >= NEAR * low.mean and after.mean >= NEAR * high.mean:
+        return (
+            f"**The design stage's effect reproduces**: {figures}; the learner is at the ceiling "
+            "with both, so that it gains what the geometry makes reachable."
+        )
+    verdict = "reproduces in part" if after.mean > before.mean else "does not reproduce"
+    return f"**The design stage's effect {verdict}**: {figures}."

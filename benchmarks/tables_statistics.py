@@ -20,7 +20,6 @@ from benchmarks.stats import (
     improvement_interval,
     interquartile_means,
     means,
-    medians,
     optimality_gaps,
     paired_t_test,
     probability_of_improvement,
@@ -35,7 +34,6 @@ SCORES: Final[dict[str, tuple[Metric, float]]] = {
 }
 AGGREGATES: Final[dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]]] = {
     "Mean": means,
-    "Median": medians,
     "IQM": interquartile_means,
     "Optimality gap": optimality_gaps,
 }

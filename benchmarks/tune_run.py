@@ -11,6 +11,7 @@ from dataclasses import asdict
 from typing import Any, Final
 
 from benchmarks import machine
+from benchmarks.backends import GRACE_SECONDS
 from benchmarks.plan import Cell
 from benchmarks.presets import Evaluation, Preset, Track, as_dict
 from benchmarks.store import RunFolder
@@ -48,7 +49,7 @@ def run(folder: RunFolder, stop_requested: Callable[[], bool] = lambda: False) -
     cell = Cell(**config["cell"])
     track = build(Track, config["track"], str(folder.path / "config.yaml"))
     preset = Preset("search", "", [cell.seed], Evaluation(1), [], tracks={cell.track: track})
-    with folder.lock():
+    with folder.lock(GRACE_SECONDS):  # an orphan of a killed search may still be saving
         trained = train(preset, cell, folder, stop_requested)
         if trained is None:
             return False

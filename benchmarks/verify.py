@@ -51,7 +51,7 @@ def verify_all(results: Path, presets: list[str], readme: Path, docs: Path) -> R
     names = presets or sorted(path.parent.name for path in results.glob("*/store.json"))
     if not names:
         raise BenchmarkError(f"{results} has no results; run: python -m benchmarks run")
-    blocks = _blocks(readme)
+    blocks = presets_of(readme)
     for name in names:
         store = Store.open(results, name)
         found = check_runs(store)
@@ -95,7 +95,7 @@ def verify(store: Store, readme: Path | None = None) -> list[str]:
     """
     tables = build_tables(store)
     problems = check_tables(store.tables, tables)
-    if readme is not None and store.folder.name in _blocks(readme):
+    if readme is not None and store.folder.name in presets_of(readme):
         above, block, _ = split(readme.read_text(encoding="utf-8"))
         wanted = results_block(store, tables)
         if block != wanted:
@@ -124,7 +124,7 @@ def check_tables(folder: Path, tables: list[Table]) -> list[str]:
     return problems
 
 
-def _blocks(readme: Path) -> list[str]:
+def presets_of(readme: Path) -> list[str]:
     """The presets whose results a README shows."""
     if not readme.is_file():
         return []

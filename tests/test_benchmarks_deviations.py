@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks import labels
 from benchmarks.compare import outside, printed_range
 from benchmarks.deviations import (
     UNKNOWN,
@@ -151,6 +152,24 @@ def test_a_budget_below_the_papers_number_proves_nothing(tmp_path: Path) -> None
     assert cell.text() == "not reached"
     assert not cell.flagged  # the quick preset has fewer steps than the paper needs
     assert Number(cell.value, paper=f"{cell.value.low / 2:.2f}").flagged
+
+
+def test_masks_are_no_reason_where_the_masks_are_the_papers() -> None:
+    reasons = [reason for reason in load_reasons() if "masks" in reason.reason]
+    reasons = [reason for reason in reasons if "takes no masks" not in reason.reason]
+    assert reasons
+    rows = ("Rainbow DQN, {}", "Success rate (%)", "Avg. collisions per episode", "Full Rainbow",
+            "Singularity terminations / 1000 training ep.")  # fmt: skip
+    columns = ("Rainbow DQN, {}", "Success (%), {}", "Optimized, {}", "Initial, {}", "Noise 0.01")
+    plain = [labels.track(name) for name in ("printed", "plain", "reward_only")]
+    for reason in reasons:
+        for track in plain:
+            assert not any(
+                reason.covers("paper", reason.table, row.format(track), column.format(track))
+                for row in rows
+                for column in columns
+                if "{}" in row + column
+            ), (reason, track)
 
 
 def test_a_file_of_reasons_is_read_strictly(tmp_path: Path) -> None:

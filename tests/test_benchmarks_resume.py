@@ -28,6 +28,7 @@ from benchmarks.plan import Cell
 from benchmarks.presets import PRESETS, Preset, as_dict, parse_preset
 from benchmarks.store import RunFolder, Store
 from benchmarks.train import ALGORITHMS, train
+from sb3_rainbow import Rainbow
 
 CELLS = [
     Cell("rainbow", "full", "optimized", "tuned", 0),
@@ -182,6 +183,31 @@ def test_stopping_where_it_resumed_keeps_the_checkpoint_as_it_is(
     train(preset, CELLS[0], folder, stop_after(0))
     # written again it would be deleted for its copy, and a kill in between would leave neither
     assert {path: path.stat().st_mtime_ns for path in kept.iterdir()} == stamps
+
+
+@pytest.mark.parametrize(
+    "error",
+    [OSError(errno.ESTALE, "Stale file handle"), torch.OutOfMemoryError("CUDA out of memory")],
+)
+def test_a_machine_in_trouble_damages_no_checkpoint(
+    error: Exception, preset: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = RunFolder(tmp_path)
+    train(preset, CELLS[0], folder, stop_after(40))
+    kept = checkpoints(folder.checkpoint)
+
+    def fail(*args: object, **kwargs: object) -> None:
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Rainbow, "load", fail)
+        with pytest.raises(BenchmarkError, match="it is kept, the same command tries again"):
+            train(preset, CELLS[0], folder)
+    assert checkpoints(folder.checkpoint) == kept
+    trained = train(preset, CELLS[0], folder)
+    assert trained is not None
+    assert trained[1]["set_aside"] == []
+    assert trained[1]["resumed_at"]
 
 
 @pytest.mark.parametrize("name", ["state.pkl", "model.zip", "buffer.pkl"])

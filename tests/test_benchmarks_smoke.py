@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pandas as pd
+import psutil
 import pytest
+import yaml
 
 from benchmarks.__main__ import main
+from benchmarks.presets import PRESETS
 from benchmarks.store import SCHEMA, Store
 
 RUNS = {
@@ -169,6 +175,71 @@ def test_what_is_stored_comes_out_again(
     assert {p: p.read_bytes() for p in (tmp_path / "smoke").rglob("*") if p.is_file()} == files
 
 
+def test_an_entry_is_compared_with_itself(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(results / "smoke", tmp_path / "smoke")
+    place = ["--preset", "smoke", "--results", str(tmp_path)]
+    assert main(["evaluate", *place, "--planner", "optimum", "--name", "mine"]) == 0
+    assert main(["tables", *place]) == 0
+    capsys.readouterr()
+    assert main(["evaluate", *place]) == 0
+    cells = re.search(r"that came out as stored: (\d+) of (\d+)\n", capsys.readouterr().out)
+    assert cells is not None
+    assert cells[1] == cells[2]
+
+
+def test_a_policy_plays_only_under_its_own_settings(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    preset = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
+    preset["tracks"]["tuned"]["mask_visited"] = 0
+    changed = tmp_path / "smoke.yaml"
+    changed.write_text(yaml.safe_dump(preset), encoding="utf-8")
+    for command in ("evaluate", "failures"):
+        words = [command, "--preset", str(changed), "--results", str(results)]
+        assert main(words) == 2
+        assert "track.mask_visited: 64 -> 0" in capsys.readouterr().err
+
+
+def test_a_lost_process_and_ctrl_c_end_at_once(results: Path, tmp_path: Path) -> None:
+    shutil.copytree(results / "smoke", tmp_path / "smoke")
+    words = [sys.executable, "-m", "benchmarks", "evaluate", "--preset", "smoke"]
+    for number, told in ((signal.SIGKILL, "was killed"), (signal.SIGINT, "Interrupted")):
+        done = subprocess.Popen(
+            [*words, "--results", str(tmp_path)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        parent = psutil.Process(done.pid)
+        players: list[psutil.Process] = []
+        while not players:
+            assert done.poll() is None
+            time.sleep(0.05)
+            players = [p for p in parent.children() if "spawn_main" in " ".join(p.cmdline())]
+        target = players[0] if number == signal.SIGKILL else parent
+        target.send_signal(number)
+        out, _ = done.communicate(timeout=60)
+        assert told in out
+        assert "Traceback" not in out
+        assert done.returncode == (2 if number == signal.SIGKILL else 130)
+        _, alive = psutil.wait_procs(players, timeout=30)
+        assert not alive
+
+
+def test_a_full_disk_is_one_error(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*args: object, **kwargs: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", "episodes.csv")
+
+    monkeypatch.setattr("benchmarks.store.RunFolder.write_rows", full)
+    words = ["--preset", "smoke", "--results", str(tmp_path), "--cell", "rrt_connect-optimized-s0"]
+    assert main(["train", *words]) == 2
+    assert "No space left on device: episodes.csv; make room" in capsys.readouterr().err
+
+
 def test_other_starts_are_starts_of_their_own(
     results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -209,6 +280,7 @@ def test_verify_is_red_after_a_change(
         (["train", "--preset", "smoke", "--cell", "ppo-s0"], "has no cell 'ppo-s0'"),
         (["tables", "--preset", "smoke"], "has no results"),
         (["speed", "light"], "known: env, rainbow"),
+        (["evaluate", "--preset", "smoke", "--name", "x"], "--name belongs to a --model"),
         (["evaluate", "--preset", "smoke", "--model", "no.zip"], "no.zip is missing"),
         (
             ["evaluate", "--preset", "smoke", "--model", "x", "--algorithm", "sarsa"],

@@ -224,6 +224,16 @@ def test_a_table_that_nothing_makes_is_named(copy: Path) -> None:
     assert "old.md is made by no table" in old
 
 
+def test_the_readme_is_rewritten_for_the_preset_that_it_shows(copy: Path) -> None:
+    readme = copy / "README.md"
+    before = readme.read_bytes()
+    change_digit(readme, random.Random(0), BEGIN, END)
+    assert readme.read_bytes() != before
+    places = ["--results", str(copy / "results"), "--readme", str(readme)]
+    assert main(["readme", *places]) == 0
+    assert readme.read_bytes() == before
+
+
 def test_a_readme_without_its_results_is_named(copy: Path) -> None:
     shutil.move(copy / "results" / "quick", copy / "results" / "slow")
     report = verify_all(copy / "results", [], copy / "README.md", copy / "docs")
