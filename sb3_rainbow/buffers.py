@@ -78,7 +78,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         beta: float = 0.4,
         epsilon: float = 1e-6,
     ) -> None:
-        check_replay_parameters(buffer_size, n_envs, n_steps, gamma, alpha, beta)
+        check_replay_parameters(buffer_size, n_envs, n_steps, gamma, alpha, beta, epsilon)
         # ReplayBuffer's own constructor would allocate a second copy of every observation.
         super(ReplayBuffer, self).__init__(
             buffer_size, observation_space, action_space, device, n_envs=n_envs
@@ -155,7 +155,16 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         :param infos: ``"TimeLimit.truncated"`` tells truncations from terminations
         :param next_action_masks: actions allowed at ``next_obs``, ``(n_envs, n_actions)``; None
             allows all
+        :raises ValueError: for a reward that is not finite in float32; nothing is stored then
         """
+        rewards = np.asarray(reward, dtype=np.float32)
+        finite = np.isfinite(rewards)
+        if not finite.all():
+            env = int(np.argmin(finite))
+            raise ValueError(
+                f"The reward of env {env} is {np.ravel(reward)[env]}, but must be finite (in "
+                "float32): one such reward spoils every network; bound it, or mend its formula"
+            )
         current, following = self._store.cast(obs), self._store.cast(next_obs)
         self._close_interrupted_episodes(current)
         pos = self.pos
@@ -163,7 +172,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             self._forget(pos)
         self._store.write(pos, current, following)
         self.actions[pos] = action.reshape(self.n_envs, self.action_dim)
-        self.rewards[pos] = reward
+        self.rewards[pos] = rewards
         self._store_masks(pos, next_action_masks)
 
         ended = np.asarray(done, dtype=bool)

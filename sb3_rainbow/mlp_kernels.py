@@ -324,16 +324,20 @@ def projected_target(
     As :func:`~sb3_rainbow.losses.project_distribution`.
 
     :param masses: proportional to the atoms' probabilities at t + k, ``(B, n_atoms)``
-    :param target: result, ``(B, n_atoms)``
+    :param target: result, ``(B, n_atoms)``; NaN where a return or discount is no number
     """
     batch, n_atoms = masses.shape
     delta_z = (v_max - v_min) / (n_atoms - 1)
     target[:] = 0.0
     for b in range(batch):
+        discount = discounts[b, 0] * (1.0 - dones[b, 0])
+        if math.isnan(returns[b, 0]) or not math.isfinite(discount):
+            # Positions that are no number would be indices outside of the array.
+            target[b] = np.nan
+            continue
         total = np.float32(0.0)
         for j in range(n_atoms):
             total += masses[b, j]
-        discount = discounts[b, 0] * (1.0 - dones[b, 0])
         for j in range(n_atoms):
             z = returns[b, 0] + discount * (v_min + j * delta_z)
             position = (min(max(z, v_min), v_max) - v_min) / delta_z

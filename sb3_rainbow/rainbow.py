@@ -404,7 +404,8 @@ class Rainbow(ResumableAlgorithm):
         parameters: Any = load_path_or_dict
         if not isinstance(parameters, dict):
             data, parameters, _ = load_from_zip_file(parameters, device=device)
-            check_support_of_file((data or {}).get("_support"), self.v_min, self.v_max)
+            if self.distributional:
+                check_support_of_file((data or {}).get("_support"), self.v_min, self.v_max)
         super().set_parameters(parameters, exact_match, device)
 
     def _excluded_save_params(self) -> list[str]:

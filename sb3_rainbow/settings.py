@@ -1,5 +1,6 @@
 """Which settings can work, and what a replay buffer must be told of them."""
 
+import math
 import warnings
 from typing import TYPE_CHECKING, Any
 
@@ -26,9 +27,16 @@ class SettingsMismatchError(ValueError, RuntimeError):
 
 
 def check_replay_parameters(
-    buffer_size: int, n_envs: int, n_steps: int, gamma: float, alpha: float, beta: float
+    buffer_size: int,
+    n_envs: int,
+    n_steps: int,
+    gamma: float,
+    alpha: float,
+    beta: float,
+    epsilon: float | None = None,
 ) -> None:
     """
+    :param epsilon: None where only the buffer knows it
     :raises ValueError: naming the first parameter that is out of range
     """
     if n_steps < 1:
@@ -41,6 +49,9 @@ def check_replay_parameters(
         raise ValueError(f"alpha must lie in [0, 1] (0 is uniform replay), got {alpha}")
     if not 0.0 <= beta <= 1.0:
         raise ValueError(f"beta must lie in [0, 1], got {beta}")
+    if epsilon is not None and not 0.0 < epsilon < math.inf:
+        # Without it a transition whose loss is zero once would never be drawn again.
+        raise ValueError(f"epsilon must be above 0 and finite, got {epsilon}")
     if buffer_size // n_envs <= n_steps:
         raise ValueError(
             f"buffer_size={buffer_size} is too small: {n_envs} envs with n_steps={n_steps} need "
@@ -105,7 +116,8 @@ def check_settings(model: "Rainbow") -> None:
             f"to env.step(), which are {model.n_envs} steps",
             stacklevel=4,
         )
-    check_support_of_file(model._support, model.v_min, model.v_max)
+    if model.distributional:
+        check_support_of_file(model._support, model.v_min, model.v_max)
     if not model.sigma0 >= 0.0:
         raise ValueError(f"sigma0 must not be negative, got {model.sigma0}")
     if model.use_masking not in ("auto", True, False):

@@ -9,6 +9,7 @@ from gymnasium import spaces
 from torch import nn
 
 from sb3_rainbow import Rainbow
+from sb3_rainbow import mlp_kernels as kernels
 from sb3_rainbow.learner import Learner
 from sb3_rainbow.policies import MlpPolicy
 from sb3_rainbow.type_aliases import Batch
@@ -144,3 +145,23 @@ def test_exploring_actions_are_those_of_the_policy_under_the_same_noise(masked: 
     th.manual_seed(4)
     np.testing.assert_array_equal(model._explore(obs, masks), expected)
     assert 0 < expected.mean() < 1
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("where", ["returns", "discounts"])
+def test_a_target_that_is_no_number_stays_in_its_array(bad: float, where: str) -> None:
+    memory = np.zeros(4 * 51, np.float32)
+    target = memory[51:153].reshape(2, 51)
+    numbers = {name: np.ones((2, 1), np.float32) for name in ("returns", "discounts")}
+    numbers[where][1] = bad
+    kernels.projected_target(
+        np.full((2, 51), 1 / 51, np.float32),
+        *(numbers["returns"], numbers["discounts"], np.zeros((2, 1), np.float32)),
+        *(-1.0, 1.0),
+        target,
+    )
+    assert not memory[:51].any()
+    assert not memory[153:].any()
+    assert target[0].sum() == pytest.approx(1.0)
+    if np.isnan(bad):
+        assert np.isnan(target[1]).all()

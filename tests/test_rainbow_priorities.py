@@ -1,5 +1,7 @@
 """Prioritized sampling: frequencies, weights, updates, and use under SB3's own DQN."""
 
+import pickle
+import re
 from typing import Any
 
 import numpy as np
@@ -67,7 +69,7 @@ def test_weights_undo_the_bias_and_have_maximum_one() -> None:
 
 
 def test_new_transitions_enter_at_the_running_maximum() -> None:
-    buffer = filled_buffer(n_rows=4, n_envs=1, alpha=0.5, epsilon=0.0)
+    buffer = filled_buffer(n_rows=4, n_envs=1, alpha=0.5, epsilon=1e-12)
     np.testing.assert_allclose(buffer.tree.leaves, 1.0)
     buffer.update_priorities(np.array([1, 2]), np.array([9.0, 0.25]))
     buffer.update_priorities(np.array([1]), np.array([4.0]))
@@ -95,6 +97,17 @@ def test_a_loss_that_is_no_priority_is_refused(loss: float) -> None:
     np.testing.assert_array_equal(buffer.tree.leaves, before)
 
 
+@pytest.mark.parametrize("reward", [np.nan, np.inf, -np.inf, 1e39])
+@pytest.mark.filterwarnings("ignore:overflow")
+def test_a_reward_that_is_not_finite_is_refused(reward: float) -> None:
+    buffer = filled_buffer(n_envs=3)
+    before = pickle.dumps(buffer)
+    obs, zeros = np.zeros((3, 1), np.float32), np.zeros(3)
+    with pytest.raises(ValueError, match=rf"reward of env 1 is {re.escape(str(reward))}"):
+        buffer.add(obs, obs, zeros, np.array([0.0, reward, 0.0]), zeros, [{}] * 3)
+    assert pickle.dumps(buffer) == before
+
+
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
@@ -102,6 +115,10 @@ def test_a_loss_that_is_no_priority_is_refused(loss: float) -> None:
         ({"alpha": 1.1}, "alpha"),
         ({"beta": 2.0}, "beta must lie in .0, 1., got 2.0"),
         ({"gamma": 1.5}, "gamma"),
+        ({"epsilon": 0.0}, "epsilon must be above 0 and finite, got 0.0"),
+        ({"epsilon": -1.0}, "epsilon"),
+        ({"epsilon": np.nan}, "epsilon"),
+        ({"epsilon": np.inf}, "epsilon"),
         ({"n_steps": 0}, "n_steps must be at least 1, got 0"),
         ({"n_rows": 3, "n_steps": 3}, "buffer_size=9 is too small: 3 envs with n_steps=3 need"),
     ],

@@ -227,6 +227,13 @@ def test_parameters_of_other_settings(tmp_path: Any) -> None:
         model.set_parameters(parameters)
 
 
+def test_scalar_values_have_no_support_to_agree_on(tmp_path: Any) -> None:
+    Rainbow("MlpPolicy", "CartPole-v1", distributional=False, **FAST).save(tmp_path / "m")
+    Rainbow.load(tmp_path / "m", v_max=50.0)
+    model = Rainbow("MlpPolicy", "CartPole-v1", distributional=False, v_max=50.0, **FAST)
+    model.set_parameters(str(tmp_path / "m"))
+
+
 def test_random_weights_leave_the_support_alone(tmp_path: Any) -> None:
     # As SB3's own tests of saving do
     model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
