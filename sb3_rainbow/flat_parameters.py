@@ -1,6 +1,7 @@
 """All parameters of a network as one vector, so that an optimizer step is a handful of kernels."""
 
 from collections.abc import Iterable
+from typing import Any
 
 import torch as th
 from torch import nn
@@ -36,10 +37,18 @@ class FlatParameters:
     @property
     def is_tied(self) -> bool:
         """False after something replaced a parameter's memory, as ``to(device)`` does."""
-        first = self.parameters[0]
-        if first.data_ptr() != self.vector.data_ptr():
+        if self._addresses() != self._tied_addresses:
             return False
+        first = self.parameters[0]
         return not self.has_gradient or (first.grad is not None and self.vector.grad is not None)
+
+    def _addresses(self) -> list[int]:
+        return [self.vector.data_ptr(), *[p.data_ptr() for p in self.parameters]]
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        # Pickle gives every view a memory of its own.
+        self.tie()
 
     @th.no_grad()
     def tie(self) -> None:
@@ -53,3 +62,4 @@ class FlatParameters:
             if self.vector.grad is not None:
                 p.grad = self.vector.grad[start:end].view(p.shape)
             start = end
+        self._tied_addresses = self._addresses()

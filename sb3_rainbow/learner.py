@@ -81,6 +81,12 @@ class Learner:
                 self.q_net, self.q_net_target, self._flat, self._flat_target, optimizer
             )
 
+    def _tie_parameters(self) -> None:
+        """Let the vectors hold what the networks hold, whoever replaced weights since last time."""
+        for flat in (self._flat, self._flat_target):
+            if flat is not None and not flat.is_tied:
+                flat.tie()
+
     def update(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
         """
         One optimizer step, with fresh and independent noise in both networks.
@@ -89,8 +95,7 @@ class Learner:
         """
         self.q_net.reset_noise()
         self.q_net_target.reset_noise()
-        if self._flat is not None and not self._flat.is_tied:
-            self._flat.tie()
+        self._tie_parameters()
         if self.policy.optimizer is not self.optimizer:
             # Somebody gave the policy another one.
             self._use_optimizer(self.policy.optimizer)
@@ -113,14 +118,14 @@ class Learner:
         if self._mlp is None:
             return None
         self.q_net.reset_noise()
+        self._tie_parameters()
         with single_blas_thread():
             return self._mlp.act(obs, action_masks)
 
     @th.no_grad()
     def move_target(self, tau: float) -> None:
         """Move the target network towards the online one by ``tau`` (Polyak average)."""
-        if self._flat_target is not None and not self._flat_target.is_tied:
-            self._flat_target.tie()
+        self._tie_parameters()
         th._foreach_lerp_(self._target, self._online, tau)
         if self._online_statistics:
             polyak_update(self._online_statistics, self._target_statistics, 1.0)

@@ -3,6 +3,7 @@
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
+from stable_baselines3.common.torch_layers import CombinedExtractor, FlattenExtractor
 from torch import nn
 
 from sb3_rainbow import mlp_kernels as kernels
@@ -13,6 +14,9 @@ from sb3_rainbow.type_aliases import Batch
 
 # Options of torch's Adam that adam_step does not know
 _UNKNOWN_TO_KERNELS = ("amsgrad", "maximize", "decoupled_weight_decay")
+# What an extractor may consist of. The kernels let the online network's serve the target too, and
+# call it as often as suits them: nothing in it may change, learn or draw random numbers.
+_STATELESS = (FlattenExtractor, CombinedExtractor, nn.ModuleDict, nn.Flatten)
 # Below any probability that float32 holds as a normal number
 _TINY = float(np.finfo(np.float32).tiny)
 _NO_MASKS = np.zeros((0, 0), dtype=np.bool_)
@@ -76,7 +80,7 @@ class MlpUpdate:
     def is_possible(
         q_net: RainbowNetwork, flat: FlatParameters | None, optimizer: th.optim.Optimizer
     ) -> bool:
-        """Whether the network is a ReLU perceptron in float32 on the CPU, trained by Adam."""
+        """Whether it is a ReLU perceptron on flat float32 inputs on the CPU, trained by Adam."""
         group = optimizer.param_groups[0]
         return (
             flat is not None
@@ -84,7 +88,7 @@ class MlpUpdate:
             and flat.vector.dtype == th.float32
             and type(q_net) is RainbowNetwork
             and type(q_net.activation) is nn.ReLU
-            and not any(True for _ in q_net.features_extractor.parameters())
+            and all(type(module) in _STATELESS for module in q_net.features_extractor.modules())
             and type(optimizer) is th.optim.Adam
             and [id(p) for p in group["params"]] == [id(flat.vector)]
             and not any(group[name] for name in _UNKNOWN_TO_KERNELS)

@@ -141,6 +141,11 @@ class RainbowNetwork(BasePolicy):
         self._tie_noise()
         return self
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)
+        # Pickle gives every view a memory of its own.
+        self._tie_noise()
+
     @th.no_grad()
     def reset_noise(self) -> None:
         """Draw new noise for every noisy layer."""

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
 from sb3_rainbow import Rainbow
 from sb3_rainbow import mlp_kernels as kernels
 from sb3_rainbow.learner import Learner
-from sb3_rainbow.policies import MlpPolicy
+from sb3_rainbow.policies import MlpPolicy, MultiInputPolicy
 from sb3_rainbow.type_aliases import Batch
 
 N_ACTIONS = 5
@@ -131,6 +132,62 @@ def test_discrete_observations_are_one_hot_for_the_kernels_too() -> None:
     )
     assert model._learner._mlp is not None
     model.learn(60)
+
+
+class StandardizedExtractor(BaseFeaturesExtractor):
+    """No parameters, but statistics, of which each network has its own."""
+
+    def __init__(self, space: spaces.Box) -> None:
+        super().__init__(space, 4)
+        self.norm = nn.BatchNorm1d(4, affine=False)
+
+    def forward(self, obs: th.Tensor) -> th.Tensor:
+        return self.norm(obs)
+
+
+def test_extractors_with_a_state_are_left_to_torch() -> None:
+    def uses_kernels(policy: type[MlpPolicy], space: spaces.Space, **kwargs: Any) -> bool:
+        made = policy(space, spaces.Discrete(2), lambda _: 1e-3, **kwargs)
+        return Learner(made, double_q=True, max_grad_norm=1.0)._mlp is not None
+
+    box, image = spaces.Box(-1, 1, (4,)), spaces.Box(0, 255, (3, 36, 36), np.uint8)
+    assert uses_kernels(MlpPolicy, box)
+    assert uses_kernels(MultiInputPolicy, spaces.Dict(a=box, b=spaces.Discrete(3)))
+    assert not uses_kernels(MlpPolicy, box, features_extractor_class=StandardizedExtractor)
+    assert not uses_kernels(MultiInputPolicy, spaces.Dict(a=box, b=image))
+
+
+@pytest.mark.parametrize("network", ["q_net", "q_net_target"])
+@pytest.mark.parametrize("layer", [0, -1])
+def test_a_layer_whose_weights_are_replaced_counts_and_trains(network: str, layer: int) -> None:
+    ours, reference = make_learner(True), make_learner(False)
+    batch, results = make_batch(0, masked=False), []
+    for learner in (ours, reference):
+        th.manual_seed(1)
+        learner.update(batch)
+        learner.move_target(0.1)
+        parameter = next(getattr(learner, network).layers[layer].parameters())
+        # As a callback might, or a user who puts one layer of another network in its place
+        parameter.data = 0.1 * th.randn(parameter.shape, generator=th.Generator().manual_seed(1))
+        before = parameter.detach().clone()
+        th.manual_seed(2)
+        results.append(learner.update(batch))
+        learner.move_target(0.1)
+        assert not th.equal(parameter, before)
+    th.testing.assert_close(results[0], results[1], rtol=1e-4, atol=1e-5)
+    for name, value in reference.policy.state_dict().items():
+        th.testing.assert_close(ours.policy.state_dict()[name], value, rtol=1e-4, atol=1e-5)
+
+
+def test_weights_that_are_loaded_count_for_the_next_action() -> None:
+    learner = make_learner(True, sigma0=2.0)
+    weights = make_learner(True, sigma0=2.0).policy.parameters_to_vector()
+    learner.policy.load_from_vector(-weights)
+    obs = th.randn(50, 6)
+    th.manual_seed(1)
+    actions = learner.act(obs, None)
+    th.manual_seed(1)
+    np.testing.assert_array_equal(actions, learner.policy.predict(obs.numpy())[0])
 
 
 @pytest.mark.parametrize("masked", [False, True])

@@ -1,6 +1,7 @@
 """Noisy layers and the dueling, distributional head."""
 
 import copy
+import pickle
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,10 @@ from gymnasium import spaces
 from torch import nn
 
 from sb3_rainbow import NoisyLinear
+from sb3_rainbow.learner import Learner
 from sb3_rainbow.networks import RainbowNetwork
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy
+from sb3_rainbow.type_aliases import Batch
 
 OBS = spaces.Box(-1, 1, (4,), np.float32)
 ACTIONS = spaces.Discrete(3)
@@ -110,6 +113,52 @@ def test_noise_survives_copies_and_moves() -> None:
         net.reset_noise()
         assert not th.equal(net(obs, noisy=True), before)
         th.testing.assert_close(net(obs), net(obs))
+
+
+def unit_batch() -> Batch:
+    ones = {n: th.ones(8, n) for n in (1, 4)}
+    actions = th.zeros(8, 1, dtype=th.int64)
+    return Batch(ones[4], actions, ones[4], ones[1], ones[1], ones[1], None, None)
+
+
+@pytest.mark.parametrize("kernels", [True, False])
+def test_a_pickled_policy_explores_acts_and_learns(kernels: bool) -> None:
+    policy = pickle.loads(pickle.dumps(make_policy(sigma0=2.0)))
+    values = set()
+    for _ in range(10):
+        policy.reset_noise()
+        values.add(policy.q_net(th.ones(1, 4), noisy=True).detach().numpy().tobytes())
+    assert len(values) == 10
+
+    learner = Learner(policy, double_q=True, max_grad_norm=10.0, cpu_kernels=kernels)
+    before = nn.utils.parameters_to_vector(policy.q_net.parameters())
+    learner.update(unit_batch())
+    learner.move_target(0.5)
+    after = nn.utils.parameters_to_vector(policy.q_net.parameters())
+    assert not th.equal(before, after)
+    target = nn.utils.parameters_to_vector(policy.q_net_target.parameters())
+    th.testing.assert_close(target, (before + after) / 2)
+    if kernels:
+        obs = th.randn(50, 4)
+        th.manual_seed(3)
+        actions = learner.act(obs, None)
+        th.manual_seed(3)
+        np.testing.assert_array_equal(actions, policy.predict(obs.numpy())[0])
+
+
+@pytest.mark.parametrize("kernels", [True, False])
+def test_a_pickled_learner_goes_on_as_the_original(kernels: bool) -> None:
+    learner = Learner(make_policy(), double_q=True, max_grad_norm=10.0, cpu_kernels=kernels)
+    learner.update(unit_batch())
+    states = []
+    for each in (learner, pickle.loads(pickle.dumps(learner))):
+        th.manual_seed(4)
+        for _ in range(3):
+            each.update(unit_batch())
+            each.move_target(0.1)
+        states.append(each.policy.state_dict())
+    for name, value in states[0].items():
+        assert th.equal(value, states[1][name]), name
 
 
 @pytest.mark.parametrize(
