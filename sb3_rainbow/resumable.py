@@ -24,7 +24,9 @@ _BUFFER_SETTINGS = ("observation_space", "action_space", "n_envs", "n_steps", "g
 class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
     """SB3's saving with the random generators, checks of what is loaded, and checkpoints."""
 
+    # What save writes, and what the next learn that goes on starts from
     _rng_state: dict[str, Any] | None = None
+    _rng_to_resume: dict[str, Any] | None = None
 
     def _setup_learn(
         self,
@@ -34,7 +36,7 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         tb_log_name: str = "run",
         progress_bar: bool = False,
     ) -> tuple[int, BaseCallback]:
-        rng_state, self._rng_state = self._rng_state, None
+        rng_state, self._rng_to_resume = self._rng_to_resume, None
         prepared = super()._setup_learn(
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
@@ -54,11 +56,41 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         They come back into force when a loaded model goes on learning
         (``learn(..., reset_num_timesteps=False)``), and not when it only predicts.
         """
-        self._rng_state = get_rng_state(self.action_space)
+        # A model that was loaded and has not learned since still stands where it was saved.
+        self._rng_state = self._rng_to_resume or get_rng_state(self.action_space)
         try:
             super().save(path, exclude, include)
         finally:
             self._rng_state = None
+
+    @classmethod
+    def load(
+        cls: type[SelfResumable],
+        path: str | pathlib.Path | io.BufferedIOBase,
+        env: GymEnv | None = None,
+        device: th.device | str = "auto",
+        custom_objects: dict[str, Any] | None = None,
+        print_system_info: bool = False,
+        force_reset: bool = True,
+        **kwargs: Any,
+    ) -> SelfResumable:
+        """As SB3's ``load``; a ``seed`` in ``kwargs`` wins over the saved random generators."""
+        model = super().load(
+            path, env, device, custom_objects, print_system_info, force_reset, **kwargs
+        )
+        saved, model._rng_state = model._rng_state, None
+        if kwargs.get("seed") is None:
+            model._rng_to_resume = saved
+        return model
+
+    def set_random_seed(self, seed: int | None = None) -> None:
+        """As SB3's ``set_random_seed``; wins over the random generators of a loaded model."""
+        super().set_random_seed(seed)
+        if seed is not None:
+            self._rng_to_resume = None
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "_rng_to_resume"]
 
     def set_parameters(
         self,
@@ -128,7 +160,7 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
 
         :param path: file to read
         :param env: env as at saving time
-        :param kwargs: passed to ``load``
+        :param kwargs: passed to ``load``; a ``seed`` starts all random generators anew
         :raises ValueError: if the file is no checkpoint, or was saved with other settings
         """
         return load_checkpoint(cls, path, env, **kwargs)

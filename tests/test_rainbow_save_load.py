@@ -93,6 +93,50 @@ def test_a_cut_run_equals_a_whole_one(tmp_path: Any, noisy: bool) -> None:
     assert_same(whole, second)
 
 
+@pytest.mark.parametrize("way", ["load", "load_checkpoint", "set_random_seed"])
+def test_a_new_seed_wins_over_the_saved_generators(tmp_path: Any, way: str) -> None:
+    Rainbow("MlpPolicy", "CartPole-v1", **FAST).learn(60).save(tmp_path / "m")
+    Rainbow("MlpPolicy", make_stateful(1), **FAST).learn(60).save_checkpoint(tmp_path / "c")
+
+    def draw(seed: int | None) -> tuple[float, float, int]:
+        """What the generators give once learning goes on."""
+        set_random_seed(99)
+        given: dict[str, Any] = {}
+        if seed is not None and way != "set_random_seed":
+            given["seed"] = seed
+        if way == "load_checkpoint":
+            model = Rainbow.load_checkpoint(tmp_path / "c", make_stateful(1), **given)
+        else:
+            model = Rainbow.load(tmp_path / "m", env=gym.make("CartPole-v1"), **given)
+        if way == "set_random_seed":
+            model.set_random_seed(seed)
+        model.learn(1, reset_num_timesteps=False)
+        return np.random.random(), float(th.rand(1)), int(model.action_space.sample())  # noqa: NPY002
+
+    stored = draw(None)
+    assert draw(None) == stored
+    assert draw(1) == draw(1)
+    # The seed of the first run is a new one too where it is given again.
+    assert len({draw(seed)[:2] for seed in (None, 1, 2, 7)}) == 4
+
+
+def test_a_loaded_model_that_is_saved_again_still_resumes(tmp_path: Any) -> None:
+    settings = {**FAST, "beta_end": 0.4}
+    whole = Rainbow("MlpPolicy", "CartPole-v1", **settings).learn(120)
+    first = Rainbow("MlpPolicy", "CartPole-v1", **settings).learn(80)
+    first.save(tmp_path / "m")
+    first.save_replay_buffer(tmp_path / "b")
+    env = first.get_env()
+    set_random_seed(1)
+    again = Rainbow.load(tmp_path / "m", env=env, force_reset=False)
+    again.save(tmp_path / "m2")
+    set_random_seed(2)
+    second = Rainbow.load(tmp_path / "m2", env=env, force_reset=False)
+    second.load_replay_buffer(tmp_path / "b")
+    second.learn(40, reset_num_timesteps=False)
+    assert_same(whole, second)
+
+
 def test_a_checkpoint_in_the_middle_of_a_run_with_several_envs(tmp_path: Any) -> None:
     class Checkpoint(BaseCallback):
         """Writes one when a round of training is over, and goes on."""
