@@ -4,11 +4,22 @@ import io
 import os
 import pathlib
 import pickle
+import warnings
 import zipfile
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stable_baselines3.common.type_aliases import GymEnv
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import (
+    VecCheckNan,
+    VecEnv,
+    VecEnvWrapper,
+    VecExtractDictObs,
+    VecFrameStack,
+    VecMonitor,
+    VecNormalize,
+    VecTransposeImage,
+    VecVideoRecorder,
+)
 
 from sb3_rainbow.masking import innermost_vec_env
 
@@ -18,11 +29,13 @@ if TYPE_CHECKING:
 SelfResumable = TypeVar("SelfResumable", bound="ResumableAlgorithm")
 
 _MODEL, _REPLAY, _ENV = "model.zip", "replay_buffer.pkl", "env.pkl"
-# What SB3's stateful wrappers count between two steps
+# What SB3's wrappers keep between two steps, in their subclasses too, and those that keep nothing
 _WRAPPER_STATE: dict[type[VecEnvWrapper], tuple[str, ...]] = {
     VecNormalize: ("obs_rms", "ret_rms", "returns", "old_obs", "old_reward"),
     VecMonitor: ("episode_returns", "episode_lengths", "episode_count"),
+    VecFrameStack: ("stacked_obs",),
 }
+_STATELESS = (VecCheckNan, VecExtractDictObs, VecTransposeImage, VecVideoRecorder)
 
 
 def save_checkpoint(model: "ResumableAlgorithm", path: str | pathlib.Path) -> None:
@@ -68,17 +81,21 @@ def load_checkpoint(
         model = cls.load(
             io.BytesIO(archive.read(_MODEL)), env=env, force_reset=not resumable, **kwargs
         )
-        with archive.open(_REPLAY) as member:
-            model.load_replay_buffer(io.BytesIO(member.read()), truncate_last_traj=False)
+        with archive.open(_REPLAY) as member, warnings.catch_warnings():
+            # An env that is reset does not go on with the episode that was under way. SB3 warns of
+            # that, and advises what only load_replay_buffer offers.
+            warnings.filterwarnings("ignore", "The last trajectory in the replay buffer")
+            model.load_replay_buffer(io.BytesIO(member.read()), truncate_last_traj=not resumable)
     vec_env = model.get_env()
     assert vec_env is not None
+    _restore_wrappers(vec_env, env_state["wrappers"])
     if resumable:
-        _restore_env(vec_env, env_state)
+        _restore_env(vec_env, env_state["env"])
     return model
 
 
 def _env_state(env: VecEnv | None) -> dict[str, Any]:
-    """State of the innermost env, None where it cannot tell, and of the wrappers around it."""
+    """State of the innermost env, None where it cannot tell, and of SB3's wrappers around it."""
     state: dict[str, Any] = {"env": None, "wrappers": []}
     if env is None:
         return state
@@ -86,22 +103,43 @@ def _env_state(env: VecEnv | None) -> dict[str, Any]:
     if hasattr(inner, "get_state"):
         state["env"] = inner.get_state()
     while isinstance(env, VecEnvWrapper):
-        names = _WRAPPER_STATE.get(type(env), ())
-        state["wrappers"].append({name: getattr(env, name) for name in names})
+        names = _state_of(env)
+        if not names and not isinstance(env, _STATELESS) and state["env"] is not None:
+            warnings.warn(
+                f"The checkpoint holds nothing of the wrapper {type(env).__name__}: if it keeps a "
+                "state between steps, a resumed run will differ from one that never stopped; save "
+                "that state beside the checkpoint",
+                stacklevel=4,
+            )
+        # Some appear with the first reset only.
+        state["wrappers"].append({name: vars(env)[name] for name in names if name in vars(env)})
         env = env.venv
     return state
 
 
-def _restore_env(env: VecEnv, state: dict[str, Any]) -> None:
+def _state_of(env: VecEnv) -> list[str]:
+    """Names of the attributes that hold the state of one of SB3's wrappers, none of others."""
+    found = (names for kind, names in _WRAPPER_STATE.items() if isinstance(env, kind))
+    return [name for names in found for name in names]
+
+
+def _restore_wrappers(env: VecEnv, states: list[dict[str, Any]]) -> None:
+    for state in states:
+        if not isinstance(env, VecEnvWrapper) or not set(state) <= set(_state_of(env)):
+            raise ValueError(
+                f"The checkpoint holds {', '.join(state) or 'nothing'} of a wrapper, but "
+                f"{type(env).__name__} stands in its place: wrap the env as at saving time"
+            )
+        for name, value in state.items():
+            setattr(env, name, value)
+        env = env.venv
+
+
+def _restore_env(env: VecEnv, state: Any) -> None:
     inner = innermost_vec_env(env)
     if not hasattr(inner, "set_state"):
         raise ValueError(
             f"The checkpoint holds the state of its env, which {type(inner).__name__} cannot take "
             "(no set_state): pass an env of the class it was trained on"
         )
-    inner.set_state(state["env"])
-    for values in state["wrappers"]:
-        for name, value in values.items():
-            setattr(env, name, value)
-        assert isinstance(env, VecEnvWrapper), "The env has fewer wrappers than at saving time"
-        env = env.venv
+    inner.set_state(state)

@@ -136,8 +136,9 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
     def save_checkpoint(self, path: str | pathlib.Path) -> None:
         """
         Write all of the run into one file: model, optimizer, counters, random generators, replay
-        buffer with tree and open n-step windows, and the state of an env that offers
-        ``get_state()``.
+        buffer with tree and open n-step windows, the state of SB3's wrappers around the ``VecEnv``,
+        and that of a ``VecEnv`` that offers ``get_state()`` itself. A ``DummyVecEnv`` of gym envs
+        does not: the wrappers around those (``TimeLimit``, ``Monitor``) could not tell theirs.
 
         Call it between rounds of training: outside ``learn``, or in a callback's
         ``_on_rollout_start``. In ``_on_step`` the current transition is not stored yet.
@@ -156,11 +157,12 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
             model = Rainbow.load_checkpoint(path, env)
             model.learn(total - model.num_timesteps, reset_num_timesteps=False)
 
-        An env without ``set_state()`` starts a new episode instead.
+        A ``VecEnv`` without ``get_state()`` and ``set_state()`` starts new episodes instead.
 
         :param path: file to read
         :param env: env as at saving time
-        :param kwargs: passed to ``load``; a ``seed`` starts all random generators anew
+        :param kwargs: passed to ``load``; a ``seed`` starts all random generators anew, but for
+            those in the state of the env
         :raises ValueError: if the file is no checkpoint, or was saved with other settings
         """
         return load_checkpoint(cls, path, env, **kwargs)

@@ -8,12 +8,20 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch as th
-from stable_baselines3 import DQN
+from gymnasium import spaces
+from stable_baselines3 import DQN, HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.utils import set_random_seed
-from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+    VecCheckNan,
+    VecEnvWrapper,
+    VecFrameStack,
+    VecMonitor,
+    VecNormalize,
+)
 
 from sb3_rainbow import PrioritizedReplayBuffer, Rainbow
 from sb3_rainbow.policies import MlpPolicy
@@ -162,6 +170,95 @@ def test_a_checkpoint_in_the_middle_of_a_run_with_several_envs(tmp_path: Any) ->
     assert [path.name for path in tmp_path.iterdir()] == ["run.ckpt"]
     model.learn(600 - model.num_timesteps, reset_num_timesteps=False)
     assert_same(whole, model)
+
+
+class OwnNormalize(VecNormalize):
+    """A subclass, as users write them."""
+
+
+class Counting(VecEnvWrapper):
+    """Keeps a state of which nobody knows."""
+
+    steps = 0
+
+    def reset(self) -> Any:
+        return self.venv.reset()
+
+    def step_wait(self) -> Any:
+        self.steps += 1
+        return self.venv.step_wait()
+
+
+@pytest.mark.parametrize("wrap", [OwnNormalize, lambda env: VecFrameStack(env, 3)])
+def test_a_checkpoint_holds_the_state_of_sb3s_wrappers(tmp_path: Any, wrap: Any) -> None:
+    model = Rainbow("MlpPolicy", wrap(make_stateful()), **{**FAST, "beta_end": 0.4}).learn(240)
+    model.save_checkpoint(tmp_path / "c")
+    model.learn(120, reset_num_timesteps=False)
+    resumed = Rainbow.load_checkpoint(tmp_path / "c", wrap(make_stateful()))
+    assert_same(model, resumed.learn(120, reset_num_timesteps=False))
+
+
+def test_a_checkpoint_holds_statistics_even_where_the_env_is_reset(tmp_path: Any) -> None:
+    env = VecNormalize(make_vec_env("CartPole-v1"))
+    model = Rainbow("MlpPolicy", env, **FAST)
+    model.save_checkpoint(tmp_path / "before_the_first_step")
+    model.learn(100).save_checkpoint(tmp_path / "c")
+    fresh = VecNormalize(make_vec_env("CartPole-v1"))
+    Rainbow.load_checkpoint(tmp_path / "c", fresh)
+    obs = np.ones((1, 4))
+    normalized = np.asarray(env.normalize_obs(obs))
+    np.testing.assert_array_equal(fresh.normalize_obs(obs), normalized)
+    assert not np.array_equal(normalized, obs)
+    with pytest.raises(ValueError, match="wrap the env as at saving time"):
+        Rainbow.load_checkpoint(tmp_path / "c", make_vec_env("CartPole-v1"))
+    other = VecCheckNan(make_vec_env("CartPole-v1"))
+    with pytest.raises(ValueError, match=r"obs_rms.* but VecCheckNan stands in its place"):
+        Rainbow.load_checkpoint(tmp_path / "c", other)
+
+
+def test_a_checkpoint_names_the_wrapper_whose_state_it_does_not_hold(tmp_path: Any) -> None:
+    model = Rainbow("MlpPolicy", VecMonitor(Counting(make_stateful())), **FAST)
+    with pytest.warns(UserWarning, match="Counting"):
+        model.save_checkpoint(tmp_path / "c")
+
+
+class GoalEnv(gym.Env):
+    """The goal achieved is the number of the episode, so that a mixture of two would show."""
+
+    def __init__(self, first_episode: int) -> None:
+        box = spaces.Box(0, 1000, (1,), np.float32)
+        parts = ("observation", "achieved_goal", "desired_goal")
+        self.observation_space = spaces.Dict(dict.fromkeys(parts, box))
+        self.action_space = spaces.Discrete(2)
+        self.episode = first_episode - 1
+
+    def observation(self) -> dict[str, np.ndarray]:
+        here = np.array([self.episode], np.float32)
+        return {"observation": here, "achieved_goal": here, "desired_goal": here * 0}
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        self.episode, self.time = self.episode + 1, 0
+        return self.observation(), {}
+
+    def step(self, action: int) -> Any:
+        self.time += 1
+        return self.observation(), 0.0, False, self.time == 10, {}
+
+    def compute_reward(self, achieved: Any, desired: Any, info: Any) -> np.ndarray:
+        return np.zeros(len(achieved), np.float32)
+
+
+def test_hindsight_never_joins_the_episodes_before_and_after_a_checkpoint(tmp_path: Any) -> None:
+    settings = {**FAST, "prioritized": False, "n_steps": 1, "replay_buffer_class": HerReplayBuffer}
+    model = Rainbow("MultiInputPolicy", GoalEnv(first_episode=1), **settings)
+    model.learn(45).save_checkpoint(tmp_path / "c")  # in the middle of an episode
+    model = Rainbow.load_checkpoint(tmp_path / "c", GoalEnv(first_episode=100))
+    model.learn(55, reset_num_timesteps=False)
+    assert model.replay_buffer is not None
+    drawn: Any = model.replay_buffer.sample(1000).observations
+    episodes, goals = (drawn[key].numpy() for key in ("observation", "desired_goal"))
+    assert {5.0, 100.0} <= set(goals.ravel().tolist())
+    np.testing.assert_array_equal(goals[goals > 0], episodes[goals > 0])
 
 
 def test_a_checkpoint_of_an_env_that_cannot_tell_its_state_resets_it(tmp_path: Any) -> None:
