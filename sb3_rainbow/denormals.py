@@ -5,12 +5,13 @@ from contextlib import contextmanager
 
 import torch as th
 
-_DENORMAL = th.tensor(1e-40)
+# A normal number, whatever the mode at import, whose tenth is denormal
+_SMALL = th.tensor(2e-38, dtype=th.float32, device="cpu")
 
 
 def denormals_are_zero() -> bool:
     """Whether this thread computes with denormal numbers as with zero."""
-    return not bool((_DENORMAL * 1.0).item())
+    return not bool((_SMALL * 0.1).item())
 
 
 @contextmanager
@@ -22,6 +23,9 @@ def flush_denormals() -> Iterator[None]:
     that gradient's square are below 1e-38, where 32-bit numbers become denormal. Many processors
     take a hundred cycles for each product of such a number. No value that matters is so small.
     Without effect where the processor has no such mode.
+
+    The mode is the calling thread's own. Torch's worker threads, which share the work on large
+    tensors, are not reached: one thread (``torch.set_num_threads(1)``) gives the full effect.
     """
     if denormals_are_zero() or not th.set_flush_denormal(True):
         yield
