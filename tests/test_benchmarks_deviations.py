@@ -114,8 +114,9 @@ def test_no_reason_on_record_is_stale(preset: str) -> None:
     assert stale_reasons(build_tables(store), preset) == []
 
 
-def test_every_flag_of_the_quick_preset_has_its_reason() -> None:
-    tables = build_tables(Store.open(ROOT / "results", "quick"))
+@pytest.mark.parametrize("preset", ["quick", "paper"])
+def test_every_flag_has_its_reason(preset: str) -> None:
+    tables = build_tables(Store.open(ROOT / "results", preset))
     table = next(table for table in tables if table.name == "deviations")
     assert len(table.rows) > 10
     assert [row for row in table.texts() if row[-1] == UNKNOWN] == []

@@ -14,7 +14,7 @@ import pytest
 from benchmarks.__main__ import main
 from benchmarks.design_docs import BLOCKS
 from benchmarks.includes import included, rewrite_all
-from benchmarks.readme import BEGIN, END
+from benchmarks.readme import BEGIN, END, rewrite
 from benchmarks.store import RunFolder, Store
 from benchmarks.tables import build_tables
 from benchmarks.verify import (
@@ -33,7 +33,7 @@ RESULTS = ROOT / "results"
 
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
-    """The committed results, README and docs, without pictures, policies and working files."""
+    """The committed quick results, README about them, and docs; no pictures, no working files."""
     unneeded = shutil.ignore_patterns("*.zip", "figures", "checkpoint", "tensorboard", "*.lock")
     for name in ("quick", "design"):
         shutil.copytree(RESULTS / name, tmp_path / "results" / name, ignore=unneeded)
@@ -43,6 +43,7 @@ def copy(tmp_path: Path) -> Path:
         for name in included(page.read_text(encoding="utf-8")):
             (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, tmp_path / name)
+    rewrite(tmp_path / "README.md", Store.open(tmp_path / "results", "quick"))
     return tmp_path
 
 
