@@ -121,7 +121,11 @@ def _components(results: Results) -> str:
             else:
                 same.append(text)
         parts = [f"with all six on {labels.track(track)} {_show(base)} %"]
-        for word, names in (("less", worse), ("more", better), ("no clear difference", same)):
+        for word, names in (
+            ("less", worse),
+            ("more", better),
+            ("no clear difference, under masks that leave little to do,", same),
+        ):
             if names:
                 parts.append(f"{word} without {', '.join(names)}")
         verdict = "reproduces in part" if worse else "does not reproduce"
