@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import commands
-from benchmarks.backends import BACKENDS
 from benchmarks.errors import BenchmarkError
-from benchmarks.presets import DEFAULT_PRESET, preset_names
+from benchmarks.protocol.presets import DEFAULT_PRESET, preset_names
+from benchmarks.runs.backends import BACKENDS
 
 Command = Callable[[argparse.Namespace], int]
 

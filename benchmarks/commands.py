@@ -12,16 +12,19 @@ from typing import TYPE_CHECKING, Any, Final
 from rich.console import Console
 
 from benchmarks.errors import BenchmarkError, known
-from benchmarks.plan import expand, find
-from benchmarks.presets import DEFAULT_PRESET, Preset, load_preset
-from benchmarks.store import Store
+from benchmarks.protocol.plan import expand, find
+from benchmarks.protocol.presets import DEFAULT_PRESET, Preset, load_preset
+from benchmarks.runs.store import Store
 
 if TYPE_CHECKING:
-    from benchmarks.figure_parts import Picture
-    from benchmarks.report import Table
+    from benchmarks.reporting.figures.parts import Picture
+    from benchmarks.reporting.tables.table import Table
 
 DELEGATED: Final = ("speed", "design", "classic", "audit", "failures", "tune")
-SPEED: Final = {"env": "benchmarks.speed_env", "rainbow": "benchmarks.speed_rainbow"}
+SPEED: Final = {
+    "env": "benchmarks.studies.speed.env",
+    "rainbow": "benchmarks.studies.speed.rainbow",
+}
 
 
 def _open(arguments: argparse.Namespace, create: bool = False) -> tuple[Preset, Store]:
@@ -32,8 +35,8 @@ def _open(arguments: argparse.Namespace, create: bool = False) -> tuple[Preset, 
 
 def run(arguments: argparse.Namespace) -> int:
     """Everything: what is missing is run, then tables and figures are written."""
-    from benchmarks.backends import open_backend
-    from benchmarks.run import Harness
+    from benchmarks.runs.backends import open_backend
+    from benchmarks.runs.harness import Harness
 
     console = Console(soft_wrap=True)
     preset, store = _open(arguments, create=True)
@@ -52,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _write_tables(store: Store, console: Console) -> list[Table]:
-    from benchmarks.tables import PRINTED, build_tables, write_tables
+    from benchmarks.reporting.tables.paper import PRINTED, build_tables, write_tables
 
     built = build_tables(store)
     write_tables(store, built)
@@ -64,7 +67,7 @@ def _write_tables(store: Store, console: Console) -> list[Table]:
 
 
 def _write_figures(store: Store, console: Console) -> list[tuple[Picture, Path]]:
-    from benchmarks.figures import write_figures
+    from benchmarks.reporting.figures.learning import write_figures
 
     drawn = write_figures(store)
     if drawn:
@@ -73,7 +76,7 @@ def _write_figures(store: Store, console: Console) -> list[tuple[Picture, Path]]
 
 
 def _write_report(store: Store, console: Console) -> None:
-    from benchmarks.html_report import write_report
+    from benchmarks.reporting.pages.html_report import write_report
 
     path = write_report(store, _write_tables(store, console), _write_figures(store, console))
     console.print(f"Report: {path}")
@@ -83,8 +86,8 @@ def plan(arguments: argparse.Namespace) -> int:
     """The cells of a preset, whether they are complete, and what they cost."""
     from rich.table import Column, Table
 
-    from benchmarks.backends import default_jobs
-    from benchmarks.costs import costs, duration, wall_seconds
+    from benchmarks.runs.backends import default_jobs
+    from benchmarks.runs.costs import costs, duration, wall_seconds
 
     preset = load_preset(arguments.preset)
     store = Store(arguments.results, preset.name)
@@ -121,7 +124,7 @@ def plan(arguments: argparse.Namespace) -> int:
 
 def train(arguments: argparse.Namespace) -> int:
     """One cell in this process; what the harness starts, and what a cluster can start."""
-    from benchmarks.cell import StopFlag, check_device, run_cell, tell_end
+    from benchmarks.runs.cell import StopFlag, check_device, run_cell, tell_end
 
     preset, store = _open(arguments, create=True)
     cell = find(preset, arguments.cell)
@@ -145,7 +148,7 @@ def evaluate(arguments: argparse.Namespace) -> int:
         raise BenchmarkError(
             f"--{given[0].replace('_', '-')} belongs to a --model or --planner, which is not given"
         )
-    from benchmarks.scores import score_again
+    from benchmarks.studies.scoring.scores import score_again
 
     preset, store = _open(arguments)
     console = Console(soft_wrap=True)
@@ -154,7 +157,7 @@ def evaluate(arguments: argparse.Namespace) -> int:
 
 
 def _evaluate_entry(arguments: argparse.Namespace) -> int:
-    from benchmarks.entries import Entry, glance, join, prepare
+    from benchmarks.studies.scoring.entries import Entry, glance, join, prepare
 
     preset, console = load_preset(arguments.preset), Console(soft_wrap=True)
     source = arguments.model[0].stem if arguments.model else arguments.planner.partition(":")[2]
@@ -171,7 +174,7 @@ def _evaluate_entry(arguments: argparse.Namespace) -> int:
             print(line)
         print("Nothing was stored: the leaderboard needs all test episodes")
         return 0
-    from benchmarks.tables import build_tables, write_tables
+    from benchmarks.reporting.tables.paper import build_tables, write_tables
 
     scorers = prepare(preset, entry)
     store = Store.open(arguments.results, preset.name, create=True)
@@ -212,7 +215,7 @@ def report(arguments: argparse.Namespace) -> int:
 
 def curves(arguments: argparse.Namespace) -> int:
     """Where each learner's training curve ended."""
-    from benchmarks.results import Results
+    from benchmarks.reporting.results import Results
 
     _, store = _open(arguments)
     learners = [run for run in Results(store).all() if run.folder.has_rows("curve")]
@@ -235,7 +238,7 @@ def curves(arguments: argparse.Namespace) -> int:
 
 def verify(arguments: argparse.Namespace) -> int:
     """Recompute every table; exit code 1 if one, the README or the docs disagree."""
-    from benchmarks.verify import verify_all
+    from benchmarks.reporting.verify import verify_all
 
     presets = [] if arguments.preset is None else [load_preset(arguments.preset).name]
     report = verify_all(arguments.results, presets, arguments.readme, arguments.docs)
@@ -253,11 +256,11 @@ def verify(arguments: argparse.Namespace) -> int:
 
 def readme(arguments: argparse.Namespace) -> int:
     """Rewrite the README's results section, and what the pages beside it include."""
-    from benchmarks.includes import rewrite_all
-    from benchmarks.readme import rewrite
+    from benchmarks.reporting.pages.includes import rewrite_all
+    from benchmarks.reporting.pages.readme import rewrite
 
     if arguments.preset is None:  # the one that the page is about
-        from benchmarks.verify import presets_of
+        from benchmarks.reporting.verify import presets_of
 
         named = presets_of(arguments.readme)
         arguments.preset = named[0] if named else DEFAULT_PRESET
@@ -276,13 +279,13 @@ def delegate(word: str, rest: Sequence[str]) -> int:
             import optuna  # noqa: F401
         except ImportError as error:
             raise BenchmarkError(f"tune needs pip install '.[tune]': {error}") from error
-        return _main_of("benchmarks.tune", rest)
+        return _main_of("benchmarks.studies.tuning.tune", rest)
     if word in ("audit", "failures"):
-        return _main_of(f"benchmarks.{word}", rest)
+        return _main_of(f"benchmarks.studies.{word}", rest)
     if word == "design":
-        return _main_of("benchmarks.design", rest)
+        return _main_of("benchmarks.studies.design.command", rest)
     if word == "classic":
-        return _main_of("benchmarks.classic.command", rest)
+        return _main_of("benchmarks.studies.classic.command", rest)
     if not rest or rest[0] not in SPEED:
         given = f"'{rest[0]}'" if rest else "nothing"
         raise BenchmarkError(f"speed of what? known: {known(SPEED)}; given: {given}")

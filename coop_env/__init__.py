@@ -15,7 +15,7 @@ from coop_env.kernel_cache import drop_stale_kernels
 if TYPE_CHECKING:
     from coop_env.env import CoopInsertionEnv
     from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, DeltaGeometry, RRSGeometry
-    from coop_env.sim_to_real import SimToReal
+    from coop_env.simulation.sim_to_real import SimToReal
     from coop_env.vec_env import CoopInsertionVecEnv
 
 _HOMES = {
@@ -26,7 +26,7 @@ _HOMES = {
     "GEOMETRIES": "coop_env.geometry",
     "INITIAL": "coop_env.geometry",
     "OPTIMIZED": "coop_env.geometry",
-    "SimToReal": "coop_env.sim_to_real",
+    "SimToReal": "coop_env.simulation.sim_to_real",
 }
 
 __all__ = [

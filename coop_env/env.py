@@ -13,14 +13,14 @@ from gymnasium import spaces
 from gymnasium.error import DependencyNotInstalled, ResetNeeded
 from numpy.typing import NDArray
 
-from coop_env import batch, rewards, start_states, state, task
 from coop_env.errors import ActionError, ArgumentError, StateError
 from coop_env.geometry import GEOMETRIES, GeometryError, RRSGeometry
 from coop_env.kinematics import rrs_kernels
-from coop_env.observation import make_observation, observe_batch
-from coop_env.scene import Scene, make_scene
-from coop_env.sim_to_real import SimToReal, resolve
-from coop_env.task import N_ACTIONS, EnvParams, TaskParams
+from coop_env.rendering.scene import Scene, make_scene
+from coop_env.simulation import batch, rewards, start_states, state, task
+from coop_env.simulation.observation import make_observation, observe_batch
+from coop_env.simulation.sim_to_real import SimToReal, resolve
+from coop_env.simulation.task import N_ACTIONS, EnvParams, TaskParams
 
 Observation = NDArray[np.float32]
 
@@ -33,7 +33,8 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
     Args:
         geometry: ``"optimized"``, ``"initial"`` or an :class:`~coop_env.geometry.RRSGeometry`.
         reward: ``"paper"`` (equation (reward) to the letter) or ``"progress"``.
-        reward_kwargs: scales of ``"progress"``, see :data:`coop_env.rewards.PROGRESS_DEFAULTS`.
+        reward_kwargs: scales of ``"progress"``, see
+            :data:`coop_env.simulation.rewards.PROGRESS_DEFAULTS`.
         observation: ``"paper"``, 12 numbers, or ``"markov"``, 19 with filled holes and time.
         normalize: observation in [0, 1], or in SI units.
         mask_singularities: action masks also exclude collisions and singular moves.
@@ -42,7 +43,8 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         stage: 0, the four peripheral holes, or 1, all six.
         pose_model: ``"exact"``, with parasitic motion, or ``"paper"``.
         max_moves: moves until truncation; 300 are the paper's 60 s.
-        sim_to_real: None, ``"randomized"`` or a :class:`~coop_env.sim_to_real.SimToReal`.
+        sim_to_real: None, ``"randomized"`` or a
+            :class:`~coop_env.simulation.sim_to_real.SimToReal`.
         render_mode: None, ``"rgb_array"``, ``"human"`` or ``"ansi"``.
 
     Raises:
@@ -125,7 +127,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
 
     @property
     def state(self) -> np.void:
-        """A copy of the row of :data:`coop_env.state.STATE` that the kernels work on."""
+        """A copy of the row of :data:`coop_env.simulation.state.STATE` that the kernels work on."""
         return self._row.copy()
 
     @property

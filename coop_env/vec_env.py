@@ -18,10 +18,10 @@ from stable_baselines3.common.vec_env.base_vec_env import (
     VecEnvIndices,
 )
 
-from coop_env import batch, state
 from coop_env.env import CoopInsertionEnv, check_snapshot
 from coop_env.errors import ActionError, ArgumentError
-from coop_env.task import N_ACTIONS
+from coop_env.simulation import batch, state
+from coop_env.simulation.task import N_ACTIONS
 
 StepReturn = tuple[
     NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]

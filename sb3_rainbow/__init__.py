@@ -1,12 +1,17 @@
 """Rainbow DQN with action masks for Stable-Baselines3."""
 
-from sb3_rainbow.buffers import PrioritizedReplayBuffer
+import sys
+
 from sb3_rainbow.callbacks import PrioritizedReplayCallback
-from sb3_rainbow.masking import TerminalActionMask
+from sb3_rainbow.masking.conventions import TerminalActionMask
+from sb3_rainbow.network.noisy_linear import NoisyLinear
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy
 from sb3_rainbow.rainbow import Rainbow
-from sb3_rainbow.sum_tree import SumTree
-from sb3_rainbow.torch_layers import NoisyLinear
+from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
+from sb3_rainbow.replay.sum_tree import SumTree
+
+# Models saved by version 0.1 name the buffer's class by the place it had then.
+sys.modules.setdefault("sb3_rainbow.buffers", sys.modules[PrioritizedReplayBuffer.__module__])
 
 __all__ = [
     "CnnPolicy",

@@ -5,7 +5,7 @@ import torch as th
 from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
 
-from sb3_rainbow.buffers import PrioritizedReplayBuffer
+from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 
 
 class PrioritizedReplayCallback(BaseCallback):

@@ -16,9 +16,9 @@ from stable_baselines3.common.torch_layers import (
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from torch import nn
 
-from sb3_rainbow.flat_parameters import FlatParameters
-from sb3_rainbow.masking import as_action_masks
-from sb3_rainbow.networks import RainbowNetwork
+from sb3_rainbow.fast.flat_parameters import FlatParameters
+from sb3_rainbow.masking.conventions import as_action_masks
+from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.type_aliases import NoisyLayers, ObsArray
 
 # Optimizers that treat every number by itself, whatever tensor it lies in

@@ -13,19 +13,19 @@ from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedul
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
 
-from sb3_rainbow.buffers import PrioritizedReplayBuffer
-from sb3_rainbow.denormals import flush_denormals
-from sb3_rainbow.learner import Learner, as_batch
-from sb3_rainbow.networks import RainbowNetwork
+from sb3_rainbow.fast.denormals import flush_denormals
+from sb3_rainbow.learner.learner import Learner, as_batch
+from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy, RainbowPolicy
-from sb3_rainbow.resumable import ResumableAlgorithm
+from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
+from sb3_rainbow.replay.transfer import from_device
+from sb3_rainbow.resume.resumable import ResumableAlgorithm
 from sb3_rainbow.settings import (
     NETWORK_ARGUMENTS,
     check_settings,
     check_support_of_file,
     sb3_buffer_kwargs,
 )
-from sb3_rainbow.transfer import from_device
 from sb3_rainbow.type_aliases import ObsArray, UseMasking
 
 SelfRainbow = TypeVar("SelfRainbow", bound="Rainbow")

@@ -2,8 +2,9 @@
 
 The picture and the browser view draw the same list. Meshes come out of a cache, so from one move
 to the next only poses and the holes' colours change. Sizes that the kinematics do not give
-(thicknesses, plates, housings) are for the eye; contact is decided by ``coop_env.collision``,
-whose forearm, for one, is a single capsule along the middle of the two rods drawn here.
+(thicknesses, plates, housings) are for the eye; contact is decided by
+``coop_env.simulation.collision``, whose forearm, for one, is a single capsule along the middle of
+the two rods drawn here.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from typing import Final
 import numpy as np
 
 from coop_env.rendering import shapes
+from coop_env.rendering.scene import Scene
 from coop_env.rendering.shapes import FloatArray, Mesh
-from coop_env.scene import Scene
 
 Colour = tuple[float, float, float]
 

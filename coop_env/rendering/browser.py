@@ -12,7 +12,7 @@ import numpy.typing as npt
 from coop_env.env import CoopInsertionEnv
 from coop_env.geometry import GEOMETRIES
 from coop_env.rendering.bodies import COLOURS, Body, bodies, hole_state
-from coop_env.scene import Scene
+from coop_env.rendering.scene import Scene
 
 if TYPE_CHECKING:
     import viser

@@ -12,7 +12,7 @@ from coop_env.rendering import overlay
 from coop_env.rendering.bodies import Body, bodies
 from coop_env.rendering.camera import CAMERAS, CameraSpec, View, make_view, resolve
 from coop_env.rendering.rasterizer import Triangles, cast_light, draw, to_linear
-from coop_env.scene import Scene
+from coop_env.rendering.scene import Scene
 
 Image8 = npt.NDArray[np.uint8]
 

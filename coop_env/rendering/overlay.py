@@ -14,7 +14,7 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from coop_env.rendering.bodies import COLOURS, Colour, hole_state
-from coop_env.scene import Scene
+from coop_env.rendering.scene import Scene
 
 Image8 = npt.NDArray[np.uint8]
 Box = tuple[int, int, int, int]  # left, top, right, bottom in px

@@ -29,7 +29,7 @@ from coop_env.rendering.browser import (
     slider_range,
     summary,
 )
-from coop_env.task import AXES, DT, N_ACTIONS
+from coop_env.simulation.task import AXES, DT, N_ACTIONS
 
 Act = Callable[[Any, npt.NDArray[np.bool_]], int]
 MakeEnv = Callable[[str], CoopInsertionEnv]

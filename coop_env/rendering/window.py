@@ -8,7 +8,7 @@ import pygame
 
 from coop_env.rendering.camera import CAMERAS, CameraSpec, resolve
 from coop_env.rendering.frame import render_frame
-from coop_env.scene import Scene
+from coop_env.rendering.scene import Scene
 
 _CAPTION = "Cooperative insertion: keys 1 to {} choose the camera"
 

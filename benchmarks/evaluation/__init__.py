@@ -1,0 +1,1 @@
+"""The test protocol: every method on the same episodes."""

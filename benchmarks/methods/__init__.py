@@ -1,0 +1,1 @@
+"""Everything that plays an episode: learners, planners; and the design stage."""

@@ -1,0 +1,140 @@
+"""One test episode: moves an environment and keeps what the metrics need."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coop_env.env import CoopInsertionEnv, Observation
+from coop_env.kinematics.rrs_kernels import platform_pose
+from coop_env.simulation.task import DOME_RADIUS, HOLE_NORMALS, N_HOLES
+
+Point = NDArray[np.float64]
+
+
+def distance_to_segment(points: Point, start: Point, end: Point) -> Point:
+    """Distances (n,) of points (n, 3) from the straight segment between two points (3,)."""
+    axis = end - start
+    length = float(axis @ axis)
+    along = np.clip((points - start) @ axis / length, 0.0, 1.0) if length > 0.0 else 0.0
+    foot = start + np.multiply.outer(along, axis)
+    return np.asarray(np.linalg.norm(points - foot, axis=-1), dtype=np.float64)
+
+
+def dome_frame(env: CoopInsertionEnv) -> Point:
+    """The peg's tip (3,) in the dome's frame, m: fixed to the platform, origin at its centre."""
+    state = env.state
+    roll, pitch, heave = (float(value) for value in state["configuration"][3:6])
+    pose = platform_pose(roll, pitch, heave, env.params.rrs)
+    rotation = np.array(pose[3:12]).reshape(3, 3)
+    return np.asarray(rotation.T @ (state["tip"] - np.array(pose[0:3])), dtype=np.float64)
+
+
+class Episode:
+    """An episode under test, from ``reset`` to its row of the results.
+
+    Args:
+        env: a single environment; its action masks and observations are the method's business.
+        number: the episode's number within its seed.
+        reset_seed: decides the initial state, see :mod:`benchmarks.protocol.seeding`.
+    """
+
+    def __init__(self, env: CoopInsertionEnv, number: int, reset_seed: int) -> None:
+        self.env = env
+        self.number = number
+        self.reset_seed = reset_seed
+        self.observation: Observation
+        self.observation, info = env.reset(seed=reset_seed)
+        self.over = False
+        self.moves = 0
+        self.reward = 0.0
+        self.collisions = self.violations = self.duplicates = 0
+        self.insertions: list[int] = []
+        self.alignments: list[float] = []
+        self.start = self._identify()
+        self.failure = ""
+        self.plan_seconds = math.nan
+        self._target = int(info["target"])
+        self._track = [dome_frame(env)]
+        self._at_first: dict[str, float] = {}
+        self._info = info
+
+    def _identify(self) -> str:
+        """A short digest of the initial state: equal for methods that began alike."""
+        state = self.env.state
+        numbers = np.append(state["configuration"], state["target"])
+        return hashlib.sha256(np.round(numbers, 9).tobytes()).hexdigest()[:10]
+
+    @property
+    def moves_left(self) -> int:
+        """Moves until the episode is cut off."""
+        return int(self.env.params.task.max_moves) - self.moves
+
+    def move(self, action: int) -> dict[str, Any]:
+        """Make one move and account for it; returns the environment's info."""
+        self.observation, reward, terminated, truncated, info = self.env.step(action)
+        self.moves += 1
+        self.reward += float(reward)
+        self.collisions += bool(info["collision"])
+        self.violations += bool(info["violation"])
+        self.duplicates += bool(info["duplicate"])
+        if not self.insertions:
+            self._track.append(dome_frame(self.env))
+        if info["inserted"]:
+            self.insertions.append(self.moves)
+            self.alignments.append(math.degrees(info["alignment_error"]))
+            if len(self.insertions) == 1:
+                self._at_first = self._first(info)
+        self._info = info
+        self.over = bool(terminated or truncated)
+        return info
+
+    def _first(self, info: dict[str, Any]) -> dict[str, float]:
+        hole = DOME_RADIUS * np.array(HOLE_NORMALS[self._target])
+        points = np.array(self._track)
+        deviation = distance_to_segment(points, points[0], hole)
+        return {
+            "moves_first": float(self.moves),
+            "time_first": float(info["time"]),
+            "alignment_error": math.degrees(info["alignment_error"]),
+            "trajectory_error": 1000.0 * float(np.sqrt(np.mean(deviation**2))),
+            "collisions_first": float(self.collisions),
+            "energy_first": float(info["energy"]),
+        }
+
+    def row(self, noise: float = 0.0) -> dict[str, object]:
+        """The episode's row of episodes.csv; what needs an insertion is empty without one."""
+        first = self._at_first
+        holes = len(self.insertions)
+        dt = float(self._info["time"]) / self.moves if self.moves else math.nan
+        return {
+            "episode": self.number,
+            "reset_seed": self.reset_seed,
+            "start": self.start,
+            "noise": noise,
+            "success": holes > 0,
+            "holes": holes,
+            "all_holes": holes == N_HOLES,
+            "singular": bool(self._info["singular"]),
+            "moves": self.moves,
+            "reward": self.reward,
+            "moves_first": first.get("moves_first", math.nan),
+            "time_first": first.get("time_first", math.nan),
+            "time_per_hole": dt * self.insertions[-1] / holes if holes else math.nan,
+            "alignment_error": first.get("alignment_error", math.nan),
+            "alignment_error_all": float(np.mean(self.alignments)) if holes else math.nan,
+            "trajectory_error": first.get("trajectory_error", math.nan),
+            "collisions": self.collisions,
+            "collisions_first": first.get("collisions_first", math.nan),
+            "violations": self.violations,
+            "duplicates": self.duplicates,
+            "energy": float(self._info["energy"]),
+            "energy_first": first.get("energy_first", math.nan),
+            "insertion_moves": ";".join(str(move) for move in self.insertions),
+            "failure": self.failure,
+            "plan_seconds": self.plan_seconds,
+        }

@@ -1,0 +1,141 @@
+"""The learners and their environments, as a preset's track sets them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from sb3_contrib import MaskablePPO
+from stable_baselines3 import DQN
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.utils import LinearSchedule
+from stable_baselines3.common.vec_env import VecMonitor
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.plan import ABLATIONS, Cell
+from benchmarks.protocol.presets import Preset, Track
+from benchmarks.protocol.seeding import derive
+from coop_env.geometry import RRSGeometry
+from coop_env.vec_env import CoopInsertionVecEnv
+from sb3_rainbow import Rainbow
+
+CHECKED_BUFFER = 10_000
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
+    "rainbow": Rainbow,
+    "dqn": DQN,
+    "maskable_ppo": MaskablePPO,
+}
+
+
+def env_arguments(preset: Preset, cell: Cell, track: Track | None = None) -> dict[str, Any]:
+    """Keyword arguments of the environment of a cell; without a track, of a planner's."""
+    geometry: str | RRSGeometry = cell.geometry
+    if cell.geometry in preset.geometries:
+        geometry = RRSGeometry(**preset.geometries[cell.geometry])
+    if track is None:
+        return {"geometry": geometry, "reward": "progress"}
+    return {
+        "geometry": geometry,
+        "reward": track.reward,
+        "reward_kwargs": dict(track.reward_kwargs) or None,
+        "observation": track.observation,
+        "mask_singularities": track.mask_singularities,
+        "mask_visited": track.mask_visited,
+    }
+
+
+def make_training_env(preset: Preset, cell: Cell) -> VecMonitor:
+    """The batched training environment, at the curriculum's first stage."""
+    track = preset.tracks[cell.track]
+    env = CoopInsertionVecEnv(
+        track.hyperparameters.n_envs,
+        seed=derive("train", cell.seed),
+        stage=0 if track.curriculum.enabled else 1,
+        **env_arguments(preset, cell, track),
+    )
+    return VecMonitor(env)
+
+
+def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu") -> BaseAlgorithm:
+    """The learner of a cell, untrained."""
+    track = preset.tracks[cell.track]
+    h = track.hyperparameters
+    if cell.method == "maskable_ppo":
+        return _build_ppo(track, cell, env, device)
+    common: dict[str, Any] = {
+        "learning_rate": LinearSchedule(h.learning_rate, h.learning_rate_end, 1.0),
+        "buffer_size": h.buffer_size,
+        "learning_starts": h.learning_starts,
+        "batch_size": h.batch_size,
+        "tau": h.tau,
+        "gamma": h.gamma,
+        "train_freq": 1,
+        "gradient_steps": h.gradient_steps,
+        "max_grad_norm": h.max_grad_norm,
+        "exploration_initial_eps": h.epsilon_start,
+        "exploration_final_eps": h.epsilon_end,
+        "exploration_fraction": min(1.0, h.epsilon_steps / track.timesteps),
+        "policy_kwargs": {
+            "net_arch": list(h.net_arch),
+            "optimizer_kwargs": {"weight_decay": h.weight_decay},
+        },
+        "seed": derive("learner", cell.seed),
+        "device": device,
+    }
+    if cell.method == "dqn":
+        # SB3 moves the target once per round of collection, not once per update: tau is compounded
+        common["tau"] = 1.0 - (1.0 - h.tau) ** h.gradient_steps
+        return DQN("MlpPolicy", env, target_update_interval=h.n_envs, **common)
+    rainbow: dict[str, Any] = {
+        "n_steps": h.n_steps,
+        "n_atoms": h.n_atoms,
+        "v_min": h.v_min,
+        "v_max": h.v_max,
+        "sigma0": h.sigma0,
+        "alpha": h.alpha,
+        "beta_start": h.beta_start,
+        "beta_end": h.beta_end,
+    }
+    return Rainbow("MlpPolicy", env, **common, **(rainbow | ABLATIONS[cell.ablation]))
+
+
+def _build_ppo(track: Track, cell: Cell, env: VecMonitor, device: str) -> MaskablePPO:
+    h, ppo = track.hyperparameters, track.ppo
+    return MaskablePPO(
+        "MlpPolicy",
+        env,
+        learning_rate=LinearSchedule(ppo.learning_rate, ppo.learning_rate_end, 1.0),
+        n_steps=ppo.n_steps,
+        batch_size=ppo.batch_size,
+        n_epochs=ppo.n_epochs,
+        gamma=h.gamma,
+        gae_lambda=ppo.gae_lambda,
+        ent_coef=ppo.ent_coef,
+        clip_range=ppo.clip_range,
+        policy_kwargs={"net_arch": list(h.net_arch)},
+        seed=derive("learner", cell.seed),
+        device=device,
+    )
+
+
+def check_cells(preset: Preset, cells: Sequence[Cell]) -> None:
+    """Build each kind of these learning cells once, so that what is impossible fails at once.
+
+    Raises:
+        BenchmarkError: an environment or an algorithm refuses its settings.
+    """
+    kinds = {(cell.method, cell.ablation, cell.geometry, cell.track): cell for cell in cells}
+    for cell in kinds.values():
+        track = preset.tracks[cell.track]
+        # settings alone are looked at: room for the whole replay buffer is not
+        small = min(track.hyperparameters.buffer_size, CHECKED_BUFFER)
+        h = replace(track.hyperparameters, buffer_size=small)
+        tracks = {**preset.tracks, cell.track: replace(track, hyperparameters=h)}
+        mine = replace(preset, tracks=tracks)
+        try:
+            build_model(mine, cell, make_training_env(mine, cell))
+        except (ValueError, TypeError, AssertionError, ZeroDivisionError) as error:
+            raise BenchmarkError(
+                f"preset '{preset.name}': cell {cell.id} is impossible: {error}"
+            ) from error

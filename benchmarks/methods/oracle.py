@@ -1,0 +1,208 @@
+"""The exact optimum on the lattice of moves: ceiling of success, floor of time for every method."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.methods import lattice_search as search
+from benchmarks.methods.base import Plan
+from benchmarks.methods.lattice_search import Grid
+from coop_env.simulation import dynamics
+from coop_env.simulation.state import OUTCOME, STATE, aim
+from coop_env.simulation.task import N_ACTIONS, STEP, EnvParams
+
+DEFAULT_NODE_LIMIT: Final = 2_000_000
+
+
+@dataclass(frozen=True)
+class _Lattice:
+    """The two sub-lattices of one episode; they serve every target of it."""
+
+    start: NDArray[np.float64]
+    delta: Grid
+    rrs: Grid
+
+
+class LatticeOracle:
+    """Shortest feasible move sequence to an insertion in the current target.
+
+    Workspaces, joint limits, collisions and singularities are the environment's own kernels', so a
+    plan's moves succeed in it, and no sequence of fewer does. Every plan is run through the
+    environment's step kernel on a copy of the state before it is returned.
+
+    Args:
+        node_limit: pairs of lattice nodes to expand before giving up with ``"node_limit"``.
+    """
+
+    def __init__(self, node_limit: int = DEFAULT_NODE_LIMIT) -> None:
+        if node_limit < 1:
+            raise ValueError(f"node_limit = {node_limit!r}: must be at least 1")
+        self.node_limit = node_limit
+        self._lattice: _Lattice | None = None
+        self._lattice_params: EnvParams | None = None
+
+    def plan(self, env: Any) -> Plan:
+        """Plan from the environment's current state, without changing it.
+
+        Returns:
+            ``"solved"`` with the moves, ``"infeasible"`` if no sequence of moves inserts, or
+            ``"node_limit"``. With sim-to-real knobs the plan is the nominal model's, as any
+            planner's would be. ``detail`` has ``length``, ``expanded`` (pairs), ``goals`` (lattice
+            points that meet the criterion) and ``bound`` (moves if nothing collided).
+        """
+        return self._plan(*_nominal(env.unwrapped.state, env.unwrapped.params))
+
+    def plan_episode(self, env: Any) -> list[Plan]:
+        """One plan per hole, each from where the last one ends, until the holes or moves run out.
+
+        Optimal hole by hole, as the environment itself chooses the next target; ``env`` is not
+        changed. The last plan has no moves if it failed: ``"timeout"`` if it is too long for the
+        moves left.
+        """
+        state, p = _nominal(env.unwrapped.state, env.unwrapped.params)
+        plans: list[Plan] = []
+        while not state["over"]:
+            plan = self._plan(state, p)
+            if plan.moves is not None and len(plan.moves) > p.task.max_moves - state["moves"]:
+                plan = Plan("timeout", None, plan.seconds, plan.detail)
+            plans.append(plan)
+            if plan.moves is None:
+                break
+            _execute(state, plan.moves, p)
+        return plans
+
+    def _plan(self, state: Any, p: EnvParams) -> Plan:
+        began = time.perf_counter()
+        lattice = self._lattice_of(state, p)
+        delta, rrs = lattice.delta, lattice.rrs
+        source = (
+            search.node_at(delta, state["offset"][:3]),
+            search.node_at(rrs, state["offset"][3:]),
+        )
+        target = int(state["target"])
+        goals = search.goals(lattice.start, delta, rrs, target, p)
+        to_delta, to_rrs, bound = _distances(lattice, goals, source)
+        detail: dict[str, Any] = {"goals": len(goals), "expanded": 0}
+        length = search.INFEASIBLE
+        if len(to_delta):
+            # Untouched pages of a large zeroed array cost nothing.
+            came_by = np.zeros(delta.free.size * rrs.free.size, np.uint8)
+            length, pair, detail["expanded"] = search.a_star(
+                lattice.start, delta, rrs, source, to_delta, to_rrs, came_by, self.node_limit, p
+            )
+            detail["bound"] = bound
+        if bound == 0 and not 0 < length <= 2:
+            # Already in the hole, but only a move can insert: one there and one back.
+            moves, length = _there_and_back(state, p)
+        elif length > 0:
+            moves = search.trace_back(pair, length, delta, rrs, came_by)
+        if length < 0:
+            status = "node_limit" if length == search.NODE_LIMIT else "infeasible"
+            return Plan(status, None, time.perf_counter() - began, detail)
+        detail["length"] = int(length)
+        if not _execute(state.copy(), moves, p):
+            raise RuntimeError(
+                f"the plan for hole {target} does not insert in the environment's own kernel: "
+                "the search and the environment disagree (a defect, please report it)"
+            )
+        return Plan("solved", moves, time.perf_counter() - began, detail)
+
+    def _lattice_of(self, state: Any, p: EnvParams) -> _Lattice:
+        known = self._lattice
+        start = np.array(state["start"])
+        if known is None or p is not self._lattice_params or np.any(known.start != start):
+            self._lattice, self._lattice_params = _make_lattice(start, p), p
+        assert self._lattice is not None
+        return self._lattice
+
+
+def _grid(start: NDArray[np.float64], axis: int, low: list[float], high: list[float]) -> Grid:
+    step = np.array(STEP[axis : axis + 3])
+    origin = start[axis : axis + 3]
+    # One node beyond each limit: rounding may let the kernels accept a node on the limit.
+    first = np.floor((np.array(low) - origin) / step).astype(np.int64)
+    last = np.ceil((np.array(high) - origin) / step).astype(np.int64)
+    shape = last - first + 1
+    return Grid(first, shape, np.zeros(math.prod(shape.tolist()), np.bool_))
+
+
+def _make_lattice(start: NDArray[np.float64], p: EnvParams) -> _Lattice:
+    d, r = p.delta, p.rrs
+    reach, drop = d.proximal_length + d.distal_length, abs(d.proximal_length - d.distal_length)
+    delta = _grid(
+        start,
+        0,
+        [-d.planar_limit, -d.planar_limit, -reach],
+        [d.planar_limit, d.planar_limit, -drop],
+    )
+    rrs = _grid(
+        start, 3, [-r.max_tilt, -r.max_tilt, r.heave_min], [r.max_tilt, r.max_tilt, r.heave_max]
+    )
+    search.fill_free(start, delta, rrs, p)
+    return _Lattice(start, delta, rrs)
+
+
+def _distances(
+    lattice: _Lattice, goals: NDArray[np.int64], source: tuple[int, int]
+) -> tuple[NDArray[np.int32], NDArray[np.int32], int]:
+    """Distances (goals, nodes) to the goals that both robots can reach, and the lower bound."""
+    maps: list[NDArray[np.int32]] = []
+    for column, grid in enumerate((lattice.delta, lattice.rrs)):
+        nodes, inverse = np.unique(goals[:, column], return_inverse=True)
+        table = np.empty((len(nodes), grid.free.size), np.int32)
+        for row, node in enumerate(nodes):
+            search.distances(grid, int(node), table[row])
+        maps.append(table[inverse.reshape(-1)])
+    to_delta, to_rrs = maps
+    near = (to_delta[:, source[0]] != search.UNREACHED) & (to_rrs[:, source[1]] != search.UNREACHED)
+    to_delta, to_rrs = to_delta[near], to_rrs[near]
+    bound = search.lower_bound(source[0], source[1], to_delta, to_rrs) if near.any() else -1
+    return to_delta, to_rrs, int(bound)
+
+
+def _nominal(state: Any, p: EnvParams) -> tuple[Any, EnvParams]:
+    """The state and parameters as the controller's model has them."""
+    if not p.task.imperfect:
+        return state, p
+    p = p._replace(task=p.task._replace(imperfect=False))
+    twin = np.zeros(1, STATE)[0]
+    x, y, z, roll, pitch, heave = (float(v) for v in state["configuration"])
+    status = dynamics.begin(
+        twin, (x, y, z, roll, pitch, heave), state["active"], state["filled"], p
+    )
+    if status != dynamics.VALID:  # only the real machine can stand here
+        raise ValueError("the model takes this state for a collision or singular: reset first")
+    aim(twin, int(state["target"]))
+    twin["moves"] = state["moves"]
+    return twin, p
+
+
+def _there_and_back(state: Any, p: EnvParams) -> tuple[NDArray[np.int64], int]:
+    for action in range(N_ACTIONS):
+        moves = np.array([action, action ^ 1])
+        if _execute(state.copy(), moves, p):
+            return moves, 2
+    return moves, search.INFEASIBLE
+
+
+def _execute(state: Any, moves: NDArray[np.int64], p: EnvParams) -> bool:
+    """Run moves through the step kernel on ``state``; True if exactly the last one inserts.
+
+    The kernel does not look at ``over``, so a plan longer than the moves left is run to its end.
+    """
+    outcome = np.zeros(1, OUTCOME)
+    inserted = False
+    for move in moves:
+        if inserted:
+            return False
+        dynamics.step(state, int(move), p, outcome[0])
+        if outcome["violation"][0]:
+            return False
+        inserted = bool(outcome["inserted"][0])
+    return inserted

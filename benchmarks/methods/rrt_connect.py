@@ -1,0 +1,291 @@
+"""OMPL's RRT-Connect as the paper's classical baseline: plan, round to moves, run open loop.
+
+The 3-RRS is planned to the nominal alignment pose, then the Delta to the hole. Both calls search
+the six-dimensional configuration space scaled so that one move is one unit along every axis, with
+the environment's own test of validity and collision; the axes of the robot that waits are held.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from ompl import base as ob
+from ompl import geometric as og
+from ompl import util as ou
+
+from benchmarks.methods.base import Plan
+from benchmarks.methods.episodes import Episode
+from coop_env.env import CoopInsertionEnv
+from coop_env.kinematics.rrs_kernels import platform_pose
+from coop_env.simulation import dynamics
+from coop_env.simulation.task import DOME_RADIUS, HOLE_NORMALS, N_AXES, STEP, TaskParams
+
+Configuration = NDArray[np.float64]
+Moves = list[int]
+
+UNITS: Final = np.array(STEP)
+HELD: Final = 1e-3  # half-width, in moves, of an axis that may not move: it rounds to nothing
+RETREAT: Final = 3  # moves up out of a hole that has just been filled
+RESOLUTION: Final = 0.25  # moves between two states that are tested along an edge
+SPACING: Final = 0.1  # moves between two points of a path that is rounded
+
+
+class RRTConnect:
+    """Plans to an insertion in the current target with OMPL's RRT-Connect.
+
+    Args:
+        time_limit: seconds for each of the two planning calls (the paper: 5 s).
+        max_iterations: termination checks for each call. The clock alone would make results
+            depend on the machine's load; this limit binds first on any machine.
+        seed: of OMPL's global generator, 1 or above. OMPL takes it once per process, before the
+            first sampler is made: plans repeat from process to process, not within one.
+
+    Raises:
+        ValueError: a limit is not positive, or the seed is 0, which OMPL ignores.
+    """
+
+    def __init__(
+        self, time_limit: float = 5.0, max_iterations: int = 20_000, seed: int = 1
+    ) -> None:
+        if time_limit <= 0.0 or max_iterations < 1:
+            raise ValueError(f"time_limit = {time_limit}, max_iterations = {max_iterations}")
+        if seed < 1:
+            raise ValueError(f"seed = {seed}: OMPL ignores seeds below 1")
+        self.time_limit = time_limit
+        self.max_iterations = max_iterations
+        ou.setLogLevel(ou.LOG_NONE)
+        ou.RNG.setSeed(seed)
+
+    def plan(self, env: CoopInsertionEnv) -> Plan:
+        """Plan from the environment's state to its current target, without changing it.
+
+        Returns:
+            ``"solved"`` with the rounded moves, or ``"no alignment pose"``,
+            ``"no plan (3-RRS)"``, ``"no plan (Delta)"`` without any.
+        """
+        begun = time.perf_counter()
+        target = int(env.state["target"])
+        iterations = 0
+        moves = retreat(env)
+        start = env.configuration + UNITS * displacement(moves)
+        goal = alignment_pose(env, start, target)
+        if goal is None:
+            return Plan("no alignment pose", None, time.perf_counter() - begun)
+        path, used = self._search(env, start, goal, moving=(3, 4, 5))
+        iterations += used
+        if path is None:
+            return self._failed("no plan (3-RRS)", begun, iterations)
+        moves += round_path(path, start)
+        # kinematics are known exactly, so the coordinator knows where the rounded moves lead
+        reached = env.configuration + UNITS * displacement(moves)
+        goal = _above_hole(env, reached, target)
+        path, used = self._search(env, reached, goal, moving=(0, 1, 2))
+        iterations += used
+        if path is None:
+            return self._failed("no plan (Delta)", begun, iterations)
+        moves += round_path(path, reached)
+        seconds = time.perf_counter() - begun
+        array = np.array(moves, dtype=np.int64)
+        return Plan("solved", array, seconds, {"iterations": iterations})
+
+    @staticmethod
+    def _failed(status: str, begun: float, iterations: int) -> Plan:
+        return Plan(status, None, time.perf_counter() - begun, {"iterations": iterations})
+
+    def _search(
+        self,
+        env: CoopInsertionEnv,
+        start: Configuration,
+        goal: Configuration,
+        moving: Sequence[int],
+    ) -> tuple[Configuration | None, int]:
+        """A dense path (n, 6) in SI units from start to goal, or None; and the checks it took."""
+        setup = _problem(env, start, goal, moving)
+        planner = og.RRTConnect(setup.getSpaceInformation())
+        planner.setRange(4.0)
+        setup.setPlanner(planner)
+        checks = 0
+        deadline = time.perf_counter() + self.time_limit
+
+        def out_of_budget() -> bool:
+            nonlocal checks
+            checks += 1
+            return checks > self.max_iterations or time.perf_counter() > deadline
+
+        setup.setup()
+        setup.solve(ob.PlannerTerminationCondition(out_of_budget))
+        if not setup.haveExactSolutionPath():
+            return None, checks
+        path = setup.getSolutionPath()
+        path.interpolate(max(2, math.ceil(path.length() / SPACING)))
+        states = np.array([state[0:N_AXES] for state in path.getStates()], dtype=np.float64)
+        return states * UNITS + start, checks
+
+
+def _problem(
+    env: CoopInsertionEnv, start: Configuration, goal: Configuration, moving: Sequence[int]
+) -> Any:
+    """The OMPL problem in units of moves relative to ``start``."""
+    space = ob.RealVectorStateSpace(N_AXES)
+    bounds = ob.RealVectorBounds(N_AXES)
+    low, high = _workspace(env)
+    for axis in range(N_AXES):
+        if axis in moving:
+            bounds.setLow(axis, float((low[axis] - start[axis]) / UNITS[axis]) - HELD)
+            bounds.setHigh(axis, float((high[axis] - start[axis]) / UNITS[axis]) + HELD)
+        else:
+            bounds.setLow(axis, -HELD)
+            bounds.setHigh(axis, HELD)
+    space.setBounds(bounds)
+    setup = og.SimpleSetup(space)
+    params = env.params
+
+    def is_valid(state: Any) -> bool:
+        c = np.array(state[0:N_AXES]) * UNITS + start
+        # the peg may touch the dome within a hole's chamfer, as when it moves
+        return bool(dynamics.configuration_status(tuple(c), params) == dynamics.VALID)
+
+    setup.setStateValidityChecker(is_valid)
+    extent = space.getMaximumExtent()
+    setup.getSpaceInformation().setStateValidityCheckingResolution(RESOLUTION / extent)
+    first, last = space.allocState(), space.allocState()
+    first[0:N_AXES] = [0.0] * N_AXES
+    last[0:N_AXES] = [float(x) for x in (goal - start) / UNITS]
+    setup.setStartAndGoalStates(first, last)
+    return setup
+
+
+def _workspace(env: CoopInsertionEnv) -> tuple[Configuration, Configuration]:
+    """Bounds (6,) of the configuration space, SI units."""
+    d, r = env.params.delta, env.params.rrs
+    reach, drop = d.proximal_length + d.distal_length, abs(d.proximal_length - d.distal_length)
+    low = [-d.planar_limit, -d.planar_limit, -reach, -r.max_tilt, -r.max_tilt, r.heave_min]
+    high = [d.planar_limit, d.planar_limit, -drop, r.max_tilt, r.max_tilt, r.heave_max]
+    return np.array(low), np.array(high)
+
+
+def retreat(env: CoopInsertionEnv) -> Moves:
+    """Moves straight up while the peg stands in a filled hole; none elsewhere."""
+    state = env.state
+    if not np.any(state["inside"].astype(bool) & state["filled"].astype(bool)):
+        return []
+    up = np.zeros(N_AXES)
+    for steps in range(1, RETREAT + 1):
+        up[2] = steps * UNITS[2]
+        if env.configuration_status(env.configuration + up) != dynamics.VALID:
+            return [4] * (steps - 1)
+    return [4] * RETREAT
+
+
+def alignment_pose(env: CoopInsertionEnv, now: Configuration, hole: int) -> Configuration | None:
+    """The configuration ``now`` (6,) with the platform turned so that the hole's normal is upright.
+
+    The platform's minimal rotation that turns the hole's normal h upright has the normal
+    (-h_x, -h_y, h_z), from which roll and pitch follow. The heave is the present one, or else the
+    next lattice height at which the pose is valid. None if there is none.
+    """
+    hx, hy, hz = HOLE_NORMALS[hole]
+    pitch, roll = math.asin(-hx), math.atan2(hy, hz)
+    for steps in (0, 1, -1, 2, -2):
+        goal = now.copy()
+        goal[3:6] = roll, pitch, now[5] + steps * UNITS[5]
+        if env.configuration_status(goal) == dynamics.VALID:
+            return goal
+    return None
+
+
+def _above_hole(env: CoopInsertionEnv, configuration: Configuration, hole: int) -> Configuration:
+    """The configuration with the peg's tip in the hole's mouth, the platform as it is."""
+    roll, pitch, heave = (float(x) for x in configuration[3:6])
+    pose = platform_pose(roll, pitch, heave, env.params.rrs)
+    rotation = np.array(pose[3:12]).reshape(3, 3)
+    mouth = np.array(pose[0:3]) + DOME_RADIUS * rotation @ np.array(HOLE_NORMALS[hole])
+    delta = env.params.delta
+    goal = configuration.copy()
+    goal[0:3] = mouth - np.array([0.0, 0.0, delta.base_height - delta.peg_length])
+    return goal
+
+
+def round_path(path: Configuration, start: Configuration) -> Moves:
+    """Moves that follow a dense path (n, 6) on the lattice around ``start`` (6,).
+
+    At each point, the axis that lags most moves until none lags more than half a move.
+    """
+    at = np.zeros(N_AXES, dtype=np.int64)
+    moves: Moves = []
+    for point in (path - start) / UNITS:
+        while True:
+            lag = point - at
+            axis = int(np.argmax(np.abs(lag)))
+            if abs(lag[axis]) <= 0.5:
+                break
+            sign = 1 if lag[axis] > 0.0 else -1
+            at[axis] += sign
+            moves.append(2 * axis + (0 if sign > 0 else 1))
+    return moves
+
+
+def displacement(moves: Sequence[int]) -> NDArray[np.int64]:
+    """Where moves lead on the lattice, (6,)."""
+    at = np.zeros(N_AXES, dtype=np.int64)
+    for move in moves:
+        at[move // 2] += 1 - 2 * (move % 2)
+    return at
+
+
+PlanFunction = Callable[[CoopInsertionEnv], Plan]
+
+
+def execute(episode: Episode, plan: PlanFunction, finish: PlanFunction | None = None) -> None:
+    """Fill hole after hole, each by one plan run open loop; stop at the first that fails.
+
+    With ``finish`` the loop is closed: where the open-loop moves did not insert (or there was no
+    plan), this second planner starts from the state they led to, and only its failure counts.
+
+    The cause of a failure is kept: no plan, singularity, collision (a move was refused, so that
+    all later ones start from elsewhere), precision (too far from the mouth) or alignment.
+    """
+    while not episode.over:
+        cause = _attempt(episode, plan)
+        if cause and cause != "singularity" and finish is not None:
+            cause = _attempt(episode, finish)
+        if cause:
+            episode.failure = cause
+            return
+
+
+def _attempt(episode: Episode, plan: PlanFunction) -> str:
+    """Plan once and run the moves; the cause of the failure, or nothing after an insertion."""
+    answer = plan(episode.env)
+    filled, refused = len(episode.insertions), 0
+    if not filled:
+        earlier = 0.0 if math.isnan(episode.plan_seconds) else episode.plan_seconds
+        episode.plan_seconds = earlier + answer.seconds
+    if answer.moves is None:
+        return "no plan"
+    info: dict[str, Any] = {}
+    for move in answer.moves[: episode.moves_left]:
+        info = episode.move(int(move))
+        refused += bool(info["violation"])
+        if len(episode.insertions) > filled:
+            return ""
+        if episode.over:
+            break
+    return _cause(episode, info, refused)
+
+
+def _cause(episode: Episode, info: dict[str, Any], refused: int) -> str:
+    if info.get("singular"):
+        return "singularity"
+    if episode.over:
+        return "out of time"
+    if refused:
+        return "collision"
+    if not info or info["distance"] >= TaskParams().chamfer:
+        return "precision"
+    return "alignment"

@@ -1,0 +1,262 @@
+"""Presets: YAML files with strict keys that say what is trained, for how long and how often.
+
+``presets/_tracks.yaml`` holds the tracks (a reward and the hyperparameters that go with it) in
+full; a preset names the tracks it uses and overrides what it must, usually only ``timesteps``. A
+track of another name says with ``base`` which of them it varies.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from benchmarks.errors import BenchmarkError, known
+from benchmarks.protocol.strict import build, merge
+from coop_env.simulation.task import TRAIL
+
+PRESETS = Path(__file__).parent / "presets"
+DEFAULT_PRESET = "quick"
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """The learner's settings (the paper's table of hyperparameters, and what it leaves out)."""
+
+    learning_rate: float
+    learning_rate_end: float  # linear decay over the run
+    gamma: float
+    v_min: float
+    v_max: float
+    batch_size: int
+    tau: float
+    sigma0: float
+    updates_per_step: float  # gradient steps per environment step
+    n_steps: int = 3
+    n_atoms: int = 51
+    weight_decay: float = 1e-5
+    max_grad_norm: float = 5.0
+    buffer_size: int = 1_000_000
+    learning_starts: int = 1_000
+    alpha: float = 0.6
+    beta_start: float = 0.4
+    beta_end: float = 1.0
+    net_arch: list[int] = field(default_factory=lambda: [256, 128, 64])
+    n_envs: int = 16
+    # epsilon-greedy, for vanilla DQN and for Rainbow without noisy layers
+    epsilon_start: float = 1.0
+    epsilon_end: float = 0.05
+    epsilon_steps: int = 10_000
+
+    @property
+    def gradient_steps(self) -> int:
+        """Updates after each step of all ``n_envs`` environments."""
+        return max(1, round(self.updates_per_step * self.n_envs))
+
+
+@dataclass(frozen=True)
+class PPOSettings:
+    """sb3-contrib's MaskablePPO, a further reference; gamma, net and envs are the track's."""
+
+    learning_rate: float = 1.0e-3
+    learning_rate_end: float = 1.0e-5  # linear decay over the run
+    n_steps: int = 128
+    batch_size: int = 256
+    n_epochs: int = 10
+    gae_lambda: float = 0.95
+    ent_coef: float = 0.01
+    clip_range: float = 0.2
+
+
+@dataclass(frozen=True)
+class Curriculum:
+    """Stage 0 has the four peripheral holes, stage 1 all six."""
+
+    enabled: bool = True
+    threshold: float = 0.75
+    window: int = 20
+
+
+@dataclass(frozen=True)
+class Track:
+    """A reward, the settings of the task and the hyperparameters that go together."""
+
+    description: str
+    reward: str
+    timesteps: int
+    hyperparameters: Hyperparameters
+    reward_kwargs: dict[str, float] = field(default_factory=dict)
+    observation: str = "paper"
+    mask_singularities: bool = False  # these two as CoopInsertionEnv's
+    mask_visited: int = 0
+    curriculum: Curriculum = field(default_factory=Curriculum)
+    ppo: PPOSettings = field(default_factory=PPOSettings)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The test protocol: ``episodes`` per seed, at each level of observation noise."""
+
+    episodes: int
+    noise: list[float] = field(default_factory=lambda: [0.0, 0.01])
+
+
+@dataclass(frozen=True)
+class PlannerSettings:
+    """Limits of one planning call (the paper: 5 s)."""
+
+    time_limit: float = 5.0
+    max_iterations: int = 20_000
+    node_limit: int = 2_000_000
+
+
+@dataclass(frozen=True)
+class DesignSettings:
+    """The geometric optimization: independent Nelder-Mead runs, each with its own jitter."""
+
+    runs: int = 10
+
+
+@dataclass(frozen=True)
+class RunGroup:
+    """A product of methods, ablations, geometries and tracks; seeds multiply all groups."""
+
+    methods: list[str]
+    ablations: list[str] = field(default_factory=lambda: ["full"])
+    geometries: list[str] = field(default_factory=lambda: ["optimized"])
+    tracks: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Preset:
+    """One experiment: what runs, with which settings."""
+
+    name: str
+    description: str
+    seeds: list[int]
+    evaluation: Evaluation
+    runs: list[RunGroup]
+    tracks: dict[str, Track] = field(default_factory=dict)
+    geometries: dict[str, dict[str, float]] = field(default_factory=dict)
+    planner: PlannerSettings = field(default_factory=PlannerSettings)
+    design: DesignSettings | None = None
+    checkpoint_seconds: float = 60.0
+
+
+def preset_names(folder: Path = PRESETS) -> list[str]:
+    """The presets that come with the package."""
+    return sorted(p.stem for p in folder.glob("*.yaml") if not p.stem.startswith("_"))
+
+
+def preset_file(name: str, folder: Path, kind: str) -> Path:
+    """The file of a preset of ``folder``, or of a path; ``kind`` says in errors what is known.
+
+    Raises:
+        BenchmarkError: there is no such preset.
+    """
+    path = Path(name) if name.endswith((".yaml", ".yml")) else folder / f"{name}.yaml"
+    if not path.is_file() or (path.parent == folder and path.stem.startswith("_")):
+        raise BenchmarkError(
+            f"unknown preset '{name}'; {kind}: {known(preset_names(folder))} "
+            "(or the path of a .yaml file)"
+        )
+    return path
+
+
+def load_preset(name: str) -> Preset:
+    """Load a preset by name, or by the path of a ``.yaml`` file of one's own.
+
+    Raises:
+        BenchmarkError: there is no such preset, or the file has an unknown or impossible key.
+    """
+    path = preset_file(name, PRESETS, "known presets")
+    return parse_preset(read_yaml(path), path.stem, str(path.name))
+
+
+def parse_preset(data: dict[str, Any], name: str, where: str) -> Preset:
+    """Check and build a preset from what its file holds; ``where`` is named in errors."""
+    if "name" in data:
+        raise BenchmarkError(f"{where}: unknown key 'name'; the file's name is the preset's name")
+    tracks = data.get("tracks", {})
+    if not isinstance(tracks, dict):
+        raise BenchmarkError(f"{where}: tracks: expected a mapping, found {tracks!r}")
+    library = read_yaml(PRESETS / "_tracks.yaml")
+    full = {}
+    for track, override in tracks.items():
+        if override is not None and not isinstance(override, dict):
+            raise BenchmarkError(f"{where}: tracks: {track}: expected a mapping: {override!r}")
+        override = dict(override or {})
+        base = override.pop("base", track)
+        if base != track and base not in library:
+            raise BenchmarkError(
+                f"{where}: tracks: {track}: unknown base '{base}'; known: {known(library)}"
+            )
+        full[track] = merge(library.get(base, {}), override)
+    preset = build(Preset, {**data, "name": name, "tracks": full}, where)
+    _check(preset, where)
+    return preset
+
+
+def _check(preset: Preset, where: str) -> None:
+    if not preset.seeds:
+        raise BenchmarkError(f"{where}: seeds: at least one seed is needed")
+    if len(set(preset.seeds)) != len(preset.seeds) or min(preset.seeds) < 0:
+        raise BenchmarkError(f"{where}: seeds: {preset.seeds} must differ and be 0 or above")
+    if preset.evaluation.episodes < 1:
+        raise BenchmarkError(f"{where}: evaluation: episodes must be 1 or above")
+    if 0.0 not in preset.evaluation.noise or min(preset.evaluation.noise) < 0.0:
+        raise BenchmarkError(f"{where}: evaluation: noise must hold 0.0 and no negative level")
+    for name, track in preset.tracks.items():
+        for key, value in (
+            ("timesteps", track.timesteps),
+            ("n_envs", track.hyperparameters.n_envs),
+            ("batch_size", track.hyperparameters.batch_size),
+            ("buffer_size", track.hyperparameters.buffer_size),
+        ):
+            if value < 1:
+                raise BenchmarkError(f"{where}: tracks: {name}: {key} = {value} must be above 0")
+        if track.reward not in ("paper", "progress"):
+            raise BenchmarkError(
+                f"{where}: tracks: {name}: unknown reward '{track.reward}'; known: paper, progress"
+            )
+        if not 0 <= track.mask_visited <= TRAIL:
+            raise BenchmarkError(
+                f"{where}: tracks: {name}: mask_visited = {track.mask_visited} must be from 0 to "
+                f"{TRAIL}"
+            )
+    _check_geometries(preset, where)
+
+
+def _check_geometries(preset: Preset, where: str) -> None:
+    if not preset.geometries:
+        return
+    from coop_env.geometry import GeometryError, RRSGeometry
+
+    for name, dimensions in preset.geometries.items():
+        try:
+            RRSGeometry(**dimensions)
+        except (GeometryError, TypeError) as error:
+            raise BenchmarkError(f"{where}: geometries: {name}: {error}") from error
+
+
+def as_dict(value: object) -> dict[str, Any]:
+    """A dataclass as plain YAML types."""
+    return dataclasses.asdict(value)  # type: ignore[call-overload]
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """The mapping that a YAML file holds.
+
+    Raises:
+        BenchmarkError: the file is no YAML, or no mapping.
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise BenchmarkError(f"{path.name}: not valid YAML: {error}") from error
+    if not isinstance(data, dict):
+        raise BenchmarkError(f"{path.name}: expected a mapping at the top")
+    return data

@@ -1,0 +1,1 @@
+"""From stored data alone: statistics, tables, figures, pages, and their check."""

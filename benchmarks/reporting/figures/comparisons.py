@@ -1,0 +1,200 @@
+"""Figures that compare methods on the test episodes: profiles, robustness, ablation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from benchmarks.protocol import labels, paper_values
+from benchmarks.reporting.figures.parts import Picture, canvas, finish, legend_below, look
+from benchmarks.reporting.results import Group, Results
+from benchmarks.reporting.stats import Value, profile_over_seeds
+from benchmarks.reporting.tables.compare import printed_spread
+from benchmarks.reporting.tables.statistics import N_HOLES, configurations
+
+THRESHOLDS: Final = np.linspace(0.0, 1.0, 101)
+
+Scores = Sequence[NDArray[np.float64]]  # of each seed's test episodes
+
+
+def comparisons(results: Results) -> list[Picture]:
+    """Figures of the test episodes, over all tracks."""
+    section = "Comparison"
+    found = [
+        Picture(
+            "performance_profile", section,
+            "Performance profiles: share of test episodes above a score, with 95 % bands over "
+            "seeds. Left: holes filled of six. Right: the optimum's moves to the first insertion "
+            "over the method's, 0 without an insertion.",
+            _alt_of_profiles(results),
+            partial(_profiles, results),
+        ),
+        Picture(
+            "robustness", section,
+            "Success rate over observation noise, with 95 % intervals, and the paper's two values.",
+            _alt_of_robustness(results),
+            partial(_robustness, results),
+        ),
+    ]  # fmt: skip
+    rows = _ablation_rows(results)
+    if rows:
+        texts = [
+            f"{track} {title} {value.text(1)} %" + (f", the paper {paper}" if paper else "")
+            for track, title, value, paper in rows
+        ]
+        found.append(Picture(
+            "ablation_comparison", section,
+            "Success rate with one component removed: ours with 95 % intervals, the paper's with "
+            "its standard deviation.",
+            f"Dot chart of success rates. {'; '.join(texts)}.",
+            partial(_ablation_comparison, rows),
+        ))  # fmt: skip
+    return found
+
+
+def _speeds(group: Group, optimum: Group) -> list[NDArray[np.float64]]:
+    """Per seed and test episode that the optimum solves: its moves over the method's, or 0."""
+    best = {run.seed: run.test() for run in optimum.runs}
+    found = []
+    for run in group.runs:
+        if run.seed in best:
+            both = run.test().merge(best[run.seed], on="episode", suffixes=("", "_best"))
+            both = both[both["success_best"] == 1]
+            found.append((both["moves_first_best"] / both["moves_first"]).fillna(0.0).to_numpy())
+    return found
+
+
+def _profile_scores(results: Results) -> list[tuple[str, Mapping[str, Scores]]]:
+    """(panel, method -> scores of each seed's test episodes) of both panels."""
+    optimum = results.group("optimum")
+    holes = {
+        name: [run.test()["holes"].to_numpy(float) / N_HOLES for run in group.runs]
+        for name, group in configurations(results)
+    }
+    speeds = {name: _speeds(group, optimum) for name, group in configurations(results)}
+    return [
+        ("Holes filled (of six)", holes),
+        ("Optimum's moves over own, first insertion", {n: s for n, s in speeds.items() if s}),
+    ]
+
+
+def _profiles(results: Results) -> Figure:
+    figure, panels = canvas(2, width=9.0, height=4.4)
+    looks = {name: look(group) for name, group in configurations(results)}
+    for axes, (label, methods) in zip(panels, _profile_scores(results), strict=True):
+        for name, scores in methods.items():
+            mean, low, high = profile_over_seeds(scores, THRESHOLDS)
+            colour, style = looks[name]
+            axes.step(THRESHOLDS, mean, style, where="post", color=colour, label=name,
+                      linewidth=1.3)  # fmt: skip
+            axes.fill_between(THRESHOLDS, low, high, step="post", color=colour, alpha=0.15,
+                              linewidth=0)  # fmt: skip
+        finish(axes, "Share of test episodes above", label)
+        axes.set_ylim(-0.02, 1.02)
+    legend_below(figure, panels, 4)
+    return figure
+
+
+def _alt_of_profiles(results: Results) -> str:
+    _, methods = _profile_scores(results)[0]
+    half = [
+        f"{name} {100 * float(profile_over_seeds(scores, [0.5])[0][0]):.0f} %"
+        for name, scores in methods.items()
+    ]
+    return f"Two step charts. More than half of the holes filled: {', '.join(half)} of episodes."
+
+
+def _robustness_lines(results: Results) -> dict[str, Group]:
+    found = {}
+    for track in results.tracks():
+        for method, group in results.learners(track):
+            if group.n:
+                found[f"{labels.METHODS[method]}, {labels.track(track)}"] = group
+    return found
+
+
+def _robustness(results: Results) -> Figure:
+    figure, (axes,) = canvas(height=4.2)
+    levels = results.noise_levels()
+    for name, group in _robustness_lines(results).items():
+        _error_bars(axes, levels, [group.success(level) for level in levels], name, look(group))
+    printed = paper_values.ROBUSTNESS
+    axes.errorbar(
+        list(printed),
+        [paper_values.mean(text) for text in printed.values()],
+        yerr=[printed_spread(text) for text in printed.values()],
+        fmt="kD--", markersize=4, capsize=3, linewidth=0.9, label="Rainbow DQN, paper",
+    )  # fmt: skip
+    optimum = results.group("optimum").success()
+    if optimum.n:
+        axes.axhline(optimum.mean, color="0.5", linewidth=0.9, label="Exact optimum (true state)")
+    finish(axes, "Success rate (%)", "Observation noise (share of the normalized range)")
+    legend_below(figure, [axes])
+    return figure
+
+
+def _error_bars(
+    axes: Axes, x: Sequence[float], values: Sequence[Value], label: str, style: tuple[str, str]
+) -> None:
+    mean = np.array([value.mean for value in values])
+    error = np.array([
+        [value.mean - value.low for value in values],
+        [value.high - value.mean for value in values],
+    ])  # fmt: skip
+    axes.errorbar(
+        x, mean, np.maximum(error, 0.0), label=label, capsize=3, marker="o", markersize=4,
+        color=style[0], linestyle=style[1],
+    )  # fmt: skip
+
+
+def _alt_of_robustness(results: Results) -> str:
+    levels = results.noise_levels()
+    parts = [
+        f"{name} {', '.join(f'{group.success(x).text(1)} % at {x:g}' for x in levels)}"
+        for name, group in _robustness_lines(results).items()
+    ]
+    return f"Line chart of the success rate over observation noise. {'; '.join(parts)}."
+
+
+def _ablation_rows(results: Results) -> list[tuple[str, str, Value, str]]:
+    rows = []
+    for track in results.tracks():
+        for key, title in labels.ABLATIONS.items():
+            group = results.group("rainbow", track=track, ablation=key)
+            if group.n:
+                paper = paper_values.ABLATION.get(key, "")
+                rows.append((labels.track(track), title, group.success(), paper))
+    return rows
+
+
+def _ablation_comparison(rows: Sequence[tuple[str, str, Value, str]]) -> Figure:
+    figure, (axes,) = canvas(height=4.2)
+    titles = list(dict.fromkeys(title for _, title, _, _ in rows))
+    tracks = list(dict.fromkeys(track for track, _, _, _ in rows))
+    for i, track in enumerate(tracks):
+        mine = [(titles.index(title), value) for t, title, value, _ in rows if t == track]
+        values = [value for _, value in mine]
+        mean = np.array([value.mean for value in values])
+        error = np.array([mean - [v.low for v in values], [v.high for v in values] - mean])
+        axes.errorbar(
+            mean, [y + 0.14 * (i + 1) for y, _ in mine], xerr=np.maximum(error, 0.0),
+            fmt="o", markersize=4, capsize=2, color=f"C{i}", label=f"ours, {track}",
+        )  # fmt: skip
+    printed = {title: paper for _, title, _, paper in rows if paper}
+    axes.errorbar(
+        [paper_values.mean(text) for text in printed.values()],
+        [titles.index(title) for title in printed],
+        xerr=[printed_spread(text) for text in printed.values()],
+        fmt="kD", markersize=4, capsize=2, label="paper",
+    )  # fmt: skip
+    axes.set_yticks(range(len(titles)), titles)
+    axes.invert_yaxis()
+    finish(axes, "", "Success rate (%)")
+    legend_below(figure, [axes], 4)
+    return figure

@@ -1,0 +1,239 @@
+"""The paper's learning figures and ours beyond them, from stored data alone: no torch."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from benchmarks.protocol import labels
+from benchmarks.reporting.figures.comparisons import comparisons
+from benchmarks.reporting.figures.parts import (
+    EPISODES,
+    METHOD_COLOURS,
+    Picture,
+    canvas,
+    curve_frames,
+    draw_curve,
+    draw_stages,
+    finish,
+    mark_switches,
+    seed_curves,
+    switches,
+)
+from benchmarks.reporting.results import Group, Results
+from benchmarks.reporting.tables.statistics import N_HOLES, configurations
+from benchmarks.runs.store import Store, write_atomic
+
+STAGE_0_HOLES: Final = 4
+WIDE: Final = 50  # episodes of the moving average where many lines share the axes
+
+Groups = dict[str, Group]
+
+# figure name -> (column of curve.csv, axis label, logarithmic, caption)
+CURVES: Final[dict[str, tuple[str, str, bool, str]]] = {
+    "cumulative_reward": (
+        "episode_reward",
+        "Episode reward",
+        False,
+        "Cumulative reward per episode: mean of the last ten, unsmoothed behind it",
+    ),
+    "success": ("success", "Success rate", False, "Success rate over training"),
+    "max_q": ("mean_max_q", "Mean max Q", False, "Average maximum Q-value"),
+    "loss": (
+        "loss",
+        "Loss",
+        True,
+        "Training loss: Rainbow's is a cross-entropy, DQN's a Huber loss, so that levels are not "
+        "to be compared between methods",
+    ),
+    "duration": (
+        "duration",
+        "Episode duration (s)",
+        False,
+        "Duration of an episode: mean of the last ten, unsmoothed behind it",
+    ),
+}
+RAW: Final = frozenset({"cumulative_reward", "duration"})
+
+
+def pictures(results: Results) -> list[Picture]:
+    """All figures of a store, in the order of the report."""
+    found: list[Picture] = []
+    for track in results.tracks():
+        found += _learning(results, track)
+        found += _variants(results, track)
+    if any(group.n for _, group in configurations(results)):
+        found += comparisons(results)
+    return found
+
+
+def write_figures(store: Store) -> list[tuple[Picture, Path]]:
+    """Draw all figures of a store; returns them with their paths."""
+    drawn = []
+    for picture in pictures(Results(store)):
+        path = store.figures / f"{picture.name}.png"
+        data = picture.png()
+        write_atomic(path, partial(_write, data))
+        drawn.append((picture, path))
+    return drawn
+
+
+def _write(data: bytes, path: Path) -> None:
+    path.write_bytes(data)
+
+
+def _learning(results: Results, track: str) -> list[Picture]:
+    """The paper's seven learning figures of one track."""
+    groups = {labels.METHODS[method]: group for method, group in results.learners(track)}
+    if not any(curve_frames(group) for group in groups.values()):
+        return []
+    section = f"Learning, {labels.track(track)}"
+    found = [
+        Picture(
+            f"{track}_{name}",
+            section,
+            f"{caption}, {labels.track(track)}.",
+            _alt_of_curves(groups, column, label),
+            partial(_curves, groups, column, label, log, name in RAW),
+        )
+        for name, (column, label, log, caption) in CURVES.items()
+    ]
+    found.insert(1, Picture(
+        f"{track}_exploration", section,
+        f"Learning rate, and noise magnitude or epsilon, {labels.track(track)}.",
+        _alt_of_curves({n: g for n, g in groups.items() if _quantity(g)}, "noise", "Exploration"),
+        partial(_exploration, groups),
+    ))  # fmt: skip
+    found.insert(2, Picture(
+        f"{track}_holes", section,
+        f"Holes per episode by stage of the curriculum, {labels.track(track)}.",
+        _alt_of_curves(groups, "holes", "Holes per episode"),
+        partial(_holes, groups),
+    ))  # fmt: skip
+    return found
+
+
+def _variants(results: Results, track: str) -> list[Picture]:
+    """Success over training of the ablations and of both geometries."""
+    ablations = {
+        title: results.group("rainbow", track=track, ablation=key)
+        for key, title in labels.ABLATIONS.items()
+    }
+    geometries = {
+        f"{name} geometry": results.group("rainbow", name, track)
+        for name in ("optimized", "initial")
+    }
+    found = []
+    for name, groups, caption in (
+        ("ablation", ablations, "Success rate with one component removed: mean of the last fifty"),
+        ("geometry", geometries, "Success rate on either geometry: mean of the last fifty"),
+    ):
+        if sum(bool(curve_frames(group)) for group in groups.values()) > 1:
+            found.append(Picture(
+                f"{track}_{name}", f"Learning, {labels.track(track)}",
+                f"{caption}, {labels.track(track)}.",
+                _alt_of_curves(groups, "success", "Success rate"),
+                partial(_curves, groups, "success", "Success rate", window=WIDE,
+                        band=name == "geometry"),
+            ))  # fmt: skip
+    return found
+
+
+def _alt_of_curves(groups: Groups, column: str, label: str) -> str:
+    """What a chart of curves shows, in words: where each line ends and when the stage changed."""
+    parts = []
+    for name, group in groups.items():
+        _, values = seed_curves(curve_frames(group), column)
+        if values.size:
+            seeds = "1 seed" if len(values) == 1 else f"{len(values)} seeds"
+            parts.append(f"{name} ({seeds}) ends at {values[:, -1].mean():.3g}")
+        steps = switches(group)
+        if steps:
+            parts.append(f"its curriculum switches at {np.mean(steps):.0f} steps")
+    return f"Line chart of {label.lower()} over environment steps: {', '.join(parts)}."
+
+
+def _coloured(groups: Groups) -> list[tuple[str, Group, str]]:
+    """Methods in their own colours; ablations and geometries one after the other."""
+    methods = {labels.METHODS[key]: colour for key, colour in METHOD_COLOURS.items()}
+    return [
+        (name, group, methods.get(name, f"C{i}")) for i, (name, group) in enumerate(groups.items())
+    ]
+
+
+def _curves(
+    groups: Groups,
+    column: str,
+    label: str,
+    log: bool = False,
+    raw: bool = False,
+    band: bool = True,
+    window: int = EPISODES,
+) -> Figure:
+    figure, (axes,) = canvas()
+    for name, group, colour in _coloured(groups):
+        frames = curve_frames(group)
+        draw_curve(axes, frames, column, name, colour, band=band, raw=raw, window=window)
+    if column == "mean_max_q":
+        _mark_support(axes, groups)
+    if band:
+        mark_switches(axes, [(group, colour) for _, group, colour in _coloured(groups)])
+    finish(axes, label)
+    if log and axes.get_lines():
+        axes.set_yscale("log")
+    return figure
+
+
+def _mark_support(axes: Axes, groups: Groups) -> None:
+    """The upper end of the support, above which a distributional value cannot go."""
+    for group in groups.values():
+        for run in group.runs[:1]:
+            if run.config["cell"]["method"] == "rainbow":
+                top = float(run.config["track"]["hyperparameters"]["v_max"])
+                axes.axhline(top, color="0.4", linestyle="--", linewidth=0.9, label="V_max")
+
+
+def _exploration(groups: Groups) -> Figure:
+    figure, (above, below) = canvas(2, below=True)
+    for name, group, colour in _coloured(groups):
+        frames = curve_frames(group)
+        draw_curve(above, frames, "learning_rate", name, colour)
+        quantity = _quantity(group)
+        if quantity:
+            draw_curve(below, frames, "noise", f"{name}: {quantity}", colour)
+    for axes, label in ((above, "Learning rate"), (below, "Exploration")):
+        mark_switches(axes, [(group, colour) for _, group, colour in _coloured(groups)])
+        finish(axes, label)
+        if axes.get_lines():
+            axes.set_yscale("log")
+    above.set_xlabel("")
+    return figure
+
+
+def _quantity(group: Group) -> str:
+    """What "noise" holds: without noisy layers epsilon, of an actor-critic nothing."""
+    cells = [run.config["cell"] for run in group.runs]
+    if not all(cell["method"] in ("rainbow", "dqn") for cell in cells):
+        return ""
+    greedy = any(c["method"] == "dqn" or c["ablation"] == "no_noisy" for c in cells)
+    return "epsilon" if greedy else "noise magnitude"
+
+
+def _holes(groups: Groups) -> Figure:
+    figure, (axes,) = canvas()
+    for name, group, colour in _coloured(groups):
+        draw_stages(axes, curve_frames(group), name, colour)
+    for holes, stage in ((STAGE_0_HOLES, 0), (N_HOLES, 1)):
+        axes.axhline(holes, color="0.6", linewidth=0.8)
+        text = f"all of stage {stage}"
+        axes.annotate(text, (0.995, holes), xycoords=("axes fraction", "data"), ha="right",
+                      va="bottom", fontsize=7, color="0.4")  # fmt: skip
+    mark_switches(axes, [(group, colour) for _, group, colour in _coloured(groups)])
+    finish(axes, "Holes per episode")
+    axes.set_ylim(-0.2, N_HOLES + 0.6)
+    return figure

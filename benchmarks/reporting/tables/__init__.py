@@ -1,0 +1,1 @@
+"""The tables, each as CSV, Markdown and LaTeX."""

@@ -1,0 +1,1 @@
+"""One run from start to end: the harness, its processes, checkpoints and store."""

@@ -1,0 +1,169 @@
+"""Where a run's process lives: a child of the harness here, or a worker of a cluster.
+
+A backend starts ``python -m benchmarks <words>``; what the process does is the same everywhere, and
+it speaks to the harness through the run's folder alone.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final, Protocol
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.runs.store import RunFolder
+
+BACKENDS: Final = ("local", "ray")
+# one thread per process: as many processes as cores do not fight for them
+PINNED: Final = dict.fromkeys(
+    ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+)
+GRACE_SECONDS: Final = 60.0  # for a run to save its checkpoint after it was asked to stop
+
+
+class Job(Protocol):
+    """A run under way."""
+
+    log: Path
+
+    def poll(self) -> int | None:
+        """The process's exit code, None while it runs or waits for its turn."""
+
+    def place(self) -> str | None:
+        """Where it runs, in a word or none at all; None while it waits for its turn."""
+
+    def news(self) -> list[str]:
+        """What has happened to it since the last call, one sentence each."""
+
+    def stop(self) -> None:
+        """Ask it to save and end."""
+
+    def wait(self, seconds: float) -> None:
+        """Wait for its end, and end it by force when the time is over."""
+
+
+class Backend(Protocol):
+    """Starts runs."""
+
+    #: runs that can be under way at a time
+    slots: int
+
+    def describe(self) -> str:
+        """What runs are given, in a sentence."""
+
+    def start(self, words: Sequence[str], folder: RunFolder) -> Job:
+        """Start ``python -m benchmarks <words>``, which works on ``folder``."""
+
+    def close(self) -> None:
+        """Let go of what the backend holds."""
+
+
+def command(words: Sequence[str]) -> list[str]:
+    """The command line of a run's process, told whose child it is."""
+    return [sys.executable, "-m", "benchmarks", *words, "--parent", str(os.getpid())]
+
+
+def spawn(words: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
+    """Start a run's process: pinned to one thread, its output in ``log``."""
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("ab") as stream:
+        # a session of its own: Ctrl-C reaches the harness alone, which then asks politely
+        return subprocess.Popen(
+            command(words),
+            stdin=subprocess.DEVNULL,
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, **PINNED},
+            start_new_session=True,
+        )
+
+
+def end(process: subprocess.Popen[bytes], seconds: float) -> None:
+    """Wait for a process that was asked to stop; kill it when the time is over."""
+    try:
+        process.wait(max(0.1, seconds))
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+class LocalJob:
+    """A child process."""
+
+    def __init__(self, words: Sequence[str], log: Path) -> None:
+        self.log = log
+        self._process = spawn(words, log)
+
+    def poll(self) -> int | None:
+        return self._process.poll()
+
+    def place(self) -> str | None:
+        return ""
+
+    def news(self) -> list[str]:
+        return []
+
+    def stop(self) -> None:
+        self._process.send_signal(signal.SIGTERM)
+
+    def wait(self, seconds: float) -> None:
+        end(self._process, seconds)
+
+
+class LocalBackend:
+    """Child processes, by default one for each core that this process may use."""
+
+    def __init__(self, jobs: int | None = None) -> None:
+        self.slots = default_jobs() if jobs is None else jobs
+
+    def describe(self) -> str:
+        return f"{self.slots} processes of one thread on {os.cpu_count()} cores"
+
+    def start(self, words: Sequence[str], folder: RunFolder) -> Job:
+        return LocalJob(words, folder.log)
+
+    def close(self) -> None:
+        pass
+
+
+@contextmanager
+def open_backend(
+    name: str, jobs: int | None, address: str | None = None, gpus_per_run: float = 0.0
+) -> Iterator[Backend]:
+    """The backend of that name, closed at the end.
+
+    Args:
+        name: one of ``BACKENDS``.
+        jobs: runs at a time; None for what there is room for.
+        address: of a Ray cluster.
+        gpus_per_run: GPUs that Ray reserves for a run, or the fraction of one.
+
+    Raises:
+        BenchmarkError: an argument does not go with the backend, or no cluster answers.
+    """
+    backend: Backend
+    if name == "local":
+        for option, given in (("--address", address), ("--gpus-per-run", gpus_per_run)):
+            if given:
+                raise BenchmarkError(f"{option} {given}: only with --backend ray")
+        backend = LocalBackend(jobs)
+    else:
+        from benchmarks.runs.ray_backend import RayBackend
+
+        backend = RayBackend(address, gpus_per_run, jobs)
+    try:
+        yield backend
+    finally:
+        backend.close()
+
+
+def default_jobs() -> int:
+    """One process per core that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return max(1, len(os.sched_getaffinity(0)))
+    return os.cpu_count() or 1

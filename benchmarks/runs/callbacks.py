@@ -1,0 +1,180 @@
+"""What watches a training run: curriculum, the paper's curves, and the progress others see."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any, Final
+
+import numpy as np
+import torch
+from stable_baselines3.common.callbacks import BaseCallback
+
+from benchmarks.protocol.presets import Curriculum, Track
+
+ROWS: Final = 400  # rows of curve.csv at most, so that it can be committed
+REFERENCE_THRESHOLD: Final = 0.75  # the paper's "environment steps to 75 % success" ...
+REFERENCE_WINDOW: Final = 20  # ... over 20 training episodes
+
+
+class CurriculumCallback(BaseCallback):
+    """Switches from four holes to six when the mean success of recent episodes is high enough.
+
+    It speaks to the environments through ``env_method``, so any VecEnv will do; each environment
+    takes the new stage at its next reset.
+    """
+
+    def __init__(self, settings: Curriculum) -> None:
+        super().__init__()
+        self.settings = settings
+        self.recent: deque[bool] = deque(maxlen=settings.window)
+        self.stage = 0 if settings.enabled else 1
+        self.switched_at: int | None = None
+
+    def _on_step(self) -> bool:
+        if self.stage == 1:
+            return True
+        for done, info in zip(self.locals["dones"], self.locals["infos"], strict=True):
+            if done:
+                self.recent.append(bool(info["success"]))
+        full = len(self.recent) == self.settings.window
+        if full and np.mean(self.recent) > self.settings.threshold:
+            self.stage = 1
+            self.switched_at = self.num_timesteps
+            self.training_env.env_method("set_stage", 1)
+        return True
+
+    def get_state(self) -> dict[str, Any]:
+        return {"recent": list(self.recent), "stage": self.stage, "switched_at": self.switched_at}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        self.recent.extend(state["recent"])
+        self.stage, self.switched_at = state["stage"], state["switched_at"]
+
+
+class CurveRecorder(BaseCallback):
+    """Keeps the paper's seven training curves as rows and writes them to TensorBoard.
+
+    A row is the mean over an interval of environment steps: episode reward, holes, success and
+    duration over the episodes that ended in it, loss over its updates; learning rate, noise
+    magnitude (mean absolute sigma of the noisy layers, or epsilon) and mean max Q over the current
+    observations at its end (of an actor-critic its critic's value).
+    """
+
+    def __init__(self, track: Track, curriculum: CurriculumCallback) -> None:
+        super().__init__()
+        self.curriculum = curriculum
+        self.interval = max(track.hyperparameters.n_envs, math.ceil(track.timesteps / ROWS))
+        self.rows: list[dict[str, object]] = []
+        self.counts = {"episodes": 0, "successes": 0, "singular": 0, "holes": 0}
+        self.steps_to_75: int | None = None
+        self.recent: deque[bool] = deque(maxlen=REFERENCE_WINDOW)
+        self._ended: list[tuple[float, ...]] = []
+        self._losses: list[float] = []
+        self._next = self.interval
+
+    def _on_rollout_start(self) -> None:
+        # the loss of the updates since the last round of collection
+        loss = self.logger.name_to_value.get("train/loss")
+        if loss is not None and self.num_timesteps > 0:
+            self._losses.append(float(loss))
+        if self.num_timesteps >= self._next:
+            self.flush()
+
+    def _on_step(self) -> bool:
+        for done, info in zip(self.locals["dones"], self.locals["infos"], strict=True):
+            if done:
+                self._count(info)
+        full = len(self.recent) == REFERENCE_WINDOW
+        if self.steps_to_75 is None and full and np.mean(self.recent) > REFERENCE_THRESHOLD:
+            self.steps_to_75 = self.num_timesteps
+        return True
+
+    def _count(self, info: dict[str, Any]) -> None:
+        success = bool(info["success"])
+        self.recent.append(success)
+        self.counts["episodes"] += 1
+        self.counts["successes"] += success
+        self.counts["singular"] += bool(info["singular"])
+        self.counts["holes"] += int(info["n_filled"])
+        reward = float(info["episode"]["r"])
+        self._ended.append((reward, float(info["n_filled"]), float(success), float(info["time"])))
+
+    def flush(self) -> None:
+        """End the interval: one row, one point of each TensorBoard curve."""
+        ended = np.array(self._ended, dtype=np.float64).reshape(-1, 4)
+        mean = ended.mean(axis=0) if len(ended) else np.full(4, math.nan)
+        row: dict[str, object] = {
+            "timesteps": self.num_timesteps,
+            "episodes": self.counts["episodes"],
+            "stage": self.curriculum.stage,
+            "episode_reward": float(mean[0]),
+            "holes": float(mean[1]),
+            "success": float(mean[2]),
+            "success_20": float(np.mean(self.recent)) if self.recent else math.nan,
+            "duration": float(mean[3]),
+            "loss": float(np.mean(self._losses)) if self._losses else math.nan,
+            "mean_max_q": self._mean_max_q(),
+            "learning_rate": float(self.model.policy.optimizer.param_groups[0]["lr"]),
+            "noise": self._noise(),
+        }
+        self.rows.append(row)
+        self._tensorboard(row)
+        self._ended.clear()
+        self._losses.clear()
+        self._next = self.num_timesteps + self.interval
+
+    def _tensorboard(self, row: dict[str, object]) -> None:
+        for name, column in (
+            ("episode_reward", "episode_reward"),
+            ("learning_rate", "learning_rate"),
+            ("noise_magnitude", "noise"),
+            ("holes_per_episode", "holes"),
+            ("success_rate", "success"),
+            ("mean_max_q", "mean_max_q"),
+            ("loss", "loss"),
+            ("episode_duration_s", "duration"),
+        ):
+            value = row[column]
+            if isinstance(value, float) and not math.isnan(value):
+                self.logger.record(f"paper/{name}", value)
+        self.logger.record("paper/stage", self.curriculum.stage)
+        self.logger.dump(self.num_timesteps)
+
+    def _mean_max_q(self) -> float:
+        observation = self.model._last_obs
+        assert isinstance(observation, np.ndarray)
+        policy: Any = self.model.policy
+        with torch.no_grad():
+            tensor, _ = policy.obs_to_tensor(observation)
+            if hasattr(policy, "q_net"):
+                return float(policy.q_net(tensor).max(dim=1).values.mean())
+            return float(policy.predict_values(tensor).mean())
+
+    def _noise(self) -> float:
+        q_net: Any = getattr(self.model.policy, "q_net", None)
+        magnitudes = q_net.noise_magnitudes() if hasattr(q_net, "noise_magnitudes") else {}
+        if magnitudes:
+            return float(np.mean(list(magnitudes.values())))
+        return float(getattr(self.model, "exploration_rate", 0.0))
+
+    def summary(self) -> dict[str, Any]:
+        """What meta.json says of the training."""
+        episodes = self.counts["episodes"]
+        return {
+            "steps_to_75": self.steps_to_75,
+            "curriculum_switch": self.curriculum.switched_at,
+            "final_success_20": float(np.mean(self.recent)) if self.recent else None,
+            "singular_per_1000": 1000.0 * self.counts["singular"] / episodes if episodes else None,
+            **self.counts,
+        }
+
+    _KEPT: Final = ("rows", "counts", "steps_to_75", "_ended", "_losses", "_next")
+
+    def get_state(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in self._KEPT} | {"recent": list(self.recent)}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        for name in self._KEPT:
+            setattr(self, name, state[name])
+        self.recent.extend(state["recent"])

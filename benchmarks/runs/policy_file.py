@@ -1,0 +1,64 @@
+"""The final policy of a run as a file small enough to commit, which SB3 loads like any other.
+
+What greedy acting does not ask for goes (target network, widths of the noise, optimizer), and the
+rest is rounded to half precision before it is tested, so that the file *is* what was tested. The
+digest of the weights as trained is kept in meta.json: two runs can be compared to the bit by it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+
+from benchmarks.runs.store import write_atomic
+
+_UNUSED: Final = ("q_net_target.", "mlp_extractor.value_net.", "value_net.")
+"""What the greedy policy of Rainbow, DQN or an actor-critic never asks, by prefix."""
+_NOISE: Final = ("_sigma", ".epsilon_in", ".epsilon_out")
+"""What a noisy layer adds only when it explores, by suffix."""
+
+
+def digest(model: Any) -> str:
+    """SHA-256 of all weights, by name and to the bit."""
+    sha = hashlib.sha256()
+    for name, value in sorted(model.policy.state_dict().items()):
+        sha.update(name.encode())
+        sha.update(value.detach().cpu().contiguous().numpy().tobytes())
+    return sha.hexdigest()
+
+
+def reduce_to_greedy(model: Any) -> None:
+    """Leave of the model, in place, what its greedy policy needs, in half precision's steps."""
+    with torch.no_grad():
+        for name, value in model.policy.state_dict().items():
+            if not value.is_floating_point():
+                continue
+            if name.startswith(_UNUSED) or name.endswith(_NOISE):
+                value.zero_()
+            elif value.abs().max() < torch.finfo(torch.float16).max:
+                value.copy_(value.half())
+    model.policy.optimizer.state.clear()
+
+
+def save(model: Any, path: Path) -> None:
+    """Write the model atomically, compressed; ``type(model).load(path)`` reads it."""
+    write_atomic(path, lambda temporary: _write(model, temporary))
+
+
+def _write(model: Any, temporary: Path) -> None:
+    stored = temporary.with_name(temporary.name + ".stored")
+    try:
+        with stored.open("wb") as stream:
+            model.save(stream)
+        with (
+            zipfile.ZipFile(stored) as source,
+            zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as target,
+        ):
+            for entry in source.infolist():
+                target.writestr(entry.filename, source.read(entry))
+    finally:
+        stored.unlink(missing_ok=True)

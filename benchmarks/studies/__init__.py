@@ -1,0 +1,1 @@
+"""Studies beside the preset's runs, each a client of the rooms above."""

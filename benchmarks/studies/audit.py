@@ -1,0 +1,334 @@
+"""What each reward pays for: the return of farming it against the return of doing the task.
+
+    python -m benchmarks audit
+
+Scripted policies play the same validation starts under each track's reward. *Insert* follows the
+exact optimum hole after hole, *insert one* stops at the first. *Farm* looks on the optimum's way to
+the first hole, and two moves off it, for the place where a move and its reversal pay most, goes
+there and repeats the two until the time is up; *oscillate* does so where the episode starts.
+*Random* takes any unmasked move.
+Beside them stands what the trained policies of a preset came to. Written to ``results/audit/``:
+``scripted.csv``, ``scripted.md``, ``learned.csv``, ``audit.png``, ``meta.json``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import Progress
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.protocol import labels
+from benchmarks.protocol.plan import Cell
+from benchmarks.protocol.presets import Preset, load_preset
+from benchmarks.protocol.seeding import episode_seeds
+from benchmarks.reporting.results import TRACK_ORDER, Results, tail_mean
+from benchmarks.runs import machine
+from benchmarks.runs.store import Store, write_atomic, write_csv, write_text
+from coop_env.env import CoopInsertionEnv
+from coop_env.simulation import batch, task
+from coop_env.simulation.observation import make_observation
+from coop_env.simulation.state import OUTCOME
+
+Moves = list[int]
+SCRIPTS: Final = ("insert", "insert one", "farm", "oscillate", "random")
+DETOUR: Final = 2
+
+
+class Simulator:
+    """Moves copies of a state with the environment's own kernel.
+
+    Args:
+        env: decides geometry, reward and the episode's length.
+    """
+
+    def __init__(self, env: CoopInsertionEnv) -> None:
+        self._packed = task.pack(env.params)
+        self._transform, _ = make_observation("paper", True, env.params)
+
+    def step(self, states: NDArray[np.void], actions: NDArray[np.int64]) -> NDArray[np.void]:
+        """Move states (n,) in place; their outcomes (n,)."""
+        outcomes = np.zeros(len(states), OUTCOME)
+        rows = np.zeros((len(states), self._transform.shape[1]), np.float32)
+        batch.step_batch(states, actions, self._packed, self._transform, outcomes, rows)
+        return outcomes
+
+    def best_cycle(self, state: NDArray[np.void]) -> tuple[float, int]:
+        """What the best move there and back pays at a state (1,), and that move.
+
+        A move counts that is executed, inserts nothing and ends nothing, on both ways.
+        """
+        actions = np.arange(task.N_ACTIONS)
+        states = np.repeat(state, task.N_ACTIONS)
+        there = self.step(states, actions)
+        back = self.step(states, actions ^ 1)
+        paid = there["reward"] + back["reward"]
+        for outcome in (there, back):
+            paid[outcome["violation"] | outcome["inserted"] | outcome["terminated"]] = -np.inf
+        best = int(np.argmax(paid))
+        return float(paid[best]), best
+
+    def around(
+        self, start: np.void, way: Moves, detour: int
+    ) -> Iterator[tuple[Moves, NDArray[np.void]]]:
+        """States (1,) on a way and up to ``detour`` moves off it, each once, and how to get there.
+
+        Only by moves that are executed, insert nothing and end nothing.
+        """
+        front: list[tuple[Moves, NDArray[np.void]]] = [([], np.array([start]))]
+        for move in way:
+            moves, state = front[-1]
+            ahead = state.copy()
+            self.step(ahead, np.array([move]))
+            front.append(([*moves, move], ahead))
+        seen: set[bytes] = set()
+        for depth in range(detour + 1):
+            new = []
+            for moves, state in front:
+                key = state["offset"].tobytes()
+                if key not in seen:
+                    seen.add(key)
+                    yield moves, state
+                    new.append((moves, state))
+            if depth == detour:
+                return
+            front = [
+                ([*moves, action], ahead[action : action + 1])
+                for moves, state in new
+                for ahead, allowed in [self._neighbours(state)]
+                for action in np.flatnonzero(allowed).tolist()
+            ]
+
+    def _neighbours(self, state: NDArray[np.void]) -> tuple[NDArray[np.void], NDArray[np.bool_]]:
+        ahead = np.repeat(state, task.N_ACTIONS)
+        outcome = self.step(ahead, np.arange(task.N_ACTIONS))
+        barred = outcome["violation"] | outcome["inserted"] | outcome["terminated"]
+        return ahead, ~barred
+
+    def play(self, state: NDArray[np.void], moves: Sequence[int]) -> NDArray[np.void]:
+        """Outcomes of moves one after another, up to the episode's end; the state is moved."""
+        outcomes = []
+        for move in moves:
+            outcome = self.step(state, np.array([move]))
+            outcomes.append(outcome)
+            if outcome["terminated"][0] or outcome["truncated"][0]:
+                break
+        return np.concatenate(outcomes)
+
+
+def moves_of(
+    script: str, env: CoopInsertionEnv, simulator: Simulator, plans: list[Moves], seed: int
+) -> Moves:
+    """The moves of a script from the environment's state, at most as many as an episode has."""
+    length = int(env.params.task.max_moves)
+    if script == "insert":
+        return [move for plan in plans for move in plan]
+    if script == "insert one":
+        return plans[0] if plans else []
+    if script == "random":
+        return random_moves(env, simulator, length, seed)
+    # the last move of a plan would insert
+    way = plans[0][:-1] if plans and script == "farm" else []
+    best: tuple[float, Moves, int] = (-np.inf, [], 0)
+    for prefix, state in simulator.around(env.state, way, DETOUR if script == "farm" else 0):
+        paid, cycle = simulator.best_cycle(state)
+        worth = paid * (length - len(prefix))
+        if worth > best[0]:
+            best = worth, prefix, cycle
+    _, prefix, cycle = best
+    left = length - len(prefix)
+    return prefix + [cycle, cycle ^ 1] * (left // 2) + [cycle] * (left % 2)
+
+
+def random_moves(env: CoopInsertionEnv, simulator: Simulator, length: int, seed: int) -> Moves:
+    """Moves drawn evenly from the masks."""
+    rng = np.random.default_rng(seed)
+    state = np.array([env.state])
+    moves: Moves = []
+    while len(moves) < length:
+        moves.append(int(rng.choice(np.flatnonzero(state[0]["mask"]))))
+        outcome = simulator.step(state, np.array(moves[-1:]))
+        if outcome["terminated"][0]:
+            break
+    return moves
+
+
+def scripted(preset: Preset, starts: int, tell: Callable[[], None] = lambda: None) -> pd.DataFrame:
+    """One row per track, script and start: return, discounted return, holes, moves.
+
+    Args:
+        preset: whose tracks' rewards are played.
+        starts: number of validation starts (no test episode among them).
+        tell: called after each start of a track.
+    """
+    from benchmarks.methods.learners import env_arguments
+
+    oracle = LatticeOracle()
+    rows = []
+    for name, track in preset.tracks.items():
+        cell = Cell("rainbow", "full", "optimized", name, 0)
+        env = CoopInsertionEnv(**env_arguments(preset, cell, track))
+        simulator = Simulator(env)
+        for number, seed in enumerate(episode_seeds(0, starts, "validate")):
+            env.reset(seed=seed)
+            found = oracle.plan_episode(env)
+            plans = [[int(m) for m in plan.moves] for plan in found if plan.moves is not None]
+            for script in SCRIPTS:
+                moves = moves_of(script, env, simulator, plans, seed)
+                row = {"track": name, "script": script, "start": number}
+                rows.append(row | _returns(env, simulator, moves, track.hyperparameters.gamma))
+            tell()
+    return pd.DataFrame(rows)
+
+
+def _returns(
+    env: CoopInsertionEnv, simulator: Simulator, moves: Moves, gamma: float
+) -> dict[str, float]:
+    if not moves:  # no hole can be reached from here
+        return {"return": 0.0, "discounted": 0.0, "holes": 0, "moves": 0}
+    outcomes = simulator.play(np.array([env.state]), moves)
+    rewards = outcomes["reward"]
+    return {
+        "return": float(rewards.sum()),
+        "discounted": float(rewards @ gamma ** np.arange(len(rewards))),
+        "holes": int(outcomes["inserted"].sum()),
+        "moves": len(rewards),
+    }
+
+
+def learned(store: Store) -> pd.DataFrame:
+    """One row per stored learner: mean return and holes of its last training episodes.
+
+    The last tenth of the run: with exploration on, as the learner saw it.
+    """
+    rows = []
+    for run in Results(store).all():
+        cell = run.config["cell"]
+        if not run.folder.has_rows("curve"):
+            continue
+        curve = run.folder.rows("curve")
+        rows.append(
+            {
+                "track": cell["track"],
+                "method": cell["method"],
+                "ablation": cell["ablation"],
+                "geometry": cell["geometry"],
+                "seed": cell["seed"],
+                "return": tail_mean(curve, "episode_reward"),
+                "holes": tail_mean(curve, "holes"),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def ratios(rows: pd.DataFrame, column: str = "return") -> pd.DataFrame:
+    """Mean return of each script over that of inserting, by track; above 1 the reward is farmed."""
+    means = rows.groupby(["track", "script"])[column].mean().unstack()
+    return means.div(means["insert"], axis=0)[list(SCRIPTS)]
+
+
+def draw(rows: pd.DataFrame, learners: pd.DataFrame) -> Figure:
+    """Left: scripts' returns over that of inserting. Right: what the learners came to."""
+    figure = Figure(figsize=(9.0, 3.6), dpi=110, layout="constrained")
+    left, right = figure.subplots(1, 2)
+    shares = ratios(rows)
+    tracks = [name for name in TRACK_ORDER if name in shares.index]
+    for k, script in enumerate(SCRIPTS):
+        at = np.arange(len(tracks)) + (k - 2) * 0.16
+        left.bar(at, shares.loc[tracks, script], width=0.16, label=script)
+    left.axhline(0.0, color="black", linewidth=0.8)
+    left.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
+    left.set_xticks(np.arange(len(tracks)), [labels.track(name) for name in tracks])
+    left.set_ylabel("return / return of inserting")
+    left.legend(fontsize=8)
+    insert = rows[rows["script"] == "insert"].groupby("track")["return"].mean()
+    marks = {"rainbow": "o", "dqn": "s", "maskable_ppo": "^"}
+    for k, name in enumerate(tracks):
+        for method, mark in marks.items():
+            found = learners
+            if len(found):
+                found = found[
+                    (found["track"] == name)
+                    & (found["method"] == method)
+                    & (found["ablation"] == "full")
+                    & (found["geometry"] == "optimized")
+                ]
+            if not len(found):
+                continue
+            label = f"{labels.METHODS[method]}, {labels.track(name)}"
+            share = found["return"] / insert[name]
+            right.plot(share, found["holes"], mark, color=f"C{k}", label=label, markersize=5)
+    right.axvline(1.0, color="black", linewidth=0.8, linestyle=":")
+    right.set_xlabel("return of the last training episodes / return of inserting")
+    right.set_ylabel("holes per episode")
+    right.set_ylim(-0.2, 6.2)
+    if right.get_legend_handles_labels()[0]:
+        right.legend(fontsize=7)
+    else:
+        right.text(0.5, 0.5, "no learner stored", ha="center", transform=right.transAxes)
+    return figure
+
+
+def markdown(rows: pd.DataFrame) -> str:
+    """The scripts' returns and holes as a Markdown table, one line per track and script."""
+    lines = [
+        "| Reward | Script | Return | Discounted | Holes | Return / inserting |",
+        "|---|---|---|---|---|---|",
+    ]
+    shares = ratios(rows)
+    for name in [name for name in TRACK_ORDER if name in shares.index]:
+        for script in SCRIPTS:
+            found = rows[(rows["track"] == name) & (rows["script"] == script)]
+            mean, spread = found["return"].mean(), found["return"].std()
+            lines.append(
+                f"| {labels.track(name)} | {script} | {mean:.1f} ± {spread:.1f} "
+                f"| {found['discounted'].mean():.1f} | {found['holes'].mean():.2f} "
+                f"| {float(shares.to_dict()[script][name]):.2f} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def main(words: Sequence[str]) -> int:
+    """Play the scripts, read the learners, write the table and the figure."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks audit", description=__doc__)
+    parser.add_argument("--preset", default="paper", help="whose tracks and stored learners")
+    parser.add_argument("--results", type=Path, default=Path("results"))
+    parser.add_argument("--starts", type=int, default=100, help="validation starts for each script")
+    arguments = parser.parse_args(list(words))
+    if arguments.starts < 1:
+        raise BenchmarkError(f"--starts {arguments.starts}: must be 1 or above")
+    preset = load_preset(arguments.preset)
+    console = Console(soft_wrap=True)
+    with Progress(console=console) as bar:
+        job = bar.add_task("scripted policies", total=len(preset.tracks) * arguments.starts)
+        rows = scripted(preset, arguments.starts, lambda: bar.advance(job))
+    try:
+        learners = learned(Store.open(arguments.results, preset.name))
+    except BenchmarkError:
+        learners = pd.DataFrame()
+    folder = arguments.results / "audit"
+    write_csv(folder / "scripted.csv", _records(rows))
+    write_csv(folder / "learned.csv", _records(learners))
+    rows = pd.read_csv(folder / "scripted.csv")  # what is told follows from what is stored
+    write_text(folder / "scripted.md", markdown(rows))
+    figure = draw(rows, learners)
+    write_atomic(folder / "audit.png", lambda path: figure.savefig(path, format="png"))
+    record = {**machine.describe(), "starts": arguments.starts, "preset": preset.name}
+    write_text(folder / "meta.json", json.dumps(record, indent=1, sort_keys=True) + "\n")
+    console.print(markdown(rows), markup=False, highlight=False)
+    console.print(f"Audit: {folder}")
+    return 0
+
+
+def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    return [{str(k): v for k, v in row.items()} for row in frame.to_dict("records")]

@@ -1,0 +1,89 @@
+"""The results in docs/rainbow.md, written by a command, and the check that they are up to date."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.runs.store import write_text
+from benchmarks.studies.classic.results import Results
+from benchmarks.studies.classic.tables import build_tables
+
+END: Final = "<!-- classic:end -->"
+SHOWN: Final = ("scores", "cliff")
+
+
+def begin(preset: str) -> str:
+    """The line before the block, which names the preset that it shows."""
+    return (
+        f"<!-- classic:begin (written by: python -m benchmarks classic docs --preset {preset}) -->"
+    )
+
+
+BEGIN: Final = begin("").split("(")[0]
+
+
+def block(results: Results, root: str) -> str:
+    """The block with its two markers.
+
+    Args:
+        results: complete runs.
+        root: the preset's folder, as a path from the page.
+    """
+    name = results.preset.name
+    tables = {table.name: table for table in build_tables(results)}
+    parts = [begin(name), "", provenance(results)]
+    for table in SHOWN:
+        if table in tables:
+            parts += ["", tables[table].markdown().rstrip()]
+            figure = "curves" if table == "scores" else "cliff"
+            parts += ["", f"![{tables[table].title}]({root}/figures/{figure}.png)"]
+    others = [f"[{table}]({root}/tables/{table}.md)" for table in tables if table not in SHOWN]
+    if others:
+        parts += ["", "More: " + ", ".join(others) + "."]
+    return "\n".join([*parts, "", END])
+
+
+def provenance(results: Results) -> str:
+    """Which runs, at which commit, on which machine."""
+    if not results.folders:
+        return f"Preset `{results.preset.name}`: no run is complete."
+    metas = [folder.meta() for folder in results.folders]
+    minutes = sum(meta["training"]["wall_seconds"] for meta in metas) / 60.0
+    commits = sorted({str(meta["commit"])[:9] for meta in metas})
+    machines = sorted({str(meta["machine"]["processor"]) for meta in metas})
+    dirty = " with uncommitted changes" if any(meta["dirty"] for meta in metas) else ""
+    missing = f" ({len(results.missing)} are missing)" if results.missing else ""
+    return (
+        f"Preset `{results.preset.name}`: {len(metas)} runs{missing}, {minutes:.0f} minutes on one "
+        f"core each added up, at commit {', '.join(commits)}{dirty}, on {'; '.join(machines)}."
+    )
+
+
+def rewrite(page: str, results: Results, root: str) -> str:
+    """The page with its block made anew.
+
+    Raises:
+        BenchmarkError: the page has no such block.
+    """
+    start, end = page.find(BEGIN), page.find(END)
+    if start < 0 or end < start:
+        raise BenchmarkError(f"the page has no block between {BEGIN}... and {END}; add both lines")
+    return page[:start] + block(results, root) + page[end + len(END) :]
+
+
+def write(path: Path, results: Results, root: str) -> bool:
+    """Rewrite the block of the page at ``path``; returns whether it changed.
+
+    Raises:
+        BenchmarkError: the page is missing or has no such block.
+    """
+    if not path.is_file():
+        raise BenchmarkError(f"{path} is missing; it needs a block from {BEGIN}... to {END}")
+    old = path.read_text(encoding="utf-8")
+    new = rewrite(old, results, root)
+    if new == old:
+        return False
+    write_text(path, new)
+    return True

@@ -1,0 +1,85 @@
+"""Which cells a preset of the classic tasks holds. One cell is one independent process."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from benchmarks.protocol.plan import pick
+from benchmarks.protocol.presets import as_dict
+from benchmarks.studies.classic.presets import Preset
+
+CLIFF: Final = "cliff"
+REPLAYS: Final = ("prioritized", "uniform")
+# roughly the seconds of an environment step with its share of updates, for progress bars alone
+STEP_COST: Final = {"rainbow": 1.0, "dqn": 1.0, "qrdqn": 2.0}
+
+
+@dataclass(frozen=True, order=True)
+class Cell:
+    """One run: a method on a task with a seed, or a walk of one length with one kind of replay.
+
+    For the cliff walk ``task`` is the variant, ``method`` the replay and ``number`` the states,
+    otherwise ``number`` is the seed.
+    """
+
+    kind: str  # learn or cliff
+    task: str
+    method: str
+    number: int
+
+    @property
+    def id(self) -> str:
+        """The run's folder name, unique within a preset."""
+        if self.kind == CLIFF:
+            return f"{CLIFF}-{self.task}-{self.method}-n{self.number}"
+        return f"{self.task}-{self.method}-s{self.number}"
+
+
+def expand(preset: Preset) -> list[Cell]:
+    """All cells, the first seeds of all tasks first, so that an early stop leaves whole rows."""
+    cells = []
+    for key, task in preset.tasks.items():
+        for seed in preset.seeds if task.seeds is None else task.seeds:
+            cells += [Cell("learn", key, method, seed) for method in preset.methods]
+    cells.sort(key=lambda cell: (cell.number, -work_units(preset, cell)))
+    for key, variant in preset.cliff.items():
+        for states in variant.states:
+            cells += [Cell(CLIFF, key, replay, states) for replay in REPLAYS]
+    return cells
+
+
+def find(preset: Preset, cell_id: str) -> Cell:
+    """The cell of that id.
+
+    Raises:
+        BenchmarkError: the preset has no such cell.
+    """
+    return pick(expand(preset), preset.name, cell_id)
+
+
+def work_units(preset: Preset, cell: Cell) -> int:
+    """A rough cost, for progress bars and the order of runs."""
+    if cell.kind == CLIFF:
+        variant = preset.cliff[cell.task]
+        return max(1, round(variant.seeds * min(variant.limit, 2.0**cell.number) / 10))
+    return max(1, round(preset.tasks[cell.task].timesteps * STEP_COST[cell.method]))
+
+
+def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
+    """Everything that decides the cell's result, as plain YAML types: the run's config.yaml."""
+    if cell.kind == CLIFF:
+        variant = as_dict(preset.cliff[cell.task])
+        for words in ("states", "title", "measure"):
+            del variant[words]
+        return {"cell": asdict(cell), "variant": variant}
+    task = as_dict(preset.tasks[cell.task])
+    arguments = task.pop("methods")[cell.method]
+    for words in ("seeds", "title", "goal"):
+        del task[words]
+    return {
+        "cell": asdict(cell),
+        "task": task,
+        "arguments": arguments,
+        "final_episodes": preset.final_episodes,
+    }

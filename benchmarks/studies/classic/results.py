@@ -1,0 +1,142 @@
+"""Stored runs of the classic tasks as numbers over seeds. No torch here."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from benchmarks.reporting.stats import Value, means, over_seeds, stratified_bootstrap
+from benchmarks.runs.store import RunFolder, Store
+from benchmarks.studies.classic.plan import CLIFF, REPLAYS, expand
+from benchmarks.studies.classic.presets import Preset
+
+Array = NDArray[np.float64]
+REPETITIONS = 2_000  # of the bootstrap
+
+
+@dataclass(frozen=True)
+class Run:
+    """One complete learning run."""
+
+    seed: int
+    meta: dict[str, Any]
+    curve: pd.DataFrame
+    episodes: pd.DataFrame
+
+    @property
+    def score(self) -> float:
+        """Mean return of the final test."""
+        return float(self.episodes["return"].mean())
+
+    def steps_to(self, goal: float) -> float:
+        """Environment steps at the first evaluation with a mean return of ``goal``, or NaN."""
+        reached = self.curve[self.curve["return_mean"] >= goal]
+        return float(reached["timesteps"].iloc[0]) if len(reached) else math.nan
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """Updates under uniform replay over updates under prioritized replay, on one walk.
+
+    Args:
+        uniform: median updates; ``censored`` says how many of the runs hit the limit, which then
+            stands for their number, so that the ratio is a lower bound.
+        prioritized: the same.
+        ratio: ratio of the medians with a bootstrap interval over seeds, drawn in pairs.
+    """
+
+    states: int
+    n: int
+    uniform: float
+    prioritized: float
+    censored: dict[str, int]
+    ratio: Value
+
+
+class Results:
+    """The complete runs of a preset."""
+
+    def __init__(self, preset: Preset, store: Store) -> None:
+        self.preset = preset
+        self.folders: list[RunFolder] = []
+        self._runs: dict[tuple[str, str], list[Run]] = {}
+        self._updates: dict[tuple[str, str, int], pd.DataFrame] = {}
+        self.missing: list[str] = []
+        for cell in expand(preset):
+            folder = store.run(cell.id)
+            if not folder.is_complete():
+                self.missing.append(cell.id)
+                continue
+            self.folders.append(folder)
+            if cell.kind == CLIFF:
+                self._updates[cell.task, cell.method, cell.number] = folder.rows("updates")
+                continue
+            run = Run(cell.number, folder.meta(), folder.rows("curve"), folder.rows("episodes"))
+            self._runs.setdefault((cell.task, cell.method), []).append(run)
+
+    def runs(self, task: str, method: str) -> list[Run]:
+        """The runs of a method on a task, by seed."""
+        return sorted(self._runs.get((task, method), []), key=lambda run: run.seed)
+
+    def score(self, task: str, method: str) -> Value:
+        """Final test: mean over seeds of the mean return, with a 95 % bootstrap interval."""
+        scores = [run.score for run in self.runs(task, method)]
+        value = over_seeds(scores)
+        if value.n < 2:
+            return value
+        low, high = stratified_bootstrap([[score] for score in scores], means)
+        return Value(value.mean, value.std, value.n, low, high)
+
+    def curve(self, task: str, method: str) -> tuple[Array, Array, Array, Array] | None:
+        """Steps, mean return over seeds, and both ends of its 95 % bootstrap interval."""
+        runs = self.runs(task, method)
+        if not runs:
+            return None
+        grid = runs[0].curve["timesteps"].to_numpy(dtype=float)
+        returns = np.stack([
+            np.interp(grid, run.curve["timesteps"], run.curve["return_mean"]) for run in runs
+        ])  # fmt: skip
+        ends = np.array([
+            stratified_bootstrap(column[:, None], means) if len(runs) > 1 else (math.nan, math.nan)
+            for column in returns.T
+        ])  # fmt: skip
+        return grid, returns.mean(axis=0), ends[:, 0], ends[:, 1]
+
+    def updates(self, variant: str, replay: str, states: int) -> Array | None:
+        """What the variant measures, by seed; infinity where a run hit the limit."""
+        rows = self._updates.get((variant, replay, states))
+        if rows is None:
+            return None
+        measured = rows.sort_values("seed")[self.preset.cliff[variant].measure]
+        return np.asarray(measured.fillna(math.inf), dtype=np.float64)
+
+    def ratio(self, variant: str, states: int) -> Ratio | None:
+        """How many times fewer updates prioritized replay takes."""
+        found = {replay: self.updates(variant, replay, states) for replay in REPLAYS}
+        if any(updates is None for updates in found.values()):
+            return None
+        limit = float(self.preset.cliff[variant].limit)
+        censored, samples = {}, {}
+        for replay, updates in found.items():
+            assert updates is not None
+            censored[replay] = int(np.isinf(updates).sum())
+            samples[replay] = np.minimum(updates, limit)
+        pairs = np.stack([samples["uniform"], samples["prioritized"]], axis=1)
+        value = bootstrap_ratio(pairs)
+        medians = np.median(pairs, axis=0)
+        return Ratio(states, len(pairs), float(medians[0]), float(medians[1]), censored, value)
+
+
+def bootstrap_ratio(pairs: Array, seed: int = 0) -> Value:
+    """Ratio of the medians of two columns of pairs (n, 2), with its 95 % percentile interval."""
+    median = np.median(pairs, axis=0)
+    n = len(pairs)
+    rows = np.random.default_rng(seed).integers(n, size=(REPETITIONS, n))
+    draws = np.median(pairs[rows], axis=1)
+    low, high = np.quantile(draws[:, 0] / draws[:, 1], [0.025, 0.975])
+    return Value(float(median[0] / median[1]), math.nan, n, float(low), float(high))

@@ -1,0 +1,147 @@
+"""Tables of the classic tasks, from stored data alone."""
+
+from __future__ import annotations
+
+import math
+
+from benchmarks.reporting.stats import over_seeds
+from benchmarks.reporting.tables.table import Cell, Number, Table
+from benchmarks.studies.classic.presets import Preset
+from benchmarks.studies.classic.results import Ratio, Results
+
+NAMES = {"rainbow": "Rainbow", "dqn": "DQN", "qrdqn": "QR-DQN"}
+
+
+def build_tables(results: Results) -> list[Table]:
+    """All tables that the stored runs can fill."""
+    tables = []
+    if results.preset.tasks:
+        tables += [_scores(results), _speed(results), _settings(results.preset)]
+    if results.preset.cliff:
+        tables.append(_cliff(results))
+    return tables
+
+
+def _scores(results: Results) -> Table:
+    preset = results.preset
+    rows: list[list[Cell]] = []
+    for key, task in preset.tasks.items():
+        row: list[Cell] = [task.title, f"{task.timesteps:,}"]
+        goal = "-" if task.goal is None else f"{task.goal:g}"
+        counts = [len(results.runs(key, method)) for method in preset.methods]
+        row += [goal, "/".join(str(n) for n in dict.fromkeys(counts))]
+        for method in preset.methods:
+            value = results.score(key, method)
+            row.append(_with_interval(value.mean, value.low, value.high))
+        rows.append(row)
+    episodes = preset.final_episodes
+    return Table(
+        "scores",
+        f"Return of the last greedy policy, {episodes} test episodes per seed",
+        ["Task", "Steps", "Goal", "Seeds", *(NAMES[m] for m in preset.methods)],
+        rows,
+        [
+            "Mean over seeds [95 % bootstrap interval over seeds]; test episodes begin from seeds "
+            "that neither training nor the evaluations during training use.",
+            "The masked identity task: only Rainbow reads masks; to DQN and QR-DQN an action that "
+            "is not allowed is one more wrong answer.",
+        ],
+    )
+
+
+def _with_interval(mean: float, low: float, high: float) -> str:
+    if math.isnan(mean):
+        return "-"
+    digits = 0 if abs(mean) >= 100 else 1
+    text = f"{mean:.{digits}f}"
+    return text if math.isnan(low) else f"{text} [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+def _speed(results: Results) -> Table:
+    preset = results.preset
+    rows: list[list[Cell]] = []
+    for key, task in preset.tasks.items():
+        for method in preset.methods:
+            runs = results.runs(key, method)
+            row: list[Cell] = [task.title, NAMES[method]]
+            if task.goal is None:
+                row += ["-", "-"]
+            else:
+                steps = [run.steps_to(task.goal) for run in runs]
+                reached = sum(not math.isnan(s) for s in steps)
+                row += [Number(over_seeds(steps), 0), f"{reached} of {len(runs)}"]
+            row.append(Number(over_seeds([run.meta["training"]["updates"] for run in runs]), 0))
+            minutes = [run.meta["training"]["cpu_seconds"] / 60.0 for run in runs]
+            row.append(Number(over_seeds(minutes), 1))
+            rows.append(row)
+    return Table(
+        "steps",
+        "Environment steps to the goal, updates and time",
+        ["Task", "Method", "Steps to goal", "Seeds there", "Updates", "CPU minutes"],
+        rows,
+        [
+            "Steps at the first evaluation whose mean return is at the goal, over the seeds that "
+            "got there (mean ± standard deviation).",
+        ],
+    )
+
+
+def _settings(preset: Preset) -> Table:
+    rows: list[list[Cell]] = []
+    for task in preset.tasks.values():
+        for method in preset.methods:
+            arguments = task.methods[method]
+            words = [f"{key}={_value(value)}" for key, value in sorted(arguments.items())]
+            if task.n_envs > 1:
+                words.append(f"(n_envs={task.n_envs})")
+            rows.append([task.title, NAMES[method], ", ".join(words)])
+    return Table(
+        "settings",
+        "Settings: what differs from each constructor's defaults",
+        ["Task", "Method", "Arguments"],
+        rows,
+    )
+
+
+def _value(value: object) -> str:
+    if isinstance(value, dict):
+        return "dict(" + ", ".join(f"{k}={_value(v)}" for k, v in value.items()) + ")"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _cliff(results: Results) -> Table:
+    rows: list[list[Cell]] = []
+    for key, variant in results.preset.cliff.items():
+        for states in variant.states:
+            ratio = results.ratio(key, states)
+            if ratio is not None:
+                rows.append(_cliff_row(variant.title, ratio))
+    return Table(
+        "cliff",
+        "Blind cliff walk: updates until it is learned, uniform and prioritized replay",
+        ["Learner", "States", "Transitions", "Uniform", "Prioritized", "Ratio", "Seeds"],
+        rows,
+        [
+            "Medians over seeds; ratio of the medians [95 % bootstrap interval over seeds]. With "
+            ">, some runs hit the limit of updates, which stands for their number: the ratio is a "
+            "lower bound.",
+            "Learned: mean squared error of all Q-values below 0.001 (of PER alone); the greedy "
+            "policy right in every state, for good (of all of Rainbow, whose n-step returns of a "
+            "random policy are not the optimal ones).",
+        ],
+    )
+
+
+def _cliff_row(title: str, ratio: Ratio) -> list[Cell]:
+    late = bool(ratio.censored["uniform"])
+    value = ratio.ratio
+    mark = ">" if late else ""
+    return [
+        title,
+        str(ratio.states),
+        f"{2 ** (ratio.states + 1) - 2:,}",
+        f"{mark if ratio.censored['uniform'] * 2 >= ratio.n else ''}{ratio.uniform:,.0f}",
+        f"{ratio.prioritized:,.0f}",
+        f"{mark}{value.mean:.1f} [{value.low:.1f}, {value.high:.1f}]",
+        str(ratio.n),
+    ]

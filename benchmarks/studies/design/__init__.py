@@ -1,0 +1,1 @@
+"""The geometric optimization: its data, figures and page."""

@@ -1,0 +1,267 @@
+"""The paper's four design figures, before and after side by side, and one of the cliff in heave.
+
+Drawn from stored data alone: nothing is computed here.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, Final
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import TwoSlopeNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from benchmarks.runs.store import write_atomic
+from benchmarks.studies.design.store import DesignStore
+
+DESIGNS: Final = ("initial", "optimized")
+TITLES: Final = {"initial": "Initial geometry", "optimized": "Optimized geometry"}
+LIMBS: Final = ("#0072B2", "#D55E00", "#009E73")  # told apart also by a colour-blind eye
+STYLE: Final[Any] = {
+    "font.size": 8.5,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 8.5,
+    "legend.fontsize": 7.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "figure.dpi": 100,
+    "savefig.dpi": 170,
+    "pdf.fonttype": 42,
+    "hatch.linewidth": 0.5,
+}
+
+
+def write_figures(store: DesignStore) -> list[Path]:
+    """Draw the figures, each as PDF and PNG; returns their paths."""
+    paths = []
+    with plt.rc_context(STYLE):
+        for name, figure in (
+            ("singularity_loci", singularity_loci(store)),
+            ("manipulability_3d", manipulability_3d(store)),
+            ("atlas", atlas(store)),
+            ("joint_trajectories", joint_trajectories(store)),
+            ("heave", heave(store)),
+        ):
+            paths += [_save(store, name, suffix, figure) for suffix in ("pdf", "png")]
+            plt.close(figure)
+    return paths
+
+
+def _save(store: DesignStore, name: str, suffix: str, figure: Figure) -> Path:
+    path = store.figures / f"{name}.{suffix}"
+    # Without a date in it, the same data gives the same file.
+    metadata: dict[str, Any] = {"CreationDate": None} if suffix == "pdf" else {"Software": None}
+    write_atomic(
+        path, lambda temporary: figure.savefig(temporary, format=suffix, metadata=metadata)
+    )
+    return path
+
+
+def singularity_loci(store: DesignStore) -> Figure:
+    """Signed sigma_min over roll and pitch at home's height, and where it vanishes."""
+    maps = store.maps()
+    angle = maps["angles_deg"]
+    figure, panels = plt.subplots(1, 2, figsize=(7.2, 3.75), layout="constrained", sharey=True)
+    shades: Any = None
+    for axes, name in zip(panels, DESIGNS, strict=True):
+        sigma = maps[f"sigma_{name}"][0].astype(float).T
+        inside = maps[f"inside_{name}"][0].astype(float).T
+        axes.set_facecolor("0.86")
+        shades = axes.pcolormesh(
+            angle,
+            angle,
+            sigma,
+            cmap="RdBu",
+            norm=TwoSlopeNorm(0.0, -0.8, 1.0),
+            shading="nearest",
+            rasterized=True,
+        )
+        axes.contour(angle, angle, sigma, [0.0], colors="k", linewidths=1.4)
+        axes.contour(angle, angle, inside, [0.5], colors="#E69F00", linewidths=1.6)
+        axes.plot(0.0, 0.0, "k+", markersize=6)
+        area = inside.sum() * math.radians(angle[1] - angle[0]) ** 2
+        axes.set_title(f"{TITLES[name]}: $A_w$ = {area:.2f} rad²")
+        _tilt_axes(axes)
+    panels[0].set_ylabel("pitch (°)")
+    bar = figure.colorbar(shades, ax=panels, shrink=0.86, pad=0.02, ticks=np.arange(-0.8, 1.1, 0.2))
+    bar.set_label(r"signed $\sigma_{\min}(J)$ at heave 0.21 m")
+    keys = [
+        Line2D([], [], color="k", lw=1.4, label=r"parallel singularity, $\det A = 0$"),
+        Line2D([], [], color="#E69F00", lw=1.6, label=r"$\Omega$: home's component, within limits"),
+        Patch(facecolor="0.86", label="out of reach"),
+    ]
+    figure.legend(handles=keys, loc="outside lower center", ncols=3, frameon=False)
+    return figure
+
+
+def _tilt_axes(axes: Axes) -> None:
+    axes.set_aspect("equal")
+    axes.set_xlim(-60, 60)
+    axes.set_ylim(-60, 60)
+    axes.set_xticks(range(-50, 51, 25))
+    axes.set_yticks(range(-50, 51, 25))
+    axes.set_xlabel("roll (°)")
+
+
+def manipulability_3d(store: DesignStore) -> Figure:
+    """The workspace in (roll, pitch, heave) as slices, coloured by 1 / kappa."""
+    maps = store.maps()
+    angle, heaves = maps["angles_deg"], maps["heaves"]
+    figure = plt.figure(figsize=(7.2, 3.8))
+    roll, pitch = np.meshgrid(angle, angle, indexing="ij")
+    levels = np.linspace(0.0, 0.7, 15)
+    shown: Any = None
+    for column, name in enumerate(DESIGNS):
+        axes: Any = figure.add_axes((0.44 * column, -0.04, 0.43, 1.04), projection="3d")
+        for k, heave in enumerate(heaves):
+            inside = maps[f"inside_{name}"][k]
+            value = maps[f"manipulability_{name}"][k].astype(float)
+            value = np.where(inside, value, np.nan)
+            shown = axes.contourf(
+                roll, pitch, value, levels, zdir="z", offset=1e3 * heave, cmap="viridis", alpha=0.9
+            )
+            axes.contour(
+                roll,
+                pitch,
+                inside.astype(float),
+                [0.5],
+                zdir="z",
+                offset=1e3 * heave,
+                colors="k",
+                linewidths=0.6,
+            )
+        axes.patch.set_visible(False)
+        figure.text(0.22 + 0.44 * column, 0.89, TITLES[name], ha="center", fontsize=9.5)
+        axes.set_xlim(-45, 45)
+        axes.set_ylim(-45, 45)
+        axes.set_zlim(1e3 * heaves[0], 1e3 * heaves[-1])
+        axes.set_xticks(range(-40, 41, 20))
+        axes.set_yticks(range(-40, 41, 20))
+        axes.set_zticks(np.round(1e3 * heaves).astype(int))
+        axes.set_xlabel("roll (°)", labelpad=-2)
+        axes.set_ylabel("pitch (°)", labelpad=-2)
+        axes.set_zlabel("heave (mm)", labelpad=-1)
+        axes.tick_params(pad=-1, labelsize=7)
+        axes.set_box_aspect((1.0, 1.0, 1.25), zoom=0.95)
+        axes.view_init(elev=20, azim=-58)
+    bar_axes = figure.add_axes((0.915, 0.16, 0.018, 0.66))
+    bar = figure.colorbar(shown, cax=bar_axes, ticks=np.arange(0.0, 0.71, 0.1))
+    bar.set_label(r"manipulability $1/\kappa(J)$")
+    return figure
+
+
+def atlas(store: DesignStore) -> Figure:
+    """A_w over the designs, with the optimizer's path: all of it, and near the optimum."""
+    values = store.rows("atlas")
+    grid = values.pivot(index="lambda2", columns="lambda1", values="a_w")
+    paths, optima = store.rows("paths"), store.rows("optima").set_index("design")
+    figure, panels = plt.subplots(1, 2, figsize=(7.2, 3.5), layout="constrained")
+    shown: Any = None
+    levels = np.linspace(0.0, 1.2, 13)
+    for axes in panels:
+        axes.set_facecolor("0.86")
+        shown = axes.contourf(
+            grid.columns, grid.index, grid.to_numpy(), levels, cmap="viridis", extend="max"
+        )
+        lambda1 = np.linspace(0.5, 2.0, 50)
+        axes.plot(lambda1, 4.0 - 2.0 * lambda1, "k--", lw=1.0)
+        axes.plot(lambda1, 4.0 - lambda1, "k--", lw=1.0)
+        _draw_path(axes, paths[paths["seed"] == 0])
+        for name, marker, label in (
+            ("initial", "s", "initial"),
+            ("nelder_mead", "*", "Nelder-Mead's optimum"),
+            ("band 0.20-0.25", "D", "best over heave 0.20 to 0.25 m"),
+        ):
+            at = optima.loc[name]
+            axes.plot(
+                at["lambda1"],
+                at["lambda2"],
+                marker,
+                color="white",
+                markeredgecolor="k",
+                markersize=11 if marker == "*" else 6,
+                label=label,
+                linestyle="none",
+                zorder=5,
+            )
+        axes.set_xlabel(r"$\lambda_1 = R_b/\eta$")
+    panels[0].set_ylabel(r"$\lambda_2 = 2L_1/\eta$")
+    panels[0].set_title("Feasible designs")
+    panels[0].set_xlim(0.5, 2.0)
+    panels[0].set_ylim(0.3, 3.4)
+    panels[0].text(0.8, 1.5, r"$\lambda_3 \geq \lambda_1$")
+    panels[0].text(1.55, 2.75, r"$\lambda_3 \leq 0$")
+    panels[1].set_title("The optimizer's path")
+    panels[1].set_xlim(1.3, 1.85)
+    panels[1].set_ylim(1.35, 1.85)
+    panels[1].legend(loc="upper right", framealpha=0.9)
+    bar = figure.colorbar(shown, ax=panels, shrink=0.9, pad=0.02, ticks=np.arange(0.0, 1.21, 0.2))
+    bar.set_label(r"$A_w$ (rad²) at heave 0.21 m")
+    return figure
+
+
+def _draw_path(axes: Axes, path: pd.DataFrame) -> None:
+    """Every design tried, and a line through those that were the best so far."""
+    tried = path[path["a_w"].notna()]
+    best = tried[tried["a_w"] > tried["a_w"].cummax().shift(fill_value=-1.0)]
+    axes.plot(tried["lambda1"], tried["lambda2"], ".", color="white", markersize=2.5, alpha=0.8)
+    axes.plot(best["lambda1"], best["lambda2"], "-", color="#D55E00", lw=1.4)
+
+
+def joint_trajectories(store: DesignStore) -> Figure:
+    """Actuated angles along the test trajectory, with their limits, and the margins they keep."""
+    rows = store.rows("trajectory")
+    summary = store.rows("validation").set_index("design")
+    figure, panels = plt.subplots(1, 2, figsize=(7.2, 3.0), layout="constrained", sharey=True)
+    for axes, name in zip(panels, DESIGNS, strict=True):
+        for limb, colour in enumerate(LIMBS):
+            axes.plot(
+                rows["time"],
+                np.degrees(rows[f"q{limb} {name}"]),
+                color=colour,
+                lw=1.4,
+                label=f"$q_{limb + 1}$",
+            )
+        at = summary.loc[name]
+        for limit in (12.0, 78.0):
+            axes.axhline(limit, color="0.4", lw=0.9, ls="--")
+        axes.axhspan(at["joint_low"], at["joint_high"], color="0.93", zorder=0)
+        axes.set_title(
+            f"{TITLES[name]}: [{at['joint_low']:.1f}°, {at['joint_high']:.1f}°], "
+            rf"$\sigma_{{\min}} \geq$ {at['sigma_min']:.2f}"
+        )
+        axes.set_xlabel("time (s)")
+        axes.set_xlim(0.0, rows["time"].iloc[-1])
+        axes.set_ylim(5.0, 85.0)
+    panels[0].set_ylabel("actuated angle (°)")
+    panels[0].text(0.15, 79.0, "limit", color="0.4", fontsize=7.5, va="bottom")
+    panels[1].legend(loc="upper right", ncols=3, frameon=False, bbox_to_anchor=(1.0, 0.9))
+    return figure
+
+
+def heave(store: DesignStore) -> Figure:
+    """A_w by heave of the three designs: the cliff below home, and the design without it."""
+    rows = store.rows("heave")
+    figure, axes = plt.subplots(figsize=(4.6, 2.9), layout="constrained")
+    axes.axvspan(210.0, 250.0, color="0.94", zorder=0)
+    axes.axvline(210.0, color="0.4", lw=0.9, ls="--")
+    axes.text(209.6, 1.23, "home", ha="right", color="0.4", fontsize=7.5)
+    names = {"initial": "initial", "optimized": "optimized (as printed)", "robust": "robust"}
+    for colour, (name, label) in zip(LIMBS, names.items(), strict=True):
+        axes.plot(1e3 * rows["heave"], rows[name], color=colour, lw=1.5, label=label)
+    axes.set_xlabel("heave (mm); shaded: the range of the task")
+    axes.set_ylabel("$A_w$ (rad²)")
+    axes.set_xlim(190.0, 260.0)
+    axes.set_ylim(0.0, 1.3)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.3, 0.02), frameon=False)
+    return figure

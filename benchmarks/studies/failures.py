@@ -1,0 +1,274 @@
+"""Where a learned policy fails, why, and by how much it is slower than the optimum.
+
+    python -m benchmarks failures --preset paper [--track tuned] [--method rainbow]
+
+The stored policies of all seeds play their test episodes again, up to the first insertion, beside
+the exact optimum. A failure is *infeasible* if no sequence of moves inserts from that start,
+*singular* if the episode ended by a singularity, *cycle* if the last moves ran through the same few
+configurations, and else *wandering*: it went on and found no way. Of a distributional learner it
+says how far the best action's value stands above the second best allowed one's. Written to
+``results/<preset>/failures/`` as ``<method>-<track>``: ``.csv``, one row per episode, ``.md``,
+``.png``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import Progress
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.evaluation.evaluate import begin_episodes, model_policy
+from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.protocol.plan import LEARNERS, Cell, expand, settings
+from benchmarks.protocol.presets import Preset, load_preset
+from benchmarks.reporting.results import tail_mean
+from benchmarks.reporting.stats import wilson
+from benchmarks.runs.store import Store, write_atomic, write_csv, write_text
+from coop_env.kinematics.rotations import tilt_azimuth
+from coop_env.simulation.task import HOLE_POLAR
+
+CAUSES: Final = ("infeasible", "singular", "cycle", "wandering")
+RECENT: Final = 40  # moves at the end of an episode ...
+FEW: Final = 4  # ... among which a cycle has at most so many configurations
+TILT_EDGES: Final = (0.0, 10.0, 15.0, 20.0, 25.0, 45.0)  # degrees
+COLOURS: Final = {"infeasible": "0.6", "singular": "C3", "cycle": "C1", "wandering": "C0"}
+
+
+def play(
+    preset: Preset, cell: Cell, model: Any, oracle: LatticeOracle, tell: Callable[[], None]
+) -> list[dict[str, object]]:
+    """One row per test episode of a cell's seed."""
+    from benchmarks.methods.learners import env_arguments
+
+    arguments = env_arguments(preset, cell, preset.tracks[cell.track])
+    policy = model_policy(model)
+    rows = []
+    for episode in begin_episodes(arguments, cell.seed, preset.evaluation.episodes):
+        state = episode.env.state
+        roll, pitch = (float(v) for v in state["configuration"][3:5])
+        plan = oracle.plan(episode.env)
+        optimum = len(plan.moves) if plan.moves is not None else None
+        trail, seen, allowed = [], [], []
+        singular = False
+        while not episode.over and not episode.insertions:
+            masks = episode.env.action_masks()[None]
+            seen.append(episode.observation)
+            allowed.append(masks[0])
+            action = int(policy(episode.observation[None], masks)[0])
+            singular = bool(episode.move(action)["singular"])
+            trail.append(episode.env.state["offset"].tobytes())
+        success = bool(episode.insertions)
+        cause = ""
+        if not success and optimum is None:
+            cause = "infeasible"
+        elif not success:
+            cycles = len(set(trail[-RECENT:])) <= FEW
+            cause = "singular" if singular else "cycle" if cycles else "wandering"
+        rows.append(
+            {
+                "seed": cell.seed,
+                "episode": episode.number,
+                "start": episode.start,
+                "target": int(state["target"]),
+                "polar": float(np.degrees(HOLE_POLAR[int(state["target"])])),
+                "roll": float(np.degrees(roll)),
+                "pitch": float(np.degrees(pitch)),
+                "tilt": float(np.degrees(tilt_azimuth(np.array([roll, pitch]))[0])),
+                "optimum": np.nan if optimum is None else float(optimum),
+                "success": success,
+                "moves": float(episode.moves) if success else np.nan,
+                "gap": action_gap(model, np.array(seen), np.array(allowed)),
+                "cause": cause,
+            }
+        )
+        tell()
+    return rows
+
+
+def action_gap(model: Any, observations: NDArray[np.float32], masks: NDArray[np.bool_]) -> float:
+    """The best allowed action's value over the second best's: median, as a share of the support.
+
+    Args:
+        model: a learner; NaN if its values have no support.
+        observations: (n, size), of the states where it had to choose.
+        masks: (n, 12); states with one allowed action do not count.
+    """
+    import torch
+
+    net = getattr(model, "q_net", None)
+    choices = masks.sum(axis=1) > 1
+    if not getattr(net, "distributional", False) or not choices.any():
+        return math.nan
+    assert net is not None
+    with torch.no_grad():
+        values = net(torch.as_tensor(observations[choices], device=net.device)).cpu().numpy()
+    best = np.sort(np.where(masks[choices], values, -np.inf), axis=1)[:, -2:]
+    return float(np.median(best[:, 1] - best[:, 0]) / (net.v_max - net.v_min))
+
+
+def acting_success(store: Store, cell: Cell) -> float:
+    """Share of training episodes that a learner solved in its last tenth, with its exploration."""
+    return tail_mean(store.run(cell.id).rows("curve"), "success")
+
+
+def read(path: Path) -> pd.DataFrame:
+    """Stored rows as :func:`play` made them."""
+    return pd.read_csv(path).astype({"success": bool}).fillna({"cause": ""})
+
+
+def summary(rows: pd.DataFrame) -> str:
+    """Success, the optimum's and the excess in moves by polar angle and tilt, and the causes."""
+    head = ("Starts", "n", "Success (%)", "Optimum (%)", "Moves over the optimum (%)")
+    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+    groups = [(f"hole at {polar:.0f}°", found) for polar, found in rows.groupby("polar")]
+    groups += [
+        (f"tilt to {interval.right:.0f}°", found)
+        for interval, found in rows.groupby(_tilt_bins(rows), observed=True)
+    ]
+    for label, found in [*groups, ("all", rows)]:
+        both = found[found["success"] & found["optimum"].notna()]
+        excess = np.nan
+        if len(both):
+            excess = 100.0 * (both["moves"].sum() / both["optimum"].sum() - 1.0)
+        lines.append(
+            f"| {label} | {len(found)} | {100 * found['success'].mean():.1f} "
+            f"| {100 * found['optimum'].notna().mean():.1f} | {excess:.1f} |"
+        )
+    counts = rows.loc[~rows["success"], "cause"].value_counts()
+    failed = int((~rows["success"]).sum())
+    named = ", ".join(f"{counts.get(cause, 0)} {cause}" for cause in CAUSES)
+    lines += ["", f"{failed} failures of {len(rows)}: {named}."]
+    acting = rows.groupby("seed")["acting"].first().mean()
+    if not math.isnan(acting):  # a training episode ended there
+        lines += [
+            f"The last tenth of training, with exploration: {100.0 * acting:.1f} % of its "
+            "episodes; the greedy policy on the test episodes: "
+            f"{100.0 * rows['success'].mean():.1f} %."
+        ]
+    solved, cycles = rows.loc[rows["success"], "gap"], rows.loc[rows["cause"] == "cycle", "gap"]
+    parts = [
+        f"{100.0 * found.median():.2f} % where it {what}"
+        for found, what in ((solved, "inserts"), (cycles, "cycles"))
+        if found.notna().any()
+    ]
+    if parts:
+        lines += [
+            "The best action's value over the second best's, median, as a share of the support's "
+            f"width: {', '.join(parts)}."
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _tilt_bins(rows: pd.DataFrame) -> pd.Series:
+    return pd.Series(pd.cut(rows["tilt"], list(TILT_EDGES), include_lowest=True))
+
+
+def draw(rows: pd.DataFrame) -> Figure:
+    """Success and regret over polar angle and tilt, and the map of starts that fail."""
+    figure = Figure(figsize=(10.5, 3.6), dpi=110, layout="constrained")
+    success, regret, where = figure.subplots(1, 3)
+    bins = [(f"{polar:.0f}° hole", found) for polar, found in rows.groupby("polar")]
+    bins += [
+        (f"tilt to {interval.right:.0f}°", found)
+        for interval, found in rows.groupby(_tilt_bins(rows), observed=True)
+    ]
+    names = [name for name, _ in bins]
+    at = np.arange(len(bins))
+    shares = np.array([found["success"].mean() for _, found in bins])
+    limits = np.array([wilson(int(found["success"].sum()), len(found)) for _, found in bins])
+    errors = np.abs(limits.T - shares)
+    success.bar(at, 100 * shares, yerr=100 * errors, color="C0", capsize=3, label="policy")
+    ceiling = [100 * found["optimum"].notna().mean() for _, found in bins]
+    success.plot(at, ceiling, "k_", markersize=18, label="exact optimum")
+    success.set_ylabel("success at the first hole (%)")
+    success.set_ylim(max(0.0, 100 * limits.min() - 10.0), 101.0)
+    success.legend(fontsize=8, loc="lower left")
+    lost = [(f["moves"] - f["optimum"])[f["success"]].dropna().to_numpy() for _, f in bins]
+    regret.boxplot(lost, positions=at, showfliers=False, whis=(5, 95))
+    means = [values.mean() if len(values) else np.nan for values in lost]
+    regret.plot(at, means, "o", color="C1", label="mean")
+    regret.set_ylabel("moves more than the optimum")
+    regret.legend(fontsize=8)
+    for axes in (success, regret):
+        axes.set_xticks(at, names, rotation=60, fontsize=8)
+    _map(where, rows)
+    return figure
+
+
+def _map(axes: Axes, rows: pd.DataFrame) -> None:
+    solved = rows[rows["success"]]
+    axes.plot(solved["roll"], solved["pitch"], ".", color="C2", alpha=0.25, label="inserted")
+    for cause in CAUSES:
+        found = rows[rows["cause"] == cause]
+        if len(found):
+            label = f"{cause} ({len(found)})"
+            axes.plot(found["roll"], found["pitch"], "o", color=COLOURS[cause], label=label)
+    axes.set_xlabel("roll at the start (°)")
+    axes.set_ylabel("pitch at the start (°)")
+    axes.set_aspect("equal")
+    axes.legend(fontsize=7)
+
+
+def main(words: Sequence[str]) -> int:
+    """Play, tell, draw."""
+    from benchmarks.methods.learners import ALGORITHMS
+
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks failures",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--preset", default="paper")
+    parser.add_argument("--results", type=Path, default=Path("results"))
+    parser.add_argument("--track", default="tuned")
+    parser.add_argument("--method", default="rainbow", choices=LEARNERS)
+    parser.add_argument("--geometry", default="optimized")
+    arguments = parser.parse_args(list(words))
+    preset = load_preset(arguments.preset)
+    store = Store.open(arguments.results, preset.name)
+    wanted = (arguments.method, "full", arguments.geometry, arguments.track)
+    cells = [
+        cell
+        for cell in expand(preset)
+        if (cell.method, cell.ablation, cell.geometry, cell.track) == wanted
+        and store.run(cell.id).is_done(learns=True)
+    ]
+    if not cells:
+        raise BenchmarkError(
+            f"{store.folder} has no stored policy of {arguments.method}, track {arguments.track}, "
+            f"geometry {arguments.geometry}; run: python -m benchmarks run --preset {preset.name}"
+        )
+    console = Console(soft_wrap=True)
+    oracle = LatticeOracle()
+    rows: list[dict[str, object]] = []
+    with Progress(console=console) as bar:
+        job = bar.add_task("test episodes", total=len(cells) * preset.evaluation.episodes)
+        for cell in sorted(cells):
+            store.run(cell.id).check_config(settings(preset, cell))
+            model = ALGORITHMS[cell.method].load(store.run(cell.id).policy, device="cpu")
+            acting = acting_success(store, cell)
+            played = play(preset, cell, model, oracle, lambda: bar.advance(job))
+            rows += [{**row, "acting": acting} for row in played]
+    name = f"{arguments.method}-{arguments.track}"
+    if arguments.geometry != "optimized":
+        name += f"-{arguments.geometry}"
+    folder = store.folder / "failures"
+    write_csv(folder / f"{name}.csv", rows)
+    frame = read(folder / f"{name}.csv")  # what is told follows from what is stored
+    write_text(folder / f"{name}.md", summary(frame))
+    figure = draw(frame)
+    write_atomic(folder / f"{name}.png", lambda path: figure.savefig(path, format="png"))
+    console.print(summary(frame), markup=False, highlight=False)
+    console.print(f"Failures: {folder}")
+    return 0

@@ -1,0 +1,1 @@
+"""Stored policies, and what others bring, on the test episodes."""

@@ -1,0 +1,293 @@
+"""Bring your own method: a model or planner scored on the test protocol, beside a store's own runs.
+
+An entry lies in ``results/<preset>/entries/<name>-optimized-s<seed>/`` with the same files as a run
+and takes its place in the leaderboard. It never mixes with the preset's own cells.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib
+import re
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+
+from benchmarks.errors import BenchmarkError, known
+from benchmarks.evaluation.evaluate import (
+    Rows,
+    evaluate_policy,
+    model_policy,
+    planner_runner,
+    play_episodes,
+)
+from benchmarks.evaluation.model_files import detect_algorithm, fitting_observation, load_model
+from benchmarks.methods.base import Plan
+from benchmarks.methods.episodes import Episode
+from benchmarks.methods.learners import env_arguments
+from benchmarks.protocol import labels
+from benchmarks.protocol.plan import DESIGN, METHODS, PLANNERS, Cell
+from benchmarks.protocol.presets import Preset, as_dict
+from benchmarks.runs import machine
+from benchmarks.runs.store import RunFolder, Store
+from benchmarks.studies.scoring.scores import in_words, progress_bar
+
+GEOMETRY: Final = "optimized"
+SOURCE: Final = ("observation", "mask_singularities", "mask_visited")
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,60}")
+
+Tell = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What is brought: models (one for all seeds, or one per seed) or a planner.
+
+    The masks are those of the environment that the method acts in: ``mask_singularities`` and
+    ``mask_visited`` as the model was trained with.
+    """
+
+    name: str
+    models: tuple[Path, ...] = ()
+    algorithm: str | None = None
+    planner: str = ""
+    mask_singularities: bool = False
+    mask_visited: int = 0
+
+
+Scorer = tuple[Callable[[Tell], Rows], dict[str, Any]]  # how to score a seed, and what it is
+
+
+def prepare(preset: Preset, entry: Entry) -> dict[int, Scorer]:
+    """Load and check what is brought, before anything is written; a scorer for each seed.
+
+    Raises:
+        BenchmarkError: the name, the files or their spaces will not do.
+    """
+    _check(preset, entry)
+    return _planner_scorers(preset, entry) if entry.planner else _model_scorers(preset, entry)
+
+
+def join(
+    preset: Preset,
+    store: Store,
+    entry: Entry,
+    scorers: dict[int, Scorer],
+    console: Console,
+    replace: bool = False,
+) -> list[Path]:
+    """Score an entry on the preset's test episodes and store it; complete seeds are kept.
+
+    Args:
+        preset: gives seeds, episodes and levels of noise.
+        store: where it goes.
+        entry: the method.
+        scorers: of :func:`prepare`.
+        console: for progress.
+        replace: let the entry take the place of another one of its name.
+
+    Returns:
+        The folders of all its seeds.
+
+    Raises:
+        BenchmarkError: the name is taken.
+    """
+    folders = [(seed, RunFolder(store.entries / _cell(entry, seed).id)) for seed in preset.seeds]
+    configs = {seed: _config(preset, entry, seed, scorers[seed][1]) for seed in preset.seeds}
+    for seed, folder in folders:
+        if (folder.path / "config.yaml").is_file() and folder.config() != configs[seed]:
+            if not replace:
+                raise BenchmarkError(
+                    f"'{entry.name}' is already on the board with another model or protocol "
+                    f"({folder.path}); choose another --name, or --replace it"
+                )
+            shutil.rmtree(folder.path)
+    todo = [(seed, folder) for seed, folder in folders if not folder.is_complete()]
+    if len(todo) < len(folders):
+        console.print(f"{len(folders) - len(todo)} of {len(folders)} seeds were scored already")
+    with progress_bar(console) as progress:
+        task = progress.add_task(f"{entry.name}", total=len(todo))
+        for number, (seed, folder) in enumerate(todo):
+            began = time.perf_counter(), time.process_time()
+            folder.begin(configs[seed])
+
+            def tell(share: float, before: int = number) -> None:
+                progress.update(task, completed=before + share)
+
+            rows = scorers[seed][0](tell)
+            folder.write_rows("episodes", rows)
+            folder.write_meta({
+                "cell": folder.id,
+                "preset": preset.name,
+                "training": {},
+                "wall_seconds": time.perf_counter() - began[0],
+                "cpu_seconds": time.process_time() - began[1],
+                **machine.describe(),
+            })  # fmt: skip
+            progress.update(task, completed=number + 1)
+    return [folder.path for _, folder in folders]
+
+
+def glance(preset: Preset, entry: Entry, episodes: int) -> Iterator[str]:
+    """An entry's metrics on the first so many test episodes of each seed; nothing is stored.
+
+    Raises:
+        BenchmarkError: as :func:`prepare`.
+    """
+    tests = dataclasses.replace(preset.evaluation, episodes=episodes)
+    preset = dataclasses.replace(preset, evaluation=tests)
+    for seed, (score, _) in prepare(preset, entry).items():
+        yield from in_words(pd.DataFrame(score(lambda share: None)), f"{entry.name}, seed {seed}")
+
+
+def _check(preset: Preset, entry: Entry) -> None:
+    if not _NAME.fullmatch(entry.name):
+        raise BenchmarkError(
+            f"name '{entry.name}': letters, digits and . _ + - only, 61 at most; say another with "
+            "--name"
+        )
+    taken = {*METHODS, DESIGN, *labels.METHODS.values()}
+    if entry.name in taken:
+        raise BenchmarkError(f"name '{entry.name}' is one of the harness's own: {known(taken)}")
+    if bool(entry.models) == bool(entry.planner):
+        raise BenchmarkError("give either --model or --planner")
+    if entry.models and len(entry.models) not in (1, len(preset.seeds)):
+        raise BenchmarkError(
+            f"{len(entry.models)} models for {len(preset.seeds)} seeds: give one for all, or one "
+            f"for each of the seeds {preset.seeds}"
+        )
+
+
+def _cell(entry: Entry, seed: int) -> Cell:
+    return Cell(entry.name, "full", GEOMETRY, "", seed)
+
+
+def _config(preset: Preset, entry: Entry, seed: int, source: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "cell": asdict(_cell(entry, seed)),
+        "evaluation": as_dict(preset.evaluation),
+        "entry": source,
+    }
+
+
+def _model_scorers(preset: Preset, entry: Entry) -> dict[int, Scorer]:
+    by_file: dict[Path, tuple[Any, dict[str, Any], dict[str, Any]]] = {}
+    for path in entry.models:
+        model = load_model(path, entry.algorithm)
+        arguments = env_arguments(preset, _cell(entry, preset.seeds[0])) | {
+            "observation": fitting_observation(model, path),
+            "mask_singularities": entry.mask_singularities,
+            "mask_visited": entry.mask_visited,
+        }
+        source = {
+            "algorithm": entry.algorithm or detect_algorithm(path),
+            "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+            **{
+                key: arguments[key] for key in ("observation", "mask_singularities", "mask_visited")
+            },
+        }
+        by_file[path] = model, arguments, source
+    files = entry.models if len(entry.models) > 1 else entry.models * len(preset.seeds)
+
+    def scorer(seed: int, path: Path) -> Scorer:
+        model, arguments, source = by_file[path]
+        return (
+            lambda tell: evaluate_policy(model_policy(model), preset, seed, arguments, tell),
+            source,
+        )
+
+    return {seed: scorer(seed, path) for seed, path in zip(preset.seeds, files, strict=True)}
+
+
+def _planner_scorers(preset: Preset, entry: Entry) -> dict[int, Scorer]:
+    source = {"algorithm": entry.planner, "sha256": ""}
+
+    def scorer(seed: int) -> Scorer:
+        cell = _cell(entry, seed)
+        if entry.planner in PLANNERS:
+            own = Cell(entry.planner, "full", GEOMETRY, "", seed)
+            play = planner_runner(preset, own)
+        else:
+            play = plan_and_follow(load_function(entry.planner), entry.planner)
+        arguments = env_arguments(preset, cell)
+        return lambda tell: play_episodes(play, preset, seed, arguments, tell), source
+
+    return {seed: scorer(seed) for seed in preset.seeds}
+
+
+def load_function(name: str) -> Callable[[Any], Any]:
+    """The function that ``module:function`` names, from the current folder or what is installed.
+
+    Raises:
+        BenchmarkError: there is none.
+    """
+    module_name, colon, function_name = name.partition(":")
+    if not colon:
+        raise BenchmarkError(
+            f"unknown planner '{name}'; known: {known(PLANNERS)}, or module:function of your own"
+        )
+    if "" not in sys.path:
+        sys.path.insert(0, "")  # the console script does not look into the current folder
+    try:
+        function = getattr(importlib.import_module(module_name), function_name)
+    except (ImportError, AttributeError) as error:
+        raise BenchmarkError(f"planner '{name}' cannot be imported: {error}") from error
+    if not callable(function):
+        raise BenchmarkError(f"planner '{name}' is no function but {type(function).__name__}")
+    found: Callable[[Any], Any] = function
+    return found
+
+
+def plan_and_follow(plan: Callable[[Any], Any], name: str) -> Callable[[Episode], None]:
+    """Play an episode by a planner of one's own: ask for moves, make them, ask again.
+
+    ``plan(env)`` returns the moves to make next, as integers from 0 to 11 (or a
+    :class:`~benchmarks.methods.base.Plan`); none ends the episode.
+    """
+
+    def play(episode: Episode) -> None:
+        while not episode.over:
+            before = episode.env.configuration
+            began = time.perf_counter()
+            answer = plan(episode.env)
+            seconds = time.perf_counter() - began
+            if not np.array_equal(before, episode.env.configuration):
+                raise BenchmarkError(f"planner '{name}' moved the environment; plan on a copy")
+            if not episode.insertions:
+                episode.plan_seconds = seconds
+            moves = _moves(answer.moves if isinstance(answer, Plan) else answer, name)
+            if not moves:
+                episode.failure = answer.status if isinstance(answer, Plan) else "no plan"
+                return
+            _make(moves, episode)
+
+    return play
+
+
+def _make(moves: list[int], episode: Episode) -> None:
+    for move in moves:
+        if episode.over:
+            return
+        episode.move(move)
+
+
+def _moves(answer: Any, name: str) -> list[int]:
+    if answer is None:
+        return []
+    try:
+        moves = [int(move) for move in answer]
+    except (TypeError, ValueError):
+        raise BenchmarkError(f"planner '{name}' returned {answer!r}, not a list of moves") from None
+    wrong = [move for move in moves if not 0 <= move < 12]
+    if wrong:
+        raise BenchmarkError(f"planner '{name}' returned move {wrong[0]}; moves are 0 to 11")
+    return moves

@@ -1,0 +1,1 @@
+"""How fast things are: ratios, measured side by side."""

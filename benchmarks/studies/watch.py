@@ -1,0 +1,85 @@
+"""Watch the lattice optimum or a trained policy play, in the browser.
+
+``python -m benchmarks.studies.watch`` lets the exact optimum play; ``--model`` a saved Rainbow.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.studies.media import policy_moves
+from coop_env.env import CoopInsertionEnv
+from coop_env.geometry import GEOMETRIES
+from coop_env.rendering.browser import ViewerError
+from coop_env.rendering.viewer import Act, view
+from coop_env.simulation.task import STEP
+
+
+class Optimum:
+    """Plays the lattice optimum to the next hole; plans anew wherever the robots are put.
+
+    Args:
+        env: the environment whose moves it chooses.
+    """
+
+    def __init__(self, env: CoopInsertionEnv) -> None:
+        self._env = env
+        self._oracle = LatticeOracle()
+        self._moves: list[int] = []
+        self._expected: npt.NDArray[np.float64] | None = None
+
+    def __call__(self, observation: Any, masks: npt.NDArray[np.bool_]) -> int:
+        """The next move from where the environment is.
+
+        Raises:
+            BenchmarkError: no sequence of moves inserts the peg in the current target.
+        """
+        env = self._env
+        if not self._moves or self._lost():
+            plan = self._oracle.plan(env)
+            if plan.moves is None:
+                raise BenchmarkError(f"no plan from here to hole {env.scene().target}")
+            self._moves = [int(move) for move in plan.moves]
+        move = self._moves.pop(0)
+        self._expected = env.configuration
+        self._expected[move // 2] += STEP[move // 2] * (1.0 - 2.0 * (move % 2))
+        return move
+
+    def _lost(self) -> bool:
+        here = self._env.configuration
+        return self._expected is None or not np.allclose(here, self._expected, atol=1e-9)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.studies.watch",
+        description="Watch a planner or a policy in the browser.",
+    )
+    parser.add_argument("--geometry", choices=sorted(GEOMETRIES), default="optimized")
+    parser.add_argument("--model", type=Path, help="a saved Rainbow instead of the lattice optimum")
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
+    parser.add_argument("--port", type=int, default=8080)
+    arguments = parser.parse_args(argv)
+    env = CoopInsertionEnv(geometry=arguments.geometry, render_mode="rgb_array")
+    try:
+        act: Act = Optimum(env)
+        if arguments.model is not None:
+            act = policy_moves(arguments.model, env)
+        view(env, act, host=arguments.host, port=arguments.port)
+    except (BenchmarkError, ViewerError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,114 @@
+"""What there is to see: every body of the scene as plain numbers, for renderers and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coop_env.simulation import task
+from coop_env.simulation.collision import arm_points, limb_points
+from coop_env.simulation.state import joint_angles
+from coop_env.simulation.task import DT, EnvParams
+
+Points = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """One instant. World frame (the 3-RRS's base), m, rad, s; limbs at 0, 120 and 240 degrees.
+
+    ``status`` is ``"running"``, ``"success"`` (all active holes filled), ``"singular"`` or
+    ``"timeout"``. With sim-to-real knobs tip and holes are the real ones, links the model's.
+    """
+
+    delta_base_joints: Points  # (3, 3)
+    knees: Points  # (3, 3)
+    effector_joints: Points  # (3, 3)
+    effector: Points  # (3,)
+    tip: Points  # (3,)
+    peg_radius: float
+    rrs_base_joints: Points  # (3, 3)
+    elbows: Points  # (3, 3)
+    platform_joints: Points  # (3, 3)
+    platform_centre: Points  # (3,)
+    platform_rotation: Points  # (3, 3)
+    dome_radius: float
+    hole_mouths: Points  # (6, 3)
+    hole_normals: Points  # (6, 3), outward unit vectors
+    chamfer: float
+    active: NDArray[np.bool_]  # (6,)
+    filled: NDArray[np.bool_]  # (6,)
+    target: int
+    distance: float
+    alignment_error: float
+    sigma_min: float
+    singular_margin: float
+    configuration: Points  # (6,)
+    time: float
+    status: str
+    trace: Points  # (k, 3): where the tip has been this episode, if the environment kept it
+
+    def describe(self) -> str:
+        """The instant as a few lines of text (render mode ``"ansi"``)."""
+        x, y, z, roll, pitch, heave = self.configuration
+        holes = " ".join(
+            f"{i}{'*' if i == self.target else ''}{'#' if f else 'o' if a else '.'}"
+            for i, (a, f) in enumerate(zip(self.active, self.filled, strict=True))
+        )
+        return (
+            f"t {self.time:5.1f} s  {self.status}\n"
+            f"delta  x {x:+.3f} y {y:+.3f} z {z:+.3f} m\n"
+            f"3-RRS  roll {roll:+.3f} pitch {pitch:+.3f} rad, heave {heave:.3f} m, "
+            f"sigma_min {self.sigma_min:+.3f}\n"
+            f"target {self.target}: {1e3 * self.distance:.1f} mm, "
+            f"{np.degrees(self.alignment_error):.1f} deg\n"
+            f"holes  {holes}  (# filled, o open, . inactive, * target)\n"
+        )
+
+
+def _status(state: np.void, sigma: float) -> str:
+    if not state["over"]:
+        return "running"
+    if not np.any((state["active"] == 1) & (state["filled"] == 0)):
+        return "success"
+    return "timeout" if sigma >= task.SINGULAR_MARGIN else "singular"
+
+
+def make_scene(state: np.void, p: EnvParams, trace: Sequence[Points] = ()) -> Scene:
+    """The scene of a row of :data:`~coop_env.simulation.state.STATE`; ``trace``: the tip's path."""
+    x, y, z, roll, pitch, heave = (float(v) for v in state["configuration"])
+    _, theta, pose, q = joint_angles((x, y, z, roll, pitch, heave), p)
+    arms = np.array([arm_points(x, y, z, theta, i, p.delta) for i in range(3)])
+    limbs = np.array([limb_points(pose, q, i, p.rrs) for i in range(3)])
+    sigma = float(state["sigma"])
+    return Scene(
+        delta_base_joints=arms[:, 0],
+        knees=arms[:, 1],
+        effector_joints=arms[:, 2],
+        effector=np.array([x, y, z + p.delta.base_height]),
+        tip=state["tip"].copy(),
+        peg_radius=p.delta.peg_radius,
+        rrs_base_joints=limbs[:, 0],
+        elbows=limbs[:, 1],
+        platform_joints=limbs[:, 2],
+        platform_centre=np.array(pose[:3]),
+        platform_rotation=np.array(pose[3:]).reshape(3, 3),
+        dome_radius=task.DOME_RADIUS,
+        hole_mouths=state["mouths"].copy(),
+        hole_normals=state["normals"].copy(),
+        chamfer=p.task.chamfer,
+        active=state["active"].astype(bool),
+        filled=state["filled"].astype(bool),
+        target=int(state["target"]),
+        distance=float(state["distance"]),
+        alignment_error=float(state["angle"]),
+        sigma_min=sigma,
+        singular_margin=task.SINGULAR_MARGIN,
+        configuration=state["configuration"].copy(),
+        time=float(state["moves"]) * DT,
+        status=_status(state, sigma),
+        trace=np.array(trace, np.float64).reshape(-1, 3),
+    )

@@ -1,0 +1,1 @@
+"""The task's state, and what a move makes of it."""

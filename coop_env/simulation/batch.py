@@ -1,0 +1,92 @@
+"""Stepping and observing a batch in one kernel call, and turning its outcomes into ``info``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from coop_env.simulation import dynamics, observation
+from coop_env.simulation.state import INFO_FIELDS
+from coop_env.simulation.task import unpack
+
+_N_FIELDS = len(INFO_FIELDS)  # the reward's terms come next
+
+
+@njit(cache=True)
+def step_batch(
+    states: np.ndarray,
+    actions: np.ndarray,
+    packed: np.ndarray,
+    o: np.ndarray,
+    outcomes: np.ndarray,
+    rows: np.ndarray,
+) -> None:
+    """Move ``actions (n,)`` on ``states (n,)``; writes ``outcomes (n,)`` and ``rows (n, size)``.
+
+    ``packed`` holds the parameters as :func:`coop_env.simulation.task.pack` gives them, ``o`` the
+    observation's transform.
+    """
+    p = unpack(packed)
+    for i in range(states.shape[0]):
+        dynamics.step(states[i], actions[i], p, outcomes[i])
+        observation.observe(states[i], p, o, rows[i])
+
+
+def make_infos(outcomes: NDArray[np.void]) -> list[dict[str, Any]]:
+    """The ``info`` of each outcome (n,), by columns: one dictionary display per environment."""
+    columns = (outcomes[name].tolist() for name in INFO_FIELDS)
+    return list(map(_info, outcomes["terms"].tolist(), *columns))
+
+
+def make_info(outcome: tuple[Any, ...]) -> dict[str, Any]:
+    """The ``info`` of one outcome, a tuple; for a batch of them :func:`make_infos` is faster."""
+    return _info(outcome[_N_FIELDS].tolist(), *outcome[:_N_FIELDS])
+
+
+def _info(
+    terms: list[float],
+    success: bool,
+    n_filled: int,
+    inserted: bool,
+    inserted_hole: int,
+    collision: bool,
+    violation: bool,
+    duplicate: bool,
+    singular: bool,
+    sigma_min: float,
+    alignment_error: float,
+    distance: float,
+    target: int,
+    time: float,
+    energy: float,
+) -> dict[str, Any]:
+    return {
+        "success": success,
+        "is_success": success,
+        "n_filled": n_filled,
+        "inserted": inserted,
+        "inserted_hole": inserted_hole,
+        "collision": collision,
+        "violation": violation,
+        "duplicate": duplicate,
+        "singular": singular,
+        "sigma_min": sigma_min,
+        "alignment_error": alignment_error,
+        "distance": distance,
+        "target": target,
+        "time": time,
+        "energy": energy,
+        "reward_terms": {
+            "violation": terms[0],
+            "insertion": terms[1],
+            "duplicate": terms[2],
+            "step": terms[3],
+            "distance": terms[4],
+            "progress": terms[5],
+            "proximity": terms[6],
+            "alignment": terms[7],
+        },
+    }

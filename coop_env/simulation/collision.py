@@ -1,0 +1,207 @@
+"""Analytic collision test of the two robots, one scalar kernel.
+
+Bodies of the Delta: peg and forearms as capsules, effector as a sphere. Bodies of the 3-RRS: dome
+as a sphere, platform as three spokes from its centre to the spherical joints, proximal and distal
+links as capsules. The peg may enter the dome through a hole's mouth, chamfer included.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from coop_env.kinematics import rrs_kernels
+from coop_env.kinematics.delta_kernels import DeltaParams
+from coop_env.kinematics.rrs_kernels import LIMB_COS, LIMB_SIN, Pose, RRSParams
+from coop_env.kinematics.singularity import Row
+from coop_env.simulation.task import (
+    DOME_RADIUS,
+    EFFECTOR_RADIUS,
+    FOREARM_RADIUS,
+    HOLE_NORMALS,
+    LIMB_RADIUS,
+    N_HOLES,
+    SPOKE_RADIUS,
+    EnvParams,
+)
+
+
+@njit(cache=True)
+def _clamp(value: float) -> float:
+    return min(max(value, 0.0), 1.0)
+
+
+@njit(cache=True)
+def point_segment_distance(point: Row, a: Row, b: Row) -> float:
+    """Distance from a point to the segment a-b, m; a and b may coincide."""
+    abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    apx, apy, apz = point[0] - a[0], point[1] - a[1], point[2] - a[2]
+    length2 = abx * abx + aby * aby + abz * abz
+    t = 0.0
+    if length2 > 0.0:
+        t = _clamp((apx * abx + apy * aby + apz * abz) / length2)
+    dx, dy, dz = apx - t * abx, apy - t * aby, apz - t * abz
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@njit(cache=True)
+def segment_distance(a: Row, b: Row, c: Row, d: Row) -> float:
+    """Least distance between the segments a-b and c-d, m (closest points, clamped in turn)."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = d[0] - c[0], d[1] - c[1], d[2] - c[2]
+    wx, wy, wz = a[0] - c[0], a[1] - c[1], a[2] - c[2]
+    uu = ux * ux + uy * uy + uz * uz
+    vv = vx * vx + vy * vy + vz * vz
+    if uu == 0.0:
+        return point_segment_distance(a, c, d)
+    if vv == 0.0:
+        return point_segment_distance(c, a, b)
+    uv = ux * vx + uy * vy + uz * vz
+    uw = ux * wx + uy * wy + uz * wz
+    vw = vx * wx + vy * wy + vz * wz
+    det = uu * vv - uv * uv
+    s = 0.0
+    if det > 1e-14 * uu * vv:  # parallel otherwise: any s will do to start from
+        s = _clamp((uv * vw - vv * uw) / det)
+    t = (uv * s + vw) / vv
+    if t < 0.0:
+        t, s = 0.0, _clamp(-uw / uu)
+    elif t > 1.0:
+        t, s = 1.0, _clamp((uv - uw) / uu)
+    dx, dy, dz = wx + s * ux - t * vx, wy + s * uy - t * vy, wz + s * uz - t * vz
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@njit(cache=True)
+def peg_tip(x: float, y: float, z: float, p: DeltaParams) -> Row:
+    """Tip of the peg in the world frame, from the effector in the Delta's frame."""
+    return x, y, z + p.base_height - p.peg_length
+
+
+@njit(cache=True)
+def hole(pose: Pose, index: int) -> tuple[Row, Row]:
+    """Mouth (m) and outward unit normal of a hole, world frame."""
+    nx, ny, nz = HOLE_NORMALS[index]
+    normal = (
+        pose.r00 * nx + pose.r01 * ny + pose.r02 * nz,
+        pose.r10 * nx + pose.r11 * ny + pose.r12 * nz,
+        pose.r20 * nx + pose.r21 * ny + pose.r22 * nz,
+    )
+    mouth = (
+        pose.x + DOME_RADIUS * normal[0],
+        pose.y + DOME_RADIUS * normal[1],
+        pose.z + DOME_RADIUS * normal[2],
+    )
+    return mouth, normal
+
+
+@njit(cache=True)
+def in_opening(tip: Row, pose: Pose, radius: float) -> bool:
+    """Whether the tip lies within a radius of any hole's mouth."""
+    for i in range(N_HOLES):
+        mouth, _ = hole(pose, i)
+        dx, dy, dz = tip[0] - mouth[0], tip[1] - mouth[1], tip[2] - mouth[2]
+        if math.sqrt(dx * dx + dy * dy + dz * dz) < radius:
+            return True
+    return False
+
+
+@njit(cache=True)
+def limb_points(pose: Pose, q: Row, limb: int, p: RRSParams) -> tuple[Row, Row, Row]:
+    """Base joint, elbow and spherical joint of a 3-RRS limb, world frame, m."""
+    c, s = LIMB_COS[limb], LIMB_SIN[limb]
+    reach = p.base_radius + p.proximal_length * math.cos(q[limb])
+    r = rrs_kernels.joint_offset(pose, limb, p.platform_radius)
+    return (
+        (p.base_radius * c, p.base_radius * s, 0.0),
+        (reach * c, reach * s, p.proximal_length * math.sin(q[limb])),
+        (pose.x + r[0], pose.y + r[1], pose.z + r[2]),
+    )
+
+
+@njit(cache=True)
+def arm_points(
+    x: float, y: float, z: float, theta: Row, limb: int, p: DeltaParams
+) -> tuple[Row, Row, Row]:
+    """Base joint, knee and effector joint of a Delta limb, world frame, m."""
+    c, s = LIMB_COS[limb], LIMB_SIN[limb]
+    reach = p.base_radius + p.proximal_length * math.cos(theta[limb])
+    drop = p.proximal_length * math.sin(theta[limb])
+    return (
+        (p.base_radius * c, p.base_radius * s, p.base_height),
+        (reach * c, reach * s, p.base_height - drop),
+        (x + p.effector_radius * c, y + p.effector_radius * s, z + p.base_height),
+    )
+
+
+@njit(cache=True)
+def _capsule_hits_limbs(a: Row, b: Row, radius: float, pose: Pose, q: Row, p: RRSParams) -> bool:
+    """Whether a capsule touches a platform spoke or a link of the 3-RRS."""
+    centre = (pose.x, pose.y, pose.z)
+    for limb in range(3):
+        base, elbow, joint = limb_points(pose, q, limb, p)
+        if segment_distance(a, b, centre, joint) < radius + SPOKE_RADIUS:
+            return True
+        if segment_distance(a, b, elbow, joint) < radius + LIMB_RADIUS:
+            return True
+        if segment_distance(a, b, base, elbow) < radius + LIMB_RADIUS:
+            return True
+    return False
+
+
+@njit(cache=True)
+def ceiling(heave: float, p: EnvParams) -> float:
+    """A height above which there is nothing of the 3-RRS, m."""
+    above = max(DOME_RADIUS, p.rrs.platform_radius + SPOKE_RADIUS)
+    return max(heave + above, p.rrs.proximal_length + LIMB_RADIUS)
+
+
+@njit(cache=True)
+def below_ceiling(c: tuple[float, float, float, float, float, float], p: EnvParams) -> bool:
+    """Whether the peg of a configuration reaches low enough to touch anything."""
+    return peg_tip(c[0], c[1], c[2], p.delta)[2] < ceiling(c[5], p)
+
+
+@njit(cache=True)
+def collides(x: float, y: float, z: float, theta: Row, pose: Pose, q: Row, p: EnvParams) -> bool:
+    """Whether the two robots touch; ``theta`` and ``q`` must be the joint angles of the poses."""
+    tip = peg_tip(x, y, z, p.delta)
+    effector = (x, y, z + p.delta.base_height)
+    top = ceiling(pose.z, p)
+    if tip[2] >= top:
+        return False
+    centre = (pose.x, pose.y, pose.z)
+    peg_radius = p.delta.peg_radius
+    # The bore takes the peg, and the chamfer is as much wider all round as its width.
+    opening = p.task.chamfer + peg_radius
+    peg_end = (tip[0], tip[1], tip[2] + peg_radius)  # the capsule's cap ends at the tip
+    if point_segment_distance(
+        centre, peg_end, effector
+    ) < DOME_RADIUS + peg_radius and not in_opening(tip, pose, opening):
+        return True
+    if _capsule_hits_limbs(peg_end, effector, peg_radius, pose, q, p.rrs):
+        return True
+    if effector[2] - EFFECTOR_RADIUS >= top:
+        return False
+    return _arms_collide(x, y, z, theta, pose, q, p)
+
+
+@njit(cache=True)
+def _arms_collide(
+    x: float, y: float, z: float, theta: Row, pose: Pose, q: Row, p: EnvParams
+) -> bool:
+    """Whether the effector or a forearm touches the dome, the platform or a link."""
+    centre = (pose.x, pose.y, pose.z)
+    effector = (x, y, z + p.delta.base_height)
+    if point_segment_distance(centre, effector, effector) < DOME_RADIUS + EFFECTOR_RADIUS:
+        return True
+    if _capsule_hits_limbs(effector, effector, EFFECTOR_RADIUS, pose, q, p.rrs):
+        return True
+    for limb in range(3):
+        _, knee, joint = arm_points(x, y, z, theta, limb, p.delta)
+        if point_segment_distance(centre, knee, joint) < DOME_RADIUS + FOREARM_RADIUS:
+            return True
+        if _capsule_hits_limbs(knee, joint, FOREARM_RADIUS, pose, q, p.rrs):
+            return True
+    return False

@@ -1,0 +1,120 @@
+"""The observation: its fields, fixed bounds, and the kernel that writes it."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from gymnasium import spaces
+from numba import njit
+from numpy.typing import NDArray
+
+from coop_env.errors import ArgumentError
+from coop_env.kinematics import rrs_kernels
+from coop_env.simulation import machine
+from coop_env.simulation.collision import hole, peg_tip
+from coop_env.simulation.state import Record
+from coop_env.simulation.task import DOME_RADIUS, DT, N_HOLES, EnvParams, unpack
+
+PAPER_FIELDS: Final = (
+    "x", "y", "z", "roll", "pitch", "heave",
+    "e_x", "e_y", "e_z", "n_x", "n_y", "n_z",
+)  # fmt: skip
+MARKOV_FIELDS: Final = (*PAPER_FIELDS, *(f"filled_{i}" for i in range(N_HOLES)), "time")
+
+ERROR_BOUND: Final = 0.15
+"""Half-width of the normalized e_rel, m. The 10 mm of an insertion are then a thirtieth of it."""
+
+
+Transform = NDArray[np.float64]
+"""(4, size): offset, scale, least and largest; a field becomes ``clip((v - offset) scale)``."""
+
+
+def make_observation(
+    observation: str, normalize: bool, p: EnvParams
+) -> tuple[Transform, spaces.Box]:
+    """The kernel's transform and the Gymnasium space of an observation.
+
+    Args:
+        observation: ``"paper"``, 12 fields, or ``"markov"``, which appends the filled holes and
+            the time elapsed, both of which the reward depends on.
+        normalize: fields scaled to [0, 1] and clipped, or plain SI units.
+
+    Raises:
+        ArgumentError: ``observation`` is neither, or ``normalize`` is no bool.
+    """
+    if observation not in ("paper", "markov"):
+        raise ArgumentError(f"observation = {observation!r}: must be 'paper' or 'markov'")
+    if not isinstance(normalize, bool):
+        raise ArgumentError(f"normalize = {normalize!r}: must be True or False")
+    low, high = _bounds(p, ERROR_BOUND if normalize else _largest_error(p))
+    if observation == "paper":
+        low, high = low[: len(PAPER_FIELDS)], high[: len(PAPER_FIELDS)]
+    zeros, ones = np.zeros_like(low), np.ones_like(low)
+    if normalize:
+        transform = np.stack([low, 1.0 / (high - low), zeros, ones])
+        return transform, spaces.Box(0.0, 1.0, low.shape, np.float32)
+    transform = np.stack([zeros, ones, low, high])
+    return transform, spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+
+
+def _bounds(p: EnvParams, error: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    d, r = p.delta, p.rrs
+    reach, drop = d.proximal_length + d.distal_length, abs(d.proximal_length - d.distal_length)
+    low = [-d.planar_limit, -d.planar_limit, -reach, -r.max_tilt, -r.max_tilt, r.heave_min]
+    high = [d.planar_limit, d.planar_limit, -drop, r.max_tilt, r.max_tilt, r.heave_max]
+    low += [-error] * 3 + [-1.0] * 3 + [0.0] * (N_HOLES + 1)
+    high += [error] * 3 + [1.0] * 3 + [1.0] * N_HOLES + [p.task.max_moves * DT]
+    return np.array(low), np.array(high)
+
+
+def _largest_error(p: EnvParams) -> float:
+    """A bound on every component of hole - tip, m, from the two workspaces."""
+    d, r = p.delta, p.rrs
+    planar = d.planar_limit + DOME_RADIUS + r.platform_radius
+    tip_low = d.base_height - d.peg_length - d.proximal_length - d.distal_length
+    tip_high = d.base_height - d.peg_length - abs(d.proximal_length - d.distal_length)
+    hole_low, hole_high = r.heave_min - DOME_RADIUS, r.heave_max + DOME_RADIUS
+    return max(planar, hole_high - tip_low, tip_high - hole_low)
+
+
+@njit(cache=True)
+def _observe_model(s: Record, p: EnvParams, row: np.ndarray) -> None:
+    """Overwrite e_rel and n_target by what the controller's model makes of the configuration."""
+    c = s.configuration
+    tip = peg_tip(c[0], c[1], c[2], p.delta)
+    mouth, normal = hole(rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs), s.target)
+    for k in range(3):
+        row[6 + k] = mouth[k] - tip[k]
+        row[9 + k] = normal[k]
+
+
+@njit(cache=True)
+def observe(s: Record, p: EnvParams, o: np.ndarray, row: np.ndarray) -> None:
+    """Write the observation of one row of state to ``row (size,)``, float32; o is a Transform."""
+    target = s.target
+    for k in range(6):
+        row[k] = s.configuration[k]
+    for k in range(3):
+        row[6 + k] = s.mouths[target, k] - s.tip[k]
+        row[9 + k] = s.normals[target, k]
+    if p.task.imperfect:
+        _observe_model(s, p, row)
+    if row.shape[0] > 12:
+        for i in range(N_HOLES):
+            row[12 + i] = s.filled[i]
+        row[12 + N_HOLES] = s.moves * DT
+    noise = s.machine.noise if p.task.imperfect else 0.0
+    for k in range(row.shape[0]):
+        value = (row[k] - o[0, k]) * o[1, k]
+        if noise > 0.0 and k < len(PAPER_FIELDS):
+            value += noise * (o[3, k] - o[2, k]) * machine.gaussian(s.machine)
+        row[k] = min(max(value, o[2, k]), o[3, k])
+
+
+@njit(cache=True)
+def observe_batch(states: np.ndarray, packed: np.ndarray, o: np.ndarray, rows: np.ndarray) -> None:
+    """Observations ``rows (n, size)`` of ``states (n,)``; the rest as for ``step_batch``."""
+    p = unpack(packed)
+    for i in range(states.shape[0]):
+        observe(states[i], p, o, rows[i])

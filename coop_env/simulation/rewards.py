@@ -1,0 +1,154 @@
+"""The two rewards, as named terms: the paper's equation (reward), and its repair.
+
+``"paper"`` is the printed equation to the letter. It pays ``50 [dd]+`` for every second step of an
+oscillation and up to 6 a step for hovering within 3 cm of a hole, so a learner can farm it without
+ever inserting. ``"progress"`` pays the plain, two-sided progress in distance and in alignment
+angle towards one and the same hole, whose sum around any loop is nought, plus the insertion bonus
+and a step cost.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from numba import njit
+
+from coop_env.errors import RewardError
+from coop_env.simulation.task import TASK_TIME, RewardParams
+
+TERMS: Final = (
+    "violation",
+    "insertion",
+    "duplicate",
+    "step",
+    "distance",
+    "progress",
+    "proximity",
+    "alignment",
+)
+"""Names of the terms, in the order of the kernel's tuple; a reward is their sum."""
+
+Terms = tuple[float, float, float, float, float, float, float, float]
+
+PROGRESS_DEFAULTS: Final[Mapping[str, float | None]] = MappingProxyType(
+    {
+        "step_cost": 0.5,
+        "distance_scale": 500.0,
+        "angle_scale": 150.0,
+        "insertion_bonus": None,
+        "violation_penalty": 3.0,
+        "duplicate_penalty": 1.0,
+        "gamma": None,
+    }
+)
+"""Keys of ``reward_kwargs`` with ``reward="progress"``. None: the printed bonus; no discount."""
+
+TUNED: Final[Mapping[str, float | None]] = MappingProxyType(
+    {
+        "step_cost": 0.05,
+        "distance_scale": 50.0,
+        "angle_scale": 15.0,
+        "insertion_bonus": 20.0,
+        "violation_penalty": 1.0,
+    }
+)
+"""A tenth of the default dense term with a constant bonus, for a narrow value support."""
+
+
+def make_reward(kind: str, kwargs: Mapping[str, float | None] | None = None) -> RewardParams:
+    """A reward's name and scales as the kernel takes them.
+
+    Args:
+        kind: ``"paper"`` (takes no scales) or ``"progress"``.
+        kwargs: any of the keys of :data:`PROGRESS_DEFAULTS`; penalties and costs are magnitudes.
+
+    Raises:
+        RewardError: an unknown name or key, or a scale that is negative, infinite or not a number.
+    """
+    given = dict(kwargs or {})
+    if kind == "paper":
+        if given:
+            raise RewardError(
+                f"reward_kwargs = {given!r}: reward='paper' is the printed equation and takes no "
+                "scales; use reward='progress'"
+            )
+        return RewardParams(True, 0.01, 1.0, 0.0, math.nan, 3.0, 1.0, math.nan)
+    if kind != "progress":
+        raise RewardError(f"reward = {kind!r}: must be 'paper' or 'progress'")
+    unknown = sorted(set(given) - set(PROGRESS_DEFAULTS))
+    if unknown:
+        raise RewardError(
+            f"reward_kwargs has unknown keys {unknown}; known: {sorted(PROGRESS_DEFAULTS)}"
+        )
+    scales = {**PROGRESS_DEFAULTS, **given}
+    return RewardParams(paper=False, **{k: _scale(k, v) for k, v in scales.items()})
+
+
+def _scale(key: str, value: float | None) -> float:
+    if value is None and key in ("insertion_bonus", "gamma"):
+        return math.nan
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise RewardError(f"reward_kwargs[{key!r}] = {value!r}: must be a number")
+    if not (math.isfinite(value) and value >= 0.0):
+        raise RewardError(
+            f"reward_kwargs[{key!r}] = {value!r}: must be finite and not negative "
+            "(costs and penalties are magnitudes)"
+        )
+    if key == "gamma" and value > 1.0:
+        raise RewardError(f"reward_kwargs['gamma'] = {value!r}: must be at most 1")
+    return float(value)
+
+
+@njit(cache=True)
+def insertion_bonus(n_filled: int, time: float, p: RewardParams) -> float:
+    """Bonus of a new insertion: ``150 + 25 N_t + 80 (1 - t / T_task)``, or the constant given."""
+    if math.isnan(p.insertion_bonus):
+        return 150.0 + 25.0 * n_filled + 80.0 * (1.0 - time / TASK_TIME)
+    return p.insertion_bonus
+
+
+@njit(cache=True)
+def paper_terms(
+    v: bool, z: bool, u: bool, n_filled: int, time: float, before: float, after: float,
+    p: RewardParams,
+) -> Terms:  # fmt: skip
+    """Equation (reward): d(t-1) = ``before``, d(t) = ``after``, both to the same hole."""
+    insertion = insertion_bonus(n_filled, time, p) if z else 0.0
+    nominal = 0.0 if v or z or u else 1.0
+    return (
+        -3.0 if v else 0.0,
+        insertion,
+        -1.0 if u else 0.0,
+        -0.01 * nominal,
+        -after * nominal,
+        50.0 * max(before - after, 0.0) * nominal,
+        200.0 * max(0.03 - after, 0.0) * nominal,
+        0.0,
+    )
+
+
+@njit(cache=True)
+def progress_terms(
+    v: bool, z: bool, u: bool, n_filled: int, time: float,
+    distance: tuple[float, float], angle: tuple[float, float], p: RewardParams,
+) -> Terms:  # fmt: skip
+    """The repaired reward; ``distance`` and ``angle`` are (before, after).
+
+    With ``p.gamma`` it is the shaping ``gamma Phi(s') - Phi(s)`` of the potential
+    ``Phi = -(distance_scale d + angle_scale angle)``; the caller then gives "after" as seen from
+    the next state: towards its own target, and zero at a termination, where Phi must vanish.
+    """
+    gamma = 1.0 if math.isnan(p.gamma) else p.gamma
+    return (
+        -p.violation_penalty if v else 0.0,
+        insertion_bonus(n_filled, time, p) if z else 0.0,
+        -p.duplicate_penalty if u else 0.0,
+        0.0 if v else -p.step_cost,
+        0.0,
+        p.distance_scale * (distance[0] - gamma * distance[1]),
+        0.0,
+        p.angle_scale * (angle[0] - gamma * angle[1]),
+    )

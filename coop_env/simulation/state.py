@@ -1,0 +1,320 @@
+"""One row of state: its layout, what a configuration makes of it, and the action mask.
+
+A configuration is its start plus an integer number of moves along each axis, so a move and its
+reverse cancel to the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+from numba import njit
+
+from coop_env.kinematics import delta_kernels, rrs_kernels
+from coop_env.kinematics.rrs_kernels import Pose
+from coop_env.kinematics.singularity import Row
+from coop_env.simulation import rewards
+from coop_env.simulation.collision import below_ceiling, collides, hole
+from coop_env.simulation.machine import MACHINE
+from coop_env.simulation.task import (
+    N_ACTIONS,
+    N_AXES,
+    N_HOLES,
+    SINGULAR_MARGIN,
+    STEP,
+    TRAIL,
+    EnvParams,
+)
+
+VALID: Final = 0
+INVALID: Final = 1
+COLLISION: Final = 2
+SINGULAR: Final = 3
+
+Configuration = tuple[float, float, float, float, float, float]
+Record = Any  # a row of STATE or OUTCOME, whose fields numba reads as attributes
+
+STATE: Final = np.dtype(
+    [
+        ("start", "f8", (N_AXES,)),
+        ("offset", "i8", (N_AXES,)),  # moves from the start along each axis
+        ("configuration", "f8", (N_AXES,)),
+        ("theta", "f8", (3,)),  # Delta joint angles, rad
+        ("q", "f8", (3,)),  # 3-RRS joint angles, rad
+        ("sigma", "f8"),  # signed sigma_min
+        ("tip", "f8", (3,)),  # world, m
+        ("mouths", "f8", (N_HOLES, 3)),  # world, m
+        ("normals", "f8", (N_HOLES, 3)),
+        ("target", "i8"),
+        ("distance", "f8"),  # tip to target mouth, m
+        ("angle", "f8"),  # peg axis to target normal, rad
+        ("moves", "i8"),
+        ("insertions", "i8"),  # in this episode; `filled` may have held some from the start
+        ("energy", "f8"),  # J
+        ("trail", "i8", (TRAIL,)),  # keys of configurations left, a ring
+        ("trailed", "i8"),  # number of them since the start or the last insertion
+        ("machine", MACHINE),  # what sim-to-real knobs make of the nominal machine
+        ("inside", "u1", (N_HOLES,)),  # tip meets the hole's insertion criterion
+        ("active", "u1", (N_HOLES,)),
+        ("filled", "u1", (N_HOLES,)),
+        ("mask", "u1", (N_ACTIONS,)),
+        ("over", "u2"),  # two bytes leave no padding, so that rows compare by their bytes
+    ],
+    align=True,
+)
+"""One row of state, in SI units; everything that the next step depends on."""
+
+OUTCOME: Final = np.dtype(
+    [
+        ("success", "?"),
+        ("n_filled", "i8"),
+        ("inserted", "?"),
+        ("inserted_hole", "i8"),  # -1 for none
+        ("collision", "?"),
+        ("violation", "?"),
+        ("duplicate", "?"),
+        ("singular", "?"),
+        ("sigma_min", "f8"),
+        ("alignment_error", "f8"),
+        ("distance", "f8"),
+        ("target", "i8"),
+        ("time", "f8"),
+        ("energy", "f8"),
+        ("terms", "f8", (len(rewards.TERMS),)),
+        ("reward", "f8"),
+        ("terminated", "?"),
+        ("truncated", "?"),
+    ],
+    align=True,
+)
+"""What a move led to."""
+
+INFO_FIELDS: Final = (OUTCOME.names or ())[:14]
+"""Fields of an outcome that go into ``info``, beside the reward's terms."""
+
+
+@njit(cache=True)
+def lattice_configuration(start: np.ndarray, offset: np.ndarray) -> Configuration:
+    """``start + offset * STEP``: the one place where a lattice point becomes numbers."""
+    return (
+        start[0] + offset[0] * STEP[0],
+        start[1] + offset[1] * STEP[1],
+        start[2] + offset[2] * STEP[2],
+        start[3] + offset[3] * STEP[3],
+        start[4] + offset[4] * STEP[4],
+        start[5] + offset[5] * STEP[5],
+    )
+
+
+@njit(cache=True)
+def delta_valid(c: Configuration, p: EnvParams) -> bool:
+    """Whether the Delta's half of a configuration is within its workspace."""
+    return delta_kernels.is_valid(c[0], c[1], c[2], p.delta)
+
+
+@njit(cache=True)
+def rrs_valid(c: Configuration, p: EnvParams) -> bool:
+    """Whether the 3-RRS's half of a configuration is within its limits."""
+    return rrs_kernels.is_valid(c[3], c[4], c[5], p.rrs)
+
+
+@njit(cache=True)
+def joint_angles(c: Configuration, p: EnvParams) -> tuple[bool, Row, Pose, Row]:
+    """Validity of a configuration, theta, the platform's pose, and q."""
+    pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
+    ok_delta, theta = delta_kernels.inverse(c[0], c[1], c[2], p.delta)
+    ok_rrs, q = rrs_kernels.inverse(pose, p.rrs)
+    valid = (
+        ok_delta
+        and ok_rrs
+        and delta_kernels.within_limits(c[0], c[1], c[2], p.delta)
+        and rrs_kernels.within_limits(c[3], c[4], c[5], p.rrs)
+        and rrs_kernels.joints_within_limits(q, p.rrs)
+    )
+    return valid, theta, pose, q
+
+
+@njit(cache=True)
+def is_singular(sigma: float) -> bool:
+    """Whether signed sigma_min is under the margin or on the far side of det A = 0 (or NaN)."""
+    return not sigma >= SINGULAR_MARGIN
+
+
+@njit(cache=True)
+def configuration_status(c: Configuration, p: EnvParams) -> int:
+    """VALID, INVALID, COLLISION or SINGULAR, the first that applies in the order of a move."""
+    valid, theta, pose, q = joint_angles(c, p)
+    if not valid:
+        return INVALID
+    if collides(c[0], c[1], c[2], theta, pose, q, p):
+        return COLLISION
+    if is_singular(rrs_kernels.signed_sigma_min(pose, q, p.rrs)):
+        return SINGULAR
+    return VALID
+
+
+@njit(cache=True)
+def alignment_angle(normal_x: float, normal_y: float, normal_z: float) -> float:
+    """Angle between the peg's axis (vertical) and a hole's normal, rad."""
+    return math.atan2(math.hypot(normal_x, normal_y), normal_z)
+
+
+@njit(cache=True)
+def hole_distance(s: Record, index: int) -> float:
+    """Distance from the tip to a hole's mouth, m."""
+    dx = s.mouths[index, 0] - s.tip[0]
+    dy = s.mouths[index, 1] - s.tip[1]
+    dz = s.mouths[index, 2] - s.tip[2]
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@njit(cache=True)
+def hole_angle(s: Record, index: int) -> float:
+    """Angle between the peg's axis and a hole's normal, rad."""
+    return alignment_angle(s.normals[index, 0], s.normals[index, 1], s.normals[index, 2])
+
+
+@njit(cache=True)
+def place_delta(s: Record, c: Configuration, theta: Row, tip: Row) -> None:
+    """Write the Delta's half of a configuration and what follows from it alone."""
+    for k in range(3):
+        s.configuration[k] = c[k]
+        s.theta[k] = theta[k]
+        s.tip[k] = tip[k]
+
+
+@njit(cache=True)
+def place_rrs(s: Record, c: Configuration, pose: Pose, q: Row) -> None:
+    """Write the 3-RRS's half of a configuration and what follows from it alone, but sigma."""
+    for k in range(3):
+        s.configuration[3 + k] = c[3 + k]
+        s.q[k] = q[k]
+    for i in range(N_HOLES):
+        mouth, normal = hole(pose, i)
+        for k in range(3):
+            s.mouths[i, k] = mouth[k]
+            s.normals[i, k] = normal[k]
+
+
+@njit(cache=True)
+def update_inside(s: Record, chamfer: float, p: EnvParams) -> None:
+    """Write which holes' insertion criterion the peg meets."""
+    for i in range(N_HOLES):
+        s.inside[i] = hole_distance(s, i) < chamfer and hole_angle(s, i) < p.task.angle_tolerance
+
+
+@njit(cache=True)
+def aim(s: Record, target: int) -> None:
+    """Make a hole the target."""
+    s.target = target
+    s.distance, s.angle = hole_distance(s, target), hole_angle(s, target)
+
+
+@njit(cache=True)
+def open_holes(s: Record) -> int:
+    """Number of active holes that are not filled."""
+    n = 0
+    for i in range(N_HOLES):
+        n += s.active[i] == 1 and s.filled[i] == 0
+    return n
+
+
+@njit(cache=True)
+def nearest_open_hole(s: Record) -> int:
+    """The unfilled active hole nearest to the tip, or -1."""
+    best, least = -1, math.inf
+    for i in range(N_HOLES):
+        if s.active[i] and not s.filled[i]:
+            distance = hole_distance(s, i)
+            if distance < least:
+                best, least = i, distance
+    return best
+
+
+@njit(cache=True)
+def neighbour(s: Record, action: int) -> Configuration:
+    """The configuration that an action leads to, valid or not."""
+    axis, sign = action // 2, 1 - 2 * (action % 2)
+    s.offset[axis] += sign
+    c = lattice_configuration(s.start, s.offset)
+    s.offset[axis] -= sign
+    return c
+
+
+@njit(cache=True)
+def _is_safe(s: Record, action: int, p: EnvParams) -> bool:
+    """Whether a move leads to a configuration of status VALID; most are settled without a test."""
+    c = neighbour(s, action)
+    if action < 6 and not p.task.imperfect and not below_ceiling(c, p):
+        return delta_valid(c, p) and not is_singular(s.sigma)
+    return configuration_status(c, p) == VALID
+
+
+@njit(cache=True)
+def _key(s: Record, action: int) -> int:
+    """A number of its own for the lattice point that an action leads to; for -1, the present one.
+
+    Ten bits for each axis: no workspace is 1024 steps wide.
+    """
+    key = 0
+    for k in range(N_AXES):
+        offset = s.offset[k]
+        if action // 2 == k:
+            offset += 1 - 2 * (action % 2)
+        key |= (offset & 1023) << (10 * k)
+    return key
+
+
+@njit(cache=True)
+def leave(s: Record) -> None:
+    """Remember the present configuration, which a move is about to leave."""
+    s.trail[s.trailed % TRAIL] = _key(s, -1)
+    s.trailed += 1
+
+
+@njit(cache=True)
+def _forbid_visited(s: Record, visited: int) -> None:
+    """Take out of the mask what leads back to the last ``visited`` configurations, unless all does.
+
+    A shortest path never returns to where it was, so that none is lost.
+    """
+    free = s.mask.sum()
+    known = min(s.trailed, visited)
+    back = np.zeros(N_ACTIONS, np.uint8)
+    for action in range(N_ACTIONS):
+        if s.mask[action] == 1:
+            key = _key(s, action)
+            for i in range(known):
+                if s.trail[(s.trailed - 1 - i) % TRAIL] == key:
+                    back[action] = 1
+                    free -= 1
+                    break
+    if free > 0:
+        for action in range(N_ACTIONS):
+            s.mask[action] &= 1 - back[action]
+
+
+@njit(cache=True)
+def update_mask(s: Record, delta: bool, rrs: bool, p: EnvParams) -> None:
+    """Recompute the action mask of the robots that moved: the halves do not depend on each other.
+
+    With ``mask_singularities`` collisions couple them, with ``visited`` the past does, and both are
+    recomputed. If nothing is valid, everything is allowed.
+    """
+    couple = p.task.mask_singularities
+    # a full mask may stand for "nothing valid"
+    afresh = p.task.visited > 0 or s.mask.sum() == N_ACTIONS
+    for action in range(N_ACTIONS):
+        if couple:
+            s.mask[action] = _is_safe(s, action, p)
+        elif action < 6:
+            if delta or afresh:
+                s.mask[action] = delta_valid(neighbour(s, action), p)
+        elif rrs or afresh:
+            s.mask[action] = rrs_valid(neighbour(s, action), p)
+    if p.task.visited > 0:
+        _forbid_visited(s, p.task.visited)
+    if s.mask.sum() == 0:
+        s.mask[:] = 1

@@ -1,0 +1,1 @@
+"""The compiled CPU path: everything works without this folder, slower."""

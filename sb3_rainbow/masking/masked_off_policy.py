@@ -1,0 +1,141 @@
+"""Off-policy collection with action masks: in the warm-up, in acting, and in what is stored."""
+
+import warnings
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.noise import ActionNoise
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.type_aliases import MaybeCallback
+
+from sb3_rainbow.masking.conventions import as_action_masks, capture_terminal_masks
+from sb3_rainbow.masking.transitions import (
+    LOST_MASK_WARNING,
+    with_terminal_masks,
+    with_terminal_observations,
+)
+from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
+from sb3_rainbow.type_aliases import ObsArray, UseMasking
+
+
+class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
+    """
+    SB3's off-policy loop for discrete actions, some of which an env may forbid.
+
+    Masks are asked for once a step, after it, and serve the target of that step and the choice of
+    the next action. A subclass sets ``use_masking`` and defines ``predict(action_masks=)``.
+    """
+
+    action_space: spaces.Discrete
+    use_masking: UseMasking = "auto"
+    _masking: bool = False
+    _warned_of_lost_mask: bool = False
+    _last_action_masks: NDArray[np.bool_] | None = None
+
+    def _setup_learn(
+        self,
+        total_timesteps: int,
+        callback: MaybeCallback = None,
+        reset_num_timesteps: bool = True,
+        tb_log_name: str = "run",
+        progress_bar: bool = False,
+    ) -> tuple[int, BaseCallback]:
+        prepared = super()._setup_learn(
+            total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
+        )
+        self._setup_masking()
+        return prepared
+
+    def _setup_masking(self) -> None:
+        assert self.env is not None
+        supported = self.use_masking is not False and is_masking_supported(self.env)
+        if self.use_masking is True and not supported:
+            raise ValueError(
+                "use_masking=True, but the env has no action_masks(): wrap it in sb3-contrib's "
+                "ActionMasker, or pass use_masking='auto'"
+            )
+        if supported and not isinstance(self.replay_buffer, PrioritizedReplayBuffer):
+            raise ValueError(
+                f"{type(self.replay_buffer).__name__} cannot store the env's action masks, which "
+                "the target needs: pass use_masking=False"
+            )
+        self._masking = supported
+        if supported:
+            # Only now: who learns without masks may have an env that cannot give them.
+            capture_terminal_masks(self.env)
+        self._last_action_masks = self._current_masks() if supported else None
+
+    def _current_masks(self) -> NDArray[np.bool_]:
+        assert self.env is not None
+        n_actions = int(self.action_space.n)
+        return as_action_masks(get_action_masks(self.env), self.n_envs, n_actions)
+
+    def _sample_action(
+        self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
+    ) -> tuple[NDArray, NDArray]:
+        if self.num_timesteps < learning_starts:
+            actions = self._random_actions(n_envs, self._last_action_masks)
+        else:
+            assert self._last_obs is not None, "self._last_obs was not set"
+            actions = self._explore(self._last_obs, self._last_action_masks)
+        return actions, actions
+
+    def _random_actions(self, n: int, masks: NDArray[np.bool_] | None) -> NDArray[np.int64]:
+        if masks is None:
+            return np.array([self.action_space.sample() for _ in range(n)])
+        return np.array([self.action_space.sample(mask) for mask in masks.astype(np.int8)])
+
+    def _epsilon_greedy(
+        self, actions: NDArray, epsilon: float, action_masks: NDArray | None
+    ) -> NDArray:
+        """Each env's action replaced by a random allowed one with probability ``epsilon``."""
+        n = actions.size
+        explores = np.random.random_sample(n) < epsilon  # noqa: NPY002
+        if not explores.any():
+            return actions
+        masks = None if action_masks is None else np.asarray(action_masks, bool).reshape(n, -1)
+        chosen = np.where(explores, self._random_actions(n, masks), actions.reshape(n))
+        return chosen.reshape(actions.shape)
+
+    def _explore(self, obs: ObsArray, action_masks: NDArray[np.bool_] | None) -> NDArray:
+        """Exploring actions of a subclass's policy, ``(n_envs,)``."""
+        actions, _ = self.predict(obs, action_masks=action_masks)  # type: ignore[call-arg]
+        return actions
+
+    def _store_transition(
+        self,
+        replay_buffer: ReplayBuffer,
+        buffer_action: NDArray,
+        new_obs: ObsArray,
+        reward: NDArray,
+        dones: NDArray,
+        infos: list[dict[str, Any]],
+    ) -> None:
+        if not isinstance(replay_buffer, PrioritizedReplayBuffer):
+            super()._store_transition(replay_buffer, buffer_action, new_obs, reward, dones, infos)
+            return
+        stored_obs, original_obs, stored_reward = self._last_obs, new_obs, reward
+        normalizer = self._vec_normalize_env
+        if normalizer is not None:
+            stored_obs = self._last_original_obs
+            original_obs = normalizer.get_original_obs()
+            stored_reward = normalizer.get_original_reward()
+        next_obs = original_obs
+        if dones.any():
+            next_obs = with_terminal_observations(original_obs, dones, infos, normalizer)
+        masks = None
+        if self._masking:
+            self._last_action_masks = self._current_masks()
+            masks, lost = with_terminal_masks(self._last_action_masks, dones, infos)
+            if lost and not self._warned_of_lost_mask:
+                self._warned_of_lost_mask = True
+                warnings.warn(LOST_MASK_WARNING, stacklevel=2)
+        assert stored_obs is not None
+        replay_buffer.add(stored_obs, next_obs, buffer_action, stored_reward, dones, infos, masks)
+        self._last_obs = new_obs
+        self._last_original_obs = original_obs

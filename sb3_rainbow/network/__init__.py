@@ -1,0 +1,1 @@
+"""What is computed: the Q-network, its noisy layers, targets and losses."""

@@ -1,0 +1,296 @@
+"""Rainbow's Q-network."""
+
+from itertools import pairwise
+from typing import Any, get_args
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.type_aliases import PyTorchObs
+from torch import nn
+from torch.nn import functional as F
+
+from sb3_rainbow.network.losses import mask_q_values
+from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_
+from sb3_rainbow.type_aliases import NoisyLayers
+
+
+class RainbowNetwork(BasePolicy):
+    """
+    Q-network with a dueling, distributional head and noisy layers, each of which can be off.
+
+    The head is one linear layer with ``n_atoms`` outputs for the state value (dueling only) and
+    ``n_atoms`` for each action's advantage. Without ``distributional`` there is one atom, which is
+    the Q-value itself.
+
+    :param observation_space: Observation space
+    :param action_space: Action space
+    :param features_extractor: extractor, whose layers are never noisy
+    :param features_dim: its number of outputs
+    :param net_arch: sizes of the hidden layers
+    :param activation_fn: activation between them
+    :param normalize_images: whether to divide images by 255
+    :param dueling: separate streams for value and advantages (Wang et al. 2016)
+    :param noisy: noisy linear layers (Fortunato et al. 2018)
+    :param noisy_layers: ``"last_two"`` (last hidden layer and head), ``"head"`` or ``"all"``
+    :param sigma0: initial noise scale
+    :param distributional: categorical distribution over returns (Bellemare et al. 2017)
+    :param n_atoms: atoms of the support
+    :param v_min: lowest atom
+    :param v_max: highest atom
+    :raises ValueError: for an unknown ``noisy_layers``, ``n_atoms`` < 2 or ``v_min >= v_max``
+    """
+
+    action_space: spaces.Discrete
+    support: th.Tensor
+    noise: th.Tensor
+
+    def __init__(
+        self,
+        observation_space: spaces.Space,
+        action_space: spaces.Discrete,
+        features_extractor: BaseFeaturesExtractor,
+        features_dim: int,
+        net_arch: list[int] | None = None,
+        activation_fn: type[nn.Module] = nn.ReLU,
+        normalize_images: bool = True,
+        dueling: bool = True,
+        noisy: bool = True,
+        noisy_layers: NoisyLayers = "last_two",
+        sigma0: float = 0.5,
+        distributional: bool = True,
+        n_atoms: int = 51,
+        v_min: float = -100.0,
+        v_max: float = 100.0,
+    ) -> None:
+        super().__init__(
+            observation_space,
+            action_space,
+            features_extractor=features_extractor,
+            normalize_images=normalize_images,
+        )
+        if distributional:
+            check_support(n_atoms, v_min, v_max)
+        if noisy_layers not in get_args(NoisyLayers):
+            raise ValueError(
+                f"noisy_layers must be one of {get_args(NoisyLayers)}, got {noisy_layers!r}"
+            )
+        self.net_arch = [64, 64] if net_arch is None else net_arch
+        self.activation_fn = activation_fn
+        self.features_dim = features_dim
+        self.dueling = dueling
+        self.noisy = noisy
+        self.noisy_layers = noisy_layers
+        self.sigma0 = sigma0
+        self.distributional = distributional
+        self.n_actions = int(action_space.n)
+        self.n_atoms = n_atoms if distributional else 1
+        self.v_min = v_min
+        self.v_max = v_max
+        # A constant, not a weight: what loads or randomizes the weights must not change it.
+        self.register_buffer("support", th.linspace(v_min, v_max, self.n_atoms), persistent=False)
+        self._build_layers()
+
+    @property
+    def device(self) -> th.device:
+        """Where the network lives; SB3's own way walks over the parameters at every step."""
+        return self.support.device
+
+    def _build_layers(self) -> None:
+        n_streams = self.n_actions + (1 if self.dueling else 0)
+        sizes = [self.features_dim, *self.net_arch, n_streams * self.n_atoms]
+        n_layers = len(sizes) - 1
+        n_noisy = {"last_two": 2, "head": 1, "all": n_layers}[self.noisy_layers]
+        first_noisy = n_layers - n_noisy if self.noisy else n_layers
+        self.layers = nn.ModuleList()
+        for i, (n_in, n_out) in enumerate(pairwise(sizes)):
+            is_noisy = i >= first_noisy
+            self.layers.append(
+                NoisyLinear(n_in, n_out, self.sigma0) if is_noisy else nn.Linear(n_in, n_out)
+            )
+        self.activation = self.activation_fn()
+        # Iterating over a ModuleList costs more than the small layers themselves.
+        self._linear_layers: list[NoisyLinear | nn.Linear] = list(self.layers)  # type: ignore[arg-type]
+        self._noisy_modules = [layer for layer in self.layers if isinstance(layer, NoisyLinear)]
+        extractor = list(self.features_extractor.modules())
+        self._has_plain_modes = all(type(module).train is nn.Module.train for module in extractor)
+        self._with_modes: list[nn.Module] = [self, self.activation]
+        if self._has_plain_modes:
+            self._with_modes += extractor
+        n_noise = sum(layer.in_features + layer.out_features for layer in self._noisy_modules)
+        self.register_buffer("noise", th.zeros(n_noise), persistent=False)
+        self._tie_noise()
+        self.reset_noise()
+
+    def _tie_noise(self) -> None:
+        """Let every layer's epsilons be views of one vector, drawn in one go."""
+        start = 0
+        for layer in self._noisy_modules:
+            for name, size in (
+                ("epsilon_in", layer.in_features),
+                ("epsilon_out", layer.out_features),
+            ):
+                setattr(layer, name, self.noise[start : start + size])
+                start += size
+
+    def _apply(self, *args: Any, **kwargs: Any) -> "RainbowNetwork":
+        # Moving to another device or dtype replaces every buffer: the views must follow.
+        super()._apply(*args, **kwargs)
+        self._tie_noise()
+        return self
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)
+        # Pickle gives every view a memory of its own.
+        self._tie_noise()
+
+    @th.no_grad()
+    def reset_noise(self) -> None:
+        """Draw new noise for every noisy layer."""
+        if self._noisy_modules:
+            scale_noise_(self.noise.normal_())
+
+    def noise_magnitudes(self) -> dict[str, float]:
+        """Mean absolute sigma of each noisy layer, by the layer's place among the layers."""
+        return {
+            f"layer{i}": float(layer.noise_magnitude())
+            for i, layer in enumerate(self.layers)
+            if isinstance(layer, NoisyLinear)
+        }
+
+    def streams(self, obs: PyTorchObs, noisy: bool) -> th.Tensor:
+        """
+        Outputs of the head before value and advantages are joined.
+
+        :return: shape ``(B, n_streams, n_atoms)``, the value first where there is one
+        """
+        hidden = self.extract_features(obs, self.features_extractor)
+        last = len(self.layers) - 1
+        for i, layer in enumerate(self._linear_layers):
+            hidden = layer(hidden, noisy) if isinstance(layer, NoisyLinear) else layer(hidden)
+            if i < last:
+                hidden = self.activation(hidden)
+        return hidden.view(hidden.shape[0], -1, self.n_atoms)
+
+    def noisy_weights(self) -> list[tuple[th.Tensor, th.Tensor]]:
+        """Weight and bias of every layer under the current noise, with gradients."""
+        return [
+            layer.noisy_weights() if isinstance(layer, NoisyLinear) else (layer.weight, layer.bias)
+            for layer in self._linear_layers
+        ]
+
+    def streams_under(
+        self, weights: list[tuple[th.Tensor, th.Tensor]], obs: PyTorchObs
+    ) -> th.Tensor:
+        """
+        As :meth:`streams`, with given weights.
+
+        Forming the noisy weights once serves several batches under the same noise.
+        """
+        hidden = self.extract_features(obs, self.features_extractor)
+        for weight, bias in weights[:-1]:
+            hidden = self.activation(F.linear(hidden, weight, bias))
+        hidden = F.linear(hidden, *weights[-1])
+        return hidden.view(hidden.shape[0], -1, self.n_atoms)
+
+    def join(self, streams: th.Tensor) -> th.Tensor:
+        """
+        Value plus advantage minus the mean advantage over actions, atom by atom (Wang et al. 2016,
+        equation 9): without the mean the split of value and advantages would be arbitrary.
+
+        :param streams: as :meth:`streams` returns them
+        :return: logits over the atoms, shape ``(B, A, N)``
+        """
+        if not self.dueling:
+            return streams
+        advantages = streams[:, 1:]
+        return advantages + (streams[:, :1] - advantages.mean(dim=1, keepdim=True))
+
+    def join_taken(self, streams: th.Tensor, actions: th.Tensor) -> th.Tensor:
+        """
+        Row ``actions`` of :meth:`join`, without the others.
+
+        :param actions: shape ``(B, 1)``, int64
+        :return: shape ``(B, N)``
+        """
+        # A product with mixing coefficients costs half of indexing, sums and their gradients.
+        n_streams = streams.shape[1]
+        first = int(self.dueling)
+        share = 1.0 / self.n_actions if self.dueling else 0.0
+        mixing = streams.new_full((streams.shape[0], n_streams), -share)
+        mixing.scatter_(1, actions + first, 1.0 - share)
+        if self.dueling:
+            mixing[:, 0] = 1.0
+        return th.bmm(mixing.unsqueeze(1), streams).squeeze(1)
+
+    def expected_values(self, logits: th.Tensor) -> th.Tensor:
+        """
+        :param logits: shape ``(B, A, N)``
+        :return: Q-values, shape ``(B, A)``
+        """
+        if not self.distributional:
+            return logits.squeeze(-1)
+        return F.softmax(logits, dim=-1) @ self.support
+
+    def forward(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
+        """
+        Q-values, by default without noise.
+
+        :param obs: a batch of observations
+        :param noisy: whether the noisy layers use their current noise
+        :return: shape ``(B, A)``
+        """
+        return self.expected_values(self.join(self.streams(obs, noisy)))
+
+    def distribution(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
+        """
+        Probabilities of the atoms for each action (all 1 without ``distributional``).
+
+        :return: shape ``(B, A, N)``
+        """
+        return F.softmax(self.join(self.streams(obs, noisy)), dim=-1)
+
+    def set_training_mode(self, mode: bool) -> None:
+        """
+        Tell the parts that may care, which the linear layers are not: walking them at every step
+        would cost as much as a small layer.
+
+        :param mode: True for training, False for evaluation
+        """
+        if mode == self.training:
+            return
+        if not self._has_plain_modes:
+            self.features_extractor.train(mode)
+        for module in self._with_modes:
+            # Module's own way of setting an attribute costs ten times as much.
+            module.__dict__["training"] = mode
+
+    def _predict(
+        self,
+        observation: PyTorchObs,
+        deterministic: bool = True,
+        action_masks: th.Tensor | None = None,
+    ) -> th.Tensor:
+        q_values = self(observation, noisy=not deterministic)
+        return mask_q_values(q_values, action_masks).argmax(dim=1)
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        data = super()._get_constructor_parameters()
+        names = (
+            *("net_arch", "activation_fn", "features_dim", "features_extractor", "dueling"),
+            *("noisy", "noisy_layers", "sigma0", "distributional", "n_atoms", "v_min", "v_max"),
+        )
+        data.update({name: getattr(self, name) for name in names})
+        return data
+
+
+def check_support(n_atoms: int, v_min: float, v_max: float) -> None:
+    """
+    :raises ValueError: if the atoms do not form a support
+    """
+    if n_atoms < 2 or n_atoms != int(n_atoms):
+        raise ValueError(f"n_atoms must be a whole number, at least 2, got {n_atoms}")
+    if not (np.isfinite(v_min) and np.isfinite(v_max) and v_min < v_max):
+        raise ValueError(f"v_min must be below v_max, both finite, got {v_min} and {v_max}")

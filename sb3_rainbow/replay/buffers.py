@@ -1,0 +1,383 @@
+"""Prioritized n-step replay for any number of environments."""
+
+from typing import Any, cast
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.vec_env import VecNormalize
+
+from sb3_rainbow.replay.kernels import (
+    RUNNING,
+    TERMINATED,
+    TRUNCATED,
+    assemble_windows,
+    complete_windows,
+    scale_priorities,
+)
+from sb3_rainbow.replay.observation_store import ObservationStore, Rows, stored_dtype
+from sb3_rainbow.replay.sum_tree import SumTree
+from sb3_rainbow.replay.transfer import to_device
+from sb3_rainbow.settings import check_replay_parameters
+from sb3_rainbow.type_aliases import ObsArray, PrioritizedReplayBufferSamples
+
+_TRIMMED = ("actions", "rewards", "ends", "next_action_masks")
+
+
+class PrioritizedReplayBuffer(ReplayBuffer):
+    """
+    Proportional prioritized replay (Schaul et al. 2016) of n-step transitions.
+
+    - One sum tree spans all (step, env) pairs; a pair can be drawn as soon as its window of
+      ``n_steps`` rewards is complete, or its episode has ended, whichever comes first.
+    - Returns never run across an episode's end, the windows shortened by an end are kept, and every
+      sample carries its own discount ``gamma ** k``. A truncated episode bootstraps from its
+      terminal observation, a terminated one does not.
+    - Each observation is stored once, for every dtype and for dicts; the terminal observations,
+      which autoreset would lose, are kept apart. Memory per transition of 12 floats and 12 actions
+      is about 90 bytes.
+    - ``alpha=0`` is uniform replay.
+
+    It takes the place of SB3's own buffers::
+
+        DQN("MlpPolicy", env, replay_buffer_class=PrioritizedReplayBuffer,
+            replay_buffer_kwargs={"n_steps": 3, "gamma": 0.99})
+
+    SB3's ``DQN`` reports no losses to its buffer: add
+    :class:`~sb3_rainbow.callbacks.PrioritizedReplayCallback` to feed the priorities.
+
+    :param buffer_size: transitions to keep, over all envs
+    :param observation_space: any space that SB3 supports, dicts included
+    :param action_space: any that SB3 supports; action masks need a discrete one
+    :param device: where samples go
+    :param n_envs: number of environments that add in step
+    :param optimize_memory_usage: accepted for SB3's sake; observations are always stored once
+    :param handle_timeout_termination: if False, truncations count as terminations
+    :param n_steps: rewards summed per sample
+    :param gamma: discount factor
+    :param alpha: exponent of the priorities, from 0 (uniform) to 1 (proportional)
+    :param beta: exponent of the importance-sampling correction, from 0 (none) to 1 (full)
+    :param epsilon: added to every loss, so that no transition is lost for good
+    :raises ValueError: for parameters out of range, or a buffer that cannot hold one window per env
+    """
+
+    def __init__(
+        self,
+        buffer_size: int,
+        observation_space: spaces.Space,
+        action_space: spaces.Space,
+        device: th.device | str = "auto",
+        n_envs: int = 1,
+        optimize_memory_usage: bool = False,
+        handle_timeout_termination: bool = True,
+        n_steps: int = 1,
+        gamma: float = 0.99,
+        alpha: float = 0.6,
+        beta: float = 0.4,
+        epsilon: float = 1e-6,
+    ) -> None:
+        check_replay_parameters(buffer_size, n_envs, n_steps, gamma, alpha, beta, epsilon)
+        # ReplayBuffer's own constructor would allocate a second copy of every observation.
+        super(ReplayBuffer, self).__init__(
+            buffer_size, observation_space, action_space, device, n_envs=n_envs
+        )
+        self.buffer_size = buffer_size // n_envs
+        self.optimize_memory_usage = False
+        self.handle_timeout_termination = handle_timeout_termination
+        self.n_steps = n_steps
+        self.gamma = gamma
+        self.alpha = alpha
+        self.beta = beta
+        self.epsilon = epsilon
+        self._allocate()
+
+    def _allocate(self) -> None:
+        shape = (self.buffer_size, self.n_envs)
+        self._store = ObservationStore(*shape, self.observation_space, self.obs_shape)
+        # Discrete for Rainbow; other algorithms bring what they choose
+        self.actions = np.zeros((*shape, self.action_dim), dtype=stored_dtype(self.action_space))
+        self.rewards = np.zeros(shape, dtype=np.float32)
+        self.ends = np.zeros(shape, dtype=np.uint8)
+        self.next_action_masks: NDArray[np.bool_] | None = None
+        # Stored transitions per env whose window is not complete yet
+        self._pending = np.zeros(self.n_envs, dtype=np.int64)
+        self.tree = SumTree(self.buffer_size * self.n_envs)
+        self.max_priority = 1.0
+        self.last_indices: NDArray[np.int64] | None = None
+
+    # SB3's names for what is stored
+    @property
+    def observations(self) -> ObsArray:  # type: ignore[override]
+        """Stored observations, shape ``(buffer_size, n_envs, ...)``, or a dict of such."""
+        return self._store.rows
+
+    @property
+    def dones(self) -> NDArray[np.bool_]:  # type: ignore[override]
+        """Where an episode ended, terminated or truncated, ``(buffer_size, n_envs)``; a copy."""
+        return self.ends != RUNNING
+
+    @property
+    def timeouts(self) -> NDArray[np.bool_]:  # type: ignore[override]
+        """Where an episode was truncated, ``(buffer_size, n_envs)``; a copy."""
+        return self.ends == TRUNCATED
+
+    @property
+    def can_sample(self) -> bool:
+        """Whether at least one n-step window is complete."""
+        return self.tree.total > 0.0
+
+    def reset(self) -> None:
+        """Forget everything."""
+        super().reset()
+        self._allocate()
+
+    def add(
+        self,
+        obs: ObsArray,
+        next_obs: ObsArray,
+        action: NDArray,
+        reward: NDArray,
+        done: NDArray,
+        infos: list[dict[str, Any]],
+        next_action_masks: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """
+        Store one step of every env.
+
+        :param obs: observations the actions were chosen on, ``(n_envs, ...)``
+        :param next_obs: observations after the step; where an episode ended, its terminal
+            observation, not the first one of the next episode
+        :param action: shape ``(n_envs,)`` or ``(n_envs, action_dim)``
+        :param reward: shape ``(n_envs,)``
+        :param done: terminated or truncated, ``(n_envs,)``
+        :param infos: ``"TimeLimit.truncated"`` tells truncations from terminations
+        :param next_action_masks: actions allowed at ``next_obs``, ``(n_envs, n_actions)``; None
+            allows all
+        :raises ValueError: for a reward that is not finite in float32; nothing is stored then
+        """
+        rewards = np.asarray(reward, dtype=np.float32)
+        finite = np.isfinite(rewards)
+        if not finite.all():
+            env = int(np.argmin(finite))
+            raise ValueError(
+                f"The reward of env {env} is {np.ravel(reward)[env]}, but must be finite (in "
+                "float32): one such reward spoils every network; bound it, or mend its formula"
+            )
+        current, following = self._store.cast(obs), self._store.cast(next_obs)
+        self._close_interrupted_episodes(current)
+        pos = self.pos
+        if self.full:
+            self._forget(pos)
+        self._store.write(pos, current, following)
+        self.actions[pos] = action.reshape(self.n_envs, self.action_dim)
+        self.rewards[pos] = rewards
+        self._store_masks(pos, next_action_masks)
+
+        ended = np.asarray(done, dtype=bool)
+        self.ends[pos] = np.where(ended, TERMINATED, RUNNING)
+        if ended.any():
+            for env in np.flatnonzero(ended).tolist():
+                if self.handle_timeout_termination and infos[env].get("TimeLimit.truncated", False):
+                    self.ends[pos, env] = TRUNCATED
+                self._store.keep_newest(pos, env)
+        self._pending += 1
+        self._complete(ended, pos)
+
+        self.pos += 1
+        if self.pos == self.buffer_size:
+            self.full = True
+            self.pos = 0
+
+    def _close_interrupted_episodes(self, current: Rows) -> None:
+        """
+        End the episodes that were left in the middle, as when ``learn`` resets the env: the stored
+        step is then followed by an observation that it did not lead to.
+        """
+        if not (self.full or self.pos > 0):
+            return
+        newest = (self.pos - 1) % self.buffer_size
+        interrupted = self._store.interrupted(current)
+        if interrupted.any():
+            interrupted &= self.ends[newest] == RUNNING
+            for env in np.flatnonzero(interrupted).tolist():
+                self.ends[newest, env] = TRUNCATED
+                self._store.keep_newest(newest, env)
+            self._complete(interrupted, newest)
+
+    def _forget(self, row: int) -> None:
+        """Take the row that is about to be overwritten out of the tree."""
+        leaves = row * self.n_envs + np.arange(self.n_envs, dtype=np.int64)
+        self.tree.set(leaves, np.zeros(self.n_envs))
+        self._store.release(row)
+
+    def _store_masks(self, pos: int, masks: NDArray[np.bool_] | None) -> None:
+        if masks is None:
+            if self.next_action_masks is not None:
+                self.next_action_masks[pos] = True
+            return
+        if self.next_action_masks is None:
+            n_actions = int(cast(spaces.Discrete, self.action_space).n)
+            self.next_action_masks = np.ones(
+                (self.buffer_size, self.n_envs, n_actions), dtype=np.bool_
+            )
+        self.next_action_masks[pos] = masks
+
+    def _complete(self, ended: NDArray[np.bool_], newest: int) -> None:
+        """Let the transitions be drawn whose windows are now complete, at the top priority."""
+        leaves = np.empty(int(self._pending.sum()), dtype=np.int64)
+        count = complete_windows(
+            self._pending, ended, newest, self.buffer_size, self.n_steps, leaves
+        )
+        if count:
+            mass = self.max_priority**self.alpha
+            self.tree.set(leaves[:count], np.full(count, mass))
+
+    def sample(  # type: ignore[override]
+        self, batch_size: int, env: VecNormalize | None = None
+    ) -> PrioritizedReplayBufferSamples:
+        """
+        Draw transitions in proportion to their priorities, with replacement.
+
+        :param batch_size: number of transitions
+        :param env: normalizes observations and rewards with its current statistics
+        :raises ValueError: if no window is complete yet
+        """
+        if not self.can_sample:
+            raise ValueError(
+                "The replay buffer holds no complete n-step window yet: raise learning_starts "
+                f"(n_steps={self.n_steps}, n_envs={self.n_envs})"
+            )
+        self.last_indices = self.tree.sample(batch_size)
+        return self._get_samples(self.last_indices, env)
+
+    def samples_at(
+        self, indices: NDArray[np.int64], env: VecNormalize | None = None
+    ) -> PrioritizedReplayBufferSamples:
+        """The transitions of given indices, as an earlier sample named them."""
+        return self._get_samples(indices, env)
+
+    def _get_samples(  # type: ignore[override]
+        self, batch_inds: NDArray[np.int64], env: VecNormalize | None = None
+    ) -> PrioritizedReplayBufferSamples:
+        """Transitions at the given leaves of the tree."""
+        n = batch_inds.shape[0]
+        returns, discounts, dones = (np.empty((n, 1), dtype=np.float32) for _ in range(3))
+        weights = np.empty(n, dtype=np.float32)
+        last_leaves, next_rows, next_slots = (np.empty(n, dtype=np.int64) for _ in range(3))
+        assemble_windows(
+            batch_inds,
+            self.tree.leaves,
+            self.rewards,
+            self.ends,
+            self._store.slots,
+            (self.pos - 1) % self.buffer_size,
+            self.n_steps,
+            self.gamma,
+            self.beta,
+            returns[:, 0],
+            discounts[:, 0],
+            dones[:, 0],
+            weights,
+            last_leaves,
+            next_rows,
+            next_slots,
+        )
+        observations, next_observations = self._store.gather(batch_inds, next_rows, next_slots)
+        if env is not None:
+            observations = env.normalize_obs(observations)
+            next_observations = env.normalize_obs(next_observations)
+            returns = self._normalized_returns(batch_inds, env)
+        arrays = {
+            "actions": self.actions.reshape(-1, self.action_dim)[batch_inds],
+            "dones": dones,
+            "rewards": returns,
+            "discounts": discounts,
+            "weights": weights,
+        }
+        if self.next_action_masks is not None:
+            n_actions = self.next_action_masks.shape[-1]
+            masks = self.next_action_masks.reshape(-1, n_actions)
+            arrays["next_action_masks"] = masks[last_leaves]
+        tensors = self._with_observations(arrays, observations, next_observations)
+        tensors.setdefault("next_action_masks", None)
+        return PrioritizedReplayBufferSamples(indices=batch_inds, **tensors)
+
+    def _with_observations(
+        self, arrays: dict[str, NDArray], observations: ObsArray, next_observations: ObsArray
+    ) -> dict[str, Any]:
+        """All of a sample on the device, observations as arrays or dicts of such."""
+        if not isinstance(observations, dict):
+            assert not isinstance(next_observations, dict)
+            arrays |= {"observations": observations, "next_observations": next_observations}
+            return dict(to_device(arrays, self.device))
+        assert isinstance(next_observations, dict)
+        arrays |= {f"observations/{key}": part for key, part in observations.items()}
+        arrays |= {f"next_observations/{key}": part for key, part in next_observations.items()}
+        tensors: dict[str, Any] = dict(to_device(arrays, self.device))
+        for name in ("observations", "next_observations"):
+            tensors[name] = {key: tensors.pop(f"{name}/{key}") for key in observations}
+        return tensors
+
+    def _normalized_returns(
+        self, leaves: NDArray[np.int64], env: VecNormalize
+    ) -> NDArray[np.float32]:
+        """As the kernel's returns, from rewards normalized one by one; ``(n, 1)``."""
+        envs = leaves % self.n_envs
+        rows = leaves // self.n_envs
+        returns = np.zeros(leaves.shape[0])
+        running = np.ones(leaves.shape[0], dtype=bool)
+        for k in range(self.n_steps):
+            row = (rows + k) % self.buffer_size
+            rewards = env.normalize_reward(self.rewards[row, envs])
+            returns += np.where(running, self.gamma**k * rewards, 0.0)
+            running &= self.ends[row, envs] == RUNNING
+        return returns.astype(np.float32)[:, None]
+
+    def update_priorities(self, indices: NDArray[np.int64], losses: NDArray) -> None:
+        """
+        Set the priorities of drawn transitions to ``(loss + epsilon) ** alpha``.
+
+        :param indices: as the sample gave them, ``(n,)``
+        :param losses: per-sample losses or absolute errors before importance weights, ``(n,)``
+        :raises ValueError: if a loss is negative or not finite
+        """
+        n = indices.shape[0]
+        leaves, masses = np.empty(n, dtype=np.int64), np.empty(n)
+        count, largest = scale_priorities(
+            indices,
+            np.asarray(losses, dtype=np.float64),
+            self.tree.leaves,
+            self.alpha,
+            self.epsilon,
+            leaves,
+            masses,
+        )
+        if count < 0:
+            raise ValueError(
+                f"A priority must come from a finite loss >= 0, got {largest}: training has "
+                "diverged; lower the learning rate or max_grad_norm"
+            )
+        self.tree.set(leaves[:count], masses[:count])
+        self.max_priority = max(self.max_priority, largest)
+
+    def __getstate__(self) -> dict[str, Any]:
+        n_used = self.size()
+        state = self.__dict__.copy()
+        state["_store"] = self._store.trimmed_state(n_used)
+        for name in _TRIMMED:
+            if state[name] is not None:
+                state[name] = state[name][:n_used]
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._store = ObservationStore.__new__(ObservationStore)
+        self._store.restore_state(state["_store"])
+        for name in _TRIMMED:
+            used = state[name]
+            if used is not None:
+                whole = np.zeros((self.buffer_size, *used.shape[1:]), dtype=used.dtype)
+                whole[: len(used)] = used
+                setattr(self, name, whole)

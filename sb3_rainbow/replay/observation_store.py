@@ -1,0 +1,175 @@
+"""Ring of observations in which each one is stored once."""
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from sb3_rainbow.replay.kernels import gather_observations
+from sb3_rainbow.type_aliases import ObsArray
+
+# One store for plain observations, one per key for dicts.
+_PLAIN = ""
+
+Rows: TypeAlias = dict[str, NDArray]
+
+
+class ObservationStore:
+    """
+    Observations of ``n_envs`` environments in ``n_rows`` steps, whatever their space.
+
+    The observation after a step is the next row's, save in two cases, for which a growing boundary
+    store holds it: where an episode ended (autoreset replaces its last observation) and at the
+    newest step of all.
+
+    :param n_rows: steps in the ring
+    :param n_envs: environments per step
+    :param observation_space: any space that SB3 supports
+    :param obs_shape: its shape, or a dict of shapes, as SB3's buffers compute it
+    """
+
+    def __init__(
+        self,
+        n_rows: int,
+        n_envs: int,
+        observation_space: spaces.Space,
+        obs_shape: tuple[int, ...] | dict[str, tuple[int, ...]],
+    ) -> None:
+        self.n_rows = n_rows
+        self.n_envs = n_envs
+        self._layout = _layout(observation_space, obs_shape)
+        self._rows = self._zeros((n_rows, n_envs))
+        # The first n_envs slots hold the newest observations; the others, terminal observations.
+        self._boundary = self._zeros((2 * n_envs,))
+        self._free_slots = list(range(n_envs, 2 * n_envs))
+        self.slots = np.full((n_rows, n_envs), -1, dtype=np.int32)
+
+    def _zeros(self, leading: tuple[int, ...]) -> Rows:
+        return {
+            key: np.zeros(leading + shape, dtype=dtype)
+            for key, (shape, dtype) in self._layout.items()
+        }
+
+    @property
+    def rows(self) -> ObsArray:
+        """What is stored, shape ``(n_rows, n_envs, ...)``, or a dict of such."""
+        return self._rows.get(_PLAIN, self._rows)
+
+    def cast(self, obs: ObsArray) -> Rows:
+        """Observations of one step by store, shaped and typed as stored."""
+        parts = obs if isinstance(obs, dict) else {_PLAIN: obs}
+        return {
+            key: np.ascontiguousarray(parts[key], dtype=dtype).reshape(self.n_envs, *shape)
+            for key, (shape, dtype) in self._layout.items()
+        }
+
+    def interrupted(self, current: Rows) -> NDArray[np.bool_]:
+        """
+        Envs whose current observation is not the one that their last step led to, ``(n_envs,)``.
+
+        Compared as bytes, so that NaN equals NaN.
+        """
+        result = np.zeros(self.n_envs, dtype=bool)
+        for key, values in current.items():
+            heads = self._boundary[key][: self.n_envs]
+            differs = _as_bytes(values, self.n_envs) != _as_bytes(heads, self.n_envs)
+            if differs.any():
+                result |= differs.any(axis=1)
+        return result
+
+    def write(self, row: int, current: Rows, following: Rows) -> None:
+        """Store a step: the observations before it, and those it led to as the newest."""
+        for key, values in self._rows.items():
+            values[row] = current[key]
+            self._boundary[key][: self.n_envs] = following[key]
+
+    def keep_newest(self, row: int, env: int) -> None:
+        """Keep the env's newest observation as what the step in ``row`` led to."""
+        if not self._free_slots:
+            n_slots = len(next(iter(self._boundary.values())))
+            for key, values in self._boundary.items():
+                self._boundary[key] = np.concatenate([values, np.zeros_like(values)])
+            self._free_slots = list(range(n_slots, 2 * n_slots))
+        slot = self._free_slots.pop()
+        for values in self._boundary.values():
+            values[slot] = values[env]
+        self.slots[row, env] = slot
+
+    def release(self, row: int) -> None:
+        """Free the boundary slots of a row that is about to be overwritten."""
+        slots = self.slots[row]
+        taken = slots[slots >= 0]
+        if taken.size:
+            self._free_slots.extend(taken.tolist())
+            slots[:] = -1
+
+    def gather(
+        self,
+        leaves: NDArray[np.int64],
+        next_rows: NDArray[np.int64],
+        next_slots: NDArray[np.int64],
+    ) -> tuple[ObsArray, ObsArray]:
+        """
+        Observations at ``leaves``, and those ``next_slots`` (where >= 0) or ``next_rows`` name.
+
+        :return: two arrays ``(n, ...)``, or two dicts of such
+        """
+        n = leaves.shape[0]
+        current, following = self._empty(n), self._empty(n)
+        for key, values in self._rows.items():
+            gather_observations(
+                _as_bytes(values, self.n_rows * self.n_envs),
+                _as_bytes(self._boundary[key], len(self._boundary[key])),
+                leaves,
+                next_rows,
+                next_slots,
+                _as_bytes(current[key], n),
+                _as_bytes(following[key], n),
+            )
+        if _PLAIN in current:
+            return current[_PLAIN], following[_PLAIN]
+        return current, following
+
+    def _empty(self, n: int) -> Rows:
+        return {key: np.empty((n, *shape), dtype) for key, (shape, dtype) in self._layout.items()}
+
+    def trimmed_state(self, n_used: int) -> dict[str, Any]:
+        """State for pickling, without the rows from ``n_used`` on, which were never written."""
+        state = self.__dict__.copy()
+        state["_rows"] = {key: values[:n_used] for key, values in self._rows.items()}
+        state["slots"] = self.slots[:n_used]
+        return state
+
+    def restore_state(self, state: dict[str, Any]) -> None:
+        """Undo :meth:`trimmed_state`."""
+        self.__dict__.update(state)
+        trimmed, slots = self._rows, self.slots
+        self._rows = self._zeros((self.n_rows, self.n_envs))
+        for key, values in trimmed.items():
+            self._rows[key][: len(values)] = values
+        self.slots = np.full((self.n_rows, self.n_envs), -1, dtype=np.int32)
+        self.slots[: len(slots)] = slots
+
+
+def _layout(
+    space: spaces.Space, obs_shape: tuple[int, ...] | dict[str, tuple[int, ...]]
+) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+    """Shape and dtype of one observation in each store."""
+    if isinstance(space, spaces.Dict):
+        assert isinstance(obs_shape, dict)
+        return {key: (obs_shape[key], stored_dtype(part)) for key, part in space.spaces.items()}
+    assert isinstance(obs_shape, tuple)
+    return {_PLAIN: (obs_shape, stored_dtype(space))}
+
+
+def stored_dtype(space: spaces.Space) -> np.dtype:
+    """In which dtype elements of a space are kept."""
+    # The networks compute in float32: the other half of a float64 would only cost memory.
+    dtype = np.dtype(space.dtype)
+    return np.dtype(np.float32) if dtype == np.float64 else dtype
+
+
+def _as_bytes(values: NDArray, n: int) -> NDArray[np.uint8]:
+    """View of a contiguous array as ``n`` rows of bytes."""
+    return values.reshape(n, -1).view(np.uint8)

@@ -1,0 +1,168 @@
+"""Saving and loading such that a run goes on exactly as if it had never stopped."""
+
+import io
+import pathlib
+from collections.abc import Iterable
+from typing import Any, TypeVar
+
+import torch as th
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, TensorDict
+
+from sb3_rainbow.masking.masked_off_policy import MaskedOffPolicyAlgorithm
+from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
+from sb3_rainbow.resume.checkpoint import load_checkpoint, save_checkpoint
+from sb3_rainbow.resume.rng import get_rng_state, set_rng_state
+from sb3_rainbow.settings import SettingsMismatchError
+
+SelfResumable = TypeVar("SelfResumable", bound="ResumableAlgorithm")
+
+# In which a loaded replay buffer must agree with the model
+_BUFFER_SETTINGS = ("observation_space", "action_space", "n_envs", "n_steps", "gamma", "alpha")
+
+
+class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
+    """SB3's saving with the random generators, checks of what is loaded, and checkpoints."""
+
+    # What save writes, and what the next learn that goes on starts from
+    _rng_state: dict[str, Any] | None = None
+    _rng_to_resume: dict[str, Any] | None = None
+
+    def _setup_learn(
+        self,
+        total_timesteps: int,
+        callback: MaybeCallback = None,
+        reset_num_timesteps: bool = True,
+        tb_log_name: str = "run",
+        progress_bar: bool = False,
+    ) -> tuple[int, BaseCallback]:
+        rng_state, self._rng_to_resume = self._rng_to_resume, None
+        prepared = super()._setup_learn(
+            total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
+        )
+        if rng_state is not None and not reset_num_timesteps:
+            set_rng_state(rng_state, self.action_space)
+        return prepared
+
+    def save(
+        self,
+        path: str | pathlib.Path | io.BufferedIOBase,
+        exclude: Iterable[str] | None = None,
+        include: Iterable[str] | None = None,
+    ) -> None:
+        """
+        As SB3's ``save``, with the states of the random generators.
+
+        They come back into force when a loaded model goes on learning
+        (``learn(..., reset_num_timesteps=False)``), and not when it only predicts.
+        """
+        # A model that was loaded and has not learned since still stands where it was saved.
+        self._rng_state = self._rng_to_resume or get_rng_state(self.action_space)
+        try:
+            super().save(path, exclude, include)
+        finally:
+            self._rng_state = None
+
+    @classmethod
+    def load(
+        cls: type[SelfResumable],
+        path: str | pathlib.Path | io.BufferedIOBase,
+        env: GymEnv | None = None,
+        device: th.device | str = "auto",
+        custom_objects: dict[str, Any] | None = None,
+        print_system_info: bool = False,
+        force_reset: bool = True,
+        **kwargs: Any,
+    ) -> SelfResumable:
+        """As SB3's ``load``; a ``seed`` in ``kwargs`` wins over the saved random generators."""
+        model = super().load(
+            path, env, device, custom_objects, print_system_info, force_reset, **kwargs
+        )
+        saved, model._rng_state = model._rng_state, None
+        if kwargs.get("seed") is None:
+            model._rng_to_resume = saved
+        return model
+
+    def set_random_seed(self, seed: int | None = None) -> None:
+        """As SB3's ``set_random_seed``; wins over the random generators of a loaded model."""
+        super().set_random_seed(seed)
+        if seed is not None:
+            self._rng_to_resume = None
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "_rng_to_resume"]
+
+    def set_parameters(
+        self,
+        load_path_or_dict: str | TensorDict,
+        exact_match: bool = True,
+        device: th.device | str = "auto",
+    ) -> None:
+        """
+        As SB3's ``set_parameters``.
+
+        :raises SettingsMismatchError: if the parameters were saved with other settings
+        """
+        try:
+            super().set_parameters(load_path_or_dict, exact_match, device)
+        except RuntimeError as error:
+            raise SettingsMismatchError(
+                f"The checkpoint was saved with other settings than the model's: {error}"
+            ) from error
+
+    def load_replay_buffer(
+        self,
+        path: str | pathlib.Path | io.BufferedIOBase,
+        truncate_last_traj: bool = True,
+    ) -> None:
+        """
+        As SB3's ``load_replay_buffer``; the tree and all priorities come along.
+
+        :raises ValueError: if the buffer was filled with other settings; the present one stays
+        """
+        present = self.replay_buffer
+        super().load_replay_buffer(path, truncate_last_traj)
+        loaded = self.replay_buffer
+        if isinstance(present, PrioritizedReplayBuffer):
+            for name in _BUFFER_SETTINGS:
+                expected, found = getattr(present, name), getattr(loaded, name, None)
+                if expected != found:
+                    self.replay_buffer = present
+                    raise SettingsMismatchError(
+                        f"The replay buffer in {path} was filled with {name}={found}, "
+                        f"the model has {name}={expected}"
+                    )
+
+    def save_checkpoint(self, path: str | pathlib.Path) -> None:
+        """
+        Write all of the run into one file: model, optimizer, counters, random generators, replay
+        buffer with tree and open n-step windows, the state of SB3's wrappers around the ``VecEnv``,
+        and that of a ``VecEnv`` that offers ``get_state()`` itself. A ``DummyVecEnv`` of gym envs
+        does not: the wrappers around those (``TimeLimit``, ``Monitor``) could not tell theirs.
+
+        Call it between rounds of training: outside ``learn``, or in a callback's
+        ``_on_rollout_start``. In ``_on_step`` the current transition is not stored yet.
+
+        :param path: file to write; it appears whole or not at all
+        """
+        save_checkpoint(self, path)
+
+    @classmethod
+    def load_checkpoint(
+        cls: type[SelfResumable], path: str | pathlib.Path, env: GymEnv, **kwargs: Any
+    ) -> SelfResumable:
+        """
+        A model that goes on exactly where :meth:`save_checkpoint` left it::
+
+            model = Rainbow.load_checkpoint(path, env)
+            model.learn(total - model.num_timesteps, reset_num_timesteps=False)
+
+        A ``VecEnv`` without ``get_state()`` and ``set_state()`` starts new episodes instead.
+
+        :param path: file to read
+        :param env: env as at saving time
+        :param kwargs: passed to ``load``; a ``seed`` starts all random generators anew, but for
+            those in the state of the env
+        :raises ValueError: if the file is no checkpoint, or was saved with other settings
+        """
+        return load_checkpoint(cls, path, env, **kwargs)

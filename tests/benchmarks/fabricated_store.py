@@ -1,0 +1,105 @@
+"""A fabricated store whose numbers are known, for tests of tables, figures and the report."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+from benchmarks.protocol.plan import Cell, expand, settings
+from benchmarks.protocol.presets import Preset, load_preset
+from benchmarks.runs.store import Store
+
+EPISODES = 10
+SOLVED = {
+    "rainbow": 9,
+    "maskable_ppo": 9,
+    "dqn": 6,
+    "rrt_connect": 5,
+    "rrt_lattice": 8,
+    "optimum": 10,
+}
+
+
+def episode(number: int, noise: float, success: bool, moves: int) -> dict[str, object]:
+    nothing = float("nan")
+    return {
+        "episode": number,
+        "reset_seed": number,
+        "start": f"start{number}",
+        "noise": noise,
+        "success": success,
+        "holes": 2 * success,
+        "all_holes": False,
+        "singular": False,
+        "moves": 300,
+        "moves_first": moves if success else nothing,
+        "time_first": 0.2 * moves if success else nothing,
+        "time_per_hole": 6.0 if success else nothing,
+        "alignment_error": 0.5 if success else nothing,
+        "trajectory_error": 3.0 if success else nothing,
+        "collisions": number % 2,
+        "collisions_first": 0.0 if success else nothing,
+        "energy": 10.0,
+        "energy_first": 5.0 if success else nothing,
+        "failure": "" if success else "precision",
+        "plan_seconds": 0.003,
+    }
+
+
+def curve(cell: Cell) -> list[dict[str, object]]:
+    """Rows of a training of 500 steps that enters the second stage at 300."""
+    return [
+        {"timesteps": t, "episodes": t // 50, "stage": int(t >= 300), "success_20": 0.5,
+         "episode_reward": t / 10 + cell.seed, "learning_rate": 1e-3, "noise": 0.1,
+         "holes": 1.0 + 0.1 * cell.seed, "success": 0.5, "mean_max_q": 2.0, "loss": 1.0,
+         "duration": 40.0}
+        for t in range(100, 600, 100)
+    ]  # fmt: skip
+
+
+def fill(store: Store, preset: Preset, cell: Cell, solved: int, moves: int) -> None:
+    """A complete run that solves the first ``solved`` episodes (one fewer with noise)."""
+    run = store.run(cell.id)
+    run.begin(settings(preset, cell))
+    levels = preset.evaluation.noise if cell.learns else [0.0]
+    run.write_rows(
+        "episodes",
+        [
+            episode(i, noise, i < solved - (noise > 0), moves)
+            for noise in levels
+            for i in range(EPISODES)
+        ],
+    )
+    training: dict[str, Any] = {}
+    if cell.learns:
+        run.write_rows("curve", curve(cell))
+        training = {"steps_to_75": 30_000 if solved > 7 else None, "curriculum_switch": 300}
+        training |= {"singular": 2, "episodes": 500, "final_success_20": 0.9}
+    run.write_meta({
+        "cell": cell.id, "training": training, "wall_seconds": 60.0, "commit": "abc",
+        "dirty": False, "machine": {"processor": "test"},
+    })  # fmt: skip
+
+
+def make_store(
+    root: Path,
+    seeds: Sequence[int],
+    preset_name: str = "quick",
+    keep: Callable[[Cell], bool] = lambda cell: True,
+) -> Store:
+    """A store of a preset with other seeds: each method solves what ``SOLVED`` says.
+
+    A seed takes its number off what is solved, an ablation one more; ``keep`` leaves cells out.
+    """
+    preset = dataclasses.replace(load_preset(preset_name), seeds=list(seeds))
+    store = Store.open(root, preset_name, create=True)
+    with mock.patch("os.fsync"):  # half of the time, and no test needs it
+        for cell in expand(preset):
+            if cell.method == "design" or not keep(cell):
+                continue
+            solved = SOLVED[cell.method] - (cell.ablation != "full") - cell.seed
+            fill(store, preset, cell, solved, 20 if cell.method == "optimum" else 25)
+    return store

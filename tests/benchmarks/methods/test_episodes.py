@@ -1,0 +1,149 @@
+"""Test episodes: what each metric counts, common initial states, noise that repeats."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from benchmarks.evaluation.evaluate import Policy, begin_episodes, run_policy
+from benchmarks.methods.episodes import Episode, distance_to_segment, dome_frame
+from benchmarks.protocol.seeding import derive, episode_seeds
+from coop_env.env import CoopInsertionEnv
+from coop_env.simulation.task import DOME_RADIUS, HOLE_NORMALS
+
+ARGUMENTS: dict[str, Any] = {"reward": "progress", "max_moves": 40}
+COORDINATE = st.floats(-1.0, 1.0)
+POINT = st.tuples(COORDINATE, COORDINATE, COORDINATE).map(np.array)
+
+
+def random_policy(seed: int) -> Policy:
+    rng = np.random.default_rng(seed)
+
+    def act(observations: np.ndarray, masks: np.ndarray) -> np.ndarray:
+        return np.array([rng.choice(np.flatnonzero(mask)) for mask in masks])
+
+    return act
+
+
+@given(POINT, POINT, POINT)
+def test_distance_to_a_segment_is_the_least_over_its_points(
+    point: np.ndarray, start: np.ndarray, end: np.ndarray
+) -> None:
+    along = np.linspace(0.0, 1.0, 2001)[:, None]
+    least = np.linalg.norm(start + along * (end - start) - point, axis=1).min()
+    ours = distance_to_segment(point[None], start, end)[0]
+    assert ours <= least + 1e-12
+    assert ours == pytest.approx(least, abs=2e-3)
+
+
+def test_a_hole_stands_still_in_the_domes_frame() -> None:
+    env = CoopInsertionEnv(**ARGUMENTS)
+    env.reset(seed=3)
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        state = env.state
+        # the tip's offset from a mouth keeps its length, and the mouth its place, in that frame
+        for hole in range(6):
+            ours = dome_frame(env) - DOME_RADIUS * np.array(HOLE_NORMALS[hole])
+            world = state["tip"] - state["mouths"][hole]
+            assert np.linalg.norm(ours) == pytest.approx(np.linalg.norm(world), abs=1e-12)
+        if env.step(int(rng.choice(np.flatnonzero(env.action_masks()))))[2]:
+            break
+
+
+def test_counts_agree_with_the_environments_infos() -> None:
+    episode = Episode(CoopInsertionEnv(**ARGUMENTS), 0, episode_seeds(0, 1)[0])
+    rng = np.random.default_rng(1)
+    infos = []
+    while not episode.over:
+        infos.append(episode.move(int(rng.integers(12))))
+    row = episode.row()
+    assert row["moves"] == len(infos)
+    assert row["collisions"] == sum(info["collision"] for info in infos)
+    assert row["violations"] == sum(info["violation"] for info in infos)
+    assert row["energy"] == infos[-1]["energy"]
+    assert row["holes"] == infos[-1]["n_filled"]
+    total = sum(sum(info["reward_terms"].values()) for info in infos)
+    assert row["reward"] == pytest.approx(total)
+
+
+def test_an_insertion_is_measured_where_it_happens() -> None:
+    from benchmarks.methods.oracle import LatticeOracle
+
+    env = CoopInsertionEnv(reward="progress")
+    episode = Episode(env, 0, episode_seeds(0, 1)[0])
+    start, target = dome_frame(env), int(env.state["target"])
+    plan = LatticeOracle().plan(env)
+    assert plan.moves is not None
+    track = [start]
+    for move in plan.moves:
+        info = episode.move(int(move))
+        track.append(dome_frame(env))
+    row = episode.row()
+    assert row["success"]
+    assert row["moves_first"] == len(plan.moves)
+    assert row["time_first"] == pytest.approx(0.2 * len(plan.moves))
+    assert row["alignment_error"] == pytest.approx(np.degrees(info["alignment_error"]))
+    assert float(str(row["alignment_error"])) < 5.0
+    hole = DOME_RADIUS * np.array(HOLE_NORMALS[target])
+    deviation = distance_to_segment(np.array(track), start, hole)
+    assert row["trajectory_error"] == pytest.approx(1000 * np.sqrt(np.mean(deviation**2)))
+    assert np.linalg.norm(track[-1] - hole) < 0.01
+
+
+def test_initial_states_depend_on_seed_and_episode_alone() -> None:
+    def starts(seed: int, reward: str) -> list[object]:
+        arguments = {"reward": reward}
+        return [episode.row()["start"] for episode in begin_episodes(arguments, seed, 5)]
+
+    assert starts(0, "paper") == starts(0, "progress")
+    assert not set(starts(0, "progress")) & set(starts(1, "progress"))
+    assert len(set(starts(0, "progress"))) == 5
+
+
+def test_streams_of_seeds_do_not_meet() -> None:
+    streams = [
+        {derive(name, seed, k) for seed in range(5) for k in range(200)}
+        for name in ("test", "validate", "planner")
+    ]
+    assert all(len(stream) == 1000 for stream in streams)
+    assert not streams[0] & streams[1]
+    # training counts on from one seed per environment
+    trained = {derive("train", seed) + i for seed in range(5) for i in range(64)}
+    assert not streams[0] & trained
+
+
+def test_running_side_by_side_changes_nothing() -> None:
+    def tilt(observations: np.ndarray, masks: np.ndarray) -> np.ndarray:
+        # any function of one row alone
+        return np.array([int(np.flatnonzero(m)[int(1e4 * o.sum()) % m.sum()])
+                         for o, m in zip(observations, masks, strict=True)])  # fmt: skip
+
+    together = run_policy(tilt, begin_episodes(ARGUMENTS, 0, 4), 0.01, 7)
+    alone = [run_policy(tilt, [episode], 0.01, 7)[0] for episode in begin_episodes(ARGUMENTS, 0, 4)]
+    assert [repr(row) for row in together] == [repr(row) for row in alone]
+
+
+def test_noise_is_what_it_says_and_stays_in_range() -> None:
+    seen: list[np.ndarray] = []
+
+    def watch(observations: np.ndarray, masks: np.ndarray) -> np.ndarray:
+        seen.append(observations)
+        return np.array([int(np.flatnonzero(mask)[0]) for mask in masks])
+
+    run_policy(watch, begin_episodes(ARGUMENTS, 0, 3), 0.0, 7)
+    clean = np.concatenate(seen)
+    seen.clear()
+    rows = run_policy(watch, begin_episodes(ARGUMENTS, 0, 3), 0.01, 7)
+    noisy = np.concatenate(seen)
+    assert {row["noise"] for row in rows} == {0.01}
+    assert noisy.shape == clean.shape
+    assert noisy.dtype == clean.dtype
+    assert noisy.min() >= 0.0
+    assert noisy.max() <= 1.0
+    inside = (clean > 0.05) & (clean < 0.95)
+    assert (noisy - clean)[inside].std() == pytest.approx(0.01, rel=0.1)

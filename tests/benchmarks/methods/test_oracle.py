@@ -1,0 +1,194 @@
+"""The exact lattice optimum: its plans succeed, none shorter does, and infeasible means it."""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+
+import numpy as np
+import pytest
+
+from benchmarks.methods.oracle import LatticeOracle
+from coop_env import CoopInsertionEnv
+from coop_env.simulation.task import DOME_RADIUS, HOLE_NORMALS, STEP
+
+
+def executes(env: CoopInsertionEnv, moves: np.ndarray) -> bool:
+    """Whether the moves insert at the last of them and violate nothing."""
+    for i, move in enumerate(moves):
+        _, _, _, _, info = env.step(move)
+        if info["violation"]:
+            return False
+        if info["inserted"]:
+            return i == len(moves) - 1
+    return False
+
+
+@pytest.mark.parametrize("geometry", ["initial", "optimized"])
+def test_plans_insert_in_the_environment_and_leave_it_as_it_was(geometry: str) -> None:
+    env, oracle = CoopInsertionEnv(geometry=geometry), LatticeOracle()
+    solved = 0
+    for seed in range(40):
+        env.reset(seed=seed)
+        before = env.state.tobytes()
+        plan = oracle.plan(env)
+        assert env.state.tobytes() == before
+        assert plan.status in ("solved", "infeasible")
+        if plan.moves is not None:
+            solved += 1
+            assert executes(env, plan.moves)
+    assert solved >= 30
+
+
+def test_no_shorter_sequence_inserts() -> None:
+    env, oracle = CoopInsertionEnv(), LatticeOracle()
+    for seed in range(6):
+        env.reset(seed=seed)
+        plan = oracle.plan(env)
+        if plan.moves is None:
+            continue
+        for move in plan.moves[:-4]:
+            env.step(move)
+        near = env.get_state()
+        rest = oracle.plan(env)
+        assert rest.moves is not None
+        assert len(rest.moves) == 4
+        for shorter in itertools.product(range(12), repeat=3):
+            env.set_state(near)
+            inserted = False
+            for move in shorter:
+                if env.state["over"]:
+                    break
+                inserted |= env.step(move)[4]["inserted"]
+            assert not inserted
+
+
+def poses_within_reach(env: CoopInsertionEnv) -> list[np.ndarray]:
+    """Flood fill of the 3-RRS's lattice in plain Python, with the Delta held high."""
+    start = env.configuration
+    start[:3] = (0.0, 0.0, -0.27)
+    seen: set[tuple[int, ...]] = {(0, 0, 0)}
+    queue: deque[tuple[int, ...]] = deque(seen)
+    poses = []
+    while queue:
+        node = queue.popleft()
+        poses.append(start[3:] + np.array(node) * STEP[3:])
+        for axis, sign in itertools.product(range(3), (1, -1)):
+            other = tuple(n + sign * (k == axis) for k, n in enumerate(node))
+            c = start.copy()
+            c[3:] += np.array(other) * STEP[3:]
+            if other not in seen and env.configuration_status(c) == 0:
+                seen.add(other)
+                queue.append(other)
+    return poses
+
+
+def has_goal(env: CoopInsertionEnv) -> bool:
+    """Whether any reachable tilt, with any Delta lattice point, meets the criterion."""
+    start, target = env.configuration, int(env.state["target"])
+    for roll, pitch, heave in poses_within_reach(env):
+        nx, ny = np.sin(pitch), -np.sin(roll) * np.cos(pitch)
+        nz = np.cos(roll) * np.cos(pitch)
+        k = 1.0 / (1.0 + nz)
+        rotation = np.array(
+            [
+                [1 - k * nx * nx, -k * nx * ny, nx],
+                [-k * nx * ny, 1 - k * ny * ny, ny],
+                [-nx, -ny, nz],
+            ]
+        )
+        normal = rotation @ HOLE_NORMALS[target]
+        if np.arccos(normal[2]) >= np.radians(5.0):
+            continue
+        rp = env.params.rrs.platform_radius
+        centre = np.array([rp * k * (ny * ny - nx * nx) / 2, rp * k * nx * ny, heave])
+        effector = centre + DOME_RADIUS * normal + [0.0, 0.0, 0.08 - 0.85]
+        nearest = start[:3] + 0.02 * np.round((effector - start[:3]) / 0.02)
+        if np.linalg.norm(nearest - effector) < 0.010:
+            return True
+    return False
+
+
+def test_infeasible_means_that_no_lattice_point_meets_the_criterion() -> None:
+    env, oracle = CoopInsertionEnv(geometry="initial"), LatticeOracle()
+    seen = {"solved": 0, "infeasible": 0}
+    for seed in range(12):
+        env.reset(seed=seed, options={"target": 1})
+        status = oracle.plan(env).status
+        seen[status] += 1
+        assert has_goal(env) == (status == "solved")
+    assert min(seen.values()) > 0
+
+
+def test_a_peg_beside_the_dome_is_led_around_it() -> None:
+    env = CoopInsertionEnv()
+    start = {"configuration": (0.0, 0.15, -0.53, 0.0, 0.0, 0.22), "target": 4}
+    env.reset(options=start)
+    plan = LatticeOracle().plan(env)
+    assert plan.moves is not None
+    assert executes(env, plan.moves)
+    env.reset(options=start)
+    sideways_first = sorted(plan.moves, key=lambda move: move // 2 != 1)
+    assert not executes(env, np.array(sideways_first))  # that way is through the dome
+
+
+def test_a_peg_already_in_the_hole_needs_a_move() -> None:
+    env = CoopInsertionEnv()
+    env.reset(seed=0)
+    plan = LatticeOracle().plan(env)
+    assert plan.moves is not None
+    target = int(env.state["target"])
+    for move in plan.moves:
+        env.step(move)
+    env.reset(options={"configuration": env.configuration, "target": target})
+    again = LatticeOracle().plan(env)
+    assert again.moves is not None
+    assert len(again.moves) <= 2
+    assert executes(env, again.moves)
+
+
+def test_an_episode_is_planned_hole_after_hole() -> None:
+    env = CoopInsertionEnv()
+    env.reset(seed=1)
+    plans = LatticeOracle().plan_episode(env)
+    filled = 0
+    for plan in plans:
+        if plan.moves is not None:
+            assert executes(env, plan.moves)
+            filled += 1
+    assert int(env.state["filled"].sum()) == filled
+    assert filled >= 3
+
+
+def test_with_sim_to_real_knobs_the_plan_is_the_models() -> None:
+    real = CoopInsertionEnv(sim_to_real="randomized")
+    twin = CoopInsertionEnv()
+    for seed in range(5):
+        real.reset(seed=seed)
+        plan = LatticeOracle().plan(real)
+        start = {"configuration": real.configuration, "target": int(real.state["target"])}
+        twin.reset(options=start)
+        expected = LatticeOracle().plan(twin)
+        assert plan.status == expected.status
+        if expected.moves is not None:
+            np.testing.assert_array_equal(plan.moves, expected.moves)
+
+
+def test_the_paper_pose_model_is_planned_too() -> None:
+    env = CoopInsertionEnv(pose_model="paper")
+    solved = 0
+    for seed in range(10):
+        env.reset(seed=seed)
+        plan = LatticeOracle().plan(env)
+        if plan.moves is not None:
+            solved += 1
+            assert executes(env, plan.moves)
+    assert solved > 5
+
+
+def test_the_node_limit_is_told() -> None:
+    env = CoopInsertionEnv()
+    env.reset(seed=0)
+    assert LatticeOracle(node_limit=1).plan(env).status == "node_limit"
+    with pytest.raises(ValueError, match="node_limit = 0"):
+        LatticeOracle(node_limit=0)

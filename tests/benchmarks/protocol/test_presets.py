@@ -1,0 +1,177 @@
+"""Presets are strict: whatever a file gets wrong is named, with the file and what is known."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.plan import ABLATIONS, GEOMETRIES, expand, find, settings
+from benchmarks.protocol.presets import PRESETS, load_preset, parse_preset, preset_names
+
+
+def smoke() -> dict[str, Any]:
+    data: dict[str, Any] = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
+    return data
+
+
+@pytest.mark.parametrize("name", ["smoke", "quick", "paper"])
+def test_shipped_presets_expand_to_cells_with_unique_folders(name: str) -> None:
+    cells = expand(load_preset(name))
+    assert len({cell.id for cell in cells}) == len(cells) > 0
+    assert name in preset_names()
+
+
+def test_the_quick_preset_fills_every_row_of_the_papers_tables() -> None:
+    ids = {cell.id for cell in expand(load_preset("quick"))}
+    wanted = {f"rainbow-{a}-optimized-tuned-s0" for a in ABLATIONS if a != "full"}
+    wanted |= {"rainbow-optimized-tuned-s0", "rainbow-initial-tuned-s0", "dqn-optimized-tuned-s0"}
+    wanted |= {"rrt_connect-optimized-s0", "optimum-optimized-s0", "optimum-initial-s0", "design"}
+    assert wanted <= ids
+
+
+def test_the_paper_preset_has_the_papers_protocol_and_hyperparameters() -> None:
+    preset = load_preset("paper")
+    assert len(preset.seeds) == 5
+    assert preset.evaluation.episodes == 100
+    whole = parse_preset(
+        smoke() | {"tracks": {"tuned": None, "printed": None}}, "mine", "mine.yaml"
+    )
+    track, cut = whole.tracks["printed"], preset.tracks["printed"]
+    assert dataclasses.replace(track, timesteps=cut.timesteps) == cut
+    h = track.hyperparameters
+    assert (track.reward, track.timesteps) == ("paper", 1_500_000)
+    assert (h.learning_rate, h.weight_decay, h.max_grad_norm, h.gamma) == (1e-4, 1e-5, 5.0, 0.99)
+    assert (h.n_steps, h.buffer_size, h.alpha, h.beta_start, h.beta_end) == (3, 10**6, 0.6, 0.4, 1)
+    assert (h.batch_size, h.tau, h.n_atoms, h.v_min, h.v_max) == (64, 1e-3, 51, -10.0, 200.0)
+    assert (track.curriculum.threshold, track.curriculum.window) == (0.75, 20)
+    assert (h.epsilon_start, h.epsilon_end, h.epsilon_steps) == (1.0, 0.05, 10_000)
+
+
+def test_geometries_and_rewards_are_those_of_the_task() -> None:
+    from coop_env.geometry import GEOMETRIES as KNOWN
+    from coop_env.simulation.rewards import make_reward
+
+    assert set(GEOMETRIES) == set(KNOWN)
+    for track in load_preset("paper").tracks.values():
+        make_reward(track.reward, dict(track.reward_kwargs))
+
+
+@pytest.mark.parametrize(
+    ("path", "key"),
+    [
+        ((), "sedes"),
+        (("evaluation",), "episode"),
+        (("tracks", "tuned"), "timestep"),
+        (("tracks", "tuned", "hyperparameters"), "learnin_rate"),
+        (("runs", 0), "method"),
+    ],
+)
+def test_an_unknown_key_is_named_with_the_file_and_the_known_ones(
+    path: tuple[Any, ...], key: str
+) -> None:
+    data = smoke()
+    place: Any = data
+    for step in path:
+        place = place[step]
+    place[key] = 1
+    with pytest.raises(BenchmarkError) as error:
+        parse_preset(data, "mine", "mine.yaml")
+    message = str(error.value)
+    assert f"'{key}'" in message
+    assert "mine.yaml" in message
+    assert "known keys" in message
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"seeds": []}, "seeds"),
+        ({"seeds": [1, 1]}, "seeds"),
+        ({"seeds": "0"}, "expected a list"),
+        ({"evaluation": {"episodes": 0}}, "episodes"),
+        ({"evaluation": {"episodes": True}}, "expected int"),
+        ({"evaluation": {"episodes": 1, "noise": [0.1]}}, "noise"),
+        ({"checkpoint_seconds": "soon"}, "checkpoint_seconds"),
+        ({"name": "other"}, "name"),
+        ({"geometries": {"mine": {"base_radius": 0.1, "proximal_length": 0.1}}}, "mine"),
+        (
+            {
+                "geometries": {
+                    "mine": {"base_radius": 0.1, "proximal_length": 0.1, "platform_radius": 0.2}
+                }
+            },
+            "lambda3",
+        ),
+    ],
+)
+def test_an_impossible_value_is_refused(change: dict[str, Any], word: str) -> None:
+    with pytest.raises(BenchmarkError, match=word):
+        parse_preset(smoke() | change, "mine", "mine.yaml")
+
+
+@pytest.mark.parametrize(
+    ("group", "word"),
+    [
+        ({"methods": ["ppo"], "tracks": ["tuned"]}, "unknown method 'ppo'"),
+        ({"methods": ["rainbow"], "tracks": ["best"]}, "unknown track 'best'"),
+        ({"methods": ["rainbow"]}, "needs a track"),
+        ({"methods": ["optimum"], "tracks": ["tuned"]}, "takes no track"),
+        ({"methods": ["dqn"], "tracks": ["tuned"], "ablations": ["no_noisy"]}, "only rainbow"),
+        ({"methods": ["rainbow"], "tracks": ["tuned"], "ablations": ["no_luck"]}, "no_luck"),
+        ({"methods": ["optimum"], "geometries": ["round"]}, "unknown geometry 'round'"),
+    ],
+)
+def test_an_impossible_cell_is_refused(group: dict[str, Any], word: str) -> None:
+    preset = parse_preset(smoke() | {"runs": [group]}, "mine", "mine.yaml")
+    with pytest.raises(BenchmarkError, match=word):
+        expand(preset)
+
+
+def test_a_geometry_of_ones_own_reaches_the_runs_settings() -> None:
+    sizes = {"base_radius": 0.18, "proximal_length": 0.1, "platform_radius": 0.11}
+    runs = [{"methods": ["optimum"], "geometries": ["mine"]}]
+    preset = parse_preset(smoke() | {"geometries": {"mine": sizes}, "runs": runs}, "p", "p.yaml")
+    (cell,) = expand(preset)
+    assert settings(preset, cell)["dimensions"] == sizes
+
+
+def test_unknown_presets_and_cells_list_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(BenchmarkError, match="paper, quick, smoke"):
+        load_preset("fast")
+    with pytest.raises(BenchmarkError, match="unknown preset '_tracks'"):
+        load_preset("_tracks")
+    with pytest.raises(BenchmarkError, match="rainbow-optimized-tuned-s0"):
+        find(load_preset("smoke"), "rainbow-s9")
+    broken = tmp_path / "broken.yaml"
+    broken.write_text("seeds: [", encoding="utf-8")
+    with pytest.raises(BenchmarkError, match="not valid YAML"):
+        load_preset(str(broken))
+
+
+def test_each_ablation_switches_one_component_and_no_other() -> None:
+    preset = load_preset("quick")
+    for cell in expand(preset):
+        if cell.method == "rainbow":
+            switches = settings(preset, cell)["switches"]
+            assert len(switches) == {"full": 0, "none": 6}.get(cell.ablation, 1)
+
+
+def test_a_track_may_vary_another() -> None:
+    presets = load_preset("attempts").tracks
+    tuned = load_preset("paper").tracks["tuned"]
+    assert presets["undo"].mask_visited == 1
+    same: dict[str, Any] = {
+        "mask_visited": 64,
+        "timesteps": tuned.timesteps,
+        "description": tuned.description,
+    }
+    assert dataclasses.replace(presets["undo"], **same) == tuned
+    data = smoke()
+    data["tracks"] = {"mine": {"base": "tunde"}}
+    with pytest.raises(BenchmarkError, match="unknown base 'tunde'"):
+        parse_preset(data, "mine", "mine.yaml")

@@ -1,0 +1,247 @@
+"""Statistics against scipy, rliable's definition and closed forms."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import sys
+import types
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.stats
+from hypothesis import given
+from hypothesis import strategies as st
+from rliable import metrics as rliable_metrics
+
+from benchmarks.reporting import stats
+
+MATRICES = st.tuples(st.integers(2, 6), st.integers(1, 4), st.integers(0, 2**16)).map(
+    # rounded, so that ties happen
+    lambda key: np.random.default_rng(key[2]).integers(0, 6, key[:2]) / 4.0
+)
+SAMPLES = st.lists(st.floats(-100, 100), min_size=3, max_size=30)
+
+
+@given(st.integers(1, 300).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
+def test_wilsons_interval_is_scipys(counts: tuple[int, int]) -> None:
+    successes, trials = counts
+    theirs = scipy.stats.binomtest(successes, trials).proportion_ci(0.95, "wilson")
+    assert stats.wilson(successes, trials) == pytest.approx((theirs.low, theirs.high), abs=1e-12)
+
+
+def test_wilson_of_no_trials_is_nothing() -> None:
+    assert all(math.isnan(end) for end in stats.wilson(0, 0))
+
+
+def test_the_paired_test_is_scipys_and_leaves_out_missing_pairs() -> None:
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=40), rng.normal(0.5, 1.0, size=40)
+    theirs = scipy.stats.ttest_rel(a, b)
+    ours = stats.paired_t_test(np.append(a, np.nan), np.append(b, 1.0))
+    assert (ours.t, ours.p) == pytest.approx((theirs.statistic, theirs.pvalue))
+    assert ours.n == 40
+    assert ours.effect == pytest.approx((a - b).mean() / (a - b).std(ddof=1))
+
+
+def test_the_paired_test_of_equal_and_of_shifted_samples() -> None:
+    same = stats.paired_t_test([1.0, 2.0], [1.0, 2.0])
+    assert (same.difference, same.p) == (0.0, 1.0)
+    shifted = stats.paired_t_test([2.0, 3.0], [1.0, 2.0])
+    assert shifted.difference == 1.0
+    assert math.isnan(shifted.p)
+    with pytest.raises(ValueError, match="one shape"):
+        stats.paired_t_test([1.0], [1.0, 2.0])
+
+
+def test_holm_by_hand() -> None:
+    # 0.01 x 3, then max(0.03, 0.02 x 2), then max(0.04, 0.5 x 1); a missing one does not count
+    assert stats.holm([0.02, 0.5, math.nan, 0.01]) == pytest.approx(
+        [0.04, 0.5, math.nan, 0.03], nan_ok=True
+    )
+    assert stats.holm([0.9, 0.8]) == [1.0, 1.0]
+
+
+@given(SAMPLES)
+def test_the_interquartile_mean_is_rliables(scores: list[float]) -> None:
+    array = np.array(scores)[:, None]
+    assert stats.interquartile_mean(array) == pytest.approx(
+        float(rliable_metrics.aggregate_iqm(array))
+    )
+
+
+def test_the_bootstrap_of_two_runs_is_its_exact_distribution() -> None:
+    # means of two draws from {0, 1}: 0, 1/2, 1 with 1/4, 1/2, 1/4
+    low, high = stats.stratified_bootstrap([[0.0], [1.0]], stats.means)
+    assert (low, high) == (0.0, 1.0)
+    low, high = stats.stratified_bootstrap([[0.0], [1.0]], stats.means, confidence=0.4)
+    assert (low, high) == (0.5, 0.5)
+
+
+def test_the_bootstrap_keeps_each_task_to_its_own_runs() -> None:
+    # task 0 is always 0, task 1 always 10: no resample may mix them
+    scores = np.array([[0.0, 10.0], [0.0, 10.0], [0.0, 10.0]])
+    seen: list[stats.Array] = []
+
+    def keep(samples: stats.Array) -> stats.Array:
+        seen.append(samples)
+        return stats.means(samples)
+
+    stats.stratified_bootstrap(scores, keep, repetitions=50)
+    (samples,) = seen
+    assert samples.shape == (50, 3, 2)
+    assert (samples[..., 0] == 0.0).all()
+    assert (samples[..., 1] == 10.0).all()
+
+
+def test_the_bootstrap_covers_a_known_mean_about_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(1)
+    hits = 0
+    for _ in range(200):
+        low, high = stats.stratified_bootstrap(
+            rng.normal(size=(40, 1)), stats.means, repetitions=200
+        )
+        hits += low <= 0.0 <= high
+    assert 0.88 <= hits / 200 <= 0.99
+
+
+def test_the_bootstrap_repeats_and_needs_two_runs() -> None:
+    scores = np.random.default_rng(2).normal(size=(5, 1))
+    assert stats.stratified_bootstrap(scores) == stats.stratified_bootstrap(scores)
+    assert all(math.isnan(end) for end in stats.stratified_bootstrap([[1.0]]))
+    with pytest.raises(ValueError, match="shape"):
+        stats.stratified_bootstrap([1.0, 2.0])
+
+
+@given(SAMPLES)
+def test_over_seeds_is_numpys(values: list[float]) -> None:
+    value = stats.over_seeds([*values, math.nan])
+    assert value.mean == pytest.approx(np.mean(values), abs=1e-9)
+    assert value.std == pytest.approx(np.std(values, ddof=1), abs=1e-9)
+    assert value.n == len(values)
+
+
+def test_one_seed_has_no_spread_and_nothing_is_a_dash() -> None:
+    assert stats.over_seeds([3.0]).text(1) == "3.0"
+    assert stats.over_seeds([1.0, 3.0]).text(1) == "2.0 ± 1.4"
+    assert stats.over_seeds([math.nan]).text(1) == "-"
+
+
+@given(SAMPLES, st.integers(1, 12))
+def test_the_moving_average_is_the_mean_of_the_last(values: list[float], window: int) -> None:
+    ours = stats.moving_average(values, window)
+    theirs = [np.mean(values[max(0, i + 1 - window) : i + 1]) for i in range(len(values))]
+    assert ours == pytest.approx(theirs, abs=1e-6)
+
+
+def test_probability_of_improvement_is_mann_whitneys() -> None:
+    rng = np.random.default_rng(3)
+    a, b = rng.integers(0, 5, 12).astype(float), rng.integers(1, 6, 9).astype(float)
+    theirs = scipy.stats.mannwhitneyu(a, b).statistic / (12 * 9)
+    assert stats.probability_of_improvement(a, b) == pytest.approx(theirs)
+
+
+@pytest.fixture
+def rliable_library(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """rliable's library without arch, which does not import beside pandas 3.
+
+    Only its classes for drawing need arch; what is compared here is plain numpy.
+    """
+    stub = types.ModuleType("arch.bootstrap")
+    stub.IIDBootstrap = stub.IndependentSamplesBootstrap = object  # type: ignore[attr-defined]
+    package = types.ModuleType("arch")
+    package.bootstrap = stub  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "arch", package)
+    monkeypatch.setitem(sys.modules, "arch.bootstrap", stub)
+    monkeypatch.delitem(sys.modules, "rliable.library", raising=False)
+    yield importlib.import_module("rliable.library")
+    sys.modules.pop("rliable.library", None)
+
+
+@given(MATRICES)
+def test_aggregates_are_rliables(scores: np.ndarray) -> None:
+    (mean,), (gap,) = (f(scores[None]) for f in (stats.means, stats.optimality_gaps))
+    assert mean == pytest.approx(rliable_metrics.aggregate_mean(scores))
+    assert gap == pytest.approx(rliable_metrics.aggregate_optimality_gap(scores))
+
+
+@given(MATRICES, st.integers(0, 99))
+def test_probability_of_improvement_over_tasks_is_rliables(scores: np.ndarray, seed: int) -> None:
+    shape = (4, scores.shape[1])
+    other = np.random.default_rng(seed).integers(0, 6, shape) / 4.0
+    theirs = float(rliable_metrics.probability_of_improvement(scores, other))
+    assert stats.probability_of_improvement(scores, other) == pytest.approx(theirs)
+
+
+def test_performance_profiles_are_rliables(rliable_library: Any) -> None:
+    rng = np.random.default_rng(5)
+    scores = rng.integers(0, 7, (5, 3)) / 6.0
+    tau = np.linspace(0.0, 1.0, 13)
+    theirs = rliable_library.score_distributions(scores, tau)
+    assert stats.performance_profile(scores, tau) == pytest.approx(theirs)
+    # rows of equal length: the mean of the seeds' profiles is the profile of all scores
+    mean, low, high = stats.profile_over_seeds(list(scores), tau)
+    assert mean == pytest.approx(theirs)
+    assert (low <= mean + 1e-12).all()
+    assert (mean <= high + 1e-12).all()
+    assert (high - low).max() > 0.0
+
+
+def test_one_seed_has_a_profile_but_no_band() -> None:
+    mean, low, _ = stats.profile_over_seeds([[0.0, 0.5, 1.0]], [0.0, 0.5, 1.0])
+    assert mean == pytest.approx([2 / 3, 1 / 3, 0.0])
+    assert np.isnan(low).all()
+
+
+def test_a_clear_improvement_is_certain_and_equals_are_even() -> None:
+    high, low = np.array([[3.0], [4.0], [5.0]]), np.array([[0.0], [1.0]])
+    assert stats.probability_of_improvement(high, low) == 1.0
+    assert stats.improvement_interval(high, low) == (1.0, 1.0)
+    assert stats.improvement_interval(low, high) == (0.0, 0.0)
+    rng = np.random.default_rng(6)
+    same = rng.normal(size=(30, 2))
+    low_end, high_end = stats.improvement_interval(same, same)
+    assert low_end < 0.5 < high_end
+    assert all(math.isnan(end) for end in stats.improvement_interval(high, low[:1]))
+
+
+def test_the_t_interval_is_scipys() -> None:
+    data = np.random.default_rng(7).normal(size=10)
+    theirs = scipy.stats.t.interval(0.95, 9, data.mean(), scipy.stats.sem(data))
+    ours = stats.t_interval(float(data.mean()), float(data.std(ddof=1)), 10)
+    assert ours == pytest.approx(theirs)
+    assert all(math.isnan(end) for end in stats.t_interval(1.0, math.nan, 1))
+
+
+def test_the_bootstrap_interval_of_a_mean_leaves_out_what_is_missing() -> None:
+    data = np.random.default_rng(8).normal(size=200)
+    low, high = stats.mean_interval(np.append(data, math.nan))
+    half = 1.96 * data.std(ddof=1) / math.sqrt(200)
+    assert (low, high) == pytest.approx((data.mean() - half, data.mean() + half), abs=0.03)
+    assert stats.mean_interval([2.0, 2.0, 2.0]) == (2.0, 2.0)
+    assert all(math.isnan(end) for end in stats.mean_interval([1.0, math.nan]))
+
+
+@given(SAMPLES, st.integers(1, 12), st.integers(0, 99))
+def test_a_moving_average_of_averages_holds_enough_observations(
+    values: list[float], window: int, seed: int
+) -> None:
+    counts = np.random.default_rng(seed).integers(1, 5, len(values))
+    ours = stats.moving_average(values, window, counts)
+    for i, smooth in enumerate(ours):
+        start = i
+        while counts[start : i + 1].sum() < window and start > 0:
+            start -= 1
+        theirs = np.average(values[start : i + 1], weights=counts[start : i + 1])
+        assert smooth == pytest.approx(theirs, abs=1e-6)
+
+
+def test_a_band_over_whole_curves() -> None:
+    curves = np.array([[0.0, 10.0], [1.0, 10.0]])
+    mean, low, high = stats.mean_band(curves)
+    assert mean == pytest.approx([0.5, 10.0])
+    # two of two curves: 0, 1/2 or 1, each end with 1/4
+    assert low == pytest.approx([0.0, 10.0])
+    assert high == pytest.approx([1.0, 10.0])
+    assert np.isnan(stats.mean_band(curves[:1])[1]).all()

@@ -1,0 +1,308 @@
+"""``verify``: green on the committed results, red after one digit anywhere."""
+
+from __future__ import annotations
+
+import random
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from benchmarks.__main__ import main
+from benchmarks.reporting.pages.includes import included, rewrite_all
+from benchmarks.reporting.pages.readme import BEGIN, END, rewrite
+from benchmarks.reporting.tables.paper import build_tables
+from benchmarks.reporting.verify import (
+    check_classic,
+    check_design,
+    check_runs,
+    check_search,
+    check_tables,
+    verify,
+    verify_all,
+)
+from benchmarks.runs.store import RunFolder, Store
+from benchmarks.studies.design.docs import BLOCKS
+
+ROOT = Path(__file__).resolve().parents[3]
+RESULTS = ROOT / "results"
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """The committed quick results, README about them, and docs; no pictures, no working files."""
+    unneeded = shutil.ignore_patterns("*.zip", "figures", "checkpoint", "tensorboard", "*.lock")
+    for name in ("quick", "design"):
+        shutil.copytree(RESULTS / name, tmp_path / "results" / name, ignore=unneeded)
+    shutil.copytree(ROOT / "docs", tmp_path / "docs")
+    shutil.copy(ROOT / "README.md", tmp_path)
+    for page in (tmp_path / "README.md", *(tmp_path / "docs").iterdir()):
+        for name in included(page.read_text(encoding="utf-8")):
+            (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, tmp_path / name)
+    rewrite(tmp_path / "README.md", Store.open(tmp_path / "results", "quick"))
+    return tmp_path
+
+
+def words(folder: Path) -> list[str]:
+    places = {"--results": "results", "--readme": "README.md", "--docs": "docs"}
+    return ["verify", *(text for k, v in places.items() for text in (k, str(folder / v)))]
+
+
+def learners(store: Store) -> list[RunFolder]:
+    return [run for run in store.completed() if run.has_rows("curve")]
+
+
+def planners(store: Store) -> list[RunFolder]:
+    runs = [run for run in store.completed() if run.has_rows("episodes")]
+    return [run for run in runs if not run.has_rows("curve")]
+
+
+def change_digit(path: Path, rng: random.Random, begin: str = "", end: str = "") -> int:
+    """Change one digit of a number between two marks; returns its line, counted from 1."""
+    text = path.read_text(encoding="utf-8")
+    first = text.index(begin) + len(begin)
+    last = text.index(end, first) if end else len(text)
+    # digits that stand in a number of a table, not in a heading's marker
+    places = [m.start() for m in re.finditer(r"\d", text[first:last])]
+    place = first + rng.choice(places)
+    digit = rng.choice([d for d in "0123456789" if d != text[place]])
+    path.write_text(text[:place] + digit + text[place + 1 :], encoding="utf-8")
+    return text[:place].count("\n") + 1
+
+
+def test_the_committed_results_are_what_their_episodes_say(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    code = main(words(ROOT))
+    out, err = capsys.readouterr()
+    assert code == 0, err
+    for name in sorted(path.parent.name for path in RESULTS.glob("*/store.json")):
+        assert f"{RESULTS / name}: tables of" in out
+    assert f"{ROOT / 'README.md'}: its results" in out
+    assert f"{RESULTS / 'design'}: table, and its blocks" in out
+
+
+def test_one_digit_of_any_table_is_seen(copy: Path) -> None:
+    store = Store.open(copy / "results", "quick")
+    rng = random.Random(0)
+    tables = sorted(store.tables.iterdir())
+    assert len(tables) >= 21
+    wanted = build_tables(store)
+    for path in tables:
+        kept = path.read_bytes()
+        line = change_digit(path, rng)
+        (problem,) = check_tables(store.tables, wanted)
+        assert problem.startswith(f"{path} differs from the stored episodes (line {line}: stored ")
+        path.write_bytes(kept)
+    assert verify(store) == []
+
+
+def test_one_digit_of_the_readme_is_seen(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    readme = copy / "README.md"
+    rng = random.Random(1)
+    for _ in range(4):
+        kept = readme.read_bytes()
+        line = change_digit(readme, rng, BEGIN, END)
+        assert main(words(copy)) == 1
+        err = capsys.readouterr().err
+        assert f"{readme} differs from the stored episodes (line {line}: stored " in err
+        assert "1 difference found" in err
+        readme.write_bytes(kept)
+    assert main(words(copy)) == 0
+
+
+def test_text_outside_the_readmes_block_is_free(copy: Path) -> None:
+    readme = copy / "README.md"
+    text = readme.read_text(encoding="utf-8")
+    assert text.count(BEGIN) == text.count(END) == 1
+    readme.write_text("1 2 3\n" + text + "4 5 6\n", encoding="utf-8")
+    assert main(words(copy)) == 0
+
+
+def blocks() -> Iterator[tuple[str, str]]:
+    for path in sorted((ROOT / "docs").glob("*.md")):
+        text = path.read_text(encoding="utf-8")
+        for name in BLOCKS:
+            if f"<!-- {name}:begin" in text:
+                yield path.name, name
+
+
+def test_one_digit_of_any_generated_block_of_the_docs_is_seen(copy: Path) -> None:
+    rng = random.Random(2)
+    found = list(blocks())
+    assert len(found) >= 10
+    for page, name in found:
+        path = copy / "docs" / page
+        kept = path.read_bytes()
+        line = change_digit(path, rng, f"<!-- {name}:begin", f"<!-- {name}:end")
+        (problem,) = check_design(copy / "results", copy / "docs")
+        assert problem.startswith(f"{path} differs from the data in")
+        assert f"(line {line}: stored" in problem
+        path.write_bytes(kept)
+
+
+def test_the_designs_table_must_follow_from_its_runs(copy: Path) -> None:
+    path = copy / "results" / "design" / "runs.csv"
+    runs = pd.read_csv(path)
+    runs.assign(a_w=runs["a_w"] + 0.01).to_csv(path, index=False)
+    (problem,) = check_design(copy / "results", copy / "docs")
+    wanted = runs["a_w"].mean() + 0.01
+    assert f"as the optimized workspace, the mean of runs.csv is {wanted:.7g}" in problem
+
+
+def test_an_episode_that_changed_makes_the_tables_disagree(copy: Path) -> None:
+    store = Store.open(copy / "results", "quick")
+    run = learners(store)[0]
+    rows = run.rows("episodes")
+    rows["success"] = [1 - rows["success"][0], *rows["success"][1:]]
+    rows.to_csv(run.path / "episodes.csv", index=False)
+    names = " ".join(verify(store))
+    for table in ("performance", "robustness"):
+        assert f"{table}.md differs" in names
+
+
+def test_rows_that_are_not_the_test_episodes_are_named(copy: Path) -> None:
+    store = Store.open(copy / "results", "quick")
+    assert check_runs(store) == []
+    path = planners(store)[-1].path / "episodes.csv"
+    text = path.read_text(encoding="utf-8")
+    lines = text.splitlines(keepends=True)
+
+    def problem(changed: str) -> str:
+        path.write_text(changed, encoding="utf-8")
+        (found,) = check_runs(store)
+        path.write_text(text, encoding="utf-8")
+        return found
+
+    assert "rows at noise 0, not one for each" in problem("".join(lines[:5] + lines[6:]))
+    number, seed, start, rest = lines[1].split(",", 3)
+    assert "other than the test seeds" in problem(
+        "".join([lines[0], f"{number},{int(seed) + 1},{start},{rest}", *lines[2:]])
+    )
+    assert f"of seed {seed} began at" in problem(
+        "".join([lines[0], f"{number},{seed},0000000000,{rest}", *lines[2:]])
+    )
+    learner = learners(store)[0]
+    rows = learner.rows("episodes")
+    rows[rows["noise"] == 0.0].to_csv(learner.path / "episodes.csv", index=False)
+    (found,) = check_runs(store)
+    assert "episodes.csv has noise [0.0], not [0.0, " in found
+
+
+def test_a_damaged_or_foreign_run_is_named(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store = Store.open(copy / "results", "quick")
+    run = learners(store)[0].path
+    for name, text, message in (
+        ("meta.json", '{"schema": 99}', "has results schema 99, this version reads 1"),
+        ("meta.json", "{", "cannot be read"),
+        ("meta.json", "[]", "cannot be read (no mapping)"),
+        ("config.yaml", "cell: [", "cannot be read"),
+        ("config.yaml", "{}", "lacks 'cell'"),
+        ("episodes.csv", "", "cannot be read"),
+    ):
+        kept = (run / name).read_bytes()
+        (run / name).write_text(text, encoding="utf-8")
+        assert main(words(copy)) == 1
+        err = capsys.readouterr().err
+        assert str(run) in err
+        assert message in err
+        (run / name).write_bytes(kept)
+    run.rename(run.with_name("aaa"))
+    (problem,) = check_runs(store)
+    assert f"holds the run '{run.name}'" in problem
+
+
+def test_a_table_that_nothing_makes_is_named(copy: Path) -> None:
+    store = Store.open(copy / "results", "quick")
+    (store.tables / "old.md").write_text("95", encoding="utf-8")
+    (store.tables / "ablation.csv").unlink()
+    missing, old = verify(store)
+    assert "ablation.csv is missing" in missing
+    assert "old.md is made by no table" in old
+
+
+def test_the_readme_is_rewritten_for_the_preset_that_it_shows(copy: Path) -> None:
+    readme = copy / "README.md"
+    before = readme.read_bytes()
+    change_digit(readme, random.Random(0), BEGIN, END)
+    assert readme.read_bytes() != before
+    places = ["--results", str(copy / "results"), "--readme", str(readme)]
+    assert main(["readme", *places]) == 0
+    assert readme.read_bytes() == before
+
+
+def test_a_readme_without_its_results_is_named(copy: Path) -> None:
+    shutil.move(copy / "results" / "quick", copy / "results" / "slow")
+    report = verify_all(copy / "results", [], copy / "README.md", copy / "docs")
+    assert any("shows preset 'quick', but" in problem for problem in report.problems)
+
+
+def test_nothing_to_verify_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words(tmp_path)) == 2
+    assert "has no results" in capsys.readouterr().err
+
+
+def test_a_search_s_table_must_follow_from_its_validation_episodes(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    from benchmarks.studies.tuning.study import Configuration, Search
+    from benchmarks.studies.tuning.tune import results_table
+
+    study = RunFolder(tmp_path / "tune" / "mine")
+    study.begin({"search": {"sampler": "grid", "seeds": 1}})
+    search = Search(study.path, "grid", None)
+    frozen = search.ask()
+    assert frozen is not None
+    run = RunFolder(study.path / "runs" / f"{Configuration.of(frozen).id}-s1000")
+    run.write_rows("validation", [{"success": int(i < 3), "holes": 1} for i in range(4)])
+    run.write_meta({"training": {"steps_to_75": None}})
+    search.tell(frozen, 75.0)
+    results_table(search, study.path, 1, "Search").write(study.path)
+    assert check_search(study.path) == []
+    line = change_digit(study.path / "search.md", random.Random(3), "| ")
+    (problem,) = check_search(study.path)
+    assert f"search.md differs from the stored episodes (line {line}" in problem
+
+
+def test_the_classic_tables_must_follow_from_their_runs(tmp_path: Path) -> None:
+    from benchmarks.studies.classic import docs as block
+    from benchmarks.studies.classic.presets import load_preset
+    from benchmarks.studies.classic.results import Results
+    from benchmarks.studies.classic.tables import build_tables
+
+    store = Store.open(tmp_path / "results" / "classic", "quick", create=True)
+    classic = Results(load_preset("quick"), store)  # no run yet: dashes, and the settings
+    for table in build_tables(classic):
+        table.write(store.tables)
+    page = tmp_path / "docs" / "rainbow.md"
+    page.parent.mkdir()
+    page.write_text(f"{block.begin('quick')}\n{block.END}\n", encoding="utf-8")
+    (problem,) = check_classic(store.folder, page.parent)
+    assert problem.startswith(f"{page} differs from the runs in")
+    block.write(page, classic, "../results/classic/quick")
+    assert check_classic(store.folder, page.parent) == []
+    change_digit(store.tables / "settings.md", random.Random(4))
+    (problem,) = check_classic(store.folder, page.parent)
+    assert "settings.md differs" in problem
+
+
+def test_an_included_file_that_changed_is_seen(
+    copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part = copy / "results" / "audit" / "part.md"
+    part.parent.mkdir(exist_ok=True)
+    part.write_text("95 %\n", encoding="utf-8")
+    page = copy / "docs" / "more.md"
+    begin = "<!-- include:begin results/audit/part.md (written by: python -m benchmarks readme) -->"
+    page.write_text(f"{begin}\n<!-- include:end -->\n", encoding="utf-8")
+    rewrite_all(page.parent, copy / "results")
+    assert main(words(copy)) == 0
+    part.write_text("96 %\n", encoding="utf-8")
+    assert main(words(copy)) == 1
+    assert f"{page} differs from the files that it includes" in capsys.readouterr().err
+    part.unlink()
+    assert main(words(copy)) == 1
+    assert "which is no file of" in capsys.readouterr().err

@@ -1,0 +1,90 @@
+"""What ``plan`` says of cost: measured where something like it ran, and how long it takes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from benchmarks.__main__ import main
+from benchmarks.protocol.plan import Cell, expand, settings, work_units
+from benchmarks.protocol.presets import PRESETS, Preset, parse_preset
+from benchmarks.runs.costs import GUESSED_RATE, Cost, costs, duration, wall_seconds
+from benchmarks.runs.store import Store
+
+
+def make(name: str, timesteps: int, **more: Any) -> Preset:
+    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
+    data["tracks"]["tuned"]["timesteps"] = timesteps
+    return parse_preset(data | more, name, name)
+
+
+def complete(store: Store, preset: Preset, method: str, seconds: float) -> None:
+    cell = next(cell for cell in expand(preset) if cell.method == method)
+    run = store.run(cell.id)
+    run.begin(settings(preset, cell))
+    run.write_meta({"wall_seconds": seconds})
+    run.policy.write_bytes(b"weights")
+
+
+def test_cost_comes_from_the_nearest_runs(tmp_path: Path) -> None:
+    preset, other = make("mine", 1000, seeds=[0, 1]), make("other", 500)
+    store = Store.open(tmp_path, "mine", create=True)
+    elsewhere = Store.open(tmp_path, "other", create=True)
+    complete(store, preset, "rainbow", 20.0)
+    complete(elsewhere, other, "rainbow", 999.0)  # the preset's own run counts
+    complete(elsewhere, other, "dqn", 5.0)
+    store.run("dqn-optimized-tuned-s1").write_progress(0.25, "")
+    found = {cost.cell.id: cost for cost in costs(preset, store, [elsewhere])}
+    assert found["rainbow-optimized-tuned-s0"].state == "complete"
+    assert found["rainbow-optimized-tuned-s0"].seconds == 20.0
+    assert found["rainbow-optimized-tuned-s1"].seconds == pytest.approx(20.0)
+    assert found["dqn-optimized-tuned-s0"].seconds == pytest.approx(10.0)  # twice the steps
+    assert found["dqn-optimized-tuned-s1"].seconds == pytest.approx(7.5)
+    assert found["dqn-optimized-tuned-s1"].state == "25 %"
+    guessed = found["optimum-optimized-s0"]
+    assert guessed.guessed
+    assert guessed.seconds == pytest.approx(GUESSED_RATE * work_units(preset, guessed.cell))
+
+
+def test_runs_of_another_version_are_no_measure(tmp_path: Path) -> None:
+    preset, other = make("mine", 1000), make("other", 500)
+    store = Store.open(tmp_path, "mine", create=True)
+    elsewhere = Store.open(tmp_path, "other", create=True)
+    complete(elsewhere, other, "dqn", 5.0)
+    meta = elsewhere.run("dqn-optimized-tuned-s0").path / "meta.json"
+    meta.write_text('{"schema": 99, "wall_seconds": 1.0}', encoding="utf-8")
+    assert all(cost.guessed for cost in costs(preset, store, [elsewhere]))
+
+
+def test_time_left_is_that_of_processes_taking_the_next_run() -> None:
+    cell = Cell("optimum", "full", "optimized", "", 0)
+    found = [Cost(cell, False, 0.0, seconds, False) for seconds in (5.0, 4.0, 3.0, 2.0)]
+    found.append(Cost(cell, True, 1.0, 100.0, False))
+    assert wall_seconds(found, 1) == 14.0
+    assert wall_seconds(found, 2) == 7.0  # 5 and 2 beside 4 and 3
+    assert wall_seconds(found, 9) == 5.0
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0.4, "0 s"), (89.0, "89 s"), (90.0, "2 min"), (5400.0, "1.5 h"), (180_000.0, "2.1 days")],
+)
+def test_durations_are_said_as_people_say_them(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+def test_plan_says_what_is_left(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    preset = make("smoke", 480)
+    assert main(["plan", "--preset", "smoke", "--results", str(tmp_path), "--jobs", "2"]) == 0
+    out = capsys.readouterr().out
+    assert "4 to run" in out
+    assert "with 2 processes; a guess for 4 cells" in out
+    assert list(tmp_path.iterdir()) == []  # a plan writes nothing
+    complete(Store.open(tmp_path, "smoke", create=True), preset, "dqn", 60.0)
+    assert main(["plan", "--preset", "smoke", "--results", str(tmp_path), "--jobs", "1"]) == 0
+    out = capsys.readouterr().out
+    assert "3 to run" in out
+    assert "60 s" in out

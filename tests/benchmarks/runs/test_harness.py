@@ -1,0 +1,325 @@
+"""The scheduler: Ctrl-C and a killed harness lose nothing, failures are told, room is checked."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import namedtuple
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from rich.console import Console
+
+from benchmarks.__main__ import main
+from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.plan import expand
+from benchmarks.protocol.presets import PRESETS, parse_preset
+from benchmarks.protocol.strict import merge
+from benchmarks.runs.backends import LocalBackend
+from benchmarks.runs.cell import StopFlag, run_cell
+from benchmarks.runs.checkpoint import checkpoints
+from benchmarks.runs.harness import Harness, Outcome, check_disk
+from benchmarks.runs.store import RunFolder, Store
+
+
+@pytest.fixture
+def long_preset(tmp_path: Path) -> Path:
+    """One run that no test waits for."""
+    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
+    data["tracks"]["tuned"]["timesteps"] = 10_000_000
+    data["runs"] = [{"methods": ["dqn"], "tracks": ["tuned"]}]
+    path = tmp_path / "long.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    return path
+
+
+def wait_for(path: Path, seconds: float = 120.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not path.exists():
+        assert time.monotonic() < deadline, f"{path} did not appear"
+        time.sleep(0.1)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_an_ended_harness_leaves_a_checkpoint_to_resume_from(
+    number: signal.Signals, long_preset: Path, tmp_path: Path
+) -> None:
+    words = ["run", "--preset", str(long_preset), "--results", str(tmp_path / "results")]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "benchmarks", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    run = Store(tmp_path / "results", "long").run("dqn-optimized-tuned-s0")
+    wait_for(run.checkpoint / "progress.json")
+    process.send_signal(number)
+    out, _ = process.communicate(timeout=100)
+    deadline = time.monotonic() + 60
+    while not checkpoints(run.checkpoint):
+        assert time.monotonic() < deadline, (run.checkpoint / "log.txt").read_text()
+        time.sleep(0.1)
+    assert not run.is_complete()
+    if number == signal.SIGINT:
+        assert process.returncode == 130
+        assert "the same command resumes" in out
+
+
+def test_a_run_that_fails_is_told_and_the_others_go_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
+    # OMPL's planner refuses the limit when it is built, in the child
+    data["planner"] = {"time_limit": -1.0}
+    data["runs"] = [{"methods": ["rrt_connect", "optimum"]}]
+    path = tmp_path / "odd.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    words = ["run", "--preset", str(path), "--results", str(tmp_path / "results"), "--jobs", "1"]
+    assert main(words) == 1
+    out = capsys.readouterr().out
+    assert "rrt_connect-optimized-s0: failed" in out
+    assert "time_limit = -1.0" in out
+    runs = Store.open(tmp_path / "results", "odd").completed()
+    assert [run.id for run in runs] == ["optimum-optimized-s0"]
+
+
+def test_too_small_a_disk_is_refused_before_the_start(
+    long_preset: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10**12, 10**12, 10**6))
+    words = ["run", "--preset", str(long_preset), "--results", str(tmp_path / "results")]
+    assert main(words) == 2
+    assert "make room" in capsys.readouterr().err
+    assert not (tmp_path / "results" / "long" / "runs").exists()
+
+
+def test_an_orphan_knows_that_it_should_stop() -> None:
+    assert not StopFlag()()
+    assert not StopFlag(os.getppid())()
+    assert StopFlag(os.getppid() + 1)()
+
+
+@pytest.mark.parametrize(
+    ("track", "message"),
+    [
+        ({"hyperparameters": {"v_min": 30.0}}, "v_min"),
+        ({"hyperparameters": {"gamma": 1.5}}, "gamma"),
+        ({"hyperparameters": {"n_atoms": 1}}, "n_atoms"),
+        ({"reward_kwargs": {"step_costs": 0.1}}, "step_costs"),
+        ({"observation": "papers"}, "papers"),
+    ],
+)
+def test_an_impossible_cell_is_refused_before_the_start(
+    track: dict[str, Any], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
+    data["tracks"]["tuned"] = merge(data["tracks"]["tuned"], track)
+    data["runs"] = [{"methods": ["rainbow"], "tracks": ["tuned"]}]
+    path = tmp_path / "odd.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    assert main(["run", "--preset", str(path), "--results", str(tmp_path / "results")]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("error: ")
+    assert message in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "results" / "odd" / "runs").exists()
+
+
+class FakeJob:
+    """A run whose progress the test writes."""
+
+    def __init__(self, folder: RunFolder, script: Iterator[tuple[float, str]]) -> None:
+        self.folder, self.script = folder, script
+        self.log = folder.log
+        self.code: int | None = None
+        self.waits = True
+        self.stopped = self.waited = False
+
+    def poll(self) -> int | None:
+        if self.code is not None:
+            return self.code
+        share, note = next(self.script)
+        self.waits = note == "waits"
+        if note == "ctrl-c":
+            raise KeyboardInterrupt
+        if share < 0.0:
+            self.folder.log.parent.mkdir(parents=True, exist_ok=True)
+            self.folder.log.write_text("first line\nthe reason\n", encoding="utf-8")
+            self.code = 1
+        elif share == 1.0:
+            self.folder.write_meta({"training": {"set_aside": ["broken-step-7"]}})
+            self.code = 0
+        else:
+            self.folder.write_progress(share, note)
+        return self.code
+
+    def place(self) -> str | None:
+        return None if self.waits else "far"
+
+    def news(self) -> list[str]:
+        return []
+
+    def stop(self) -> None:
+        self.stopped = True
+
+    def wait(self, seconds: float) -> None:
+        assert self.stopped
+        self.waited = True
+
+
+class FakeBackend:
+    def __init__(self, slots: int, scripts: dict[str, list[tuple[float, str]]]) -> None:
+        self.slots, self.scripts = slots, scripts
+        self.jobs: dict[str, FakeJob] = {}
+        self.most = 0
+
+    def describe(self) -> str:
+        return "a fake"
+
+    def start(self, words: Sequence[str], folder: RunFolder) -> FakeJob:
+        assert words[words.index("--cell") + 1] == folder.id
+        job = self.jobs[folder.id] = FakeJob(folder, iter(self.scripts[folder.id]))
+        self.most = max(self.most, sum(job.code is None for job in self.jobs.values()))
+        return job
+
+    def close(self) -> None:
+        pass
+
+
+def fake_run(
+    tmp_path: Path, slots: int, scripts: dict[str, list[tuple[float, str]]]
+) -> tuple[Outcome, FakeBackend, str]:
+    """The smoke preset's planners run by a fake backend; returns what a terminal shows."""
+    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
+    data["runs"] = [{"methods": ["rrt_connect", "optimum"], "geometries": ["optimized", "initial"]}]
+    preset = parse_preset(data, "fake", "fake.yaml")
+    store = Store.open(tmp_path, "fake", create=True)
+    terminal = Console(file=io.StringIO(), force_terminal=True, width=400, color_system=None)
+    backend = FakeBackend(slots, scripts)
+    outcome = Harness(preset, "fake", store, tmp_path, backend, terminal).run()
+    assert isinstance(terminal.file, io.StringIO)
+    return outcome, backend, terminal.file.getvalue()
+
+
+CELLS = [f"{m}-{g}-s0" for m in ("rrt_connect", "optimum") for g in ("optimized", "initial")]
+
+
+@pytest.fixture
+def quick_polls(monkeypatch: pytest.MonkeyPatch) -> None:
+    # rich draws twice a second
+    monkeypatch.setattr("benchmarks.runs.harness.POLL_SECONDS", 0.2)
+
+
+@pytest.mark.usefixtures("quick_polls")
+def test_each_run_has_a_line_and_all_have_one_together(tmp_path: Path) -> None:
+    scripts = {
+        CELLS[0]: [(0.0, "waits")] * 2 + [(0.25, "success 3 %")] * 6 + [(1.0, "")],
+        CELLS[1]: [(0.5, "success 9 %")] * 8 + [(1.0, "")],
+        CELLS[2]: [(0.75, "")] * 3 + [(-1.0, "")],
+        CELLS[3]: [(1.0, "")],
+    }
+    outcome, backend, text = fake_run(tmp_path, 2, scripts)
+    assert backend.most == 2
+    assert sorted(outcome.trained) == sorted([CELLS[0], CELLS[1], CELLS[3]])
+    assert outcome.failed == {
+        CELLS[2]: tmp_path / "fake" / "runs" / CELLS[2] / "checkpoint/log.txt"
+    }
+    assert not outcome.complete
+    assert re.search(rf"  {CELLS[0]} .* 25 % .*success 3 % on far", text)
+    assert re.search(rf"  {CELLS[1]} .* 50 % .*success 9 % on far", text)
+    assert re.search(r"all 4 runs .* 19 % .*2 wait", text)  # a quarter and a half of four
+    assert re.search(rf"{CELLS[2]}: failed with exit code 1, see .*log.txt", text)
+    assert "the reason" in text
+    assert f"{CELLS[0]}: done in" in text
+    assert re.search(rf"{CELLS[3]}: a checkpoint could not be read and is kept as .*broken-", text)
+
+
+@pytest.mark.usefixtures("quick_polls")
+def test_ctrl_c_asks_every_run_to_save_and_waits_for_it(tmp_path: Path) -> None:
+    scripts = {cell: [(0.5, "")] * 9 for cell in CELLS}
+    scripts[CELLS[1]] = [(0.5, ""), (0.0, "ctrl-c")]
+    outcome, backend, text = fake_run(tmp_path, 2, scripts)
+    assert outcome.interrupted
+    assert "Stopping: the runs save their checkpoints" in text
+    assert len(backend.jobs) == 2
+    assert all(job.stopped and job.waited for job in backend.jobs.values())
+
+
+@pytest.mark.usefixtures("quick_polls")
+def test_what_earlier_calls_have_done_counts_as_done(tmp_path: Path) -> None:
+    store = Store.open(tmp_path, "fake", create=True)
+    for cell in CELLS[:2]:
+        store.run(cell).write_progress(0.8, "")
+    _, _, text = fake_run(tmp_path, 4, {cell: [(0.8, "")] * 4 + [(1.0, "")] for cell in CELLS})
+    first = re.search(r"all 4 runs .*?(\d+) %", text)
+    assert first is not None
+    assert int(first[1]) >= 40
+
+
+def test_one_process_per_core_with_its_threads_pinned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert LocalBackend().slots == len(os.sched_getaffinity(0))
+    assert LocalBackend(3).slots == 3
+    asked: dict[str, Any] = {}
+    monkeypatch.setattr(subprocess, "Popen", lambda words, **rest: asked.update(rest, words=words))
+    LocalBackend(1).start(["train", "--cell", "x"], RunFolder(tmp_path))
+    for name in ("OMP", "MKL", "OPENBLAS", "NUMBA"):
+        assert asked["env"][f"{name}_NUM_THREADS"] == "1"
+    assert asked["words"][1:] == [
+        *("-m", "benchmarks", "train", "--cell", "x", "--parent", str(os.getpid()))
+    ]
+
+
+def test_fewer_jobs_need_less_room(tmp_path: Path) -> None:
+    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
+    data["seeds"] = list(range(50))
+    data["tracks"]["tuned"]["hyperparameters"]["buffer_size"] = 10**9
+    preset = parse_preset(data, "big", "big.yaml")
+    store = Store.open(tmp_path, "big", create=True)
+    needed = []
+    for slots in (1, 2, 1000):
+        with pytest.raises(BenchmarkError, match="make room") as caught:
+            check_disk(preset, store, expand(preset), slots)
+        found = re.search(r": ([\d.]+) GB may be needed for 200 runs", str(caught.value))
+        assert found is not None
+        needed.append(float(found[1]))
+    # two checkpoints of 200 bytes for each of 1e9 transitions are 400 GB; 100 cells learn
+    assert needed == [404.0, 804.0, 40_004.0]
+
+
+def test_a_planner_that_is_asked_to_stop_stops(tmp_path: Path) -> None:
+    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
+    data["runs"] = [{"methods": ["optimum"]}]
+    preset = parse_preset(data, "plans", "plans.yaml")
+    (cell,) = expand(preset)
+    store = Store.open(tmp_path, "plans", create=True)
+    assert not run_cell(preset, cell, store, lambda: True)
+    assert not store.run(cell.id).is_complete()
+    assert store.run(cell.id).progress()[0] == 0.0
+    assert run_cell(preset, cell, store)
+
+
+def test_a_preset_without_a_run_is_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
+    path = tmp_path / "empty.yaml"
+    path.write_text(yaml.safe_dump(data | {"runs": []}), encoding="utf-8")
+    for command in ("plan", "run"):
+        assert main([command, "--preset", str(path), "--results", str(tmp_path / "results")]) == 2
+        assert "preset 'empty' holds no run" in capsys.readouterr().err
+    assert not (tmp_path / "results").exists()

@@ -1,0 +1,244 @@
+"""Runs killed at random moments, or at chosen file operations, end as if nothing had happened.
+
+Weights are compared bit by bit, curves and episodes byte by byte. The kills are SIGKILLs of a
+process that trains; a warm server forks it, so that its imports are paid once.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import yaml
+from stable_baselines3.common.save_util import load_from_zip_file
+
+from benchmarks.protocol.plan import expand
+from benchmarks.protocol.presets import PRESETS, load_preset
+from benchmarks.runs.checkpoint import checkpoints
+from benchmarks.runs.store import RunFolder, Store
+
+SERVER = Path(__file__).with_name("warm_server.py")
+KILLS = 24  # by the clock; the task asks for 20
+INSIDE = 12  # of these, surely inside training
+TORN = 3  # of these, while a checkpoint was being written
+CRASHES = 10  # at file operations, half of them among the last
+GIVE_UP = 200  # kills, if the clock never hits a checkpoint
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs os.fork")
+
+
+class Server:
+    """Speaks with tests/benchmarks/runs/warm_server.py."""
+
+    def __init__(self, preset: Path, cells: list[str]) -> None:
+        self.preset = preset
+        self.process = subprocess.Popen(
+            [sys.executable, str(SERVER), str(preset), *cells],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "CUDA_VISIBLE_DEVICES": "", "OMP_NUM_THREADS": "1"},
+        )
+        assert self._read() == "ready"
+
+    def _read(self) -> str:
+        assert self.process.stdout is not None
+        return self.process.stdout.readline().strip()
+
+    def _ask(self, request: dict[str, Any]) -> int:
+        assert self.process.stdin is not None
+        self.process.stdin.write(json.dumps(request) + "\n")
+        self.process.stdin.flush()
+        return int(self._read())
+
+    def start(self, cell: str, results: Path, crash: int | None = None) -> int:
+        """Start a run; returns its process id."""
+        results.mkdir(parents=True, exist_ok=True)
+        words = ["train", "--preset", str(self.preset), "--results", str(results), "--cell", cell]
+        request: dict[str, Any] = {"argv": words, "log": str(results / "log.txt")}
+        if crash is not None:
+            request["crash"] = crash
+        return self._ask(request)
+
+    def wait(self, pid: int) -> int:
+        return self._ask({"wait": pid})
+
+    def close(self) -> None:
+        with self.process as process:
+            assert process.stdin is not None
+            process.stdin.close()
+            process.wait(30)
+
+
+@dataclass(frozen=True)
+class Ended:
+    """What a complete run leaves, as far as it may not depend on interruptions."""
+
+    weights: dict[str, torch.Tensor]
+    curve: bytes
+    episodes: bytes
+    training: dict[str, Any]
+
+    @classmethod
+    def read(cls, run: RunFolder) -> Ended:
+        _, parameters, _ = load_from_zip_file(run.policy, device="cpu")
+        assert parameters is not None
+        weights: Any = parameters["policy"]
+        training = run.meta()["training"]
+        for name in ("wall_seconds", "cpu_seconds", "test_seconds", "resumed_at", "made_with"):
+            del training[name]
+        curve, episodes = ((run.path / f"{n}.csv").read_bytes() for n in ("curve", "episodes"))
+        return cls(weights, curve, episodes, training)
+
+    def assert_equals(self, other: Ended) -> None:
+        assert self.weights.keys() == other.weights.keys()
+        for name, value in self.weights.items():
+            assert torch.equal(value, other.weights[name]), name
+        assert self.curve == other.curve
+        assert self.episodes == other.episodes
+        assert self.training == other.training
+
+
+@pytest.fixture(scope="module")
+def preset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
+    track = next(iter(data["tracks"].values()))
+    track["timesteps"] = 240
+    track["hyperparameters"] |= {"net_arch": [32, 32], "n_atoms": 11}
+    # a low bar, so that the curriculum's switch lies within the run
+    track["curriculum"] = {"threshold": -1.0, "window": 1}
+    data["evaluation"] = {"episodes": 1, "noise": [0.0, 0.01]}
+    tracks = list(data["tracks"])
+    # more state to lose: visited configurations, and rollouts of an actor-critic
+    track |= {"mask_singularities": True, "mask_visited": 5}
+    track["ppo"] = {"n_steps": 8, "batch_size": 16, "n_epochs": 2}
+    data["runs"] = [
+        {"methods": ["rainbow", "dqn", "maskable_ppo"], "tracks": tracks},
+        {"methods": ["rainbow"], "tracks": tracks, "ablations": ["no_noisy"]},
+    ]
+    data["checkpoint_seconds"] = 0.01
+    path = tmp_path_factory.mktemp("preset") / "kill.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def scratch() -> Iterator[Path]:
+    """A folder in memory, where there is one: hundreds of checkpoints are flushed to it."""
+    memory = Path("/dev/shm")
+    with tempfile.TemporaryDirectory(dir=memory if os.access(memory, os.W_OK) else None) as name:
+        yield Path(name)
+
+
+@pytest.fixture(scope="module")
+def cells(preset: Path) -> list[str]:
+    return [cell.id for cell in expand(load_preset(str(preset)))]
+
+
+@pytest.fixture(scope="module")
+def server(preset: Path, cells: list[str]) -> Iterator[Server]:
+    server = Server(preset, cells)
+    yield server
+    server.close()
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(
+    server: Server, cells: list[str], tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, tuple[Ended, float]]:
+    """Each cell's result and its duration in seconds."""
+    ended = {}
+    for cell in cells:
+        results = tmp_path_factory.mktemp("uninterrupted")
+        began = time.monotonic()
+        assert server.wait(server.start(cell, results)) == 0, (results / "log.txt").read_text()
+        ended[cell] = Ended.read(Store(results, "kill").run(cell)), time.monotonic() - began
+    return ended
+
+
+def newest(run: RunFolder) -> int:
+    """Steps of the newest checkpoint."""
+    return max((int(path.name.split("-")[1]) for path in checkpoints(run.checkpoint)), default=0)
+
+
+def test_kills_at_random_moments_change_nothing(
+    server: Server,
+    cells: list[str],
+    uninterrupted: dict[str, tuple[Ended, float]],
+    scratch: Path,
+) -> None:
+    rng = random.Random(0)
+    kills = inside = torn = polite = completed = 0
+    for attempt in range(GIVE_UP):
+        if kills >= KILLS and inside >= INSIDE and torn >= TORN and completed >= len(cells):
+            break
+        cell = cells[completed % len(cells)]
+        expected, seconds = uninterrupted[cell]
+        results = scratch / str(completed)
+        run = Store(results, "kill").run(cell)
+        before = newest(run)
+        pid = server.start(cell, results)
+        time.sleep(rng.uniform(0.0, 0.4 * seconds))
+        # every sixth time the run is asked to stop, as Ctrl-C does
+        number = signal.SIGKILL if attempt % 6 else rng.choice([signal.SIGTERM, signal.SIGINT])
+        os.kill(pid, number)
+        code = server.wait(pid)
+        if code == 0:  # the run was faster than the signal
+            assert not run.checkpoint.exists()
+            Ended.read(run).assert_equals(expected)
+            shutil.rmtree(results)
+            completed += 1
+        elif number == signal.SIGKILL:
+            assert code == -signal.SIGKILL
+            kills += 1
+            is_torn = (run.checkpoint / "saving").exists()
+            torn += is_torn
+            inside += is_torn or newest(run) > before
+        else:
+            polite += code == 130
+    print(f"{kills} kills, {inside} inside training, {torn} in a checkpoint, {completed} runs")
+    assert kills >= KILLS
+    assert inside >= INSIDE
+    assert torn >= TORN
+    assert completed >= len(cells)
+
+
+def test_a_kill_at_any_file_operation_changes_nothing(
+    server: Server,
+    cells: list[str],
+    uninterrupted: dict[str, tuple[Ended, float]],
+    scratch: Path,
+) -> None:
+    cell = cells[0]
+    expected, _ = uninterrupted[cell]
+    assert server.wait(server.start(cell, scratch / "count", crash=-1)) == 0
+    operations = int((scratch / "count" / "log.txt.count").read_text(encoding="utf-8"))
+    assert operations > 40
+    rng = random.Random(1)
+    # the last: rows, policy, meta.json, the end of the checkpoint
+    last = range(operations - 12, operations)
+    points = rng.sample(range(last.start), CRASHES // 2) + rng.sample(last, CRASHES // 2)
+    for point in points:
+        results = scratch / str(point)
+        pid = server.start(cell, results, crash=point)
+        code = server.wait(pid)
+        # how many checkpoints there are depends on the clock, so the very last may not come
+        assert code == -signal.SIGKILL or (code == 0 and point > operations / 2)
+        assert server.wait(server.start(cell, results)) == 0, (results / "log.txt").read_text()
+        run = Store(results, "kill").run(cell)
+        Ended.read(run).assert_equals(expected)
+        assert not list(run.path.rglob("*.tmp*"))
+        shutil.rmtree(results)

@@ -1,0 +1,251 @@
+"""The same cells on a Ray cluster of two nodes, which lose a worker and then a node on the way."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+import yaml
+
+from benchmarks.__main__ import main
+from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.plan import find
+from benchmarks.protocol.presets import PRESETS, load_preset
+from benchmarks.runs.cell import run_cell
+from benchmarks.runs.checkpoint import checkpoints
+from benchmarks.runs.ray_backend import RayJob, run_remotely
+from benchmarks.runs.store import RunFolder, Store
+
+pytest.importorskip("ray", reason="needs the extra 'cluster'")
+
+# Ray leaves sockets and processes to the garbage collector
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+CELLS = ("rainbow-optimized-tuned-s0", "dqn-optimized-tuned-s0")
+
+
+@pytest.fixture(scope="module")
+def preset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
+    # long enough that no run ends between two looks of the test
+    data["tracks"]["tuned"]["timesteps"] = 3000
+    data["evaluation"] = {"episodes": 1, "noise": [0.0]}
+    data["runs"] = [{"methods": ["rainbow", "dqn"], "tracks": ["tuned"]}]
+    data["checkpoint_seconds"] = 0.2
+    path = tmp_path_factory.mktemp("preset") / "small.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    from ray.cluster_utils import Cluster
+
+    # Ray takes our word for the GPUs; it only counts them
+    small = {
+        "num_cpus": 1,
+        "num_gpus": 1,
+        "object_store_memory": 80 * 2**20,
+        "include_dashboard": False,
+    }
+    with tempfile.TemporaryDirectory(prefix="ray") as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        patch.setenv("RAY_TMPDIR", folder)
+        cluster = Cluster(initialize_head=True, head_node_args=small)
+        cluster.add_node(**small)
+        yield cluster
+        cluster.shutdown()
+
+
+def harness(*words: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "benchmarks", "run", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def wait_for(condition: Callable[[], Any], process: subprocess.Popen[str]) -> Any:
+    deadline = time.monotonic() + 120
+    while not (found := condition()):
+        assert process.poll() is None, process.communicate()[0]
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    return found
+
+
+def worker(run: RunFolder) -> dict[str, Any]:
+    """What the worker of a run says of itself, once the run has a checkpoint."""
+    try:
+        data = json.loads((run.checkpoint / "worker.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return dict(data) if checkpoints(run.checkpoint) else {}
+
+
+@pytest.mark.slow
+def test_a_lost_worker_and_a_lost_node_change_nothing(
+    cluster: Any, preset: Path, tmp_path: Path
+) -> None:
+    results = tmp_path / "ray"
+    place = ["--preset", str(preset), "--results"]
+    ray = ["--backend", "ray", "--address", cluster.address]
+    gpus = ["--gpus-per-run", "0.5", "--device", "cpu"]
+    process = harness(*place, str(results), *ray, *gpus)
+    runs = [Store(results, "small").run(cell) for cell in CELLS]
+    (second,) = cluster.worker_nodes
+    raylet = second.all_processes["raylet"][0].process.pid
+    workers = []
+    for run in runs:
+        workers.append(wait_for(partial(worker, run), process))
+        # on a busy machine it would be trained before the other has begun
+        os.kill(workers[-1]["run"], signal.SIGSTOP)
+    on_second = [psutil.Process(found["pid"]).ppid() == raylet for found in workers]
+    assert sorted(on_second) == [False, True]  # one run on each node
+    on_head = on_second.index(False)
+    for found in workers:
+        os.kill(found["run"], signal.SIGCONT)
+    os.kill(workers[on_head]["pid"], signal.SIGKILL)
+    cluster.remove_node(second, allow_graceful=False)
+    out, _ = process.communicate(timeout=240)
+    assert process.returncode == 0, out
+    assert "Ray: 2 nodes, 2 CPUs, 2 GPUs, networks on cpu" in out
+    for cell in CELLS:
+        assert f"{cell}: lost its worker on" in out
+        assert f"{cell}: done" in out
+    loaded, local = load_preset(str(preset)), Store.open(tmp_path / "local", "small", create=True)
+    for run in runs:
+        assert run.meta()["training"]["resumed_at"]
+        assert run_cell(loaded, find(loaded, run.id), local)
+        other = local.run(run.id)
+        assert other.meta()["training"]["resumed_at"] == []
+        for name in ("episodes.csv", "curve.csv", "config.yaml"):
+            assert (run.path / name).read_bytes() == (other.path / name).read_bytes(), name
+        assert not run.checkpoint.exists()
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_a_checkpoint_and_no_process(
+    cluster: Any, preset: Path, tmp_path: Path
+) -> None:
+    # on the head alone: the test before has taken the second node
+    words = ["--preset", str(preset), "--results", str(tmp_path)]
+    process = harness(*words, "--backend", "ray", "--address", cluster.address)
+    runs = [Store(tmp_path, "small").run(cell) for cell in CELLS]
+    found = wait_for(lambda: next(filter(None, map(worker, runs)), None), process)
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=120)
+    assert process.returncode == 130, out
+    assert "the same command resumes" in out
+    assert not psutil.pid_exists(found["run"]) or psutil.Process(found["run"]).status() == "zombie"
+    assert sum(len(checkpoints(run.checkpoint)) for run in runs) == 1
+    assert not any(run.is_complete() for run in runs)
+
+
+def test_a_worker_that_sees_another_folder_refuses(tmp_path: Path) -> None:
+    (tmp_path / "checkpoint").mkdir()
+    for ticket in (None, '{"nonce": "of another"}'):
+        if ticket is not None:
+            (tmp_path / "checkpoint" / "ticket.json").write_text(ticket, encoding="utf-8")
+        with pytest.raises(BenchmarkError, match="storage that all nodes share"):
+            run_remotely(["train"], str(tmp_path), "mine")
+
+
+class Lost(Exception):
+    pass
+
+
+class FakeRay:
+    """Ray with a task that is lost as often as the test says."""
+
+    class exceptions:
+        TaskCancelledError = KeyError
+        RayTaskError = IndexError
+        RayError = Lost
+
+    def __init__(self) -> None:
+        self.submitted = 0
+        self.losses = 0
+        self.steps = 0.0
+        self.folder: RunFolder
+
+    def wait(self, references: list[int], timeout: float) -> tuple[list[int], list[int]]:
+        return references, []
+
+    def get(self, reference: int) -> int:
+        if self.losses:
+            self.losses -= 1
+            self.steps += 0.01
+            if self.steps < 0.035:
+                self.folder.write_progress(self.steps, "")
+            raise Lost
+        return 0
+
+    def submit(self, words: list[str], folder: RunFolder) -> tuple[int, str]:
+        self.submitted += 1
+        return self.submitted, str(self.submitted)
+
+
+@pytest.mark.parametrize(("losses", "code"), [(0, 0), (6, 0), (7, 2)])
+def test_a_run_that_is_lost_again_and_again_ends(losses: int, code: int, tmp_path: Path) -> None:
+    ray: Any = FakeRay()
+    ray.ray = ray
+    ray.losses, ray.folder = losses, RunFolder(tmp_path)
+    job = RayJob(ray, ["train"], RunFolder(tmp_path))
+    while job.poll() is None:
+        pass
+    # three losses with progress between them, which count for nothing, then three in a row
+    assert job.poll() == code
+    assert ray.submitted == 1 + min(losses, 6)
+    assert len(job.news()) == min(losses, 6)
+    assert job.news() == []
+    assert ("lost 4 times in a row (Lost)" in job.log.read_text("utf-8")) if code else True
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--address", "auto"], "--address auto: only with --backend ray"),
+        (["--gpus-per-run", "0.5"], "--gpus-per-run 0.5: only with --backend ray"),
+        (["--backend", "ray", "--gpus-per-run", "1.5"], "must be a fraction from 0 to 1, or a"),
+        (["--backend", "ray", "--gpus-per-run", "-1"], "must be a fraction"),
+        (["--backend", "ray", "--address", "127.0.0.1:1"], "no Ray cluster answers there"),
+        (["--backend", "ray", "--address", "nonsense"], "no Ray cluster answers there"),
+    ],
+)
+def test_bad_options_are_one_error(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", "--preset", "smoke", "--results", str(tmp_path), *words]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("error: ")
+    assert message in err
+
+
+def test_more_gpus_than_any_node_has_are_refused(
+    cluster: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--backend", "ray", "--address", cluster.address, "--gpus-per-run", "2"]
+    assert main(["run", "--preset", "smoke", "--results", str(tmp_path), *words]) == 2
+    assert "--gpus-per-run 2: no node of the cluster has more than 1" in capsys.readouterr().err
+
+
+def test_without_ray_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray.exceptions", None)
+    words = ["run", "--preset", "smoke", "--results", str(tmp_path), "--backend", "ray"]
+    assert main(words) == 2
+    assert "needs the extra 'cluster': pip install" in capsys.readouterr().err

@@ -1,0 +1,316 @@
+"""A run that was cut off ends as an uninterrupted one; damaged checkpoints are set aside."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.methods.learners import ALGORITHMS
+from benchmarks.protocol.plan import Cell
+from benchmarks.protocol.presets import PRESETS, Preset, as_dict, parse_preset
+from benchmarks.runs import machine
+from benchmarks.runs.cell import run_cell
+from benchmarks.runs.checkpoint import checkpoints
+from benchmarks.runs.store import RunFolder, Store
+from benchmarks.runs.training import train
+from sb3_rainbow import Rainbow
+
+CELLS = [
+    Cell("rainbow", "full", "optimized", "tuned", 0),
+    Cell("rainbow", "no_noisy", "optimized", "tuned", 0),
+    Cell("dqn", "full", "optimized", "tuned", 0),
+]
+
+
+@pytest.fixture(scope="module")
+def preset() -> Preset:
+    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
+    data["tracks"]["tuned"]["timesteps"] = 400
+    data["evaluation"] = {"episodes": 1, "noise": [0.0]}
+    # a low bar, so that the curriculum's switch lies within the run
+    data["tracks"]["tuned"]["curriculum"] = {"threshold": -1.0, "window": 1}
+    return parse_preset(data, "smoke", "smoke.yaml")
+
+
+def stop_after(rounds: int) -> Callable[[], bool]:
+    left = iter(range(rounds))
+    return lambda: next(left, None) is None
+
+
+def weights(model: object) -> dict[str, torch.Tensor]:
+    state: dict[str, torch.Tensor] = model.policy.state_dict()  # type: ignore[attr-defined]
+    return {name: value.clone() for name, value in state.items()}
+
+
+def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
+    return a.keys() == b.keys() and all(torch.equal(a[name], b[name]) for name in a)
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(
+    preset: Preset, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, tuple[dict[str, torch.Tensor], str]]:
+    runs = {}
+    for cell in CELLS:
+        folder = RunFolder(tmp_path_factory.mktemp(cell.id))
+        trained = train(preset, cell, folder)
+        assert trained is not None
+        model, _ = trained
+        runs[cell.id] = weights(model), (folder.path / "curve.csv").read_text(encoding="utf-8")
+    return runs
+
+
+@pytest.mark.parametrize("cell", CELLS, ids=lambda cell: cell.id)
+def test_stopping_twice_at_odd_moments_changes_nothing(
+    cell: Cell,
+    preset: Preset,
+    uninterrupted: dict[str, tuple[dict[str, torch.Tensor], str]],
+    tmp_path: Path,
+) -> None:
+    folder = RunFolder(tmp_path)
+    assert train(preset, cell, folder, stop_after(17)) is None
+    assert train(preset, cell, folder, stop_after(40)) is None
+    (kept,) = checkpoints(folder.checkpoint)
+    assert kept.name == "step-0000000228"  # 17 rounds, then 40 more, of 4 environments
+    trained = train(preset, cell, folder)
+    assert trained is not None
+    model, summary = trained
+    expected, curve = uninterrupted[cell.id]
+    assert same(weights(model), expected)
+    assert (folder.path / "curve.csv").read_text(encoding="utf-8") == curve
+    assert len(summary["resumed_at"]) == 2
+    assert summary["timesteps"] == 400
+
+
+def test_an_actor_critic_resumes_too(preset: Preset, tmp_path: Path) -> None:
+    track = preset.tracks["tuned"]
+    short = dataclasses.replace(track.ppo, n_steps=8, batch_size=16, n_epochs=2)
+    mine = dataclasses.replace(
+        preset, tracks={"tuned": dataclasses.replace(track, ppo=short, timesteps=256)}
+    )
+    cell = Cell("maskable_ppo", "full", "optimized", "tuned", 0)
+    whole, cut = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "cut")
+    expected = train(mine, cell, whole)
+    assert expected is not None
+    assert train(mine, cell, cut, stop_after(3)) is None
+    (kept,) = checkpoints(cut.checkpoint)
+    assert kept.name == "step-0000000096"  # three rollouts of eight moves in four environments
+    trained = train(mine, cell, cut)
+    assert trained is not None
+    assert same(weights(trained[0]), weights(expected[0]))
+    curves = [(f.path / "curve.csv").read_text(encoding="utf-8") for f in (whole, cut)]
+    assert curves[0] == curves[1]
+
+
+def test_a_crash_loses_at_most_the_last_interval(
+    preset: Preset,
+    uninterrupted: dict[str, tuple[dict[str, torch.Tensor], str]],
+    tmp_path: Path,
+) -> None:
+    eager = dataclasses.replace(preset, checkpoint_seconds=0.0)
+    rng = np.random.default_rng(0)
+    for crash in sorted(int(x) for x in rng.integers(5, 40, size=2)):
+        folder = RunFolder(tmp_path / str(crash))
+        calls = iter(range(crash))
+
+        def fall(calls: object = calls) -> bool:
+            # as when the process is killed: nothing is saved, nothing is closed
+            if next(calls, None) is None:  # type: ignore[call-overload]
+                raise KeyboardInterrupt
+            return False
+
+        with pytest.raises(KeyboardInterrupt):
+            train(eager, CELLS[0], folder, fall)
+        (kept,) = checkpoints(folder.checkpoint)
+        assert kept.name == f"step-{4 * (crash - 1):010d}"
+        trained = train(preset, CELLS[0], folder)
+        assert trained is not None
+        assert same(weights(trained[0]), uninterrupted[CELLS[0].id][0])
+
+
+def test_a_run_says_which_commits_it_was_made_with(
+    preset: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = RunFolder(tmp_path)
+    for commit in ("old", "old", "new"):
+        monkeypatch.setattr(machine, "describe", lambda c=commit: {"commit": c, "dirty": False})
+        train(preset, CELLS[2], folder, stop_after(10))
+    trained = train(preset, CELLS[2], folder)
+    assert trained is not None
+    assert trained[1]["made_with"] == [
+        {"from_step": 0, "commit": "old", "dirty": False},
+        {"from_step": 80, "commit": "new", "dirty": False},
+    ]
+
+
+@pytest.mark.parametrize("rounds", [0, 1])
+def test_stopping_at_the_very_start_changes_nothing(
+    rounds: int,
+    preset: Preset,
+    uninterrupted: dict[str, tuple[dict[str, torch.Tensor], str]],
+    tmp_path: Path,
+) -> None:
+    folder = RunFolder(tmp_path)
+    assert train(preset, CELLS[0], folder, stop_after(rounds)) is None
+    assert len(checkpoints(folder.checkpoint)) == rounds
+    trained = train(preset, CELLS[0], folder)
+    assert trained is not None
+    assert same(weights(trained[0]), uninterrupted[CELLS[0].id][0])
+
+
+def test_stopping_where_it_resumed_keeps_the_checkpoint_as_it_is(
+    preset: Preset, tmp_path: Path
+) -> None:
+    folder = RunFolder(tmp_path)
+    train(preset, CELLS[0], folder, stop_after(10))
+    (kept,) = checkpoints(folder.checkpoint)
+    stamps = {path: path.stat().st_mtime_ns for path in kept.iterdir()}
+    train(preset, CELLS[0], folder, stop_after(0))
+    # written again it would be deleted for its copy, and a kill in between would leave neither
+    assert {path: path.stat().st_mtime_ns for path in kept.iterdir()} == stamps
+
+
+@pytest.mark.parametrize(
+    "error",
+    [OSError(errno.ESTALE, "Stale file handle"), torch.OutOfMemoryError("CUDA out of memory")],
+)
+def test_a_machine_in_trouble_damages_no_checkpoint(
+    error: Exception, preset: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = RunFolder(tmp_path)
+    train(preset, CELLS[0], folder, stop_after(40))
+    kept = checkpoints(folder.checkpoint)
+
+    def fail(*args: object, **kwargs: object) -> None:
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Rainbow, "load", fail)
+        with pytest.raises(BenchmarkError, match="it is kept, the same command tries again"):
+            train(preset, CELLS[0], folder)
+    assert checkpoints(folder.checkpoint) == kept
+    trained = train(preset, CELLS[0], folder)
+    assert trained is not None
+    assert trained[1]["set_aside"] == []
+    assert trained[1]["resumed_at"]
+
+
+@pytest.mark.parametrize("name", ["state.pkl", "model.zip", "buffer.pkl"])
+def test_a_damaged_checkpoint_is_named_and_kept_aside(
+    name: str,
+    preset: Preset,
+    uninterrupted: dict[str, tuple[dict[str, torch.Tensor], str]],
+    tmp_path: Path,
+) -> None:
+    folder = RunFolder(tmp_path)
+    train(preset, CELLS[0], folder, stop_after(40))
+    (kept,) = checkpoints(folder.checkpoint)
+    damaged = kept / name
+    damaged.write_bytes(damaged.read_bytes()[: damaged.stat().st_size // 2])
+    with pytest.warns(UserWarning, match=f"{kept.name} cannot be read"):
+        trained = train(preset, CELLS[0], folder)
+    assert trained is not None
+    model, summary = trained
+    assert summary["set_aside"] == [f"broken-{kept.name}"]
+    assert same(weights(model), uninterrupted[CELLS[0].id][0])
+    # it outlives the end of the run, which drops the other working files
+    folder.drop_checkpoint()
+    (aside,) = folder.checkpoint.iterdir()
+    assert (aside / name).is_file()
+
+
+def test_a_disk_that_fills_up_keeps_the_last_checkpoint(
+    preset: Preset,
+    uninterrupted: dict[str, tuple[dict[str, torch.Tensor], str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder = RunFolder(tmp_path)
+    train(preset, CELLS[0], folder, stop_after(10))
+
+    def fill(model: object, path: Path) -> None:
+        path.write_bytes(b"half of the buffer")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(OffPolicyAlgorithm, "save_replay_buffer", fill)
+        with pytest.raises(BenchmarkError, match=r"disk is full.*goes on from step-0000000040"):
+            train(preset, CELLS[0], folder, stop_after(5))
+    (kept,) = checkpoints(folder.checkpoint)
+    assert kept.name == "step-0000000040"
+    assert not (folder.checkpoint / "saving").exists()  # its room is free again
+    trained = train(preset, CELLS[0], folder)
+    assert trained is not None
+    assert same(weights(trained[0]), uninterrupted[CELLS[0].id][0])
+
+
+def test_a_disk_that_is_really_full_is_told_in_one_line(
+    preset: Preset,
+    uninterrupted: dict[str, tuple[dict[str, torch.Tensor], str]],
+    tmp_path: Path,
+) -> None:
+    disk, path = tmp_path / "disk", tmp_path / "smoke.yaml"
+    disk.mkdir()
+    data = {key: value for key, value in as_dict(preset).items() if key != "name"}
+    path.write_text(yaml.safe_dump(data | {"checkpoint_seconds": 0.0}), encoding="utf-8")
+    words = f"train --preset {path} --results {disk} --cell {CELLS[2].id}"
+    run = f"{shlex.quote(sys.executable)} -m benchmarks {words}"
+    # a small file system of its own that fills up after a few checkpoints; then room is made
+    script = f"""
+        set -e
+        mount -t tmpfs -o size=12m tmpfs {disk}
+        head -c 11m /dev/zero > {disk}/other
+        {run} 2> {tmp_path}/first.txt && exit 90
+        rm {disk}/other
+        {run}
+        cp {disk}/smoke/runs/*/curve.csv {tmp_path}
+    """
+    probe = f"unshare -rm mount -t tmpfs tmpfs {disk}"
+    if (
+        shutil.which("unshare") is None
+        or subprocess.run(probe.split(), capture_output=True).returncode
+    ):
+        pytest.skip("no leave to mount a small file system")
+    done = subprocess.run(["unshare", "-rm", "sh", "-c", script], capture_output=True, text=True)
+    first = (tmp_path / "first.txt").read_text(encoding="utf-8")
+    assert done.returncode == 0, first + done.stderr
+    assert re.match(r"error: .*: the disk is full, .* goes on from", first), first
+    assert first.count("\n") == 1, first
+    assert (tmp_path / "curve.csv").read_text(encoding="utf-8") == uninterrupted[CELLS[2].id][1]
+
+
+def test_a_complete_cell_is_skipped_and_its_policy_loads(preset: Preset, tmp_path: Path) -> None:
+    cell = CELLS[0]
+    store = Store.open(tmp_path, "smoke", create=True)
+    assert not run_cell(preset, cell, store, stop_after(5))
+    assert not store.run(cell.id).is_complete()
+    assert run_cell(preset, cell, store)
+    run = store.run(cell.id)
+    assert not run.checkpoint.exists()
+    assert run.meta()["training"]["resumed_at"] == [20]
+    stamps = {path: path.stat().st_mtime_ns for path in run.path.iterdir()}
+    assert run_cell(preset, cell, store)
+    assert {path: path.stat().st_mtime_ns for path in run.path.iterdir()} == stamps
+    model = ALGORITHMS["rainbow"].load(run.policy, device="cpu")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        action, _ = model.predict(np.full(12, 0.5, np.float32), deterministic=True)
+    assert 0 <= int(action) < 12
+    assert (run.path / "policy.zip").stat().st_size < 300_000
+    assert (run.path / "curve.csv").stat().st_size < 200_000

@@ -1,0 +1,334 @@
+"""The whole chain through the ``smoke`` preset: four methods, tables, skipping, bad input."""
+
+from __future__ import annotations
+
+import errno
+import importlib
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import psutil
+import pytest
+import yaml
+
+from benchmarks.__main__ import main
+from benchmarks.protocol.presets import PRESETS
+from benchmarks.runs.store import SCHEMA, Store
+
+RUNS = {
+    "rainbow-optimized-tuned-s0",
+    "dqn-optimized-tuned-s0",
+    "rrt_connect-optimized-s0",
+    "optimum-optimized-s0",
+}
+CURVES = {
+    "episode_reward",
+    "learning_rate",
+    "noise_magnitude",
+    "holes_per_episode",
+    "success_rate",
+    "mean_max_q",
+    "loss",
+    "episode_duration_s",
+}
+
+
+def harness(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "benchmarks", *words],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "MPLBACKEND": "Agg"},
+        timeout=280,
+    )
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("results")
+    done = harness("--preset", "smoke", "--results", str(folder), "--jobs", "2")
+    assert done.returncode == 0, done.stdout + done.stderr
+    for title in (
+        "Geometric optimization",
+        "Performance on the test episodes",
+        "Rainbow with one component removed",
+        "Full Rainbow before and after",
+        "under observation noise",
+        "Tables (CSV, Markdown, LaTeX)",
+    ):
+        assert title in done.stdout
+    return folder
+
+
+def test_all_four_methods_ran_and_say_how(results: Path) -> None:
+    runs = {run.id: run for run in Store.open(results, "smoke").completed()}
+    assert set(runs) == RUNS
+    for run in runs.values():
+        meta = run.meta()
+        assert meta["schema"] == SCHEMA
+        assert meta["wall_seconds"] > 0 < meta["cpu_seconds"]
+        assert {"commit", "dirty", "versions", "machine", "seeds"} <= set(meta)
+        assert not run.checkpoint.exists()
+    for name in ("rainbow-optimized-tuned-s0", "dqn-optimized-tuned-s0"):
+        assert runs[name].policy.is_file()
+        assert runs[name].meta()["training"]["timesteps"] == 480
+        assert runs[name].rows("curve")["timesteps"].is_monotonic_increasing
+
+
+def test_every_method_began_the_same_episodes(results: Path) -> None:
+    store = Store.open(results, "smoke")
+    episodes = {run.id: run.rows("episodes") for run in store.completed()}
+    starts = {name: tuple(rows["start"].unique()) for name, rows in episodes.items()}
+    assert len(set(starts.values())) == 1
+    assert set(episodes["rainbow-optimized-tuned-s0"]["noise"]) == {0.0, 0.01}
+    optimum = episodes["optimum-optimized-s0"]
+    assert optimum["success"].all()
+    assert (optimum["collisions"] == 0).all()
+
+
+def test_tables_and_figures_lie_where_it_says(results: Path) -> None:
+    store = Store.open(results, "smoke")
+    names = {path.name for path in store.tables.iterdir()}
+    for table in ("performance", "ablation", "geometry", "robustness", "design"):
+        assert {f"{table}.csv", f"{table}.md", f"{table}.tex"} <= names
+    assert (store.figures / "tuned_success.png").is_file()
+
+
+def test_tensorboard_has_the_papers_curves(results: Path) -> None:
+    module = importlib.import_module("tensorboard.backend.event_processing.event_accumulator")
+    run = Store.open(results, "smoke").run("rainbow-optimized-tuned-s0")
+    events = module.EventAccumulator(str(run.tensorboard))
+    events.Reload()
+    tags = set(events.Tags()["scalars"])
+    # no episode of 300 moves need end within so few steps: what counts episodes may be missing
+    always = {"learning_rate", "noise_magnitude", "mean_max_q", "loss"}
+    assert {f"paper/{name}" for name in always} <= tags
+    assert {tag for tag in tags if tag.startswith("paper/")} <= {
+        f"paper/{name}" for name in CURVES | {"stage"}
+    }
+
+
+def test_a_second_call_trains_nothing_and_changes_no_result(results: Path) -> None:
+    def stamps() -> dict[Path, int]:
+        files = [p for p in results.rglob("*") if p.is_file() and "runs" in p.parts]
+        return {path: path.stat().st_mtime_ns for path in files}
+
+    # no process was started: not a file of a run is new, gone or touched
+    before = stamps()
+    tables = {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()}
+    done = harness("run", "--preset", "smoke", "--results", str(results))
+    assert done.returncode == 0
+    assert "4 runs were complete already" in done.stdout
+    assert stamps() == before
+    assert {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()} == tables
+
+
+def test_plan_verify_curves_and_evaluate(
+    results: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    place = ["--preset", "smoke", "--results", str(results)]
+    assert main(["plan", *place]) == 0
+    out = capsys.readouterr().out
+    assert out.count("complete") == 4
+    assert main(["verify", *place, "--readme", str(tmp_path / "none.md")]) == 0
+    assert main(["curves", *place]) == 0
+    assert "75 % over 20 at never" in capsys.readouterr().out
+    policy = results / "smoke" / "runs" / "dqn-optimized-tuned-s0" / "policy.zip"
+    words = ["--model", str(policy), "--algorithm", "dqn", "--episodes", "1"]
+    assert main(["evaluate", *place, *words]) == 0
+    stored = pd.read_csv(policy.parent / "episodes.csv")
+    first = stored[(stored["episode"] == 0) & (stored["noise"] == 0.0)].iloc[0]
+    assert f"Success rate (%) {100.0 * first['success']:.1f}" in capsys.readouterr().out
+
+
+def test_what_is_stored_comes_out_again(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(results / "smoke", tmp_path / "smoke")
+    place = ["evaluate", "--preset", "smoke", "--results", str(tmp_path)]
+    rows = tmp_path / "smoke" / "runs" / "rainbow-optimized-tuned-s0" / "episodes.csv"
+    first = pd.read_csv(rows)
+    first.assign(holes=first["holes"] + 1).to_csv(rows, index=False)
+    files = {p: p.read_bytes() for p in (tmp_path / "smoke").rglob("*") if p.is_file()}
+    assert main(place) == 0
+    out = capsys.readouterr().out
+    assert "Runs whose every episode came out as stored: 3 of 4" in out
+    assert re.search(r"performance, Holes per episode.*Rainbow DQN, tuned: .* stored, .* now", out)
+    again = tmp_path / "again" / "test" / "smoke"
+    played = pd.read_csv(again / "runs" / rows.parent.name / "episodes.csv")
+    pd.testing.assert_frame_equal(played, first)
+    first.to_csv(rows, index=False)
+    assert main(place) == 0
+    out = capsys.readouterr().out
+    assert "Runs whose every episode came out as stored: 4 of 4" in out
+    cells = re.search(r"Cells of the tables that came out as stored: (\d+) of (\d+)", out)
+    assert cells is not None
+    assert cells[1] == cells[2]
+    files[rows] = rows.read_bytes()
+    assert {p: p.read_bytes() for p in (tmp_path / "smoke").rglob("*") if p.is_file()} == files
+
+
+def test_an_entry_is_compared_with_itself(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(results / "smoke", tmp_path / "smoke")
+    place = ["--preset", "smoke", "--results", str(tmp_path)]
+    assert main(["evaluate", *place, "--planner", "optimum", "--name", "mine"]) == 0
+    assert main(["tables", *place]) == 0
+    capsys.readouterr()
+    assert main(["evaluate", *place]) == 0
+    cells = re.search(r"that came out as stored: (\d+) of (\d+)\n", capsys.readouterr().out)
+    assert cells is not None
+    assert cells[1] == cells[2]
+
+
+def test_a_policy_plays_only_under_its_own_settings(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    preset = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
+    preset["tracks"]["tuned"]["mask_visited"] = 0
+    changed = tmp_path / "smoke.yaml"
+    changed.write_text(yaml.safe_dump(preset), encoding="utf-8")
+    for command in ("evaluate", "failures"):
+        words = [command, "--preset", str(changed), "--results", str(results)]
+        assert main(words) == 2
+        assert "track.mask_visited: 64 -> 0" in capsys.readouterr().err
+
+
+def test_a_lost_process_and_ctrl_c_end_at_once(results: Path, tmp_path: Path) -> None:
+    shutil.copytree(results / "smoke", tmp_path / "smoke")
+    words = [sys.executable, "-m", "benchmarks", "evaluate", "--preset", "smoke"]
+    for number, told in ((signal.SIGKILL, "was killed"), (signal.SIGINT, "Interrupted")):
+        done = subprocess.Popen(
+            [*words, "--results", str(tmp_path)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        parent = psutil.Process(done.pid)
+        players: list[psutil.Process] = []
+        while not players:
+            assert done.poll() is None
+            time.sleep(0.05)
+            players = [p for p in parent.children() if "spawn_main" in " ".join(p.cmdline())]
+        target = players[0] if number == signal.SIGKILL else parent
+        target.send_signal(number)
+        out, _ = done.communicate(timeout=60)
+        assert told in out
+        assert "Traceback" not in out
+        assert done.returncode == (2 if number == signal.SIGKILL else 130)
+        _, alive = psutil.wait_procs(players, timeout=30)
+        assert not alive
+
+
+def test_a_full_disk_is_one_error(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*args: object, **kwargs: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", "episodes.csv")
+
+    monkeypatch.setattr("benchmarks.runs.store.RunFolder.write_rows", full)
+    words = ["--preset", "smoke", "--results", str(tmp_path), "--cell", "rrt_connect-optimized-s0"]
+    assert main(["train", *words]) == 2
+    assert "No space left on device: episodes.csv; make room" in capsys.readouterr().err
+
+
+def test_other_starts_are_starts_of_their_own(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(results / "smoke", tmp_path / "smoke")
+    words = ["evaluate", "--preset", "smoke", "--results", str(tmp_path), "--episodes", "3"]
+    seen: list[set[str]] = []
+    for starts in ("1", "2"):
+        assert main([*words, "--starts", starts]) == 0
+        out = capsys.readouterr().out
+        assert "Performance on the test episodes" in out
+        folder = tmp_path / "again" / f"starts-{starts}" / "smoke" / "runs"
+        runs = [pd.read_csv(path) for path in sorted(folder.glob("*/episodes.csv"))]
+        assert len(runs) == 4
+        found = [set(rows.loc[rows["noise"] == 0.0, "start"].astype(str)) for rows in runs]
+        assert all(starts == found[0] for starts in found)  # the same for every method
+        seen.append(found[0])
+    stored = pd.read_csv(tmp_path / "smoke" / "runs" / "optimum-optimized-s0" / "episodes.csv")
+    assert not seen[0] & seen[1]
+    assert not (seen[0] | seen[1]) & set(stored["start"].astype(str))
+
+
+def test_verify_is_red_after_a_change(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(results / "smoke", tmp_path / "smoke")
+    table = tmp_path / "smoke" / "tables" / "performance.csv"
+    table.write_text(table.read_text(encoding="utf-8").replace("100", "101", 1), encoding="utf-8")
+    words = ["--preset", "smoke", "--results", str(tmp_path)]
+    assert main(["verify", *words, "--readme", str(tmp_path / "none.md")]) == 1
+    assert "performance.csv" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["run", "--preset", "fast"], "unknown preset 'fast'"),
+        (["plan", "--preset", "_tracks"], "unknown preset"),
+        (["train", "--preset", "smoke", "--cell", "ppo-s0"], "has no cell 'ppo-s0'"),
+        (["tables", "--preset", "smoke"], "has no results"),
+        (["speed", "light"], "known: env, rainbow"),
+        (["evaluate", "--preset", "smoke", "--name", "x"], "--name belongs to a --model"),
+        (["evaluate", "--preset", "smoke", "--model", "no.zip"], "no.zip is missing"),
+        (
+            ["evaluate", "--preset", "smoke", "--model", "x", "--algorithm", "sarsa"],
+            "unknown algorithm 'sarsa'",
+        ),
+    ],
+)
+def test_bad_input_is_one_error_and_writes_nothing(
+    words: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert message in error
+    written = [path for path in tmp_path.rglob("*") if path.name != "store.json" and path.is_file()]
+    assert written == []
+
+
+def test_results_of_another_version_are_left_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "smoke"
+    folder.mkdir()
+    (folder / "store.json").write_text('{"schema": 99}', encoding="utf-8")
+    assert main(["--preset", "smoke", "--results", str(tmp_path)]) == 2
+    assert "schema 99" in capsys.readouterr().err
+    assert [path.name for path in folder.iterdir()] == ["store.json"]
+
+
+def test_a_model_that_is_none_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "model.zip"
+    path.write_bytes(b"not a zip")
+    assert main(["evaluate", "--preset", "smoke", "--model", str(path)]) == 2
+    assert "is no model of Stable-Baselines3" in capsys.readouterr().err
+
+
+def test_a_run_made_with_other_settings_is_not_overwritten(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(results / "smoke", tmp_path / "smoke")
+    config = tmp_path / "smoke" / "runs" / "dqn-optimized-tuned-s0" / "config.yaml"
+    config.write_text(config.read_text("utf-8").replace("gamma: 0.93", "gamma: 0.5"), "utf-8")
+    assert main(["run", "--preset", "smoke", "--results", str(tmp_path)]) == 2
+    assert "gamma: 0.5 -> 0.93" in capsys.readouterr().err

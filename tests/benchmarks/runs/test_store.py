@@ -1,0 +1,173 @@
+"""The store: atomic files, one schema, one harness at a time, nothing overwritten."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.runs.store import SCHEMA, RunFolder, Store, write_atomic, write_csv, write_text
+
+
+def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    write_text(path, "old")
+
+    def fail(temporary: Path) -> None:
+        temporary.write_text("half of the n", encoding="utf-8")
+        raise OSError("no space left on device")
+
+    with pytest.raises(OSError, match="no space"):
+        write_atomic(path, fail)
+    assert path.read_text(encoding="utf-8") == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_reader_never_sees_half_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    write_text(path, "old")
+
+    def look(temporary: Path) -> None:
+        temporary.write_text("half", encoding="utf-8")
+        assert path.read_text(encoding="utf-8") == "old"
+
+    write_atomic(path, look)
+    assert path.read_text(encoding="utf-8") == "half"
+
+
+def test_rows_come_back_as_they_went(tmp_path: Path) -> None:
+    run = Store.open(tmp_path, "smoke", create=True).run("cell")
+    run.write_rows("episodes", [
+        {"episode": 0, "success": True, "time": 1.25, "failure": "", "seed": 2**31 - 1},
+        {"episode": 1, "success": False, "time": math.nan, "failure": "no plan", "seed": 7},
+    ])  # fmt: skip
+    frame = run.rows("episodes")
+    assert frame["success"].tolist() == [1, 0]
+    assert frame["seed"].tolist() == [2**31 - 1, 7]
+    assert frame["time"][0] == 1.25
+    assert math.isnan(frame["time"][1])
+    assert frame["failure"][1] == "no plan"
+
+
+def test_rows_are_text_that_does_not_depend_on_the_machine(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    write_csv(path, [{"x": 1.0 / 3.0, "y": True}])
+    assert path.read_bytes() == b"x,y\n0.3333333,1\n"
+
+
+def test_a_run_is_complete_when_meta_is_there_and_not_before(tmp_path: Path) -> None:
+    store = Store.open(tmp_path, "smoke", create=True)
+    run = store.run("cell")
+    run.begin({"cell": {"seed": 0}})
+    run.write_rows("episodes", [{"episode": 0}])
+    run.write_progress(0.5, "half")
+    assert not run.is_complete()
+    assert run.progress() == (0.5, "half")
+    assert store.completed() == []
+    run.write_meta({"wall_seconds": 1.0})
+    assert run.is_complete()
+    assert [found.id for found in store.completed()] == ["cell"]
+    assert run.meta() == {"schema": SCHEMA, "wall_seconds": 1.0}
+    run.drop_checkpoint()
+    assert run.progress() == (1.0, "complete")
+
+
+def test_other_settings_are_refused_and_named(tmp_path: Path) -> None:
+    run = Store.open(tmp_path, "smoke", create=True).run("cell")
+    run.begin({"track": {"gamma": 0.99, "tau": 0.1}})
+    before = (run.path / "config.yaml").read_bytes()
+    with pytest.raises(BenchmarkError, match=r"track.gamma: 0.99 -> 0.9"):
+        run.begin({"track": {"gamma": 0.9, "tau": 0.1}})
+    assert (run.path / "config.yaml").read_bytes() == before
+
+
+def test_other_words_for_the_same_settings_are_no_other_run(tmp_path: Path) -> None:
+    run = Store.open(tmp_path, "smoke", create=True).run("cell")
+    run.begin({"track": {"description": "Fast", "gamma": 0.9}})
+    run.begin({"track": {"description": "Quick", "gamma": 0.9}})
+    with pytest.raises(BenchmarkError, match="gamma"):
+        run.begin({"track": {"description": "Quick", "gamma": 0.8}})
+
+
+def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
+    run = Store.open(tmp_path, "smoke", create=True).run("cell")
+    run.begin({"x": 1})
+    left = run.path / ".curve.csv.abc.tmp"
+    left.write_text("half", encoding="utf-8")
+    run.begin({"x": 1})
+    assert not left.exists()
+
+
+def test_a_lock_can_be_waited_for(tmp_path: Path) -> None:
+    run = Store.open(tmp_path, "smoke", create=True).run("cell")
+    held = threading.Event()
+
+    def hold() -> None:
+        with RunFolder(run.path).lock():
+            held.set()
+            time.sleep(0.3)
+
+    other = threading.Thread(target=hold)
+    other.start()
+    assert held.wait(10)
+    with pytest.raises(BenchmarkError, match="another process"), run.lock():
+        pass
+    with run.lock(wait=30.0):
+        pass
+    other.join()
+
+
+def test_progress_is_not_worth_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*arguments: object) -> None:
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr("benchmarks.runs.store.write_text", full)
+    RunFolder(tmp_path).write_progress(0.5, "")
+    assert RunFolder(tmp_path).progress() == (0.0, "")
+
+
+@pytest.mark.parametrize("marker", ['{"schema": 999}', "{}", "not json"])
+def test_another_schema_is_refused_and_left_alone(tmp_path: Path, marker: str) -> None:
+    folder = tmp_path / "smoke"
+    folder.mkdir()
+    (folder / "store.json").write_text(marker, encoding="utf-8")
+    with pytest.raises(BenchmarkError, match="schema"):
+        Store.open(tmp_path, "smoke", create=True)
+    assert (folder / "store.json").read_text(encoding="utf-8") == marker
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "smoke").mkdir()
+    (tmp_path / "smoke" / "thesis.tex").write_text("", encoding="utf-8")
+    with pytest.raises(BenchmarkError, match="no results folder"):
+        Store.open(tmp_path, "smoke", create=True)
+    with pytest.raises(BenchmarkError, match="has no results"):
+        Store.open(tmp_path, "other")
+    assert not (tmp_path / "other").exists()
+
+
+def test_two_harnesses_cannot_hold_one_folder(tmp_path: Path) -> None:
+    first, second = (Store.open(tmp_path, "smoke", create=True) for _ in range(2))
+    with first.lock(), pytest.raises(BenchmarkError, match="another harness"), second.lock():
+        pass
+    with second.lock():
+        pass
+    run = first.run("cell")
+    with run.lock(), pytest.raises(BenchmarkError, match="another process"), run.lock():
+        pass
+
+
+def test_a_learners_run_without_its_policy_is_run_again(tmp_path: Path) -> None:
+    run = Store.open(tmp_path, "smoke", create=True).run("a")
+    run.begin({"x": 1})
+    run.write_meta({"wall_seconds": 1.0})
+    assert run.is_done(learns=False)
+    assert not run.is_done(learns=True)
+    run.policy.write_bytes(b"weights")
+    assert run.is_done(learns=True)
+    run.reopen()
+    assert not run.is_complete()

@@ -1,0 +1,93 @@
+"""A process that has imported and compiled everything, and forks runs that tests may kill.
+
+One JSON object per line: ``{"argv": [...], "log": path, "crash": n}`` starts
+``python -m benchmarks <argv>`` in a fork and answers its process id; ``{"wait": pid}`` answers its
+exit code, negative for a signal. With ``crash``, the fork kills itself before its n-th operation on
+files (counted from 0), and without being killed writes how many there were to ``<log>.count``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+OPERATIONS = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "shutil.rmtree"}
+
+
+class FileOperations:
+    """Counts operations that change files below a folder, and kills the process at one of them."""
+
+    def __init__(self, below: str, crash: int) -> None:
+        self.below, self.crash = below, crash
+        self.count = 0
+
+    def __call__(self, event: str, arguments: tuple[Any, ...]) -> None:
+        if event == "open":
+            path, mode, flags = arguments
+            writes = set("wax+") & set(mode or "") or (flags or 0) & (os.O_WRONLY | os.O_RDWR)
+        elif event in OPERATIONS:
+            path, writes = arguments[0], True
+        else:
+            return
+        if writes and isinstance(path, (str, os.PathLike)) and self.below in os.fspath(path):
+            if self.count == self.crash:
+                os.kill(os.getpid(), signal.SIGKILL)
+            self.count += 1
+
+
+def run(request: dict[str, Any]) -> None:
+    """In the fork: the command, and nothing of the server's after it."""
+    from benchmarks.__main__ import main
+
+    log = os.open(request["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    os.dup2(log, 1)
+    os.dup2(log, 2)
+    code = 1
+    try:
+        operations = None
+        if "crash" in request:
+            operations = FileOperations(f"{os.sep}runs{os.sep}", request["crash"])
+            sys.addaudithook(operations)
+        code = main(request["argv"])
+        if operations is not None:
+            Path(f"{request['log']}.count").write_text(str(operations.count), encoding="utf-8")
+    finally:
+        os._exit(code)
+
+
+def warm_up(preset: str, cells: list[str]) -> None:
+    """Import what a run imports and compile what it compiles."""
+    from benchmarks.protocol.plan import find
+    from benchmarks.protocol.presets import load_preset
+    from benchmarks.runs.cell import run_cell
+    from benchmarks.runs.store import Store
+
+    loaded = load_preset(preset)
+    with tempfile.TemporaryDirectory() as folder:
+        for cell in cells:
+            run_cell(loaded, find(loaded, cell), Store.open(folder, loaded.name, create=True))
+
+
+def main() -> None:
+    preset, *cells = sys.argv[1:]
+    warm_up(preset, cells)
+    print("ready", flush=True)
+    for line in sys.stdin:
+        request = json.loads(line)
+        if "wait" in request:
+            _, status = os.waitpid(request["wait"], 0)
+            print(os.waitstatus_to_exitcode(status), flush=True)
+            continue
+        pid = os.fork()
+        if pid == 0:
+            run(request)
+        print(pid, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,129 @@
+"""Reward audit and failure map: scripts against sums by hand, causes against the environment."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch as th
+
+from benchmarks.__main__ import main
+from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.protocol.plan import expand, find
+from benchmarks.protocol.presets import load_preset
+from benchmarks.runs.cell import run_cell
+from benchmarks.runs.store import Store
+from benchmarks.studies import audit, failures
+from coop_env.env import CoopInsertionEnv
+
+
+def test_the_best_cycle_is_the_best_of_all() -> None:
+    env = CoopInsertionEnv(reward="paper")
+    simulator = audit.Simulator(env)
+    for seed in range(5):
+        env.reset(seed=seed)
+        before = env.get_state()
+        paid, cycle = simulator.best_cycle(np.array([env.state]))
+        best = -math.inf
+        for action in range(12):
+            env.set_state(before)
+            _, there, ended, _, first = env.step(action)
+            if ended:
+                continue
+            _, back, _, _, second = env.step(action ^ 1)
+            if first["violation"] or second["violation"] or first["inserted"] or second["inserted"]:
+                continue
+            if action == cycle:
+                assert there + back == pytest.approx(paid, abs=1e-9)
+            best = max(best, there + back)
+        assert best == pytest.approx(paid, abs=1e-9)
+
+
+def test_scripts_return_what_the_environment_pays() -> None:
+    preset = load_preset("paper")
+    tracks = {name: preset.tracks[name] for name in ("printed", "tuned")}
+    rows = audit.scripted(dataclasses.replace(preset, tracks=tracks), 2)
+    assert set(rows["script"]) == set(audit.SCRIPTS)
+    means = {
+        (track, script): (float(found["return"].mean()), float(found["holes"].mean()))
+        for (track, script), found in rows.groupby(["track", "script"])
+    }
+    for name in ("printed", "tuned"):
+        assert means[name, "farm"][1] == means[name, "oscillate"][1] == 0
+        assert means[name, "insert one"][1] == 1
+        assert means[name, "insert"][1] > 3
+    # as printed a farmer earns more than one insertion does; with the tuned reward next to nothing
+    assert means["printed", "farm"][0] > means["printed", "insert one"][0]
+    assert means["tuned", "farm"][0] < 0.1 * means["tuned", "insert one"][0]
+    # oscillating earns the dense term of every second move, which is at most 50 x 20 mm
+    assert 0.0 < means["printed", "oscillate"][0] < 150 * 50 * 0.02
+    assert "| as printed | farm |" in audit.markdown(rows)
+
+
+def test_both_commands_write_what_they_say(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    preset = load_preset("smoke")
+    store = Store.open(tmp_path, "smoke", create=True)
+    words = ["--preset", "smoke", "--results", str(tmp_path)]
+    assert main(["failures", *words]) == 2
+    assert "no stored policy of rainbow, track tuned" in capsys.readouterr().err
+    assert run_cell(preset, find(preset, "rainbow-optimized-tuned-s0"), store)
+    assert main(["failures", *words]) == 0
+    folder = store.folder / "failures"
+    rows = pd.read_csv(folder / "rainbow-tuned.csv")
+    assert len(rows) == preset.evaluation.episodes
+    assert set(rows.loc[~rows["success"].astype(bool), "cause"]) <= set(failures.CAUSES)
+    assert (folder / "rainbow-tuned.png").stat().st_size > 10_000
+    assert rows["gap"].between(0.0, 1.0).all()
+    assert rows["acting"].isna().all()  # no training episode ended within so few steps
+    assert "last tenth" not in failures.summary(failures.read(folder / "rainbow-tuned.csv"))
+    known = failures.read(folder / "rainbow-tuned.csv").assign(acting=0.5)
+    assert "with exploration: 50.0 %" in failures.summary(known)
+    assert main(["audit", *words, "--starts", "1"]) == 0
+    learned = pd.read_csv(tmp_path / "audit" / "learned.csv")
+    assert learned["method"].tolist() == ["rainbow"]
+    assert (tmp_path / "audit" / "audit.png").stat().st_size > 10_000
+    assert main(["audit", *words, "--starts", "0"]) == 2
+
+
+def test_the_action_gap_is_that_of_the_allowed_actions_over_the_support() -> None:
+    class Net:
+        distributional, device, v_min, v_max = True, "cpu", -10.0, 40.0
+
+        def __call__(self, observations: th.Tensor) -> th.Tensor:
+            return observations
+
+    model = SimpleNamespace(q_net=Net())
+    values = np.array([[5.0, 4.0, 9.0], [1.0, 3.0, 0.0], [7.0, 0.0, 0.0]], np.float32)
+    masks = np.array([[1, 1, 0], [1, 1, 1], [1, 0, 0]], bool)
+    assert failures.action_gap(model, values, masks) == pytest.approx(1.5 / 50.0)
+    assert math.isnan(failures.action_gap(model, values[2:], masks[2:]))  # no choice
+    assert math.isnan(failures.action_gap(SimpleNamespace(), values, masks))
+
+
+def test_causes_are_told_apart() -> None:
+    """A policy that turns on the spot cycles; one that heads for the singularity ends there."""
+    preset = load_preset("smoke")
+    cell = next(c for c in expand(preset) if c.method == "rainbow")
+
+    class Model:
+        def __init__(self, actions: list[int]) -> None:
+            self.actions = actions
+
+        def predict(self, observation: np.ndarray, **_: object) -> tuple[np.ndarray, None]:
+            self.actions.append(self.actions.pop(0))
+            return np.array([self.actions[-1]]), None
+
+    plain = dataclasses.replace(preset.tracks["tuned"], mask_singularities=False, mask_visited=0)
+    preset = dataclasses.replace(preset, tracks={"tuned": plain})
+    rows = failures.play(preset, cell, Model([4, 5]), LatticeOracle(), lambda: None)
+    assert {row["cause"] for row in rows} <= {"cycle", "infeasible"}
+    assert any(row["cause"] == "cycle" for row in rows)
+    rows = failures.play(preset, cell, Model([6]), LatticeOracle(), lambda: None)
+    assert {row["cause"] for row in rows} <= {"singular", "cycle", "infeasible"}

@@ -1,0 +1,174 @@
+"""The tasks of `benchmarks classic`: Gymnasium's and SB3's checks, seeds, masks, closed form."""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import sys
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env as gymnasium_check
+from stable_baselines3.common.env_checker import check_env as sb3_check
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.studies.classic.cliff import transitions
+from benchmarks.studies.classic.envs import BlindCliffWalkEnv, MaskedIdentityEnv, MinAtarEnv, make
+
+GAMES = ("breakout", "freeway", "space_invaders")
+
+
+def played(env: gym.Env, seed: int, steps: int = 200) -> list[tuple[bytes, float, bool]]:
+    """An episode of a fixed sequence of actions."""
+    rng = np.random.default_rng(7)
+    observation, _ = env.reset(seed=seed)
+    seen = [(np.asarray(observation).tobytes(), 0.0, False)]
+    for _ in range(steps):
+        action = rng.integers(int(env.action_space.n))  # type: ignore[attr-defined]
+        observation, reward, terminated, truncated, _ = env.step(action)
+        seen.append((np.asarray(observation).tobytes(), float(reward), terminated))
+        if terminated or truncated:
+            break
+    return seen
+
+
+@pytest.mark.parametrize("game", GAMES)
+def test_minatar_passes_both_checks(game: str) -> None:
+    pytest.importorskip("minatar", reason="needs the extra 'classic'")
+    env = MinAtarEnv(game)
+    with warnings.catch_warnings():
+        # both warn that nothing draws, and that NatureCNN, which is not used, needs 36 pixels
+        warnings.filterwarnings("ignore", message=".*(render|36x36|spec).*")
+        gymnasium_check(env, skip_render_check=True)
+        sb3_check(env)
+
+
+@pytest.mark.parametrize("game", GAMES)
+def test_a_minatar_episode_depends_on_its_seed_alone(game: str) -> None:
+    pytest.importorskip("minatar", reason="needs the extra 'classic'")
+    env = MinAtarEnv(game)
+    first = played(env, seed=3)
+    played(env, seed=4)  # leaves another last action behind
+    env.step(np.int64(0))
+    assert played(env, seed=3) == first
+    assert played(MinAtarEnv(game), seed=3) == first
+
+
+def test_minatar_shows_the_games_own_state_with_sticky_actions_and_ramping() -> None:
+    minatar = pytest.importorskip("minatar", reason="needs the extra 'classic'")
+    env = MinAtarEnv("asterix")
+    observation, _ = env.reset(seed=0)
+    assert observation.shape == (4, 10, 10)
+    assert observation[0].sum() == 255  # one player
+    assert env._game.sticky_action_prob == minatar.Environment("asterix").sticky_action_prob == 0.1
+    assert env._game.env.ramping is True
+    assert MinAtarEnv("breakout").action_space.n == 3  # type: ignore[attr-defined]
+
+
+def test_minatar_is_truncated_at_its_limit() -> None:
+    pytest.importorskip("minatar", reason="needs the extra 'classic'")
+    env = MinAtarEnv("freeway", max_episode_steps=5)
+    env.reset(seed=0)
+    ends = [env.step(np.int64(0))[2:4] for _ in range(5)]
+    assert ends == [(False, False)] * 4 + [(False, True)]
+
+
+def test_the_small_cnn_is_a_convolution() -> None:
+    from benchmarks.studies.classic.features import SmallCnn
+
+    space = gym.spaces.Box(0, 255, (2, 10, 10), np.uint8)
+    extractor = SmallCnn(space)
+    images = torch.rand(3, 2, 10, 10)
+    features = extractor(images)
+    assert features.shape == (3, extractor.features_dim)
+    # by hand, one filter at one place: row 4, column 6 of the 8 x 8 map
+    layer = next(extractor.layers.children())
+    assert isinstance(layer, torch.nn.Conv2d)
+    assert layer.bias is not None
+    by_hand = (layer.weight[5] * images[1, :, 4:7, 6:9]).sum() + layer.bias[5]
+    found = features.view(3, 16, 8, 8)[1, 5, 4, 6]
+    torch.testing.assert_close(found, by_hand.clamp(min=0.0))
+
+
+def test_masked_identity_passes_both_checks_and_masks_allow_the_right_action() -> None:
+    env = MaskedIdentityEnv(size=12, n_valid=3, length=20)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*(render|spec).*")
+        gymnasium_check(env, skip_render_check=True)
+        sb3_check(env)
+    state, _ = env.reset(seed=1)
+    allowed = np.zeros(12)
+    for _ in range(400):
+        mask = env.action_masks()
+        assert mask.sum() == 3
+        assert mask[state]
+        allowed += mask
+        state, reward, terminated, truncated, _ = env.step(state)
+        assert (reward, terminated) == (1.0, False)
+        if truncated:
+            state, _ = env.reset()
+    # every action is allowed one time in four
+    assert allowed.min() > 60
+    assert allowed.max() < 140
+    assert env.step(np.int64((state + 1) % 12))[1] == 0.0
+
+
+def test_the_cliff_walk_passes_both_checks() -> None:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*(render|spec).*")
+        gymnasium_check(BlindCliffWalkEnv(5), skip_render_check=True)
+        sb3_check(BlindCliffWalkEnv(5))
+
+
+@pytest.mark.parametrize("states", [1, 2, 5, 8])
+def test_one_of_all_sequences_is_rewarded(states: int) -> None:
+    returns = []
+    for actions in itertools.product((0, 1), repeat=states):
+        env = BlindCliffWalkEnv(states)
+        env.reset()
+        total = 0.0
+        for action in actions:
+            _, reward, ended, _, _ = env.step(np.int64(action))
+            total += reward
+            if ended:
+                break
+        returns.append(total)
+    assert sorted(returns) == [0.0] * (2**states - 1) + [1.0]
+
+
+@pytest.mark.parametrize("states", [2, 5, 9])
+def test_values_are_those_of_value_iteration_over_the_memory(states: int) -> None:
+    env = BlindCliffWalkEnv(states)
+    memory = list(transitions(states, np.random.default_rng(0)))
+    # the paper's count of the relevant experience
+    assert len(memory) == 2 ** (states + 1) - 2
+    assert sum(reward for _, _, _, reward, _ in memory) == 1.0
+    values = np.zeros((states, 2))
+    for _ in range(states + 1):
+        for state, action, following, reward, ended in memory:
+            rest = 0.0 if ended else env.gamma * values[following].max()
+            values[state, action] = reward + rest
+    np.testing.assert_allclose(env.optimal_values(), values, atol=1e-12)
+
+
+def test_unknown_tasks_are_named() -> None:
+    with pytest.raises(BenchmarkError, match="unknown environment 'NoSuch-v0'"):
+        make("NoSuch-v0")
+    pytest.importorskip("minatar", reason="needs the extra 'classic'")
+    with pytest.raises(BenchmarkError, match="unknown MinAtar game 'pong'"):
+        make("MinAtar/pong")
+
+
+def test_lunar_lander_is_at_hand_or_says_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "Box2D", None)
+        with pytest.raises(BenchmarkError, match=r"LunarLander-v3 needs .* '\.\[classic\]'"):
+            make("LunarLander-v3")
+    if importlib.util.find_spec("Box2D") is None:
+        pytest.skip("needs the extra 'classic'")
+    env = make("LunarLander-v3")
+    assert env.reset(seed=0)[0].shape == (8,)
+    env.close()

@@ -1,0 +1,133 @@
+"""Tables, figures and docs of `benchmarks classic`, from stored runs whose numbers are known."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.runs.store import Store
+from benchmarks.studies.classic import docs
+from benchmarks.studies.classic.figures import write_figures
+from benchmarks.studies.classic.plan import CLIFF, expand
+from benchmarks.studies.classic.presets import Preset, load_preset
+from benchmarks.studies.classic.results import Results, bootstrap_ratio
+from benchmarks.studies.classic.tables import build_tables
+
+ROOT = Path(__file__).resolve().parents[3]
+SCORES = {"rainbow": 30.0, "dqn": 20.0, "qrdqn": 10.0}
+
+
+@pytest.fixture(scope="module")
+def preset() -> Preset:
+    return load_preset("quick")
+
+
+@pytest.fixture(scope="module")
+def store(preset: Preset, tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """Runs with made-up rows: a seed adds one to every return; one cliff run is never done."""
+    store = Store.open(tmp_path_factory.mktemp("results"), "quick", create=True)
+    for cell in expand(preset):
+        run = store.run(cell.id)
+        if cell.kind == CLIFF:
+            seeds = range(preset.cliff[cell.task].seeds)
+            factor = 1 if cell.method == "prioritized" else cell.number
+            late = cell.number == 12 and cell.method == "uniform"
+            updates = [None if late and s == 0 else 100 * factor + 20 * s for s in seeds]
+            rows: list[dict[str, object]] = [
+                {"seed": s, "learned": u, "solved": u} for s, u in zip(seeds, updates, strict=True)
+            ]
+            run.write_rows("updates", rows)
+        else:
+            final = SCORES[cell.method] + cell.number
+            run.write_rows("episodes", [{"episode": i, "return": final + i} for i in (-1, 0, 1)])
+            curve: list[dict[str, object]] = [
+                {"timesteps": t, "return_mean": final * t / 1000} for t in (0, 500, 1000)
+            ]
+            run.write_rows("curve", curve)
+        training = {"updates": 7, "cpu_seconds": 60.0, "wall_seconds": 120.0}
+        machine = {"commit": "f" * 40, "dirty": False, "machine": {"processor": "abacus"}}
+        run.write_meta({"training": training, **machine})
+    return store
+
+
+def test_scores_are_means_over_seeds_with_an_interval(preset: Preset, store: Store) -> None:
+    results = Results(preset, store)
+    assert results.missing == []
+    value = results.score("cartpole", "dqn")
+    assert (value.mean, value.n) == (20.5, 2)
+    # of two seeds the bootstrap draws one twice, both, or the other twice
+    assert (value.low, value.high) == (20.0, 21.0)
+    assert math.isnan(results.score("acrobot", "dqn").low)
+    run = results.runs("cartpole", "rainbow")[1]
+    assert run.steps_to(15.0) == 500
+    assert math.isnan(run.steps_to(99.0))
+    curve = results.curve("cartpole", "rainbow")
+    assert curve is not None
+    np.testing.assert_allclose(curve[1], [0.0, 15.25, 30.5])
+
+
+def test_a_run_at_the_limit_makes_the_ratio_a_lower_bound(preset: Preset, store: Store) -> None:
+    results = Results(preset, store)
+    ratio = results.ratio("alone", 8)
+    assert ratio is not None
+    # seeds 0 to 9: medians 100 * 8 + 90 and 100 + 90
+    assert (ratio.uniform, ratio.prioritized) == (890.0, 190.0)
+    assert ratio.ratio.mean == pytest.approx(890 / 190)
+    assert ratio.ratio.low < ratio.ratio.mean < ratio.ratio.high
+    late = results.ratio("alone", 12)
+    assert late is not None
+    assert late.censored == {"uniform": 1, "prioritized": 0}
+    (table,) = [t for t in build_tables(results) if t.name == "cliff"]
+    shown = {(row[0], row[1]): row for row in table.texts()}
+    title = preset.cliff["alone"].title
+    assert shown[title, "8"][5].startswith("4.7 [")
+    assert shown[title, "12"][5].startswith(">")
+
+
+def test_the_ratio_s_interval_covers_what_it_should() -> None:
+    """Of many samples of pairs with a known ratio of medians, about 95 % cover it."""
+    rng = np.random.default_rng(0)
+    covered = 0
+    for trial in range(200):
+        pairs = np.exp(rng.normal([[math.log(5.0), 0.0]], 0.5, size=(20, 2)))
+        value = bootstrap_ratio(pairs, seed=trial)
+        covered += value.low <= 5.0 <= value.high
+    assert 180 <= covered <= 200
+
+
+def test_every_panel_is_drawn_and_the_same_data_gives_the_same_file(
+    preset: Preset, store: Store
+) -> None:
+    results = Results(preset, store)
+    paths = write_figures(results, store)
+    assert [path.name for path in paths] == ["curves.png", "cliff.png"]
+    first = [path.read_bytes() for path in paths]
+    assert [path.read_bytes() for path in write_figures(results, store)] == first
+
+
+def test_docs_say_which_runs_they_show(preset: Preset, store: Store) -> None:
+    results = Results(preset, store)
+    page = docs.rewrite("a\n<!-- classic:begin x -->\nold\n<!-- classic:end -->\nb\n", results, "r")
+    assert page.startswith("a\n")
+    assert page.endswith("\nb\n")
+    assert "old" not in page
+    assert f"{len(expand(preset))} runs, {2 * len(expand(preset))} minutes" in page
+    assert "abacus" in page
+    assert "(r/figures/cliff.png)" in page
+    assert docs.rewrite(page, results, "r") == page
+    with pytest.raises(BenchmarkError, match="no block between"):
+        docs.rewrite("a page", results, "r")
+
+
+def test_the_page_shows_the_stored_runs() -> None:
+    root = ROOT / "results" / "classic"
+    shown = [p for p in ("full", "quick") if (root / p / "store.json").is_file()]
+    if not shown:
+        pytest.skip("no committed results of classic")
+    page = (ROOT / "docs" / "rainbow.md").read_text(encoding="utf-8")
+    results = Results(load_preset(shown[0]), Store.open(root, shown[0]))
+    assert docs.rewrite(page, results, f"../results/classic/{shown[0]}") == page

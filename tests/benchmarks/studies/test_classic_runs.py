@@ -1,0 +1,291 @@
+"""Runs of `benchmarks classic`: the protocol, exact resuming, the command from end to end."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from benchmarks.__main__ import main
+from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.seeding import derive, episode_seeds
+from benchmarks.runs.checkpoint import checkpoints
+from benchmarks.runs.store import RunFolder, Store
+from benchmarks.studies.classic.cell import run_cell
+from benchmarks.studies.classic.cliff import measure
+from benchmarks.studies.classic.plan import Cell, expand, find
+from benchmarks.studies.classic.presets import PRESETS, CliffVariant, Preset, load_preset
+from benchmarks.studies.classic.train import build_model, evaluate, run_learner
+
+TASKS = ("cartpole", "masked_identity", "breakout")
+
+
+@pytest.fixture
+def preset() -> Preset:
+    return load_preset("tiny")
+
+
+def stop_after(rounds: int) -> Callable[[], bool]:
+    calls = iter(range(rounds))
+    return lambda: next(calls, None) is None
+
+
+def finished(folder: RunFolder) -> tuple[pd.DataFrame, pd.DataFrame]:
+    return folder.rows("curve"), folder.rows("episodes")
+
+
+@pytest.mark.parametrize("method", ["rainbow", "dqn", "qrdqn"])
+@pytest.mark.parametrize("task", TASKS)
+def test_a_run_that_was_stopped_twice_is_the_run_that_was_not(
+    task: str, method: str, preset: Preset, tmp_path: Path
+) -> None:
+    if task == "breakout":
+        pytest.importorskip("minatar", reason="needs the extra 'classic'")
+    cell = Cell("learn", task, method, 0)
+    whole = RunFolder(tmp_path / "whole")
+    assert run_learner(preset, cell, whole) is not None
+    folder = RunFolder(tmp_path / "cut")
+    assert run_learner(preset, cell, folder, stop_after(20)) is None
+    assert len(checkpoints(folder.checkpoint)) == 1
+    assert run_learner(preset, cell, folder, stop_after(15)) is None
+    summary = run_learner(preset, cell, folder)
+    assert summary is not None
+    assert len(summary["resumed_at"]) == 2
+    assert summary["timesteps"] >= preset.tasks[task].timesteps
+    for cut, expected in zip(finished(folder), finished(whole), strict=True):
+        pd.testing.assert_frame_equal(cut, expected)
+
+
+def test_box2d_begins_a_new_episode_and_goes_on(tmp_path: Path) -> None:
+    pytest.importorskip("minatar", reason="needs the extra 'classic'")
+    data = yaml.safe_load((PRESETS / "tiny.yaml").read_text(encoding="utf-8"))
+    short = {"learning_starts": 50, "policy_kwargs": {"net_arch": [16]}, "train_freq": 4}
+    data["tasks"] = {
+        "lunarlander": {
+            "timesteps": 400,
+            "eval_every": 400,
+            "eval_episodes": 1,
+            "methods": dict.fromkeys(("rainbow", "dqn", "qrdqn"), short),
+        }
+    }
+    path = tmp_path / "lander.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    preset, folder = load_preset(str(path)), RunFolder(tmp_path / "run")
+    cell = Cell("learn", "lunarlander", "dqn", 0)
+    assert run_learner(preset, cell, folder, stop_after(40)) is None
+    summary = run_learner(preset, cell, folder)
+    assert summary is not None
+    assert summary["timesteps"] == 400
+    assert len(summary["resumed_at"]) == 1
+
+
+def test_how_often_a_policy_is_tested_changes_nothing(preset: Preset, tmp_path: Path) -> None:
+    cell = Cell("learn", "cartpole", "rainbow", 0)
+    often = dataclasses.replace(preset.tasks["cartpole"], eval_every=50)
+    frequent = dataclasses.replace(preset, tasks={"cartpole": often})
+    found = []
+    for name, what in (("seldom", preset), ("often", frequent)):
+        folder = RunFolder(tmp_path / name)
+        run_learner(what, cell, folder)
+        found.append(folder.rows("episodes"))
+    assert len(RunFolder(tmp_path / "often").rows("curve")) > 10
+    pd.testing.assert_frame_equal(found[0], found[1])
+
+
+def test_no_test_episode_is_one_of_training_or_validation() -> None:
+    for name in ("quick", "full"):
+        preset = load_preset(name)
+        for cell in expand(preset):
+            if cell.kind != "learn":
+                continue
+            task = preset.tasks[cell.task]
+            # SB3 seeds its environments with the learner's seed and the numbers after it
+            first = derive("learner", cell.number)
+            training = set(range(first, first + task.n_envs))
+            validation = set(episode_seeds(cell.number, task.eval_episodes, "validate"))
+            test = set(episode_seeds(cell.number, preset.final_episodes, "test"))
+            assert len(test) == preset.final_episodes == 100
+            assert not test & (training | validation)
+            assert not validation & training
+
+
+def test_evaluation_plays_each_seed_as_an_episode_of_its_own(preset: Preset) -> None:
+    import gymnasium as gym
+
+    task = preset.tasks["cartpole"]
+    model = build_model(task, "dqn", 0)
+    seeds = [11, 12, 13]
+    expected = []
+    for seed in seeds:
+        env = gym.make("CartPole-v1")
+        observation, _ = env.reset(seed=seed)
+        total, ended = 0.0, False
+        while not ended:
+            action, _ = model.predict(observation, deterministic=True)
+            observation, reward, terminated, truncated, _ = env.step(action)
+            total += float(reward)
+            ended = terminated or truncated
+        expected.append((total, int(total)))
+    assert evaluate(model, task, seeds) == expected
+
+
+def test_only_rainbow_reads_the_masks(preset: Preset) -> None:
+    task = preset.tasks["masked_identity"]
+    scores = {}
+    for method in ("rainbow", "dqn"):
+        model = build_model(task, method, 0)
+        scores[method] = np.mean([total for total, _ in evaluate(model, task, range(20))])
+    # untrained, of 50 answers: one in four right among the allowed, one in thirty among all
+    assert scores["rainbow"] == pytest.approx(12.5, abs=5.0)
+    assert scores["dqn"] < 6.0
+
+
+RAINBOW: dict[str, Any] = {
+    **dict.fromkeys(("double_q", "dueling", "noisy", "distributional"), False),
+    **{"n_steps": 1, "tau": 1.0, "batch_size": 32, "learning_rate": 1e-2},
+    **{"beta_start": 0.4, "beta_end": 0.4, "policy_kwargs": {"net_arch": []}},
+}
+ALONE: dict[str, Any] = {
+    "title": "alone",
+    "states": [10],
+    "measure": "learned",
+    "limit": 4000,
+    "seeds": 3,
+    "rainbow": RAINBOW,
+}
+
+
+def test_prioritized_replay_learns_the_cliff_walk_in_fewer_updates() -> None:
+    variant = CliffVariant(**ALONE)
+    updates = {
+        replay: [measure(variant, replay, 10, seed)[0] or variant.limit for seed in range(3)]
+        for replay in ("prioritized", "uniform")
+    }
+    assert max(updates["prioritized"]) < variant.limit
+    assert np.median(updates["uniform"]) > 1.3 * np.median(updates["prioritized"])
+
+
+def test_full_weights_undo_what_priorities_do() -> None:
+    """beta = 1 under plain gradient descent: each update is uniform replay's, only smaller."""
+    plain = {**ALONE, "optimizer": "sgd", "limit": 3000}
+    learners = {}
+    for beta in (0.0, 1.0):
+        rainbow = {**RAINBOW, "learning_rate": 0.25, "beta_start": beta, "beta_end": beta}
+        variant = CliffVariant(**{**plain, "rainbow": rainbow})
+        learners[beta] = measure(variant, "prioritized", 8, 0)[0]
+    assert learners[0.0] is not None
+    assert learners[1.0] is None or learners[1.0] > 3 * learners[0.0]
+
+
+def test_a_complete_run_is_kept_and_other_settings_are_refused(
+    preset: Preset, tmp_path: Path
+) -> None:
+    store = Store.open(tmp_path, "tiny", create=True)
+    cell = find(preset, "cliff-alone-uniform-n3")
+    assert run_cell(preset, cell, store)
+    stamp = (store.run(cell.id).path / "meta.json").stat().st_mtime_ns
+    assert run_cell(preset, cell, store)
+    assert (store.run(cell.id).path / "meta.json").stat().st_mtime_ns == stamp
+    other = dataclasses.replace(preset.cliff["alone"], limit=500)
+    with pytest.raises(BenchmarkError, match="limit: 400 -> 500"):
+        run_cell(dataclasses.replace(preset, cliff={"alone": other}), cell, store)
+
+
+def test_the_command_from_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    data = yaml.safe_load((PRESETS / "tiny.yaml").read_text(encoding="utf-8"))
+    data |= {"methods": ["rainbow"], "cliff": {"alone": {**data["cliff"]["alone"], "states": [3]}}}
+    data["tasks"] = {"masked_identity": data["tasks"]["masked_identity"]}
+    path = tmp_path / "few.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    words = ["--preset", str(path), "--results", str(tmp_path / "results"), "--workers", "1"]
+    assert main(["classic", *words]) == 0
+    told = capfd.readouterr().out
+    assert "3 runs" in told
+    assert "Masked identity" in told
+    folder = tmp_path / "results" / "classic" / "few"
+    assert (folder / "tables" / "scores.csv").is_file()
+    assert (folder / "figures" / "curves.png").read_bytes()[:4] == b"\x89PNG"
+    meta = RunFolder(folder / "runs" / "masked_identity-rainbow-s0").meta()
+    assert meta["training"]["timesteps"] == 300
+    assert "sb3-contrib" in meta["versions"]
+    assert sum(p.stat().st_size for p in (folder / "runs").rglob("*.*")) < 20_000
+
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- classic:begin -->\n<!-- classic:end -->\nafter\n")
+    assert main(["classic", "docs", *words, "--page", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith("before\n")
+    assert text.endswith("after\n")
+    assert "results/classic/few/figures/curves.png" in text
+    assert main(["classic", "docs", *words, "--page", str(page)]) == 0
+    assert page.read_text(encoding="utf-8") == text
+    capfd.readouterr()
+    assert main(["classic", "plan", *words]) == 0
+    assert "3 of 3 runs" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--preset", "none"], "unknown preset 'none'"),
+        (["tables"], "has no results; run: python -m benchmarks classic"),
+        (["train"], "train needs --cell"),
+        (["train", "--cell", "x"], "has no cell 'x'"),
+    ],
+)
+def test_bad_words_are_one_clear_error(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["classic", *words, "--results", str(tmp_path)]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("error: ")
+    assert message in told
+    assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"seeds": [1, 1]}, "must be some, differ"),
+        ({"methods": ["ppo"]}, "unknown method 'ppo'"),
+        ({"sedes": [1]}, "unknown key 'sedes'"),
+        ({"tasks": {"cartpole": {"timesteps": 0}}}, "timesteps = 0 must be above 0"),
+        ({"cliff": {"alone": {"measure": "guessed"}}}, "measure = 'guessed'"),
+    ],
+)
+def test_bad_presets_are_refused(change: dict[str, object], message: str, tmp_path: Path) -> None:
+    data = yaml.safe_load((PRESETS / "tiny.yaml").read_text(encoding="utf-8")) | change
+    path = tmp_path / "bad.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    with pytest.raises(BenchmarkError, match=message):
+        load_preset(str(path))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [({"lerning_rate": 1.0}, "no argument 'lerning_rate'"), ({"learning_rate": "1e-3"}, "1.0e-3")],
+)
+def test_bad_settings_of_a_learner_are_refused(
+    arguments: dict[str, object], message: str, preset: Preset
+) -> None:
+    task = dataclasses.replace(preset.tasks["cartpole"], methods={"dqn": arguments})
+    with pytest.raises(BenchmarkError, match=message):
+        build_model(task, "dqn", 0)
+
+
+def test_a_check_before_the_start_leaves_the_settings_as_they_are() -> None:
+    """SB3 writes the optimizer's class into policy_kwargs, which no config.yaml can hold."""
+    preset = load_preset("full")
+    before = repr(preset)
+    for name in ("cartpole", "breakout"):
+        for method in preset.methods:
+            env = build_model(preset.tasks[name], method, 0).get_env()
+            assert env is not None
+            env.close()
+    assert repr(preset) == before

@@ -1,0 +1,128 @@
+"""``python -m benchmarks design``: the table, the generated pages and the figures."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.methods.geometric_design import measured_runs, run_rows, table_rows
+from benchmarks.protocol import paper_values
+from benchmarks.studies.design import command
+from benchmarks.studies.design import docs as design_docs
+from benchmarks.studies.design import figures as design_figures
+from benchmarks.studies.design import study as design_study
+from benchmarks.studies.design.store import FILES, DesignStore, stored_geometry_rows
+
+ROOT = Path(__file__).resolve().parents[3]
+STORED = DesignStore(ROOT / "results")
+
+
+def test_the_tables_rows_are_the_papers_five() -> None:
+    shares: list[float] = []
+    found = measured_runs(2, shares.append)
+    rows = {str(row["metric"]): row for row in table_rows(found)}
+    assert list(rows) == list(paper_values.DESIGN)
+    assert shares == [0.5, 1.0]
+    assert rows["workspace"]["initial_mean"] == pytest.approx(0.82, abs=0.005)
+    assert rows["workspace"]["optimized_mean"] == pytest.approx(1.165, abs=0.005)
+    assert str(rows["workspace"]["initial"]).startswith("0.82")
+    assert rows["joint_range"]["optimized_high_mean"] <= 78.0  # type: ignore[operator]
+    for metric in ("sigma_min", "condition", "joint_range"):
+        assert len(str(rows[metric]["note"])) > 40, "a row that does not match says why"
+    json.dumps(list(rows.values()), allow_nan=False)
+    runs, paths = run_rows(found)
+    assert [run["seed"] for run in runs] == [0, 1]
+    assert len(paths) == sum(int(str(run["evaluations"])) for run in runs)
+
+
+def test_the_papers_pose_costs_more_the_further_it_tilts() -> None:
+    rows = design_study.pose_model_rows()
+    for key in ("plane_mm", "centre_mm", "yaw_deg", "hole_mm", "hole_deg"):
+        values = [float(str(row[key])) for row in rows]
+        assert values == sorted(values), key
+        assert values[0] > 0.0
+    at_30 = next(row for row in rows if row["tilt"] == 30.0)
+    # (1 - cos 30) / 2 of Rp is how far the centre has to give way
+    assert at_30["centre_mm"] == pytest.approx(111.4 * (1 - math.cos(math.radians(30))) / 2, 1e-3)
+
+
+def test_the_stored_table_is_what_the_command_would_write() -> None:
+    stored = {str(row["metric"]): row for row in stored_geometry_rows(ROOT / "results")}
+    meta = STORED.meta()
+    fresh = table_rows(measured_runs(1, lambda _: None))
+    for row in fresh:
+        for name in ("initial", "optimized"):
+            mean = float(stored[str(row["metric"])][f"{name}_mean"])  # type: ignore[arg-type]
+            assert mean == pytest.approx(float(str(row[f"{name}_mean"])), rel=0.05)
+    assert meta["seconds"] < 120.0
+    for name in FILES:
+        assert len(STORED.rows(name)) > 0
+
+
+@pytest.mark.parametrize("page", ["design.md", "kinematics.md"])
+def test_the_pages_hold_what_is_stored(page: str) -> None:
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    assert design_docs.rewrite(text, STORED) == text, "run: python -m benchmarks design"
+    assert text.count(":begin (written by") >= 1
+
+
+def test_every_figure_the_pages_show_is_there_and_small() -> None:
+    for path in STORED.figures.glob("*"):
+        assert path.stat().st_size < 300_000, path.name
+    for name in ("singularity_loci", "manipulability_3d", "atlas", "joint_trajectories", "heave"):
+        for suffix in (".png", ".pdf"):
+            assert (STORED.figures / f"{name}{suffix}").is_file()
+
+
+def test_figures_and_pages_come_from_stored_data_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = DesignStore(tmp_path)
+    store.folder.mkdir()
+    for path in STORED.folder.iterdir():
+        if path.is_file():
+            (store.folder / path.name).write_bytes(path.read_bytes())
+    page = tmp_path / "page.md"
+    page.write_text((ROOT / "docs" / "design.md").read_text("utf-8").replace("1.164", "9.999"))
+    monkeypatch.setattr(command, "run", lambda *_: pytest.fail("it computed"))
+    arguments = ["--figures-only", "--results", str(tmp_path), "--docs", str(tmp_path)]
+    assert command.main(arguments) == 0
+    assert "9.999" not in page.read_text("utf-8")
+    printed = capsys.readouterr().out
+    assert "Orientation workspace" in printed
+    assert str(store.folder) in printed
+    assert len(list(store.figures.glob("*.png"))) == 5
+
+
+def test_the_same_data_gives_the_same_picture(tmp_path: Path) -> None:
+    pictures = []
+    for _ in range(2):
+        figure = design_figures.heave(STORED)
+        path = design_figures._save(DesignStore(tmp_path), "heave", "png", figure)
+        pictures.append(path.read_bytes())
+    assert pictures[0] == pictures[1]
+
+
+def test_maps_are_the_designs(tmp_path: Path) -> None:
+    maps = STORED.maps()
+    cell = math.radians(1.0) ** 2
+    assert maps["inside_initial"][0].sum() * cell == pytest.approx(0.8176, abs=1e-3)
+    assert maps["inside_optimized"][0].sum() * cell == pytest.approx(1.1636, abs=1e-3)
+    sigma = maps["sigma_optimized"][0].astype(float)
+    assert np.nanmin(sigma[maps["inside_optimized"][0]]) >= 0.149
+
+
+def test_bad_input_is_named(tmp_path: Path) -> None:
+    empty = ["--results", str(tmp_path), "--docs", str(tmp_path)]
+    with pytest.raises(BenchmarkError, match="--runs 0"):
+        command.main(["--runs", "0", *empty])
+    with pytest.raises(BenchmarkError, match="--atlas-step"):
+        command.main(["--atlas-step", "7", *empty])
+    with pytest.raises(BenchmarkError, match="run: python -m benchmarks design"):
+        command.main(["--figures-only", *empty])
+    assert not (tmp_path / "design" / "figures").exists()

@@ -1,0 +1,384 @@
+"""Bring your own method: any SB3 model or planner joins the leaderboard with one command."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pandas as pd
+import pytest
+import sb3_contrib
+import stable_baselines3
+from gymnasium import spaces
+
+from benchmarks.__main__ import main
+from benchmarks.errors import BenchmarkError
+from benchmarks.evaluation.evaluate import begin_episodes, model_policy, run_policy
+from benchmarks.evaluation.model_files import detect_algorithm
+from benchmarks.methods.episodes import Episode
+from benchmarks.protocol.seeding import derive, episode_seeds
+from benchmarks.reporting.tables.paper import write_tables
+from benchmarks.reporting.verify import check_runs
+from benchmarks.runs.store import Store
+from benchmarks.studies.scoring.entries import plan_and_follow
+from coop_env.env import CoopInsertionEnv
+from sb3_rainbow import Rainbow
+from tests.benchmarks import fabricated_store
+
+SETTINGS: dict[str, dict[str, Any]] = {
+    "ppo": {"n_steps": 16, "batch_size": 16},
+    "a2c": {},
+    "trpo": {"n_steps": 16, "batch_size": 16},
+    "maskable_ppo": {"n_steps": 16, "batch_size": 16},
+    "dqn": {"buffer_size": 200, "learning_starts": 10},
+    "qrdqn": {"buffer_size": 200, "learning_starts": 10},
+    "rainbow": {"buffer_size": 200, "learning_starts": 10},
+}
+CLASSES: dict[str, Any] = {
+    "ppo": stable_baselines3.PPO,
+    "a2c": stable_baselines3.A2C,
+    "trpo": sb3_contrib.TRPO,
+    "maskable_ppo": sb3_contrib.MaskablePPO,
+    "dqn": stable_baselines3.DQN,
+    "qrdqn": sb3_contrib.QRDQN,
+    "rainbow": Rainbow,
+}
+
+
+def make_env(**arguments: Any) -> CoopInsertionEnv:
+    return CoopInsertionEnv(reward="progress", max_moves=20, **arguments)
+
+
+@pytest.fixture(scope="module")
+def train(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """A model trained for a few steps, saved; each once."""
+    folder = tmp_path_factory.mktemp("models")
+
+    def made(name: str, seed: int = 0, steps: int = 32, **arguments: Any) -> Path:
+        path = folder / f"{name}-{seed}-{'-'.join(arguments)}.zip"
+        if not path.exists():
+            settings = SETTINGS[name] | {"policy_kwargs": {"net_arch": [16]}, "seed": seed}
+            model = CLASSES[name]("MlpPolicy", make_env(**arguments), device="cpu", **settings)
+            model.learn(steps).save(path)
+        return path
+
+    return made
+
+
+def board(results: Path) -> pd.DataFrame:
+    path = Store.open(results, "smoke").tables / "leaderboard.csv"
+    return pd.read_csv(path, dtype=str).set_index("Method")
+
+
+def evaluate(results: Path, *words: str) -> int:
+    return main(["evaluate", "--preset", "smoke", "--results", str(results), *words])
+
+
+@pytest.mark.parametrize("name", ["ppo", "maskable_ppo"])
+def test_a_model_joins_the_leaderboard_with_one_command(
+    name: str, train: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = train(name)
+    assert evaluate(tmp_path, "--model", str(path), "--name", f"my-{name}") == 0
+    out = capsys.readouterr().out
+    assert f"my-{name}" in out
+    assert "leaderboard.md" in out
+    row = board(tmp_path).loc[f"my-{name}"]
+    assert row["Kind"] == f"brought: {name}"
+    assert (row["Seeds"], row["Models"]) == ("1", "1")
+    store = Store.open(tmp_path, "smoke")
+    (entry,) = store.entered()
+    assert entry.config()["entry"]["observation"] == "paper"
+    rows = entry.rows("episodes")
+    # the protocol: test seeds, all levels of noise, six holes to the end, the model's own actions
+    assert rows["reset_seed"].unique().tolist() == episode_seeds(0, 2)
+    assert rows["noise"].unique().tolist() == [0.0, 0.01]
+    model = CLASSES[name].load(path, device="cpu")
+    expected = run_policy(
+        model_policy(model), begin_episodes({"reward": "progress"}, 0, 2), 0.01, derive("noise", 0)
+    )
+    noisy = rows[rows["noise"] == 0.01]
+    assert noisy["moves"].tolist() == [row["moves"] for row in expected]
+    assert noisy["energy"].tolist() == pytest.approx([row["energy"] for row in expected], rel=1e-6)
+    assert check_runs(store) == []
+    assert main(["verify", "--preset", "smoke", "--results", str(tmp_path), "--readme", "-"]) == 0
+
+
+def test_masks_go_to_who_knows_them(train: Callable[..., Path]) -> None:
+    observations = np.full((1, 12), 0.5, dtype=np.float32)
+    only = np.zeros((1, 12), dtype=np.bool_)
+    for forced in (3, 8):
+        only[:] = False
+        only[0, forced] = True
+        for name in ("maskable_ppo", "rainbow"):
+            act = model_policy(CLASSES[name].load(train(name), device="cpu"))
+            assert act(observations, only).tolist() == [forced]
+    act = model_policy(stable_baselines3.PPO.load(train("ppo"), device="cpu"))
+    only[:] = False
+    free = act(observations, ~only)
+    assert act(observations, only).tolist() == free.tolist()
+
+
+@pytest.mark.parametrize("name", sorted(SETTINGS))
+def test_the_algorithm_is_read_from_the_file(name: str, train: Callable[..., Path]) -> None:
+    assert detect_algorithm(train(name)) == name
+
+
+def test_one_model_per_seed_and_a_second_call_scores_nothing(
+    train: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    preset = tmp_path / "two.yaml"
+    preset.write_text(
+        "description: two seeds\nseeds: [3, 4]\nruns: []\n"
+        "evaluation: {episodes: 1, noise: [0.0]}\n",
+        encoding="utf-8",
+    )
+    files = [str(train("ppo", 0)), str(train("ppo", 1))]
+    words = ["evaluate", "--preset", str(preset), "--results", str(tmp_path), "--name", "two"]
+    assert main([*words, "--model", *files]) == 0
+    store = Store.open(tmp_path, "two")
+    assert [entry.id for entry in store.entered()] == ["two-optimized-s3", "two-optimized-s4"]
+    digests = {entry.config()["entry"]["sha256"] for entry in store.entered()}
+    assert len(digests) == 2
+    before = [(entry.path / "meta.json").read_bytes() for entry in store.entered()]
+    capsys.readouterr()
+    assert main([*words, "--model", *files]) == 0
+    assert "2 of 2 seeds were scored already" in capsys.readouterr().out
+    assert [(entry.path / "meta.json").read_bytes() for entry in store.entered()] == before
+    # another model under the same name: refused, until it is said
+    assert main([*words, "--model", files[1]]) == 2
+    assert "choose another --name, or --replace it" in capsys.readouterr().err
+    assert main([*words, "--model", files[1], "--replace"]) == 0
+    table = pd.read_csv(store.tables / "leaderboard.csv", dtype=str)
+    assert table["Models"].tolist() == ["1"]
+    assert main([*words, "--model", *files, files[0]]) == 2
+    assert "3 models for 2 seeds" in capsys.readouterr().err
+
+
+def test_another_observation_is_found_out(train: Callable[..., Path], tmp_path: Path) -> None:
+    path = train("dqn", observation="markov")
+    assert evaluate(tmp_path, "--model", str(path), "--mask-singularities") == 0
+    (entry,) = Store.open(tmp_path, "smoke").entered()
+    assert entry.config()["entry"]["observation"] == "markov"
+    assert entry.config()["entry"]["mask_singularities"] is True
+    assert path.stem in board(tmp_path).index
+
+
+def test_a_glance_stores_nothing(
+    train: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(tmp_path, "--model", str(train("ppo")), "--episodes", "1") == 0
+    out = capsys.readouterr().out
+    assert "seed 0, noise 0.01: Success rate (%)" in out
+    assert "Nothing was stored" in out
+    assert list(tmp_path.iterdir()) == []
+
+
+PLANNER = """
+from benchmarks.methods.oracle import LatticeOracle
+
+oracle = LatticeOracle()
+
+
+def plan(env):
+    return oracle.plan(env)
+
+
+def moves(env):
+    answer = oracle.plan(env)
+    return answer.moves.tolist() if answer.moves is not None else []
+
+
+def first_valid(env):
+    return [int(env.action_masks().argmax())]
+
+
+def cheat(env):
+    env.step(int(env.action_masks().argmax()))
+    return [0]
+
+
+def nonsense(env):
+    return [12]
+
+
+def text(env):
+    return "up"
+"""
+
+
+@pytest.fixture
+def planners(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "my_planner.py").write_text(PLANNER, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_planner_joins_too_and_equals_the_harness_s_own(planners: Path) -> None:
+    assert evaluate(planners, "--planner", "my_planner:moves", "--name", "mine") == 0
+    assert evaluate(planners, "--planner", "my_planner:plan", "--name", "mine-plan") == 0
+    assert evaluate(planners, "--planner", "optimum", "--name", "again") == 0
+    store = Store.open(planners, "smoke")
+    rows = {entry.config()["cell"]["method"]: entry.rows("episodes") for entry in store.entered()}
+    timed = ["plan_seconds"]
+    for name in ("mine", "mine-plan"):
+        pd.testing.assert_frame_equal(
+            rows[name].drop(columns=timed), rows["again"].drop(columns=timed)
+        )
+    table = board(planners)
+    assert table.loc["mine", "Success (%)"] == "100.0"
+    assert table.loc["mine", "Models"] == "-"
+    assert check_runs(store) == []
+
+
+def test_moves_past_the_end_are_not_made() -> None:
+    (episode,) = begin_episodes({"reward": "progress", "max_moves": 3}, 0, 1)
+    plan_and_follow(lambda env: [0, 1] * 5, "long")(episode)
+    assert (episode.over, episode.moves) == (True, 3)
+    (episode,) = begin_episodes({"reward": "progress"}, 0, 1)
+    plan_and_follow(lambda env: [], "none")(episode)
+    assert (episode.moves, episode.failure) == (0, "no plan")
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        ("cheat", "moved the environment; plan on a copy"),
+        ("nonsense", "returned move 12; moves are 0 to 11"),
+        ("text", "returned 'up', not a list of moves"),
+        ("missing", "cannot be imported"),
+        ("oracle", "is no function but LatticeOracle"),
+    ],
+)
+def test_a_planner_that_does_wrong_is_one_error(
+    function: str, message: str, planners: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(planners, "--planner", f"my_planner:{function}", "--name", "wrong") == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert message in error
+    assert not list(planners.rglob("meta.json"))
+
+
+class Elsewhere(gymnasium.Env[Any, Any]):
+    """Spaces of one's choice."""
+
+    def __init__(self, observation: spaces.Space[Any], action: spaces.Space[Any]) -> None:
+        self.observation_space, self.action_space = observation, action
+
+    def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:
+        return self.observation_space.sample(), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        return self.observation_space.sample(), 0.0, True, False, {}
+
+
+@pytest.mark.parametrize(
+    ("observation", "action", "message"),
+    [
+        (spaces.Box(0.0, 1.0, (12,)), spaces.Discrete(4), "acts in Discrete(4)"),
+        (
+            spaces.Box(0.0, 1.0, (3,)),
+            spaces.Discrete(12),
+            "expects observations Box(0.0, 1.0, (3,)",
+        ),
+        (spaces.Box(-9.0, 9.0, (12,)), spaces.Discrete(12), "train with normalize=True"),
+    ],
+)
+def test_wrong_spaces_are_one_error(
+    observation: spaces.Space[Any], action: spaces.Space[Any], message: str, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    path = tmp_path / "model.zip"
+    stable_baselines3.PPO("MlpPolicy", Elsewhere(observation, action), device="cpu").save(path)
+    assert evaluate(tmp_path / "results", "--model", str(path)) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert message in error
+    assert not (tmp_path / "results").exists()
+
+
+def test_wrong_files_are_one_error(
+    train: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = train("ppo")
+
+    def error_of(path: Path, *words: str) -> str:
+        assert evaluate(tmp_path / "results", "--model", str(path), *words) == 2
+        error = capsys.readouterr().err
+        assert error.startswith("error: ")
+        assert error.count("\n") == 1
+        return error
+
+    assert "is missing; give a .zip" in error_of(tmp_path / "none.zip")
+    text = tmp_path / "text.zip"
+    text.write_text("not a zip", encoding="utf-8")
+    assert "is no model of Stable-Baselines3 (BadZipFile" in error_of(text)
+    other = tmp_path / "other.zip"
+    with zipfile.ZipFile(other, "w") as archive:
+        archive.writestr("data", "{}")
+    assert "is no model of Stable-Baselines3 (KeyError" in error_of(other)
+    # the data of a model without its weights
+    torn = tmp_path / "torn.zip"
+    with zipfile.ZipFile(good) as source, zipfile.ZipFile(torn, "w") as target:
+        target.writestr("data", source.read("data"))
+    assert "is no model of 'ppo'" in error_of(torn)
+    assert "is no model of 'dqn'" in error_of(good, "--algo", "dqn")
+    assert "unknown algorithm 'sarsa'; known: a2c" in error_of(good, "--algo", "sarsa")
+    recurrent = tmp_path / "recurrent.zip"
+    sb3_contrib.RecurrentPPO("MlpLstmPolicy", make_env(), device="cpu").save(recurrent)
+    assert "recurrent policy" in error_of(recurrent)
+    assert "letters, digits" in error_of(good, "--name", "a/b")
+    assert "one of the harness's own" in error_of(good, "--name", "rainbow")
+    assert "either --model or --planner" in error_of(good, "--planner", "optimum")
+
+
+def test_an_unknown_planner_names_those_that_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(tmp_path, "--planner", "astar") == 2
+    assert "known: optimum, rrt_connect, rrt_lattice, or module:function" in capsys.readouterr().err
+
+
+def test_an_entry_leaves_the_presets_own_tables_alone(
+    train: Callable[..., Path], tmp_path: Path
+) -> None:
+    store = fabricated_store.make_store(tmp_path, [0], "smoke")
+    write_tables(store)
+    before = {path.name: path.read_bytes() for path in store.tables.iterdir()}
+    assert evaluate(tmp_path, "--model", str(train("ppo")), "--name", "mine") == 0
+    after = {path.name: path.read_bytes() for path in store.tables.iterdir()}
+    changed = {name for name in after if after[name] != before.get(name)}
+    assert changed == {f"leaderboard{suffix}" for suffix in (".csv", ".md", ".tex")}
+    table = pd.read_csv(store.tables / "leaderboard.csv", dtype=str)
+    assert table["Method"].iloc[0] == "Exact optimum"
+    assert table["Method"].iloc[-1] == "mine"
+    ranks = table["Rank"].tolist()
+    assert ranks == ["-", *[str(rank) for rank in range(1, len(ranks))]]
+
+
+def test_a_plan_that_is_wrong_in_an_episode_is_named() -> None:
+    episode = Episode(CoopInsertionEnv(reward="progress"), 0, 1)
+    with pytest.raises(BenchmarkError, match="returned move -1"):
+        plan_and_follow(lambda env: [-1], "backwards")(episode)
+
+
+def test_the_documented_example_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (Path(__file__).resolve().parents[3] / "docs" / "benchmarks.md").read_text("utf-8")
+    section = page.split("## Bring your own method")[1].split("\n## ")[0]
+    code = section.split("```python\n")[1].split("```")[0]
+    assert "learn(200_000)" in code
+    command = next(line for line in section.splitlines() if line.startswith("    python -m"))
+    monkeypatch.chdir(tmp_path)
+    short = 'MaskablePPO("MlpPolicy", env, n_steps=64, batch_size=64'
+    exec(code.replace("200_000", "64").replace('MaskablePPO("MlpPolicy", env', short), {})
+    words = command.split()[3:]
+    assert words[:3] == ["evaluate", "--model", "my_ppo.zip"]
+    assert main([*words, "--preset", "smoke", "--results", str(tmp_path)]) == 0
+    assert "my-ppo" in board(tmp_path).index

@@ -1,0 +1,112 @@
+"""The command that writes the README's picture, the video and the animation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from PIL import Image
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.studies import media, watch
+from coop_env.env import CoopInsertionEnv
+from coop_env.rendering.scene import Scene
+
+SIZE = (160, 128)
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small pictures of the episode's last moves only: the same path in a tenth of the time."""
+    whole = media.play
+
+    def play(*arguments: object) -> list[Scene]:
+        scenes = whole(*arguments)  # type: ignore[arg-type]
+        assert scenes[-1].status == "success"
+        return scenes[:1] + scenes[-8:]
+
+    monkeypatch.setattr(media, "play", play)
+    for name in ("SCENE_SIZE", "VIDEO_SIZE", "GIF_SIZE"):
+        monkeypatch.setattr(media, name, SIZE)
+
+
+@pytest.mark.usefixtures("short")
+def test_three_files_of_one_solved_episode(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "media"
+    out.mkdir()
+    (out / "scene.png").write_bytes(b"old")
+    assert media.main(["--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert sorted(path.name for path in out.iterdir()) == [
+        "episode.gif",
+        "episode.mp4",
+        "scene.png",
+    ]
+    for path in out.iterdir():
+        assert path.name in said
+    assert "6 of 6 holes filled" in said
+    with Image.open(out / "scene.png") as picture:
+        assert picture.size == SIZE
+    with Image.open(out / "episode.gif") as animation:
+        assert animation.n_frames == 5
+    frames, _ = imageio_ffmpeg.count_frames_and_secs(str(out / "episode.mp4"))
+    assert frames == 9 + media.HOLD_SECONDS * media.VIDEO_FPS
+
+
+@pytest.mark.usefixtures("short")
+def test_same_seed_same_picture(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        assert media.main(["--out", str(tmp_path / name), "--seed", "3"]) == 0
+    for name in ("scene.png", "episode.gif"):
+        first, second = (tmp_path / folder / name for folder in ("a", "b"))
+        assert first.read_bytes() == second.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--seed", "-1"], "--seed -1"),
+        (["--model", "nowhere.zip"], "nowhere.zip: there is no such file"),
+        (["--model", __file__], "not a saved Rainbow"),
+    ],
+)
+def test_bad_arguments_are_one_error_and_nothing_is_written(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "media"
+    assert media.main([*arguments, "--out", str(out)]) == 2
+    assert message in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_unsolvable_episode_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = CoopInsertionEnv(max_moves=3)
+    env.reset(seed=0)
+    with pytest.raises(BenchmarkError, match=r"timeout.*another --seed"):
+        media.planned_moves(env)
+
+
+def test_optimum_plans_anew_where_it_is_put() -> None:
+    env = CoopInsertionEnv()
+    observation, _ = env.reset(seed=8)
+    play = watch.Optimum(env)
+    for _ in range(5):
+        observation, *_ = env.step(play(observation, env.action_masks()))
+    observation, _ = env.reset(seed=10)
+    filled, over = 0, False
+    while not over:
+        observation, _, terminated, truncated, info = env.step(
+            play(observation, env.action_masks())
+        )
+        filled, over = info["n_filled"], terminated or truncated
+        assert not info["collision"]
+    assert filled == np.sum(env.scene().active)
+
+
+def test_watch_names_a_bad_port(capsys: pytest.CaptureFixture[str]) -> None:
+    assert watch.main(["--port", "0"]) == 2
+    assert "port 0" in capsys.readouterr().err

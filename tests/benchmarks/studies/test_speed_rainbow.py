@@ -1,0 +1,134 @@
+"""``python -m benchmarks speed rainbow``: what it measures, and what it says is missing."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from stable_baselines3 import DQN
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.runs.machine import REPOSITORY
+from benchmarks.studies.speed import rainbow as speed_rainbow
+from benchmarks.studies.speed.contest import RIVALS, RIVALS_PYTHON, Rival, measure_updates
+from benchmarks.studies.speed.parts import measure_parts
+from benchmarks.studies.speed.setting import BATCH_SIZE, Seconds, StubEnv
+from sb3_rainbow import Rainbow
+
+SMALL = 3 * BATCH_SIZE
+
+
+class Clockwork:
+    """A contestant whose every step takes so many seconds."""
+
+    def __init__(self, seconds: list[float]) -> None:
+        self.seconds = iter(seconds)
+
+    def learn(self, n_steps: int) -> Seconds:
+        second = next(self.seconds)
+        return Seconds(n_steps * second, 2.0 * n_steps * second)
+
+    def train(self, n_updates: int) -> Seconds:
+        return Seconds(n_updates * 1e-3, n_updates * 1e-3)
+
+
+def test_rates_are_medians_over_the_rounds() -> None:
+    found = measure_updates({"a": Clockwork([0.1, 0.5, 0.2]), "b": Clockwork([1.0] * 3)}, 7, 3)
+    assert found["a"]["learn_cpu"] == pytest.approx(5.0)
+    assert found["a"]["learn_wall"] == pytest.approx(2.5)
+    assert found["b"]["learn_cpu"] == pytest.approx(1.0)
+    assert found["b"]["train_cpu"] == pytest.approx(1000.0)
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_rivals_learn_in_their_own_interpreter(name: str) -> None:
+    python = REPOSITORY / RIVALS_PYTHON
+    if not python.exists():
+        pytest.skip("tianshou and AgileRL are not installed: make rivals")
+    with Rival(name, SMALL, python) as rival:
+        learn, train = rival.learn(3), rival.train(3)
+    assert learn.cpu > 0.0
+    assert train.wall > 0.0
+    # two streams of 128-64-(12 or 1) x 51, noisy, behind 12-256-128: about our own size
+    assert rival.parameters == pytest.approx(150_000, rel=0.1)
+
+
+def test_an_interpreter_without_them_is_one_clear_error() -> None:
+    with pytest.raises(BenchmarkError, match=r"tianshou stopped: .*make rivals"):
+        Rival("tianshou", SMALL, Path(sys.executable))
+
+
+def test_without_rivals_one_line_says_so_and_the_rest_is_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(speed_rainbow, "measure_replay", lambda _: {"sample_and_update_us": 1.0})
+    monkeypatch.setattr(speed_rainbow, "measure_memory", lambda: None)
+    arguments = argparse.Namespace(
+        rivals=tmp_path / "python", no_compile=True, steps=5, rounds=1, results=tmp_path
+    )
+    found = speed_rainbow.measure_cpu(arguments, SMALL)
+    said = capsys.readouterr().err
+    assert said.count("make rivals") == 1
+    assert "tianshou and AgileRL are not measured" in said
+    assert set(found["updates"]) == {"SB3 DQN", "Rainbow"}
+    assert found["rivals"] == found["parts"] == {}
+
+
+def test_the_parts_of_an_update_are_less_than_the_whole() -> None:
+    settings: dict[str, Any] = {"learning_starts": 20, "buffer_size": 200, "device": "cpu"}
+    model = Rainbow("MlpPolicy", StubEnv(), cpu_kernels=False, **settings).learn(60)
+    dqn = DQN("MlpPolicy", StubEnv(), **settings).learn(60)
+    found = measure_parts(dqn, {"ours": model}, rounds=3, n_calls=5)
+    assert set(found["SB3 DQN"]) == {"whole update"}
+    parts = dict(found["ours"])
+    whole = parts.pop("whole update")
+    assert parts.pop("their matrix products alone") < parts["loss and gradient"]
+    # generous: the machine may do something else in between
+    assert 0.3 * whole < sum(parts.values()) < 2.0 * whole
+
+
+def test_the_report_gives_the_ratios_of_the_rates() -> None:
+    rates = {"SB3 DQN": 500.0, "Rainbow": 600.0, "tianshou": 120.0}
+    kinds = ("learn_cpu", "learn_wall", "train_cpu", "train_wall")
+    found = {
+        "command": "c",
+        "load": 0.0,
+        "rounds": 1,
+        "steps": 1,
+        "machine": {"machine": {"processor": "p"}, "commit": "0", "versions": {}},
+        "updates": {name: dict.fromkeys(kinds, rate) for name, rate in rates.items()},
+        "rivals": {"tianshou": {"version": "2", "net": "a net", "parameters": 7}},
+        "parts": {"SB3 DQN": {"whole update": 9.0}, "x": {"whole update": 8.0, "noise": 1.4}},
+        "replay": {"sample_and_update_us": 10.0, "sample_transitions_us": 20.0},
+        "memory_mb": None,
+    }
+    text = speed_rainbow.report(json.loads(json.dumps(found)))
+    assert "| Rainbow | 600 | 1.20 |" in text
+    assert "| Rainbow | SB3 DQN | 1.20 | 1.20 | 1.1 |" in text
+    assert "| Rainbow | tianshou | 5.00 | 5.00 | 4 |" in text
+    assert "AgileRL" not in text
+    assert "| whole update | 9 | 8 |" in text
+    assert "| noise |  | 1 |" in text
+    assert "tianshou 2: a net, 7 parameters." in text
+
+
+def test_the_gpu_table_at_its_batch_sizes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(speed_rainbow, "CUDA_BATCH_SIZES", (8, 16))
+    arguments = argparse.Namespace(no_compile=True, steps=5, rounds=1)
+    found = speed_rainbow.measure_cuda(arguments, SMALL, device="cpu")
+    assert set(found["updates"]) == {"8", "16"}
+    machine = {"machine": {"processor": "p"}, "commit": "0", "versions": {}}
+    whole = {"command": "c", "load": 0.0, "rounds": 1, "steps": 5, "machine": machine, **found}
+    text = speed_rainbow.report_cuda(whole)
+    assert text.count("| SB3 DQN |") == text.count("| Rainbow |") == 2
+
+
+def test_no_gpu_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    with pytest.raises(BenchmarkError, match="no CUDA device here"):
+        speed_rainbow.main(["--device", "cuda"])

@@ -1,0 +1,112 @@
+"""Sensitivity and the test trajectory."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.studies.design import reference
+from coop_env import design
+from coop_env.design import (
+    DesignError,
+    DesignProblem,
+    sensitivity,
+)
+from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED
+from coop_env.kinematics import rrs
+
+COARSE = DesignProblem(cells=60)
+
+
+def test_a_stricter_threshold_leaves_less() -> None:
+    sweep = design.over_thresholds([INITIAL, OPTIMIZED], [0.1, 0.15, 0.25], COARSE)
+    assert (np.diff(sweep.given, axis=0) < 0).all()
+    assert (np.diff(sweep.optimum) < 0).all()
+    assert (sweep.optimum >= sweep.given.max(axis=1) - 0.01).all()
+    assert sweep.lambdas.shape == (3, 2)
+
+
+@pytest.mark.parametrize("name", ["base_radius", "distal_length"])
+def test_slopes_are_the_change_of_the_area_per_millimetre(name: str) -> None:
+    length = getattr(OPTIMIZED, name)
+    cells = [
+        reference.workspace_map(replace(OPTIMIZED, **{name: length + error}))[1].sum()
+        for error in (5e-4, -5e-4)
+    ]
+    expected = math.radians(1.0) ** 2 * float(cells[0] - cells[1])
+    found = design.slopes(OPTIMIZED)
+    assert set(found) == set(sensitivity.LENGTHS)
+    assert found[name] == pytest.approx(expected, abs=1e-9)
+
+
+def test_tolerances_widen_the_spread_and_repeat_by_seed() -> None:
+    none = design.under_tolerances(OPTIMIZED, 0.0, 3, COARSE)
+    assert np.ptp(none) == 0.0
+    assert none[0] == design.workspace_area(OPTIMIZED, COARSE)
+    small = design.under_tolerances(OPTIMIZED, 2e-4, 30, COARSE)
+    large = design.under_tolerances(OPTIMIZED, 2e-3, 30, COARSE)
+    assert small.std() < large.std()
+    np.testing.assert_array_equal(small, design.under_tolerances(OPTIMIZED, 2e-4, 30, COARSE))
+    with pytest.raises(DesignError, match="tolerance"):
+        design.under_tolerances(OPTIMIZED, -1.0)
+    with pytest.raises(DesignError, match="step"):
+        design.slopes(OPTIMIZED, step=0.0)
+
+
+def test_the_trajectory_starts_and_ends_at_rest_at_home() -> None:
+    path = design.cone_trajectory()
+    for end in (0, -1):
+        np.testing.assert_allclose(path.poses[end], [0.0, 0.0, 0.21], atol=1e-12)
+    rates = np.diff(path.poses, axis=0) / np.diff(path.time)[:, None]
+    assert np.abs(rates[[0, -1]]).max() < 1e-4 * np.abs(rates).max()
+    tilt = np.arccos(np.cos(path.poses[:, 0]) * np.cos(path.poses[:, 1]))
+    assert tilt.max() == pytest.approx(math.radians(22.0), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", sorted(GEOMETRIES))
+def test_the_report_is_what_the_joints_do(name: str) -> None:
+    g = GEOMETRIES[name]
+    path = design.cone_trajectory()
+    report = design.validate(g, path)
+    assert report.valid
+    np.testing.assert_array_equal(report.q, rrs.inverse(path.poses, g).q)
+    numeric = np.abs(np.gradient(report.q, path.time, axis=0)).max()
+    assert report.peak_rate == pytest.approx(numeric, rel=1e-3)
+    assert report.sigma_min == pytest.approx(rrs.signed_sigma_min(path.poses, g).min())
+    assert report.forward_error < 1e-10
+    slow = design.validate(g, design.cone_trajectory(duration=24.0))
+    assert slow.peak_rate == pytest.approx(report.peak_rate / 2, rel=1e-3)
+    assert slow.log_jerk == pytest.approx(report.log_jerk, abs=1e-3)  # it has no dimension
+
+
+def test_the_optimized_design_is_smoother_and_further_from_singular() -> None:
+    before, after = design.validate(INITIAL), design.validate(OPTIMIZED)
+    assert after.sigma_min > before.sigma_min
+    assert after.kappa_max < before.kappa_max
+    assert after.peak_acceleration < before.peak_acceleration
+
+
+def test_a_trajectory_too_far_is_reported_not_hidden() -> None:
+    steep = design.validate(INITIAL, design.cone_trajectory(tilt=math.radians(40.0)))
+    assert not steep.valid
+    out = design.validate(INITIAL, design.cone_trajectory(heave=(0.21, 0.6)))
+    assert not out.valid
+    assert math.isnan(out.joint_high)
+    with pytest.raises(DesignError, match="tilt"):
+        design.cone_trajectory(tilt=2.0)
+    with pytest.raises(DesignError, match="steps"):
+        design.cone_trajectory(steps=2)
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".problem", ".optimize", ".metrics", ".sensitivity", ".validation"]
+)
+def test_worked_examples(name: str) -> None:
+    result = doctest.testmod(importlib.import_module(f"coop_env.design{name}"))
+    assert result.attempted >= 1
+    assert result.failed == 0

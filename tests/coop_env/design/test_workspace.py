@@ -1,0 +1,194 @@
+"""A_w: the paper's headline, the connected component, and a second implementation of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import label
+
+from benchmarks.studies.design import reference
+from coop_env import design
+from coop_env.design import DesignError, DesignProblem
+from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, RRSGeometry
+from coop_env.kinematics import rrs
+
+
+def test_the_papers_headline() -> None:
+    initial, optimized = design.workspace_area(INITIAL), design.workspace_area(OPTIMIZED)
+    assert initial == pytest.approx(0.82, abs=0.005)
+    assert optimized == pytest.approx(1.16, abs=0.005)
+    assert optimized / initial - 1.0 == pytest.approx(0.42, abs=0.01)
+
+
+def test_the_tables_other_figures() -> None:
+    initial, optimized = design.measure(INITIAL), design.measure(OPTIMIZED)
+    assert initial.sigma_cone == pytest.approx(0.078, abs=5e-4)
+    assert optimized.sigma_cone == pytest.approx(0.210, abs=5e-4)
+    assert 31.0 <= math.degrees(initial.max_angle) <= 32.0
+    assert math.degrees(optimized.max_angle) == pytest.approx(41.0, abs=0.5)
+    for found in (initial, optimized):  # Omega respects the limits it is defined by
+        assert found.joint_low >= math.radians(12.0)
+        assert found.joint_high <= math.radians(78.0)
+
+
+@pytest.mark.parametrize("name", sorted(GEOMETRIES))
+def test_agrees_with_numpy_and_batched_svd_cell_by_cell(name: str) -> None:
+    g = GEOMETRIES[name]
+    sigma, component = reference.workspace_map(g)
+    found = design.workspace_map(g)
+    np.testing.assert_array_equal(found.inside, component)
+    np.testing.assert_allclose(found.sigma, sigma, atol=1e-8)
+    poses = np.stack([*found.samples, np.full_like(sigma, 0.21)], axis=-1)
+    np.testing.assert_array_equal(found.kappa, rrs.condition_number(poses, g))
+    np.testing.assert_array_equal(
+        found.inside, design.component(g, DesignProblem(), found.samples, 0.21)
+    )
+    assert found.area == pytest.approx(design.workspace_area(g), abs=1e-12)
+
+
+def test_the_flood_fill_is_scipys_component_on_jittered_samples() -> None:
+    problem = DesignProblem(threshold=0.02, heaves=(0.21,))
+    for seed, (name, g) in enumerate(sorted(GEOMETRIES.items())):
+        samples = design.sample_points(problem, np.random.default_rng(seed))
+        found = design.workspace_map(g, problem, samples)
+        poses = np.stack([*samples, np.full_like(samples.roll, 0.21)], axis=-1)
+        q = rrs.inverse(poses, g).q
+        allowed = ((q >= g.joint_min) & (q <= g.joint_max)).all(axis=-1) & (found.sigma >= 0.02)
+        components, count = label(allowed)
+        np.testing.assert_array_equal(found.inside, components == components[60, 60], name)
+        assert count >= 1
+
+
+def test_orientations_beyond_the_singularity_do_not_count() -> None:
+    """Unsigned and without the flood fill, the initial design would look better than it is."""
+    found = design.workspace_map(INITIAL)
+    beyond = np.abs(found.sigma) >= 0.15
+    assert beyond.sum() > found.inside.sum() * 1.3
+    assert (found.sigma[found.inside] >= 0.15).all()
+
+
+def test_a_disconnected_piece_on_homes_own_side_does_not_count() -> None:
+    problem = DesignProblem(heaves=(0.20,))
+    found = design.workspace_map(OPTIMIZED, problem)
+    poses = np.stack([*found.samples, np.full_like(found.sigma, 0.20)], axis=-1)
+    margin = rrs.joint_margin(poses, OPTIMIZED).min(axis=-1)
+    admitted = (margin >= 0.0) & (found.sigma >= 0.15)
+    assert admitted.sum() > found.inside.sum()
+
+
+def test_no_tilt_limit_is_needed_for_the_papers_designs() -> None:
+    limited = DesignProblem(max_tilt=math.pi / 4)
+    for g in GEOMETRIES.values():
+        assert design.workspace_area(g, limited) == design.workspace_area(g)
+    tight = design.workspace_area(OPTIMIZED, DesignProblem(max_tilt=math.radians(10)))
+    assert tight == pytest.approx(math.radians(20) ** 2)
+
+
+def test_the_area_has_the_mechanisms_symmetry() -> None:
+    """120 degrees about z maps the mechanism onto itself; the workspace must map as well."""
+    found = design.workspace_map(OPTIMIZED)
+    n = np.stack(
+        [
+            np.sin(found.samples.pitch),
+            -np.sin(found.samples.roll) * np.cos(found.samples.pitch),
+            np.cos(found.samples.roll) * np.cos(found.samples.pitch),
+        ],
+        axis=-1,
+    )[found.inside]
+    azimuth = np.arctan2(n[:, 1], n[:, 0])
+    tilt = np.arccos(n[:, 2])
+    sectors = [
+        tilt[np.cos(azimuth - centre) >= 0.5].max() for centre in np.radians([0.0, 120.0, 240.0])
+    ]
+    assert np.ptp(sectors) < math.radians(1.5)
+
+
+def test_only_the_ratios_of_lengths_matter() -> None:
+    """Lengths and heave in other units are the same machine: J is dimensionless."""
+    for size in (0.5, 3.0):
+        scaled = RRSGeometry(
+            size * OPTIMIZED.base_radius,
+            size * OPTIMIZED.proximal_length,
+            size * OPTIMIZED.platform_radius,
+            size * OPTIMIZED.distal_length,
+            heave_min=0.01,
+            heave_max=9.0,
+            home_heave=size * 0.21,
+        )
+        found = design.workspace_area(scaled, DesignProblem(heaves=(size * 0.21,)))
+        assert found == pytest.approx(design.workspace_area(OPTIMIZED), rel=2e-3)
+
+
+def test_a_finer_grid_changes_little() -> None:
+    fine = design.workspace_area(OPTIMIZED, DesignProblem(cells=480))
+    assert fine == pytest.approx(design.workspace_area(OPTIMIZED), rel=0.01)
+
+
+def test_jitter_stays_within_its_cell_and_moves_the_area_little() -> None:
+    problem = DesignProblem()
+    plain = design.sample_points(problem)
+    half = problem.extent / problem.cells
+    areas = []
+    for seed in range(6):
+        samples = design.sample_points(problem, np.random.default_rng(seed))
+        assert np.abs(samples.roll - plain.roll).max() <= half
+        assert np.abs(samples.pitch - plain.pitch).max() <= half
+        areas.append(design.workspace_area(INITIAL, problem, samples))
+    assert len(set(areas)) > 1
+    assert np.std(areas) < 0.01
+
+
+def test_several_heaves_make_one_number() -> None:
+    problem = design.at_heaves(DesignProblem(), [0.20, 0.22])
+    each = design.over_heaves(OPTIMIZED, [0.21, 0.20, 0.22])
+    assert design.workspace_area(OPTIMIZED, problem) == pytest.approx(each.min())
+    mean = replace(problem, over_heaves="mean")
+    assert design.workspace_area(OPTIMIZED, mean) == pytest.approx(each.mean())
+
+
+def test_the_printed_optimum_has_its_cliff_just_below_home() -> None:
+    at = design.over_heaves(OPTIMIZED, [0.200, 0.210])
+    assert at.round(2).tolist() == [0.57, 1.16]
+
+
+def test_a_home_that_cannot_be_reached_has_no_area() -> None:
+    assert design.workspace_area(OPTIMIZED, DesignProblem(heaves=(0.5,))) == 0.0
+    metrics = design.measure(OPTIMIZED, DesignProblem(heaves=(0.5,)))
+    assert metrics.area == 0.0
+    assert math.isnan(metrics.kappa_variation)
+    assert math.isnan(metrics.sigma_cone)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("eta", 0.0),
+        ("eta", math.nan),
+        ("distal_length", -1.0),
+        ("heaves", ()),
+        ("heaves", (0.21, math.inf)),
+        ("threshold", 0.0),
+        ("extent", 2.0),
+        ("joint_min", 2.0),
+        ("cells", 1),
+        ("cells", 2.5),
+        ("pose_model", "papr"),
+        ("over_heaves", "max"),
+    ],
+)
+def test_impossible_problems_are_named(field: str, value: object) -> None:
+    with pytest.raises(DesignError, match=field):
+        DesignProblem(**{field: value})  # type: ignore[arg-type]
+
+
+def test_lambdas_and_lengths_are_two_names_of_one_machine() -> None:
+    g = DesignProblem().geometry(1.44, 1.658)
+    assert g.base_radius == pytest.approx(0.1778, abs=1e-4)
+    assert g.proximal_length == pytest.approx(0.1024, abs=1e-4)
+    assert g.platform_radius == pytest.approx(0.1114, abs=1e-4)
+    assert sum(g.lambdas) == pytest.approx(4.0)
+    again = RRSGeometry.from_lambdas(*g.lambdas[:2], eta=g.characteristic_length)
+    assert again.base_radius == pytest.approx(g.base_radius)

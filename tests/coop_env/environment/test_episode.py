@@ -1,0 +1,212 @@
+"""What ends an episode, what counts as an insertion, and what a move does to the state."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.methods.oracle import LatticeOracle
+from coop_env import CoopInsertionEnv
+from coop_env.simulation.task import STEP
+
+
+def solve(env: CoopInsertionEnv) -> dict[str, Any]:
+    """Run the optimum to the current target; the last info."""
+    moves = LatticeOracle().plan(env).moves
+    assert moves is not None
+    for move in moves:
+        info = env.step(move)[4]
+    return info
+
+
+def test_an_insertion_needs_distance_and_angle_and_switches_to_the_nearest_open_hole() -> None:
+    env = CoopInsertionEnv()
+    env.reset(seed=0)
+    target = int(env.state["target"])
+    info = solve(env)
+    state = env.state
+    assert info["inserted"]
+    assert info["inserted_hole"] == target
+    assert info["success"]
+    assert info["is_success"]
+    assert info["n_filled"] == 1
+    assert np.linalg.norm(state["mouths"][target] - state["tip"]) < 0.010
+    assert info["distance"] < 0.010
+    assert info["alignment_error"] < np.radians(5.0)
+    distances = np.linalg.norm(state["mouths"] - state["tip"], axis=1)
+    distances[target] = np.inf
+    assert state["target"] == np.argmin(distances)
+    assert info["target"] == state["target"]
+
+
+def test_the_criterion_holds_exactly_when_an_insertion_is_reported() -> None:
+    env = CoopInsertionEnv()
+    rng = np.random.default_rng(0)
+    near = 0
+    for seed in range(15):
+        env.reset(seed=seed)
+        plan = LatticeOracle().plan(env).moves
+        if plan is None:
+            continue
+        for move in plan[:-1]:
+            env.step(move)
+        for _ in range(40):
+            target = int(env.state["target"])
+            was_filled = env.state["filled"][target]
+            action = int(plan[-1]) if rng.random() < 0.3 else int(rng.integers(12))
+            _, _, terminated, _, info = env.step(action)
+            state = env.state
+            distance = np.linalg.norm(state["mouths"][target] - state["tip"])
+            angle = np.arccos(state["normals"][target][2])
+            meets = distance < 0.010 and angle < np.radians(5.0)
+            assert info["inserted"] == (meets and not info["violation"] and not was_filled)
+            near += int(meets)
+            if terminated:
+                break
+    assert near > 5
+
+
+def test_filling_every_active_hole_terminates() -> None:
+    env = CoopInsertionEnv()
+    for seed in range(20):
+        env.reset(seed=seed, options={"filled": [0, 1, 2, 3, 4]})
+        assert env.state["target"] == 5
+        moves = LatticeOracle().plan(env).moves
+        if moves is not None:
+            break
+    assert moves is not None
+    for move in moves[:-1]:
+        assert not env.step(move)[2]
+    _, _, terminated, truncated, info = env.step(moves[-1])
+    assert terminated
+    assert not truncated
+    assert info["n_filled"] == 6
+    assert env.scene().status == "success"
+
+
+def test_re_entering_a_filled_hole_is_a_duplicate_once() -> None:
+    env = CoopInsertionEnv()
+    env.reset(seed=0)
+    assert solve(env)["inserted"]
+    assert not env.step(4)[4]["duplicate"]  # out
+    back = env.step(5)[4]
+    assert back["duplicate"]
+    assert not back["inserted"]
+    assert back["reward_terms"]["duplicate"] == -1.0
+    there = env.state["offset"].copy()
+    for action in (6, 8, 10, 11):  # a small tilt stays in the hole: no new entry
+        if env.action_masks()[action]:
+            info = env.step(action)[4]
+            if env.state["inside"].any() and not info["violation"]:
+                assert not info["duplicate"]
+            break
+    assert np.abs(env.state["offset"] - there).sum() <= 1
+
+
+@pytest.mark.parametrize("geometry", ["initial", "optimized"])
+def test_crossing_a_singularity_terminates(geometry: str) -> None:
+    env = CoopInsertionEnv(geometry=geometry)
+    rng = np.random.default_rng(0)
+    ended = 0
+    for seed in range(60):
+        env.reset(seed=seed, options={"configuration": (0, 0, -0.27, 0, 0, 0.22)})
+        roll, pitch = (int(k) for k in rng.integers(2, size=2))
+        terminated = truncated = False
+        while not (terminated or truncated):
+            action = (6 + roll) if rng.random() < 0.5 else (8 + pitch)
+            if not env.action_masks()[action]:
+                break
+            _, reward, terminated, truncated, info = env.step(action)
+            assert terminated == info["singular"] == (info["sigma_min"] < 0.05)
+        if terminated:
+            ended += 1
+            assert info["violation"]
+            assert not info["inserted"]
+            assert reward == -3.0
+            assert env.scene().status == "singular"
+    assert ended > 5
+
+
+def test_time_runs_out() -> None:
+    env = CoopInsertionEnv()
+    env.reset(seed=0)
+    for k in range(1, 301):
+        _, _, terminated, truncated, info = env.step(k % 2)
+        assert info["time"] == pytest.approx(0.2 * k)
+        assert not terminated
+        assert truncated == (k == 300)
+    assert env.scene().status == "timeout"
+
+
+def test_energy_is_the_travel_of_the_six_joints() -> None:
+    env = CoopInsertionEnv()
+    env.reset(seed=2)
+    rng = np.random.default_rng(0)
+    energy = 0.0
+    for _ in range(60):
+        before = env.state
+        info = env.step(int(rng.choice(np.flatnonzero(env.action_masks()))))[4]
+        after = env.state
+        for joints in ("theta", "q"):
+            energy += np.abs(after[joints] - before[joints]).sum()
+        assert info["energy"] == pytest.approx(energy, abs=1e-12)
+        if env.state["over"]:
+            break
+
+
+def test_a_move_is_one_step_along_one_axis() -> None:
+    env = CoopInsertionEnv()
+    for action in range(12):
+        env.reset(options={"configuration": (0, 0, -0.33, 0.1, 0.1, 0.22), "target": 0})
+        before = env.configuration
+        info = env.step(action)[4]
+        expected = np.zeros(6)
+        if not info["violation"]:
+            expected[action // 2] = STEP[action // 2] * (1 - 2 * (action % 2))
+        np.testing.assert_allclose(env.configuration - before, expected, atol=1e-15)
+
+
+def test_a_collision_is_not_executed() -> None:
+    env = CoopInsertionEnv()
+    env.reset(options={"configuration": (0.0, 0.15, -0.53, 0.0, 0.0, 0.22), "target": 0})
+    for _ in range(10):
+        before = env.configuration
+        _, reward, terminated, _, info = env.step(3)
+        if info["collision"]:
+            break
+    assert info["collision"]
+    assert info["violation"]
+    assert not terminated
+    assert reward == -3.0
+    np.testing.assert_array_equal(env.configuration, before)
+    assert env.action_masks()[3]  # collisions are not masked by default
+
+
+def test_the_scene_agrees_with_the_link_lengths() -> None:
+    env = CoopInsertionEnv()
+    env.reset(seed=0)
+    p, scene = env.params, env.scene()
+
+    def lengths(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(a - b, axis=1)
+
+    proximal, distal = p.delta.proximal_length, p.delta.distal_length
+    np.testing.assert_allclose(lengths(scene.delta_base_joints, scene.knees), proximal)
+    np.testing.assert_allclose(lengths(scene.knees, scene.effector_joints), distal)
+    np.testing.assert_allclose(lengths(scene.rrs_base_joints, scene.elbows), p.rrs.proximal_length)
+    np.testing.assert_allclose(lengths(scene.elbows, scene.platform_joints), p.rrs.distal_length)
+    np.testing.assert_allclose(lengths(scene.hole_mouths, scene.platform_centre[None]), 0.10)
+    assert scene.effector[2] - scene.tip[2] == pytest.approx(0.08)
+    assert "target" in scene.describe()
+    assert scene.status == "running"
+
+
+def test_ansi_rendering_says_what_happens() -> None:
+    env = CoopInsertionEnv(render_mode="ansi")
+    env.reset(seed=0)
+    first = env.render()
+    env.step(int(np.flatnonzero(env.action_masks())[0]))
+    assert first != env.render()
+    assert env.scene().trace.shape == (2, 3)

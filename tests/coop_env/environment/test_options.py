@@ -1,0 +1,208 @@
+"""Every combination of the environment's options passes both environment checkers."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env as gymnasium_check
+from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
+from stable_baselines3.common.env_checker import check_env as sb3_check
+from stable_baselines3.common.vec_env import VecMonitor
+
+import coop_env
+from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, RRSGeometry, SimToReal
+from coop_env.simulation.observation import MARKOV_FIELDS, PAPER_FIELDS
+
+CHOICES: dict[str, tuple[Any, ...]] = {
+    "geometry": ("initial", "optimized"),
+    "reward": ("paper", "progress"),
+    "observation": ("paper", "markov"),
+    "normalize": (True, False),
+    "mask_singularities": (False, True),
+    "mask_visited": (0, 1, 64),
+    "stage": (0, 1),
+    "pose_model": ("exact", "paper"),
+    "sim_to_real": (None, "randomized"),
+}
+IDS = [name for name, spec in gym.registry.items() if str(spec.entry_point).startswith("coop_env")]
+
+
+def test_the_id_is_registered() -> None:
+    assert IDS == ["CoopInsertion-v0"]
+    assert coop_env.__all__
+
+
+@pytest.mark.parametrize("env_id", IDS)
+@pytest.mark.parametrize("first", list(itertools.product(*list(CHOICES.values())[:4])))
+def test_checkers_accept_every_combination(env_id: str, first: tuple[Any, ...]) -> None:
+    for rest in itertools.product(*list(CHOICES.values())[4:]):
+        kwargs = dict(zip(CHOICES, (*first, *rest), strict=True))
+        env = gym.make(env_id, **kwargs).unwrapped
+        gymnasium_check(env, skip_render_check=True)
+        sb3_check(env, skip_render_check=True)
+
+
+@pytest.mark.parametrize("reward", ["paper", "progress"])
+def test_an_own_geometry_is_taken(reward: str) -> None:
+    env = CoopInsertionEnv(geometry=RRSGeometry.from_lambdas(1.5, 1.6), reward=reward)
+    env.reset(seed=0)
+    assert env.step(0)[4]["sigma_min"] > 0.0
+
+
+def test_markov_appends_filled_holes_and_time() -> None:
+    paper = CoopInsertionEnv(normalize=False)
+    markov = CoopInsertionEnv(normalize=False, observation="markov")
+    options = {"filled": [1, 4], "target": 2}
+    short, _ = paper.reset(seed=5, options=options)
+    long, _ = markov.reset(seed=5, options=options)
+    assert short.shape == (len(PAPER_FIELDS),)
+    assert long.shape == (len(MARKOV_FIELDS),)
+    assert long[:12].tolist() == short.tolist()
+    assert long[12:].tolist() == [0, 1, 0, 0, 1, 0, 0]
+    action = int(np.flatnonzero(markov.action_masks())[0])
+    assert markov.step(action)[0][-1] == pytest.approx(0.2)
+
+
+def test_normalized_and_plain_observations_say_the_same() -> None:
+    plain, normal = CoopInsertionEnv(normalize=False), CoopInsertionEnv()
+    for seed in range(20):
+        si, _ = plain.reset(seed=seed)
+        unit, _ = normal.reset(seed=seed)
+        assert plain.observation_space.contains(si)
+        space = plain.observation_space
+        low, high = space.low.copy(), space.high.copy()
+        low[6:9], high[6:9] = -0.15, 0.15
+        expected = np.clip((si - low) / (high - low), 0.0, 1.0)
+        np.testing.assert_allclose(unit, expected, atol=1e-6)
+        state = plain.state
+        target = state["target"]
+        np.testing.assert_allclose(si[:6], state["configuration"], atol=1e-7)
+        np.testing.assert_allclose(si[6:9], state["mouths"][target] - state["tip"], atol=1e-7)
+        np.testing.assert_allclose(si[9:12], state["normals"][target], atol=1e-7)
+
+
+def test_mask_singularities_excludes_collisions_and_singular_moves() -> None:
+    env = CoopInsertionEnv(geometry="initial", mask_singularities=True, max_moves=10_000)
+    rng = np.random.default_rng(0)
+    towards_trouble = np.ones(12)
+    towards_trouble[[5, 6, 8]] = 6.0  # down, and to one side
+    env.reset(seed=0)
+    hidden = 0
+    for _ in range(1000):
+        masks = env.action_masks()
+        for action in range(12):
+            c = env.configuration
+            sign = 1 - 2 * (action % 2)
+            c[action // 2] += sign * (0.03 if action // 2 in (3, 4) else 0.02)
+            status = env.configuration_status(c)
+            assert masks[action] == (status == 0)
+            hidden += status > 1
+        weights = masks * towards_trouble
+        _, _, terminated, truncated, info = env.step(rng.choice(12, p=weights / weights.sum()))
+        assert not info["violation"]
+        if terminated or truncated:
+            env.reset()
+    assert hidden > 20
+
+
+def test_pose_models_differ_where_the_platform_is_tilted() -> None:
+    options = {"configuration": (0.0, 0.0, -0.3, 0.3, 0.3, 0.22), "target": 0}
+    mouths = {}
+    for model in ("exact", "paper"):
+        env = CoopInsertionEnv(pose_model=model)
+        env.reset(options=options)
+        mouths[model] = env.state["mouths"]
+    difference = np.linalg.norm(mouths["exact"] - mouths["paper"], axis=1)
+    assert 0.001 < difference.max() < 0.03
+
+
+def test_sb3_tools_work_on_the_batch() -> None:
+    batch = VecMonitor(CoopInsertionVecEnv(3, seed=0, max_moves=5))
+    batch.reset()
+    assert is_masking_supported(batch)
+    assert get_action_masks(batch).shape == (3, 12)
+    batch.env_method("set_stage", 0)
+    batch.set_attr("stage", 1, indices=[1])
+    assert batch.get_attr("stage") == [0, 1, 0]
+    for _ in range(5):
+        _, _, dones, infos = batch.step(np.zeros(3, np.int64))
+    assert dones.all()
+    assert all(info["episode"]["l"] == 5 for info in infos)
+    assert batch.env_is_wrapped(gym.Wrapper) == [False] * 3
+
+
+def test_reset_options_reach_the_batch() -> None:
+    batch = CoopInsertionVecEnv(2, seed=0)
+    configuration = (0.01, 0.0, -0.33, 0.1, 0.1, 0.22)
+    batch.set_options({"configuration": configuration, "target": 3, "filled": [0]})
+    batch.reset()
+    for state in batch.get_attr("state"):
+        np.testing.assert_array_equal(state["configuration"], configuration)
+        assert state["target"] == 3
+        assert state["filled"].tolist() == [1, 0, 0, 0, 0, 0]
+    batch.reset()  # they serve once
+    assert not np.array_equal(batch.get_attr("configuration")[0], configuration)
+
+
+def test_knobs_left_alone_change_nothing() -> None:
+    assert not SimToReal().active
+    assert not SimToReal(randomize=True).active
+
+
+@pytest.mark.parametrize("visited", [0, 1, 5, 64])
+@pytest.mark.parametrize("mask_singularities", [False, True])
+def test_mask_visited_excludes_the_last_configurations(
+    visited: int, mask_singularities: bool
+) -> None:
+    """Against a list of the configurations since the last insertion, kept here."""
+    env = CoopInsertionEnv(mask_visited=visited, mask_singularities=mask_singularities)
+    free = CoopInsertionEnv(mask_singularities=mask_singularities)
+    rng = np.random.default_rng(visited)
+    hidden = insertions = 0
+    for episode in range(12):
+        env.reset(seed=episode)
+        free.reset(seed=episode)
+        past: list[tuple[int, ...]] = []
+        for _ in range(300):
+            allowed, masks = free.action_masks(), env.action_masks()
+            here = np.array(env.state["offset"])
+            back = np.zeros(12, bool)
+            for action in range(12):
+                there = here.copy()
+                there[action // 2] += 1 - 2 * (action % 2)
+                back[action] = tuple(there) in past[max(0, len(past) - visited) :]
+            expected = allowed & ~back if (allowed & ~back).any() else allowed
+            assert masks.tolist() == expected.tolist()
+            hidden += int((allowed & back).sum())
+            if episode % 2:  # towards the hole, so that there are insertions
+                action = _closest(env, masks, rng)
+            else:
+                action = int(rng.choice(np.flatnonzero(masks)))
+            *_, terminated, truncated, info = env.step(action)
+            free.step(action)
+            if info["inserted"]:
+                past, insertions = [], insertions + 1
+            elif tuple(env.state["offset"]) != tuple(here):
+                past.append(tuple(here))
+            if terminated or truncated:
+                break
+    assert (hidden > 50) == (visited > 0)
+    assert insertions > 2
+
+
+def _closest(env: CoopInsertionEnv, masks: np.ndarray, rng: np.random.Generator) -> int:
+    """The move that brings the tip and the peg's axis nearest to the target; one in five random."""
+    if rng.random() < 0.2:
+        return int(rng.choice(np.flatnonzero(masks)))
+    costs = np.full(12, np.inf)
+    for action in np.flatnonzero(masks):
+        probe = copy.deepcopy(env)
+        *_, terminated, _, info = probe.step(int(action))
+        if not info["violation"] and not (terminated and info["singular"]):
+            costs[action] = info["distance"] + 0.3 * info["alignment_error"]
+    return int(np.argmin(costs)) if np.isfinite(costs).any() else int(np.flatnonzero(masks)[0])

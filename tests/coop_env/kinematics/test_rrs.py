@@ -1,0 +1,191 @@
+"""The batched 3-RRS library: one formula for batch, loop and gufunc; rates, margins, bad input."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.studies.design import reference
+from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED
+from coop_env.kinematics import rrs, rrs_kernels
+from coop_env.kinematics.rotations import torsion_of
+
+POSE_FUNCTIONS: list[Callable[..., np.ndarray]] = [
+    rrs.parasitic,
+    rrs.plane_offset,
+    rrs.is_valid,
+    rrs.joint_margin,
+    rrs.limb_margin,
+    rrs.jacobian,
+    rrs.singular_values,
+    rrs.signed_sigma_min,
+    rrs.condition_number,
+    rrs.twist_matrix,
+    rrs.limb_points,
+]
+
+
+def _poses(*shape: int, seed: int = 0, spread: float = 0.75) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return rng.uniform([-spread, -spread, 0.2], [spread, spread, 0.26], size=(*shape, 3))
+
+
+@pytest.mark.parametrize("function", POSE_FUNCTIONS, ids=lambda f: f.__name__)
+@pytest.mark.parametrize("pose_model", ["exact", "paper"])
+def test_a_batch_is_a_loop(function: Callable[..., np.ndarray], pose_model: str) -> None:
+    poses = _poses(5, 7)
+    batch = function(poses, INITIAL, pose_model)
+    loop = np.array([[function(p, INITIAL, pose_model) for p in row] for row in poses])
+    assert batch.shape[:2] == (5, 7)
+    np.testing.assert_array_equal(batch, loop)
+
+
+def test_the_batch_is_the_scalar_kernel_to_the_bit() -> None:
+    poses = _poses(500)
+    p = rrs_kernels.make_params(OPTIMIZED)
+    q, reachable = rrs.inverse(poses)
+    sigma, valid = rrs.signed_sigma_min(poses), rrs.is_valid(poses)
+    for i, (roll, pitch, heave) in enumerate(poses.tolist()):
+        pose = rrs_kernels.platform_pose(roll, pitch, heave, p)
+        ok, angles = rrs_kernels.inverse(pose, p)
+        assert ok == reachable[i]
+        if ok:
+            assert angles == tuple(q[i])
+            assert rrs_kernels.sigma_at(roll, pitch, heave, p) == sigma[i]
+        else:
+            assert np.isnan(q[i]).all()
+            assert np.isnan(sigma[i])
+        assert rrs_kernels.is_valid(roll, pitch, heave, p) == valid[i]
+
+
+def test_strided_and_empty_batches() -> None:
+    poses = _poses(40)
+    np.testing.assert_array_equal(rrs.inverse(poses[::-3]).q, rrs.inverse(poses[::-3].copy()).q)
+    np.testing.assert_array_equal(rrs.inverse(np.asfortranarray(poses)).q, rrs.inverse(poses).q)
+    assert rrs.inverse(np.empty((0, 3))).q.shape == (0, 3)
+    assert rrs.inverse(poses.astype(np.float32)).q.dtype == np.float64
+
+
+@pytest.mark.parametrize("name", sorted(GEOMETRIES))
+def test_agrees_with_the_reference_over_a_grid(name: str) -> None:
+    g = GEOMETRIES[name]
+    poses = _poses(3000, seed=8)
+    state = reference.evaluate(poses, g)
+    q, reachable = rrs.inverse(poses, g)
+    np.testing.assert_array_equal(reachable, state.reachable)
+    np.testing.assert_allclose(q[reachable], state.q[reachable], atol=1e-10)
+    np.testing.assert_allclose(
+        rrs.signed_sigma_min(poses, g), reference.signed_sigma_min(state, g), atol=1e-8
+    )
+    values = rrs.singular_values(poses, g)[reachable]
+    expected = np.linalg.svd(state.jacobian[reachable], compute_uv=False)
+    np.testing.assert_allclose(values, expected, rtol=1e-8, atol=1e-8)
+    kappa = rrs.condition_number(poses, g)[reachable]
+    np.testing.assert_allclose(kappa, np.linalg.cond(state.jacobian[reachable]), rtol=1e-5)
+
+
+@given(
+    pose=st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(0.21, 0.25)),
+    rates=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.1, 0.1)),
+)
+@settings(max_examples=150, deadline=None)
+def test_joint_rates_are_the_derivative_of_the_inverse(
+    pose: tuple[float, float, float], rates: tuple[float, float, float]
+) -> None:
+    at, speed = np.array(pose), np.array(rates)
+    h = 1e-5
+    line = at + np.array([-2 * h, -h, h, 2 * h])[:, None] * speed
+    q, reachable = rrs.inverse(line)
+    points = rrs.limb_points(at)
+    leverage = np.linalg.norm(np.cross(points[:, 2] - points[:, 1], points[:, 1] - points[:, 0]))
+    if not reachable.all() or not leverage > 1e-3 or rrs.limb_margin(at).min() < 0.02:
+        return
+    expected = (q[0] - 8 * q[1] + 8 * q[2] - q[3]) / (12 * h)
+    np.testing.assert_allclose(rrs.joint_rates(at, speed), expected, atol=1e-6, rtol=1e-6)
+
+
+def test_the_mechanisms_pose_has_no_torsion_and_the_papers_has() -> None:
+    poses = _poses(200, seed=3)
+    assert np.abs(torsion_of(rrs.platform_pose(poses).rotation)).max() < 1e-14
+    paper = torsion_of(rrs.platform_pose(poses, pose_model="paper").rotation)
+    np.testing.assert_allclose(paper, -rrs.parasitic(poses)[:, 2], atol=1e-12)
+
+
+def test_parasitic_x_y_yaw_rebuild_the_pose() -> None:
+    poses = _poses(200, seed=4)
+    position, rotation = reference.platform_pose(poses, OPTIMIZED)
+    own = rrs.parasitic(poses)
+    np.testing.assert_allclose(own[:, :2], position[:, :2], atol=1e-14)
+    np.testing.assert_allclose(np.sin(own[:, 2]), _euler_yaw_sine(rotation), atol=1e-12)
+
+
+def _euler_yaw_sine(rotation: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    return np.sin(Rotation.from_matrix(rotation).as_euler("XYZ")[:, 2])
+
+
+def test_limb_points_are_joined_by_the_links() -> None:
+    poses = _poses(300, seed=5)
+    poses = poses[rrs.inverse(poses).reachable]
+    points = rrs.limb_points(poses)
+    proximal = np.linalg.norm(points[..., 1, :] - points[..., 0, :], axis=-1)
+    distal = np.linalg.norm(points[..., 2, :] - points[..., 1, :], axis=-1)
+    np.testing.assert_allclose(proximal, OPTIMIZED.proximal_length, atol=1e-12)
+    np.testing.assert_allclose(distal, OPTIMIZED.distal_length, atol=1e-12)
+    np.testing.assert_allclose(
+        np.linalg.norm(points[..., 0, :], axis=-1), OPTIMIZED.base_radius, atol=1e-14
+    )
+
+
+def test_margins_change_sign_where_validity_does() -> None:
+    poses = _poses(3000, seed=6)
+    q, reachable = rrs.inverse(poses)
+    np.testing.assert_array_equal((rrs.limb_margin(poses) >= 0).all(axis=-1), reachable)
+    inside = (q >= OPTIMIZED.joint_min) & (q <= OPTIMIZED.joint_max)
+    np.testing.assert_array_equal(rrs.joint_margin(poses) >= 0, inside)
+    within = (np.abs(poses[:, :2]) <= OPTIMIZED.max_tilt).all(axis=-1)
+    within &= (poses[:, 2] >= 0.21) & (poses[:, 2] <= 0.25)
+    expected = reachable & inside.all(axis=-1) & within
+    np.testing.assert_array_equal(rrs.is_valid(poses), expected)
+
+
+@pytest.mark.parametrize("function", POSE_FUNCTIONS, ids=lambda f: f.__name__)
+@pytest.mark.parametrize("bad", [0.5, [0.1, 0.2], np.zeros((3, 2)), np.zeros((2, 0))])
+def test_wrong_shapes_are_named(function: Callable[..., np.ndarray], bad: object) -> None:
+    with pytest.raises(rrs.ShapeError, match=r"pose has shape .* must be \(\.\.\., 3\)"):
+        function(bad)
+
+
+@pytest.mark.parametrize("bad", ["abc", [None, 1.0, 2.0], [1j, 0.0, 0.2], [[1.0], [2.0, 3.0]]])
+def test_what_is_not_real_numbers_is_named(bad: object) -> None:
+    with pytest.raises(TypeError, match="must be real numbers"):
+        rrs.inverse(bad)  # type: ignore[arg-type]
+
+
+def test_batches_that_do_not_broadcast_are_named() -> None:
+    with pytest.raises(rrs.ShapeError, match="do not broadcast"):
+        rrs.forward(np.zeros((2, 3)), np.zeros((5, 3)))
+    with pytest.raises(rrs.ShapeError, match="do not broadcast"):
+        rrs.joint_rates(np.zeros((2, 3)), np.zeros((5, 3)))
+
+
+def test_an_unknown_pose_model_is_named() -> None:
+    with pytest.raises(ValueError, match="pose_model = 'papr'"):
+        rrs.inverse([0.0, 0.0, 0.21], pose_model="papr")
+
+
+@pytest.mark.parametrize("bad", [[np.nan, 0.0, 0.21], [0.0, 0.0, np.inf], [0.0, 0.0, 0.9]])
+def test_nan_and_out_of_reach_are_never_numbers(bad: list[float]) -> None:
+    q, reachable = rrs.inverse(bad)
+    assert not reachable
+    assert np.isnan(q).all()
+    assert not rrs.is_valid(bad)
+    for function in (rrs.jacobian, rrs.singular_values, rrs.signed_sigma_min):
+        assert np.isnan(function(bad)).all()
+    assert np.isnan(rrs.condition_number(bad))
+    assert np.isnan(rrs.joint_margin(bad)).all()

@@ -1,0 +1,210 @@
+"""The scalar 3-RRS kernels, against golden data, a second formulation, and the mechanism itself."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.studies.design import reference
+from coop_env.geometry import GEOMETRIES, RRSGeometry
+from coop_env.kinematics import rrs_kernels as kernels
+
+GOLDEN = Path(__file__).with_name("rrs_golden.csv")
+PARAMS = {name: kernels.make_params(g) for name, g in GEOMETRIES.items()}
+TILT = st.floats(-0.7, 0.7)
+HEAVE = st.floats(0.21, 0.25)
+NAME = st.sampled_from(sorted(GEOMETRIES))
+
+
+def _golden() -> list[dict[str, str]]:
+    with GOLDEN.open() as file:
+        return list(csv.DictReader(file))
+
+
+def _position(pose: kernels.Pose) -> np.ndarray:
+    return np.array(pose[:3])
+
+
+def _rotation(pose: kernels.Pose) -> np.ndarray:
+    return np.array(pose[3:]).reshape(3, 3)
+
+
+@pytest.mark.parametrize("row", _golden(), ids=lambda row: row["geometry"])
+def test_golden_row(row: dict[str, str]) -> None:
+    p = PARAMS[row["geometry"]]
+    roll, pitch, heave = (float(row[name]) for name in ("roll", "pitch", "heave"))
+    pose = kernels.platform_pose(roll, pitch, heave, p)
+    reachable, q = kernels.inverse(pose, p)
+    assert reachable == bool(int(row["reachable"]))
+    assert (pose.x, pose.y) == pytest.approx((float(row["x"]), float(row["y"])), abs=1e-9)
+    expected = [float(row[f"R{i}{j}"]) for i in range(3) for j in range(3)]
+    assert list(pose[3:]) == pytest.approx(expected, abs=1e-9)
+    angles = [float(row[f"q{i}"]) for i in range(3)]
+    if reachable:
+        assert list(q) == pytest.approx(angles, abs=1e-9)
+    else:
+        assert any(math.isnan(angle) for angle in q)
+    sigma = kernels.sigma_at(roll, pitch, heave, p)
+    assert sigma == pytest.approx(float(row["sigma_min_signed"]), abs=1e-9, nan_ok=True)
+
+
+def test_golden_covers_both_geometries_and_both_sides_of_the_singularity() -> None:
+    rows = _golden()
+    assert {row["geometry"] for row in rows} == set(GEOMETRIES)
+    signs = {math.copysign(1.0, float(row["sigma_min_signed"])) for row in rows}
+    assert signs == {-1.0, 1.0}
+
+
+@given(name=NAME, roll=TILT, pitch=TILT, heave=HEAVE)
+@settings(max_examples=200, deadline=None)
+def test_limbs_close_and_stay_in_their_planes(
+    name: str, roll: float, pitch: float, heave: float
+) -> None:
+    g, p = GEOMETRIES[name], PARAMS[name]
+    pose = kernels.platform_pose(roll, pitch, heave, p)
+    reachable, q = kernels.inverse(pose, p)
+    rotation, centre = _rotation(pose), _position(pose)
+    assert np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-14
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    for i, azimuth in enumerate(np.radians([0.0, 120.0, 240.0])):
+        u = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        t = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+        joint = centre + g.platform_radius * rotation @ u
+        assert abs(t @ joint) < 1e-14
+        if reachable:
+            crank = np.cos(q[i]) * u + np.array([0.0, 0.0, np.sin(q[i])])
+            elbow = g.base_radius * u + g.proximal_length * crank
+            assert abs(np.linalg.norm(joint - elbow) - g.distal_length) < 1e-12
+
+
+@given(name=NAME, roll=TILT, pitch=TILT, heave=HEAVE)
+@settings(max_examples=200, deadline=None)
+def test_agrees_with_the_second_formulation(
+    name: str, roll: float, pitch: float, heave: float
+) -> None:
+    g, p = GEOMETRIES[name], PARAMS[name]
+    state = reference.evaluate(np.array([roll, pitch, heave]), g)
+    pose = kernels.platform_pose(roll, pitch, heave, p)
+    reachable, q = kernels.inverse(pose, p)
+    assert reachable == bool(state.reachable)
+    np.testing.assert_allclose(_position(pose), state.position, atol=1e-13)
+    np.testing.assert_allclose(_rotation(pose), state.rotation, atol=1e-13)
+    if reachable:
+        np.testing.assert_allclose(q, state.q, atol=1e-10)
+        sigma = kernels.signed_sigma_min(pose, q, p)
+        assert sigma == pytest.approx(float(reference.signed_sigma_min(state, g)), abs=1e-9)
+
+
+@given(name=NAME, roll=TILT, pitch=TILT, heave=HEAVE)
+@settings(max_examples=200, deadline=None)
+def test_jacobian_is_the_derivative_of_the_inverse_kinematics(
+    name: str, roll: float, pitch: float, heave: float
+) -> None:
+    """Move along the mechanism's own motions; read the twist off the reference's rotation."""
+    g, p = GEOMETRIES[name], PARAMS[name]
+    pose = kernels.platform_pose(roll, pitch, heave, p)
+    reachable, q = kernels.inverse(pose, p)
+    if not reachable or min(abs(b) for b in kernels.jacobian_parts(pose, q, p)[1]) < 0.02:
+        return  # beside a type I singularity the derivative runs to infinity
+    jacobian = np.array(kernels.jacobian(*kernels.jacobian_parts(pose, q, p)))
+    rotation = _rotation(pose)
+    step = 1e-5
+    for k in range(3):
+        # Richardson's combination of two central differences: truncation error of order step^4
+        rates, twists = [], []
+        for h in (step, 2 * step):
+            low, high = np.array([roll, pitch, heave]), np.array([roll, pitch, heave])
+            low[k] -= h
+            high[k] += h
+            a, b = reference.evaluate(low, g), reference.evaluate(high, g)
+            rates.append((b.q - a.q) / (2 * h))
+            spin = ((b.rotation - a.rotation) / (2 * h)) @ rotation.T
+            v_z = (b.position[2] - a.position[2]) / (2 * h)
+            twists.append([spin[2, 1], spin[0, 2], v_z / g.characteristic_length])
+        if not np.isfinite(rates).all():
+            continue
+        rate = (4 * rates[0] - rates[1]) / 3
+        twist = (4 * np.array(twists[0]) - twists[1]) / 3
+        np.testing.assert_allclose(jacobian @ twist, rate, atol=1e-6, rtol=1e-6)
+
+
+@given(name=NAME, roll=TILT, pitch=TILT, heave=HEAVE)
+@settings(max_examples=200, deadline=None)
+def test_turning_the_normal_by_120_degrees_permutes_the_limbs(
+    name: str, roll: float, pitch: float, heave: float
+) -> None:
+    p = PARAMS[name]
+    nx, ny, nz = kernels.platform_normal(roll, pitch)
+    c, s = math.cos(2 * math.pi / 3), math.sin(2 * math.pi / 3)
+    tx, ty = c * nx - s * ny, s * nx + c * ny
+    roll_2, pitch_2 = math.atan2(-ty, nz), math.asin(tx)
+    ok_a, q_a = kernels.inverse(kernels.platform_pose(roll, pitch, heave, p), p)
+    ok_b, q_b = kernels.inverse(kernels.platform_pose(roll_2, pitch_2, heave, p), p)
+    assert ok_a == ok_b
+    if ok_a:
+        assert q_b == pytest.approx((q_a[2], q_a[0], q_a[1]), abs=1e-10)
+        # wx and wy mix by a rotation, so J keeps its singular values
+        assert kernels.sigma_at(roll, pitch, heave, p) == pytest.approx(
+            kernels.sigma_at(roll_2, pitch_2, heave, p), abs=1e-9
+        )
+
+
+@pytest.mark.parametrize("name", sorted(GEOMETRIES))
+def test_sigma_changes_sign_exactly_where_det_a_does(name: str) -> None:
+    g, p = GEOMETRIES[name], PARAMS[name]
+    line = np.zeros((4000, 3))
+    line[:, 0], line[:, 2] = np.linspace(0.0, 0.78, 4000), 0.21
+    state = reference.evaluate(line, g)
+    sigma = np.array([kernels.sigma_at(roll, 0.0, 0.21, p) for roll in line[:, 0]])
+    ok = state.reachable
+    assert ((sigma[ok] > 0) == (state.det_a[ok] * state.det_a[0] > 0)).all()
+    crossings = np.flatnonzero(np.diff(np.sign(sigma[ok])))
+    assert len(crossings) >= 1, "this line is known to cross the parallel singularity"
+    at = crossings[0]
+    assert abs(sigma[ok][at]) < 1e-3  # it passes through zero, rather than jumping
+    assert abs(sigma[ok][at:]).max() > 0.1  # and unsigned it would rise again beyond
+
+
+def test_home_is_positive_and_tilting_is_symmetric_at_home() -> None:
+    for p in PARAMS.values():
+        pose = kernels.platform_pose(0.0, 0.0, 0.21, p)
+        reachable, q = kernels.inverse(pose, p)
+        assert reachable
+        assert q[0] == pytest.approx(q[1], abs=1e-15) == pytest.approx(q[2], abs=1e-15)
+        assert kernels.sigma_at(0.0, 0.0, 0.21, p) > 0.15
+
+
+def test_an_unreachable_or_nan_pose_says_so() -> None:
+    p = PARAMS["optimized"]
+    for roll, pitch, heave in ((0.0, 0.0, 0.5), (0.0, 0.0, 0.01), (math.nan, 0.0, 0.21)):
+        reachable, q = kernels.inverse(kernels.platform_pose(roll, pitch, heave, p), p)
+        assert not reachable
+        assert any(math.isnan(angle) for angle in q)
+        assert math.isnan(kernels.sigma_at(roll, pitch, heave, p))
+        assert not kernels.is_valid(roll, pitch, heave, p)
+
+
+def test_a_joint_too_near_its_base_is_unreachable_though_the_paper_lets_it_pass() -> None:
+    g = RRSGeometry(base_radius=0.17, proximal_length=0.06, platform_radius=0.165, heave_min=0.1)
+    p = kernels.make_params(g)
+    near = g.distal_length - g.proximal_length - 0.01
+    assert abs(near - g.proximal_length) <= g.distal_length  # the paper's condition holds
+    assert not kernels.inverse(kernels.platform_pose(0.0, 0.0, near, p), p)[0]
+
+
+def test_the_papers_pose_takes_the_joints_out_of_their_planes_by_a_quarter_radius() -> None:
+    g = GEOMETRIES["optimized"]
+    p = kernels.make_params(g, "paper")
+    pose = kernels.platform_pose(math.radians(30), math.radians(30), 0.21, p)
+    assert _rotation(pose) == pytest.approx(
+        reference._axis_rotation(np.array(math.radians(30)), 0)
+        @ reference._axis_rotation(np.array(math.radians(30)), 1)
+    )
+    out = _rotation(pose)[1, 0] + pose.y  # t_0 . (P + R u_0), per unit of Rp
+    assert out == pytest.approx(0.25, abs=1e-12)

@@ -1,0 +1,110 @@
+"""Both rewards against plain formulas, along real episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.methods.oracle import LatticeOracle
+from coop_env import CoopInsertionEnv
+from coop_env.simulation.rewards import PROGRESS_DEFAULTS, TERMS, TUNED
+
+
+def error(state: np.void, target: int) -> tuple[float, float]:
+    """Distance and angle to a hole, from the state's points alone."""
+    distance = float(np.linalg.norm(state["mouths"][target] - state["tip"]))
+    return distance, float(np.arccos(min(1.0, state["normals"][target][2])))
+
+
+def transitions(env: CoopInsertionEnv, episodes: int) -> Iterator[tuple[Any, ...]]:
+    """(state, next state, reward, terminated, info) of noisy optimal episodes."""
+    rng, oracle = np.random.default_rng(0), LatticeOracle()
+    for seed in range(episodes):
+        env.reset(seed=seed)
+        while not env.state["over"]:
+            plan = oracle.plan(env).moves
+            moves = [int(plan[0])] if plan is not None else []
+            if plan is not None and rng.random() < 0.8:
+                moves = plan.tolist()
+            for move in [*moves, int(rng.integers(12))]:
+                before = env.state
+                _, reward, terminated, truncated, info = env.step(move)
+                yield before, env.state, reward, terminated, info
+                if terminated or truncated:
+                    break
+
+
+def flags(info: dict[str, Any]) -> tuple[int, int, int]:
+    return int(info["violation"]), int(info["inserted"]), int(info["duplicate"])
+
+
+def test_paper_is_the_printed_equation() -> None:
+    seen = np.zeros(3, int)
+    for before, after, reward, _, info in transitions(CoopInsertionEnv(max_moves=200), 6):
+        v, z, u = flags(info)
+        seen += (v, z, u)
+        t, n = info["time"], info["n_filled"]
+        target = int(before["target"])
+        d0, d1 = error(before, target)[0], error(after, target)[0]
+        expected = -3 * v + (150 + 25 * n + 80 * (1 - t / 60)) * z - 1 * u
+        expected += (1 - v - z - u) * (-0.01 - d1 + 50 * max(d0 - d1, 0) + 200 * max(0.03 - d1, 0))
+        assert reward == pytest.approx(expected, abs=1e-9)
+        assert sum(info["reward_terms"].values()) == pytest.approx(reward, abs=1e-12)
+        assert tuple(info["reward_terms"]) == TERMS
+    assert seen.min() > 0
+
+
+@pytest.mark.parametrize("kwargs", [{}, dict(TUNED), {"gamma": 0.9, "insertion_bonus": 7}])
+def test_progress_is_two_sided_and_towards_one_hole(kwargs: dict[str, Any]) -> None:
+    env = CoopInsertionEnv(reward="progress", reward_kwargs=kwargs, max_moves=200)
+    scale: dict[str, Any] = {**PROGRESS_DEFAULTS, **kwargs}
+    for before, after, reward, terminated, info in transitions(env, 4):
+        v, z, u = flags(info)
+        target = int(before["target"])
+        d0, a0 = error(before, target)
+        d1, a1 = error(after, target)
+        gamma = 1.0
+        if scale["gamma"] is not None:  # the potential of the next state, its own target included
+            gamma = scale["gamma"]
+            d1, a1 = (0.0, 0.0) if terminated else error(after, int(after["target"]))
+        bonus = scale["insertion_bonus"]
+        if bonus is None:
+            bonus = 150 + 25 * info["n_filled"] + 80 * (1 - info["time"] / 60)
+        expected = bonus * z - scale["violation_penalty"] * v - scale["duplicate_penalty"] * u
+        expected -= scale["step_cost"] * (1 - v)
+        expected += scale["distance_scale"] * (d0 - gamma * d1)
+        expected += scale["angle_scale"] * (a0 - gamma * a1)
+        assert reward == pytest.approx(expected, abs=1e-6)
+
+
+def test_progress_around_a_loop_is_the_step_cost() -> None:
+    env = CoopInsertionEnv(reward="progress")
+    env.reset(seed=0)
+    total = sum(env.step(action)[1] for action in (0, 2, 6, 1, 7, 3))
+    assert total == pytest.approx(-6 * 0.5, abs=1e-9)
+
+
+def test_the_paper_pays_for_an_oscillation_and_progress_does_not() -> None:
+    returns = {}
+    for reward in ("paper", "progress"):
+        env = CoopInsertionEnv(reward=reward)
+        env.reset(seed=0)
+        returns[reward] = sum(env.step(5 - k % 2)[1] for k in range(100))  # down and up
+    assert returns["paper"] > 0.0 > returns["progress"]
+
+
+def test_a_violation_costs_exactly_its_penalty() -> None:
+    env = CoopInsertionEnv(reward="progress")
+    env.reset(seed=0)
+    masks = env.action_masks()
+    blocked = np.flatnonzero(~masks)
+    assert blocked.size > 0  # heave has two levels, so one of its moves is always out
+    before = env.configuration
+    _, reward, _, _, info = env.step(int(blocked[0]))
+    assert reward == -3.0
+    assert info["violation"]
+    assert not info["collision"]
+    np.testing.assert_array_equal(env.configuration, before)

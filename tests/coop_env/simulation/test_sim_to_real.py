@@ -1,0 +1,176 @@
+"""Sim-to-real knobs: each does what it says, from the seed alone, and off means off."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.methods.oracle import LatticeOracle
+from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, SimToReal
+from coop_env.simulation.machine import gaussian, uniform
+from coop_env.simulation.sim_to_real import RANDOMIZED
+from coop_env.simulation.state import STATE
+
+
+def insertions(knobs: SimToReal | None, starts: int) -> float:
+    """Share of starts in which the nominal machine's optimum inserts in the real one."""
+    real, nominal, oracle = CoopInsertionEnv(sim_to_real=knobs), CoopInsertionEnv(), LatticeOracle()
+    done = total = 0
+    for seed in range(starts):
+        real.reset(seed=seed)
+        start = {"configuration": real.configuration, "target": int(real.state["target"])}
+        nominal.reset(options=start)
+        moves = oracle.plan(nominal).moves
+        if moves is None:
+            continue
+        total += 1
+        late = int(real.state["machine"]["latency"])
+        for move in [*moves.tolist(), *[0] * late]:
+            _, _, terminated, _, info = real.step(move)
+            if info["inserted"] or terminated:
+                done += int(info["inserted"])
+                break
+    return done / total
+
+
+def test_knobs_left_alone_take_no_random_numbers() -> None:
+    plain, off = CoopInsertionEnv(), CoopInsertionEnv(sim_to_real=SimToReal())
+    for seed in range(5):
+        assert plain.reset(seed=seed)[0].tobytes() == off.reset(seed=seed)[0].tobytes()
+        assert plain.np_random.random() == off.np_random.random()
+
+
+@pytest.mark.parametrize(
+    ("knobs", "low", "high"),
+    [
+        ({"latency": 1}, 0.99, 1.0),
+        ({"observation_noise": 0.05}, 0.99, 1.0),  # it blinds the agent, not the machine
+        ({"insertion_probability": 0.5}, 0.3, 0.75),
+        ({"base_position_error": 0.008}, 0.05, 0.7),
+        ({"base_tilt_error": 0.03}, 0.05, 0.7),
+        ({"link_length_error": 0.01}, 0.05, 0.7),
+        ({"backlash": 0.01}, 0.05, 0.9),
+        ({"joint_resolution": 0.01}, 0.05, 0.9),
+        ({"chamfer_error": 0.006}, 0.2, 0.9),
+    ],
+)
+def test_each_knob_costs_an_open_loop_plan_what_it_should(
+    knobs: dict[str, Any], low: float, high: float
+) -> None:
+    assert low <= insertions(SimToReal(**knobs), 40) <= high
+
+
+def test_the_controller_sees_its_model_and_the_info_is_the_truth() -> None:
+    env = CoopInsertionEnv(sim_to_real=SimToReal(base_position_error=0.01), normalize=False)
+    for seed in range(10):
+        obs, info = env.reset(seed=seed)
+        twin = CoopInsertionEnv(normalize=False)
+        start = {"configuration": env.configuration, "target": int(env.state["target"])}
+        np.testing.assert_allclose(obs, twin.reset(options=start)[0], atol=1e-6)
+        shift = env.state["machine"]["base"][:3]
+        believed = obs[6:9]
+        assert info["distance"] == pytest.approx(np.linalg.norm(believed + shift), abs=1e-6)
+
+
+def test_noise_has_the_standard_deviation_asked_for() -> None:
+    noisy = CoopInsertionEnv(sim_to_real=SimToReal(observation_noise=0.01), max_moves=10_000)
+    obs, _ = noisy.reset(
+        options={"configuration": (0.02, 0.03, -0.33, 0.1, 0.1, 0.22), "target": 4}
+    )
+    clean = CoopInsertionEnv(max_moves=10_000)
+    start = {"configuration": noisy.configuration, "target": 4}
+    expected, _ = clean.reset(options=start)
+    deviations = [noisy.step(k % 2)[0] - clean.step(k % 2)[0] for k in range(2000)]
+    inside = (expected > 0.05) & (expected < 0.95)
+    assert inside.sum() >= 8
+    spread = np.std(deviations, axis=0)[inside]
+    np.testing.assert_allclose(spread, 0.01, rtol=0.1)
+    np.testing.assert_allclose(np.mean(deviations, axis=0)[inside], 0.0, atol=0.001)
+    assert noisy.observation_space.contains(obs)
+
+
+def test_latency_executes_the_previous_action() -> None:
+    late = CoopInsertionEnv(sim_to_real=SimToReal(latency=1))
+    late.reset(seed=0)
+    start = late.configuration
+    info = late.step(0)[4]
+    np.testing.assert_array_equal(late.configuration, start)
+    assert not info["violation"]
+    late.step(2)
+    assert late.configuration[0] == pytest.approx(start[0] + 0.02)
+    assert late.configuration[1] == start[1]
+
+
+def test_backlash_leaves_joints_behind_within_the_play() -> None:
+    play = 0.01
+    env = CoopInsertionEnv(sim_to_real=SimToReal(backlash=play))
+    ideal = CoopInsertionEnv()
+    env.reset(seed=0)
+    ideal.reset(options={"configuration": env.configuration, "target": 0})
+    rng = np.random.default_rng(0)
+    gaps = []
+    for _ in range(100):
+        action = int(rng.choice(np.flatnonzero(env.action_masks())))
+        if env.step(action)[4]["violation"]:
+            break
+        ideal.reset(options={"configuration": env.configuration, "target": 0})
+        gaps.append(env.state["theta"] - ideal.state["theta"])
+    assert np.abs(gaps).max() <= play / 2 + 1e-12
+    assert np.abs(gaps).max() > play / 3
+
+
+def test_quantized_joints_stand_on_counts() -> None:
+    env = CoopInsertionEnv(sim_to_real=SimToReal(joint_resolution=0.005))
+    env.reset(seed=1)
+    for _ in range(10):
+        env.step(int(np.flatnonzero(env.action_masks())[0]))
+        counts = np.concatenate([env.state["theta"], env.state["q"]]) / 0.005
+        np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
+
+
+def test_randomized_machines_differ_between_episodes_and_repeat_with_the_seed() -> None:
+    env, again = (CoopInsertionEnv(sim_to_real="randomized") for _ in range(2))
+    machines = []
+    for seed in range(20):
+        env.reset(seed=seed)
+        again.reset(seed=seed)
+        machine = env.state["machine"]
+        assert machine.tobytes() == again.state["machine"].tobytes()
+        machines.append(machine)
+    assert {int(m["latency"]) for m in machines} == {0, 1}
+    assert len({float(m["backlash"]) for m in machines}) == 20
+    assert all(m["insertion_probability"] >= RANDOMIZED.insertion_probability for m in machines)
+
+
+def test_the_batch_is_bit_identical_with_every_knob_turned() -> None:
+    batch = CoopInsertionVecEnv(3, seed=5, sim_to_real="randomized", max_moves=50)
+    singles = [CoopInsertionEnv(sim_to_real="randomized", max_moves=50) for _ in range(3)]
+    rows = batch.reset()
+    for i, env in enumerate(singles):
+        assert rows[i].tobytes() == env.reset(seed=5 + i)[0].tobytes()
+    rng = np.random.default_rng(0)
+    for _ in range(150):
+        actions = rng.integers(12, size=3)
+        rows, rewards, _, _ = batch.step(actions)
+        for i, env in enumerate(singles):
+            obs, reward, terminated, truncated, _ = env.step(actions[i])
+            if terminated or truncated:
+                obs, _ = env.reset()
+            assert rows[i].tobytes() == obs.tobytes()
+            assert rewards[i] == np.float32(reward)
+
+
+def test_the_rows_generator_is_uniform_and_normal() -> None:
+    machine = np.zeros(1, STATE)[0]["machine"]
+    machine["key"] = 12345
+    draws = np.array([uniform(machine) for _ in range(20_000)])
+    assert draws.min() >= 0.0
+    assert draws.max() < 1.0
+    counts, _ = np.histogram(draws, bins=20, range=(0.0, 1.0))
+    assert np.abs(counts - 1000).max() < 130
+    assert abs(np.corrcoef(draws[:-1], draws[1:])[0, 1]) < 0.03
+    normal = np.array([gaussian(machine) for _ in range(20_000)])
+    assert abs(normal.mean()) < 0.03
+    assert normal.std() == pytest.approx(1.0, abs=0.03)

@@ -1,0 +1,224 @@
+"""The compiled kernels against torch's autograd and optimizer, one and several updates long."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from torch import nn
+
+from sb3_rainbow import Rainbow
+from sb3_rainbow.fast import mlp_kernels as kernels
+from sb3_rainbow.learner.learner import Learner
+from sb3_rainbow.policies import MlpPolicy, MultiInputPolicy
+from sb3_rainbow.type_aliases import Batch
+
+N_ACTIONS = 5
+
+
+def make_learner(cpu_kernels: bool, double_q: bool = True, **kwargs: Any) -> Learner:
+    th.manual_seed(3)
+    settings: dict[str, Any] = {
+        "net_arch": [24, 16, 12],
+        "v_min": -4.0,
+        "v_max": 4.0,
+        # A large epsilon, so that Adam does not blow up the rounding of tiny gradients
+        "optimizer_kwargs": {"weight_decay": 1e-3, "eps": 1e-2},
+        **kwargs,
+    }
+    policy = MlpPolicy(
+        spaces.Box(-1, 1, (6,), np.float32), spaces.Discrete(N_ACTIONS), lambda _: 1e-2, **settings
+    )
+    for p in policy.q_net_target.parameters():
+        p.data += 0.3 * th.randn_like(p)
+    learner = Learner(policy, double_q, max_grad_norm=0.5, cpu_kernels=cpu_kernels)
+    assert (learner._mlp is not None) == cpu_kernels
+    return learner
+
+
+def make_batch(seed: int, masked: bool) -> Batch:
+    generator = th.Generator().manual_seed(seed)
+    n = 32
+    masks = th.rand(n, N_ACTIONS, generator=generator) < 0.5
+    masks[:, seed % N_ACTIONS] = True
+    return Batch(
+        observations=th.randn(n, 6, generator=generator),
+        actions=th.randint(0, N_ACTIONS, (n, 1), generator=generator),
+        next_observations=th.randn(n, 6, generator=generator),
+        dones=(th.rand(n, 1, generator=generator) < 0.3).float(),
+        rewards=2 * th.randn(n, 1, generator=generator),
+        discounts=0.9 ** th.randint(1, 4, (n, 1), generator=generator).float(),
+        weights=th.rand(n, generator=generator),
+        next_action_masks=masks if masked else None,
+    )
+
+
+@pytest.mark.parametrize(
+    "kwargs",
+    [
+        {},
+        {"double_q": False},
+        {"dueling": False},
+        {"noisy": False},
+        {"noisy_layers": "all"},
+        {"distributional": False},
+        {"distributional": False, "dueling": False, "noisy": False, "double_q": False},
+        {"net_arch": []},
+        {"net_arch": [10]},
+    ],
+    ids=str,
+)
+def test_updates_agree_with_torch(kwargs: dict[str, Any]) -> None:
+    ours, reference = make_learner(True, **kwargs), make_learner(False, **kwargs)
+    for seed in range(4):
+        batch = make_batch(seed, masked=seed % 2 == 0)
+        results = []
+        for learner in (ours, reference):
+            th.manual_seed(seed)
+            results.append(learner.update(batch))
+            learner.move_target(0.1)
+        th.testing.assert_close(results[0], results[1], rtol=1e-4, atol=1e-5)
+        for name, value in reference.q_net.state_dict().items():
+            th.testing.assert_close(ours.q_net.state_dict()[name], value, rtol=1e-4, atol=1e-5)
+    assert ours._flat is not None
+    assert reference._flat is not None
+    grads = ours._flat.vector.grad, reference._flat.vector.grad
+    th.testing.assert_close(*grads, rtol=1e-3, atol=1e-5)
+    states = [x.optimizer.state_dict()["state"][0] for x in (ours, reference)]
+    assert states[0]["step"] == states[1]["step"] == 4
+    th.testing.assert_close(states[0]["exp_avg"], states[1]["exp_avg"], rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "policy_kwargs",
+    [
+        {"activation_fn": nn.Tanh},
+        {"optimizer_class": th.optim.RMSprop},
+        {"optimizer_kwargs": {"amsgrad": True}},
+        {"optimizer_kwargs": {"decoupled_weight_decay": True, "weight_decay": 0.1}},
+    ],
+    ids=str,
+)
+def test_torch_does_what_the_kernels_cannot(policy_kwargs: dict[str, Any]) -> None:
+    model = Rainbow(
+        "MlpPolicy",
+        "CartPole-v1",
+        learning_starts=20,
+        buffer_size=100,
+        policy_kwargs=policy_kwargs,
+        device="cpu",
+    )
+    assert model._learner._mlp is None
+    model.learn(40)
+
+
+def test_an_optimizer_given_later_is_the_one_that_steps() -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", learning_starts=20, buffer_size=100, device="cpu")
+    model.learn(40)
+    model.policy.optimizer = th.optim.Adam(model.q_net.parameters())
+    before = nn.utils.parameters_to_vector(model.q_net.parameters())
+    model.learn(60, reset_num_timesteps=False)
+    assert model._learner._mlp is None
+    steps = {int(state["step"]) for state in model.policy.optimizer.state.values()}
+    assert steps == {15}
+    assert not th.equal(before, nn.utils.parameters_to_vector(model.q_net.parameters()))
+
+
+def test_discrete_observations_are_one_hot_for_the_kernels_too() -> None:
+    model = Rainbow(
+        "MlpPolicy", "CliffWalking-v1", learning_starts=20, buffer_size=100, device="cpu"
+    )
+    assert model._learner._mlp is not None
+    model.learn(60)
+
+
+class StandardizedExtractor(BaseFeaturesExtractor):
+    """No parameters, but statistics, of which each network has its own."""
+
+    def __init__(self, space: spaces.Box) -> None:
+        super().__init__(space, 4)
+        self.norm = nn.BatchNorm1d(4, affine=False)
+
+    def forward(self, obs: th.Tensor) -> th.Tensor:
+        return self.norm(obs)
+
+
+def test_extractors_with_a_state_are_left_to_torch() -> None:
+    def uses_kernels(policy: type[MlpPolicy], space: spaces.Space, **kwargs: Any) -> bool:
+        made = policy(space, spaces.Discrete(2), lambda _: 1e-3, **kwargs)
+        return Learner(made, double_q=True, max_grad_norm=1.0)._mlp is not None
+
+    box, image = spaces.Box(-1, 1, (4,)), spaces.Box(0, 255, (3, 36, 36), np.uint8)
+    assert uses_kernels(MlpPolicy, box)
+    assert uses_kernels(MultiInputPolicy, spaces.Dict(a=box, b=spaces.Discrete(3)))
+    assert not uses_kernels(MlpPolicy, box, features_extractor_class=StandardizedExtractor)
+    assert not uses_kernels(MultiInputPolicy, spaces.Dict(a=box, b=image))
+
+
+@pytest.mark.parametrize("network", ["q_net", "q_net_target"])
+@pytest.mark.parametrize("layer", [0, -1])
+def test_a_layer_whose_weights_are_replaced_counts_and_trains(network: str, layer: int) -> None:
+    ours, reference = make_learner(True), make_learner(False)
+    batch, results = make_batch(0, masked=False), []
+    for learner in (ours, reference):
+        th.manual_seed(1)
+        learner.update(batch)
+        learner.move_target(0.1)
+        parameter = next(getattr(learner, network).layers[layer].parameters())
+        # As a callback might, or a user who puts one layer of another network in its place
+        parameter.data = 0.1 * th.randn(parameter.shape, generator=th.Generator().manual_seed(1))
+        before = parameter.detach().clone()
+        th.manual_seed(2)
+        results.append(learner.update(batch))
+        learner.move_target(0.1)
+        assert not th.equal(parameter, before)
+    th.testing.assert_close(results[0], results[1], rtol=1e-4, atol=1e-5)
+    for name, value in reference.policy.state_dict().items():
+        th.testing.assert_close(ours.policy.state_dict()[name], value, rtol=1e-4, atol=1e-5)
+
+
+def test_weights_that_are_loaded_count_for_the_next_action() -> None:
+    learner = make_learner(True, sigma0=2.0)
+    weights = make_learner(True, sigma0=2.0).policy.parameters_to_vector()
+    learner.policy.load_from_vector(-weights)
+    obs = th.randn(50, 6)
+    th.manual_seed(1)
+    actions = learner.act(obs, None)
+    th.manual_seed(1)
+    np.testing.assert_array_equal(actions, learner.policy.predict(obs.numpy())[0])
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_exploring_actions_are_those_of_the_policy_under_the_same_noise(masked: bool) -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", buffer_size=100, sigma0=2.0, seed=0, device="cpu")
+    obs = np.random.default_rng(0).normal(size=(50, 4)).astype(np.float32)
+    masks = np.random.default_rng(1).random((50, 2)) < 0.6 if masked else None
+    if masks is not None:
+        masks[:, 0] |= ~masks.any(axis=1)
+    th.manual_seed(4)
+    expected, _ = model.predict(obs, action_masks=masks)
+    th.manual_seed(4)
+    np.testing.assert_array_equal(model._explore(obs, masks), expected)
+    assert 0 < expected.mean() < 1
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("where", ["returns", "discounts"])
+def test_a_target_that_is_no_number_stays_in_its_array(bad: float, where: str) -> None:
+    memory = np.zeros(4 * 51, np.float32)
+    target = memory[51:153].reshape(2, 51)
+    numbers = {name: np.ones((2, 1), np.float32) for name in ("returns", "discounts")}
+    numbers[where][1] = bad
+    kernels.projected_target(
+        np.full((2, 51), 1 / 51, np.float32),
+        *(numbers["returns"], numbers["discounts"], np.zeros((2, 1), np.float32)),
+        *(-1.0, 1.0),
+        target,
+    )
+    assert not memory[:51].any()
+    assert not memory[153:].any()
+    assert target[0].sum() == pytest.approx(1.0)
+    if np.isnan(bad):
+        assert np.isnan(target[1]).all()

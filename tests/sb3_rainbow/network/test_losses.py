@@ -1,0 +1,121 @@
+"""Projection, losses and masks by hand and against a loop."""
+
+import numpy as np
+import pytest
+import torch as th
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sb3_rainbow.network.losses import (
+    categorical_losses,
+    clipped_share,
+    huber_losses,
+    mask_q_values,
+    project_distribution,
+)
+
+
+def project(p: list[float], reward: float, discount: float, v_min: float, v_max: float) -> list:
+    support = th.linspace(v_min, v_max, len(p))
+    projected = project_distribution(
+        th.tensor([p]), th.tensor([[reward]]), th.tensor([[discount]]), support, v_min, v_max
+    )
+    return projected[0].tolist()
+
+
+def slow_projection(
+    p: np.ndarray, reward: float, discount: float, v_min: float, v_max: float
+) -> np.ndarray:
+    """Each atom's mass shared between its neighbours, one at a time."""
+    atoms = np.linspace(v_min, v_max, p.size)
+    out = np.zeros(p.size)
+    for mass, z in zip(p, atoms, strict=True):
+        target = min(max(reward + discount * z, v_min), v_max)
+        for j, atom in enumerate(atoms):
+            out[j] += mass * max(0.0, 1.0 - abs(target - atom) / (atoms[1] - atoms[0]))
+    return out
+
+
+def test_projection_by_hand() -> None:
+    # Atoms -1, 0, 1, 2. r + 0.5 z = 0.25, 0.75, 1.25, 1.75.
+    projected = project([0.1, 0.2, 0.3, 0.4], 0.75, 0.5, -1.0, 2.0)
+    expected = [0.0, 0.1 * 0.75 + 0.2 * 0.25, 0.1 * 0.25 + 0.2 * 0.75, 0.0]
+    expected[2] += 0.3 * 0.75 + 0.4 * 0.25
+    expected[3] += 0.3 * 0.25 + 0.4 * 0.75
+    assert projected == pytest.approx(expected, abs=1e-6)
+
+
+def test_an_atom_on_the_grid_keeps_its_mass() -> None:
+    assert project([0.1, 0.2, 0.3, 0.4], 0.0, 1.0, -1.0, 2.0) == pytest.approx([0.1, 0.2, 0.3, 0.4])
+    assert project([0.1, 0.2, 0.3, 0.4], 1.0, 1.0, -1.0, 2.0) == pytest.approx([0.0, 0.1, 0.2, 0.7])
+
+
+def test_a_termination_puts_all_mass_at_the_reward() -> None:
+    assert project([0.1, 0.2, 0.3, 0.4], 1.0, 0.0, -1.0, 2.0) == pytest.approx([0, 0, 1, 0])
+    assert project([0.1, 0.2, 0.3, 0.4], 0.25, 0.0, -1.0, 2.0) == pytest.approx([0, 0.75, 0.25, 0])
+
+
+@pytest.mark.parametrize(("reward", "expected"), [(50.0, [0, 0, 0, 1]), (-50.0, [1, 0, 0, 0])])
+def test_clipped_mass_gathers_at_the_end(reward: float, expected: list[float]) -> None:
+    assert project([0.1, 0.2, 0.3, 0.4], reward, 0.9, -1.0, 2.0) == pytest.approx(expected)
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    n_atoms=st.integers(2, 60),
+    reward=st.floats(-30, 30),
+    discount=st.sampled_from([0.0, 0.5, 0.9, 0.970299, 1.0]),
+    v_min=st.floats(-20, 5),
+    width=st.floats(0.5, 40),
+    seed=st.integers(0, 1000),
+)
+def test_projection_agrees_with_a_loop_and_keeps_mass_one(
+    n_atoms: int, reward: float, discount: float, v_min: float, width: float, seed: int
+) -> None:
+    p = np.random.default_rng(seed).dirichlet(np.ones(n_atoms)).astype(np.float32)
+    v_max = v_min + width
+    projected = np.array(project(p.tolist(), reward, discount, v_min, v_max))
+    assert projected.sum() == pytest.approx(1.0, abs=1e-5)
+    assert projected.min() >= -1e-6
+    np.testing.assert_allclose(
+        projected, slow_projection(p, reward, discount, v_min, v_max), atol=2e-4
+    )
+
+
+def test_the_mean_is_kept_where_nothing_is_clipped() -> None:
+    p = th.softmax(th.randn(8, 51, generator=th.Generator().manual_seed(0)), dim=1)
+    support = th.linspace(-10.0, 10.0, 51)
+    rewards = th.linspace(-1.0, 1.0, 8)[:, None]
+    discounts = th.full((8, 1), 0.8)
+    projected = project_distribution(p, rewards, discounts, support, -10.0, 10.0)
+    expected = rewards[:, 0] + 0.8 * (p @ support)
+    th.testing.assert_close(projected @ support, expected, atol=1e-4, rtol=1e-4)
+
+
+def test_clipped_share_is_the_mass_outside() -> None:
+    p = th.tensor([[0.1, 0.2, 0.3, 0.4], [0.25, 0.25, 0.25, 0.25]])
+    support = th.linspace(-1.0, 2.0, 4)
+    rewards, discounts = th.tensor([[1.5], [0.0]]), th.tensor([[1.0], [1.0]])
+    # First row: atoms 0.5, 1.5, 2.5, 3.5; second row: unchanged, nothing outside.
+    share = clipped_share(p, rewards, discounts, support, -1.0, 2.0)
+    assert share.item() == pytest.approx((0.7 + 0.0) / 2)
+
+
+def test_cross_entropy_per_sample() -> None:
+    logits = th.tensor([[0.0, 1.0, 2.0], [3.0, 0.0, 0.0]])
+    target = th.tensor([[0.2, 0.3, 0.5], [0.0, 1.0, 0.0]])
+    expected = -(target * th.log(th.softmax(logits, 1))).sum(1)
+    th.testing.assert_close(categorical_losses(logits, target), expected)
+
+
+def test_huber_per_sample() -> None:
+    errors = th.tensor([0.0, 0.5, -1.0, 3.0])
+    expected = th.tensor([0.0, 0.125, 0.5, 2.5])
+    th.testing.assert_close(huber_losses(errors, th.zeros(4)), expected)
+
+
+def test_masks_act_on_values() -> None:
+    q_values = th.tensor([[3.0, 2.0, 1.0], [-3.0, -2.0, -1.0]])
+    masks = th.tensor([[False, True, True], [True, True, False]])
+    assert mask_q_values(q_values, masks).argmax(dim=1).tolist() == [1, 1]
+    assert mask_q_values(q_values, None) is q_values

@@ -1,0 +1,241 @@
+"""Noisy layers and the dueling, distributional head."""
+
+import copy
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+from gymnasium import spaces
+from torch import nn
+
+from sb3_rainbow import NoisyLinear
+from sb3_rainbow.learner.learner import Learner
+from sb3_rainbow.network.rainbow_network import RainbowNetwork
+from sb3_rainbow.policies import CnnPolicy, MlpPolicy
+from sb3_rainbow.type_aliases import Batch
+
+OBS = spaces.Box(-1, 1, (4,), np.float32)
+ACTIONS = spaces.Discrete(3)
+
+
+def make_policy(**kwargs: Any) -> MlpPolicy:
+    kwargs = {"net_arch": [32, 24, 16], "v_min": -5.0, "v_max": 5.0, **kwargs}
+    return MlpPolicy(OBS, ACTIONS, lambda _: 1e-3, **kwargs)
+
+
+def make_net(**kwargs: Any) -> RainbowNetwork:
+    return make_policy(**kwargs).q_net
+
+
+def noise_of(layer: NoisyLinear) -> tuple[th.Tensor, th.Tensor]:
+    """Weight and bias noise in effect, by difference from the mean weights at sigma = 1."""
+    with th.no_grad():
+        layer.weight_sigma.fill_(1.0)
+        layer.bias_sigma.fill_(1.0)
+        eye = th.eye(layer.in_features)
+        zero = th.zeros(1, layer.in_features)
+        bias = layer(zero) - layer(zero, noisy=False)
+        weight = (layer(eye) - layer(eye, noisy=False) - bias).T
+    return weight, bias[0]
+
+
+def test_noise_is_factorized_with_the_moments_of_the_transformed_gaussian() -> None:
+    th.manual_seed(0)
+    layer = NoisyLinear(6, 5)
+    weights, biases = [], []
+    for _ in range(4000):
+        layer.reset_noise()
+        weight, bias = noise_of(layer)
+        weights.append(weight)
+        biases.append(bias)
+    assert np.linalg.matrix_rank(weights[0].numpy(), tol=1e-4) == 1
+    weight_noise, bias_noise = th.stack(weights), th.stack(biases)
+    # E f(x)^2 = E|x| = sqrt(2/pi); the product of two independent ones has variance 2/pi.
+    assert weight_noise.mean().abs() < 0.02
+    assert weight_noise.var().item() == pytest.approx(2 / np.pi, rel=0.05)
+    assert bias_noise.mean().abs() < 0.03
+    assert bias_noise.var().item() == pytest.approx(np.sqrt(2 / np.pi), rel=0.05)
+    # f keeps the sign, so that its second moment is not that of a Gaussian.
+    kurtosis = (bias_noise**4).mean() / bias_noise.var() ** 2
+    assert kurtosis.item() == pytest.approx(1.0 / (2 / np.pi), rel=0.08)
+
+
+def test_initial_sigma_and_mean_ranges() -> None:
+    layer = NoisyLinear(64, 100, sigma0=0.3)
+    th.testing.assert_close(layer.weight_sigma.data, th.full((100, 64), 0.3 / 8))
+    th.testing.assert_close(layer.bias_sigma.data, th.full((100,), 0.3 / 8))
+    assert layer.weight_mu.abs().max() <= 1 / 8
+    assert layer.weight_mu.std().item() == pytest.approx(1 / 8 / np.sqrt(3), rel=0.05)
+
+
+@pytest.mark.parametrize("training", [True, False])
+def test_noise_has_nothing_to_do_with_train_and_eval(training: bool) -> None:
+    layer = NoisyLinear(4, 3).train(training)
+    x = th.ones(1, 4)
+    first = layer(x)
+    th.testing.assert_close(layer(x), first)
+    layer.reset_noise()
+    assert not th.equal(layer(x), first)
+    th.testing.assert_close(layer(x, noisy=False), layer(x, noisy=False))
+
+
+def test_gradients_reach_means_and_sigmas() -> None:
+    layer = NoisyLinear(4, 3)
+    layer(th.randn(8, 4)).sum().backward()
+    for parameter in layer.parameters():
+        assert parameter.grad is not None
+        assert parameter.grad.abs().sum() > 0
+
+
+def test_epsilons_are_buffers() -> None:
+    net = make_net()
+    assert not any("epsilon" in name or "noise" in name for name, _ in net.named_parameters())
+    assert sum("epsilon" in name for name, _ in net.named_buffers()) == 4
+
+
+def test_online_and_target_noise_are_independent() -> None:
+    policy = make_policy()
+    policy.q_net.reset_noise()
+    policy.q_net_target.reset_noise()
+    online, target = policy.q_net.noise, policy.q_net_target.noise
+    assert not th.equal(online, target)
+    before = target.clone()
+    policy.q_net.reset_noise()
+    assert th.equal(policy.q_net_target.noise, before)
+
+
+def test_noise_survives_copies_and_moves() -> None:
+    for net in (copy.deepcopy(make_net()), make_net().to(th.float64).to(th.float32)):
+        obs = th.zeros(1, 4)
+        before = net(obs, noisy=True)
+        net.reset_noise()
+        assert not th.equal(net(obs, noisy=True), before)
+        th.testing.assert_close(net(obs), net(obs))
+
+
+def unit_batch() -> Batch:
+    ones = {n: th.ones(8, n) for n in (1, 4)}
+    actions = th.zeros(8, 1, dtype=th.int64)
+    return Batch(ones[4], actions, ones[4], ones[1], ones[1], ones[1], None, None)
+
+
+@pytest.mark.parametrize("kernels", [True, False])
+def test_a_pickled_policy_explores_acts_and_learns(kernels: bool) -> None:
+    policy = pickle.loads(pickle.dumps(make_policy(sigma0=2.0)))
+    values = set()
+    for _ in range(10):
+        policy.reset_noise()
+        values.add(policy.q_net(th.ones(1, 4), noisy=True).detach().numpy().tobytes())
+    assert len(values) == 10
+
+    learner = Learner(policy, double_q=True, max_grad_norm=10.0, cpu_kernels=kernels)
+    before = nn.utils.parameters_to_vector(policy.q_net.parameters())
+    learner.update(unit_batch())
+    learner.move_target(0.5)
+    after = nn.utils.parameters_to_vector(policy.q_net.parameters())
+    assert not th.equal(before, after)
+    target = nn.utils.parameters_to_vector(policy.q_net_target.parameters())
+    th.testing.assert_close(target, (before + after) / 2)
+    if kernels:
+        obs = th.randn(50, 4)
+        th.manual_seed(3)
+        actions = learner.act(obs, None)
+        th.manual_seed(3)
+        np.testing.assert_array_equal(actions, policy.predict(obs.numpy())[0])
+
+
+@pytest.mark.parametrize("kernels", [True, False])
+def test_a_pickled_learner_goes_on_as_the_original(kernels: bool) -> None:
+    learner = Learner(make_policy(), double_q=True, max_grad_norm=10.0, cpu_kernels=kernels)
+    learner.update(unit_batch())
+    states = []
+    for each in (learner, pickle.loads(pickle.dumps(learner))):
+        th.manual_seed(4)
+        for _ in range(3):
+            each.update(unit_batch())
+            each.move_target(0.1)
+        states.append(each.policy.state_dict())
+    for name, value in states[0].items():
+        assert th.equal(value, states[1][name]), name
+
+
+@pytest.mark.parametrize(
+    ("noisy_layers", "expected"),
+    [
+        ("last_two", [False, False, True, True]),
+        ("head", [False, False, False, True]),
+        ("all", [True] * 4),
+    ],
+)
+def test_which_layers_are_noisy(noisy_layers: Any, expected: list[bool]) -> None:
+    net = make_net(noisy_layers=noisy_layers)
+    assert [isinstance(layer, NoisyLinear) for layer in net.layers] == expected
+    assert not any(isinstance(layer, NoisyLinear) for layer in make_net(noisy=False).layers)
+
+
+def test_a_cnn_has_its_head_noisy() -> None:
+    policy = CnnPolicy(spaces.Box(0, 255, (3, 36, 36), np.uint8), ACTIONS, lambda _: 1e-3)
+    assert [isinstance(layer, NoisyLinear) for layer in policy.q_net.layers] == [True]
+
+
+def test_dueling_is_identifiable() -> None:
+    """A constant moved from all advantages into the value changes nothing."""
+    net = make_net()
+    streams = th.randn(5, 4, 51)
+    shift = th.randn(5, 1, 51)
+    shifted = streams.clone()
+    shifted[:, 1:] += shift
+    th.testing.assert_close(net.join(shifted), net.join(streams))
+    # Adding to the value shifts every action alike, and the mean over actions is the value.
+    th.testing.assert_close(net.join(streams).mean(dim=1), streams[:, 0])
+
+
+@pytest.mark.parametrize("dueling", [True, False])
+@pytest.mark.parametrize("distributional", [True, False])
+def test_the_taken_actions_row_is_the_same_row(dueling: bool, distributional: bool) -> None:
+    net = make_net(dueling=dueling, distributional=distributional)
+    streams = net.streams(th.randn(6, 4), noisy=True)
+    assert streams.shape == (6, 3 + dueling, 51 if distributional else 1)
+    actions = th.tensor([[0], [1], [2], [2], [1], [0]])
+    whole = net.join(streams)
+    taken = net.join_taken(streams, actions)
+    th.testing.assert_close(taken, whole[th.arange(6), actions[:, 0]])
+
+
+def test_q_values_are_expectations_under_the_distribution() -> None:
+    net = make_net()
+    obs = th.randn(7, 4)
+    probabilities = net.distribution(obs)
+    assert probabilities.shape == (7, 3, 51)
+    th.testing.assert_close(probabilities.sum(-1), th.ones(7, 3))
+    support = th.linspace(-5, 5, 51)
+    th.testing.assert_close(net(obs), (probabilities * support).sum(-1))
+
+
+def test_the_papers_net() -> None:
+    policy = MlpPolicy(
+        spaces.Box(0, 1, (12,), np.float32),
+        spaces.Discrete(12),
+        lambda _: 1e-4,
+        net_arch=[256, 128, 64],
+        activation_fn=nn.ReLU,
+    )
+    shapes: list[Any] = [(x.in_features, x.out_features) for x in policy.q_net.layers]
+    assert shapes == [(12, 256), (256, 128), (128, 64), (64, 13 * 51)]
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"v_min": 1.0, "v_max": 1.0}, "v_min must be below v_max, both finite, got 1.0 and 1.0"),
+        ({"v_min": 2.0, "v_max": 1.0}, "v_min must be below v_max"),
+        ({"v_max": np.inf}, "v_min must be below v_max"),
+        ({"n_atoms": 1}, "n_atoms must be a whole number, at least 2, got 1"),
+        ({"noisy_layers": "first"}, "noisy_layers must be one of .* got 'first'"),
+    ],
+)
+def test_bad_arguments(kwargs: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_policy(**kwargs)
