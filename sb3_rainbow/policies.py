@@ -16,13 +16,14 @@ from stable_baselines3.common.torch_layers import (
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from torch import nn
 
-from sb3_rainbow.fast.flat_parameters import FlatParameters
 from sb3_rainbow.masking.conventions import as_action_masks
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
+from sb3_rainbow.network.shared_memory import separate
 from sb3_rainbow.type_aliases import NoisyLayers, ObsArray
 
-# Optimizers that treat every number by itself, whatever tensor it lies in
-_ELEMENTWISE = (th.optim.Adam, th.optim.AdamW)
+# Optimizers that have one kernel for all parameters: a quarter of the time of one per parameter
+_WITH_FUSED_KERNEL = (th.optim.Adam, th.optim.AdamW)
+_NOT_WITH_FUSED = {"foreach", "differentiable"}
 
 
 class RainbowPolicy(BasePolicy):
@@ -107,25 +108,37 @@ class RainbowPolicy(BasePolicy):
         self.q_net_target.requires_grad_(False)
         self.q_net_target.set_training_mode(False)
         kwargs = dict(self.optimizer_kwargs)
-        parameters = list(self.q_net.parameters())
-        self.flat: FlatParameters | None = None
-        if self.optimizer_class in _ELEMENTWISE and FlatParameters.is_possible(parameters):
-            # One vector and one kernel: a quarter of the time of a step per parameter.
-            self.flat = FlatParameters(parameters)
-            parameters = [self.flat.vector]
-            if "foreach" not in kwargs:
-                kwargs.setdefault("fused", True)
+        if self.optimizer_class in _WITH_FUSED_KERNEL and not kwargs.keys() & _NOT_WITH_FUSED:
+            kwargs.setdefault("fused", True)
         self.optimizer = self.optimizer_class(
-            parameters,
+            self.q_net.parameters(),
             lr=lr_schedule(1),  # type: ignore[call-arg]
             **kwargs,
         )
 
-    def _apply(self, *args: Any, **kwargs: Any) -> "RainbowPolicy":
-        super()._apply(*args, **kwargs)
-        if self.flat is not None and not self.flat.is_tied:
-            self.flat.tie()
-        return self
+    def update_optimizer(self) -> None:
+        """Give the optimizer the parameters that took the place of some that it holds."""
+        parameters = list(self.q_net.parameters())
+        present = {id(p) for p in parameters}
+        groups = self.optimizer.param_groups
+        held = {id(p) for group in groups for p in group["params"]}
+        if held <= present:
+            # Perhaps not all of the network's, but then by the choice of who made the optimizer.
+            return
+        for group in groups:
+            stale = [p for p in group["params"] if id(p) not in present]
+            if stale:
+                kept = {id(p) for p in group["params"]} & present
+                group["params"] = [p for p in parameters if id(p) in kept or id(p) not in held]
+                held |= present
+            for p in stale:
+                self.optimizer.state.pop(p, None)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Pickle would store the whole memory of which a tensor is a part with every part.
+        states = self.optimizer.state.values()
+        separate(v for s in states for v in s.values() if isinstance(v, th.Tensor))
+        return self.__dict__.copy()
 
     @property
     def device(self) -> th.device:
@@ -204,7 +217,7 @@ class RainbowPolicy(BasePolicy):
         :param mode: True for training
         """
         self.q_net.set_training_mode(mode)
-        self.__dict__["training"] = mode
+        self.training = mode
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()
@@ -217,6 +230,38 @@ class RainbowPolicy(BasePolicy):
             features_extractor_kwargs=self.features_extractor_kwargs,
         )
         return data
+
+
+def per_parameter(state_dict: dict[str, Any], optimizer: th.optim.Optimizer) -> dict[str, Any]:
+    """
+    An optimizer's state dict with one entry per parameter, as torch has it.
+
+    Models saved by version 0.1 have one for all parameters, joined to one vector.
+
+    :param state_dict: as saved
+    :param optimizer: that is to take it
+    """
+    groups, state = state_dict["param_groups"], state_dict["state"]
+    parameters = optimizer.param_groups[0]["params"]
+    joined = len(groups) == 1 and len(groups[0]["params"]) == 1 < len(parameters)
+    vectors = [v for v in state.get(0, {}).values() if isinstance(v, th.Tensor) and v.ndim]
+    n_numbers = sum(p.numel() for p in parameters)
+    if not joined or any(v.numel() != n_numbers for v in vectors):
+        return state_dict
+    entries: dict[int, dict[str, Any]] = {i: {} for i in range(len(parameters)) if state}
+    for name, value in state.get(0, {}).items():
+        for i, part in enumerate(_parts(value, parameters)):
+            entries[i][name] = part
+    group = {**groups[0], "params": list(range(len(parameters)))}
+    return {**state_dict, "state": entries, "param_groups": [group]}
+
+
+def _parts(value: Any, parameters: list[nn.Parameter]) -> list[Any]:
+    """An entry of the joined state for each parameter: its part of a vector, a copy of a number."""
+    if isinstance(value, th.Tensor) and value.ndim:
+        pieces = value.split([p.numel() for p in parameters])
+        return [piece.view_as(p).clone() for piece, p in zip(pieces, parameters, strict=True)]
+    return [value.clone() if isinstance(value, th.Tensor) else value for _ in parameters]
 
 
 class CnnPolicy(RainbowPolicy):

@@ -13,10 +13,16 @@ from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedul
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
 
-from sb3_rainbow.fast.denormals import flush_denormals
+from sb3_rainbow.learner.denormals import flush_denormals
 from sb3_rainbow.learner.learner import Learner, as_batch
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
-from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy, RainbowPolicy
+from sb3_rainbow.policies import (
+    CnnPolicy,
+    MlpPolicy,
+    MultiInputPolicy,
+    RainbowPolicy,
+    per_parameter,
+)
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.replay.transfer import from_device
 from sb3_rainbow.resume.resumable import ResumableAlgorithm
@@ -64,7 +70,7 @@ class Rainbow(ResumableAlgorithm):
     :param exploration_fraction: with ``noisy=False``, fraction of training over which epsilon falls
     :param exploration_initial_eps: with ``noisy=False``, epsilon at the start
     :param exploration_final_eps: with ``noisy=False``, epsilon at the end
-    :param max_grad_norm: gradient norm to clip to
+    :param max_grad_norm: gradient norm to clip to, None for no clipping
     :param stats_window_size: episodes to average the logged statistics over
     :param tensorboard_log: folder of the TensorBoard log
     :param policy_kwargs: arguments of the policy, such as ``net_arch``, ``noisy_layers``,
@@ -124,7 +130,7 @@ class Rainbow(ResumableAlgorithm):
         exploration_fraction: float = 0.1,
         exploration_initial_eps: float = 1.0,
         exploration_final_eps: float = 0.05,
-        max_grad_norm: float = 10.0,
+        max_grad_norm: float | None = 10.0,
         stats_window_size: int = 100,
         tensorboard_log: str | None = None,
         policy_kwargs: dict[str, Any] | None = None,
@@ -295,7 +301,8 @@ class Rainbow(ResumableAlgorithm):
 
     def _explore(self, obs: ObsArray, action_masks: NDArray[np.bool_] | None) -> NDArray:
         # Without noise the actions are epsilon-greedy, which is predict's business.
-        if self.noisy and isinstance(obs, np.ndarray):
+        own = type(self).predict is Rainbow.predict and "predict" not in vars(self)
+        if own and self.noisy and isinstance(obs, np.ndarray):
             obs_tensor, _ = self.policy.obs_to_tensor(obs)
             assert isinstance(obs_tensor, th.Tensor)
             actions = self._learner.act(obs_tensor, action_masks)
@@ -380,12 +387,10 @@ class Rainbow(ResumableAlgorithm):
         :param use_masking: overrides the constructor's, from here on
         :param progress_bar: show a progress bar
         :return: self
-        :raises ValueError: for masks that the env or the buffer cannot serve, or for parameters
-            that were frozen after the model was made
+        :raises ValueError: for masks that the env or the buffer cannot serve
         """
         if use_masking is not None:
             self.use_masking = use_masking
-        self._learner.check_trained_parameters()
         return super().learn(
             total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar
         )
@@ -406,6 +411,9 @@ class Rainbow(ResumableAlgorithm):
             data, parameters, _ = load_from_zip_file(parameters, device=device)
             if self.distributional:
                 check_support_of_file((data or {}).get("_support"), self.v_min, self.v_max)
+        if "policy.optimizer" in parameters:
+            saved = per_parameter(parameters["policy.optimizer"], self.policy.optimizer)
+            parameters = {**parameters, "policy.optimizer": saved}
         super().set_parameters(parameters, exact_match, device)
 
     def _excluded_save_params(self) -> list[str]:

@@ -20,7 +20,7 @@ from benchmarks.protocol.presets import Preset
 from benchmarks.runs.callbacks import CurriculumCallback, CurveRecorder
 from benchmarks.runs.checkpoint import Watch, load_newest
 from benchmarks.runs.store import RunFolder
-from sb3_rainbow.fast.denormals import flush_denormals
+from sb3_rainbow.learner.denormals import flush_denormals
 
 
 def train(

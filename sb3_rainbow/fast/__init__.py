@@ -1,1 +1,1 @@
-"""The compiled CPU path: everything works without this folder, slower."""
+"""Shortcuts of an update: everything works without this folder, slower."""

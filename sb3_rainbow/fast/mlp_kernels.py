@@ -1,4 +1,4 @@
-"""Forward and backward of Rainbow's multilayer perceptron, written out for one processor core.
+"""Forward pass of Rainbow's multilayer perceptron, written out for one processor core.
 
 All arrays are float32 and C-ordered; matrices of weights are ``(outputs, inputs)``. A network is
 one vector of parameters with a table of where each layer lies in it, one row per layer:
@@ -9,8 +9,6 @@ one vector of parameters with a table of where each layer lies in it, one row pe
 A layer's parameters are weight and bias, or, where it is noisy, the means of the weight, its
 sigmas, then those of the bias. Its effective weight and bias include the noise of the moment.
 """
-
-import math
 
 import numpy as np
 from numba import njit
@@ -23,10 +21,10 @@ Matrix = NDArray[np.float32]
 Table = NDArray[np.int64]
 # Sums may be reordered, so that they run in vector registers; NaN and infinity stay themselves. The
 # check for a division by zero (error_model) would forbid vector registers as well.
-_FAST = {"reassoc", "contract", "nsz", "arcp"}
+FAST = {"reassoc", "contract", "nsz", "arcp"}
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def effective_weights(parameters: Vector, noise: Vector, table: Table, effective: Vector) -> None:
     """``mu + sigma * epsilon`` for all layers."""
     for layer in range(table.shape[0]):
@@ -49,31 +47,7 @@ def effective_weights(parameters: Vector, noise: Vector, table: Table, effective
             effective[e + size + j] = parameters[bias] + parameters[bias + n_out] * epsilon_out
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def parameter_gradients(gradient: Vector, noise: Vector, table: Table, out: Vector) -> None:
-    """Gradients of the parameters from those of the effective weights."""
-    for layer in range(table.shape[0]):
-        n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
-        size = n_in * n_out
-        p, e = table[layer, PARAMETERS], table[layer, EFFECTIVE]
-        if table[layer, NOISY] == 0:
-            out[p : p + size + n_out] = gradient[e : e + size + n_out]
-            continue
-        first = table[layer, NOISE]
-        epsilon_in = noise[first : first + n_in]
-        out[p : p + size] = gradient[e : e + size]
-        bias = p + 2 * size
-        for j in range(n_out):
-            epsilon_out = noise[first + n_in + j]
-            row = gradient[e + j * n_in : e + (j + 1) * n_in]
-            sigma = out[p + size + j * n_in : p + size + (j + 1) * n_in]
-            for i in range(n_in):
-                sigma[i] = row[i] * (epsilon_out * epsilon_in[i])
-            out[bias + j] = gradient[e + size + j]
-            out[bias + n_out + j] = gradient[e + size + j] * epsilon_out
-
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def hidden_units(effective: Vector, table: Table, inputs: Matrix, hidden: Vector) -> Matrix:
     """ReLU layers up to the head; ``hidden`` keeps every layer's outputs, the last is returned."""
     batch = inputs.shape[0]
@@ -92,7 +66,7 @@ def hidden_units(effective: Vector, table: Table, inputs: Matrix, hidden: Vector
     return current
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def all_logits(
     effective: Vector, table: Table, units: Matrix, dueling: bool, value: Matrix, logits: Matrix
 ) -> None:
@@ -135,7 +109,7 @@ def all_logits(
                     part[j] -= top
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def best_actions(
     masses: Matrix, support: Vector, masks: NDArray[np.bool_], actions: NDArray[np.int64]
 ) -> None:
@@ -167,7 +141,7 @@ def best_actions(
         actions[b] = chosen
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def shared_weight(
     effective: Vector, table: Table, n_atoms: int, dueling: bool, weight: Matrix, bias: Vector
 ) -> None:
@@ -194,7 +168,7 @@ def shared_weight(
         bias[j] = effective[e + n_in * n_out + j] - share * bias[j]
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def taken_logits(
     effective: Vector,
     table: Table,
@@ -221,219 +195,3 @@ def taken_logits(
             for i in range(n_in):
                 total += row[i] * unit[i]
             logits[b, j] += total + common_bias[j] + effective[e + n_in * n_out + first + j]
-
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def backward(
-    effective: Vector,
-    table: Table,
-    inputs: Matrix,
-    hidden: Vector,
-    actions: NDArray[np.int64],
-    dueling: bool,
-    common: Matrix,
-    slope: Matrix,
-    gradient: Vector,
-) -> None:
-    """
-    Gradient of the effective weights from that of the taken logits, ``slope`` ``(B, n_atoms)``.
-    """
-    batch, n_atoms = slope.shape
-    n_layers = table.shape[0]
-    head = table[n_layers - 1]
-    n_in, n_out, e = head[INPUTS], head[OUTPUTS], head[EFFECTIVE]
-    units = inputs
-    if n_layers > 1:
-        start = table[n_layers - 2, HIDDEN] * batch
-        units = hidden[start : start + batch * n_in].reshape((batch, n_in))
-    size = n_atoms * n_in
-    n_streams = n_out // n_atoms
-    bias = gradient[e + n_in * n_out : e + n_in * n_out + n_out]
-    gradient[e : e + n_in * n_out] = 0.0
-    bias[:] = 0.0
-    first_stream = 0
-    if dueling:
-        first_stream = 1
-        value = gradient[e : e + size]
-        np.dot(slope.T, units, value.reshape((n_atoms, n_in)))
-        for b in range(batch):
-            for j in range(n_atoms):
-                bias[j] += slope[b, j]
-        share = np.float32(-1.0 / (n_streams - 1))
-        for a in range(1, n_streams):
-            for k in range(size):
-                gradient[e + a * size + k] = share * value[k]
-            for j in range(n_atoms):
-                bias[a * n_atoms + j] = share * bias[j]
-    delta = np.dot(slope, common)
-    for b in range(batch):
-        first = (actions[b] + first_stream) * n_atoms
-        unit, back = units[b], delta[b]
-        for j in range(n_atoms):
-            s = slope[b, j]
-            start = e + (first + j) * n_in
-            row = effective[start : start + n_in]
-            out = gradient[start : start + n_in]
-            for i in range(n_in):
-                out[i] += s * unit[i]
-                back[i] += s * row[i]
-            bias[first + j] += s
-    for layer in range(n_layers - 2, -1, -1):
-        n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
-        e, h = table[layer, EFFECTIVE], table[layer, HIDDEN] * batch
-        outputs = hidden[h : h + batch * n_out].reshape((batch, n_out))
-        layer_bias = gradient[e + n_in * n_out : e + n_in * n_out + n_out]
-        layer_bias[:] = 0.0
-        for b in range(batch):
-            for j in range(n_out):
-                if outputs[b, j] <= 0.0:
-                    delta[b, j] = 0.0
-                layer_bias[j] += delta[b, j]
-        below = inputs
-        if layer > 0:
-            start = table[layer - 1, HIDDEN] * batch
-            below = hidden[start : start + batch * n_in].reshape((batch, n_in))
-        np.dot(delta.T, below, gradient[e : e + n_in * n_out].reshape((n_out, n_in)))
-        if layer > 0:
-            delta = np.dot(delta, effective[e : e + n_in * n_out].reshape((n_out, n_in)))
-
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def shift_to_zero(logits: Matrix) -> None:
-    """Subtract each row's maximum, so that no exponential overflows."""
-    for b in range(logits.shape[0]):
-        row = logits[b]
-        top = row[0]
-        for j in range(row.shape[0]):
-            top = max(top, row[j])
-        for j in range(row.shape[0]):
-            row[j] -= top
-
-
-@njit(cache=True, error_model="numpy")
-def projected_target(
-    masses: Matrix,
-    returns: Matrix,
-    discounts: Matrix,
-    dones: Matrix,
-    v_min: float,
-    v_max: float,
-    target: Matrix,
-) -> None:
-    """
-    As :func:`~sb3_rainbow.network.losses.project_distribution`.
-
-    :param masses: proportional to the atoms' probabilities at t + k, ``(B, n_atoms)``
-    :param target: result, ``(B, n_atoms)``; NaN where a return or discount is no number
-    """
-    batch, n_atoms = masses.shape
-    delta_z = (v_max - v_min) / (n_atoms - 1)
-    target[:] = 0.0
-    for b in range(batch):
-        discount = discounts[b, 0] * (1.0 - dones[b, 0])
-        if math.isnan(returns[b, 0]) or not math.isfinite(discount):
-            # Positions that are no number would be indices outside of the array.
-            target[b] = np.nan
-            continue
-        total = np.float32(0.0)
-        for j in range(n_atoms):
-            total += masses[b, j]
-        for j in range(n_atoms):
-            z = returns[b, 0] + discount * (v_min + j * delta_z)
-            position = (min(max(z, v_min), v_max) - v_min) / delta_z
-            lower = min(int(position), n_atoms - 2)
-            mass = masses[b, j] / total
-            upper_mass = mass * min(position - lower, 1.0)
-            target[b, lower] += mass - upper_mass
-            target[b, lower + 1] += upper_mass
-
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def categorical_slopes(
-    logits: Matrix,
-    masses: Matrix,
-    target: Matrix,
-    log_target: Matrix,
-    weights: Vector,
-    losses: Vector,
-    divergences: Vector,
-    slope: Matrix,
-) -> None:
-    """
-    Cross-entropies, Kullback-Leibler divergences, and the slope of the cross-entropies' weighted
-    mean in the logits.
-
-    :param logits: up to a constant per row, ``(B, n_atoms)``
-    :param masses: their exponentials
-    :param log_target: logarithm of ``target``; finite where that is 0
-    """
-    batch, n_atoms = logits.shape
-    for b in range(batch):
-        total = np.float32(0.0)
-        for j in range(n_atoms):
-            total += masses[b, j]
-        log_total = np.float32(math.log(total))
-        scale = np.float32(weights[b] / batch)
-        share = scale / total
-        loss = entropy = np.float32(0.0)
-        for j in range(n_atoms):
-            t = target[b, j]
-            loss -= t * (logits[b, j] - log_total)
-            entropy -= t * log_target[b, j]
-            slope[b, j] = masses[b, j] * share - t * scale
-        losses[b] = loss
-        divergences[b] = max(loss - entropy, np.float32(0.0))
-
-
-@njit(cache=True, error_model="numpy")
-def huber_slopes(
-    values: Matrix,
-    target_values: Matrix,
-    returns: Matrix,
-    discounts: Matrix,
-    dones: Matrix,
-    weights: Vector,
-    losses: Vector,
-    errors: Vector,
-    slope: Matrix,
-) -> None:
-    """Huber losses, absolute errors, and the slope of the losses' weighted mean in the values."""
-    batch = values.shape[0]
-    for b in range(batch):
-        target = returns[b, 0] + discounts[b, 0] * (1.0 - dones[b, 0]) * target_values[b, 0]
-        error = values[b, 0] - target
-        errors[b] = abs(error)
-        losses[b] = 0.5 * error * error if abs(error) < 1.0 else abs(error) - 0.5
-        slope[b, 0] = min(max(error, -1.0), 1.0) * (weights[b] / batch)
-
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def adam_step(
-    parameters: Vector,
-    gradient: Vector,
-    first: Vector,
-    second: Vector,
-    max_norm: float,
-    lr: float,
-    beta1: float,
-    beta2: float,
-    epsilon: float,
-    weight_decay: float,
-    step: float,
-) -> None:
-    """Clip the gradient to ``max_norm`` (in place), then one step of Adam with L2 decay."""
-    square = np.float32(0.0)
-    for i in range(gradient.shape[0]):
-        square += gradient[i] * gradient[i]
-    scale = np.float32(min(1.0, max_norm / (math.sqrt(square) + 1e-6)))
-    b1, b2, decay = np.float32(beta1), np.float32(beta2), np.float32(weight_decay)
-    one = np.float32(1.0)
-    size = np.float32(lr / (1.0 - beta1**step))
-    correction = np.float32(1.0 / math.sqrt(1.0 - beta2**step))
-    small = np.float32(epsilon)
-    for i in range(gradient.shape[0]):
-        gradient[i] *= scale
-        g = gradient[i] + decay * parameters[i]
-        first[i] += (one - b1) * (g - first[i])
-        second[i] = b2 * second[i] + (one - b2) * g * g
-        parameters[i] -= size * first[i] / (np.float32(math.sqrt(second[i])) * correction + small)

@@ -6,14 +6,15 @@ from numpy.typing import NDArray
 from stable_baselines3.common.torch_layers import CombinedExtractor, FlattenExtractor
 from torch import nn
 
+from sb3_rainbow.fast import learning_kernels
 from sb3_rainbow.fast import mlp_kernels as kernels
-from sb3_rainbow.fast.flat_parameters import FlatParameters
+from sb3_rainbow.fast.adam import AdamOnVector
+from sb3_rainbow.fast.originals import are_untouched
 from sb3_rainbow.network.noisy_linear import NoisyLinear
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
+from sb3_rainbow.network.shared_memory import share
 from sb3_rainbow.type_aliases import Batch
 
-# Options of torch's Adam that adam_step does not know
-_UNKNOWN_TO_KERNELS = ("amsgrad", "maximize", "decoupled_weight_decay")
 # What an extractor may consist of. The kernels let the online network's serve the target too, and
 # call it as often as suits them: nothing in it may change, learn or draw random numbers.
 _STATELESS = (FlattenExtractor, CombinedExtractor, nn.ModuleDict, nn.Flatten)
@@ -31,24 +32,28 @@ class MlpUpdate:
     tensors, which stay the one place where parameters, noise and Adam's moments live. The head is
     evaluated for the action that counts, where torch would compute all.
 
+    Each network's parameters become parts of one vector, and so do their gradients.
+
     :param q_net: online network
     :param q_net_target: target network
-    :param flat: parameters of the online network
-    :param flat_target: parameters of the target network
-    :param optimizer: Adam over ``flat.vector``
     """
 
-    def __init__(
-        self,
-        q_net: RainbowNetwork,
-        q_net_target: RainbowNetwork,
-        flat: FlatParameters,
-        flat_target: FlatParameters,
-        optimizer: th.optim.Optimizer,
-    ) -> None:
+    def __init__(self, q_net: RainbowNetwork, q_net_target: RainbowNetwork) -> None:
         self.q_net, self.q_net_target = q_net, q_net_target
-        self.flat, self.flat_target = flat, flat_target
-        self.optimizer = optimizer
+        self._online, self._target = _parameters(q_net), _parameters(q_net_target)
+        self._addresses: list[int] = []
+        self._vector, self._vector_target, self._gradient_vector = (
+            th.zeros(sum(p.numel() for p in self._online)) for _ in range(3)
+        )
+        self._gradients = [
+            part.view_as(p)
+            for p, part in zip(
+                self._online,
+                self._gradient_vector.split([p.numel() for p in self._online]),
+                strict=True,
+            )
+        ]
+        self._adam = AdamOnVector(self._online, self._vector, self._gradient_vector)
         self.table = _table(q_net)
         n_in, n_out = self.table[-1, [kernels.INPUTS, kernels.OUTPUTS]]
         n_effective = int(self.table[-1, kernels.EFFECTIVE] + (n_in + 1) * n_out)
@@ -78,31 +83,53 @@ class MlpUpdate:
 
     @staticmethod
     def is_possible(
-        q_net: RainbowNetwork, flat: FlatParameters | None, optimizer: th.optim.Optimizer
+        q_net: RainbowNetwork, q_net_target: RainbowNetwork, optimizer: th.optim.Optimizer
     ) -> bool:
-        """Whether it is a ReLU perceptron on flat float32 inputs on the CPU, trained by Adam."""
-        group = optimizer.param_groups[0]
+        """
+        Whether they are ReLU perceptrons on flat float32 inputs on the CPU, trained by Adam, with
+        nothing in them overridden or replaced by something else.
+        """
+        nets = (q_net, q_net_target)
+        if not all(_is_perceptron(net) for net in nets):
+            return False
+        online = _parameters(q_net)
         return (
-            flat is not None
-            and flat.vector.device.type == "cpu"
-            and flat.vector.dtype == th.float32
-            and type(q_net) is RainbowNetwork
-            and type(q_net.activation) is nn.ReLU
-            and all(type(module) in _STATELESS for module in q_net.features_extractor.modules())
-            and type(optimizer) is th.optim.Adam
-            and [id(p) for p in group["params"]] == [id(flat.vector)]
-            and not any(group[name] for name in _UNKNOWN_TO_KERNELS)
+            all(p.requires_grad for p in online)
+            and np.array_equal(_table(q_net), _table(q_net_target))
+            and _constants(q_net) == _constants(q_net_target)
+            and AdamOnVector.is_possible(optimizer, set(map(id, online)))
         )
 
+    def can_step(self, optimizer: th.optim.Optimizer) -> bool:
+        """Whether the optimizer is still one that the kernels know."""
+        return self._adam.can_step(optimizer)
+
+    def _share_parameters(self) -> None:
+        """Make the parameters parts of the vectors, whoever replaced their memory since."""
+        if [p.data_ptr() for p in (*self._online, *self._target)] == self._addresses:
+            return
+        self._addresses = []
+        for parameters, vector in (
+            (self._online, self._vector),
+            (self._target, self._vector_target),
+        ):
+            vector.copy_(th.cat([p.detach().reshape(-1) for p in parameters]))
+            self._addresses += share(parameters, vector)
+
     def update(
-        self, batch: Batch, double_q: bool, max_grad_norm: float
+        self,
+        batch: Batch,
+        optimizer: th.optim.Optimizer,
+        double_q: bool,
+        max_grad_norm: float | None,
     ) -> tuple[th.Tensor, th.Tensor]:
         """As ``Learner.update``, with the noise that the networks hold."""
+        self._share_parameters()
         obs, next_obs = self._features(batch.observations), self._features(batch.next_observations)
         n = obs.shape[0]
         weights = np.ones(n, np.float32) if batch.weights is None else batch.weights.numpy()
         slope, losses, priorities = self._slopes(batch, obs, next_obs, weights, double_q)
-        kernels.backward(
+        learning_kernels.backward(
             self._effective,
             self.table,
             obs,
@@ -113,11 +140,13 @@ class MlpUpdate:
             slope,
             self._gradient,
         )
-        assert self.flat.vector.grad is not None
-        kernels.parameter_gradients(
-            self._gradient, self.q_net.noise.numpy(), self.table, self.flat.vector.grad.numpy()
+        learning_kernels.parameter_gradients(
+            self._gradient, self.q_net.noise.numpy(), self.table, self._gradient_vector.numpy()
         )
-        self._step(max_grad_norm)
+        for p, gradient in zip(self._online, self._gradients, strict=True):
+            if p.grad is not gradient:
+                p.grad = gradient
+        self._adam.step(optimizer, max_grad_norm)
         return th.tensor(float(losses @ weights) / n), th.from_numpy(priorities)
 
     def act(self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None) -> NDArray[np.int64]:
@@ -128,14 +157,20 @@ class MlpUpdate:
         :param action_masks: True where allowed, ``(n_envs, n_actions)``
         :return: shape ``(n_envs,)``
         """
+        self._share_parameters()
         features = self._features(obs)
         self._reserve(features.shape[0])
         kernels.effective_weights(
-            self.flat.vector.detach().numpy(), self.q_net.noise.numpy(), self.table, self._effective
+            self._vector.numpy(), self.q_net.noise.numpy(), self.table, self._effective
         )
         units = kernels.hidden_units(self._effective, self.table, features, self._hidden)
         masks = _NO_MASKS if action_masks is None else action_masks
         return self._best_actions(self._effective, units, masks)
+
+    def move_target(self, tau: float) -> None:
+        """Polyak average of the parameters."""
+        self._share_parameters()
+        self._vector_target.lerp_(self._vector, tau)
 
     def _features(self, obs: th.Tensor | dict[str, th.Tensor]) -> NDArray[np.float32]:
         with th.no_grad():
@@ -154,11 +189,9 @@ class MlpUpdate:
         net, table, n = self.q_net, self.table, obs.shape[0]
         self._reserve(n)
         online, target = self._effective, self._effective_target
+        kernels.effective_weights(self._vector.numpy(), net.noise.numpy(), table, online)
         kernels.effective_weights(
-            self.flat.vector.detach().numpy(), net.noise.numpy(), table, online
-        )
-        kernels.effective_weights(
-            self.flat_target.vector.detach().numpy(),
+            self._vector_target.numpy(),
             self.q_net_target.noise.numpy(),
             table,
             target,
@@ -187,7 +220,7 @@ class MlpUpdate:
         priorities = np.empty(n, np.float32)
         if net.distributional:
             target = np.empty_like(logits)
-            kernels.projected_target(
+            learning_kernels.projected_target(
                 _exponential(target_logits),
                 *(returns, discounts, dones),
                 *(net.v_min, net.v_max),
@@ -195,11 +228,11 @@ class MlpUpdate:
             )
             log_target = th.from_numpy(target).clamp(min=_TINY).log_().numpy()
             masses = _exponential(logits)
-            kernels.categorical_slopes(
+            learning_kernels.categorical_slopes(
                 logits, masses, target, log_target, weights, losses, priorities, slope
             )
         else:
-            kernels.huber_slopes(
+            learning_kernels.huber_slopes(
                 logits, target_logits, returns, discounts, dones, weights, losses, priorities, slope
             )
         return slope, losses, priorities
@@ -235,33 +268,6 @@ class MlpUpdate:
         )
         return logits
 
-    def _step(self, max_grad_norm: float) -> None:
-        """Adam in place on the optimizer's own state, so that saving and loading see it."""
-        vector = self.flat.vector
-        state = self.optimizer.state[vector]
-        if not state:
-            # torch creates its state with the first step.
-            th.nn.utils.clip_grad_norm_([vector], max_grad_norm)
-            self.optimizer.step()
-            return
-        group = self.optimizer.param_groups[0]
-        state["step"] += 1
-        beta1, beta2 = group["betas"]
-        assert vector.grad is not None
-        kernels.adam_step(
-            vector.detach().numpy(),
-            vector.grad.numpy(),
-            state["exp_avg"].numpy(),
-            state["exp_avg_sq"].numpy(),
-            max_grad_norm,
-            float(group["lr"]),
-            float(beta1),
-            float(beta2),
-            float(group["eps"]),
-            float(group["weight_decay"]),
-            float(state["step"]),
-        )
-
 
 def _exponential(logits: NDArray[np.float32]) -> NDArray[np.float32]:
     """
@@ -269,8 +275,48 @@ def _exponential(logits: NDArray[np.float32]) -> NDArray[np.float32]:
 
     Torch's are vectorized, and several times faster than those of a compiled loop.
     """
-    kernels.shift_to_zero(logits)
+    learning_kernels.shift_to_zero(logits)
     return th.from_numpy(logits).exp().numpy()
+
+
+def _is_perceptron(net: RainbowNetwork) -> bool:
+    """Of the package's own parts alone, each in its place once."""
+    if type(net) is not RainbowNetwork or type(net.activation) is not nn.ReLU:
+        return False
+    layers = list(net.layers)
+    own = all(type(layer) in (nn.Linear, NoisyLinear) for layer in layers)
+    stateless = all(type(module) in _STATELESS for module in net.features_extractor.modules())
+    if not (own and stateless and are_untouched(net.modules())):
+        return False
+    parameters, table = _parameters(net), _table(net)
+    n_parameters = int(((1 + table[:, kernels.NOISY]) * _sizes(table)).sum())
+    return (
+        len(set(map(id, parameters))) == len(list(net.parameters()))
+        and all(
+            p is not None and (p.dtype, p.device.type) == (th.float32, "cpu") and p.is_contiguous()
+            for p in parameters
+        )
+        and sum(p.numel() for p in parameters) == n_parameters
+        and table[0, kernels.INPUTS] == net.features_dim
+        and bool((table[1:, kernels.INPUTS] == table[:-1, kernels.OUTPUTS]).all())
+    )
+
+
+def _sizes(table: NDArray[np.int64]) -> NDArray[np.int64]:
+    return (table[:, kernels.INPUTS] + 1) * table[:, kernels.OUTPUTS]
+
+
+def _constants(net: RainbowNetwork) -> tuple[float, ...]:
+    return (net.n_actions, net.n_atoms, net.dueling, net.v_min, net.v_max)
+
+
+def _parameters(net: RainbowNetwork) -> list[nn.Parameter]:
+    """In the order in which the kernels want them."""
+    names = {
+        NoisyLinear: ("weight_mu", "weight_sigma", "bias_mu", "bias_sigma"),
+        nn.Linear: ("weight", "bias"),
+    }
+    return [getattr(layer, name) for layer in net.layers for name in names[type(layer)]]  # type: ignore[index]
 
 
 def _table(net: RainbowNetwork) -> NDArray[np.int64]:

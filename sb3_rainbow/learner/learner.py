@@ -6,15 +6,18 @@ import numpy as np
 import torch as th
 from numpy.typing import NDArray
 from stable_baselines3.common.utils import get_parameters_by_name, polyak_update
+from torch import nn
 
-from sb3_rainbow.fast.blas import single_blas_thread
-from sb3_rainbow.fast.flat_parameters import FlatParameters
-from sb3_rainbow.fast.mlp_update import MlpUpdate
-from sb3_rainbow.learner.gradients import BatchLoss, Gradients
-from sb3_rainbow.learner.update import td_target
+from sb3_rainbow.learner.update import mean_loss, td_target
 from sb3_rainbow.network.losses import clipped_share
+from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.policies import RainbowPolicy
 from sb3_rainbow.type_aliases import Batch
+
+try:
+    from sb3_rainbow.fast.shortcuts import Shortcuts
+except ModuleNotFoundError:  # without its folder everything is as it is here, slower
+    Shortcuts = None  # type: ignore[assignment, misc]
 
 
 class Learner:
@@ -23,7 +26,7 @@ class Learner:
 
     :param policy: whose networks and optimizer to work on
     :param double_q: double Q-learning
-    :param max_grad_norm: gradient norm to clip to
+    :param max_grad_norm: gradient norm to clip to, None for no clipping
     :param compile_loss: whether ``torch.compile`` makes one graph of target, loss and gradient
     :param mixed_precision: whether to compute the loss in bfloat16 where that is safe (CUDA)
     :param cpu_kernels: whether compiled kernels take over where they can
@@ -33,59 +36,30 @@ class Learner:
         self,
         policy: RainbowPolicy,
         double_q: bool,
-        max_grad_norm: float,
+        max_grad_norm: float | None,
         compile_loss: bool = False,
         mixed_precision: bool = False,
         cpu_kernels: bool = True,
     ) -> None:
         self.policy = policy
-        self.q_net = policy.q_net
-        self.q_net_target = policy.q_net_target
         self.double_q = double_q
         self.max_grad_norm = max_grad_norm
-        # Collected once: walking the modules at every update costs as much as a matrix product.
-        self._flat = policy.flat
-        self._flat_target: FlatParameters | None = None
-        self._online: list[th.Tensor] = list(self.q_net.parameters())
-        self._target: list[th.Tensor] = list(self.q_net_target.parameters())
-        if self._flat is not None:
-            self._flat_target = FlatParameters(self.q_net_target.parameters())
-            self._online = [self._flat.vector]
-            self._target = [self._flat_target.vector]
-        loss = BatchLoss(self.q_net, self.q_net_target, double_q, mixed_precision)
-        self._gradients = Gradients(loss, self._flat, max_grad_norm, compile_loss)
-        self._cpu_kernels = cpu_kernels
-        self._use_optimizer(policy.optimizer)
-        self._online_statistics = get_parameters_by_name(self.q_net, ["running_"])
-        self._target_statistics = get_parameters_by_name(self.q_net_target, ["running_"])
-
-    def check_trained_parameters(self) -> None:
-        """
-        :raises ValueError: if a parameter was frozen or freed since the model was made
-        """
-        trained = [id(p) for p in self.q_net.parameters() if p.requires_grad]
-        if trained != [id(p) for p in self._gradients.parameters]:
-            raise ValueError(
-                "Which parameters train was changed after the model was made, when its optimizer "
-                "was: call requires_grad_(False) where they are made, in the constructor of the "
-                "features extractor"
+        self.mixed_precision = mixed_precision
+        self.shortcuts: Shortcuts | None = None
+        if Shortcuts is not None:
+            self.shortcuts = Shortcuts(
+                policy, self._loss, double_q, max_grad_norm, compile_loss, cpu_kernels
             )
 
-    def _use_optimizer(self, optimizer: th.optim.Optimizer) -> None:
-        self.optimizer = optimizer
-        self._mlp: MlpUpdate | None = None
-        if self._cpu_kernels and MlpUpdate.is_possible(self.q_net, self._flat, optimizer):
-            assert self._flat is not None
-            assert self._flat_target is not None
-            self._mlp = MlpUpdate(
-                self.q_net, self.q_net_target, self._flat, self._flat_target, optimizer
-            )
+    @property
+    def q_net(self) -> RainbowNetwork:
+        """The policy's online network."""
+        return self.policy.q_net
 
-    def _tie_parameters(self) -> None:
-        """Let the vectors hold what the networks hold, whoever replaced weights since last time."""
-        for flat in (self._flat, self._flat_target):
-            if flat is not None and not flat.is_tied:
-                flat.tie()
+    @property
+    def q_net_target(self) -> RainbowNetwork:
+        """The policy's target network."""
+        return self.policy.q_net_target
 
     def update(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
         """
@@ -95,40 +69,46 @@ class Learner:
         """
         self.q_net.reset_noise()
         self.q_net_target.reset_noise()
-        self._tie_parameters()
-        if self.policy.optimizer is not self.optimizer:
-            # Somebody gave the policy another one.
-            self._use_optimizer(self.policy.optimizer)
-        if self._mlp is not None:
-            with single_blas_thread():
-                return self._mlp.update(batch, self.double_q, self.max_grad_norm)
-        loss, priorities = self._gradients(batch)
-        self.optimizer.step()
-        return loss, priorities
+        found = None if self.shortcuts is None else self.shortcuts.update(batch)
+        if found is not None:
+            return found
+        self.policy.update_optimizer()
+        loss, priorities = self._loss(self.q_net, self.q_net_target, batch)
+        self.q_net.zero_grad()
+        loss.backward()
+        if self.max_grad_norm is not None:
+            nn.utils.clip_grad_norm_(self.q_net.parameters(), self.max_grad_norm)
+        self.policy.optimizer.step()
+        return loss.detach(), priorities
+
+    def _loss(
+        self, q_net: RainbowNetwork, q_net_target: RainbowNetwork, batch: Batch
+    ) -> tuple[th.Tensor, th.Tensor]:
+        """Weighted mean loss with gradient, and priorities ``(B,)``."""
+        with th.autocast(q_net.device.type, th.bfloat16, enabled=self.mixed_precision):
+            return mean_loss(q_net, q_net_target, batch, self.double_q)
 
     def act(
         self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None
     ) -> NDArray[np.int64] | None:
         """
-        Greedy actions under fresh noise, ``(n_envs,)``; None where torch has to find them.
+        Greedy actions under fresh noise, ``(n_envs,)``; None where the policy has to find them.
 
         :param obs: observations, ``(n_envs, ...)``
         :param action_masks: True where allowed, ``(n_envs, n_actions)``
         """
-        if self._mlp is None:
-            return None
-        self.q_net.reset_noise()
-        self._tie_parameters()
-        with single_blas_thread():
-            return self._mlp.act(obs, action_masks)
+        return None if self.shortcuts is None else self.shortcuts.act(obs, action_masks)
 
     @th.no_grad()
     def move_target(self, tau: float) -> None:
         """Move the target network towards the online one by ``tau`` (Polyak average)."""
-        self._tie_parameters()
-        th._foreach_lerp_(self._target, self._online, tau)
-        if self._online_statistics:
-            polyak_update(self._online_statistics, self._target_statistics, 1.0)
+        if self.shortcuts is not None and self.shortcuts.move_target(tau):
+            return
+        online, target = self.q_net, self.q_net_target
+        th._foreach_lerp_(list(target.parameters()), list(online.parameters()), tau)
+        statistics = get_parameters_by_name(online, ["running_"])
+        if statistics:
+            polyak_update(statistics, get_parameters_by_name(target, ["running_"]), 1.0)
 
     @th.no_grad()
     def diagnostics(self, batch: Batch, priorities: th.Tensor) -> dict[str, float]:
@@ -150,7 +130,9 @@ class Learner:
             )
             values["clipped_support"] = float(share)
         if batch.weights is not None:
-            spread = priorities.std() / priorities.mean().clamp(min=1e-12)
+            spread = priorities.std(correction=int(len(priorities) > 1)) / priorities.mean().clamp(
+                min=1e-12
+            )
             values["priority_spread"] = float(spread)
         magnitudes = self.q_net.noise_magnitudes()
         if magnitudes:

@@ -1,6 +1,6 @@
 """Rainbow's temporal-difference error on one batch."""
 
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import torch as th
 from torch.nn import functional as F
@@ -15,8 +15,6 @@ from sb3_rainbow.network.losses import (
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.type_aliases import Batch
 
-Weights: TypeAlias = list[tuple[th.Tensor, th.Tensor]]
-
 
 class Target(NamedTuple):
     """What the online network should predict, and what the logs tell about it. B: batch size."""
@@ -30,11 +28,7 @@ class Target(NamedTuple):
 
 
 def td_target(
-    q_net: RainbowNetwork,
-    q_net_target: RainbowNetwork,
-    batch: Batch,
-    double_q: bool,
-    online_weights: Weights | None = None,
+    q_net: RainbowNetwork, q_net_target: RainbowNetwork, batch: Batch, double_q: bool
 ) -> Target:
     """
     n-step target (Hessel et al. 2018, equation 3), or its scalar form; without gradients.
@@ -42,23 +36,17 @@ def td_target(
     The action at t + k is the best allowed there by that state's own mask, in the eyes of the
     online network with double Q-learning and of the target network without; its value is always
     the target network's.
-
-    :param online_weights: ``q_net.noisy_weights()``, if at hand
     """
+    chooser = q_net if double_q else q_net_target
     with th.no_grad():
-        streams = q_net_target.streams_under(q_net_target.noisy_weights(), batch.next_observations)
-        if double_q:
-            weights = q_net.noisy_weights() if online_weights is None else online_weights
-            chooser = q_net.join(q_net.streams_under(weights, batch.next_observations))
-        else:
-            chooser = q_net_target.join(streams)
-        q_values = mask_q_values(q_net.expected_values(chooser), batch.next_action_masks)
-        actions = q_values.argmax(dim=1, keepdim=True)
-        logits = q_net_target.join_taken(streams, actions)
+        q_values = chooser(batch.next_observations, noisy=True)
+        actions = mask_q_values(q_values, batch.next_action_masks).argmax(dim=1, keepdim=True)
         discounts = batch.discounts * (1.0 - batch.dones)
         if not q_net.distributional:
-            return Target(batch.rewards + discounts * logits, actions, logits)
-        probabilities = F.softmax(logits, dim=1)
+            next_values = q_net_target(batch.next_observations, noisy=True).gather(1, actions)
+            return Target(batch.rewards + discounts * next_values, actions, next_values)
+        logits = q_net_target.logits(batch.next_observations, noisy=True)
+        probabilities = F.softmax(of_actions(logits, actions), dim=1)
         values = project_distribution(
             probabilities, batch.rewards, discounts, q_net.support, q_net.v_min, q_net.v_max
         )
@@ -66,10 +54,7 @@ def td_target(
 
 
 def td_losses(
-    q_net: RainbowNetwork,
-    batch: Batch,
-    target: th.Tensor,
-    online_weights: Weights | None = None,
+    q_net: RainbowNetwork, batch: Batch, target: th.Tensor
 ) -> tuple[th.Tensor, th.Tensor]:
     """
     Losses and priorities of the batch, before importance weights.
@@ -80,14 +65,32 @@ def td_losses(
     cross-entropies are all but uniform. Scalar: the Huber loss, and the absolute error.
 
     :param target: the ``values`` of a :class:`Target`
-    :param online_weights: ``q_net.noisy_weights()``, if at hand
     :return: losses ``(B,)`` with gradient, priorities ``(B,)`` without
     """
-    weights = q_net.noisy_weights() if online_weights is None else online_weights
-    logits = q_net.join_taken(q_net.streams_under(weights, batch.observations), batch.actions)
     if q_net.distributional:
-        losses = categorical_losses(logits, target)
+        logits = q_net.logits(batch.observations, noisy=True)
+        losses = categorical_losses(of_actions(logits, batch.actions), target)
         divergences = losses.detach() - target_entropies(target)
         return losses, divergences.clamp(min=0.0)
-    losses = huber_losses(logits[:, 0], target[:, 0])
-    return losses, (logits[:, 0] - target[:, 0]).detach().abs()
+    q_values = q_net(batch.observations, noisy=True).gather(1, batch.actions)
+    losses = huber_losses(q_values[:, 0], target[:, 0])
+    return losses, (q_values - target)[:, 0].detach().abs()
+
+
+def mean_loss(
+    q_net: RainbowNetwork, q_net_target: RainbowNetwork, batch: Batch, double_q: bool
+) -> tuple[th.Tensor, th.Tensor]:
+    """Importance-weighted mean of the losses, scalar with gradient, and priorities ``(B,)``."""
+    target = td_target(q_net, q_net_target, batch, double_q)
+    losses, priorities = td_losses(q_net, batch, target.values)
+    return (losses if batch.weights is None else losses * batch.weights).mean(), priorities
+
+
+def of_actions(logits: th.Tensor, actions: th.Tensor) -> th.Tensor:
+    """
+    :param logits: shape ``(B, A, N)``
+    :param actions: shape ``(B, 1)``, int64
+    :return: the rows of these actions, ``(B, N)``
+    """
+    rows = actions.unsqueeze(-1).expand(-1, 1, logits.shape[2])
+    return logits.gather(1, rows).squeeze(1)

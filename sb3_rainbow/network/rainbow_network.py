@@ -1,5 +1,7 @@
 """Rainbow's Q-network."""
 
+from collections.abc import Iterator
+from contextlib import nullcontext
 from itertools import pairwise
 from typing import Any, get_args
 
@@ -7,14 +9,21 @@ import numpy as np
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, FlattenExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 from torch.nn import functional as F
 
 from sb3_rainbow.network.losses import mask_q_values
-from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_
+from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_, silenced
+from sb3_rainbow.network.shared_memory import separate, share
 from sb3_rainbow.type_aliases import NoisyLayers
+
+# Modules that hold no noisy layer and do not mind whether they are trained
+_NOTHING_INSIDE = {
+    *(NoisyLinear, nn.Linear, FlattenExtractor),
+    *(nn.ReLU, nn.Tanh, nn.ELU, nn.LeakyReLU, nn.SiLU, nn.GELU),
+}
 
 
 class RainbowNetwork(BasePolicy):
@@ -46,6 +55,7 @@ class RainbowNetwork(BasePolicy):
     action_space: spaces.Discrete
     support: th.Tensor
     noise: th.Tensor
+    _noise_addresses: list[int] | None = None
 
     def __init__(
         self,
@@ -111,46 +121,42 @@ class RainbowNetwork(BasePolicy):
                 NoisyLinear(n_in, n_out, self.sigma0) if is_noisy else nn.Linear(n_in, n_out)
             )
         self.activation = self.activation_fn()
-        # Iterating over a ModuleList costs more than the small layers themselves.
-        self._linear_layers: list[NoisyLinear | nn.Linear] = list(self.layers)  # type: ignore[arg-type]
-        self._noisy_modules = [layer for layer in self.layers if isinstance(layer, NoisyLinear)]
-        extractor = list(self.features_extractor.modules())
-        self._has_plain_modes = all(type(module).train is nn.Module.train for module in extractor)
-        self._with_modes: list[nn.Module] = [self, self.activation]
-        if self._has_plain_modes:
-            self._with_modes += extractor
-        n_noise = sum(layer.in_features + layer.out_features for layer in self._noisy_modules)
-        self.register_buffer("noise", th.zeros(n_noise), persistent=False)
-        self._tie_noise()
+        self.register_buffer("noise", th.zeros(0), persistent=False)
         self.reset_noise()
 
-    def _tie_noise(self) -> None:
-        """Let every layer's epsilons be views of one vector, drawn in one go."""
-        start = 0
-        for layer in self._noisy_modules:
-            for name, size in (
-                ("epsilon_in", layer.in_features),
-                ("epsilon_out", layer.out_features),
-            ):
-                setattr(layer, name, self.noise[start : start + size])
-                start += size
+    def _epsilons(self) -> list[th.Tensor]:
+        """The noise of the layers that are noisy, in their order."""
+        layers = [x for x in self.layers._modules.values() if isinstance(x, NoisyLinear)]
+        return [b for x in layers for b in (x._buffers["epsilon_in"], x._buffers["epsilon_out"])]  # type: ignore[misc]
 
-    def _apply(self, *args: Any, **kwargs: Any) -> "RainbowNetwork":
-        # Moving to another device or dtype replaces every buffer: the views must follow.
-        super()._apply(*args, **kwargs)
-        self._tie_noise()
-        return self
+    def _tie_noise(self, epsilons: list[th.Tensor]) -> None:
+        """Let the layers' epsilons be parts of one vector, drawn in one go."""
+        self.noise = th.cat(epsilons) if epsilons else self.support.new_zeros(0)
+        self._noise_addresses = share(epsilons, self.noise)
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__(state)
-        # Pickle gives every view a memory of its own.
-        self._tie_noise()
+    def _layers_called_by_others(self) -> Iterator[NoisyLinear]:
+        """Noisy layers inside of wrappers, or in the features extractor."""
+        for part in (self.features_extractor, self.activation, *self.layers):
+            if type(part) not in _NOTHING_INSIDE:
+                inside = (m for m in part.modules() if isinstance(m, NoisyLinear))
+                yield from (m for m in inside if m is not part)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Pickle would store the whole memory of which a tensor is a part with every part.
+        separate([*self.parameters(), *self._epsilons()])
+        return {**self.__dict__, "_noise_addresses": None}
 
     @th.no_grad()
     def reset_noise(self) -> None:
         """Draw new noise for every noisy layer."""
-        if self._noisy_modules:
+        epsilons = self._epsilons()
+        if [e.data_ptr() for e in epsilons] != self._noise_addresses:
+            # Since last time a layer was replaced, or the network moved or copied.
+            self._tie_noise(epsilons)
+        if epsilons:
             scale_noise_(self.noise.normal_())
+        for layer in self._layers_called_by_others():
+            layer.reset_noise()
 
     def noise_magnitudes(self) -> dict[str, float]:
         """Mean absolute sigma of each noisy layer, by the layer's place among the layers."""
@@ -162,37 +168,18 @@ class RainbowNetwork(BasePolicy):
 
     def streams(self, obs: PyTorchObs, noisy: bool) -> th.Tensor:
         """
-        Outputs of the head before value and advantages are joined.
+        Outputs of the head before value and advantages are joined. Acting, target and loss all go
+        through here.
 
         :return: shape ``(B, n_streams, n_atoms)``, the value first where there is one
         """
-        hidden = self.extract_features(obs, self.features_extractor)
-        last = len(self.layers) - 1
-        for i, layer in enumerate(self._linear_layers):
-            hidden = layer(hidden, noisy) if isinstance(layer, NoisyLinear) else layer(hidden)
-            if i < last:
-                hidden = self.activation(hidden)
-        return hidden.view(hidden.shape[0], -1, self.n_atoms)
-
-    def noisy_weights(self) -> list[tuple[th.Tensor, th.Tensor]]:
-        """Weight and bias of every layer under the current noise, with gradients."""
-        return [
-            layer.noisy_weights() if isinstance(layer, NoisyLinear) else (layer.weight, layer.bias)
-            for layer in self._linear_layers
-        ]
-
-    def streams_under(
-        self, weights: list[tuple[th.Tensor, th.Tensor]], obs: PyTorchObs
-    ) -> th.Tensor:
-        """
-        As :meth:`streams`, with given weights.
-
-        Forming the noisy weights once serves several batches under the same noise.
-        """
-        hidden = self.extract_features(obs, self.features_extractor)
-        for weight, bias in weights[:-1]:
-            hidden = self.activation(F.linear(hidden, weight, bias))
-        hidden = F.linear(hidden, *weights[-1])
+        with nullcontext() if noisy else silenced(self._layers_called_by_others()):
+            hidden = self.extract_features(obs, self.features_extractor)
+            last = len(self.layers) - 1
+            for i, layer in enumerate(self.layers):
+                hidden = layer(hidden, noisy) if isinstance(layer, NoisyLinear) else layer(hidden)
+                if i < last:
+                    hidden = self.activation(hidden)
         return hidden.view(hidden.shape[0], -1, self.n_atoms)
 
     def join(self, streams: th.Tensor) -> th.Tensor:
@@ -208,23 +195,6 @@ class RainbowNetwork(BasePolicy):
         advantages = streams[:, 1:]
         return advantages + (streams[:, :1] - advantages.mean(dim=1, keepdim=True))
 
-    def join_taken(self, streams: th.Tensor, actions: th.Tensor) -> th.Tensor:
-        """
-        Row ``actions`` of :meth:`join`, without the others.
-
-        :param actions: shape ``(B, 1)``, int64
-        :return: shape ``(B, N)``
-        """
-        # A product with mixing coefficients costs half of indexing, sums and their gradients.
-        n_streams = streams.shape[1]
-        first = int(self.dueling)
-        share = 1.0 / self.n_actions if self.dueling else 0.0
-        mixing = streams.new_full((streams.shape[0], n_streams), -share)
-        mixing.scatter_(1, actions + first, 1.0 - share)
-        if self.dueling:
-            mixing[:, 0] = 1.0
-        return th.bmm(mixing.unsqueeze(1), streams).squeeze(1)
-
     def expected_values(self, logits: th.Tensor) -> th.Tensor:
         """
         :param logits: shape ``(B, A, N)``
@@ -234,6 +204,14 @@ class RainbowNetwork(BasePolicy):
             return logits.squeeze(-1)
         return F.softmax(logits, dim=-1) @ self.support
 
+    def logits(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
+        """
+        Logits over the atoms for each action (without ``distributional``, the Q-values).
+
+        :return: shape ``(B, A, N)``
+        """
+        return self.join(self.streams(obs, noisy))
+
     def forward(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
         """
         Q-values, by default without noise.
@@ -242,7 +220,7 @@ class RainbowNetwork(BasePolicy):
         :param noisy: whether the noisy layers use their current noise
         :return: shape ``(B, A)``
         """
-        return self.expected_values(self.join(self.streams(obs, noisy)))
+        return self.expected_values(self.logits(obs, noisy))
 
     def distribution(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
         """
@@ -250,22 +228,17 @@ class RainbowNetwork(BasePolicy):
 
         :return: shape ``(B, A, N)``
         """
-        return F.softmax(self.join(self.streams(obs, noisy)), dim=-1)
+        return F.softmax(self.logits(obs, noisy), dim=-1)
 
     def set_training_mode(self, mode: bool) -> None:
         """
-        Tell the parts that may care, which the linear layers are not: walking them at every step
-        would cost as much as a small layer.
+        Put the network in training or evaluation mode, of which the noisy layers take no notice.
 
         :param mode: True for training, False for evaluation
         """
-        if mode == self.training:
-            return
-        if not self._has_plain_modes:
-            self.features_extractor.train(mode)
-        for module in self._with_modes:
-            # Module's own way of setting an attribute costs ten times as much.
-            module.__dict__["training"] = mode
+        parts = (self.features_extractor, self.activation, *self.layers)
+        if mode != self.training or not all(type(part) in _NOTHING_INSIDE for part in parts):
+            self.train(mode)
 
     def _predict(
         self,

@@ -9,8 +9,8 @@ import pytest
 import torch as th
 
 from sb3_rainbow import Rainbow
-from sb3_rainbow.fast import denormals
-from sb3_rainbow.fast.denormals import denormals_are_zero, flush_denormals
+from sb3_rainbow.learner import denormals
+from sb3_rainbow.learner.denormals import denormals_are_zero, flush_denormals
 
 DENORMAL = np.float32(1e-40)
 

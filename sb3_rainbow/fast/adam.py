@@ -1,0 +1,122 @@
+"""torch's Adam over one vector, by a kernel on the optimizer's own state."""
+
+import torch as th
+from torch.optim import optimizer as torch_optimizer
+
+from sb3_rainbow.fast import learning_kernels as kernels
+from sb3_rainbow.network.shared_memory import share
+
+# Options of torch's Adam that the kernel does not know
+_UNKNOWN = ("amsgrad", "maximize", "decoupled_weight_decay", "differentiable")
+_STATE = ("exp_avg", "exp_avg_sq", "step")
+
+
+class AdamOnVector:
+    """
+    One step of Adam for parameters that are parts of one vector.
+
+    The moments become parts of vectors as well. They stay where torch looks for them, entry by
+    entry in the optimizer's state, so that saving, loading and torch's own steps see them.
+
+    :param parameters: parts of ``vector``, in order
+    :param vector: their values
+    :param gradient: gradient of ``vector``
+    """
+
+    def __init__(
+        self, parameters: list[th.nn.Parameter], vector: th.Tensor, gradient: th.Tensor
+    ) -> None:
+        self.parameters, self.vector = parameters, vector
+        self.vector.grad = gradient
+        self._gradient = gradient.numpy()
+        self._ids = {id(p) for p in parameters}
+        self._known: list[int] = []
+
+    @staticmethod
+    def is_possible(optimizer: th.optim.Optimizer, ids: set[int]) -> bool:
+        """
+        Whether it is an Adam over parameters of these identities, with options known here.
+        """
+        group = optimizer.param_groups[0]
+        return (
+            type(optimizer) is th.optim.Adam
+            and len(optimizer.param_groups) == 1
+            and set(map(id, group["params"])) == ids
+            and not any(map(group.get, _UNKNOWN))
+        )
+
+    def can_step(self, optimizer: th.optim.Optimizer) -> bool:
+        """As :meth:`is_possible`, for the parameters of this one."""
+        return self.is_possible(optimizer, self._ids)
+
+    def step(self, optimizer: th.optim.Optimizer, max_grad_norm: float | None) -> None:
+        """Clip the gradient, then do what ``optimizer.step()`` does, hooks included."""
+        states = list(map(optimizer.state.get, self.parameters))
+        is_first = not any(states)
+        if max_grad_norm is not None:
+            if is_first:
+                th.nn.utils.clip_grad_norm_([self.vector], max_grad_norm)
+            else:
+                kernels.clip(self._gradient, max_grad_norm)
+        step = self._first_step if is_first else self._step
+        if "step" in vars(optimizer) or not (is_first or self._has_moments(states)):
+            # A learning rate scheduler counts the calls; some parameters did not always train.
+            optimizer.step()
+        elif _has_hooks(optimizer):
+            th.optim.Optimizer.profile_hook_step(step)(optimizer)  # type: ignore[arg-type]
+        else:
+            step(optimizer)
+
+    def _has_moments(self, states: list[dict[str, th.Tensor]]) -> bool:
+        """Whether all parameters have moments of the same age; if so, as parts of vectors."""
+        if not all(states):
+            return False
+        # One address stands for all: copying and pickling separate them all.
+        known = [id(s[name]) for s in states for name in _STATE]
+        if [*known, states[0]["exp_avg"].data_ptr()] != self._known:
+            tensors = [[s[name] for s in states] for name in _STATE]
+            vectors = [th.cat([t.reshape(-1) for t in each]) for each in tensors]
+            for each, vector in zip(tensors, vectors, strict=True):
+                share(each, vector)
+            self._first, self._second, self._steps = (v.numpy() for v in vectors)
+            self._known = [*known, states[0]["exp_avg"].data_ptr()]
+        return bool((self._steps == self._steps[0]).all())
+
+    def _step(self, optimizer: th.optim.Optimizer) -> None:
+        group = optimizer.param_groups[0]
+        self._steps += 1
+        beta1, beta2 = group["betas"]
+        kernels.adam_step(
+            self.vector.numpy(),
+            self._gradient,
+            self._first,
+            self._second,
+            float(group["lr"]),
+            float(beta1),
+            float(beta2),
+            float(group["eps"]),
+            float(group["weight_decay"]),
+            float(self._steps[0]),
+        )
+
+    def _first_step(self, optimizer: th.optim.Optimizer) -> None:
+        """By torch, which knows best what belongs into the state of a parameter."""
+        group = {k: v for k, v in optimizer.param_groups[0].items() if k != "params"}
+        on_vector = th.optim.Adam([{**group, "params": [self.vector]}])
+        on_vector.step()
+        made = on_vector.state[self.vector]
+        sizes = [p.numel() for p in self.parameters]
+        for i, p in enumerate(self.parameters):
+            optimizer.state[p] = {
+                name: value.clone() if value.ndim == 0 else value.split(sizes)[i].view_as(p)
+                for name, value in made.items()
+            }
+
+
+def _has_hooks(optimizer: th.optim.Optimizer) -> bool:
+    return bool(
+        optimizer._optimizer_step_pre_hooks
+        or optimizer._optimizer_step_post_hooks
+        or torch_optimizer._global_optimizer_pre_hooks
+        or torch_optimizer._global_optimizer_post_hooks
+    )
