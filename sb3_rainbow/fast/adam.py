@@ -1,5 +1,9 @@
 """torch's Adam over one vector, by a kernel on the optimizer's own state."""
 
+from itertools import chain
+from operator import is_, itemgetter
+from typing import Any
+
 import torch as th
 from torch.optim import optimizer as torch_optimizer
 
@@ -8,7 +12,7 @@ from sb3_rainbow.network.shared_memory import share
 
 # Options of torch's Adam that the kernel does not know
 _UNKNOWN = ("amsgrad", "maximize", "decoupled_weight_decay", "differentiable")
-_STATE = ("exp_avg", "exp_avg_sq", "step")
+_ENTRIES = itemgetter("exp_avg", "exp_avg_sq", "step")
 
 
 class AdamOnVector:
@@ -30,7 +34,8 @@ class AdamOnVector:
         self.vector.grad = gradient
         self._gradient = gradient.numpy()
         self._ids = {id(p) for p in parameters}
-        self._known: list[int] = []
+        self._tensors: list[th.Tensor] = []
+        self._address = 0
 
     @staticmethod
     def is_possible(optimizer: th.optim.Optimizer, ids: set[int]) -> bool:
@@ -63,24 +68,27 @@ class AdamOnVector:
             # A learning rate scheduler counts the calls; some parameters did not always train.
             optimizer.step()
         elif _has_hooks(optimizer):
-            th.optim.Optimizer.profile_hook_step(step)(optimizer)  # type: ignore[arg-type]
+            th.optim.Optimizer.profile_hook_step(step)(optimizer)
         else:
             step(optimizer)
 
-    def _has_moments(self, states: list[dict[str, th.Tensor]]) -> bool:
+    def _has_moments(self, states: list[Any]) -> bool:
         """Whether all parameters have moments of the same age; if so, as parts of vectors."""
         if not all(states):
             return False
+        tensors = list(chain.from_iterable(map(_ENTRIES, states)))
         # One address stands for all: copying and pickling separate them all.
-        known = [id(s[name]) for s in states for name in _STATE]
-        if [*known, states[0]["exp_avg"].data_ptr()] != self._known:
-            tensors = [[s[name] for s in states] for name in _STATE]
-            vectors = [th.cat([t.reshape(-1) for t in each]) for each in tensors]
-            for each, vector in zip(tensors, vectors, strict=True):
-                share(each, vector)
+        address = tensors[0].data_ptr()
+        if address != self._address or not all(map(is_, tensors, self._tensors)):
+            vectors = []
+            for i in range(3):
+                each = tensors[i::3]
+                vectors.append(th.cat([t.reshape(-1) for t in each]))
+                share(each, vectors[-1])
+            self._tensors, self._address = tensors, tensors[0].data_ptr()
             self._first, self._second, self._steps = (v.numpy() for v in vectors)
-            self._known = [*known, states[0]["exp_avg"].data_ptr()]
-        return bool((self._steps == self._steps[0]).all())
+        steps = self._steps.tolist()
+        return steps.count(steps[0]) == len(steps)
 
     def _step(self, optimizer: th.optim.Optimizer) -> None:
         group = optimizer.param_groups[0]

@@ -115,11 +115,11 @@ class CompiledLoss:
             th.compiler.cudagraph_mark_step_begin()
         with th.no_grad():
             loss, priorities, found = self._graph([p.detach() for p in self.parameters], batch)
-            for p in self.parameters:
-                if p.grad is None:
-                    p.grad = th.zeros_like(p)
+            gradients = [th.zeros_like(p) if p.grad is None else p.grad for p in self.parameters]
             # The next call on a GPU overwrites what this one returned.
-            th._foreach_copy_([p.grad for p in self.parameters], found)
+            th._foreach_copy_(gradients, found)
+            for p, gradient in zip(self.parameters, gradients, strict=True):
+                p.grad = gradient
             return (loss.clone(), priorities.clone()) if self._on_gpu else (loss, priorities)
 
     def _gradients_of(

@@ -1,5 +1,7 @@
 """Updates of plain networks on the CPU by compiled kernels instead of torch's autograd."""
 
+from operator import attrgetter, is_
+
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
@@ -10,7 +12,7 @@ from sb3_rainbow.fast import learning_kernels
 from sb3_rainbow.fast import mlp_kernels as kernels
 from sb3_rainbow.fast.adam import AdamOnVector
 from sb3_rainbow.fast.originals import are_untouched
-from sb3_rainbow.network.noisy_linear import NoisyLinear
+from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.network.shared_memory import share
 from sb3_rainbow.type_aliases import Batch
@@ -20,6 +22,7 @@ from sb3_rainbow.type_aliases import Batch
 _STATELESS = (FlattenExtractor, CombinedExtractor, nn.ModuleDict, nn.Flatten)
 # Below any probability that float32 holds as a normal number
 _TINY = float(np.finfo(np.float32).tiny)
+_GRAD = attrgetter("grad")
 _NO_MASKS = np.zeros((0, 0), dtype=np.bool_)
 
 
@@ -41,19 +44,18 @@ class MlpUpdate:
     def __init__(self, q_net: RainbowNetwork, q_net_target: RainbowNetwork) -> None:
         self.q_net, self.q_net_target = q_net, q_net_target
         self._online, self._target = _parameters(q_net), _parameters(q_net_target)
-        self._addresses: list[int] = []
-        self._vector, self._vector_target, self._gradient_vector = (
-            th.zeros(sum(p.numel() for p in self._online)) for _ in range(3)
-        )
+        vectors = [_join(parameters) for parameters in (self._online, self._target)]
+        gradient = th.zeros_like(vectors[0])
+        sizes = [p.numel() for p in self._online]
         self._gradients = [
-            part.view_as(p)
-            for p, part in zip(
-                self._online,
-                self._gradient_vector.split([p.numel() for p in self._online]),
-                strict=True,
-            )
+            part.view_as(p) for p, part in zip(self._online, gradient.split(sizes), strict=True)
         ]
-        self._adam = AdamOnVector(self._online, self._vector, self._gradient_vector)
+        epsilons = [*q_net.tie_noise(), *q_net_target.tie_noise()]
+        self._vectors, self._noises = vectors, (q_net.noise, q_net_target.noise)
+        self._gradient_vector = gradient.numpy()
+        self._shared = [*self._online, *self._target, *epsilons]
+        self._addresses = [t.data_ptr() for t in self._shared]
+        self._adam = AdamOnVector(self._online, vectors[0], gradient)
         self.table = _table(q_net)
         n_in, n_out = self.table[-1, [kernels.INPUTS, kernels.OUTPUTS]]
         n_effective = int(self.table[-1, kernels.EFFECTIVE] + (n_in + 1) * n_out)
@@ -100,21 +102,10 @@ class MlpUpdate:
             and AdamOnVector.is_possible(optimizer, set(map(id, online)))
         )
 
-    def can_step(self, optimizer: th.optim.Optimizer) -> bool:
-        """Whether the optimizer is still one that the kernels know."""
-        return self._adam.can_step(optimizer)
-
-    def _share_parameters(self) -> None:
-        """Make the parameters parts of the vectors, whoever replaced their memory since."""
-        if [p.data_ptr() for p in (*self._online, *self._target)] == self._addresses:
-            return
-        self._addresses = []
-        for parameters, vector in (
-            (self._online, self._vector),
-            (self._target, self._vector_target),
-        ):
-            vector.copy_(th.cat([p.detach().reshape(-1) for p in parameters]))
-            self._addresses += share(parameters, vector)
+    def is_current(self, optimizer: th.optim.Optimizer) -> bool:
+        """Whether parameters and noise have the memory they had, and Adam is still Adam."""
+        addresses = list(map(th.Tensor.data_ptr, self._shared))
+        return addresses == self._addresses and self._adam.can_step(optimizer)
 
     def update(
         self,
@@ -123,8 +114,9 @@ class MlpUpdate:
         double_q: bool,
         max_grad_norm: float | None,
     ) -> tuple[th.Tensor, th.Tensor]:
-        """As ``Learner.update``, with the noise that the networks hold."""
-        self._share_parameters()
+        """As ``Learner.update``."""
+        for noise in self._noises:
+            scale_noise_(noise.normal_())
         obs, next_obs = self._features(batch.observations), self._features(batch.next_observations)
         n = obs.shape[0]
         weights = np.ones(n, np.float32) if batch.weights is None else batch.weights.numpy()
@@ -141,27 +133,27 @@ class MlpUpdate:
             self._gradient,
         )
         learning_kernels.parameter_gradients(
-            self._gradient, self.q_net.noise.numpy(), self.table, self._gradient_vector.numpy()
+            self._gradient, self._noises[0].numpy(), self.table, self._gradient_vector
         )
-        for p, gradient in zip(self._online, self._gradients, strict=True):
-            if p.grad is not gradient:
+        if not all(map(is_, map(_GRAD, self._online), self._gradients)):
+            for p, gradient in zip(self._online, self._gradients, strict=True):
                 p.grad = gradient
         self._adam.step(optimizer, max_grad_norm)
         return th.tensor(float(losses @ weights) / n), th.from_numpy(priorities)
 
     def act(self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None) -> NDArray[np.int64]:
         """
-        Greedy actions of the online network under its current noise.
+        Greedy actions of the online network under fresh noise.
 
         :param obs: observations, ``(n_envs, ...)``
         :param action_masks: True where allowed, ``(n_envs, n_actions)``
         :return: shape ``(n_envs,)``
         """
-        self._share_parameters()
+        scale_noise_(self._noises[0].normal_())
         features = self._features(obs)
         self._reserve(features.shape[0])
         kernels.effective_weights(
-            self._vector.numpy(), self.q_net.noise.numpy(), self.table, self._effective
+            self._vectors[0].numpy(), self._noises[0].numpy(), self.table, self._effective
         )
         units = kernels.hidden_units(self._effective, self.table, features, self._hidden)
         masks = _NO_MASKS if action_masks is None else action_masks
@@ -169,8 +161,8 @@ class MlpUpdate:
 
     def move_target(self, tau: float) -> None:
         """Polyak average of the parameters."""
-        self._share_parameters()
-        self._vector_target.lerp_(self._vector, tau)
+        online, target = self._vectors
+        target.lerp_(online, tau)
 
     def _features(self, obs: th.Tensor | dict[str, th.Tensor]) -> NDArray[np.float32]:
         with th.no_grad():
@@ -189,13 +181,10 @@ class MlpUpdate:
         net, table, n = self.q_net, self.table, obs.shape[0]
         self._reserve(n)
         online, target = self._effective, self._effective_target
-        kernels.effective_weights(self._vector.numpy(), net.noise.numpy(), table, online)
-        kernels.effective_weights(
-            self._vector_target.numpy(),
-            self.q_net_target.noise.numpy(),
-            table,
-            target,
-        )
+        for vector, noise, effective in zip(
+            self._vectors, self._noises, (online, target), strict=True
+        ):
+            kernels.effective_weights(vector.numpy(), noise.numpy(), table, effective)
         units_target = kernels.hidden_units(target, table, next_obs, self._hidden_target)
         if double_q:
             chooser, units_next = (
@@ -269,6 +258,13 @@ class MlpUpdate:
         return logits
 
 
+def _join(parameters: list[nn.Parameter]) -> th.Tensor:
+    """A vector of which the parameters become parts."""
+    vector = th.cat([p.detach().reshape(-1) for p in parameters])
+    share(parameters, vector)
+    return vector
+
+
 def _exponential(logits: NDArray[np.float32]) -> NDArray[np.float32]:
     """
     Exponentials of logits, which are shifted to a maximum of 0 in place.
@@ -316,7 +312,7 @@ def _parameters(net: RainbowNetwork) -> list[nn.Parameter]:
         NoisyLinear: ("weight_mu", "weight_sigma", "bias_mu", "bias_sigma"),
         nn.Linear: ("weight", "bias"),
     }
-    return [getattr(layer, name) for layer in net.layers for name in names[type(layer)]]  # type: ignore[index]
+    return [getattr(layer, name) for layer in net.layers for name in names[type(layer)]]
 
 
 def _table(net: RainbowNetwork) -> NDArray[np.int64]:

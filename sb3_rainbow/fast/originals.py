@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable
 from functools import cache
+from itertools import chain
+from operator import attrgetter, is_
 from typing import Any
 
 from torch import nn
@@ -11,8 +13,15 @@ _HOOKS = ("_forward_hooks", "_forward_pre_hooks", "_backward_hooks", "_backward_
 _GLOBAL_HOOKS = ("_global_forward_hooks", "_global_forward_pre_hooks", "_global_backward_hooks")
 
 
+_TRAINS = attrgetter("requires_grad")
+
+
+def _values(dicts: Iterable[dict[str, Any]]) -> Iterable[Any]:
+    return chain.from_iterable(map(dict.values, dicts))
+
+
 @cache
-def _methods(kind: type) -> frozenset[str]:
+def _methods(kind: Any) -> frozenset[str]:
     return frozenset(name for name in dir(kind) if callable(getattr(kind, name, None)))
 
 
@@ -24,8 +33,9 @@ def _hooks(modules: Iterable[nn.Module]) -> list[dict[Any, Any]]:
 def are_untouched(modules: Iterable[nn.Module]) -> bool:
     """Whether modules have no hooks, and no attributes in the place of their class's methods."""
     modules = list(modules)
+    typed: list[tuple[Any, nn.Module]] = [(type(module), module) for module in modules]
     return not any(_hooks(modules)) and all(
-        _methods(type(module)).isdisjoint(vars(module)) for module in modules
+        _methods(kind).isdisjoint(vars(module)) for kind, module in typed
     )
 
 
@@ -37,7 +47,7 @@ def inherits(thing: Any, kind: type, *methods: str) -> bool:
 
 class Watch:
     """
-    Tells whether a module's parts, types, hooks, attributes and parameters are still the same.
+    Tells whether a module's parts, types, hooks, attributes, parameters and buffers are the same.
 
     It costs microseconds, where a walk over the modules costs as much as a matrix product.
 
@@ -46,26 +56,25 @@ class Watch:
 
     def __init__(self, root: nn.Module) -> None:
         self._modules = list(root.modules())
-        self._types = [module.__class__ for module in self._modules]
-        parts = [m._modules for m in self._modules if m._modules]
-        self._parts = [(held, list(held.values())) for held in parts]
-        self._dicts = [*map(vars, self._modules), *_hooks(self._modules)]
-        self._sizes = list(map(len, self._dicts))
-        self._parameters = [m._parameters for m in self._modules if m._parameters]
-        self._trained = self._which_train()
-
-    def _which_train(self) -> list[tuple[int, bool]]:
-        return [
-            (id(p), p is not None and p.requires_grad)
-            for held in self._parameters
-            for p in held.values()
-        ]
+        self._types = list(map(type, self._modules))
+        self._attributes = list(map(vars, self._modules))
+        self._n_attributes = list(map(len, self._attributes))
+        self._hooks = _hooks(self._modules)
+        self._has_hooks = any(self._hooks)
+        held = [d for m in self._modules for d in (m._modules, m._parameters, m._buffers)]
+        self._held = [d for d in held if d]
+        self._holds = list(_values(self._held))
+        self._parameters = list(root.parameters())
+        self._trained = list(map(_TRAINS, self._parameters))
 
     def sees_no_change(self) -> bool:
         """Whether all is as it was when the watch began."""
+        holds = list(_values(self._held))
         return (
-            list(map(len, self._dicts)) == self._sizes
-            and [module.__class__ for module in self._modules] == self._types
-            and all(list(held.values()) == parts for held, parts in self._parts)
-            and self._which_train() == self._trained
+            len(holds) == len(self._holds)
+            and all(map(is_, holds, self._holds))
+            and list(map(type, self._modules)) == self._types
+            and list(map(len, self._attributes)) == self._n_attributes
+            and any(self._hooks) == self._has_hooks
+            and list(map(_TRAINS, self._parameters)) == self._trained
         )

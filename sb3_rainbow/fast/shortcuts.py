@@ -78,7 +78,7 @@ class Shortcuts:
         if (
             self._watch is not None
             and self._watch.sees_no_change()
-            and (self._mlp is None or self._mlp.can_step(self.policy.optimizer))
+            and (self._mlp is None or self._mlp.is_current(self.policy.optimizer))
         ):
             return
         self._forget()
@@ -92,20 +92,22 @@ class Shortcuts:
         self._watch = Watch(self.policy)
 
     def update(self, batch: Batch) -> LossAndPriorities | None:
-        """One optimizer step with the noise that the networks hold; None where it took none."""
+        """A whole update, noise and optimizer's step included; None where it did nothing."""
         self._look()
-        if self._mlp is not None:
-            with single_blas_thread():
-                return self._mlp.update(
-                    batch, self.policy.optimizer, self.double_q, self.max_grad_norm
-                )
-        if self._graph is not None:
-            found = self._graph(batch)
-            if found is not None:
-                self.policy.optimizer.step()
-                return found
+        if self._mlp is None:
+            return None
+        with single_blas_thread():
+            return self._mlp.update(batch, self.policy.optimizer, self.double_q, self.max_grad_norm)
+
+    def gradient(self, batch: Batch) -> LossAndPriorities | None:
+        """Leave the clipped gradient in the parameters' ``grad``; None where it did nothing."""
+        self._look()
+        if self._graph is None:
+            return None
+        found = self._graph(batch)
+        if found is None:
             self._compile_loss, self._graph = False, None
-        return None
+        return found
 
     def act(
         self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None
@@ -114,7 +116,6 @@ class Shortcuts:
         self._look()
         if self._mlp is None or not self._acts:
             return None
-        self.policy.q_net.reset_noise()
         with single_blas_thread():
             return self._mlp.act(obs, action_masks)
 

@@ -67,9 +67,22 @@ class Learner:
 
         :return: mean loss, scalar, and priorities ``(B,)``; both stay on the device
         """
+        found = None if self.shortcuts is None else self.shortcuts.update(batch)
+        if found is not None:
+            return found
         self.q_net.reset_noise()
         self.q_net_target.reset_noise()
-        found = None if self.shortcuts is None else self.shortcuts.update(batch)
+        loss, priorities = self.gradient(batch)
+        self.policy.optimizer.step()
+        return loss, priorities
+
+    def gradient(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
+        """
+        Leave a batch's clipped gradient in the online parameters' ``grad``.
+
+        :return: mean loss, scalar, and priorities ``(B,)``; both stay on the device
+        """
+        found = None if self.shortcuts is None else self.shortcuts.gradient(batch)
         if found is not None:
             return found
         self.policy.update_optimizer()
@@ -78,7 +91,6 @@ class Learner:
         loss.backward()
         if self.max_grad_norm is not None:
             nn.utils.clip_grad_norm_(self.q_net.parameters(), self.max_grad_norm)
-        self.policy.optimizer.step()
         return loss.detach(), priorities
 
     def _loss(

@@ -129,17 +129,29 @@ class RainbowNetwork(BasePolicy):
         layers = [x for x in self.layers._modules.values() if isinstance(x, NoisyLinear)]
         return [b for x in layers for b in (x._buffers["epsilon_in"], x._buffers["epsilon_out"])]  # type: ignore[misc]
 
-    def _tie_noise(self, epsilons: list[th.Tensor]) -> None:
-        """Let the layers' epsilons be parts of one vector, drawn in one go."""
-        self.noise = th.cat(epsilons) if epsilons else self.support.new_zeros(0)
-        self._noise_addresses = share(epsilons, self.noise)
+    def tie_noise(self) -> list[th.Tensor]:
+        """
+        Let the layers' epsilons be parts of ``noise``, so that they are drawn in one go.
+
+        They no longer are after a layer was replaced, or the network moved or copied.
+
+        :return: the epsilons
+        """
+        epsilons = self._epsilons()
+        if [e.data_ptr() for e in epsilons] != self._noise_addresses:
+            self.noise = th.cat(epsilons) if epsilons else self.support.new_zeros(0)
+            self._noise_addresses = share(epsilons, self.noise)
+        return epsilons
 
     def _layers_called_by_others(self) -> Iterator[NoisyLinear]:
         """Noisy layers inside of wrappers, or in the features extractor."""
-        for part in (self.features_extractor, self.activation, *self.layers):
+        for part in self._parts():
             if type(part) not in _NOTHING_INSIDE:
                 inside = (m for m in part.modules() if isinstance(m, NoisyLinear))
                 yield from (m for m in inside if m is not part)
+
+    def _parts(self) -> list[nn.Module]:
+        return [self.features_extractor, self.activation, *self.layers]
 
     def __getstate__(self) -> dict[str, Any]:
         # Pickle would store the whole memory of which a tensor is a part with every part.
@@ -149,11 +161,7 @@ class RainbowNetwork(BasePolicy):
     @th.no_grad()
     def reset_noise(self) -> None:
         """Draw new noise for every noisy layer."""
-        epsilons = self._epsilons()
-        if [e.data_ptr() for e in epsilons] != self._noise_addresses:
-            # Since last time a layer was replaced, or the network moved or copied.
-            self._tie_noise(epsilons)
-        if epsilons:
+        if self.tie_noise():
             scale_noise_(self.noise.normal_())
         for layer in self._layers_called_by_others():
             layer.reset_noise()
@@ -236,8 +244,7 @@ class RainbowNetwork(BasePolicy):
 
         :param mode: True for training, False for evaluation
         """
-        parts = (self.features_extractor, self.activation, *self.layers)
-        if mode != self.training or not all(type(part) in _NOTHING_INSIDE for part in parts):
+        if mode != self.training or not _NOTHING_INSIDE.issuperset(map(type, self._parts())):
             self.train(mode)
 
     def _predict(

@@ -379,13 +379,17 @@ def test_bad_arguments(kwargs: dict[str, Any], message: str) -> None:
         Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, **kwargs})
 
 
-def test_freezing_after_the_model_was_made_is_an_error() -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
-    model.q_net.layers[0].requires_grad_(False)
-    with pytest.raises(ValueError, match="changed after the model was made"):
-        model.learn(10)
-    model.q_net.layers[0].requires_grad_(True)
-    model.learn(10)
+@pytest.mark.parametrize("cpu_kernels", [True, False])
+def test_freezing_and_freeing_after_the_model_was_made(cpu_kernels: bool) -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", cpu_kernels=cpu_kernels, **FAST)
+    model.learn(60)
+    first, last = (next(model.q_net.layers[i].parameters()) for i in (-2, -1))
+    for frozen in (True, False):
+        model.q_net.layers[-2].requires_grad_(not frozen)
+        before = first.detach().clone(), last.detach().clone()
+        model.learn(20, reset_num_timesteps=False)
+        assert th.equal(first, before[0]) == frozen
+        assert not th.equal(last, before[1])
 
 
 def test_bad_environments() -> None:

@@ -65,7 +65,7 @@ def parts_of(model: Any) -> dict[str, Callable[[], Any]]:
 
     return {
         "whole update": partial(model.train, 1, BATCH_SIZE),
-        "loss and gradient": partial(learner._gradients, batch),
+        "loss and gradient": partial(learner.gradient, batch),
         "their matrix products alone": matrix_products(model.q_net),
         "optimizer": model.policy.optimizer.step,
         "replay": replay,

@@ -10,7 +10,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
 from sb3_rainbow import Rainbow
-from sb3_rainbow.fast import mlp_kernels as kernels
+from sb3_rainbow.fast import learning_kernels as kernels
 from sb3_rainbow.learner.learner import Learner
 from sb3_rainbow.policies import MlpPolicy, MultiInputPolicy
 from sb3_rainbow.type_aliases import Batch
@@ -34,7 +34,8 @@ def make_learner(cpu_kernels: bool, double_q: bool = True, **kwargs: Any) -> Lea
     for p in policy.q_net_target.parameters():
         p.data += 0.3 * th.randn_like(p)
     learner = Learner(policy, double_q, max_grad_norm=0.5, cpu_kernels=cpu_kernels)
-    assert (learner._mlp is not None) == cpu_kernels
+    assert learner.shortcuts is not None
+    assert (learner.shortcuts.kernels is not None) == cpu_kernels
     return learner
 
 
@@ -82,13 +83,20 @@ def test_updates_agree_with_torch(kwargs: dict[str, Any]) -> None:
         th.testing.assert_close(results[0], results[1], rtol=1e-4, atol=1e-5)
         for name, value in reference.q_net.state_dict().items():
             th.testing.assert_close(ours.q_net.state_dict()[name], value, rtol=1e-4, atol=1e-5)
-    assert ours._flat is not None
-    assert reference._flat is not None
-    grads = ours._flat.vector.grad, reference._flat.vector.grad
-    th.testing.assert_close(*grads, rtol=1e-3, atol=1e-5)
-    states = [x.optimizer.state_dict()["state"][0] for x in (ours, reference)]
-    assert states[0]["step"] == states[1]["step"] == 4
-    th.testing.assert_close(states[0]["exp_avg"], states[1]["exp_avg"], rtol=1e-3, atol=1e-5)
+    for ours_p, p in zip(ours.q_net.parameters(), reference.q_net.parameters(), strict=True):
+        assert ours_p.grad is not None
+        assert p.grad is not None
+        th.testing.assert_close(ours_p.grad, p.grad, rtol=1e-3, atol=1e-5)
+    optimizers = [x.policy.optimizer.state_dict()["state"] for x in (ours, reference)]
+    assert optimizers[0].keys() == optimizers[1].keys()
+    for states in zip(*(x.values() for x in optimizers), strict=True):
+        assert states[0]["step"] == states[1]["step"] == 4
+        th.testing.assert_close(states[0]["exp_avg"], states[1]["exp_avg"], rtol=1e-3, atol=1e-5)
+
+
+def kernels_of(model: Rainbow) -> Any:
+    assert model._learner.shortcuts is not None
+    return model._learner.shortcuts.kernels
 
 
 @pytest.mark.parametrize(
@@ -110,19 +118,23 @@ def test_torch_does_what_the_kernels_cannot(policy_kwargs: dict[str, Any]) -> No
         policy_kwargs=policy_kwargs,
         device="cpu",
     )
-    assert model._learner._mlp is None
+    assert kernels_of(model) is None
     model.learn(40)
 
 
-def test_an_optimizer_given_later_is_the_one_that_steps() -> None:
+@pytest.mark.parametrize("kind", [th.optim.Adam, th.optim.SGD])
+def test_an_optimizer_given_later_is_the_one_that_steps(kind: Any) -> None:
     model = Rainbow("MlpPolicy", "CartPole-v1", learning_starts=20, buffer_size=100, device="cpu")
     model.learn(40)
-    model.policy.optimizer = th.optim.Adam(model.q_net.parameters())
+    model.policy.optimizer = kind(model.q_net.parameters(), lr=1e-3)
+    calls: list[Any] = []
+    model.policy.optimizer.register_step_post_hook(lambda *_: calls.append(1))
     before = nn.utils.parameters_to_vector(model.q_net.parameters())
     model.learn(60, reset_num_timesteps=False)
-    assert model._learner._mlp is None
-    steps = {int(state["step"]) for state in model.policy.optimizer.state.values()}
-    assert steps == {15}
+    assert (kernels_of(model) is None) == (kind is th.optim.SGD)
+    assert len(calls) == 15
+    steps = {int(state["step"]) for state in model.policy.optimizer.state.values() if state}
+    assert steps == ({15} if kind is th.optim.Adam else set())
     assert not th.equal(before, nn.utils.parameters_to_vector(model.q_net.parameters()))
 
 
@@ -130,7 +142,7 @@ def test_discrete_observations_are_one_hot_for_the_kernels_too() -> None:
     model = Rainbow(
         "MlpPolicy", "CliffWalking-v1", learning_starts=20, buffer_size=100, device="cpu"
     )
-    assert model._learner._mlp is not None
+    assert kernels_of(model) is not None
     model.learn(60)
 
 
@@ -148,7 +160,8 @@ class StandardizedExtractor(BaseFeaturesExtractor):
 def test_extractors_with_a_state_are_left_to_torch() -> None:
     def uses_kernels(policy: type[MlpPolicy], space: spaces.Space, **kwargs: Any) -> bool:
         made = policy(space, spaces.Discrete(2), lambda _: 1e-3, **kwargs)
-        return Learner(made, double_q=True, max_grad_norm=1.0)._mlp is not None
+        shortcuts = Learner(made, double_q=True, max_grad_norm=1.0).shortcuts
+        return shortcuts is not None and shortcuts.kernels is not None
 
     box, image = spaces.Box(-1, 1, (4,)), spaces.Box(0, 255, (3, 36, 36), np.uint8)
     assert uses_kernels(MlpPolicy, box)

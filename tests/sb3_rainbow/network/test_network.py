@@ -12,12 +12,14 @@ from torch import nn
 
 from sb3_rainbow import NoisyLinear
 from sb3_rainbow.learner.learner import Learner
+from sb3_rainbow.learner.update import of_actions
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy
 from sb3_rainbow.type_aliases import Batch
 
 OBS = spaces.Box(-1, 1, (4,), np.float32)
 ACTIONS = spaces.Discrete(3)
+OBSERVATIONS = th.randn(6, 4, generator=th.Generator().manual_seed(0))
 
 
 def make_policy(**kwargs: Any) -> MlpPolicy:
@@ -196,11 +198,12 @@ def test_dueling_is_identifiable() -> None:
 @pytest.mark.parametrize("distributional", [True, False])
 def test_the_taken_actions_row_is_the_same_row(dueling: bool, distributional: bool) -> None:
     net = make_net(dueling=dueling, distributional=distributional)
-    streams = net.streams(th.randn(6, 4), noisy=True)
+    streams = net.streams(OBSERVATIONS, noisy=True)
     assert streams.shape == (6, 3 + dueling, 51 if distributional else 1)
     actions = th.tensor([[0], [1], [2], [2], [1], [0]])
     whole = net.join(streams)
-    taken = net.join_taken(streams, actions)
+    th.testing.assert_close(net.logits(OBSERVATIONS, noisy=True), whole)
+    taken = of_actions(whole, actions)
     th.testing.assert_close(taken, whole[th.arange(6), actions[:, 0]])
 
 
