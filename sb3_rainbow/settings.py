@@ -1,15 +1,16 @@
 """Which settings can work, and what a replay buffer must be told of them."""
 
-import math
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
+import torch as th
+from gymnasium import spaces
 from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
+from stable_baselines3.common.policies import BasePolicy
 
 from sb3_rainbow.policies import RainbowPolicy
-
-if TYPE_CHECKING:
-    from sb3_rainbow.rainbow import Rainbow
+from sb3_rainbow.replay.parameters import check_replay_parameters
+from sb3_rainbow.type_aliases import UseMasking
 
 # Constructor arguments that Rainbow hands to its policy
 NETWORK_ARGUMENTS = frozenset(
@@ -24,39 +25,6 @@ class SettingsMismatchError(ValueError, RuntimeError):
     SB3 raises ``RuntimeError`` where a tensor is missing or has another shape, and ``ValueError``
     for everything else: code written for SB3 may catch either.
     """
-
-
-def check_replay_parameters(
-    buffer_size: int,
-    n_envs: int,
-    n_steps: int,
-    gamma: float,
-    alpha: float,
-    beta: float,
-    epsilon: float | None = None,
-) -> None:
-    """
-    :param epsilon: None where only the buffer knows it
-    :raises ValueError: naming the first parameter that is out of range
-    """
-    if n_steps < 1:
-        raise ValueError(f"n_steps must be at least 1, got {n_steps}")
-    if n_steps != int(n_steps):
-        raise ValueError(f"n_steps must be a whole number, got {n_steps}")
-    if not 0.0 <= gamma <= 1.0:
-        raise ValueError(f"gamma must lie in [0, 1], got {gamma}")
-    if not 0.0 <= alpha <= 1.0:
-        raise ValueError(f"alpha must lie in [0, 1] (0 is uniform replay), got {alpha}")
-    if not 0.0 <= beta <= 1.0:
-        raise ValueError(f"beta must lie in [0, 1], got {beta}")
-    if epsilon is not None and not 0.0 < epsilon < math.inf:
-        # Without it a transition whose loss is zero once would never be drawn again.
-        raise ValueError(f"epsilon must be above 0 and finite, got {epsilon}")
-    if buffer_size // n_envs <= n_steps:
-        raise ValueError(
-            f"buffer_size={buffer_size} is too small: {n_envs} envs with n_steps={n_steps} need "
-            f"at least {n_envs * (n_steps + 1)}"
-        )
 
 
 def sb3_buffer_kwargs(
@@ -93,7 +61,33 @@ def check_support_of_file(found: tuple[float, float] | None, v_min: float, v_max
         )
 
 
-def check_settings(model: "Rainbow") -> None:
+class Settings(Protocol):
+    """What an algorithm was told, as :class:`~sb3_rainbow.Rainbow`'s arguments name it."""
+
+    action_space: spaces.Discrete
+    alpha: float
+    batch_size: int
+    beta_end: float
+    beta_start: float
+    buffer_size: int
+    device: th.device
+    distributional: bool
+    gamma: float
+    mixed_precision: bool
+    n_envs: int
+    n_steps: int
+    policy_class: type[BasePolicy]
+    policy_kwargs: dict[str, Any]
+    sigma0: float
+    target_update_interval: int | None
+    tau: float
+    use_masking: UseMasking
+    v_max: float
+    v_min: float
+    _support: tuple[float, float] | None
+
+
+def check_settings(model: Settings) -> None:
     """
     :raises ValueError: naming the first setting of the model that cannot work
     """

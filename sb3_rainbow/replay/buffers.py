@@ -18,9 +18,9 @@ from sb3_rainbow.replay.kernels import (
     scale_priorities,
 )
 from sb3_rainbow.replay.observation_store import ObservationStore, Rows, stored_dtype
+from sb3_rainbow.replay.parameters import check_replay_parameters
 from sb3_rainbow.replay.sum_tree import SumTree
 from sb3_rainbow.replay.transfer import to_device
-from sb3_rainbow.settings import check_replay_parameters
 from sb3_rainbow.type_aliases import ObsArray, PrioritizedReplayBufferSamples
 
 _TRIMMED = ("actions", "rewards", "ends", "next_action_masks")
@@ -290,7 +290,9 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             next_observations = env.normalize_obs(next_observations)
             returns = self._normalized_returns(batch_inds, env)
         arrays = {
+            "observations": observations,
             "actions": self.actions.reshape(-1, self.action_dim)[batch_inds],
+            "next_observations": next_observations,
             "dones": dones,
             "rewards": returns,
             "discounts": discounts,
@@ -300,25 +302,9 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             n_actions = self.next_action_masks.shape[-1]
             masks = self.next_action_masks.reshape(-1, n_actions)
             arrays["next_action_masks"] = masks[last_leaves]
-        tensors = self._with_observations(arrays, observations, next_observations)
+        tensors = to_device(arrays, self.device)
         tensors.setdefault("next_action_masks", None)
         return PrioritizedReplayBufferSamples(indices=batch_inds, **tensors)
-
-    def _with_observations(
-        self, arrays: dict[str, NDArray], observations: ObsArray, next_observations: ObsArray
-    ) -> dict[str, Any]:
-        """All of a sample on the device, observations as arrays or dicts of such."""
-        if not isinstance(observations, dict):
-            assert not isinstance(next_observations, dict)
-            arrays |= {"observations": observations, "next_observations": next_observations}
-            return dict(to_device(arrays, self.device))
-        assert isinstance(next_observations, dict)
-        arrays |= {f"observations/{key}": part for key, part in observations.items()}
-        arrays |= {f"next_observations/{key}": part for key, part in next_observations.items()}
-        tensors: dict[str, Any] = dict(to_device(arrays, self.device))
-        for name in ("observations", "next_observations"):
-            tensors[name] = {key: tensors.pop(f"{name}/{key}") for key in observations}
-        return tensors
 
     def _normalized_returns(
         self, leaves: NDArray[np.int64], env: VecNormalize
