@@ -9,6 +9,7 @@ from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
 from stable_baselines3.common.policies import BasePolicy
 
 from sb3_rainbow.policies import RainbowPolicy
+from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.replay.parameters import check_replay_parameters
 from sb3_rainbow.type_aliases import UseMasking
 
@@ -16,6 +17,8 @@ from sb3_rainbow.type_aliases import UseMasking
 NETWORK_ARGUMENTS = frozenset(
     ("dueling", "noisy", "sigma0", "distributional", "n_atoms", "v_min", "v_max")
 )
+
+DEFAULT_N_STEPS = 3
 
 
 class SettingsMismatchError(ValueError, RuntimeError):
@@ -27,27 +30,48 @@ class SettingsMismatchError(ValueError, RuntimeError):
     """
 
 
-def sb3_buffer_kwargs(
-    buffer_class: type[ReplayBuffer], prioritized: bool, n_steps: int, gamma: float
-) -> dict[str, Any]:
+def served_by(
+    buffer_class: type[ReplayBuffer] | None, prioritized: bool | None, n_steps: int | None
+) -> tuple[bool, int]:
     """
-    Arguments by which one of SB3's own buffers learns of the algorithm's settings.
+    Prioritized replay and n-step returns, as far as a class of replay buffers keeps them.
 
-    :raises ValueError: if it cannot serve them
+    :param buffer_class: None for :class:`PrioritizedReplayBuffer`
+    :param prioritized: None (nobody asked) is off where the buffer cannot, with a warning
+    :param n_steps: the same
+    :return: both as they will be
+    :raises ValueError: if the buffer cannot do what was asked for
     """
-    knows_n_steps = issubclass(buffer_class, NStepReplayBuffer)
-    lacking, mend = [], []
-    if prioritized:
+    prioritizes = buffer_class is None or issubclass(buffer_class, PrioritizedReplayBuffer)
+    sums = prioritizes or issubclass(buffer_class, NStepReplayBuffer)  # type: ignore[arg-type]
+    name = getattr(buffer_class, "__name__", "")
+    lacking, mend, dropped = [], [], []
+    if not prioritizes and prioritized is None:
+        dropped.append("prioritized=False")
+    elif not prioritizes and prioritized:
         lacking.append("no priorities")
         mend.append("prioritized=False")
-    if n_steps > 1 and not knows_n_steps:
+    if not sums and n_steps is None:
+        dropped.append("n_steps=1")
+    elif not sums and n_steps != 1:
         lacking.append("no n-step returns")
         mend.append(f"n_steps=1 instead of {n_steps}")
     if lacking:
-        raise ValueError(
-            f"{buffer_class.__name__} keeps {' and '.join(lacking)}: pass {', '.join(mend)}"
+        raise ValueError(f"{name} keeps {' and '.join(lacking)}: pass {', '.join(mend)}")
+    if dropped:
+        warnings.warn(
+            f"{name} cannot do all that Rainbow does: {', '.join(dropped)} instead. Pass that "
+            "yourself to silence this",
+            stacklevel=3,
         )
-    return {"n_steps": n_steps, "gamma": gamma} if knows_n_steps else {}
+    if n_steps is None:
+        n_steps = DEFAULT_N_STEPS if sums else 1
+    return prioritizes if prioritized is None else prioritized, n_steps
+
+
+def default_tau(target_update_interval: int | None) -> float:
+    """A small step after every update, or SB3's whole copy at every interval."""
+    return 1e-3 if target_update_interval is None else 1.0
 
 
 def check_support_of_file(found: tuple[float, float] | None, v_min: float, v_max: float) -> None:
@@ -69,7 +93,6 @@ class Settings(Protocol):
     batch_size: int
     beta_end: float
     beta_start: float
-    buffer_size: int
     device: th.device
     distributional: bool
     gamma: float
@@ -91,9 +114,7 @@ def check_settings(model: Settings) -> None:
     """
     :raises ValueError: naming the first setting of the model that cannot work
     """
-    check_replay_parameters(
-        model.buffer_size, model.n_envs, model.n_steps, model.gamma, model.alpha, model.beta_start
-    )
+    check_replay_parameters(model.n_steps, model.gamma, model.alpha, model.beta_start)
     if not 0.0 <= model.beta_end <= 1.0:
         raise ValueError(f"beta_end must lie in [0, 1], got {model.beta_end}")
     if model.batch_size < 1:

@@ -18,7 +18,11 @@ from sb3_rainbow.replay.kernels import (
     scale_priorities,
 )
 from sb3_rainbow.replay.observation_store import ObservationStore, Rows, stored_dtype
-from sb3_rainbow.replay.parameters import check_replay_parameters
+from sb3_rainbow.replay.parameters import (
+    check_buffer_size,
+    check_replay_parameters,
+    warn_of_memory,
+)
 from sb3_rainbow.replay.sum_tree import SumTree
 from sb3_rainbow.replay.transfer import to_device
 from sb3_rainbow.type_aliases import ObsArray, PrioritizedReplayBufferSamples
@@ -78,7 +82,8 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         beta: float = 0.4,
         epsilon: float = 1e-6,
     ) -> None:
-        check_replay_parameters(buffer_size, n_envs, n_steps, gamma, alpha, beta, epsilon)
+        check_replay_parameters(n_steps, gamma, alpha, beta, epsilon)
+        check_buffer_size(buffer_size, n_envs, n_steps)
         # ReplayBuffer's own constructor would allocate a second copy of every observation.
         super(ReplayBuffer, self).__init__(
             buffer_size, observation_space, action_space, device, n_envs=n_envs
@@ -92,6 +97,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         self.beta = beta
         self.epsilon = epsilon
         self._allocate()
+        warn_of_memory(self.nbytes)
 
     def _allocate(self) -> None:
         shape = (self.buffer_size, self.n_envs)
@@ -122,6 +128,13 @@ class PrioritizedReplayBuffer(ReplayBuffer):
     def timeouts(self) -> NDArray[np.bool_]:  # type: ignore[override]
         """Where an episode was truncated, ``(buffer_size, n_envs)``; a copy."""
         return self.ends == TRUNCATED
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that all of it occupies once it is full, but for terminal observations."""
+        arrays = [self.actions, self.rewards, self.ends, self.next_action_masks]
+        own = sum(array.nbytes for array in arrays if array is not None)
+        return own + self._store.nbytes + self.tree.nbytes
 
     @property
     def can_sample(self) -> bool:
@@ -222,6 +235,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             self.next_action_masks = np.ones(
                 (self.buffer_size, self.n_envs, n_actions), dtype=np.bool_
             )
+            warn_of_memory(self.nbytes)
         self.next_action_masks[pos] = masks
 
     def _complete(self, ended: NDArray[np.bool_], newest: int) -> None:

@@ -1,16 +1,11 @@
-"""What a replay buffer can be asked for."""
+"""What a replay buffer can be asked for, and whether the memory holds it."""
 
 import math
+import warnings
 
 
 def check_replay_parameters(
-    buffer_size: int,
-    n_envs: int,
-    n_steps: int,
-    gamma: float,
-    alpha: float,
-    beta: float,
-    epsilon: float | None = None,
+    n_steps: int, gamma: float, alpha: float, beta: float, epsilon: float | None = None
 ) -> None:
     """
     :param epsilon: None where only the buffer knows it
@@ -29,8 +24,34 @@ def check_replay_parameters(
     if epsilon is not None and not 0.0 < epsilon < math.inf:
         # Without it a transition whose loss is zero once would never be drawn again.
         raise ValueError(f"epsilon must be above 0 and finite, got {epsilon}")
-    if buffer_size // n_envs <= n_steps:
+
+
+def check_buffer_size(buffer_size: int, n_envs: int, n_steps: int) -> None:
+    """
+    :raises ValueError: if not even one window of each env fits in
+    """
+    if buffer_size < smallest_buffer(n_envs, n_steps):
         raise ValueError(
             f"buffer_size={buffer_size} is too small: {n_envs} envs with n_steps={n_steps} need "
-            f"at least {n_envs * (n_steps + 1)}"
+            f"at least {smallest_buffer(n_envs, n_steps)}"
+        )
+
+
+def smallest_buffer(n_envs: int, n_steps: int) -> int:
+    """Transitions of one window per env, and of the observation that it leads to."""
+    return n_envs * (n_steps + 1)
+
+
+def warn_of_memory(n_bytes: int) -> None:
+    """Warn, as SB3's buffers do, where a full buffer of so many bytes exceeds the free memory."""
+    try:
+        from psutil import virtual_memory
+    except ImportError:  # an extra of SB3's, which goes without the warning too
+        return
+    free = virtual_memory().available
+    if n_bytes > free:
+        warnings.warn(
+            "This system does not have apparently enough memory to store the complete replay "
+            f"buffer {n_bytes / 1e9:.2f}GB > {free / 1e9:.2f}GB",
+            stacklevel=3,
         )

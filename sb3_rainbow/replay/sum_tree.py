@@ -119,6 +119,11 @@ class SumTree:
         return float(self._tree[-1])
 
     @property
+    def nbytes(self) -> int:
+        """Bytes of all nodes."""
+        return self._tree.nbytes
+
+    @property
     def leaves(self) -> NDArray[np.float64]:
         """All masses, shape ``(capacity,)``; a view, to read only."""
         return self._tree[: self.capacity]
