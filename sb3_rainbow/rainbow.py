@@ -15,6 +15,7 @@ from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedul
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
 
+from sb3_rainbow.compilation import report_compilation
 from sb3_rainbow.fast.denormals import flush_denormals
 from sb3_rainbow.learner.learner import Learner, as_batch
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
@@ -360,6 +361,7 @@ class Rainbow(ResumableAlgorithm):
                     losses.append(loss)
                 if self.target_update_interval is None:
                     learner.move_target(self.tau)
+        report_compilation()
         logs_due = self._n_updates % _DIAGNOSTICS_INTERVAL < gradient_steps
         self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")

@@ -8,8 +8,9 @@ one level do not depend on each other, and the processor overlaps their latencie
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from sb3_rainbow.compilation import njit
 
 FAN_OUT = 8
 _SHIFT = 3
