@@ -13,6 +13,7 @@ from gymnasium import spaces
 from gymnasium.error import DependencyNotInstalled, ResetNeeded
 from numpy.typing import NDArray
 
+from coop_env.compilation import report_compilation
 from coop_env.errors import ActionError, ArgumentError, StateError
 from coop_env.geometry import GEOMETRIES, GeometryError, RRSGeometry
 from coop_env.kinematics import rrs_kernels
@@ -169,6 +170,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         self._states[:] = start_states.draw_start(start, self._params, self._knobs, self.np_random)
         self._started = True
         observe_batch(self._states, self._packed, self._observation, self._rows)
+        report_compilation()
         if self.render_mode is not None:
             self._trace = [self._states["tip"][0].copy()]
             self._show()
@@ -187,6 +189,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         batch.step_batch(
             self._states, self._actions, self._packed, self._observation, self._outcomes, self._rows
         )
+        report_compilation()
         outcome: Any = self._outcomes.item(0)
         if self.render_mode is not None:
             self._trace.append(self._states["tip"][0].copy())

@@ -9,6 +9,7 @@ from __future__ import annotations
 import getpass
 import hashlib
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -29,7 +30,7 @@ def drop_stale_kernels(folder: Path, sources: Path) -> int:
         (
             f.stat().st_mtime
             for f in sources.rglob("*.py")
-            if "from numba import" in f.read_text("utf-8")
+            if re.search(r"^from .* import .*\bnjit$", f.read_text("utf-8"), re.MULTILINE)
         ),
         default=0.0,
     )

@@ -18,6 +18,7 @@ from stable_baselines3.common.vec_env.base_vec_env import (
     VecEnvIndices,
 )
 
+from coop_env.compilation import report_compilation
 from coop_env.env import CoopInsertionEnv, check_snapshot
 from coop_env.errors import ActionError, ArgumentError
 from coop_env.simulation import batch, state
@@ -99,6 +100,7 @@ class CoopInsertionVecEnv(VecEnv):
         batch.step_batch(
             self._states, self._actions, self._packed, self._observation, self._outcomes, self._rows
         )
+        report_compilation()
         outcomes = self._outcomes
         rewards = outcomes["reward"].astype(np.float32)
         dones = outcomes["terminated"] | outcomes["truncated"]

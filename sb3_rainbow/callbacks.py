@@ -23,10 +23,12 @@ class PrioritizedReplayCallback(BaseCallback):
     model: DQN
 
     def _on_training_start(self) -> None:
-        if not isinstance(self.model.replay_buffer, PrioritizedReplayBuffer):
+        buffer = getattr(self.model, "replay_buffer", None)
+        if not (isinstance(self.model, DQN) and isinstance(buffer, PrioritizedReplayBuffer)):
             raise ValueError(
-                "PrioritizedReplayCallback needs replay_buffer_class=PrioritizedReplayBuffer, "
-                f"got {type(self.model.replay_buffer).__name__}"
+                "PrioritizedReplayCallback needs SB3's DQN with "
+                "replay_buffer_class=PrioritizedReplayBuffer, "
+                f"got {type(self.model).__name__} with {type(buffer).__name__}"
             )
 
     def _on_rollout_start(self) -> None:

@@ -1,18 +1,21 @@
 """Rainbow on Stable-Baselines3."""
 
+import io
+import pathlib
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import torch as th
 from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule, TensorDict
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
 
+from sb3_rainbow.compilation import report_compilation
 from sb3_rainbow.learner.denormals import flush_denormals
 from sb3_rainbow.learner.learner import Learner, as_batch
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
@@ -24,13 +27,15 @@ from sb3_rainbow.policies import (
     per_parameter,
 )
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
+from sb3_rainbow.replay.parameters import check_buffer_size, smallest_buffer
 from sb3_rainbow.replay.transfer import from_device
 from sb3_rainbow.resume.resumable import ResumableAlgorithm
 from sb3_rainbow.settings import (
     NETWORK_ARGUMENTS,
     check_settings,
     check_support_of_file,
-    sb3_buffer_kwargs,
+    default_tau,
+    served_by,
 )
 from sb3_rainbow.type_aliases import ObsArray, UseMasking
 
@@ -59,12 +64,14 @@ class Rainbow(ResumableAlgorithm):
     :param gamma: discount factor
     :param train_freq: steps between two rounds of updates, or a tuple such as ``(2, "episode")``
     :param gradient_steps: updates per round; -1 for as many as steps were taken
-    :param replay_buffer_class: ``None`` for :class:`PrioritizedReplayBuffer`; SB3's own buffers,
-        ``HerReplayBuffer`` included, need ``prioritized=False`` and ``n_steps=1``
+    :param replay_buffer_class: ``None`` for :class:`PrioritizedReplayBuffer`. SB3's own buffers,
+        ``HerReplayBuffer`` included, keep no priorities; of them ``NStepReplayBuffer`` alone keeps
+        n-step returns
     :param replay_buffer_kwargs: more keyword arguments for the buffer
     :param optimize_memory_usage: for SB3's buffers; the default one always stores each observation
         once
-    :param n_steps: rewards per return
+    :param n_steps: rewards per return. ``None`` (default) is 3, or with a buffer that keeps no
+        n-step returns 1, with a warning
     :param target_update_interval: ``None`` (default) moves the target network by ``tau`` after
         every update; a number does so every that many steps of the env, as SB3's DQN
     :param exploration_fraction: with ``noisy=False``, fraction of training over which epsilon falls
@@ -80,7 +87,8 @@ class Rainbow(ResumableAlgorithm):
     :param device: torch device
     :param double_q: choose the action at t + n with the online network
     :param dueling: value and advantage streams
-    :param prioritized: draw transitions in proportion to their losses; uniformly if False
+    :param prioritized: draw transitions in proportion to their losses; uniformly if False.
+        ``None`` (default) is True, or with a buffer that keeps no priorities False, with a warning
     :param noisy: explore by noisy layers
     :param distributional: learn the distribution of returns over ``n_atoms`` values
     :param n_atoms: atoms of the support
@@ -125,7 +133,7 @@ class Rainbow(ResumableAlgorithm):
         replay_buffer_class: type[ReplayBuffer] | None = None,
         replay_buffer_kwargs: dict[str, Any] | None = None,
         optimize_memory_usage: bool = False,
-        n_steps: int = 3,
+        n_steps: int | None = None,
         target_update_interval: int | None = None,
         exploration_fraction: float = 0.1,
         exploration_initial_eps: float = 1.0,
@@ -139,7 +147,7 @@ class Rainbow(ResumableAlgorithm):
         device: th.device | str = "auto",
         double_q: bool = True,
         dueling: bool = True,
-        prioritized: bool = True,
+        prioritized: bool | None = None,
         noisy: bool = True,
         distributional: bool = True,
         n_atoms: int = 51,
@@ -155,8 +163,10 @@ class Rainbow(ResumableAlgorithm):
         cpu_kernels: bool = True,
         _init_setup_model: bool = True,
     ) -> None:
+        self._tau_was_chosen = tau is not None
         if tau is None:
-            tau = 1e-3 if target_update_interval is None else 1.0
+            tau = default_tau(target_update_interval)
+        prioritized, n_steps = served_by(replay_buffer_class, prioritized, n_steps)
         super().__init__(
             policy,
             env,
@@ -210,6 +220,8 @@ class Rainbow(ResumableAlgorithm):
         # Saved with the model: what its weights were trained for
         self._support: tuple[float, float] | None = None
         if _init_setup_model:
+            # Not when a model is loaded: who only predicts needs no room for training.
+            check_buffer_size(buffer_size, self.n_envs, n_steps)
             self._setup_model()
 
     def _setup_model(self) -> None:
@@ -235,20 +247,20 @@ class Rainbow(ResumableAlgorithm):
     def _make_replay_buffer(self) -> ReplayBuffer:
         if self.replay_buffer_class is None:
             self.replay_buffer_class = PrioritizedReplayBuffer
-        buffer_class = self.replay_buffer_class
+        buffer_class, size = self.replay_buffer_class, self.buffer_size
+        served_by(buffer_class, self.prioritized, self.n_steps)
+        kwargs: dict[str, Any] = {}
         if issubclass(buffer_class, PrioritizedReplayBuffer):
-            # Its observations are stored once in any case; SB3's loop would cut an episode for it.
-            self.optimize_memory_usage = False
-            alpha = self.alpha if self.prioritized else 0.0
-            kwargs: dict[str, Any] = {"n_steps": self.n_steps, "gamma": self.gamma, "alpha": alpha}
-        else:
-            kwargs = sb3_buffer_kwargs(buffer_class, self.prioritized, self.n_steps, self.gamma)
-        kwargs.update(self.replay_buffer_kwargs)
+            size = max(size, smallest_buffer(self.n_envs, self.n_steps))
+            kwargs["alpha"] = self.alpha if self.prioritized else 0.0
+        if issubclass(buffer_class, PrioritizedReplayBuffer | NStepReplayBuffer):
+            kwargs |= {"n_steps": self.n_steps, "gamma": self.gamma}
+        kwargs |= self.replay_buffer_kwargs
         if issubclass(buffer_class, HerReplayBuffer):
             assert self.env is not None, "You must pass an environment when using HerReplayBuffer"
             kwargs["env"] = self.env
         return buffer_class(
-            self.buffer_size,
+            size,
             self.observation_space,
             self.action_space,
             device=self.device,
@@ -356,6 +368,7 @@ class Rainbow(ResumableAlgorithm):
                     losses.append(loss)
                 if self.target_update_interval is None:
                     learner.move_target(self.tau)
+        report_compilation()
         logs_due = self._n_updates % _DIAGNOSTICS_INTERVAL < gradient_steps
         self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
@@ -394,6 +407,34 @@ class Rainbow(ResumableAlgorithm):
         return super().learn(
             total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar
         )
+
+    @classmethod
+    def load(
+        cls: type[SelfRainbow],
+        path: str | pathlib.Path | io.BufferedIOBase,
+        env: GymEnv | None = None,
+        device: th.device | str = "auto",
+        custom_objects: dict[str, Any] | None = None,
+        print_system_info: bool = False,
+        force_reset: bool = True,
+        **kwargs: Any,
+    ) -> SelfRainbow:
+        """
+        As SB3's ``load``.
+
+        A new ``target_update_interval`` brings its own default ``tau``, unless one was chosen when
+        the model was made, or is given now. A ``seed`` wins over the saved random generators. A
+        ``buffer_size`` that is too small to learn with (1, by who only predicts) becomes the
+        smallest that is not.
+        """
+        if "tau" in kwargs:
+            kwargs["_tau_was_chosen"] = True
+        model = super().load(
+            path, env, device, custom_objects, print_system_info, force_reset, **kwargs
+        )
+        if "target_update_interval" in kwargs and not model._tau_was_chosen:
+            model.tau = default_tau(model.target_update_interval)
+        return model
 
     def set_parameters(
         self,

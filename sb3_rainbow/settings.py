@@ -1,20 +1,24 @@
 """Which settings can work, and what a replay buffer must be told of them."""
 
-import math
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
+import torch as th
+from gymnasium import spaces
 from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
+from stable_baselines3.common.policies import BasePolicy
 
 from sb3_rainbow.policies import RainbowPolicy
-
-if TYPE_CHECKING:
-    from sb3_rainbow.rainbow import Rainbow
+from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
+from sb3_rainbow.replay.parameters import check_replay_parameters
+from sb3_rainbow.type_aliases import UseMasking
 
 # Constructor arguments that Rainbow hands to its policy
 NETWORK_ARGUMENTS = frozenset(
     ("dueling", "noisy", "sigma0", "distributional", "n_atoms", "v_min", "v_max")
 )
+
+DEFAULT_N_STEPS = 3
 
 
 class SettingsMismatchError(ValueError, RuntimeError):
@@ -26,60 +30,48 @@ class SettingsMismatchError(ValueError, RuntimeError):
     """
 
 
-def check_replay_parameters(
-    buffer_size: int,
-    n_envs: int,
-    n_steps: int,
-    gamma: float,
-    alpha: float,
-    beta: float,
-    epsilon: float | None = None,
-) -> None:
+def served_by(
+    buffer_class: type[ReplayBuffer] | None, prioritized: bool | None, n_steps: int | None
+) -> tuple[bool, int]:
     """
-    :param epsilon: None where only the buffer knows it
-    :raises ValueError: naming the first parameter that is out of range
-    """
-    if n_steps < 1:
-        raise ValueError(f"n_steps must be at least 1, got {n_steps}")
-    if n_steps != int(n_steps):
-        raise ValueError(f"n_steps must be a whole number, got {n_steps}")
-    if not 0.0 <= gamma <= 1.0:
-        raise ValueError(f"gamma must lie in [0, 1], got {gamma}")
-    if not 0.0 <= alpha <= 1.0:
-        raise ValueError(f"alpha must lie in [0, 1] (0 is uniform replay), got {alpha}")
-    if not 0.0 <= beta <= 1.0:
-        raise ValueError(f"beta must lie in [0, 1], got {beta}")
-    if epsilon is not None and not 0.0 < epsilon < math.inf:
-        # Without it a transition whose loss is zero once would never be drawn again.
-        raise ValueError(f"epsilon must be above 0 and finite, got {epsilon}")
-    if buffer_size // n_envs <= n_steps:
-        raise ValueError(
-            f"buffer_size={buffer_size} is too small: {n_envs} envs with n_steps={n_steps} need "
-            f"at least {n_envs * (n_steps + 1)}"
-        )
+    Prioritized replay and n-step returns, as far as a class of replay buffers keeps them.
 
-
-def sb3_buffer_kwargs(
-    buffer_class: type[ReplayBuffer], prioritized: bool, n_steps: int, gamma: float
-) -> dict[str, Any]:
+    :param buffer_class: None for :class:`PrioritizedReplayBuffer`
+    :param prioritized: None (nobody asked) is off where the buffer cannot, with a warning
+    :param n_steps: the same
+    :return: both as they will be
+    :raises ValueError: if the buffer cannot do what was asked for
     """
-    Arguments by which one of SB3's own buffers learns of the algorithm's settings.
-
-    :raises ValueError: if it cannot serve them
-    """
-    knows_n_steps = issubclass(buffer_class, NStepReplayBuffer)
-    lacking, mend = [], []
-    if prioritized:
+    prioritizes = buffer_class is None or issubclass(buffer_class, PrioritizedReplayBuffer)
+    sums = prioritizes or issubclass(buffer_class, NStepReplayBuffer)  # type: ignore[arg-type]
+    name = getattr(buffer_class, "__name__", "")
+    lacking, mend, dropped = [], [], []
+    if not prioritizes and prioritized is None:
+        dropped.append("prioritized=False")
+    elif not prioritizes and prioritized:
         lacking.append("no priorities")
         mend.append("prioritized=False")
-    if n_steps > 1 and not knows_n_steps:
+    if not sums and n_steps is None:
+        dropped.append("n_steps=1")
+    elif not sums and n_steps != 1:
         lacking.append("no n-step returns")
         mend.append(f"n_steps=1 instead of {n_steps}")
     if lacking:
-        raise ValueError(
-            f"{buffer_class.__name__} keeps {' and '.join(lacking)}: pass {', '.join(mend)}"
+        raise ValueError(f"{name} keeps {' and '.join(lacking)}: pass {', '.join(mend)}")
+    if dropped:
+        warnings.warn(
+            f"{name} cannot do all that Rainbow does: {', '.join(dropped)} instead. Pass that "
+            "yourself to silence this",
+            stacklevel=3,
         )
-    return {"n_steps": n_steps, "gamma": gamma} if knows_n_steps else {}
+    if n_steps is None:
+        n_steps = DEFAULT_N_STEPS if sums else 1
+    return prioritizes if prioritized is None else prioritized, n_steps
+
+
+def default_tau(target_update_interval: int | None) -> float:
+    """A small step after every update, or SB3's whole copy at every interval."""
+    return 1e-3 if target_update_interval is None else 1.0
 
 
 def check_support_of_file(found: tuple[float, float] | None, v_min: float, v_max: float) -> None:
@@ -93,13 +85,36 @@ def check_support_of_file(found: tuple[float, float] | None, v_min: float, v_max
         )
 
 
-def check_settings(model: "Rainbow") -> None:
+class Settings(Protocol):
+    """What an algorithm was told, as :class:`~sb3_rainbow.Rainbow`'s arguments name it."""
+
+    action_space: spaces.Discrete
+    alpha: float
+    batch_size: int
+    beta_end: float
+    beta_start: float
+    device: th.device
+    distributional: bool
+    gamma: float
+    mixed_precision: bool
+    n_envs: int
+    n_steps: int
+    policy_class: type[BasePolicy]
+    policy_kwargs: dict[str, Any]
+    sigma0: float
+    target_update_interval: int | None
+    tau: float
+    use_masking: UseMasking
+    v_max: float
+    v_min: float
+    _support: tuple[float, float] | None
+
+
+def check_settings(model: Settings) -> None:
     """
     :raises ValueError: naming the first setting of the model that cannot work
     """
-    check_replay_parameters(
-        model.buffer_size, model.n_envs, model.n_steps, model.gamma, model.alpha, model.beta_start
-    )
+    check_replay_parameters(model.n_steps, model.gamma, model.alpha, model.beta_start)
     if not 0.0 <= model.beta_end <= 1.0:
         raise ValueError(f"beta_end must lie in [0, 1], got {model.beta_end}")
     if model.batch_size < 1:

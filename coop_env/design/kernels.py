@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from numba import njit
-
+from coop_env.compilation import njit
 from coop_env.kinematics import rrs_kernels as rrs
 from coop_env.kinematics.singularity import Row
 

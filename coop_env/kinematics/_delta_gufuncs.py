@@ -9,8 +9,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import boolean, float64, guvectorize, njit
+from numba import boolean, float64
 
+from coop_env.compilation import guvectorize, njit
 from coop_env.kinematics import delta_kernels as delta
 from coop_env.kinematics.rrs_kernels import LIMB_COS, LIMB_SIN
 from coop_env.kinematics.singularity import determinant_3x3, singular_values_3x3

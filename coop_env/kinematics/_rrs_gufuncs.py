@@ -9,8 +9,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import boolean, float64, guvectorize, njit
+from numba import boolean, float64
 
+from coop_env.compilation import guvectorize, njit
 from coop_env.kinematics import rrs_forward_kernels as fk
 from coop_env.kinematics import rrs_kernels as rrs
 from coop_env.kinematics.singularity import Matrix3

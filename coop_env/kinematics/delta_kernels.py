@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
-
+from coop_env.compilation import njit
 from coop_env.geometry import DeltaGeometry
 from coop_env.kinematics.rrs_kernels import LIMB_COS, LIMB_SIN, LIMIT_SLACK
 from coop_env.kinematics.singularity import Matrix3, Row

@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from numba import njit
-
+from coop_env.compilation import njit
 from coop_env.kinematics import rrs_kernels as rrs
 from coop_env.kinematics.singularity import Matrix3, Row, determinant_3x3, solve_3x3
 

@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from numba import njit
-
+from coop_env.compilation import njit
 from coop_env.geometry import RRSGeometry
 from coop_env.kinematics.singularity import (
     Matrix3,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from coop_env.compilation import njit
 
 Row = tuple[float, float, float]
 Matrix3 = tuple[Row, Row, Row]

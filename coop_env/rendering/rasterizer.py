@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from coop_env.compilation import njit
 from coop_env.kinematics.singularity import Matrix3, Row
 from coop_env.rendering.camera import View
 from coop_env.rendering.shading import SHADOW_CENTRE, SHADOW_REACH, SHADOW_SIZE, shade

@@ -9,8 +9,8 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 
+from coop_env.compilation import njit
 from coop_env.kinematics.singularity import Matrix3, Row
 
 SHADOW_SIZE: Final = 640

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from coop_env.compilation import njit
 from coop_env.simulation import dynamics, observation
 from coop_env.simulation.state import INFO_FIELDS
 from coop_env.simulation.task import unpack

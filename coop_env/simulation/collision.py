@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from coop_env.compilation import njit
 from coop_env.kinematics import rrs_kernels
 from coop_env.kinematics.delta_kernels import DeltaParams
 from coop_env.kinematics.rrs_kernels import LIMB_COS, LIMB_SIN, Pose, RRSParams

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from coop_env.compilation import njit
 from coop_env.kinematics import delta_kernels, rrs_kernels
 from coop_env.simulation import machine, rewards
 from coop_env.simulation.collision import below_ceiling, collides, peg_tip

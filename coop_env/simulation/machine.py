@@ -12,8 +12,8 @@ import math
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 
+from coop_env.compilation import njit
 from coop_env.kinematics import delta_kernels, rrs_forward_kernels
 from coop_env.kinematics.delta_kernels import DeltaParams
 from coop_env.kinematics.rrs_kernels import Pose, RRSParams

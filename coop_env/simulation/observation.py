@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 from gymnasium import spaces
-from numba import njit
 from numpy.typing import NDArray
 
+from coop_env.compilation import njit
 from coop_env.errors import ArgumentError
 from coop_env.kinematics import rrs_kernels
 from coop_env.simulation import machine

@@ -14,8 +14,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from numba import njit
-
+from coop_env.compilation import njit
 from coop_env.errors import RewardError
 from coop_env.simulation.task import TASK_TIME, RewardParams
 

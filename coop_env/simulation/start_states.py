@@ -9,9 +9,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from coop_env.compilation import njit
 from coop_env.errors import ArgumentError, ResetOptionError
 from coop_env.kinematics import rrs_kernels
 from coop_env.simulation import dynamics, state

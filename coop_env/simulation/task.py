@@ -11,9 +11,9 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from coop_env.compilation import njit
 from coop_env.geometry import DELTA, DeltaGeometry, RRSGeometry
 from coop_env.kinematics import delta_kernels, rrs_kernels
 from coop_env.kinematics.delta_kernels import DeltaParams

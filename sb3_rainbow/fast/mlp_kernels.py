@@ -11,8 +11,9 @@ sigmas, then those of the bias. Its effective weight and bias include the noise 
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from sb3_rainbow.compilation import njit
 
 INPUTS, OUTPUTS, NOISY, PARAMETERS, NOISE, EFFECTIVE, HIDDEN = range(7)
 

@@ -18,9 +18,13 @@ from sb3_rainbow.replay.kernels import (
     scale_priorities,
 )
 from sb3_rainbow.replay.observation_store import ObservationStore, Rows, stored_dtype
+from sb3_rainbow.replay.parameters import (
+    check_buffer_size,
+    check_replay_parameters,
+    warn_of_memory,
+)
 from sb3_rainbow.replay.sum_tree import SumTree
 from sb3_rainbow.replay.transfer import to_device
-from sb3_rainbow.settings import check_replay_parameters
 from sb3_rainbow.type_aliases import ObsArray, PrioritizedReplayBufferSamples
 
 _TRIMMED = ("actions", "rewards", "ends", "next_action_masks")
@@ -78,7 +82,8 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         beta: float = 0.4,
         epsilon: float = 1e-6,
     ) -> None:
-        check_replay_parameters(buffer_size, n_envs, n_steps, gamma, alpha, beta, epsilon)
+        check_replay_parameters(n_steps, gamma, alpha, beta, epsilon)
+        check_buffer_size(buffer_size, n_envs, n_steps)
         # ReplayBuffer's own constructor would allocate a second copy of every observation.
         super(ReplayBuffer, self).__init__(
             buffer_size, observation_space, action_space, device, n_envs=n_envs
@@ -92,6 +97,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         self.beta = beta
         self.epsilon = epsilon
         self._allocate()
+        warn_of_memory(self.nbytes)
 
     def _allocate(self) -> None:
         shape = (self.buffer_size, self.n_envs)
@@ -122,6 +128,13 @@ class PrioritizedReplayBuffer(ReplayBuffer):
     def timeouts(self) -> NDArray[np.bool_]:  # type: ignore[override]
         """Where an episode was truncated, ``(buffer_size, n_envs)``; a copy."""
         return self.ends == TRUNCATED
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that all of it occupies once it is full, but for terminal observations."""
+        arrays = [self.actions, self.rewards, self.ends, self.next_action_masks]
+        own = sum(array.nbytes for array in arrays if array is not None)
+        return own + self._store.nbytes + self.tree.nbytes
 
     @property
     def can_sample(self) -> bool:
@@ -222,6 +235,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             self.next_action_masks = np.ones(
                 (self.buffer_size, self.n_envs, n_actions), dtype=np.bool_
             )
+            warn_of_memory(self.nbytes)
         self.next_action_masks[pos] = masks
 
     def _complete(self, ended: NDArray[np.bool_], newest: int) -> None:
@@ -290,7 +304,9 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             next_observations = env.normalize_obs(next_observations)
             returns = self._normalized_returns(batch_inds, env)
         arrays = {
+            "observations": observations,
             "actions": self.actions.reshape(-1, self.action_dim)[batch_inds],
+            "next_observations": next_observations,
             "dones": dones,
             "rewards": returns,
             "discounts": discounts,
@@ -300,25 +316,9 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             n_actions = self.next_action_masks.shape[-1]
             masks = self.next_action_masks.reshape(-1, n_actions)
             arrays["next_action_masks"] = masks[last_leaves]
-        tensors = self._with_observations(arrays, observations, next_observations)
+        tensors = to_device(arrays, self.device)
         tensors.setdefault("next_action_masks", None)
         return PrioritizedReplayBufferSamples(indices=batch_inds, **tensors)
-
-    def _with_observations(
-        self, arrays: dict[str, NDArray], observations: ObsArray, next_observations: ObsArray
-    ) -> dict[str, Any]:
-        """All of a sample on the device, observations as arrays or dicts of such."""
-        if not isinstance(observations, dict):
-            assert not isinstance(next_observations, dict)
-            arrays |= {"observations": observations, "next_observations": next_observations}
-            return dict(to_device(arrays, self.device))
-        assert isinstance(next_observations, dict)
-        arrays |= {f"observations/{key}": part for key, part in observations.items()}
-        arrays |= {f"next_observations/{key}": part for key, part in next_observations.items()}
-        tensors: dict[str, Any] = dict(to_device(arrays, self.device))
-        for name in ("observations", "next_observations"):
-            tensors[name] = {key: tensors.pop(f"{name}/{key}") for key in observations}
-        return tensors
 
     def _normalized_returns(
         self, leaves: NDArray[np.int64], env: VecNormalize

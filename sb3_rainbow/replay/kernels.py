@@ -1,8 +1,9 @@
 """Compiled inner loops of the replay buffer. A leaf is ``step * n_envs + env``."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from sb3_rainbow.compilation import njit
 
 RUNNING, TERMINATED, TRUNCATED = 0, 1, 2
 

@@ -52,17 +52,38 @@ class ObservationStore:
         }
 
     @property
+    def nbytes(self) -> int:
+        """Bytes of the ring, full or not, and of the boundary store as large as it is now."""
+        stores = [*self._rows.values(), *self._boundary.values(), self.slots]
+        return sum(values.nbytes for values in stores)
+
+    @property
     def rows(self) -> ObsArray:
         """What is stored, shape ``(n_rows, n_envs, ...)``, or a dict of such."""
         return self._rows.get(_PLAIN, self._rows)
 
     def cast(self, obs: ObsArray) -> Rows:
-        """Observations of one step by store, shaped and typed as stored."""
+        """
+        Observations of one step by store, typed as stored.
+
+        :raises ValueError: for observations of another shape than the space's
+        """
         parts = obs if isinstance(obs, dict) else {_PLAIN: obs}
-        return {
-            key: np.ascontiguousarray(parts[key], dtype=dtype).reshape(self.n_envs, *shape)
-            for key, (shape, dtype) in self._layout.items()
-        }
+        rows: Rows = {}
+        for key, (shape, dtype) in self._layout.items():
+            values = np.ascontiguousarray(parts[key], dtype=dtype)
+            expected = (self.n_envs, *shape)
+            if shape == (1,) and dtype.kind in "iu" and values.shape == (self.n_envs,):
+                # Discrete observations have no axis of their own.
+                values = values[:, None]
+            if values.shape != expected:
+                name = f" {key!r}" if key else ""
+                raise ValueError(
+                    f"Observations{name} must have shape {expected} (envs first), "
+                    f"got {values.shape}"
+                )
+            rows[key] = values
+        return rows
 
     def interrupted(self, current: Rows) -> NDArray[np.bool_]:
         """

@@ -8,8 +8,9 @@ one level do not depend on each other, and the processor overlaps their latencie
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from sb3_rainbow.compilation import njit
 
 FAN_OUT = 8
 _SHIFT = 3
@@ -117,6 +118,11 @@ class SumTree:
     def total(self) -> float:
         """Sum of all leaves."""
         return float(self._tree[-1])
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all nodes."""
+        return self._tree.nbytes
 
     @property
     def leaves(self) -> NDArray[np.float64]:

@@ -1,10 +1,12 @@
 """Arrays of a batch to the device and back, each way in one piece."""
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
+
+from sb3_rainbow.type_aliases import ObsArray
 
 # Views of any dtype may start at these places.
 _ALIGNMENT = 16
@@ -12,18 +14,31 @@ _ALIGNMENT = 16
 Places: TypeAlias = list[tuple[str, int, NDArray]]
 
 
-def to_device(arrays: dict[str, NDArray], device: th.device) -> dict[str, th.Tensor]:
+def to_device(arrays: dict[str, ObsArray], device: th.device) -> dict[str, Any]:
     """
-    Tensors of fresh, contiguous arrays.
+    Tensors of fresh, contiguous arrays, or of dicts of such.
 
     On the CPU they share the arrays' memory. To any other device all bytes go in one copy, which
     nobody waits for: one for each array would cost more than a small batch's whole update.
     """
+    flat: dict[str, NDArray] = {}
+    for name, given in arrays.items():
+        if isinstance(given, dict):
+            flat |= {f"{name}/{key}": part for key, part in given.items()}
+        else:
+            flat[name] = given
     if device.type == "cpu":
-        return {name: th.from_numpy(array) for name, array in arrays.items()}
-    places, size = place(arrays)
-    packed = pack(places, size, pinned=device.type == "cuda")
-    return unpack(packed.to(device, non_blocking=True), places)
+        tensors = {name: th.from_numpy(array) for name, array in flat.items()}
+    else:
+        places, size = place(flat)
+        packed = pack(places, size, pinned=device.type == "cuda")
+        tensors = unpack(packed.to(device, non_blocking=True), places)
+    return {
+        name: {key: tensors[f"{name}/{key}"] for key in given}
+        if isinstance(given, dict)
+        else tensors[name]
+        for name, given in arrays.items()
+    }
 
 
 def place(arrays: dict[str, NDArray]) -> tuple[Places, int]:

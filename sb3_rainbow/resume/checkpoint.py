@@ -6,8 +6,9 @@ import pathlib
 import pickle
 import warnings
 import zipfile
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.common.vec_env import (
     VecCheckNan,
@@ -23,10 +24,7 @@ from stable_baselines3.common.vec_env import (
 
 from sb3_rainbow.masking.conventions import innermost_vec_env
 
-if TYPE_CHECKING:
-    from sb3_rainbow.resume.resumable import ResumableAlgorithm
-
-SelfResumable = TypeVar("SelfResumable", bound="ResumableAlgorithm")
+SelfAlgorithm = TypeVar("SelfAlgorithm", bound=OffPolicyAlgorithm)
 
 _MODEL, _REPLAY, _ENV = "model.zip", "replay_buffer.pkl", "env.pkl"
 # What SB3's wrappers keep between two steps, in their subclasses too, and those that keep nothing
@@ -38,7 +36,7 @@ _WRAPPER_STATE: dict[type[VecEnvWrapper], tuple[str, ...]] = {
 _STATELESS = (VecCheckNan, VecExtractDictObs, VecTransposeImage, VecVideoRecorder)
 
 
-def save_checkpoint(model: "ResumableAlgorithm", path: str | pathlib.Path) -> None:
+def save_checkpoint(model: OffPolicyAlgorithm, path: str | pathlib.Path) -> None:
     """
     Write model, optimizer, random generators, replay buffer and env into one file.
 
@@ -58,8 +56,8 @@ def save_checkpoint(model: "ResumableAlgorithm", path: str | pathlib.Path) -> No
 
 
 def load_checkpoint(
-    cls: type[SelfResumable], path: str | pathlib.Path, env: GymEnv, **kwargs: Any
-) -> SelfResumable:
+    cls: type[SelfAlgorithm], path: str | pathlib.Path, env: GymEnv, **kwargs: Any
+) -> SelfAlgorithm:
     """
     A model that goes on where :func:`save_checkpoint` left it.
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
-from stable_baselines3 import DQN, HerReplayBuffer
-from stable_baselines3.common.buffers import DictReplayBuffer, NStepReplayBuffer, ReplayBuffer
+from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import (
     CallbackList,
     CheckpointCallback,
@@ -18,7 +17,6 @@ from stable_baselines3.common.callbacks import (
 )
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.envs import (
-    BitFlippingEnv,
     FakeImageEnv,
     IdentityEnv,
     SimpleMultiObsEnv,
@@ -185,38 +183,6 @@ class Discretize(gym.ActionWrapper):
         return np.array([2.0 * action - 2.0], np.float32)
 
 
-def test_hindsight_replay_without_priorities() -> None:
-    env = BitFlippingEnv(n_bits=4, continuous=False)
-    kwargs = {**FAST, "replay_buffer_class": HerReplayBuffer, "learning_starts": 30}
-    model = Rainbow("MultiInputPolicy", env, prioritized=False, n_steps=1, **kwargs)
-    model.learn(120)
-    assert model._n_updates > 0
-    with pytest.raises(ValueError, match="HerReplayBuffer keeps no priorities: pass prioritized=F"):
-        Rainbow("MultiInputPolicy", env, n_steps=1, **kwargs)
-    with pytest.raises(ValueError, match="no n-step returns: pass n_steps=1 instead of 3"):
-        Rainbow("MultiInputPolicy", env, prioritized=False, **kwargs)
-    both = "no priorities and no n-step returns: pass prioritized=False, n_steps=1 instead of 3"
-    with pytest.raises(ValueError, match=both):
-        Rainbow("MultiInputPolicy", env, **kwargs)
-
-
-@pytest.mark.parametrize("buffer_class", [ReplayBuffer, NStepReplayBuffer, DictReplayBuffer])
-def test_sb3s_buffers(buffer_class: type[ReplayBuffer]) -> None:
-    is_dict = buffer_class is DictReplayBuffer
-    model = Rainbow(
-        "MultiInputPolicy" if is_dict else "MlpPolicy",
-        SimpleMultiObsEnv() if is_dict else "CartPole-v1",
-        replay_buffer_class=buffer_class,
-        prioritized=False,
-        n_steps=3 if buffer_class is NStepReplayBuffer else 1,
-        **FAST,
-    )
-    model.learn(60)
-    assert type(model.replay_buffer) is buffer_class
-    if buffer_class is NStepReplayBuffer:
-        assert model.replay_buffer.n_steps == 3  # type: ignore[attr-defined]
-
-
 def test_callbacks(tmp_path: Any) -> None:
     callbacks = CallbackList(
         [
@@ -348,12 +314,6 @@ def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
     pytest.importorskip("tensorboard")
     Rainbow("MlpPolicy", "CartPole-v1", tensorboard_log=str(tmp_path), **FAST).learn(30)
     assert (tmp_path / "Rainbow_1").is_dir()
-
-
-def test_optimize_memory_usage_is_accepted() -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", optimize_memory_usage=True, **FAST)
-    model.learn(40)
-    model.learn(40)
 
 
 @pytest.mark.parametrize(

@@ -179,12 +179,6 @@ def test_continuous_actions_of_other_algorithms_are_kept_whole() -> None:
     assert (actions != actions.round()).all()
 
 
-def test_the_callback_wants_the_buffer() -> None:
-    model = DQN("MlpPolicy", "CartPole-v1", buffer_size=100)
-    with pytest.raises(ValueError, match="replay_buffer_class=PrioritizedReplayBuffer"):
-        model.learn(10, callback=PrioritizedReplayCallback())
-
-
 def test_memory_of_a_million_transitions_stays_below_300_megabytes() -> None:
     buffer = PrioritizedReplayBuffer(
         1_000_000, spaces.Box(0, 1, (12,), np.float32), spaces.Discrete(12), device="cpu", n_envs=16

@@ -1,7 +1,5 @@
 """Two runs with one seed agree, and a run cut in two goes on as if it had not been."""
 
-import io
-import pickle
 from typing import Any
 
 import gymnasium as gym
@@ -9,13 +7,11 @@ import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
-from stable_baselines3 import DQN, HerReplayBuffer
-from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import (
-    DummyVecEnv,
     VecCheckNan,
     VecEnvWrapper,
     VecFrameStack,
@@ -23,51 +19,8 @@ from stable_baselines3.common.vec_env import (
     VecNormalize,
 )
 
-from sb3_rainbow import PrioritizedReplayBuffer, Rainbow
-from sb3_rainbow.policies import MlpPolicy
-
-FAST: dict[str, Any] = {
-    "learning_rate": 1e-3,
-    "learning_starts": 40,
-    "train_freq": 2,
-    "buffer_size": 300,
-    "batch_size": 8,
-    "policy_kwargs": {"net_arch": [16, 16]},
-    "seed": 7,
-}
-
-
-class StatefulVecEnv(DummyVecEnv):
-    """CartPoles that can tell and take their exact state, as a batched simulator can."""
-
-    def get_state(self) -> bytes:
-        return pickle.dumps((self.envs, self.buf_obs))
-
-    def set_state(self, state: bytes) -> None:
-        self.envs, self.buf_obs = pickle.loads(state)
-
-
-def make_stateful(n_envs: int = 3) -> StatefulVecEnv:
-    return StatefulVecEnv([lambda: gym.make("CartPole-v1") for _ in range(n_envs)])
-
-
-def assert_same(a: BaseAlgorithm, b: BaseAlgorithm) -> None:
-    """Networks, optimizer, counters and replay are identical to the last bit."""
-    assert isinstance(a, Rainbow)
-    assert isinstance(b, Rainbow)
-    assert a.num_timesteps == b.num_timesteps
-    assert a._n_updates == b._n_updates
-    for name, value in a.policy.state_dict().items():
-        assert th.equal(value, b.policy.state_dict()[name]), name
-    states = (a.policy.optimizer.state_dict()["state"], b.policy.optimizer.state_dict()["state"])
-    for x, y in zip(*(state.values() for state in states), strict=True):
-        assert all(th.equal(x[key], y[key]) for key in x)
-    x, y = a.replay_buffer, b.replay_buffer
-    assert isinstance(x, PrioritizedReplayBuffer)
-    assert isinstance(y, PrioritizedReplayBuffer)
-    np.testing.assert_array_equal(x.observations, y.observations)
-    np.testing.assert_array_equal(x.tree.leaves, y.tree.leaves)
-    np.testing.assert_array_equal(x.rewards, y.rewards)
+from sb3_rainbow import Rainbow
+from tests.sb3_rainbow.resume.runs import FAST, assert_same, make_stateful
 
 
 @pytest.mark.parametrize("noisy", [True, False])
@@ -282,112 +235,3 @@ def test_files_that_are_no_checkpoint(tmp_path: Any) -> None:
     model.save_checkpoint(tmp_path / "c")
     with pytest.raises(ValueError, match="no set_state"):
         Rainbow.load_checkpoint(tmp_path / "c", make_vec_env("CartPole-v1"))
-
-
-def test_predictions_parameters_and_settings_survive(tmp_path: Any) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", v_min=-3.0, n_steps=5, dueling=False, **FAST)
-    model.learn(100)
-    obs = np.random.default_rng(0).normal(size=(20, 4)).astype(np.float32)
-    expected, _ = model.predict(obs, deterministic=True)
-    model.save(tmp_path / "m")
-    loaded = Rainbow.load(tmp_path / "m")
-    np.testing.assert_array_equal(loaded.predict(obs, deterministic=True)[0], expected)
-    assert (loaded.v_min, loaded.n_steps, loaded.dueling) == (-3.0, 5, False)
-    assert loaded.q_net is loaded.policy.q_net
-    assert set(loaded.get_parameters()) == {"policy", "policy.optimizer"}
-    loaded.set_parameters(model.get_parameters())  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="do not match"):
-        loaded.set_parameters({}, exact_match=True)
-
-
-def test_a_policy_alone_survives(tmp_path: Any) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", distributional=False, **FAST)
-    model.policy.save(str(tmp_path / "p"))
-    policy = MlpPolicy.load(str(tmp_path / "p"))
-    obs = np.zeros((3, 4), np.float32)
-    expected = model.policy.predict(obs, deterministic=True)[0]
-    np.testing.assert_array_equal(policy.predict(obs, deterministic=True)[0], expected)
-
-
-def test_loading_for_prediction_leaves_the_random_generators_alone() -> None:
-    file = io.BytesIO()
-    Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, "seed": None}).save(file)
-    file.seek(0)
-    set_random_seed(5)
-    expected = np.random.randint(1 << 30)  # noqa: NPY002
-    set_random_seed(5)
-    Rainbow.load(file).predict(np.zeros((1, 4), np.float32), deterministic=True)
-    assert np.random.randint(1 << 30) == expected  # noqa: NPY002
-
-
-@pytest.mark.parametrize(
-    ("other", "message"),
-    [
-        ({"n_atoms": 21}, "saved with other settings.*size mismatch"),
-        ({"dueling": False}, "saved with other settings"),
-        ({"noisy": False}, "saved with other settings"),
-        ({"v_max": 50.0}, r"support is \[-100.0, 100.0\], the model's \[-100.0, 50.0\]"),
-    ],
-)
-def test_a_model_of_other_settings(tmp_path: Any, other: dict[str, Any], message: str) -> None:
-    Rainbow("MlpPolicy", "CartPole-v1", **FAST).save(tmp_path / "m")
-    with pytest.raises(ValueError, match=f"(?s){message}"):
-        Rainbow.load(tmp_path / "m", **other)
-
-
-@pytest.mark.parametrize(
-    ("other", "message"),
-    [
-        ({"n_steps": 2}, "filled with n_steps=3, the model has n_steps=2"),
-        ({"gamma": 0.9}, "gamma=0.99"),
-        ({"alpha": 0.5}, "alpha=0.6"),
-        ({"prioritized": False}, "alpha"),
-    ],
-)
-def test_a_replay_buffer_of_other_settings(
-    tmp_path: Any, other: dict[str, Any], message: str
-) -> None:
-    Rainbow("MlpPolicy", "CartPole-v1", **FAST).learn(50).save_replay_buffer(tmp_path / "b")
-    model = Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, **other})
-    present = model.replay_buffer
-    with pytest.raises(ValueError, match=message):
-        model.load_replay_buffer(tmp_path / "b.pkl")
-    assert model.replay_buffer is present
-
-
-def test_parameters_of_other_settings(tmp_path: Any) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
-    Rainbow("MlpPolicy", "CartPole-v1", v_max=50.0, **FAST).save(tmp_path / "m")
-    with pytest.raises(ValueError, match=r"support is \[-100.0, 50.0\]"):
-        model.set_parameters(str(tmp_path / "m"))
-    # SB3 raises RuntimeError for tensors that do not fit, and its users catch that.
-    parameters: Any = model.get_parameters()
-    last = list(parameters["policy"])[-1]
-    del parameters["policy"][last]
-    with pytest.raises(RuntimeError, match=last):
-        model.set_parameters(parameters)
-
-
-def test_scalar_values_have_no_support_to_agree_on(tmp_path: Any) -> None:
-    Rainbow("MlpPolicy", "CartPole-v1", distributional=False, **FAST).save(tmp_path / "m")
-    Rainbow.load(tmp_path / "m", v_max=50.0)
-    model = Rainbow("MlpPolicy", "CartPole-v1", distributional=False, v_max=50.0, **FAST)
-    model.set_parameters(str(tmp_path / "m"))
-
-
-def test_random_weights_leave_the_support_alone(tmp_path: Any) -> None:
-    # As SB3's own tests of saving do
-    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
-    state = {name: th.rand_like(tensor) for name, tensor in model.policy.state_dict().items()}
-    model.policy.load_state_dict(state)
-    model.save(tmp_path / "m")
-    loaded = Rainbow.load(tmp_path / "m")
-    assert loaded.q_net.support[[0, -1]].tolist() == [-100.0, 100.0]
-    for name, tensor in loaded.policy.state_dict().items():
-        assert th.equal(tensor, state[name])
-
-
-def test_a_model_of_another_algorithm(tmp_path: Any) -> None:
-    DQN("MlpPolicy", "CartPole-v1", buffer_size=100).save(tmp_path / "dqn")
-    with pytest.raises(ValueError, match="saved by another algorithm"):
-        Rainbow.load(tmp_path / "dqn")

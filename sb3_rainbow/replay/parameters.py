@@ -1,0 +1,57 @@
+"""What a replay buffer can be asked for, and whether the memory holds it."""
+
+import math
+import warnings
+
+
+def check_replay_parameters(
+    n_steps: int, gamma: float, alpha: float, beta: float, epsilon: float | None = None
+) -> None:
+    """
+    :param epsilon: None where only the buffer knows it
+    :raises ValueError: naming the first parameter that is out of range
+    """
+    if n_steps < 1:
+        raise ValueError(f"n_steps must be at least 1, got {n_steps}")
+    if n_steps != int(n_steps):
+        raise ValueError(f"n_steps must be a whole number, got {n_steps}")
+    if not 0.0 <= gamma <= 1.0:
+        raise ValueError(f"gamma must lie in [0, 1], got {gamma}")
+    if not 0.0 <= alpha <= 1.0:
+        raise ValueError(f"alpha must lie in [0, 1] (0 is uniform replay), got {alpha}")
+    if not 0.0 <= beta <= 1.0:
+        raise ValueError(f"beta must lie in [0, 1], got {beta}")
+    if epsilon is not None and not 0.0 < epsilon < math.inf:
+        # Without it a transition whose loss is zero once would never be drawn again.
+        raise ValueError(f"epsilon must be above 0 and finite, got {epsilon}")
+
+
+def check_buffer_size(buffer_size: int, n_envs: int, n_steps: int) -> None:
+    """
+    :raises ValueError: if not even one window of each env fits in
+    """
+    if buffer_size < smallest_buffer(n_envs, n_steps):
+        raise ValueError(
+            f"buffer_size={buffer_size} is too small: {n_envs} envs with n_steps={n_steps} need "
+            f"at least {smallest_buffer(n_envs, n_steps)}"
+        )
+
+
+def smallest_buffer(n_envs: int, n_steps: int) -> int:
+    """Transitions of one window per env, and of the observation that it leads to."""
+    return n_envs * (n_steps + 1)
+
+
+def warn_of_memory(n_bytes: int) -> None:
+    """Warn, as SB3's buffers do, where a full buffer of so many bytes exceeds the free memory."""
+    try:
+        from psutil import virtual_memory
+    except ImportError:  # an extra of SB3's, which goes without the warning too
+        return
+    free = virtual_memory().available
+    if n_bytes > free:
+        warnings.warn(
+            "This system does not have apparently enough memory to store the complete replay "
+            f"buffer {n_bytes / 1e9:.2f}GB > {free / 1e9:.2f}GB",
+            stacklevel=3,
+        )

@@ -1,0 +1,158 @@
+"""Rainbow with SB3's replay buffers, and ours where SB3's would stand."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+from stable_baselines3 import DQN, PPO, SAC, HerReplayBuffer
+from stable_baselines3.common.buffers import DictReplayBuffer, NStepReplayBuffer, ReplayBuffer
+from stable_baselines3.common.envs import BitFlippingEnv, SimpleMultiObsEnv
+
+from sb3_rainbow import PrioritizedReplayBuffer, PrioritizedReplayCallback, Rainbow
+
+FAST: dict[str, Any] = {
+    "learning_starts": 20,
+    "buffer_size": 500,
+    "batch_size": 8,
+    "seed": 0,
+    "policy_kwargs": {"net_arch": [16]},
+}
+
+
+@pytest.mark.parametrize("buffer_class", [ReplayBuffer, NStepReplayBuffer, DictReplayBuffer])
+def test_sb3s_buffers(buffer_class: type[ReplayBuffer]) -> None:
+    is_dict = buffer_class is DictReplayBuffer
+    model = Rainbow(
+        "MultiInputPolicy" if is_dict else "MlpPolicy",
+        SimpleMultiObsEnv() if is_dict else "CartPole-v1",
+        replay_buffer_class=buffer_class,
+        prioritized=False,
+        n_steps=3 if buffer_class is NStepReplayBuffer else 1,
+        **FAST,
+    )
+    model.learn(60)
+    assert type(model.replay_buffer) is buffer_class
+    if buffer_class is NStepReplayBuffer:
+        assert model.replay_buffer.n_steps == 3  # type: ignore[attr-defined]
+
+
+def hindsight(**kwargs: Any) -> Rainbow:
+    env = BitFlippingEnv(n_bits=4, continuous=False)
+    return Rainbow("MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, **FAST, **kwargs)
+
+
+def test_what_hindsight_cannot_do_is_off_with_one_warning(tmp_path: Any) -> None:
+    with pytest.warns(
+        UserWarning, match="HerReplayBuffer .*: prioritized=False, n_steps=1"
+    ) as told:
+        model = hindsight()
+    assert len(told) == 1
+    assert told[0].filename == __file__
+    assert (model.prioritized, model.n_steps) == (False, 1)
+    model.learn(60)
+    assert model._n_updates > 0
+    model.save(tmp_path / "m")
+    assert Rainbow.load(tmp_path / "m", env=model.get_env()).learn(40).num_timesteps == 40
+
+
+def test_hindsight_that_is_asked_for_more_is_an_error() -> None:
+    hindsight(prioritized=False, n_steps=1).learn(60)
+    with pytest.raises(ValueError, match="HerReplayBuffer keeps no priorities: pass prioritized=F"):
+        hindsight(prioritized=True, n_steps=1)
+    with pytest.raises(ValueError, match="no n-step returns: pass n_steps=1 instead of 3"):
+        hindsight(prioritized=False, n_steps=3)
+    both = "no priorities and no n-step returns: pass prioritized=False, n_steps=1 instead of 3"
+    with pytest.raises(ValueError, match=both):
+        hindsight(prioritized=True, n_steps=3)
+
+
+def test_sb3s_n_step_buffer_lacks_only_the_priorities() -> None:
+    with pytest.warns(UserWarning, match="NStepReplayBuffer .*: prioritized=False instead"):
+        model = Rainbow("MlpPolicy", "CartPole-v1", replay_buffer_class=NStepReplayBuffer, **FAST)
+    assert (model.prioritized, model.n_steps) == (False, 3)
+
+
+def test_optimize_memory_usage_is_accepted() -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", optimize_memory_usage=True, **FAST)
+    model.learn(40).learn(40, reset_num_timesteps=False)
+    # The env is reset in the middle of an episode, of which SB3 warns.
+    with pytest.warns(UserWarning, match="The last trajectory in the replay buffer"):
+        model.learn(40)
+    buffer = model.replay_buffer
+    assert isinstance(buffer, PrioritizedReplayBuffer)
+    # Cut there, not ended: the return goes on from where the episode stood.
+    assert buffer.timeouts[79]
+
+
+def test_the_callback_serves_dqn_with_the_buffer() -> None:
+    ours: dict[str, Any] = {"replay_buffer_class": PrioritizedReplayBuffer, "buffer_size": 100}
+    for model, name in (
+        (DQN("MlpPolicy", "CartPole-v1", buffer_size=100), "DQN with ReplayBuffer"),
+        (PPO("MlpPolicy", "CartPole-v1", device="cpu"), "PPO with NoneType"),
+        (SAC("MlpPolicy", "Pendulum-v1", **ours), "SAC with PrioritizedReplayBuffer"),
+    ):
+        with pytest.raises(ValueError, match=f"needs SB3's DQN with .*, got {name}"):
+            model.learn(10, callback=PrioritizedReplayCallback())
+
+
+IMAGE = spaces.Box(0, 255, (3, 4, 5), np.uint8)
+BOTH = spaces.Dict({"image": IMAGE, "place": spaces.Discrete(7)})
+
+
+@pytest.mark.parametrize(
+    ("space", "shape", "message"),
+    [
+        (spaces.Box(-1, 1, (4,)), (4, 2), r"shape \(2, 4\) .envs first., got \(4, 2\)"),
+        (spaces.Box(-1, 1, (4,)), (8,), r"shape \(2, 4\) .envs first., got \(8,\)"),
+        (spaces.Box(-1, 1, (4,)), (1, 4), r"shape \(2, 4\) .envs first., got \(1, 4\)"),
+        (spaces.Box(-1, 1, (1,)), (2,), r"shape \(2, 1\) .envs first., got \(2,\)"),
+        (IMAGE, (2, 4, 5, 3), r"shape \(2, 3, 4, 5\) .envs first., got \(2, 4, 5, 3\)"),
+        (BOTH, (2, 4, 5, 3), r"'image' must have shape \(2, 3, 4, 5\) .*got \(2, 4, 5, 3\)"),
+    ],
+)
+@pytest.mark.parametrize("where", ["obs", "next_obs"])
+def test_an_observation_of_another_shape_is_an_error(
+    space: spaces.Space, shape: tuple[int, ...], message: str, where: str
+) -> None:
+    def given(shape: tuple[int, ...]) -> Any:
+        obs = np.zeros(shape, np.float32)
+        return {"image": obs, "place": np.array([3, 6])} if space is BOTH else obs
+
+    buffer = PrioritizedReplayBuffer(20, space, spaces.Discrete(3), device="cpu", n_envs=2)
+    box = IMAGE if space is BOTH else space
+    right = given((2, *(box.shape or ())))
+    rest: Any = (np.zeros(2), np.zeros(2), np.zeros(2), [{}, {}])
+    buffer.add(right, right, *rest)
+    before, after = (given(shape), right) if where == "obs" else (right, given(shape))
+    with pytest.raises(ValueError, match=message):
+        buffer.add(before, after, *rest)
+    assert buffer.size() == 1
+
+
+def test_a_buffer_beyond_the_memory_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    psutil = pytest.importorskip("psutil")
+
+    class Memory:
+        available = 10_000
+
+    monkeypatch.setattr(psutil, "virtual_memory", Memory)
+
+    def make(n: int, space: spaces.Space) -> PrioritizedReplayBuffer:
+        return PrioritizedReplayBuffer(n, space, spaces.Discrete(100), device="cpu")
+
+    box, image = spaces.Box(0, 1, (4,)), spaces.Box(0, 255, (400,), np.uint8)
+    # 16 bytes of an observation, 8 of an action, 4 of a reward, 1 of an end, 4 of a place in the
+    # boundary store and 8 * 8/7 of a leaf of the tree: 42 bytes a transition
+    buffer = make(200, box)
+    assert buffer.nbytes == pytest.approx(200 * 42, rel=0.02)
+    images = spaces.Dict({"a": image, "b": image, "c": image})
+    for n, space in ((300, box), (30, image), (10, images)):
+        with pytest.warns(UserWarning, match=r"enough memory .* 0.00GB > 0.00GB"):
+            make(n, space)
+    # Masks come with the first step, and are 100 bytes each here.
+    obs, masks = np.zeros((1, 4)), np.ones((1, 100), bool)
+    with pytest.warns(UserWarning, match="enough memory"):
+        buffer.add(obs, obs, np.zeros(1), np.zeros(1), np.zeros(1), [{}], masks)
+    Memory.available = 10**9
+    make(300, box)

@@ -1,0 +1,57 @@
+"""Short runs whose every bit can be compared."""
+
+import pickle
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch as th
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+)
+
+from sb3_rainbow import PrioritizedReplayBuffer, Rainbow
+
+FAST: dict[str, Any] = {
+    "learning_rate": 1e-3,
+    "learning_starts": 40,
+    "train_freq": 2,
+    "buffer_size": 300,
+    "batch_size": 8,
+    "policy_kwargs": {"net_arch": [16, 16]},
+    "seed": 7,
+}
+
+
+class StatefulVecEnv(DummyVecEnv):
+    """CartPoles that can tell and take their exact state, as a batched simulator can."""
+
+    def get_state(self) -> bytes:
+        return pickle.dumps((self.envs, self.buf_obs))
+
+    def set_state(self, state: bytes) -> None:
+        self.envs, self.buf_obs = pickle.loads(state)
+
+
+def make_stateful(n_envs: int = 3) -> StatefulVecEnv:
+    return StatefulVecEnv([lambda: gym.make("CartPole-v1") for _ in range(n_envs)])
+
+
+def assert_same(a: BaseAlgorithm, b: BaseAlgorithm) -> None:
+    """Networks, optimizer, counters and replay are identical to the last bit."""
+    assert isinstance(a, Rainbow)
+    assert isinstance(b, Rainbow)
+    assert a.num_timesteps == b.num_timesteps
+    assert a._n_updates == b._n_updates
+    for name, value in a.policy.state_dict().items():
+        assert th.equal(value, b.policy.state_dict()[name]), name
+    states = (a.policy.optimizer.state_dict()["state"], b.policy.optimizer.state_dict()["state"])
+    for x, y in zip(*(state.values() for state in states), strict=True):
+        assert all(th.equal(x[key], y[key]) for key in x)
+    x, y = a.replay_buffer, b.replay_buffer
+    assert isinstance(x, PrioritizedReplayBuffer)
+    assert isinstance(y, PrioritizedReplayBuffer)
+    np.testing.assert_array_equal(x.observations, y.observations)
+    np.testing.assert_array_equal(x.tree.leaves, y.tree.leaves)
+    np.testing.assert_array_equal(x.rewards, y.rewards)

@@ -1,0 +1,183 @@
+"""What a file of a model brings back, and what it must agree with."""
+
+import io
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+from stable_baselines3 import DQN
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.utils import set_random_seed
+
+from sb3_rainbow import PrioritizedReplayBuffer, Rainbow
+from sb3_rainbow.policies import MlpPolicy
+from tests.sb3_rainbow.resume.runs import FAST
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def test_predictions_parameters_and_settings_survive(tmp_path: Any) -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", v_min=-3.0, n_steps=5, dueling=False, **FAST)
+    model.learn(100)
+    obs = np.random.default_rng(0).normal(size=(20, 4)).astype(np.float32)
+    expected, _ = model.predict(obs, deterministic=True)
+    model.save(tmp_path / "m")
+    loaded = Rainbow.load(tmp_path / "m")
+    np.testing.assert_array_equal(loaded.predict(obs, deterministic=True)[0], expected)
+    assert (loaded.v_min, loaded.n_steps, loaded.dueling) == (-3.0, 5, False)
+    assert loaded.q_net is loaded.policy.q_net
+    assert set(loaded.get_parameters()) == {"policy", "policy.optimizer"}
+    loaded.set_parameters(model.get_parameters())  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="do not match"):
+        loaded.set_parameters({}, exact_match=True)
+
+
+def test_a_policy_alone_survives(tmp_path: Any) -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", distributional=False, **FAST)
+    model.policy.save(str(tmp_path / "p"))
+    policy = MlpPolicy.load(str(tmp_path / "p"))
+    obs = np.zeros((3, 4), np.float32)
+    expected = model.policy.predict(obs, deterministic=True)[0]
+    np.testing.assert_array_equal(policy.predict(obs, deterministic=True)[0], expected)
+
+
+def test_loading_for_prediction_leaves_the_random_generators_alone() -> None:
+    file = io.BytesIO()
+    Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, "seed": None}).save(file)
+    file.seek(0)
+    set_random_seed(5)
+    expected = np.random.randint(1 << 30)  # noqa: NPY002
+    set_random_seed(5)
+    Rainbow.load(file).predict(np.zeros((1, 4), np.float32), deterministic=True)
+    assert np.random.randint(1 << 30) == expected  # noqa: NPY002
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ({"n_atoms": 21}, "saved with other settings.*size mismatch"),
+        ({"dueling": False}, "saved with other settings"),
+        ({"noisy": False}, "saved with other settings"),
+        ({"v_max": 50.0}, r"support is \[-100.0, 100.0\], the model's \[-100.0, 50.0\]"),
+    ],
+)
+def test_a_model_of_other_settings(tmp_path: Any, other: dict[str, Any], message: str) -> None:
+    Rainbow("MlpPolicy", "CartPole-v1", **FAST).save(tmp_path / "m")
+    with pytest.raises(ValueError, match=f"(?s){message}"):
+        Rainbow.load(tmp_path / "m", **other)
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ({"n_steps": 2}, "filled with n_steps=3, the model has n_steps=2"),
+        ({"gamma": 0.9}, "gamma=0.99"),
+        ({"alpha": 0.5}, "alpha=0.6"),
+        ({"prioritized": False}, "alpha"),
+    ],
+)
+def test_a_replay_buffer_of_other_settings(
+    tmp_path: Any, other: dict[str, Any], message: str
+) -> None:
+    Rainbow("MlpPolicy", "CartPole-v1", **FAST).learn(50).save_replay_buffer(tmp_path / "b")
+    model = Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, **other})
+    present = model.replay_buffer
+    with pytest.raises(ValueError, match=message):
+        model.load_replay_buffer(tmp_path / "b.pkl")
+    assert model.replay_buffer is present
+
+
+def test_parameters_of_other_settings(tmp_path: Any) -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
+    Rainbow("MlpPolicy", "CartPole-v1", v_max=50.0, **FAST).save(tmp_path / "m")
+    with pytest.raises(ValueError, match=r"support is \[-100.0, 50.0\]"):
+        model.set_parameters(str(tmp_path / "m"))
+    # SB3 raises RuntimeError for tensors that do not fit, and its users catch that.
+    parameters: Any = model.get_parameters()
+    last = list(parameters["policy"])[-1]
+    del parameters["policy"][last]
+    with pytest.raises(RuntimeError, match=last):
+        model.set_parameters(parameters)
+
+
+def test_scalar_values_have_no_support_to_agree_on(tmp_path: Any) -> None:
+    Rainbow("MlpPolicy", "CartPole-v1", distributional=False, **FAST).save(tmp_path / "m")
+    Rainbow.load(tmp_path / "m", v_max=50.0)
+    model = Rainbow("MlpPolicy", "CartPole-v1", distributional=False, v_max=50.0, **FAST)
+    model.set_parameters(str(tmp_path / "m"))
+
+
+def test_random_weights_leave_the_support_alone(tmp_path: Any) -> None:
+    # As SB3's own tests of saving do
+    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
+    state = {name: th.rand_like(tensor) for name, tensor in model.policy.state_dict().items()}
+    model.policy.load_state_dict(state)
+    model.save(tmp_path / "m")
+    loaded = Rainbow.load(tmp_path / "m")
+    assert loaded.q_net.support[[0, -1]].tolist() == [-100.0, 100.0]
+    for name, tensor in loaded.policy.state_dict().items():
+        assert th.equal(tensor, state[name])
+
+
+@pytest.mark.parametrize("n_envs", [1, 3])
+def test_who_only_predicts_needs_no_replay_buffer(tmp_path: Any, n_envs: int) -> None:
+    # As RL Zoo's enjoy.py loads what it shows
+    made = Rainbow("MlpPolicy", make_vec_env("CartPole-v1", n_envs=n_envs), n_steps=3, **FAST)
+    made.save(tmp_path / "m")
+    obs = np.random.default_rng(0).normal(size=(n_envs, 4)).astype(np.float32)
+    expected, _ = made.predict(obs, deterministic=True)
+    for env in (None, make_vec_env("CartPole-v1", n_envs=n_envs)):
+        loaded = Rainbow.load(tmp_path / "m", env=env, buffer_size=1, seed=0)
+        np.testing.assert_array_equal(loaded.predict(obs, deterministic=True)[0], expected)
+        assert loaded.replay_buffer is not None
+        assert loaded.replay_buffer.buffer_size == 4  # a window and what it leads to
+    loaded.learn(60)
+    with pytest.raises(ValueError, match="buffer_size=1 is too small"):
+        Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, "buffer_size": 1})
+
+
+@pytest.mark.parametrize(
+    ("made", "loaded", "tau"),
+    [
+        ({}, {}, 1e-3),
+        ({}, {"target_update_interval": 100}, 1.0),
+        ({}, {"target_update_interval": 100, "tau": 1e-3}, 1e-3),
+        ({}, {"tau": 0.2}, 0.2),
+        ({"target_update_interval": 100}, {}, 1.0),
+        ({"target_update_interval": 100}, {"target_update_interval": None}, 1e-3),
+        ({"target_update_interval": 100}, {"target_update_interval": None, "tau": 1.0}, 1.0),
+        ({"tau": 0.005}, {"target_update_interval": 100}, 0.005),
+        ({"tau": 1e-3}, {"target_update_interval": 100}, 1e-3),
+    ],
+)
+def test_a_new_target_interval_brings_its_tau(
+    tmp_path: Any, made: dict[str, Any], loaded: dict[str, Any], tau: float
+) -> None:
+    Rainbow("MlpPolicy", "CartPole-v1", **FAST, **made).save(tmp_path / "m")
+    model = Rainbow.load(tmp_path / "m", **loaded)
+    assert model.tau == tau
+    assert model.target_update_interval == {**made, **loaded}.get("target_update_interval")
+    # What was chosen at loading stays chosen.
+    model.save(tmp_path / "again")
+    assert Rainbow.load(tmp_path / "again").tau == tau
+
+
+def test_a_model_saved_before_the_modules_had_rooms() -> None:
+    # Its file names the buffer's class sb3_rainbow.buffers.PrioritizedReplayBuffer.
+    saved = ROOT / "results/paper/runs/rainbow-optimized-tuned-s0/policy.zip"
+    data = json.loads(zipfile.ZipFile(saved).read("data"))
+    assert "sb3_rainbow.buffers" in data["replay_buffer_class"]["__module__"]
+    model = Rainbow.load(saved, buffer_size=1)
+    assert model.replay_buffer_class is PrioritizedReplayBuffer
+    obs = np.zeros(model.observation_space.shape or (), np.float32)
+    assert model.action_space.contains(model.predict(obs, deterministic=True)[0])
+
+
+def test_a_model_of_another_algorithm(tmp_path: Any) -> None:
+    DQN("MlpPolicy", "CartPole-v1", buffer_size=100).save(tmp_path / "dqn")
+    with pytest.raises(ValueError, match="saved by another algorithm"):
+        Rainbow.load(tmp_path / "dqn")

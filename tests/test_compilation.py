@@ -1,0 +1,103 @@
+"""Both packages right after an install, and where nothing can be written."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# Every kernel of the package is declared, and a few compile.
+LEARN = """
+from sb3_rainbow import Rainbow, compilation
+compilation._NOTICED = 0.1
+settings = {"learning_starts": 20, "buffer_size": 100, "cpu_kernels": False}
+Rainbow("MlpPolicy", "CartPole-v1", device="cpu", **settings).learn(60)
+"""
+TREE = """
+import numpy as np
+from sb3_rainbow import SumTree, compilation
+compilation._NOTICED = 0.1
+tree = SumTree(4)
+tree.set(np.arange(4), np.ones(4))
+tree.sample(2)
+compilation.report_compilation()
+"""
+KINEMATICS = """
+import numpy as np
+from coop_env import compilation
+compilation._NOTICED = 0.1
+import coop_env.env
+from coop_env.kinematics import delta
+print(delta.jacobian(np.array([0.0, 0.0, -0.5])).shape)
+compilation.report_compilation()
+"""
+
+
+def run(code: str, folder: Path, **environment: str) -> str:
+    """What the code writes to stderr about compilation, in a process that knows no other cache."""
+    environment["NUMBA_OPT"] = "1"  # compiles faster
+    unset = ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")
+    kept = {name: value for name, value in os.environ.items() if name not in unset}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**kept, **environment},
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=200,
+    )
+    assert done.returncode == 0, done.stderr
+    return "".join(line for line in done.stderr.splitlines() if "compiled" in line)
+
+
+@pytest.mark.parametrize(("package", "code"), [("sb3_rainbow", LEARN), ("coop_env", KINEMATICS)])
+def test_a_cold_cache_is_reported_once(tmp_path: Path, package: str, code: str) -> None:
+    places = {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
+    told = run(code, tmp_path, **places)
+    assert told.startswith(f"{package}: compiled kernels in ")
+    assert told.endswith(" s, once after an install: from now on they come from numba's cache")
+    assert run(code, tmp_path, **places) == ""
+
+
+@pytest.mark.parametrize(
+    ("package", "code", "archived"),
+    [
+        ("sb3_rainbow", LEARN, False),
+        ("sb3_rainbow", TREE, True),
+        ("coop_env", KINEMATICS, True),
+    ],
+)
+def test_where_nothing_can_be_written(
+    tmp_path: Path, package: str, code: str, archived: bool
+) -> None:
+    # Root may write into every folder, but not into an archive, nor below a file.
+    place = tmp_path / "packages"
+    shutil.copytree(ROOT / package, place / package, ignore=shutil.ignore_patterns("__pycache__"))
+    for source in [*place.rglob("*.py")]:
+        (source.parent / "__pycache__").touch()
+    if archived:
+        place = Path(shutil.make_archive(str(place), "zip", place))
+    told = run(code, tmp_path, PYTHONPATH=str(place), HOME=os.devnull)
+    assert told.startswith(f"{package}: compiled kernels in ")
+    assert told.endswith("set NUMBA_CACHE_DIR to one that can")
+
+
+@pytest.mark.parametrize("package", ["sb3_rainbow", "coop_env"])
+def test_other_errors_stay(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    compilation = importlib.import_module(f"{package}.compilation")
+
+    def fail(self: object) -> None:
+        raise RuntimeError("something else")
+
+    monkeypatch.setattr(numba.core.dispatcher.Dispatcher, "enable_caching", fail)
+    with pytest.raises(RuntimeError, match="something else"):
+        compilation.njit(cache=True)(lambda x: x)
