@@ -92,7 +92,7 @@ def hole(pose: Pose, index: int, p: EnvParams) -> tuple[Row, Row]:
 @njit(cache=True)
 def in_opening(tip: Row, pose: Pose, radius: float, p: EnvParams) -> bool:
     """Whether the tip lies within a radius of any hole's mouth."""
-    for i in range(len(p.layout.normals)):
+    for i in range(p.layout.n_holes):
         mouth, _ = hole(pose, i, p)
         dx, dy, dz = tip[0] - mouth[0], tip[1] - mouth[1], tip[2] - mouth[2]
         if math.sqrt(dx * dx + dy * dy + dz * dz) < radius:

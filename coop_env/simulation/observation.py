@@ -63,7 +63,7 @@ def make_observation(
 
 
 def _bounds(p: EnvParams, error: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    d, r, n_holes = p.delta, p.rrs, len(p.layout["normals"])
+    d, r, n_holes = p.delta, p.rrs, int(p.layout["n_holes"])
     reach, drop = d.proximal_length + d.distal_length, abs(d.proximal_length - d.distal_length)
     low = [-d.planar_limit, -d.planar_limit, -reach, -r.max_tilt, -r.max_tilt, r.heave_min]
     high = [d.planar_limit, d.planar_limit, -drop, r.max_tilt, r.max_tilt, r.heave_max]
