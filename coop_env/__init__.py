@@ -15,17 +15,21 @@ from coop_env.kernel_cache import drop_stale_kernels
 if TYPE_CHECKING:
     from coop_env.env import CoopInsertionEnv
     from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, DeltaGeometry, RRSGeometry
+    from coop_env.simulation.insertion_task import InsertionTask
     from coop_env.simulation.sim_to_real import SimToReal
     from coop_env.vec_env import CoopInsertionVecEnv
+    from coop_env.vector_env import CoopInsertionVectorEnv
 
 _HOMES = {
     "CoopInsertionEnv": "coop_env.env",
     "CoopInsertionVecEnv": "coop_env.vec_env",
+    "CoopInsertionVectorEnv": "coop_env.vector_env",
     "DeltaGeometry": "coop_env.geometry",
     "RRSGeometry": "coop_env.geometry",
     "GEOMETRIES": "coop_env.geometry",
     "INITIAL": "coop_env.geometry",
     "OPTIMIZED": "coop_env.geometry",
+    "InsertionTask": "coop_env.simulation.insertion_task",
     "SimToReal": "coop_env.simulation.sim_to_real",
 }
 
@@ -35,13 +39,19 @@ __all__ = [
     "OPTIMIZED",
     "CoopInsertionEnv",
     "CoopInsertionVecEnv",
+    "CoopInsertionVectorEnv",
     "DeltaGeometry",
+    "InsertionTask",
     "RRSGeometry",
     "SimToReal",
 ]
 
 drop_stale_kernels(Path(__file__).parent, Path(__file__).parent)
-gymnasium.register(id="CoopInsertion-v0", entry_point="coop_env.env:CoopInsertionEnv")
+gymnasium.register(
+    id="CoopInsertion-v0",
+    entry_point="coop_env.env:make",
+    vector_entry_point="coop_env.vector_env:CoopInsertionVectorEnv",
+)
 
 
 def __getattr__(name: str) -> Any:

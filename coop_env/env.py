@@ -5,58 +5,50 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import DependencyNotInstalled, ResetNeeded
+from gymnasium.wrappers import TimeLimit
 from numpy.typing import NDArray
 
+from coop_env.checks import as_dataclass, check_flag, check_integer
 from coop_env.compilation import report_compilation
 from coop_env.errors import ActionError, ArgumentError, StateError
-from coop_env.geometry import GEOMETRIES, GeometryError, RRSGeometry
+from coop_env.geometry import (
+    DeltaGeometry,
+    GeometryError,
+    RRSGeometry,
+    resolve_delta,
+    resolve_rrs,
+)
 from coop_env.kinematics import rrs_kernels
 from coop_env.rendering.scene import Scene, make_scene
-from coop_env.simulation import batch, rewards, start_states, state, task
+from coop_env.simulation import batch, rewards, start_states, state
+from coop_env.simulation.insertion_task import PAPER_TASK, InsertionTask
 from coop_env.simulation.observation import make_observation, observe_batch
 from coop_env.simulation.sim_to_real import SimToReal, resolve
-from coop_env.simulation.task import N_ACTIONS, EnvParams, TaskParams
+from coop_env.simulation.state import KEY_SPAN
+from coop_env.simulation.task import (
+    N_ACTIONS,
+    TRAIL,
+    EnvParams,
+    RewardParams,
+    make_params,
+    pack,
+)
 
 Observation = NDArray[np.float32]
 
 
 class CoopInsertionEnv(gym.Env[Any, Any]):
-    """A Delta carries a peg, a 3-RRS tilts a dome of six holes; fill them one after another.
+    """A Delta carries a peg, a 3-RRS tilts a dome of holes; fill them one after another."""
 
-    The class is documented in ``docs/env.md``: spaces, reward, episode end, arguments.
-
-    Args:
-        geometry: ``"optimized"``, ``"initial"`` or an :class:`~coop_env.geometry.RRSGeometry`.
-        reward: ``"paper"`` (equation (reward) to the letter) or ``"progress"``.
-        reward_kwargs: scales of ``"progress"``, see
-            :data:`coop_env.simulation.rewards.PROGRESS_DEFAULTS`.
-        observation: ``"paper"``, 12 numbers, or ``"markov"``, 19 with filled holes and time.
-        normalize: observation in [0, 1], or in SI units.
-        mask_singularities: action masks also exclude collisions and singular moves.
-        mask_visited: they also exclude moves back to the last so many configurations (at most 64)
-            visited since the last insertion: 1 forbids undoing the last move, 0 nothing.
-        stage: 0, the four peripheral holes, or 1, all six.
-        pose_model: ``"exact"``, with parasitic motion, or ``"paper"``.
-        max_moves: moves until truncation; 300 are the paper's 60 s.
-        sim_to_real: None, ``"randomized"`` or a
-            :class:`~coop_env.simulation.sim_to_real.SimToReal`.
-        render_mode: None, ``"rgb_array"``, ``"human"`` or ``"ansi"``.
-
-    Raises:
-        ArgumentError: an argument is unknown or out of range (its message names the mend).
-        RewardError: so is a reward or one of its scales.
-        GeometryError: the 3-RRS cannot be assembled at its home height.
-    """
-
-    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
+    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own form
         "render_modes": ["rgb_array", "human", "ansi"],
-        "render_fps": round(1.0 / task.DT),
+        "render_fps": round(1.0 / PAPER_TASK.dt),
     }
     render_kwargs: Mapping[str, Any] = MappingProxyType({})
     """``size``, ``camera``, ``panel``, ``samples`` of :func:`coop_env.rendering.render_frame` for
@@ -64,7 +56,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
 
     def __init__(
         self,
-        geometry: str | RRSGeometry = "optimized",
+        geometry: str | RRSGeometry | Mapping[str, Any] = "optimized",
         reward: str = "paper",
         reward_kwargs: Mapping[str, float | None] | None = None,
         observation: str = "paper",
@@ -74,34 +66,49 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         stage: int = 1,
         pose_model: str = "exact",
         max_moves: int = 300,
-        sim_to_real: str | SimToReal | None = None,
+        sim_to_real: str | SimToReal | Mapping[str, Any] | None = None,
         render_mode: str | None = None,
+        delta: DeltaGeometry | Mapping[str, Any] | None = None,
+        task: InsertionTask | Mapping[str, Any] | None = None,
     ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            modes = self.metadata["render_modes"]
+        modes = self.metadata["render_modes"]
+        if render_mode is not None and render_mode not in modes:
             raise ArgumentError(f"render_mode = {render_mode!r}: must be None or one of {modes}")
         self.render_mode = render_mode
         self._stage = start_states.check_stage(stage)
-        self._knobs = resolve(sim_to_real)
+        self._task = PAPER_TASK if task is None else as_dataclass("task", task, InsertionTask)
+        self._knobs = resolve(sim_to_real, self._task)
         self._params = _params(
-            _geometry(geometry),
+            resolve_rrs(geometry),
             rewards.make_reward(reward, reward_kwargs),
             pose_model,
-            _task(max_moves, mask_singularities, mask_visited, self._knobs.active),
+            delta=resolve_delta(delta),
+            task=self._task,
+            max_moves=check_integer("max_moves", max_moves, 1),
+            mask_singularities=check_flag("mask_singularities", mask_singularities),
+            visited=check_integer("mask_visited", mask_visited, 0, TRAIL),
+            imperfect=self._knobs.active,
         )
-        self._packed = task.pack(self._params)
+        self._packed = pack(self._params)
         self.observation_space: spaces.Box
         self._observation, self.observation_space = make_observation(
-            observation, normalize, self._params
+            observation, normalize, self._params, self._task.error_bound
         )
         self.action_space = spaces.Discrete(N_ACTIONS)
-        self._states = np.zeros(1, state.STATE)
+        if self._task.dt != PAPER_TASK.dt:
+            self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self._task.dt))}
+        self._states = np.zeros(1, state.state_dtype(len(self._task.holes)))
         self._outcomes = np.zeros(1, state.OUTCOME)
         self._rows = np.zeros((1, self._observation.shape[1]), np.float32)
         self._actions = np.zeros(1, np.int64)
         self._started = False
         self._trace: list[NDArray[np.float64]] = []
         self._window: Any = None
+
+    @property
+    def task(self) -> InsertionTask:
+        """The task's numbers, as they were given."""
+        return self._task
 
     @property
     def params(self) -> EnvParams:
@@ -128,7 +135,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
 
     @property
     def state(self) -> np.void:
-        """A copy of the row of :data:`coop_env.simulation.state.STATE` that the kernels work on."""
+        """A copy of the kernels' row, :func:`~coop_env.simulation.state.state_dtype`."""
         return self._row.copy()
 
     @property
@@ -165,16 +172,30 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
             ResetOptionError: an option is malformed, or names a state that cannot be taken. The
                 environment is left as it was.
         """
-        start = start_states.StartOptions(options, self._stage, self._params)
+        self._restart(self.check_options(options), seed)
+        outcome: Any = self._outcomes.item(0)
+        return self._rows[0].copy(), batch.make_info(outcome)
+
+    def check_options(self, options: Mapping[str, Any] | None) -> start_states.StartOptions:
+        """Reset options as :meth:`reset` takes them, checked against the present stage.
+
+        Raises:
+            ResetOptionError: an option is malformed, or names a state that cannot be taken.
+        """
+        active = self._task.active_holes(self._stage)
+        return start_states.StartOptions(options, active, self._params)
+
+    def _restart(self, start: start_states.StartOptions, seed: int | None = None) -> None:
+        """Start an episode: writes the state, its observation and an outcome before any move."""
         super().reset(seed=seed)
         self._states[:] = start_states.draw_start(start, self._params, self._knobs, self.np_random)
         self._started = True
         observe_batch(self._states, self._packed, self._observation, self._rows)
         report_compilation()
+        batch.write_reset_outcome(self._states[0], self._outcomes[0])
         if self.render_mode is not None:
             self._trace = [self._states["tip"][0].copy()]
             self._show()
-        return self._rows[0].copy(), self._reset_info()
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Make a move.
@@ -196,18 +217,6 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
             self._show()
         reward, terminated, truncated = outcome[-3:]
         return self._rows[0].copy(), reward, terminated, truncated, batch.make_info(outcome)
-
-    def _reset_info(self) -> dict[str, Any]:
-        """The keys of a move's info, before any move."""
-        row = self._states[0]
-        outcome: Any = np.zeros(1, state.OUTCOME)
-        outcome["n_filled"] = row["filled"].sum()
-        outcome["inserted_hole"] = -1
-        outcome["sigma_min"] = row["sigma"]
-        outcome["alignment_error"] = row["angle"]
-        outcome["distance"] = row["distance"]
-        outcome["target"] = row["target"]
-        return batch.make_info(outcome.item(0))
 
     def scene(self) -> Scene:
         """Every body of the scene at this instant, world frame."""
@@ -243,27 +252,37 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
             self._window = None
 
     def get_state(self) -> dict[str, Any]:
-        """An exact, picklable snapshot: the state, the random generator and the stage."""
+        """An exact, picklable snapshot: state, observation, random generator and stage."""
         return {
-            "params": (self._params, self._knobs),
+            "params": (self._packed.tobytes(), repr(self._knobs)),  # bytes, as NaN differs from NaN
             "states": self._states.copy(),
+            "observations": self._rows.copy(),
             "started": self._started,
             "stage": self._stage,
             "rng": self.np_random.bit_generator.state,
         }
 
-    def set_state(self, snapshot: Mapping[str, Any]) -> None:
+    def set_state(self, snapshot: Mapping[str, Any]) -> Observation:
         """Return to a snapshot of :meth:`get_state`.
+
+        Returns:
+            The observation (size,) of that state, with the noise it had.
 
         Raises:
             StateError: the snapshot is of an environment with other arguments, or is none.
         """
         check_snapshot(snapshot, self.get_state())
         self._states[:] = snapshot["states"]
+        self._rows[:] = snapshot["observations"]
         self._started = snapshot["started"]
         self._stage = snapshot["stage"]
         self.np_random.bit_generator.state = snapshot["rng"]
         self._trace = []
+        return self._rows[0].copy()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled and copied: everything but the window, which opens anew."""
+        return {**self.__dict__, "_window": None}
 
     def _attach(
         self,
@@ -272,6 +291,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         rows: NDArray[np.float32],
     ) -> None:
         """Work on one row (1, ...) of a batch's arrays instead of arrays of its own."""
+        states[:], outcomes[:], rows[:] = self._states, self._outcomes, self._rows
         self._states, self._outcomes, self._rows = states, outcomes, rows
 
 
@@ -293,9 +313,11 @@ def check_action(action: Any) -> int:
     """
     if isinstance(action, np.ndarray) and action.ndim == 0:
         action = action[()]
-    if not isinstance(action, (int, np.integer)) or isinstance(action, bool):
-        raise ActionError(f"action = {action!r}: must be an integer 0 to {N_ACTIONS - 1}")
-    if not 0 <= action < N_ACTIONS:
+    if (
+        not isinstance(action, (int, np.integer))
+        or isinstance(action, bool)
+        or not 0 <= action < N_ACTIONS
+    ):
         raise ActionError(f"action = {action!r}: must be an integer 0 to {N_ACTIONS - 1}")
     return int(action)
 
@@ -314,54 +336,47 @@ def check_snapshot(snapshot: Mapping[str, Any], own: Mapping[str, Any]) -> None:
             f"the snapshot holds {states.shape} states of another layout than this "
             f"environment's {own['states'].shape}: build it as the saved one was built"
         )
-    if repr(snapshot["params"]) != repr(own["params"]):  # repr, as NaN does not equal itself
+    if snapshot["params"] != own["params"]:
         raise StateError("the snapshot is of an environment with other arguments (geometry, ...)")
 
 
-def _geometry(geometry: str | RRSGeometry) -> RRSGeometry:
-    if isinstance(geometry, RRSGeometry):
-        return geometry
-    if isinstance(geometry, str) and geometry in GEOMETRIES:
-        return GEOMETRIES[geometry]
-    raise ArgumentError(
-        f"geometry = {geometry!r}: must be one of {sorted(GEOMETRIES)} or an RRSGeometry"
-    )
+def make(max_moves: int = 300, **kwargs: Any) -> TimeLimit[Any, Any]:
+    """What ``gymnasium.make`` makes: the environment in a ``TimeLimit`` of its own ``max_moves``.
+
+    A limit in the registry would cut a larger ``max_moves`` off; this one is always the
+    environment's, and wrappers such as ``TimeAwareObservation`` find it in ``env.spec``.
+    """
+    env = CoopInsertionEnv(max_moves=max_moves, **kwargs)
+    return TimeLimit(env, env.params.task.max_moves)
 
 
-def _task(
-    max_moves: int, mask_singularities: bool, mask_visited: int, imperfect: bool
-) -> TaskParams:
-    if isinstance(max_moves, bool) or not isinstance(max_moves, (int, np.integer)):
-        raise ArgumentError(f"max_moves = {max_moves!r}: must be an integer of at least 1")
-    if max_moves < 1:
-        raise ArgumentError(f"max_moves = {max_moves!r}: must be an integer of at least 1")
-    if not isinstance(mask_singularities, bool):
-        raise ArgumentError(f"mask_singularities = {mask_singularities!r}: must be True or False")
-    if (
-        isinstance(mask_visited, bool)
-        or not isinstance(mask_visited, (int, np.integer))
-        or not 0 <= mask_visited <= task.TRAIL
-    ):
-        raise ArgumentError(
-            f"mask_visited = {mask_visited!r}: must be an integer from 0 to {task.TRAIL}"
-        )
-    return TaskParams(
-        max_moves=int(max_moves),
-        mask_singularities=mask_singularities,
-        visited=int(mask_visited),
-        imperfect=imperfect,
-    )
+make.metadata = CoopInsertionEnv.metadata  # type: ignore[attr-defined]  # gymnasium.make reads it
 
 
 def _params(
-    geometry: RRSGeometry, reward: task.RewardParams, pose_model: str, task_params: TaskParams
+    geometry: RRSGeometry, reward: RewardParams, pose_model: str, **kwargs: Any
 ) -> EnvParams:
     if pose_model not in ("exact", "paper"):
         raise ArgumentError(f"pose_model = {pose_model!r}: must be 'exact' or 'paper'")
-    p = task.make_params(geometry, reward, pose_model=pose_model, task=task_params)
+    p = make_params(geometry, reward, pose_model=pose_model, **kwargs)
     if not rrs_kernels.is_valid(0.0, 0.0, geometry.home_heave, p.rrs):
         raise GeometryError(
             f"the 3-RRS cannot take its home pose at home_heave = {geometry.home_heave} m within "
             "its joint limits: choose other lengths, another height or wider limits"
         )
+    if p.task.visited > 0:
+        _check_memory(p)
     return p
+
+
+def _check_memory(p: EnvParams) -> None:
+    """``mask_visited`` tells lattice points apart within 1024 steps of the start."""
+    d, r, step = p.delta, p.rrs, p.layout["step"]
+    rise = 2.0 * min(d.proximal_length, d.distal_length)
+    widths = (2.0 * d.planar_limit, rise, 2.0 * r.max_tilt, r.heave_max - r.heave_min)
+    for width, size in zip(widths, (step[0], step[2], step[3], step[5]), strict=True):
+        if width / size > KEY_SPAN - 2:
+            raise ArgumentError(
+                f"mask_visited needs steps of at least {width / (KEY_SPAN - 2):.2g}, not "
+                f"{size:.2g}: make them larger or leave mask_visited at 0"
+            )

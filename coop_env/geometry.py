@@ -8,22 +8,24 @@ headline figures (workspace 0.82 to 1.16 rad^2), so they are no independent conf
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
+
+from coop_env.checks import as_dataclass, check_number
+from coop_env.errors import ArgumentError
 
 
 class GeometryError(ValueError):
     """A geometry that cannot be built or assembled; the message names the value and the mend."""
 
 
-def _require_positive(owner: object, *names: str) -> None:
+def _check(owner: object, *names: str, positive: bool = True) -> None:
+    low = 0.0 if positive else -math.inf
     for name in names:
-        value = getattr(owner, name)
-        if not (math.isfinite(value) and value > 0.0):
-            raise GeometryError(
-                f"{type(owner).__name__}.{name} = {value!r} m: must be a finite length above zero"
-            )
+        where = f"{type(owner).__name__}.{name}"
+        check_number(where, getattr(owner, name), low, above=positive, error=GeometryError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +52,7 @@ class RRSGeometry:
     home_heave: float = 0.21
 
     def __post_init__(self) -> None:
-        _require_positive(
+        _check(
             self,
             "base_radius",
             "proximal_length",
@@ -59,10 +61,11 @@ class RRSGeometry:
             "heave_min",
             "home_heave",
         )
+        _check(self, "joint_min", "joint_max", "max_tilt", "heave_max", positive=False)
         for low, high in (("joint_min", "joint_max"), ("heave_min", "heave_max")):
             a, b = getattr(self, low), getattr(self, high)
-            if not (math.isfinite(a) and math.isfinite(b) and a < b):
-                raise GeometryError(f"{low} = {a!r} must be finite and below {high} = {b!r}")
+            if not a < b:
+                raise GeometryError(f"{low} = {a!r} must be below {high} = {b!r}")
         if not 0.0 < self.max_tilt < math.pi / 2:
             raise GeometryError(f"max_tilt = {self.max_tilt!r} rad: must lie in (0, pi/2)")
         lambda1, _, lambda3 = self.lambdas
@@ -139,7 +142,7 @@ class DeltaGeometry:
     peg_radius: float = 0.004
 
     def __post_init__(self) -> None:
-        _require_positive(self, *self.__slots__)
+        _check(self, *self.__slots__)
         if self.distal_length <= self.proximal_length:
             raise GeometryError(
                 f"distal_length = {self.distal_length:.4g} m must exceed "
@@ -165,3 +168,32 @@ INITIAL: Final = RRSGeometry(base_radius=0.2068, proximal_length=0.0893, platfor
 OPTIMIZED: Final = RRSGeometry(base_radius=0.1778, proximal_length=0.1024, platform_radius=0.1114)
 DELTA: Final = DeltaGeometry()
 GEOMETRIES: Final = MappingProxyType({"initial": INITIAL, "optimized": OPTIMIZED})
+
+
+def resolve_rrs(value: Any) -> RRSGeometry:
+    """A 3-RRS from what a user gives: a name of :data:`GEOMETRIES`, a geometry, or its fields.
+
+    Raises:
+        ArgumentError: it is none of these.
+        GeometryError: the machine is impossible.
+    """
+    if isinstance(value, str) and value in GEOMETRIES:
+        return GEOMETRIES[value]
+    if not isinstance(value, (RRSGeometry, Mapping)):
+        raise ArgumentError(
+            f"geometry = {value!r}: must be one of {sorted(GEOMETRIES)}, an RRSGeometry or a "
+            "mapping of its fields"
+        )
+    return as_dataclass("geometry", value, RRSGeometry)
+
+
+def resolve_delta(value: Any) -> DeltaGeometry:
+    """A Delta from what a user gives: None for the standard one, a geometry, or its fields.
+
+    Raises:
+        ArgumentError: it is none of these.
+        GeometryError: the machine is impossible.
+    """
+    if value is None:
+        return DELTA
+    return as_dataclass("delta", value, DeltaGeometry)

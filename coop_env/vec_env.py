@@ -1,9 +1,4 @@
-"""The batched environment: n environments moved by one kernel call, as SB3's ``VecEnv``.
-
-Each row of the batch belongs to a :class:`~coop_env.env.CoopInsertionEnv` that works on it in
-place; ``reset``, options, stages and attributes go through that object, so that there is no second
-copy of any rule. Only the moves are made all at once.
-"""
+"""The batched environment as SB3's ``VecEnv``; see :mod:`coop_env.env_batch` for what it moves."""
 
 from __future__ import annotations
 
@@ -18,11 +13,9 @@ from stable_baselines3.common.vec_env.base_vec_env import (
     VecEnvIndices,
 )
 
-from coop_env.compilation import report_compilation
 from coop_env.env import CoopInsertionEnv, check_snapshot
-from coop_env.errors import ActionError, ArgumentError
-from coop_env.simulation import batch, state
-from coop_env.simulation.task import N_ACTIONS
+from coop_env.env_batch import EnvBatch, check_seed
+from coop_env.simulation import batch
 
 StepReturn = tuple[
     NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]
@@ -33,7 +26,8 @@ class CoopInsertionVecEnv(VecEnv):
     """``n_envs`` environments in one batch, each bit-identical to a single one of its seed.
 
     An episode that ends is restarted at once; its last info then carries ``terminal_observation``,
-    ``terminal_action_mask`` (the mask of the terminal state) and ``TimeLimit.truncated``.
+    ``terminal_action_mask`` (the mask of the terminal state) and ``TimeLimit.truncated``. Pickled
+    or deep-copied, the batch plays on as the original would.
 
     Args:
         n_envs: number of environments.
@@ -45,50 +39,52 @@ class CoopInsertionVecEnv(VecEnv):
     """
 
     def __init__(self, n_envs: int, seed: int | None = None, **kwargs: Any) -> None:
-        if isinstance(n_envs, bool) or not isinstance(n_envs, (int, np.integer)) or n_envs < 1:
-            raise ArgumentError(f"n_envs = {n_envs!r}: must be an integer of at least 1")
-        self.envs = [CoopInsertionEnv(**kwargs) for _ in range(n_envs)]
+        self._batch = EnvBatch(n_envs, **kwargs)
         first = self.envs[0]
         self.render_mode = first.render_mode
         self.metadata = first.metadata
-        self._params, self._observation = (first.params, first._knobs), first._observation
-        self._packed = first._packed
-        self._states = np.zeros(n_envs, state.STATE)
-        self._outcomes = np.zeros(n_envs, state.OUTCOME)
-        self._rows = np.zeros((n_envs, self._observation.shape[1]), np.float32)
-        self._actions = np.zeros(n_envs, np.int64)
-        for i, env in enumerate(self.envs):
-            row = slice(i, i + 1)
-            env._attach(self._states[row], self._outcomes[row], self._rows[row])
         super().__init__(int(n_envs), first.observation_space, first.action_space)
         if seed is not None:
             self.seed(seed)
 
+    @property
+    def envs(self) -> list[CoopInsertionEnv]:
+        """The environments that work on the batch's rows."""
+        return self._batch.envs
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seeds of the next reset: environment i gets ``seed + i``; None draws one.
+
+        Raises:
+            ArgumentError: the seed is no integer, or negative.
+        """
+        return super().seed(check_seed(seed))
+
+    def set_options(self, options: Any = None) -> None:
+        """Reset options of the next reset: one mapping for all, or a list with one for each.
+
+        Raises:
+            ResetOptionError: an option is malformed, or names a state that cannot be taken; the
+                options set before are kept.
+        """
+        super().set_options([own or {} for own in self._batch.check_options(options)])
+
     def reset(self) -> NDArray[np.float32]:
         """Reset every environment, with the seeds and options set since the last reset."""
-        for i, env in enumerate(self.envs):
-            _, self.reset_infos[i] = env.reset(
-                seed=self._seeds[i], options=self._options[i] or None
-            )
+        self._batch.reset(self._seeds, self._options)
+        self.reset_infos = batch.make_infos(self._batch.outcomes)
         self._reset_seeds()
         self._reset_options()
-        return self._rows.copy()
+        return self._batch.rows.copy()
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Take the actions (n_envs,) of the next :meth:`step_wait`.
 
         Raises:
+            ResetNeeded: :meth:`reset` was never called.
             ActionError: the shape is wrong, or an entry is no integer 0 to 11.
         """
-        actions = np.asarray(actions)
-        if actions.shape != (self.num_envs,) or actions.dtype.kind not in "iu":
-            raise ActionError(
-                f"actions have shape {actions.shape} and type {actions.dtype}: "
-                f"must be {self.num_envs} integers"
-            )
-        if actions.min() < 0 or actions.max() >= N_ACTIONS:
-            raise ActionError(f"actions = {actions!r}: must lie within 0 to {N_ACTIONS - 1}")
-        self._actions[:] = actions
+        self._batch.take(actions)
 
     def step(self, actions: NDArray[Any]) -> StepReturn:
         """Move ``actions (n_envs,)``: observations, rewards, dones, infos."""
@@ -96,34 +92,37 @@ class CoopInsertionVecEnv(VecEnv):
         return self.step_wait()
 
     def step_wait(self) -> StepReturn:
-        """Move all environments; those whose episode ends are reset."""
-        batch.step_batch(
-            self._states, self._actions, self._packed, self._observation, self._outcomes, self._rows
-        )
-        report_compilation()
-        outcomes = self._outcomes
+        """Move all environments; those whose episode ends are reset.
+
+        Raises:
+            ResetNeeded: :meth:`reset` was never called.
+            NoAsyncCallError: there was no :meth:`step_async` since the last call.
+        """
+        ended = self._batch.move()
+        outcomes = self._batch.outcomes
         rewards = outcomes["reward"].astype(np.float32)
-        dones = outcomes["terminated"] | outcomes["truncated"]
         infos = batch.make_infos(outcomes)
-        for i in np.flatnonzero(dones).tolist():
+        dones = np.zeros(self.num_envs, bool)
+        dones[ended] = True
+        for i in ended.tolist():
             self._restart(i, infos[i], bool(outcomes["truncated"][i]))
-        return self._rows.copy(), rewards, dones, infos
+        return self._batch.rows.copy(), rewards, dones, infos
 
     def _restart(self, i: int, info: dict[str, Any], truncated: bool) -> None:
         info["TimeLimit.truncated"] = truncated
-        info["terminal_observation"] = self._rows[i].copy()
-        info["terminal_action_mask"] = self._states["mask"][i].astype(bool)
+        info["terminal_observation"] = self._batch.rows[i].copy()
+        info["terminal_action_mask"] = self._batch.states["mask"][i].astype(bool)
         _, self.reset_infos[i] = self.envs[i].reset()
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Action masks of all environments, (n_envs, 12)."""
-        return self._states["mask"].astype(bool)
+        return self._batch.action_masks()
 
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
         """Call a method of the environments; see :class:`~coop_env.env.CoopInsertionEnv`."""
-        if method_name == "action_masks" and indices is None and self.envs[0]._started:
+        if method_name == "action_masks" and indices is None:
             return list(self.action_masks())
         return [getattr(env, method_name)(*args, **kwargs) for env in self._targets(indices)]
 
@@ -138,11 +137,7 @@ class CoopInsertionVecEnv(VecEnv):
             ArgumentError: the environments have no such attribute to set.
         """
         for env in self._targets(indices):
-            try:
-                getattr(env, attr_name)
-                setattr(env, attr_name, value)
-            except AttributeError as error:
-                raise ArgumentError(f"attribute {attr_name!r} cannot be set: {error}") from error
+            self._batch.set_attr(env, attr_name, value)
 
     def _targets(self, indices: VecEnvIndices) -> list[CoopInsertionEnv]:
         return [self.envs[i] for i in self._get_indices(indices)]
@@ -157,31 +152,30 @@ class CoopInsertionVecEnv(VecEnv):
         """A frame of each environment, None without ``render_mode="rgb_array"``."""
         if self.render_mode != "rgb_array":
             return [None for _ in self.envs]
-        return [env.render() for env in self.envs]
+        return self._batch.render()
 
     def close(self) -> None:
         """Close all windows."""
-        for env in self.envs:
-            env.close()
+        self._batch.close()
 
     def get_state(self) -> dict[str, Any]:
         """An exact, picklable snapshot of all environments, to resume from."""
-        return {
-            "params": self._params,
-            "states": self._states.copy(),
-            "envs": [env.get_state() for env in self.envs],
-            "seeds": list(self._seeds),
-            "options": list(self._options),
-        }
+        own = {"seeds": list(self._seeds), "options": list(self._options)}
+        return {**self._batch.get_state(), **own}
 
-    def set_state(self, snapshot: Mapping[str, Any]) -> None:
-        """Return to a snapshot of :meth:`get_state`; the observations are written anew.
+    def set_state(self, snapshot: Mapping[str, Any]) -> NDArray[np.float32]:
+        """Return to a snapshot of :meth:`get_state`.
+
+        Returns:
+            The observations (n_envs, size) of those states, with the noise they had. An SB3
+            algorithm that is to go on from here must take them for its ``_last_obs``.
 
         Raises:
             StateError: the snapshot is of another batch: other arguments, another ``n_envs``.
         """
         check_snapshot(snapshot, self.get_state())
-        for env, own in zip(self.envs, snapshot["envs"], strict=True):
-            env.set_state(own)
+        own = {"seeds", "options"}
+        self._batch.set_state({key: snapshot[key] for key in snapshot if key not in own})
         self._seeds = list(snapshot["seeds"])
         self._options = list(snapshot["options"])
+        return self._batch.rows.copy()

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from coop_env.env import CoopInsertionEnv, Observation
 from coop_env.kinematics.rrs_kernels import platform_pose
-from coop_env.simulation.task import DOME_RADIUS, HOLE_NORMALS, N_HOLES
 
 Point = NDArray[np.float64]
 
@@ -94,7 +93,8 @@ class Episode:
         return info
 
     def _first(self, info: dict[str, Any]) -> dict[str, float]:
-        hole = DOME_RADIUS * np.array(HOLE_NORMALS[self._target])
+        task = self.env.task
+        hole = task.dome_radius * np.array(task.hole_normals[self._target])
         points = np.array(self._track)
         deviation = distance_to_segment(points, points[0], hole)
         return {
@@ -118,7 +118,7 @@ class Episode:
             "noise": noise,
             "success": holes > 0,
             "holes": holes,
-            "all_holes": holes == N_HOLES,
+            "all_holes": holes == len(self.env.task.holes),
             "singular": bool(self._info["singular"]),
             "moves": self.moves,
             "reward": self.reward,

@@ -21,7 +21,7 @@ from coop_env.kinematics import rrs_kernels
 from coop_env.simulation import state
 from coop_env.simulation.collision import collides, hole, peg_tip
 from coop_env.simulation.state import Configuration
-from coop_env.simulation.task import STEP, EnvParams
+from coop_env.simulation.task import EnvParams
 
 drop_stale_kernels(Path(__file__).parent, Path(coop_env.__file__).parent)
 
@@ -76,14 +76,14 @@ def neighbour(grid: Grid, node: int, move: int) -> int:
 
 @njit(cache=True)
 def configuration_at(
-    start: NDArray[np.float64], delta: Grid, rrs: Grid, delta_node: int, rrs_node: int
+    start: NDArray[np.float64], delta: Grid, rrs: Grid, delta_node: int, rrs_node: int, p: EnvParams
 ) -> Configuration:
     """The configuration of a pair of nodes, to the bit as the environment has it."""
     offset = np.empty(6, np.int64)
     for k in range(3):
         offset[k] = node_offset(delta, delta_node, k)
         offset[3 + k] = node_offset(rrs, rrs_node, k)
-    return state.lattice_configuration(start, offset)
+    return state.lattice_configuration(start, offset, p)
 
 
 @njit(cache=True)
@@ -92,12 +92,12 @@ def fill_free(start: NDArray[np.float64], delta: Grid, rrs: Grid, p: EnvParams) 
     some_rrs = node_at(rrs, np.zeros(3, np.int64))
     some_delta = node_at(delta, np.zeros(3, np.int64))
     for node in range(delta.free.size):
-        c = configuration_at(start, delta, rrs, node, some_rrs)
+        c = configuration_at(start, delta, rrs, node, some_rrs, p)
         delta.free[node] = state.delta_valid(c, p)
     for node in range(rrs.free.size):
-        c = configuration_at(start, delta, rrs, some_delta, node)
+        c = configuration_at(start, delta, rrs, some_delta, node, p)
         rrs.free[node] = state.rrs_valid(c, p) and not state.is_singular(
-            rrs_kernels.sigma_at(c[3], c[4], c[5], p.rrs)
+            rrs_kernels.sigma_at(c[3], c[4], c[5], p.rrs), p
         )
 
 
@@ -127,19 +127,20 @@ def goals(
     """All free, collision-free pairs of nodes (n, 2) that meet the target's insertion criterion."""
     found = []
     some_delta = node_at(delta, np.zeros(3, np.int64))
-    reach = int(p.task.chamfer / STEP[0]) + 1
+    step = p.layout.step
+    reach = int(p.task.tolerance / step[0]) + 1
     offset = np.empty(3, np.int64)
     for rrs_node in range(rrs.free.size):
         if not rrs.free[rrs_node]:
             continue
-        c = configuration_at(start, delta, rrs, some_delta, rrs_node)
+        c = configuration_at(start, delta, rrs, some_delta, rrs_node, p)
         pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
-        mouth, normal = hole(pose, target)
+        mouth, normal = hole(pose, target, p)
         if state.alignment_angle(normal[0], normal[1], normal[2]) >= p.task.angle_tolerance:
             continue
         above = mouth[2] - p.delta.base_height + p.delta.peg_length
         for k, wanted in enumerate((mouth[0], mouth[1], above)):
-            offset[k] = round((wanted - start[k]) / STEP[k])
+            offset[k] = round((wanted - start[k]) / step[k])
         for i in range(offset[0] - reach, offset[0] + reach + 1):
             for j in range(offset[1] - reach, offset[1] + reach + 1):
                 for k in range(offset[2] - reach, offset[2] + reach + 1):
@@ -160,11 +161,12 @@ def _goal_node(
     for k in range(3):
         if at[k] < delta.low[k] or at[k] >= delta.low[k] + delta.shape[k]:
             return -1
+    step = p.layout.step
     tip = peg_tip(
-        start[0] + at[0] * STEP[0], start[1] + at[1] * STEP[1], start[2] + at[2] * STEP[2], p.delta
+        start[0] + at[0] * step[0], start[1] + at[1] * step[1], start[2] + at[2] * step[2], p.delta
     )
     dx, dy, dz = mouth[0] - tip[0], mouth[1] - tip[1], mouth[2] - tip[2]
-    if math.sqrt(dx * dx + dy * dy + dz * dz) >= p.task.chamfer:
+    if math.sqrt(dx * dx + dy * dy + dz * dz) >= p.task.tolerance:
         return -1
     node = node_at(delta, np.array(at))
     return node if delta.free[node] else -1
@@ -174,7 +176,7 @@ def _goal_node(
 def _pair_collides(
     start: NDArray[np.float64], delta: Grid, rrs: Grid, delta_node: int, rrs_node: int, p: EnvParams
 ) -> bool:
-    c = configuration_at(start, delta, rrs, delta_node, rrs_node)
+    c = configuration_at(start, delta, rrs, delta_node, rrs_node, p)
     _, theta, pose, q = state.joint_angles(c, p)
     return collides(c[0], c[1], c[2], theta, pose, q, p)
 

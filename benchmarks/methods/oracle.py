@@ -14,8 +14,8 @@ from benchmarks.methods import lattice_search as search
 from benchmarks.methods.base import Plan
 from benchmarks.methods.lattice_search import Grid
 from coop_env.simulation import dynamics
-from coop_env.simulation.state import OUTCOME, STATE, aim
-from coop_env.simulation.task import N_ACTIONS, STEP, EnvParams
+from coop_env.simulation.state import OUTCOME, aim
+from coop_env.simulation.task import N_ACTIONS, EnvParams
 
 DEFAULT_NODE_LIMIT: Final = 2_000_000
 
@@ -122,8 +122,10 @@ class LatticeOracle:
         return self._lattice
 
 
-def _grid(start: NDArray[np.float64], axis: int, low: list[float], high: list[float]) -> Grid:
-    step = np.array(STEP[axis : axis + 3])
+def _grid(
+    start: NDArray[np.float64], axis: int, low: list[float], high: list[float], p: EnvParams
+) -> Grid:
+    step = p.layout["step"][axis : axis + 3]
     origin = start[axis : axis + 3]
     # One node beyond each limit: rounding may let the kernels accept a node on the limit.
     first = np.floor((np.array(low) - origin) / step).astype(np.int64)
@@ -140,9 +142,10 @@ def _make_lattice(start: NDArray[np.float64], p: EnvParams) -> _Lattice:
         0,
         [-d.planar_limit, -d.planar_limit, -reach],
         [d.planar_limit, d.planar_limit, -drop],
+        p,
     )
     rrs = _grid(
-        start, 3, [-r.max_tilt, -r.max_tilt, r.heave_min], [r.max_tilt, r.max_tilt, r.heave_max]
+        start, 3, [-r.max_tilt, -r.max_tilt, r.heave_min], [r.max_tilt, r.max_tilt, r.heave_max], p
     )
     search.fill_free(start, delta, rrs, p)
     return _Lattice(start, delta, rrs)
@@ -171,7 +174,7 @@ def _nominal(state: Any, p: EnvParams) -> tuple[Any, EnvParams]:
     if not p.task.imperfect:
         return state, p
     p = p._replace(task=p.task._replace(imperfect=False))
-    twin = np.zeros(1, STATE)[0]
+    twin = np.zeros(1, state.dtype)[0]
     x, y, z, roll, pitch, heave = (float(v) for v in state["configuration"])
     status = dynamics.begin(
         twin, (x, y, z, roll, pitch, heave), state["active"], state["filled"], p

@@ -23,12 +23,11 @@ from benchmarks.methods.episodes import Episode
 from coop_env.env import CoopInsertionEnv
 from coop_env.kinematics.rrs_kernels import platform_pose
 from coop_env.simulation import dynamics
-from coop_env.simulation.task import DOME_RADIUS, HOLE_NORMALS, N_AXES, STEP, TaskParams
+from coop_env.simulation.task import N_AXES
 
 Configuration = NDArray[np.float64]
 Moves = list[int]
 
-UNITS: Final = np.array(STEP)
 HELD: Final = 1e-3  # half-width, in moves, of an axis that may not move: it rounds to nothing
 RETREAT: Final = 3  # moves up out of a hole that has just been filled
 RESOLUTION: Final = 0.25  # moves between two states that are tested along an edge
@@ -72,7 +71,7 @@ class RRTConnect:
         target = int(env.state["target"])
         iterations = 0
         moves = retreat(env)
-        start = env.configuration + UNITS * displacement(moves)
+        start = env.configuration + units(env) * displacement(moves)
         goal = alignment_pose(env, start, target)
         if goal is None:
             return Plan("no alignment pose", None, time.perf_counter() - begun)
@@ -80,15 +79,15 @@ class RRTConnect:
         iterations += used
         if path is None:
             return self._failed("no plan (3-RRS)", begun, iterations)
-        moves += round_path(path, start)
+        moves += round_path((path - start) / units(env))
         # kinematics are known exactly, so the coordinator knows where the rounded moves lead
-        reached = env.configuration + UNITS * displacement(moves)
+        reached = env.configuration + units(env) * displacement(moves)
         goal = _above_hole(env, reached, target)
         path, used = self._search(env, reached, goal, moving=(0, 1, 2))
         iterations += used
         if path is None:
             return self._failed("no plan (Delta)", begun, iterations)
-        moves += round_path(path, reached)
+        moves += round_path((path - reached) / units(env))
         seconds = time.perf_counter() - begun
         array = np.array(moves, dtype=np.int64)
         return Plan("solved", array, seconds, {"iterations": iterations})
@@ -124,7 +123,7 @@ class RRTConnect:
         path = setup.getSolutionPath()
         path.interpolate(max(2, math.ceil(path.length() / SPACING)))
         states = np.array([state[0:N_AXES] for state in path.getStates()], dtype=np.float64)
-        return states * UNITS + start, checks
+        return states * units(env) + start, checks
 
 
 def _problem(
@@ -133,11 +132,11 @@ def _problem(
     """The OMPL problem in units of moves relative to ``start``."""
     space = ob.RealVectorStateSpace(N_AXES)
     bounds = ob.RealVectorBounds(N_AXES)
-    low, high = _workspace(env)
+    unit, (low, high) = units(env), _workspace(env)
     for axis in range(N_AXES):
         if axis in moving:
-            bounds.setLow(axis, float((low[axis] - start[axis]) / UNITS[axis]) - HELD)
-            bounds.setHigh(axis, float((high[axis] - start[axis]) / UNITS[axis]) + HELD)
+            bounds.setLow(axis, float((low[axis] - start[axis]) / unit[axis]) - HELD)
+            bounds.setHigh(axis, float((high[axis] - start[axis]) / unit[axis]) + HELD)
         else:
             bounds.setLow(axis, -HELD)
             bounds.setHigh(axis, HELD)
@@ -146,7 +145,7 @@ def _problem(
     params = env.params
 
     def is_valid(state: Any) -> bool:
-        c = np.array(state[0:N_AXES]) * UNITS + start
+        c = np.array(state[0:N_AXES]) * unit + start
         # the peg may touch the dome within a hole's chamfer, as when it moves
         return bool(dynamics.configuration_status(tuple(c), params) == dynamics.VALID)
 
@@ -155,9 +154,14 @@ def _problem(
     setup.getSpaceInformation().setStateValidityCheckingResolution(RESOLUTION / extent)
     first, last = space.allocState(), space.allocState()
     first[0:N_AXES] = [0.0] * N_AXES
-    last[0:N_AXES] = [float(x) for x in (goal - start) / UNITS]
+    last[0:N_AXES] = [float(x) for x in (goal - start) / unit]
     setup.setStartAndGoalStates(first, last)
     return setup
+
+
+def units(env: CoopInsertionEnv) -> Configuration:
+    """One move along each axis (6,), SI units."""
+    return np.array(env.task.steps)
 
 
 def _workspace(env: CoopInsertionEnv) -> tuple[Configuration, Configuration]:
@@ -176,7 +180,7 @@ def retreat(env: CoopInsertionEnv) -> Moves:
         return []
     up = np.zeros(N_AXES)
     for steps in range(1, RETREAT + 1):
-        up[2] = steps * UNITS[2]
+        up[2] = steps * units(env)[2]
         if env.configuration_status(env.configuration + up) != dynamics.VALID:
             return [4] * (steps - 1)
     return [4] * RETREAT
@@ -189,11 +193,11 @@ def alignment_pose(env: CoopInsertionEnv, now: Configuration, hole: int) -> Conf
     (-h_x, -h_y, h_z), from which roll and pitch follow. The heave is the present one, or else the
     next lattice height at which the pose is valid. None if there is none.
     """
-    hx, hy, hz = HOLE_NORMALS[hole]
+    hx, hy, hz = env.task.hole_normals[hole]
     pitch, roll = math.asin(-hx), math.atan2(hy, hz)
     for steps in (0, 1, -1, 2, -2):
         goal = now.copy()
-        goal[3:6] = roll, pitch, now[5] + steps * UNITS[5]
+        goal[3:6] = roll, pitch, now[5] + steps * units(env)[5]
         if env.configuration_status(goal) == dynamics.VALID:
             return goal
     return None
@@ -204,21 +208,22 @@ def _above_hole(env: CoopInsertionEnv, configuration: Configuration, hole: int) 
     roll, pitch, heave = (float(x) for x in configuration[3:6])
     pose = platform_pose(roll, pitch, heave, env.params.rrs)
     rotation = np.array(pose[3:12]).reshape(3, 3)
-    mouth = np.array(pose[0:3]) + DOME_RADIUS * rotation @ np.array(HOLE_NORMALS[hole])
+    normal, radius = np.array(env.task.hole_normals[hole]), env.task.dome_radius
+    mouth = np.array(pose[0:3]) + radius * rotation @ normal
     delta = env.params.delta
     goal = configuration.copy()
     goal[0:3] = mouth - np.array([0.0, 0.0, delta.base_height - delta.peg_length])
     return goal
 
 
-def round_path(path: Configuration, start: Configuration) -> Moves:
-    """Moves that follow a dense path (n, 6) on the lattice around ``start`` (6,).
+def round_path(path: Configuration) -> Moves:
+    """Moves that follow a dense path (n, 6), in moves from its start.
 
     At each point, the axis that lags most moves until none lags more than half a move.
     """
     at = np.zeros(N_AXES, dtype=np.int64)
     moves: Moves = []
-    for point in (path - start) / UNITS:
+    for point in path:
         while True:
             lag = point - at
             axis = int(np.argmax(np.abs(lag)))
@@ -286,6 +291,6 @@ def _cause(episode: Episode, info: dict[str, Any], refused: int) -> str:
         return "out of time"
     if refused:
         return "collision"
-    if not info or info["distance"] >= TaskParams().chamfer:
+    if not info or info["distance"] >= episode.env.task.tolerance:
         return "precision"
     return "alignment"

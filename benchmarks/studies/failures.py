@@ -36,7 +36,6 @@ from benchmarks.reporting.results import tail_mean
 from benchmarks.reporting.stats import wilson
 from benchmarks.runs.store import Store, write_atomic, write_csv, write_text
 from coop_env.kinematics.rotations import tilt_azimuth
-from coop_env.simulation.task import HOLE_POLAR
 
 CAUSES: Final = ("infeasible", "singular", "cycle", "wandering")
 RECENT: Final = 40  # moves at the end of an episode ...
@@ -81,7 +80,7 @@ def play(
                 "episode": episode.number,
                 "start": episode.start,
                 "target": int(state["target"]),
-                "polar": float(np.degrees(HOLE_POLAR[int(state["target"])])),
+                "polar": float(np.degrees(episode.env.task.holes[int(state["target"])][0])),
                 "roll": float(np.degrees(roll)),
                 "pitch": float(np.degrees(pitch)),
                 "tilt": float(np.degrees(tilt_azimuth(np.array([roll, pitch]))[0])),

@@ -20,7 +20,6 @@ from coop_env.env import CoopInsertionEnv
 from coop_env.geometry import GEOMETRIES
 from coop_env.rendering.browser import ViewerError
 from coop_env.rendering.viewer import Act, view
-from coop_env.simulation.task import STEP
 
 
 class Optimum:
@@ -50,7 +49,7 @@ class Optimum:
             self._moves = [int(move) for move in plan.moves]
         move = self._moves.pop(0)
         self._expected = env.configuration
-        self._expected[move // 2] += STEP[move // 2] * (1.0 - 2.0 * (move % 2))
+        self._expected[move // 2] += env.task.steps[move // 2] * (1.0 - 2.0 * (move % 2))
         return move
 
     def _lost(self) -> bool:

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from coop_env.simulation import task
 from coop_env.simulation.collision import arm_points, limb_points
 from coop_env.simulation.state import joint_angles
-from coop_env.simulation.task import DT, EnvParams
+from coop_env.simulation.task import EnvParams
 
 Points = NDArray[np.float64]
 
@@ -36,11 +35,11 @@ class Scene:
     platform_centre: Points  # (3,)
     platform_rotation: Points  # (3, 3)
     dome_radius: float
-    hole_mouths: Points  # (6, 3)
-    hole_normals: Points  # (6, 3), outward unit vectors
+    hole_mouths: Points  # (holes, 3)
+    hole_normals: Points  # (holes, 3), outward unit vectors
     chamfer: float
-    active: NDArray[np.bool_]  # (6,)
-    filled: NDArray[np.bool_]  # (6,)
+    active: NDArray[np.bool_]  # (holes,)
+    filled: NDArray[np.bool_]  # (holes,)
     target: int
     distance: float
     alignment_error: float
@@ -69,21 +68,21 @@ class Scene:
         )
 
 
-def _status(state: np.void, sigma: float) -> str:
+def _status(state: np.void, sigma: float, margin: float) -> str:
     if not state["over"]:
         return "running"
     if not np.any((state["active"] == 1) & (state["filled"] == 0)):
         return "success"
-    return "timeout" if sigma >= task.SINGULAR_MARGIN else "singular"
+    return "timeout" if sigma >= margin else "singular"
 
 
 def make_scene(state: np.void, p: EnvParams, trace: Sequence[Points] = ()) -> Scene:
-    """The scene of a row of :data:`~coop_env.simulation.state.STATE`; ``trace``: the tip's path."""
+    """The scene of a row of state; ``trace``: the tip's path."""
     x, y, z, roll, pitch, heave = (float(v) for v in state["configuration"])
     _, theta, pose, q = joint_angles((x, y, z, roll, pitch, heave), p)
     arms = np.array([arm_points(x, y, z, theta, i, p.delta) for i in range(3)])
     limbs = np.array([limb_points(pose, q, i, p.rrs) for i in range(3)])
-    sigma = float(state["sigma"])
+    sigma, margin = float(state["sigma"]), float(p.layout["singular_margin"])
     return Scene(
         delta_base_joints=arms[:, 0],
         knees=arms[:, 1],
@@ -96,7 +95,7 @@ def make_scene(state: np.void, p: EnvParams, trace: Sequence[Points] = ()) -> Sc
         platform_joints=limbs[:, 2],
         platform_centre=np.array(pose[:3]),
         platform_rotation=np.array(pose[3:]).reshape(3, 3),
-        dome_radius=task.DOME_RADIUS,
+        dome_radius=float(p.layout["dome_radius"]),
         hole_mouths=state["mouths"].copy(),
         hole_normals=state["normals"].copy(),
         chamfer=p.task.chamfer,
@@ -106,9 +105,9 @@ def make_scene(state: np.void, p: EnvParams, trace: Sequence[Points] = ()) -> Sc
         distance=float(state["distance"]),
         alignment_error=float(state["angle"]),
         sigma_min=sigma,
-        singular_margin=task.SINGULAR_MARGIN,
+        singular_margin=margin,
         configuration=state["configuration"].copy(),
-        time=float(state["moves"]) * DT,
-        status=_status(state, sigma),
+        time=float(state["moves"]) * float(p.layout["dt"]),
+        status=_status(state, sigma, margin),
         trace=np.array(trace, np.float64).reshape(-1, 3),
     )

@@ -29,7 +29,7 @@ from coop_env.rendering.browser import (
     slider_range,
     summary,
 )
-from coop_env.simulation.task import AXES, DT, N_ACTIONS
+from coop_env.simulation.task import AXES, N_ACTIONS
 
 Act = Callable[[Any, npt.NDArray[np.bool_]], int]
 MakeEnv = Callable[[str], CoopInsertionEnv]
@@ -210,7 +210,7 @@ class Viewer:
             began = time.perf_counter()
             with self._lock:
                 self._play_move()
-            time.sleep(max(DT - (time.perf_counter() - began), 0.0))
+            time.sleep(max(self.env.task.dt - (time.perf_counter() - began), 0.0))
 
     def _play_move(self) -> None:
         if not self._playing.is_set() or self._act is None:

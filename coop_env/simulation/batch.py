@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from coop_env.compilation import njit
 from coop_env.simulation import dynamics, observation
-from coop_env.simulation.state import INFO_FIELDS
+from coop_env.simulation.rewards import TERMS
+from coop_env.simulation.state import INFO_FIELDS, Record
 from coop_env.simulation.task import unpack
 
 _N_FIELDS = len(INFO_FIELDS)  # the reward's terms come next
@@ -35,10 +36,42 @@ def step_batch(
         observation.observe(states[i], p, o, rows[i])
 
 
+@njit(cache=True)
+def write_reset_outcome(s: Record, out: Record) -> None:
+    """The outcome before any move, from which a reset's ``info`` is made."""
+    out.success = out.inserted = out.collision = out.violation = False
+    out.duplicate = out.singular = out.terminated = out.truncated = False
+    out.n_filled = s.filled.sum()
+    out.inserted_hole = -1
+    out.sigma_min, out.alignment_error, out.distance = s.sigma, s.angle, s.distance
+    out.target = s.target
+    out.time = out.energy = out.reward = 0.0
+    out.terms[:] = 0.0
+
+
 def make_infos(outcomes: NDArray[np.void]) -> list[dict[str, Any]]:
     """The ``info`` of each outcome (n,), by columns: one dictionary display per environment."""
     columns = (outcomes[name].tolist() for name in INFO_FIELDS)
     return list(map(_info, outcomes["terms"].tolist(), *columns))
+
+
+def make_columns(
+    outcomes: NDArray[np.void], present: NDArray[np.bool_] | None = None
+) -> dict[str, Any]:
+    """The ``info`` of outcomes (n,) in Gymnasium's vector form: each key with a mask ``_key``.
+
+    ``present`` (n,) marks the rows that have an info; all of them by default.
+    """
+    there = np.ones(len(outcomes), bool) if present is None else present
+    columns: dict[str, Any] = {name: outcomes[name].copy() for name in INFO_FIELDS}
+    columns["is_success"] = columns["success"].copy()
+    terms = outcomes["terms"].T.copy()
+    columns["reward_terms"] = _masked(dict(zip(TERMS, terms, strict=True)), there)
+    return _masked(columns, there)
+
+
+def _masked(columns: dict[str, Any], there: NDArray[np.bool_]) -> dict[str, Any]:
+    return columns | {f"_{name}": there for name in columns}
 
 
 def make_info(outcome: tuple[Any, ...]) -> dict[str, Any]:

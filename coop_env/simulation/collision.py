@@ -14,16 +14,7 @@ from coop_env.kinematics import rrs_kernels
 from coop_env.kinematics.delta_kernels import DeltaParams
 from coop_env.kinematics.rrs_kernels import LIMB_COS, LIMB_SIN, Pose, RRSParams
 from coop_env.kinematics.singularity import Row
-from coop_env.simulation.task import (
-    DOME_RADIUS,
-    EFFECTOR_RADIUS,
-    FOREARM_RADIUS,
-    HOLE_NORMALS,
-    LIMB_RADIUS,
-    N_HOLES,
-    SPOKE_RADIUS,
-    EnvParams,
-)
+from coop_env.simulation.task import EnvParams
 
 
 @njit(cache=True)
@@ -79,27 +70,29 @@ def peg_tip(x: float, y: float, z: float, p: DeltaParams) -> Row:
 
 
 @njit(cache=True)
-def hole(pose: Pose, index: int) -> tuple[Row, Row]:
+def hole(pose: Pose, index: int, p: EnvParams) -> tuple[Row, Row]:
     """Mouth (m) and outward unit normal of a hole, world frame."""
-    nx, ny, nz = HOLE_NORMALS[index]
+    n = p.layout.normals
+    nx, ny, nz = n[index, 0], n[index, 1], n[index, 2]
     normal = (
         pose.r00 * nx + pose.r01 * ny + pose.r02 * nz,
         pose.r10 * nx + pose.r11 * ny + pose.r12 * nz,
         pose.r20 * nx + pose.r21 * ny + pose.r22 * nz,
     )
+    radius = p.layout.dome_radius
     mouth = (
-        pose.x + DOME_RADIUS * normal[0],
-        pose.y + DOME_RADIUS * normal[1],
-        pose.z + DOME_RADIUS * normal[2],
+        pose.x + radius * normal[0],
+        pose.y + radius * normal[1],
+        pose.z + radius * normal[2],
     )
     return mouth, normal
 
 
 @njit(cache=True)
-def in_opening(tip: Row, pose: Pose, radius: float) -> bool:
+def in_opening(tip: Row, pose: Pose, radius: float, p: EnvParams) -> bool:
     """Whether the tip lies within a radius of any hole's mouth."""
-    for i in range(N_HOLES):
-        mouth, _ = hole(pose, i)
+    for i in range(p.layout.n_holes):
+        mouth, _ = hole(pose, i, p)
         dx, dy, dz = tip[0] - mouth[0], tip[1] - mouth[1], tip[2] - mouth[2]
         if math.sqrt(dx * dx + dy * dy + dz * dz) < radius:
             return True
@@ -135,16 +128,17 @@ def arm_points(
 
 
 @njit(cache=True)
-def _capsule_hits_limbs(a: Row, b: Row, radius: float, pose: Pose, q: Row, p: RRSParams) -> bool:
+def _capsule_hits_limbs(a: Row, b: Row, radius: float, pose: Pose, q: Row, p: EnvParams) -> bool:
     """Whether a capsule touches a platform spoke or a link of the 3-RRS."""
     centre = (pose.x, pose.y, pose.z)
+    spoke, link = radius + p.layout.spoke_radius, radius + p.layout.limb_radius
     for limb in range(3):
-        base, elbow, joint = limb_points(pose, q, limb, p)
-        if segment_distance(a, b, centre, joint) < radius + SPOKE_RADIUS:
+        base, elbow, joint = limb_points(pose, q, limb, p.rrs)
+        if segment_distance(a, b, centre, joint) < spoke:
             return True
-        if segment_distance(a, b, elbow, joint) < radius + LIMB_RADIUS:
+        if segment_distance(a, b, elbow, joint) < link:
             return True
-        if segment_distance(a, b, base, elbow) < radius + LIMB_RADIUS:
+        if segment_distance(a, b, base, elbow) < link:
             return True
     return False
 
@@ -152,8 +146,8 @@ def _capsule_hits_limbs(a: Row, b: Row, radius: float, pose: Pose, q: Row, p: RR
 @njit(cache=True)
 def ceiling(heave: float, p: EnvParams) -> float:
     """A height above which there is nothing of the 3-RRS, m."""
-    above = max(DOME_RADIUS, p.rrs.platform_radius + SPOKE_RADIUS)
-    return max(heave + above, p.rrs.proximal_length + LIMB_RADIUS)
+    above = max(p.layout.dome_radius, p.rrs.platform_radius + p.layout.spoke_radius)
+    return max(heave + above, p.rrs.proximal_length + p.layout.limb_radius)
 
 
 @njit(cache=True)
@@ -175,13 +169,14 @@ def collides(x: float, y: float, z: float, theta: Row, pose: Pose, q: Row, p: En
     # The bore takes the peg, and the chamfer is as much wider all round as its width.
     opening = p.task.chamfer + peg_radius
     peg_end = (tip[0], tip[1], tip[2] + peg_radius)  # the capsule's cap ends at the tip
-    if point_segment_distance(
-        centre, peg_end, effector
-    ) < DOME_RADIUS + peg_radius and not in_opening(tip, pose, opening):
+    near_dome = p.layout.dome_radius + peg_radius
+    if point_segment_distance(centre, peg_end, effector) < near_dome and not in_opening(
+        tip, pose, opening, p
+    ):
         return True
-    if _capsule_hits_limbs(peg_end, effector, peg_radius, pose, q, p.rrs):
+    if _capsule_hits_limbs(peg_end, effector, peg_radius, pose, q, p):
         return True
-    if effector[2] - EFFECTOR_RADIUS >= top:
+    if effector[2] - p.layout.effector_radius >= top:
         return False
     return _arms_collide(x, y, z, theta, pose, q, p)
 
@@ -193,14 +188,15 @@ def _arms_collide(
     """Whether the effector or a forearm touches the dome, the platform or a link."""
     centre = (pose.x, pose.y, pose.z)
     effector = (x, y, z + p.delta.base_height)
-    if point_segment_distance(centre, effector, effector) < DOME_RADIUS + EFFECTOR_RADIUS:
+    dome, body, forearm = p.layout.dome_radius, p.layout.effector_radius, p.layout.forearm_radius
+    if point_segment_distance(centre, effector, effector) < dome + body:
         return True
-    if _capsule_hits_limbs(effector, effector, EFFECTOR_RADIUS, pose, q, p.rrs):
+    if _capsule_hits_limbs(effector, effector, body, pose, q, p):
         return True
     for limb in range(3):
         _, knee, joint = arm_points(x, y, z, theta, limb, p.delta)
-        if point_segment_distance(centre, knee, joint) < DOME_RADIUS + FOREARM_RADIUS:
+        if point_segment_distance(centre, knee, joint) < dome + forearm:
             return True
-        if _capsule_hits_limbs(knee, joint, FOREARM_RADIUS, pose, q, p.rrs):
+        if _capsule_hits_limbs(knee, joint, forearm, pose, q, p):
             return True
     return False

@@ -36,7 +36,7 @@ from coop_env.simulation.state import (
     update_inside,
     update_mask,
 )
-from coop_env.simulation.task import DT, N_AXES, N_HOLES, EnvParams
+from coop_env.simulation.task import N_AXES, EnvParams
 
 __all__ = [
     "COLLISION",
@@ -63,7 +63,7 @@ def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p
     if collides(c[0], c[1], c[2], theta, pose, q, p):
         return COLLISION
     sigma = rrs_kernels.signed_sigma_min(pose, q, p.rrs)
-    if is_singular(sigma):
+    if is_singular(sigma, p):
         return SINGULAR
     for k in range(N_AXES):
         s.start[k] = c[k]
@@ -77,8 +77,8 @@ def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p
     s.energy = 0.0
     s.over = False
     place_delta(s, c, theta, peg_tip(c[0], c[1], c[2], p.delta))
-    place_rrs(s, c, pose, q)
-    update_inside(s, p.task.chamfer, p)
+    place_rrs(s, c, pose, q, p)
+    update_inside(s, p.task.tolerance, p)
     update_mask(s, True, True, p)
     return VALID
 
@@ -106,7 +106,7 @@ def settle(s: Record, p: EnvParams) -> int:
 @njit(cache=True)
 def _move_delta(s: Record, action: int, p: EnvParams) -> int:
     """Try a move of the Delta, with what the state holds of the 3-RRS."""
-    c = neighbour(s, action)
+    c = neighbour(s, action, p)
     if not delta_kernels.within_limits(c[0], c[1], c[2], p.delta):
         return INVALID
     real, theta = delta_kernels.inverse(c[0], c[1], c[2], p.delta)
@@ -125,7 +125,7 @@ def _move_delta(s: Record, action: int, p: EnvParams) -> int:
 @njit(cache=True)
 def _move_rrs(s: Record, action: int, p: EnvParams) -> int:
     """Try a move of the 3-RRS, with what the state holds of the Delta."""
-    c = neighbour(s, action)
+    c = neighbour(s, action, p)
     if not rrs_kernels.within_limits(c[3], c[4], c[5], p.rrs):
         return INVALID
     pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
@@ -137,9 +137,9 @@ def _move_rrs(s: Record, action: int, p: EnvParams) -> int:
         return COLLISION
     for k in range(3):
         s.energy += abs(q[k] - s.q[k])
-    place_rrs(s, c, pose, q)
+    place_rrs(s, c, pose, q, p)
     s.sigma = rrs_kernels.signed_sigma_min(pose, q, p.rrs)
-    return SINGULAR if is_singular(s.sigma) else VALID
+    return SINGULAR if is_singular(s.sigma, p) else VALID
 
 
 @njit(cache=True)
@@ -168,10 +168,10 @@ def _follow(s: Record, c: Configuration, p: EnvParams) -> int:
     for k in range(6):
         m.joints[k] = joints[k]
     place_delta(s, c, theta, peg_tip(at[0], at[1], at[2], real.delta))
-    place_rrs(s, c, met, q)
-    update_inside(s, m.chamfer, p)
+    place_rrs(s, c, met, q, p)
+    update_inside(s, m.tolerance, p)
     s.sigma = rrs_kernels.signed_sigma_min(pose, q, real.rrs)
-    return SINGULAR if is_singular(s.sigma) else VALID
+    return SINGULAR if is_singular(s.sigma, p) else VALID
 
 
 @njit(cache=True)
@@ -179,7 +179,7 @@ def _attempt(s: Record, action: int, p: EnvParams) -> int:
     """Try a move: VALID and SINGULAR ones are executed, INVALID and COLLISION ones are not."""
     rrs = action >= 6
     if p.task.imperfect:
-        status = _follow(s, neighbour(s, action), p)
+        status = _follow(s, neighbour(s, action, p), p)
     elif rrs:
         status = _move_rrs(s, action, p)
     else:
@@ -190,7 +190,7 @@ def _attempt(s: Record, action: int, p: EnvParams) -> int:
         leave(s)
     s.offset[action // 2] += 1 - 2 * (action % 2)
     if not p.task.imperfect:
-        update_inside(s, p.task.chamfer, p)
+        update_inside(s, p.task.tolerance, p)
     update_mask(s, not rrs, rrs, p)
     return status
 
@@ -214,25 +214,26 @@ def _inserts(s: Record, p: EnvParams) -> bool:
 
 
 @njit(cache=True)
-def _entered_filled_hole(s: Record, was_inside: tuple[int, int, int, int, int, int]) -> bool:
-    entered = False
-    for i in range(N_HOLES):
-        entered |= s.filled[i] == 1 and s.inside[i] == 1 and was_inside[i] == 0
-    return entered
+def _in_filled_holes(s: Record) -> int:
+    """The filled holes whose criterion the peg meets, as the bits of a number."""
+    bits = 0
+    for i in range(len(s.inside)):
+        if s.filled[i] == 1 and s.inside[i] == 1:
+            bits |= 1 << i
+    return bits
 
 
 @njit(cache=True)
 def step(s: Record, action: int, p: EnvParams, out: Record) -> None:
     """One move of one environment: writes the next state to ``s`` and what happened to ``out``."""
-    inside = s.inside
-    before = (inside[0], inside[1], inside[2], inside[3], inside[4], inside[5])
+    before = _in_filled_holes(s)
     distance, angle = s.distance, s.angle
     due = _due(s, action, p)
     status = _attempt(s, due, p) if due >= 0 else VALID
     s.moves += 1
     v, target = status != VALID, s.target
     s.distance, s.angle = hole_distance(s, target), hole_angle(s, target)
-    u = not v and _entered_filled_hole(s, before)
+    u = not v and _in_filled_holes(s) & ~before != 0
     z = not v and due >= 0 and _inserts(s, p)
     if z:
         s.filled[target] = 1
@@ -253,19 +254,19 @@ def step(s: Record, action: int, p: EnvParams, out: Record) -> None:
     out.violation = v
     out.duplicate = u
     out.singular = status == SINGULAR
-    _report(s, out)
+    _report(s, p, out)
     out.terminated = terminated
     out.truncated = not terminated and s.moves >= p.task.max_moves
     s.over = out.terminated or out.truncated
 
 
 @njit(cache=True)
-def _report(s: Record, out: Record) -> None:
+def _report(s: Record, p: EnvParams, out: Record) -> None:
     out.success = s.insertions > 0
     out.n_filled = s.filled.sum()
     out.sigma_min = s.sigma
     out.target = s.target
-    out.time = s.moves * DT
+    out.time = s.moves * p.layout.dt
     out.energy = s.energy
 
 
@@ -275,7 +276,7 @@ def _reward(
     before: tuple[float, float], after: tuple[float, float], p: EnvParams, out: Record,
 ) -> None:  # fmt: skip
     v, z, u, terminated = flags
-    n_filled, time = s.filled.sum(), s.moves * DT
+    n_filled, time = s.filled.sum(), s.moves * p.layout.dt
     if p.reward.paper:
         terms = rewards.paper_terms(v, z, u, n_filled, time, before[0], after[0], p.reward)
     else:

@@ -30,6 +30,7 @@ MACHINE: Final = np.dtype(
         ("resolution", "f8"),  # rad
         ("noise", "f8"),  # of the observation, in units of its range
         ("chamfer", "f8"),  # m
+        ("tolerance", "f8"),  # m
         ("insertion_probability", "f8"),
         ("latency", "i8"),
         ("joints", "f8", (6,)),  # where theta and q really are, rad
@@ -63,7 +64,7 @@ def gaussian(m: Record) -> float:
     return radius * math.cos(2.0 * math.pi * uniform(m))
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")  # numba returns no tuple that holds a record
 def real_params(m: Record, p: EnvParams) -> EnvParams:
     """The parameters with the machine's own lengths and chamfer."""
     rrs, d, a = p.rrs, p.delta, m.lengths
@@ -76,10 +77,11 @@ def real_params(m: Record, p: EnvParams) -> EnvParams:
             a[4], a[5], a[6], a[7], d.base_height, d.peg_length, d.peg_radius, d.planar_limit
         ),
         TaskParams(
-            m.chamfer, p.task.angle_tolerance, p.task.max_moves, p.task.mask_singularities,
-            p.task.visited, p.task.imperfect,
+            m.chamfer, m.tolerance, p.task.angle_tolerance, p.task.max_moves,
+            p.task.mask_singularities, p.task.visited, p.task.imperfect,
         ),
         p.reward,
+        p.layout,
     )  # fmt: skip
 
 

@@ -8,22 +8,25 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from coop_env.checks import check_flag
 from coop_env.compilation import njit
 from coop_env.errors import ArgumentError
 from coop_env.kinematics import rrs_kernels
 from coop_env.simulation import machine
 from coop_env.simulation.collision import hole, peg_tip
+from coop_env.simulation.insertion_task import PAPER_TASK
 from coop_env.simulation.state import Record
-from coop_env.simulation.task import DOME_RADIUS, DT, N_HOLES, EnvParams, unpack
+from coop_env.simulation.task import EnvParams, unpack
 
 PAPER_FIELDS: Final = (
     "x", "y", "z", "roll", "pitch", "heave",
     "e_x", "e_y", "e_z", "n_x", "n_y", "n_z",
 )  # fmt: skip
-MARKOV_FIELDS: Final = (*PAPER_FIELDS, *(f"filled_{i}" for i in range(N_HOLES)), "time")
 
-ERROR_BOUND: Final = 0.15
-"""Half-width of the normalized e_rel, m. The 10 mm of an insertion are then a thirtieth of it."""
+
+def markov_fields(n_holes: int) -> tuple[str, ...]:
+    """Fields of the observation ``"markov"``."""
+    return (*PAPER_FIELDS, *(f"filled_{i}" for i in range(n_holes)), "time")
 
 
 Transform = NDArray[np.float64]
@@ -31,7 +34,7 @@ Transform = NDArray[np.float64]
 
 
 def make_observation(
-    observation: str, normalize: bool, p: EnvParams
+    observation: str, normalize: bool, p: EnvParams, error_bound: float = PAPER_TASK.error_bound
 ) -> tuple[Transform, spaces.Box]:
     """The kernel's transform and the Gymnasium space of an observation.
 
@@ -39,15 +42,16 @@ def make_observation(
         observation: ``"paper"``, 12 fields, or ``"markov"``, which appends the filled holes and
             the time elapsed, both of which the reward depends on.
         normalize: fields scaled to [0, 1] and clipped, or plain SI units.
+        error_bound: half-width of the normalized hole - tip, m; the 10 mm of an insertion are a
+            thirtieth of the default's range.
 
     Raises:
         ArgumentError: ``observation`` is neither, or ``normalize`` is no bool.
     """
     if observation not in ("paper", "markov"):
         raise ArgumentError(f"observation = {observation!r}: must be 'paper' or 'markov'")
-    if not isinstance(normalize, bool):
-        raise ArgumentError(f"normalize = {normalize!r}: must be True or False")
-    low, high = _bounds(p, ERROR_BOUND if normalize else _largest_error(p))
+    check_flag("normalize", normalize)
+    low, high = _bounds(p, error_bound if normalize else _largest_error(p))
     if observation == "paper":
         low, high = low[: len(PAPER_FIELDS)], high[: len(PAPER_FIELDS)]
     zeros, ones = np.zeros_like(low), np.ones_like(low)
@@ -59,22 +63,23 @@ def make_observation(
 
 
 def _bounds(p: EnvParams, error: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    d, r = p.delta, p.rrs
+    d, r, n_holes = p.delta, p.rrs, int(p.layout["n_holes"])
     reach, drop = d.proximal_length + d.distal_length, abs(d.proximal_length - d.distal_length)
     low = [-d.planar_limit, -d.planar_limit, -reach, -r.max_tilt, -r.max_tilt, r.heave_min]
     high = [d.planar_limit, d.planar_limit, -drop, r.max_tilt, r.max_tilt, r.heave_max]
-    low += [-error] * 3 + [-1.0] * 3 + [0.0] * (N_HOLES + 1)
-    high += [error] * 3 + [1.0] * 3 + [1.0] * N_HOLES + [p.task.max_moves * DT]
+    low += [-error] * 3 + [-1.0] * 3 + [0.0] * (n_holes + 1)
+    high += [error] * 3 + [1.0] * 3 + [1.0] * n_holes
+    high += [p.task.max_moves * float(p.layout["dt"])]
     return np.array(low), np.array(high)
 
 
 def _largest_error(p: EnvParams) -> float:
     """A bound on every component of hole - tip, m, from the two workspaces."""
-    d, r = p.delta, p.rrs
-    planar = d.planar_limit + DOME_RADIUS + r.platform_radius
+    d, r, dome = p.delta, p.rrs, float(p.layout["dome_radius"])
+    planar = d.planar_limit + dome + r.platform_radius
     tip_low = d.base_height - d.peg_length - d.proximal_length - d.distal_length
     tip_high = d.base_height - d.peg_length - abs(d.proximal_length - d.distal_length)
-    hole_low, hole_high = r.heave_min - DOME_RADIUS, r.heave_max + DOME_RADIUS
+    hole_low, hole_high = r.heave_min - dome, r.heave_max + dome
     return max(planar, hole_high - tip_low, tip_high - hole_low)
 
 
@@ -83,7 +88,7 @@ def _observe_model(s: Record, p: EnvParams, row: np.ndarray) -> None:
     """Overwrite e_rel and n_target by what the controller's model makes of the configuration."""
     c = s.configuration
     tip = peg_tip(c[0], c[1], c[2], p.delta)
-    mouth, normal = hole(rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs), s.target)
+    mouth, normal = hole(rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs), s.target, p)
     for k in range(3):
         row[6 + k] = mouth[k] - tip[k]
         row[9 + k] = normal[k]
@@ -101,9 +106,10 @@ def observe(s: Record, p: EnvParams, o: np.ndarray, row: np.ndarray) -> None:
     if p.task.imperfect:
         _observe_model(s, p, row)
     if row.shape[0] > 12:
-        for i in range(N_HOLES):
+        n_holes = len(s.filled)
+        for i in range(n_holes):
             row[12 + i] = s.filled[i]
-        row[12 + N_HOLES] = s.moves * DT
+        row[12 + n_holes] = s.moves * p.layout.dt
     noise = s.machine.noise if p.task.imperfect else 0.0
     for k in range(row.shape[0]):
         value = (row[k] - o[0, k]) * o[1, k]

@@ -14,9 +14,10 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
+from coop_env.checks import check_number
 from coop_env.compilation import njit
 from coop_env.errors import RewardError
-from coop_env.simulation.task import TASK_TIME, RewardParams
+from coop_env.simulation.task import RewardParams
 
 TERMS: Final = (
     "violation",
@@ -67,6 +68,8 @@ def make_reward(kind: str, kwargs: Mapping[str, float | None] | None = None) -> 
     Raises:
         RewardError: an unknown name or key, or a scale that is negative, infinite or not a number.
     """
+    if kwargs is not None and not isinstance(kwargs, Mapping):
+        raise RewardError(f"reward_kwargs = {kwargs!r}: must be a mapping of scales or None")
     given = dict(kwargs or {})
     if kind == "paper":
         if given:
@@ -77,7 +80,7 @@ def make_reward(kind: str, kwargs: Mapping[str, float | None] | None = None) -> 
         return RewardParams(True, 0.01, 1.0, 0.0, math.nan, 3.0, 1.0, math.nan)
     if kind != "progress":
         raise RewardError(f"reward = {kind!r}: must be 'paper' or 'progress'")
-    unknown = sorted(set(given) - set(PROGRESS_DEFAULTS))
+    unknown = sorted({str(key) for key in given} - set(PROGRESS_DEFAULTS))
     if unknown:
         raise RewardError(
             f"reward_kwargs has unknown keys {unknown}; known: {sorted(PROGRESS_DEFAULTS)}"
@@ -89,23 +92,16 @@ def make_reward(kind: str, kwargs: Mapping[str, float | None] | None = None) -> 
 def _scale(key: str, value: float | None) -> float:
     if value is None and key in ("insertion_bonus", "gamma"):
         return math.nan
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise RewardError(f"reward_kwargs[{key!r}] = {value!r}: must be a number")
-    if not (math.isfinite(value) and value >= 0.0):
-        raise RewardError(
-            f"reward_kwargs[{key!r}] = {value!r}: must be finite and not negative "
-            "(costs and penalties are magnitudes)"
-        )
-    if key == "gamma" and value > 1.0:
-        raise RewardError(f"reward_kwargs['gamma'] = {value!r}: must be at most 1")
-    return float(value)
+    most = 1.0 if key == "gamma" else math.inf
+    # costs and penalties are magnitudes
+    return check_number(f"reward_kwargs[{key!r}]", value, 0.0, most, error=RewardError)
 
 
 @njit(cache=True)
 def insertion_bonus(n_filled: int, time: float, p: RewardParams) -> float:
     """Bonus of a new insertion: ``150 + 25 N_t + 80 (1 - t / T_task)``, or the constant given."""
     if math.isnan(p.insertion_bonus):
-        return 150.0 + 25.0 * n_filled + 80.0 * (1.0 - time / TASK_TIME)
+        return 150.0 + 25.0 * n_filled + 80.0 * (1.0 - time / p.task_time)
     return p.insertion_bonus
 
 

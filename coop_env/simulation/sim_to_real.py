@@ -8,12 +8,15 @@ machine's.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
 import numpy as np
 
+from coop_env.checks import as_dataclass, check_flag, check_integer, check_number
 from coop_env.errors import ArgumentError
+from coop_env.simulation.insertion_task import InsertionTask
 from coop_env.simulation.task import EnvParams
 
 
@@ -30,7 +33,7 @@ class SimToReal:
         backlash: play of each actuated joint, from one side to the other, rad.
         joint_resolution: step to which joint commands are rounded, rad.
         latency: 1 executes each action one step late; the first step then does nothing.
-        chamfer_error: bound of the chamfer's error, m.
+        chamfer_error: bound of the error of the chamfer and of the tolerance with it, m.
         insertion_probability: chance that a move which meets the criterion inserts; the chamfer
             catches the peg otherwise, and the next move is another attempt.
         randomize: at every reset scale each bound, the noise and the play by a uniform factor in
@@ -55,16 +58,13 @@ class SimToReal:
         limits = {
             "observation_noise": 1.0, "link_length_error": 0.05, "base_position_error": 0.05,
             "base_tilt_error": 0.2, "backlash": 0.1, "joint_resolution": 0.1,
-            "chamfer_error": 0.009, "insertion_probability": 1.0, "latency": 1,
+            "chamfer_error": 0.1, "insertion_probability": 1.0,
         }  # fmt: skip
         for name, limit in limits.items():
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)):
-                raise ArgumentError(f"SimToReal.{name} = {value!r}: must be a number")
-            if not (math.isfinite(value) and 0.0 <= value <= limit):
-                raise ArgumentError(f"SimToReal.{name} = {value!r}: must lie within 0 to {limit}")
-        if self.latency not in (0, 1):
-            raise ArgumentError(f"SimToReal.latency = {self.latency!r}: must be 0 or 1 step")
+            number = check_number(f"SimToReal.{name}", getattr(self, name), 0.0, limit)
+            object.__setattr__(self, name, number)
+        check_integer("SimToReal.latency", self.latency, 0, 1, hint=" step")
+        check_flag("SimToReal.randomize", self.randomize)
 
     @property
     def active(self) -> bool:
@@ -90,21 +90,28 @@ RANDOMIZED: Final = SimToReal(
 """The domain-randomization preset: each episode another machine, from ideal to this far off."""
 
 
-def resolve(value: str | SimToReal | None) -> SimToReal:
-    """The knobs of a constructor argument: None, ``"randomized"`` or the knobs themselves.
+def resolve(value: str | SimToReal | Mapping[str, Any] | None, task: InsertionTask) -> SimToReal:
+    """The knobs of a constructor argument: None, ``"randomized"``, the knobs or their fields.
 
     Raises:
-        ArgumentError: it is none of these.
+        ArgumentError: it is none of these, or the chamfer of ``task`` may vanish.
     """
     if value is None:
         return NOMINAL
-    if isinstance(value, SimToReal):
-        return value
-    if value == "randomized":
-        return RANDOMIZED
-    raise ArgumentError(
-        f"sim_to_real = {value!r}: must be None, 'randomized' or a coop_env.SimToReal"
-    )
+    if isinstance(value, str):
+        if value != "randomized":
+            raise ArgumentError(
+                f"sim_to_real = {value!r}: must be None, 'randomized' or a coop_env.SimToReal"
+            )
+        value = RANDOMIZED
+    knobs = as_dataclass("sim_to_real", value, SimToReal)
+    least = min(task.chamfer, task.tolerance)
+    if knobs.chamfer_error >= least:
+        raise ArgumentError(
+            f"SimToReal.chamfer_error = {knobs.chamfer_error!r}: must be below the task's chamfer "
+            f"and tolerance, {least:g} m"
+        )
+    return knobs
 
 
 def draw_machine(m: Any, knobs: SimToReal, p: EnvParams, rng: np.random.Generator) -> None:
@@ -123,7 +130,8 @@ def draw_machine(m: Any, knobs: SimToReal, p: EnvParams, rng: np.random.Generato
     m["backlash"] = scale[3] * knobs.backlash
     m["resolution"] = scale[4] * knobs.joint_resolution
     m["noise"] = scale[5] * knobs.observation_noise
-    m["chamfer"] = p.task.chamfer + scale[6] * knobs.chamfer_error * rng.uniform(-1.0, 1.0)
+    error = scale[6] * knobs.chamfer_error * rng.uniform(-1.0, 1.0)
+    m["chamfer"], m["tolerance"] = p.task.chamfer + error, p.task.tolerance + error
     m["insertion_probability"] = 1.0 - scale[7] * (1.0 - knobs.insertion_probability)
     m["latency"] = knobs.latency == 1 and (not knobs.randomize or scale[8] < 0.5)
     m["pending"] = -1

@@ -11,23 +11,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from coop_env.checks import check_integer
 from coop_env.compilation import njit
-from coop_env.errors import ArgumentError, ResetOptionError
+from coop_env.errors import ResetOptionError
 from coop_env.kinematics import rrs_kernels
 from coop_env.simulation import dynamics, state
 from coop_env.simulation.sim_to_real import SimToReal, draw_machine
-from coop_env.simulation.state import STATE, VALID, Record
-from coop_env.simulation.task import (
-    DOME_RADIUS,
-    N_AXES,
-    N_HOLES,
-    STAGE_HOLES,
-    START_CLEARANCE,
-    START_PLANAR,
-    START_SIGMA,
-    START_TILT,
-    EnvParams,
-)
+from coop_env.simulation.state import VALID, Record, state_dtype
+from coop_env.simulation.task import N_AXES, EnvParams
 
 OPTIONS: Final = ("configuration", "target", "filled")
 _BLOCK: Final = 16
@@ -36,7 +27,7 @@ _MAX_MACHINES: Final = 100
 _STATUS: Final = {
     state.INVALID: "outside a robot's workspace or joint limits",
     state.COLLISION: "a collision",
-    state.SINGULAR: "singular (signed sigma_min below 0.05)",
+    state.SINGULAR: "singular (signed sigma_min below {margin:g})",
 }
 
 
@@ -45,17 +36,19 @@ def _draw_configuration(
     s: Record, draws: np.ndarray, active: np.ndarray, filled: np.ndarray, p: EnvParams
 ) -> bool:
     """Begin at the first acceptable row of ``draws (k, 6)``, uniform in [0, 1)."""
-    low, high = START_CLEARANCE
+    lay = p.layout
+    low, high = lay.clearance_min, lay.clearance_max
+    tilt, planar = lay.start_tilt, lay.start_planar
     for i in range(draws.shape[0]):
         u = draws[i]
-        roll, pitch = (2.0 * u[0] - 1.0) * START_TILT, (2.0 * u[1] - 1.0) * START_TILT
+        roll, pitch = (2.0 * u[0] - 1.0) * tilt, (2.0 * u[1] - 1.0) * tilt
         heave = p.rrs.heave_min + u[2] * (p.rrs.heave_max - p.rrs.heave_min)
-        x, y = (2.0 * u[3] - 1.0) * START_PLANAR, (2.0 * u[4] - 1.0) * START_PLANAR
-        tip_z = heave + DOME_RADIUS + low + u[5] * (high - low)
+        x, y = (2.0 * u[3] - 1.0) * planar, (2.0 * u[4] - 1.0) * planar
+        tip_z = heave + lay.dome_radius + low + u[5] * (high - low)
         z = tip_z + p.delta.peg_length - p.delta.base_height
         if not rrs_kernels.is_valid(roll, pitch, heave, p.rrs):
             continue
-        if not rrs_kernels.sigma_at(roll, pitch, heave, p.rrs) >= START_SIGMA:
+        if not rrs_kernels.sigma_at(roll, pitch, heave, p.rrs) >= lay.start_sigma:
             continue
         if dynamics.begin(s, (x, y, z, roll, pitch, heave), active, filled, p) != VALID:
             continue
@@ -70,27 +63,32 @@ def check_stage(stage: object) -> int:
     Raises:
         ArgumentError: it is not 0 or 1.
     """
-    if isinstance(stage, bool) or not isinstance(stage, (int, np.integer)):
-        raise ArgumentError(f"stage = {stage!r}: must be 0 (four peripheral holes) or 1 (all six)")
-    if not 0 <= stage < len(STAGE_HOLES):
-        raise ArgumentError(f"stage = {stage!r}: must be 0 (four peripheral holes) or 1 (all six)")
-    return int(stage)
+    return check_integer("stage", stage, 0, 1, hint=": the first holes, or all of them")
 
 
 class StartOptions:
     """Reset options, checked before anything is drawn or written.
+
+    Args:
+        options: of :data:`OPTIONS`, or None.
+        active: 1 for each hole that is active, 0 for the others.
+        p: the environment's parameters.
 
     Raises:
         ResetOptionError: an unknown key, a malformed value, a hole that is not active, a target
             that is filled, or a configuration that is invalid, in collision or singular.
     """
 
-    def __init__(self, options: Mapping[str, Any] | None, stage: int, p: EnvParams) -> None:
+    def __init__(
+        self, options: Mapping[str, Any] | None, active: tuple[int, ...], p: EnvParams
+    ) -> None:
+        if options is not None and not isinstance(options, Mapping):
+            raise ResetOptionError(f"reset options = {options!r}: must be a mapping or None")
         given = dict(options or {})
         unknown = sorted(str(k) for k in set(given) - set(OPTIONS))
         if unknown:
             raise ResetOptionError(f"reset options {unknown} are unknown; known: {list(OPTIONS)}")
-        self.active = np.array(STAGE_HOLES[stage], np.uint8)
+        self.active = np.array(active, np.uint8)
         self.filled = _filled(given.get("filled"), self.active)
         self.target = _target(given.get("target"), self.active, self.filled)
         self.configuration = _configuration(given.get("configuration"), p)
@@ -99,13 +97,13 @@ class StartOptions:
 def draw_start(
     options: StartOptions, p: EnvParams, knobs: SimToReal, rng: np.random.Generator
 ) -> NDArray[np.void]:
-    """A start state, as an array (1,) of :data:`coop_env.simulation.state.STATE`.
+    """A start state, as an array (1,) of :func:`coop_env.simulation.state.state_dtype`.
 
     Raises:
         ResetOptionError: no acceptable start was found: the geometry has hardly any workspace
-            with sigma_min of at least 0.15, or no machine within the knobs can stand there.
+            with sigma_min of at least ``start_sigma``, or no machine within the knobs can stand.
     """
-    scratch = np.zeros(1, STATE)
+    scratch = np.zeros(1, state_dtype(len(options.active)))
     for _ in range(_MAX_MACHINES):
         if options.configuration is not None:
             dynamics.begin(scratch[0], options.configuration, options.active, options.filled, p)
@@ -137,27 +135,30 @@ def _draw_until_accepted(
         if _draw_configuration(scratch[0], draws, options.active, options.filled, p):
             return
     raise ResetOptionError(
-        f"no start state in {_BLOCK * _MAX_BLOCKS} draws: this geometry has too little workspace "
-        f"with sigma_min >= {START_SIGMA} within +-{START_TILT} rad of tilt; choose another"
+        f"no start state in {_BLOCK * _MAX_BLOCKS} draws: these robots have too little workspace "
+        f"with sigma_min >= {p.layout['start_sigma']:g} within +-{p.layout['start_tilt']:g} rad of "
+        "tilt; choose another geometry or other start ranges of the task"
     )
 
 
-def _hole_index(value: object, what: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise ResetOptionError(f"{what} = {value!r}: must be a hole, an integer 0 to {N_HOLES - 1}")
-    if not 0 <= value < N_HOLES:
-        raise ResetOptionError(f"{what} = {value!r}: must be a hole, an integer 0 to {N_HOLES - 1}")
+def _hole_index(value: object, what: str, n_holes: int) -> int:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, (int, np.integer))
+        or not 0 <= value < n_holes
+    ):
+        raise ResetOptionError(f"{what} = {value!r}: must be a hole, an integer 0 to {n_holes - 1}")
     return int(value)
 
 
 def _filled(value: Any, active: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    filled = np.zeros(N_HOLES, np.uint8)
+    filled = np.zeros(active.size, np.uint8)
     if value is None:
         return filled
     if isinstance(value, str) or not isinstance(value, Iterable):
         raise ResetOptionError(f"filled = {value!r}: must be a collection of hole indices")
     for item in value:
-        filled[_hole_index(item, "an entry of filled")] = 1
+        filled[_hole_index(item, "an entry of filled", active.size)] = 1
     if not np.any((active == 1) & (filled == 0)):
         raise ResetOptionError(
             f"filled = {np.flatnonzero(filled).tolist()}: leaves no active hole to fill"
@@ -168,7 +169,7 @@ def _filled(value: Any, active: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def _target(value: object, active: NDArray[np.uint8], filled: NDArray[np.uint8]) -> int | None:
     if value is None:
         return None
-    target = _hole_index(value, "target")
+    target = _hole_index(value, "target", active.size)
     if not active[target]:
         raise ResetOptionError(
             f"target = {target}: not active at this stage, unlike {np.flatnonzero(active).tolist()}"
@@ -204,5 +205,6 @@ def _configuration(value: object, p: EnvParams) -> state.Configuration | None:
         raise ResetOptionError(f"configuration = {configuration}: must be finite")
     status = state.configuration_status(configuration, p)
     if status != VALID:
-        raise ResetOptionError(f"configuration = {configuration}: is {_STATUS[status]}")
+        reason = _STATUS[status].format(margin=p.layout["singular_margin"])
+        raise ResetOptionError(f"configuration = {configuration}: is {reason}")
     return configuration

@@ -7,6 +7,7 @@ reverse cancel to the last bit.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -17,16 +18,12 @@ from coop_env.kinematics.rrs_kernels import Pose
 from coop_env.kinematics.singularity import Row
 from coop_env.simulation import rewards
 from coop_env.simulation.collision import below_ceiling, collides, hole
+from coop_env.simulation.insertion_task import PAPER_TASK
 from coop_env.simulation.machine import MACHINE
-from coop_env.simulation.task import (
-    N_ACTIONS,
-    N_AXES,
-    N_HOLES,
-    SINGULAR_MARGIN,
-    STEP,
-    TRAIL,
-    EnvParams,
-)
+from coop_env.simulation.task import N_ACTIONS, N_AXES, TRAIL, EnvParams
+
+KEY_SPAN: Final = 1024
+"""Lattice points along an axis that a key of the trail tells apart."""
 
 VALID: Final = 0
 INVALID: Final = 1
@@ -36,8 +33,17 @@ SINGULAR: Final = 3
 Configuration = tuple[float, float, float, float, float, float]
 Record = Any  # a row of STATE or OUTCOME, whose fields numba reads as attributes
 
-STATE: Final = np.dtype(
-    [
+
+@lru_cache
+def state_dtype(n_holes: int) -> np.dtype[np.void]:
+    """The layout of a row of state, in SI units; everything that the next step depends on."""
+    unaligned = -(3 * n_holes + N_ACTIONS + 2) % 8  # bytes short of the next eight
+    padding = [("unused", "u1", (unaligned,))] if unaligned else []
+    return np.dtype([*_fields(n_holes), *padding], align=True)
+
+
+def _fields(n_holes: int) -> list[Any]:
+    return [
         ("start", "f8", (N_AXES,)),
         ("offset", "i8", (N_AXES,)),  # moves from the start along each axis
         ("configuration", "f8", (N_AXES,)),
@@ -45,8 +51,8 @@ STATE: Final = np.dtype(
         ("q", "f8", (3,)),  # 3-RRS joint angles, rad
         ("sigma", "f8"),  # signed sigma_min
         ("tip", "f8", (3,)),  # world, m
-        ("mouths", "f8", (N_HOLES, 3)),  # world, m
-        ("normals", "f8", (N_HOLES, 3)),
+        ("mouths", "f8", (n_holes, 3)),  # world, m
+        ("normals", "f8", (n_holes, 3)),
         ("target", "i8"),
         ("distance", "f8"),  # tip to target mouth, m
         ("angle", "f8"),  # peg axis to target normal, rad
@@ -56,15 +62,16 @@ STATE: Final = np.dtype(
         ("trail", "i8", (TRAIL,)),  # keys of configurations left, a ring
         ("trailed", "i8"),  # number of them since the start or the last insertion
         ("machine", MACHINE),  # what sim-to-real knobs make of the nominal machine
-        ("inside", "u1", (N_HOLES,)),  # tip meets the hole's insertion criterion
-        ("active", "u1", (N_HOLES,)),
-        ("filled", "u1", (N_HOLES,)),
+        ("inside", "u1", (n_holes,)),  # tip meets the hole's insertion criterion
+        ("active", "u1", (n_holes,)),
+        ("filled", "u1", (n_holes,)),
         ("mask", "u1", (N_ACTIONS,)),
-        ("over", "u2"),  # two bytes leave no padding, so that rows compare by their bytes
-    ],
-    align=True,
-)
-"""One row of state, in SI units; everything that the next step depends on."""
+        ("over", "u2"),
+    ]
+
+
+STATE: Final = state_dtype(len(PAPER_TASK.holes))
+"""A row of state of the paper's six holes."""
 
 OUTCOME: Final = np.dtype(
     [
@@ -96,15 +103,16 @@ INFO_FIELDS: Final = (OUTCOME.names or ())[:14]
 
 
 @njit(cache=True)
-def lattice_configuration(start: np.ndarray, offset: np.ndarray) -> Configuration:
-    """``start + offset * STEP``: the one place where a lattice point becomes numbers."""
+def lattice_configuration(start: np.ndarray, offset: np.ndarray, p: EnvParams) -> Configuration:
+    """``start + offset * step``: the one place where a lattice point becomes numbers."""
+    step = p.layout.step
     return (
-        start[0] + offset[0] * STEP[0],
-        start[1] + offset[1] * STEP[1],
-        start[2] + offset[2] * STEP[2],
-        start[3] + offset[3] * STEP[3],
-        start[4] + offset[4] * STEP[4],
-        start[5] + offset[5] * STEP[5],
+        start[0] + offset[0] * step[0],
+        start[1] + offset[1] * step[1],
+        start[2] + offset[2] * step[2],
+        start[3] + offset[3] * step[3],
+        start[4] + offset[4] * step[4],
+        start[5] + offset[5] * step[5],
     )
 
 
@@ -137,9 +145,9 @@ def joint_angles(c: Configuration, p: EnvParams) -> tuple[bool, Row, Pose, Row]:
 
 
 @njit(cache=True)
-def is_singular(sigma: float) -> bool:
+def is_singular(sigma: float, p: EnvParams) -> bool:
     """Whether signed sigma_min is under the margin or on the far side of det A = 0 (or NaN)."""
-    return not sigma >= SINGULAR_MARGIN
+    return not sigma >= p.layout.singular_margin
 
 
 @njit(cache=True)
@@ -150,7 +158,7 @@ def configuration_status(c: Configuration, p: EnvParams) -> int:
         return INVALID
     if collides(c[0], c[1], c[2], theta, pose, q, p):
         return COLLISION
-    if is_singular(rrs_kernels.signed_sigma_min(pose, q, p.rrs)):
+    if is_singular(rrs_kernels.signed_sigma_min(pose, q, p.rrs), p):
         return SINGULAR
     return VALID
 
@@ -186,23 +194,23 @@ def place_delta(s: Record, c: Configuration, theta: Row, tip: Row) -> None:
 
 
 @njit(cache=True)
-def place_rrs(s: Record, c: Configuration, pose: Pose, q: Row) -> None:
+def place_rrs(s: Record, c: Configuration, pose: Pose, q: Row, p: EnvParams) -> None:
     """Write the 3-RRS's half of a configuration and what follows from it alone, but sigma."""
     for k in range(3):
         s.configuration[3 + k] = c[3 + k]
         s.q[k] = q[k]
-    for i in range(N_HOLES):
-        mouth, normal = hole(pose, i)
+    for i in range(len(s.mouths)):
+        mouth, normal = hole(pose, i, p)
         for k in range(3):
             s.mouths[i, k] = mouth[k]
             s.normals[i, k] = normal[k]
 
 
 @njit(cache=True)
-def update_inside(s: Record, chamfer: float, p: EnvParams) -> None:
+def update_inside(s: Record, tolerance: float, p: EnvParams) -> None:
     """Write which holes' insertion criterion the peg meets."""
-    for i in range(N_HOLES):
-        s.inside[i] = hole_distance(s, i) < chamfer and hole_angle(s, i) < p.task.angle_tolerance
+    for i in range(len(s.inside)):
+        s.inside[i] = hole_distance(s, i) < tolerance and hole_angle(s, i) < p.task.angle_tolerance
 
 
 @njit(cache=True)
@@ -216,7 +224,7 @@ def aim(s: Record, target: int) -> None:
 def open_holes(s: Record) -> int:
     """Number of active holes that are not filled."""
     n = 0
-    for i in range(N_HOLES):
+    for i in range(len(s.filled)):
         n += s.active[i] == 1 and s.filled[i] == 0
     return n
 
@@ -225,7 +233,7 @@ def open_holes(s: Record) -> int:
 def nearest_open_hole(s: Record) -> int:
     """The unfilled active hole nearest to the tip, or -1."""
     best, least = -1, math.inf
-    for i in range(N_HOLES):
+    for i in range(len(s.filled)):
         if s.active[i] and not s.filled[i]:
             distance = hole_distance(s, i)
             if distance < least:
@@ -234,11 +242,11 @@ def nearest_open_hole(s: Record) -> int:
 
 
 @njit(cache=True)
-def neighbour(s: Record, action: int) -> Configuration:
+def neighbour(s: Record, action: int, p: EnvParams) -> Configuration:
     """The configuration that an action leads to, valid or not."""
     axis, sign = action // 2, 1 - 2 * (action % 2)
     s.offset[axis] += sign
-    c = lattice_configuration(s.start, s.offset)
+    c = lattice_configuration(s.start, s.offset, p)
     s.offset[axis] -= sign
     return c
 
@@ -246,9 +254,9 @@ def neighbour(s: Record, action: int) -> Configuration:
 @njit(cache=True)
 def _is_safe(s: Record, action: int, p: EnvParams) -> bool:
     """Whether a move leads to a configuration of status VALID; most are settled without a test."""
-    c = neighbour(s, action)
+    c = neighbour(s, action, p)
     if action < 6 and not p.task.imperfect and not below_ceiling(c, p):
-        return delta_valid(c, p) and not is_singular(s.sigma)
+        return delta_valid(c, p) and not is_singular(s.sigma, p)
     return configuration_status(c, p) == VALID
 
 
@@ -256,14 +264,14 @@ def _is_safe(s: Record, action: int, p: EnvParams) -> bool:
 def _key(s: Record, action: int) -> int:
     """A number of its own for the lattice point that an action leads to; for -1, the present one.
 
-    Ten bits for each axis: no workspace is 1024 steps wide.
+    Ten bits for each axis: no workspace is KEY_SPAN steps wide.
     """
     key = 0
     for k in range(N_AXES):
         offset = s.offset[k]
         if action // 2 == k:
             offset += 1 - 2 * (action % 2)
-        key |= (offset & 1023) << (10 * k)
+        key |= (offset & (KEY_SPAN - 1)) << (10 * k)
     return key
 
 
@@ -311,9 +319,9 @@ def update_mask(s: Record, delta: bool, rrs: bool, p: EnvParams) -> None:
             s.mask[action] = _is_safe(s, action, p)
         elif action < 6:
             if delta or afresh:
-                s.mask[action] = delta_valid(neighbour(s, action), p)
+                s.mask[action] = delta_valid(neighbour(s, action, p), p)
         elif rrs or afresh:
-            s.mask[action] = rrs_valid(neighbour(s, action), p)
+            s.mask[action] = rrs_valid(neighbour(s, action, p), p)
     if p.task.visited > 0:
         _forbid_visited(s, p.task.visited)
     if s.mask.sum() == 0:

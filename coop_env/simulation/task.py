@@ -1,4 +1,4 @@
-"""What is fixed about the task: lattice of moves, dome, holes, limits, and the kernels' parameters.
+"""The task as the kernels take it: nested named tuples for the formulas, one record for a batch.
 
 World frame: the 3-RRS's base, z up. The Delta's base frame lies ``base_height`` above it on the
 same axis. A configuration is ``(x, y, z, roll, pitch, heave)``: the Delta's effector in the Delta's
@@ -7,10 +7,11 @@ base frame (m), then the platform's tilt (rad) and height (m).
 
 from __future__ import annotations
 
-import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numba import from_dtype
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from coop_env.compilation import njit
@@ -18,59 +19,27 @@ from coop_env.geometry import DELTA, DeltaGeometry, RRSGeometry
 from coop_env.kinematics import delta_kernels, rrs_kernels
 from coop_env.kinematics.delta_kernels import DeltaParams
 from coop_env.kinematics.rrs_kernels import RRSParams
+from coop_env.simulation.insertion_task import MAX_HOLES, PAPER_TASK, InsertionTask
 
 N_AXES: Final = 6
 N_ACTIONS: Final = 12
 AXES: Final = ("x", "y", "z", "roll", "pitch", "heave")
-STEP: Final = (0.02, 0.02, 0.02, 0.03, 0.03, 0.02)
-"""One move along each axis: 0.02 m and 0.03 rad (paper, action space)."""
-
-DT: Final = 0.2
-"""Duration of one move, s, so that 300 moves last the paper's 60 s."""
-TASK_TIME: Final = 60.0
-"""T_task of the reward's time bonus, s."""
-
-DOME_RADIUS: Final = 0.10
-N_HOLES: Final = 6
-HOLE_POLAR: Final = tuple(math.radians(a) for a in (30.0, 30.0, 30.0, 30.0, 10.0, 10.0))
-HOLE_AZIMUTH: Final = tuple(math.radians(a) for a in (45.0, 135.0, 225.0, 315.0, 0.0, 180.0))
-HOLE_NORMALS: Final = tuple(
-    (math.sin(p) * math.cos(a), math.sin(p) * math.sin(a), math.cos(p))
-    for p, a in zip(HOLE_POLAR, HOLE_AZIMUTH, strict=True)
-)
-"""Outward unit normals of the holes in the platform's frame; mouths lie on the dome along them."""
-STAGE_HOLES: Final = ((1, 1, 1, 1, 0, 0), (1, 1, 1, 1, 1, 1))
-"""Active holes of the curriculum's stages C0 (four peripheral) and C1 (all six)."""
-
-SINGULAR_MARGIN: Final = 0.05
-"""A move to signed sigma_min below this ends the episode."""
-
-# Start states (see docs/fidelity.md: the paper gives none).
-START_SIGMA: Final = 0.15
-START_TILT: Final = 0.5
-START_PLANAR: Final = 0.06
-START_CLEARANCE: Final = (0.05, 0.15)
 
 TRAIL: Final = 64
 """Configurations that a state can remember for ``mask_visited``."""
 
-# Collision bodies, m. The paper mentions none; docs/fidelity.md says why these.
-EFFECTOR_RADIUS: Final = 0.04
-FOREARM_RADIUS: Final = 0.010
-SPOKE_RADIUS: Final = 0.008
-LIMB_RADIUS: Final = 0.008
-
 
 class TaskParams(NamedTuple):
-    """What may vary from one environment to another, as numba takes it.
+    """What decides a move, as numba takes it.
 
-    ``chamfer`` (m) and ``angle_tolerance`` (rad) decide an insertion; ``max_moves`` truncates;
-    ``visited`` is the number of configurations back to which masks forbid to go; ``imperfect`` says
-    that a sim-to-real knob is turned.
+    ``chamfer`` and ``tolerance`` (m) and ``angle_tolerance`` (rad) decide a contact and an
+    insertion; ``max_moves`` truncates; ``visited`` is the number of configurations back to which
+    masks forbid to go; ``imperfect`` says that a sim-to-real knob is turned.
     """
 
-    chamfer: float = 0.010
-    angle_tolerance: float = math.radians(5.0)
+    chamfer: float
+    tolerance: float
+    angle_tolerance: float
     max_moves: int = 300
     mask_singularities: bool = False
     visited: int = 0
@@ -91,15 +60,49 @@ class RewardParams(NamedTuple):
     violation_penalty: float
     duplicate_penalty: float
     gamma: float
+    task_time: float = PAPER_TASK.task_time
 
 
 class EnvParams(NamedTuple):
-    """Everything the step kernel needs besides the state."""
+    """Everything the step kernel needs besides the state.
+
+    ``layout`` is a record of :data:`LAYOUT`, which numba passes as one pointer.
+    """
 
     rrs: RRSParams
     delta: DeltaParams
     task: TaskParams
     reward: RewardParams
+    layout: Any
+
+
+LAYOUT: Final = np.dtype(
+    [
+        ("step", "f8", (N_AXES,)),
+        ("normals", "f8", (MAX_HOLES, 3)),  # unit vectors, platform frame; zeros beyond n_holes
+        ("n_holes", "i8"),
+        ("clearance_min", "f8"),
+        ("clearance_max", "f8"),
+        *((name, "f8") for name in (
+            "dt", "dome_radius", "singular_margin", "start_tilt", "start_planar", "start_sigma",
+            "effector_radius", "forearm_radius", "spoke_radius", "limb_radius",
+        )),
+    ],
+    align=True,
+)  # fmt: skip
+"""Lattice, dome, start ranges and bodies; see :class:`InsertionTask` for the fields."""
+
+
+def make_layout(task: InsertionTask) -> np.void:
+    """A task's numbers as a record of :data:`LAYOUT`."""
+    record = np.zeros(1, LAYOUT)
+    n_holes = len(task.holes)
+    record["step"], record["n_holes"] = task.steps, n_holes
+    record["normals"][0, :n_holes] = task.hole_normals
+    record["clearance_min"], record["clearance_max"] = task.start_clearance
+    for name in LAYOUT.names[5:] if LAYOUT.names else ():
+        record[name] = getattr(task, name)
+    return np.void(record[0])
 
 
 def make_params(
@@ -107,10 +110,11 @@ def make_params(
     reward: RewardParams,
     *,
     delta: DeltaGeometry = DELTA,
+    task: InsertionTask = PAPER_TASK,
     pose_model: str = "exact",
-    task: TaskParams | None = None,
+    **flags: Any,
 ) -> EnvParams:
-    """Geometries, task and reward as the kernels take them.
+    """Geometries, task and reward as the kernels take them; ``flags`` are of TaskParams.
 
     Raises:
         ValueError: ``pose_model`` is neither ``"exact"`` nor ``"paper"``.
@@ -118,22 +122,38 @@ def make_params(
     return EnvParams(
         rrs_kernels.make_params(rrs, pose_model),
         delta_kernels.make_params(delta),
-        TaskParams() if task is None else task,
-        reward,
+        TaskParams(task.chamfer, task.tolerance, task.angle_tolerance, **flags),
+        reward._replace(task_time=task.task_time),
+        make_layout(task),
     )
 
 
 def pack(p: EnvParams) -> NDArray[np.float64]:
     """The parameters as one vector: numba takes an array ten times faster than nested tuples."""
-    return np.array([*p.rrs, *p.delta, *p.task, *p.reward], np.float64)
+    numbers = np.array([*p.rrs, *p.delta, *p.task, *p.reward], np.float64)
+    return np.concatenate([numbers, np.array([p.layout], LAYOUT).view(np.float64)])
 
 
-@njit(cache=True)
+@intrinsic
+def _layout_at(_: Any, vector: Any, offset: Any) -> Any:
+    """The record of :data:`LAYOUT` that begins at an entry of a vector; no copy."""
+    record = from_dtype(LAYOUT)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        first = builder.gep(array.data, [arguments[1]])
+        return builder.bitcast(first, context.get_value_type(record))
+
+    return record(vector, offset), generate
+
+
+@njit(cache=True, inline="always")  # numba returns no tuple that holds a record
 def unpack(v: np.ndarray) -> EnvParams:
-    """The inverse of :func:`pack`."""
+    """The inverse of :func:`pack`; the layout stays where it is."""
     return EnvParams(
         RRSParams(v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10] != 0.0, v[11]),
         DeltaParams(v[12], v[13], v[14], v[15], v[16], v[17], v[18], v[19]),
-        TaskParams(v[20], v[21], int(v[22]), v[23] != 0.0, int(v[24]), v[25] != 0.0),
-        RewardParams(v[26] != 0.0, v[27], v[28], v[29], v[30], v[31], v[32], v[33]),
+        TaskParams(v[20], v[21], v[22], int(v[23]), v[24] != 0.0, int(v[25]), v[26] != 0.0),
+        RewardParams(v[27] != 0.0, v[28], v[29], v[30], v[31], v[32], v[33], v[34], v[35]),
+        _layout_at(v, 36),
     )

@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from sb3_rainbow.compilation import njit
 from sb3_rainbow.fast.mlp_kernels import (
     EFFECTIVE,
     FAST,

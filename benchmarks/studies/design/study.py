@@ -16,7 +16,7 @@ from coop_env.design import DesignProblem, Optimum
 from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, RRSGeometry
 from coop_env.kinematics import rrs
 from coop_env.kinematics.rotations import angle_between, roll_pitch
-from coop_env.simulation.task import DOME_RADIUS, HOLE_NORMALS
+from coop_env.simulation.insertion_task import PAPER_TASK
 
 BANDS: Final = {
     "0.20-0.22": (0.20, 0.205, 0.21, 0.215, 0.22),
@@ -240,10 +240,10 @@ def _worst(values: np.ndarray) -> float:
 
 def _hole_errors(a: rrs.PlatformPose, b: rrs.PlatformPose) -> tuple[float, float]:
     """Largest distance (m) and angle (rad) between one hole of the dome in two platform poses."""
-    directions = np.array(HOLE_NORMALS)
+    directions = np.array(PAPER_TASK.hole_normals)
     normals = [np.einsum("nij,hj->nhi", pose.rotation, directions) for pose in (a, b)]
     holes = [
-        pose.position[:, None] + DOME_RADIUS * normal
+        pose.position[:, None] + PAPER_TASK.dome_radius * normal
         for pose, normal in zip((a, b), normals, strict=True)
     ]
     apart = np.linalg.norm(holes[0] - holes[1], axis=-1)

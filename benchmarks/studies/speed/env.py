@@ -23,6 +23,7 @@ from benchmarks.studies.design.reference import workspace_map
 from benchmarks.studies.speed.report import measured, provenance, write
 from coop_env import design
 from coop_env.env import CoopInsertionEnv
+from coop_env.env_batch import EnvBatch
 from coop_env.geometry import OPTIMIZED
 from coop_env.simulation import batch as kernels
 from coop_env.vec_env import CoopInsertionVecEnv
@@ -66,17 +67,18 @@ def _batch_loop(env: Any, steps: int) -> Callable[[], None]:
     return loop
 
 
-def _kernel_loop(env: CoopInsertionVecEnv, steps: int) -> Callable[[], None]:
+def _kernel_loop(env: EnvBatch, steps: int) -> Callable[[], None]:
     """The step kernel on a batch without resets and infos: moves to and fro from the start."""
-    rounds = max(1, steps // env.num_envs)
-    env.reset()
-    arguments = env._packed, env._observation, env._outcomes, env._rows
-    actions = np.random.default_rng(0).integers(12, size=(rounds, env.num_envs))
+    n = len(env.envs)
+    rounds = max(1, steps // n)
+    env.reset(range(n), [None] * n)
+    arguments = env.packed, env.observation, env.outcomes, env.rows
+    actions = np.random.default_rng(0).integers(12, size=(rounds, n))
     actions[1::2] = actions[: len(actions[1::2]) * 2 : 2] ^ 1
 
     def loop() -> None:
         for row in actions:
-            kernels.step_batch(env._states, row, *arguments)
+            kernels.step_batch(env.states, row, *arguments)
 
     return loop
 
@@ -103,7 +105,7 @@ def measure_steps(steps: int, rounds: int) -> dict[str, float]:
             ),
             steps,
         ),
-        "kernel alone, batch of 64": _kernel_loop(CoopInsertionVecEnv(64, seed=0), steps),
+        "kernel alone, batch of 64": _kernel_loop(EnvBatch(64), steps),
     }
     times: dict[str, list[float]] = {name: [] for name in loops}
     for loop in loops.values():

@@ -13,7 +13,7 @@ from benchmarks.evaluation.evaluate import Policy, begin_episodes, run_policy
 from benchmarks.methods.episodes import Episode, distance_to_segment, dome_frame
 from benchmarks.protocol.seeding import derive, episode_seeds
 from coop_env.env import CoopInsertionEnv
-from coop_env.simulation.task import DOME_RADIUS, HOLE_NORMALS
+from coop_env.simulation.insertion_task import PAPER_TASK
 
 ARGUMENTS: dict[str, Any] = {"reward": "progress", "max_moves": 40}
 COORDINATE = st.floats(-1.0, 1.0)
@@ -48,7 +48,8 @@ def test_a_hole_stands_still_in_the_domes_frame() -> None:
         state = env.state
         # the tip's offset from a mouth keeps its length, and the mouth its place, in that frame
         for hole in range(6):
-            ours = dome_frame(env) - DOME_RADIUS * np.array(HOLE_NORMALS[hole])
+            mouth = PAPER_TASK.dome_radius * np.array(PAPER_TASK.hole_normals[hole])
+            ours = dome_frame(env) - mouth
             world = state["tip"] - state["mouths"][hole]
             assert np.linalg.norm(ours) == pytest.approx(np.linalg.norm(world), abs=1e-12)
         if env.step(int(rng.choice(np.flatnonzero(env.action_masks()))))[2]:
@@ -89,7 +90,7 @@ def test_an_insertion_is_measured_where_it_happens() -> None:
     assert row["time_first"] == pytest.approx(0.2 * len(plan.moves))
     assert row["alignment_error"] == pytest.approx(np.degrees(info["alignment_error"]))
     assert float(str(row["alignment_error"])) < 5.0
-    hole = DOME_RADIUS * np.array(HOLE_NORMALS[target])
+    hole = PAPER_TASK.dome_radius * np.array(PAPER_TASK.hole_normals[target])
     deviation = distance_to_segment(np.array(track), start, hole)
     assert row["trajectory_error"] == pytest.approx(1000 * np.sqrt(np.mean(deviation**2)))
     assert np.linalg.norm(track[-1] - hole) < 0.01

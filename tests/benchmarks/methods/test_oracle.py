@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.methods.oracle import LatticeOracle
 from coop_env import CoopInsertionEnv
-from coop_env.simulation.task import DOME_RADIUS, HOLE_NORMALS, STEP
+from coop_env.simulation.insertion_task import PAPER_TASK
 
 
 def executes(env: CoopInsertionEnv, moves: np.ndarray) -> bool:
@@ -72,11 +72,11 @@ def poses_within_reach(env: CoopInsertionEnv) -> list[np.ndarray]:
     poses = []
     while queue:
         node = queue.popleft()
-        poses.append(start[3:] + np.array(node) * STEP[3:])
+        poses.append(start[3:] + np.array(node) * PAPER_TASK.steps[3:])
         for axis, sign in itertools.product(range(3), (1, -1)):
             other = tuple(n + sign * (k == axis) for k, n in enumerate(node))
             c = start.copy()
-            c[3:] += np.array(other) * STEP[3:]
+            c[3:] += np.array(other) * PAPER_TASK.steps[3:]
             if other not in seen and env.configuration_status(c) == 0:
                 seen.add(other)
                 queue.append(other)
@@ -97,12 +97,12 @@ def has_goal(env: CoopInsertionEnv) -> bool:
                 [-nx, -ny, nz],
             ]
         )
-        normal = rotation @ HOLE_NORMALS[target]
+        normal = rotation @ PAPER_TASK.hole_normals[target]
         if np.arccos(normal[2]) >= np.radians(5.0):
             continue
         rp = env.params.rrs.platform_radius
         centre = np.array([rp * k * (ny * ny - nx * nx) / 2, rp * k * nx * ny, heave])
-        effector = centre + DOME_RADIUS * normal + [0.0, 0.0, 0.08 - 0.85]
+        effector = centre + PAPER_TASK.dome_radius * normal + [0.0, 0.0, 0.08 - 0.85]
         nearest = start[:3] + 0.02 * np.round((effector - start[:3]) / 0.02)
         if np.linalg.norm(nearest - effector) < 0.010:
             return True

@@ -20,9 +20,9 @@ from benchmarks.methods.rrt_connect import RRTConnect, alignment_pose, displacem
 from benchmarks.protocol.seeding import episode_seeds
 from coop_env.env import CoopInsertionEnv
 from coop_env.simulation import dynamics
-from coop_env.simulation.task import STEP
+from coop_env.simulation.insertion_task import PAPER_TASK
 
-UNITS = np.array(STEP)
+UNITS = np.array(PAPER_TASK.steps)
 WALK = st.lists(st.tuples(*[st.floats(-3.0, 3.0) for _ in range(6)]), min_size=1, max_size=5).map(
     lambda legs: np.cumsum(np.array(legs), axis=0)
 )
@@ -46,8 +46,7 @@ def test_rounding_follows_a_path_within_half_a_move(corners: np.ndarray) -> None
         np.linspace(a, b, max(2, math.ceil(10 * float(np.linalg.norm(b - a)))))
         for a, b in pairwise(corners)
     ])  # fmt: skip
-    start = np.array([0.01, 0.02, -0.4, 0.1, 0.0, 0.22])
-    moves = round_path(start + dense * UNITS, start)
+    moves = round_path(dense)
     assert np.abs(displacement(moves) - dense[-1]).max() <= 0.5 + 1e-9
     # every lattice point on the way is near some point of the path
     at = np.zeros(6)

@@ -14,7 +14,6 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 import coop_env
 from coop_env import CoopInsertionEnv, CoopInsertionVecEnv
 from coop_env.simulation.state import STATE
-from coop_env.simulation.task import STEP
 
 
 def rollout(env: CoopInsertionEnv, n: int, seed: int) -> list[tuple[Any, ...]]:
@@ -51,7 +50,7 @@ def test_masks_equal_a_check_of_each_neighbour(geometry: str) -> None:
         expected = []
         for action in range(12):
             c = env.configuration
-            c[action // 2] += STEP[action // 2] * (1 if action % 2 == 0 else -1)
+            c[action // 2] += env.task.steps[action // 2] * (1 if action % 2 == 0 else -1)
             expected.append(env.configuration_status(c) != 1)
         masks = env.action_masks()
         assert masks.tolist() == (expected if any(expected) else [True] * 12)

@@ -9,7 +9,6 @@ import pytest
 
 from benchmarks.methods.oracle import LatticeOracle
 from coop_env import CoopInsertionEnv
-from coop_env.simulation.task import STEP
 
 
 def solve(env: CoopInsertionEnv) -> dict[str, Any]:
@@ -164,7 +163,7 @@ def test_a_move_is_one_step_along_one_axis() -> None:
         info = env.step(action)[4]
         expected = np.zeros(6)
         if not info["violation"]:
-            expected[action // 2] = STEP[action // 2] * (1 - 2 * (action % 2))
+            expected[action // 2] = env.task.steps[action // 2] * (1 - 2 * (action % 2))
         np.testing.assert_allclose(env.configuration - before, expected, atol=1e-15)
 
 

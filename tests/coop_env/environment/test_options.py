@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 
 import coop_env
 from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, RRSGeometry, SimToReal
-from coop_env.simulation.observation import MARKOV_FIELDS, PAPER_FIELDS
+from coop_env.simulation.observation import PAPER_FIELDS, markov_fields
 
 CHOICES: dict[str, tuple[Any, ...]] = {
     "geometry": ("initial", "optimized"),
@@ -61,7 +61,7 @@ def test_markov_appends_filled_holes_and_time() -> None:
     short, _ = paper.reset(seed=5, options=options)
     long, _ = markov.reset(seed=5, options=options)
     assert short.shape == (len(PAPER_FIELDS),)
-    assert long.shape == (len(MARKOV_FIELDS),)
+    assert long.shape == (len(markov_fields(6)),)
     assert long[:12].tolist() == short.tolist()
     assert long[12:].tolist() == [0, 1, 0, 0, 1, 0, 0]
     action = int(np.flatnonzero(markov.action_masks())[0])

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
 from coop_env import CoopInsertionEnv
-from coop_env.simulation import task
 from coop_env.simulation.collision import (
     arm_points,
     collides,
@@ -17,7 +16,6 @@ from coop_env.simulation.collision import (
     segment_distance,
 )
 from coop_env.simulation.state import Configuration, joint_angles
-from coop_env.simulation.task import HOLE_NORMALS
 
 Points = NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -56,7 +54,7 @@ def test_point_segment_distance(p: Point, a: Point, b: Point) -> None:
 
 def clearance(env: CoopInsertionEnv, c: Configuration) -> float:
     """Least gap between the two robots' bodies, all sampled, with the chamfer's exemption."""
-    p = env.params
+    p, task = env.params, env.task
     _, theta, pose, q = joint_angles(c, p)
     x, y, z = c[0], c[1], c[2] + p.delta.base_height
     tip, effector = np.array([x, y, z - p.delta.peg_length]), np.array([x, y, z])
@@ -64,18 +62,18 @@ def clearance(env: CoopInsertionEnv, c: Configuration) -> float:
     centre = np.array(pose[:3])
     peg = (sampled(tip + np.array([0, 0, p.delta.peg_radius]), effector), p.delta.peg_radius)
     arms = [arm_points(c[0], c[1], c[2], theta, i, p.delta) for i in range(3)]
-    upper = [peg, (effector[None], task.EFFECTOR_RADIUS)]
-    upper += [(sampled(knee, joint), task.FOREARM_RADIUS) for _, knee, joint in arms]
+    upper = [peg, (effector[None], task.effector_radius)]
+    upper += [(sampled(knee, joint), task.forearm_radius) for _, knee, joint in arms]
     limbs = [limb_points(pose, q, i, p.rrs) for i in range(3)]
-    lower = [(sampled(centre, joint), task.SPOKE_RADIUS) for _, _, joint in limbs]
-    lower += [(sampled(elbow, joint), task.LIMB_RADIUS) for _, elbow, joint in limbs]
-    lower += [(sampled(base, elbow), task.LIMB_RADIUS) for base, elbow, _ in limbs]
-    mouths = centre + task.DOME_RADIUS * np.array(HOLE_NORMALS) @ rotation.T
+    lower = [(sampled(centre, joint), task.spoke_radius) for _, _, joint in limbs]
+    lower += [(sampled(elbow, joint), task.limb_radius) for _, elbow, joint in limbs]
+    lower += [(sampled(base, elbow), task.limb_radius) for base, elbow, _ in limbs]
+    mouths = centre + task.dome_radius * np.array(task.hole_normals) @ rotation.T
     exempt = np.linalg.norm(mouths - tip, axis=1).min() < p.task.chamfer + p.delta.peg_radius
     gaps = [least(a, b) - ra - rb for a, ra in upper for b, rb in lower]
     for k, (a, ra) in enumerate(upper):
         if k > 0 or not exempt:
-            gaps.append(least(a, centre[None]) - ra - task.DOME_RADIUS)
+            gaps.append(least(a, centre[None]) - ra - task.dome_radius)
     return min(gaps)
 
 

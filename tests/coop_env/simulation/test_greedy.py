@@ -27,17 +27,17 @@ def descends(start: NDArray[np.float64], target: int, p: EnvParams) -> bool:
         least, best, inserts = math.inf, -1, False
         for action in range(12):
             offset[action // 2] += 1 - 2 * (action % 2)
-            c = lattice_configuration(start, offset)
+            c = lattice_configuration(start, offset, p)
             offset[action // 2] -= 1 - 2 * (action % 2)
             if configuration_status(c, p) != 0:
                 continue
             tip = peg_tip(c[0], c[1], c[2], p.delta)
-            mouth, n = hole(rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs), target)
+            mouth, n = hole(rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs), target, p)
             dx, dy, dz = mouth[0] - tip[0], mouth[1] - tip[1], mouth[2] - tip[2]
             distance, angle = math.sqrt(dx * dx + dy * dy + dz * dz), alignment_angle(*n)
             if 500.0 * distance + 150.0 * angle < least:
                 least, best = 500.0 * distance + 150.0 * angle, action
-                inserts = distance < p.task.chamfer and angle < p.task.angle_tolerance
+                inserts = distance < p.task.tolerance and angle < p.task.angle_tolerance
         if best < 0 or inserts:
             return inserts
         offset[best // 2] += 1 - 2 * (best % 2)

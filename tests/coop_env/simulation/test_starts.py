@@ -8,7 +8,6 @@ import pytest
 from coop_env import CoopInsertionEnv
 from coop_env.kinematics import rrs_kernels
 from coop_env.simulation.state import configuration_status
-from coop_env.simulation.task import DOME_RADIUS
 
 
 @pytest.mark.parametrize("geometry", ["initial", "optimized"])
@@ -28,7 +27,7 @@ def test_no_start_is_ever_invalid(geometry: str) -> None:
         assert state["inside"].sum() == 0
         targets[state["target"]] += 1
         lows, highs = np.minimum(lows, c), np.maximum(highs, c)
-        clearances.append(state["tip"][2] - c[5] - DOME_RADIUS)
+        clearances.append(state["tip"][2] - c[5] - env.task.dome_radius)
     assert np.all(np.abs(targets / 50_000 - 1 / 6) < 0.01)
     assert np.all(lows[:2] < -0.0599)
     assert np.all(lows[:2] >= -0.06)

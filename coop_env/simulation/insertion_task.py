@@ -1,0 +1,178 @@
+"""The task's numbers as an argument of the environment, checked like the robots' geometry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from coop_env.checks import check_integer, check_number
+from coop_env.errors import ArgumentError
+
+MAX_HOLES: Final = 32
+
+_RING, _TOP = math.radians(30.0), math.radians(10.0)
+PAPER_HOLES: Final = (
+    (_RING, math.radians(45.0)),
+    (_RING, math.radians(135.0)),
+    (_RING, math.radians(225.0)),
+    (_RING, math.radians(315.0)),
+    (_TOP, math.radians(0.0)),
+    (_TOP, math.radians(180.0)),
+)
+"""Four peripheral holes and two inner ones: polar angle and azimuth, rad."""
+
+_MOST = {
+    "dome_radius": 1.0,  # m
+    "chamfer": 0.1,
+    "tolerance": 0.1,
+    "angle_tolerance": math.pi / 2,  # rad
+    "linear_step": 0.2,
+    "angular_step": 0.5,
+    "heave_step": 0.2,
+    "dt": 60.0,  # s
+    "task_time": 1e6,
+    "error_bound": 10.0,
+    "effector_radius": 0.5,
+    "forearm_radius": 0.1,
+    "spoke_radius": 0.1,
+    "limb_radius": 0.1,
+}
+"""Largest values of what must be above zero."""
+
+
+@dataclass(frozen=True, slots=True)
+class InsertionTask:
+    """Dome and holes, what counts as inserted, moves, start states, bodies. Lengths m, angles rad.
+
+    The defaults are the paper's task; ``docs/fidelity.md`` says which of them it leaves open. Six
+    axes with two moves each, and the order of the axes, are structure and no numbers.
+
+    Attributes:
+        holes: (polar angle, azimuth) of each hole on the dome, 1 to 32 of them.
+        stage_0_holes: at the curriculum's stage 0 the first so many are active (or all).
+        dome_radius: of the sphere about the platform's centre that bears the holes.
+        chamfer: lead-in: the peg may touch the dome this much beyond its radius from a mouth.
+        tolerance: a tip less than this from the mouth is in it ...
+        angle_tolerance: ... if the peg's axis is less than this from the hole's normal.
+        singular_margin: a move to a signed sigma_min below this ends the episode.
+        linear_step: one move along x, y, z of the Delta.
+        angular_step: one move of roll or pitch.
+        heave_step: one move of heave.
+        dt: duration of a move, s.
+        task_time: T_task of the reward's time bonus, s.
+        start_tilt: bound of roll and pitch at the start.
+        start_planar: bound of x and y at the start.
+        start_clearance: least and largest height of the tip above the dome's apex at the start.
+        start_sigma: least signed sigma_min at the start.
+        error_bound: half-width of the normalized observation of hole - tip.
+        effector_radius: collision sphere of the Delta's effector.
+        forearm_radius: capsule of the Delta's distal links.
+        spoke_radius: capsule of the platform's spokes.
+        limb_radius: capsule of the 3-RRS's links.
+
+    Raises:
+        ArgumentError: a value is of the wrong kind, not finite or out of range.
+    """
+
+    holes: Sequence[Sequence[float]] = PAPER_HOLES
+    stage_0_holes: int = 4
+    dome_radius: float = 0.10
+    chamfer: float = 0.010
+    tolerance: float = 0.010
+    angle_tolerance: float = math.radians(5.0)
+    singular_margin: float = 0.05
+    linear_step: float = 0.02
+    angular_step: float = 0.03
+    heave_step: float = 0.02
+    dt: float = 0.2
+    task_time: float = 60.0
+    start_tilt: float = 0.5
+    start_planar: float = 0.06
+    start_clearance: Sequence[float] = (0.05, 0.15)
+    start_sigma: float = 0.15
+    error_bound: float = 0.15
+    effector_radius: float = 0.04
+    forearm_radius: float = 0.010
+    spoke_radius: float = 0.008
+    limb_radius: float = 0.008
+
+    def __post_init__(self) -> None:
+        for name, most in _MOST.items():
+            self._set(name, check_number(_of(name), getattr(self, name), 0.0, most, above=True))
+        for name, most in (
+            ("start_tilt", math.pi / 2), ("start_planar", 1.0), ("singular_margin", 1.0),
+        ):  # fmt: skip
+            self._set(name, check_number(_of(name), getattr(self, name), 0.0, most))
+        self._set(
+            "start_sigma",
+            check_number(_of("start_sigma"), self.start_sigma, self.singular_margin, 10.0),
+        )
+        self._set("holes", _holes(self.holes))
+        self._set("stage_0_holes", check_integer(_of("stage_0_holes"), self.stage_0_holes, 1))
+        low, high = _pair(_of("start_clearance"), self.start_clearance)
+        low = check_number(_of("start_clearance[0]"), low, 0.0, 1.0)
+        high = check_number(_of("start_clearance[1]"), high, low, 1.0)
+        self._set("start_clearance", (low, high))
+
+    def _set(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+
+    @property
+    def steps(self) -> tuple[float, float, float, float, float, float]:
+        """One move along each axis: x, y, z, roll, pitch, heave."""
+        x, tilt = self.linear_step, self.angular_step
+        return x, x, x, tilt, tilt, self.heave_step
+
+    @property
+    def hole_normals(self) -> tuple[tuple[float, float, float], ...]:
+        """Outward unit normals in the platform's frame; mouths lie on the dome along them."""
+        return tuple(
+            (math.sin(p) * math.cos(a), math.sin(p) * math.sin(a), math.cos(p))
+            for p, a in self.holes
+        )
+
+    def active_holes(self, stage: int) -> tuple[int, ...]:
+        """1 for each hole that is active at the curriculum's stage 0 or 1, 0 for the others."""
+        n = len(self.holes)
+        first = n if stage else min(self.stage_0_holes, n)
+        return (1,) * first + (0,) * (n - first)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The fields by name, for a configuration file."""
+        return asdict(self)
+
+
+def _of(name: str) -> str:
+    return f"InsertionTask.{name}"
+
+
+def _pair(name: str, value: Any) -> tuple[Any, Any]:
+    if isinstance(value, str) or not isinstance(value, Iterable) or len(both := list(value)) != 2:
+        raise ArgumentError(f"{name} = {value!r}: must be two numbers")
+    return both[0], both[1]
+
+
+def _holes(value: Any) -> tuple[tuple[float, float], ...]:
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise ArgumentError(f"{_of('holes')} = {value!r}: must be pairs of polar angle and azimuth")
+    found = []
+    for i, pair in enumerate(value):
+        name = _of(f"holes[{i}]")
+        polar, azimuth = _pair(name, pair)
+        found.append(
+            (
+                check_number(f"{name} polar angle", polar, 0.0, math.pi / 2),
+                check_number(f"{name} azimuth", azimuth, -2.0 * math.pi, 2.0 * math.pi),
+            )
+        )
+    if not 1 <= len(found) <= MAX_HOLES:
+        raise ArgumentError(f"{_of('holes')} are {len(found)}: must be 1 to {MAX_HOLES}")
+    if len(set(found)) < len(found):
+        raise ArgumentError(f"{_of('holes')} = {found}: one is named twice")
+    return tuple(found)
+
+
+PAPER_TASK: Final = InsertionTask()
+"""The task of the paper and of ``docs/fidelity.md``."""
