@@ -166,6 +166,11 @@ def preset_file(name: str, folder: Path, kind: str) -> Path:
     return path
 
 
+def absolute(name: str) -> str:
+    """A preset's name, or the whole path of its file, which a process elsewhere finds too."""
+    return str(Path(name).resolve()) if name.endswith((".yaml", ".yml")) else name
+
+
 def load_preset(name: str) -> Preset:
     """Load a preset by name, or by the path of a ``.yaml`` file of one's own.
 

@@ -100,17 +100,9 @@ class RunFolder:
         """Whether the run has ended and its results are stored."""
         return (self.path / "meta.json").is_file()
 
-    def is_done(self, learns: bool) -> bool:
-        """Whether there is nothing left to run: complete and, of a learner, with its policy.
-
-        A fresh clone holds the rows of the `quick` preset but not its policies: the tables can be
-        made and checked at once, and a run still trains.
-        """
-        return self.is_complete() and (not learns or self.policy.is_file())
-
-    def reopen(self) -> None:
-        """Let a complete run be run again; its rows stay until the new ones replace them."""
-        (self.path / "meta.json").unlink(missing_ok=True)
+    def has_policy(self) -> bool:
+        """Whether the run is complete and its policy is here: not every one is kept in git."""
+        return self.is_complete() and self.policy.is_file()
 
     def begin(self, config: Mapping[str, Any]) -> None:
         """Claim the folder for ``config``; a folder with other settings is left untouched.
@@ -166,6 +158,12 @@ class RunFolder:
                 f"reads {SCHEMA}; move {self.path} away"
             )
         return meta
+
+    def seconds(self) -> float:
+        """Wall-clock time that the complete run took."""
+        meta = self.meta()
+        # runs of the classic tasks once kept it with the training alone
+        return float(meta.get("wall_seconds") or meta["training"]["wall_seconds"])
 
     def _read(self, name: str, parse: Callable[[str], Any]) -> dict[str, Any]:
         path = self.path / name
@@ -253,8 +251,10 @@ class Store:
         self.figures = self.folder / "figures"
 
     @classmethod
-    def open(cls, root: Path | str, preset: str, create: bool = False) -> Store:
-        """Open a store, and with ``create`` make it.
+    def open(
+        cls, root: Path | str, preset: str, create: bool = False, command: str = "run"
+    ) -> Store:
+        """Open a store, and with ``create`` make it; ``command`` is what fills it.
 
         Raises:
             BenchmarkError: the folder is missing, or of another schema version.
@@ -272,7 +272,8 @@ class Store:
             write_text(marker, json.dumps({"schema": SCHEMA}) + "\n")
         else:
             raise BenchmarkError(
-                f"{store.folder} has no results; run: python -m benchmarks run --preset {preset}"
+                f"{store.folder} has no results; "
+                f"run: python -m benchmarks {command} --preset {preset}"
             )
         return store
 

@@ -242,7 +242,7 @@ def main(words: Sequence[str]) -> int:
         cell
         for cell in expand(preset)
         if (cell.method, cell.ablation, cell.geometry, cell.track) == wanted
-        and store.run(cell.id).is_done(learns=True)
+        and store.run(cell.id).has_policy()
     ]
     if not cells:
         raise BenchmarkError(

@@ -74,7 +74,7 @@ def score_again(
     cells = [cell for cell in expand(preset) if cell.method != DESIGN]
     for cell in cells:
         store.run(cell.id).check_config(settings(preset, cell))
-    ready = [cell for cell in cells if store.run(cell.id).is_done(cell.learns)]
+    ready = [cell for cell in cells if _can_play(cell, store.run(cell.id))]
     if not any(cell.learns for cell in ready):
         raise BenchmarkError(f"{store.folder} has no trained policy to score: run the preset first")
     if len(ready) < len(cells):
@@ -126,6 +126,10 @@ def score_again(
         console.print(_compare(build_tables(store), built), markup=False, highlight=False)
     console.print(f"Episodes and tables of this time: {again.folder}")
     return again
+
+
+def _can_play(cell: Cell, run: RunFolder) -> bool:
+    return run.has_policy() if cell.learns else run.is_complete()
 
 
 def progress_bar(console: Console) -> Progress:

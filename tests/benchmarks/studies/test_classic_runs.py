@@ -15,11 +15,12 @@ import yaml
 from benchmarks.__main__ import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.seeding import derive, episode_seeds
+from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.classic.cell import run_cell
 from benchmarks.studies.classic.cliff import measure
-from benchmarks.studies.classic.plan import Cell, expand, find
+from benchmarks.studies.classic.experiment import Classic
+from benchmarks.studies.classic.plan import Cell, expand
 from benchmarks.studies.classic.presets import PRESETS, CliffVariant, Preset, load_preset
 from benchmarks.studies.classic.train import build_model, evaluate, run_learner
 
@@ -187,14 +188,14 @@ def test_a_complete_run_is_kept_and_other_settings_are_refused(
     preset: Preset, tmp_path: Path
 ) -> None:
     store = Store.open(tmp_path, "tiny", create=True)
-    cell = find(preset, "cliff-alone-uniform-n3")
-    assert run_cell(preset, cell, store)
+    cell = Classic(preset).find("cliff-alone-uniform-n3")
+    assert run_cell(Classic(preset), cell, store)
     stamp = (store.run(cell.id).path / "meta.json").stat().st_mtime_ns
-    assert run_cell(preset, cell, store)
+    assert run_cell(Classic(preset), cell, store)
     assert (store.run(cell.id).path / "meta.json").stat().st_mtime_ns == stamp
     other = dataclasses.replace(preset.cliff["alone"], limit=500)
     with pytest.raises(BenchmarkError, match="limit: 400 -> 500"):
-        run_cell(dataclasses.replace(preset, cliff={"alone": other}), cell, store)
+        run_cell(Classic(dataclasses.replace(preset, cliff={"alone": other})), cell, store)
 
 
 def test_the_command_from_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -206,7 +207,7 @@ def test_the_command_from_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixtur
     words = ["--preset", str(path), "--results", str(tmp_path / "results"), "--workers", "1"]
     assert main(["classic", *words]) == 0
     told = capfd.readouterr().out
-    assert "3 runs" in told
+    assert "masked_identity-rainbow-s0: done in" in told
     assert "Masked identity" in told
     folder = tmp_path / "results" / "classic" / "few"
     assert (folder / "tables" / "scores.csv").is_file()
@@ -227,7 +228,9 @@ def test_the_command_from_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixtur
     assert page.read_text(encoding="utf-8") == text
     capfd.readouterr()
     assert main(["classic", "plan", *words]) == 0
-    assert "3 of 3 runs" in capfd.readouterr().out
+    told = capfd.readouterr().out
+    assert "3 cells of preset 'few'" in told
+    assert ", 0 to run" in told
 
 
 @pytest.mark.parametrize(
