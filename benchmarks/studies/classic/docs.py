@@ -49,7 +49,7 @@ def provenance(results: Results) -> str:
     if not results.folders:
         return f"Preset `{results.preset.name}`: no run is complete."
     metas = [folder.meta() for folder in results.folders]
-    minutes = sum(meta["training"]["wall_seconds"] for meta in metas) / 60.0
+    minutes = sum(folder.seconds() for folder in results.folders) / 60.0
     commits = sorted({str(meta["commit"])[:9] for meta in metas})
     machines = sorted({str(meta["machine"]["processor"]) for meta in metas})
     dirty = " with uncommitted changes" if any(meta["dirty"] for meta in metas) else ""
