@@ -105,19 +105,11 @@ def evaluate(arguments: argparse.Namespace) -> int:
         raise BenchmarkError(
             f"--{given[0].replace('_', '-')} belongs to a --model or --planner, which is not given"
         )
-    from benchmarks.studies.scoring.scores import score_again
+    from benchmarks.studies.scoring.scores import Replay, score_again
 
-    _, store = _open(arguments)
-    console = Console(soft_wrap=True)
-    score_again(
-        load_preset(arguments.preset),
-        store,
-        arguments.results,
-        console,
-        arguments.episodes,
-        arguments.starts,
-    )
-    return 0
+    chosen = (arguments.episodes, arguments.starts)
+    replay = Replay(arguments.preset, arguments.results, *chosen)
+    return score_again(replay, Console(soft_wrap=True))
 
 
 def _evaluate_entry(arguments: argparse.Namespace) -> int:

@@ -8,6 +8,7 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -106,7 +107,36 @@ def run_cell(
         BenchmarkError: the cell's folder holds a run with other settings, or another process
             works on it.
     """
-    folder, config = store.run(cell.id), experiment.settings(cell)
+    folder = store.run(cell.id)
+
+    def work() -> dict[str, Any] | None:
+        return experiment.run(cell, folder, stop_requested, device)
+
+    return run_once(folder, experiment.settings(cell), experiment.name, work, wait)
+
+
+def run_once(
+    folder: RunFolder,
+    config: Mapping[str, Any],
+    name: str,
+    work: Callable[[], dict[str, Any] | None],
+    wait: float = 0.0,
+) -> bool:
+    """Do a run's work under its lock unless it is complete, and write its meta.json.
+
+    Args:
+        folder: the run's.
+        config: every setting that decides its result.
+        name: of the preset or study.
+        work: as :meth:`Experiment.run`.
+        wait: seconds to wait for another process that works on it.
+
+    Returns:
+        Whether the run is complete.
+
+    Raises:
+        BenchmarkError: as :func:`run_cell`.
+    """
     folder.check_config(config)
     if folder.is_complete():
         return True
@@ -117,7 +147,7 @@ def run_cell(
         made_by = machine.describe()  # now: the sources may change while the run is on
         began = time.perf_counter(), time.process_time()
         try:
-            record = experiment.run(cell, folder, stop_requested, device)
+            record = work()
         except Stopped:
             folder.write_progress(0.0, "stopped")
             record = None
@@ -125,7 +155,7 @@ def run_cell(
             return False
         spent = _spent(record["training"], *began)
         folder.write_meta({
-            **{"cell": cell.id, "preset": experiment.name}, **spent, **record, **made_by
+            **{"cell": folder.id, "preset": name}, **spent, **record, **made_by
         })  # fmt: skip
         folder.drop_checkpoint()
         return True
@@ -135,7 +165,7 @@ def _spent(training: dict[str, Any], began: float, cpu_began: float) -> dict[str
     """Wall and CPU seconds; a resumed run's are the sum over its processes."""
     wall, cpu = time.perf_counter() - began, time.process_time() - cpu_began
     if "wall_seconds" in training:
-        wall = max(wall, training["wall_seconds"] + training["test_seconds"])
+        wall = max(wall, training["wall_seconds"] + training.get("test_seconds", 0.0))
         cpu = max(cpu, training["cpu_seconds"])
     return {"wall_seconds": wall, "cpu_seconds": cpu}
 

@@ -19,7 +19,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -249,6 +249,7 @@ class Store:
         self.entries = self.folder / "entries"
         self.tables = self.folder / "tables"
         self.figures = self.folder / "figures"
+        self._part: Collection[str] | None = None
 
     @classmethod
     def open(
@@ -308,7 +309,14 @@ class Store:
     def completed(self) -> list[RunFolder]:
         """All complete runs, by id."""
         runs = [RunFolder(path) for path in sorted((self.folder / "runs").glob("*"))]
-        return [run for run in runs if run.is_complete()]
+        mine = [run for run in runs if self._part is None or run.id in self._part]
+        return [run for run in mine if run.is_complete()]
+
+    def part(self, ids: Collection[str]) -> Store:
+        """The same store, seen as if it held these runs alone."""
+        store = Store(self.folder.parent, self.folder.name)
+        store._part = ids
+        return store
 
     def entered(self) -> list[RunFolder]:
         """All methods that others brought, a folder per name and seed."""
