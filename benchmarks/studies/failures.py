@@ -49,7 +49,7 @@ def play(
     preset: Preset, cell: Cell, model: Any, oracle: LatticeOracle, tell: Callable[[], None]
 ) -> list[dict[str, object]]:
     """One row per test episode of a cell's seed."""
-    from benchmarks.methods.learners import env_arguments
+    from benchmarks.methods.episodes import env_arguments
 
     arguments = env_arguments(preset, cell, preset.tracks[cell.track])
     policy = model_policy(model)

@@ -94,7 +94,7 @@ class Insertion(Experiment[Cell]):
             training = self._train(cell, folder, stop_requested, device)
         else:
             from benchmarks.evaluation.evaluate import evaluate_planner
-            from benchmarks.methods.learners import env_arguments
+            from benchmarks.methods.episodes import env_arguments
 
             arguments = env_arguments(self.preset, cell)
             tell = Teller(folder, stop_requested)
@@ -119,7 +119,7 @@ class Insertion(Experiment[Cell]):
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
     ) -> dict[str, Any] | None:
         from benchmarks.evaluation.evaluate import evaluate_policy, model_policy
-        from benchmarks.methods.learners import env_arguments
+        from benchmarks.methods.episodes import env_arguments
         from benchmarks.runs import policy_file
         from benchmarks.runs.training import train
 

@@ -37,8 +37,7 @@ from benchmarks.evaluation.evaluate import (
 )
 from benchmarks.evaluation.model_files import detect_algorithm, fitting_observation, load_model
 from benchmarks.methods.base import Plan
-from benchmarks.methods.episodes import Episode
-from benchmarks.methods.learners import env_arguments
+from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.protocol import labels
 from benchmarks.protocol.plan import DESIGN, METHODS, PLANNERS, Cell
 from benchmarks.protocol.presets import Preset, as_dict

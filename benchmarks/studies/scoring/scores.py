@@ -15,7 +15,7 @@ import dataclasses
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import pandas as pd
 from rich.console import Console
@@ -25,13 +25,14 @@ from benchmarks.protocol import plan
 from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS
 from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.presets import Preset, absolute, load_preset
-from benchmarks.reporting.tables.paper import build_tables, write_tables
-from benchmarks.reporting.tables.table import Table
 from benchmarks.runs.backends import default_jobs
 from benchmarks.runs.cell import Teller
 from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.harness import Harness
 from benchmarks.runs.store import RunFolder, Store
+
+if TYPE_CHECKING:
+    from benchmarks.reporting.tables.table import Table
 
 AGAIN: Final = "again"
 TIMES: Final = ("plan_seconds",)  # columns that differ from one play to the next
@@ -106,14 +107,15 @@ class Replay(Experiment[Cell]):
     ) -> dict[str, Any]:
         """Play the episodes; of all else meta.json says what the first run's does."""
         from benchmarks.evaluation.evaluate import evaluate_planner, evaluate_policy, model_policy
-        from benchmarks.evaluation.model_files import load_model
-        from benchmarks.methods.learners import env_arguments
+        from benchmarks.methods.episodes import env_arguments
 
         stored, preset = self.source.run(cell.id), self._shortened()
         tell = Teller(folder, stop_requested)
         track = preset.tracks[cell.track] if cell.learns else None
         arguments = env_arguments(preset, cell, track)
         if cell.learns:
+            from benchmarks.evaluation.model_files import load_model
+
             policy = model_policy(load_model(stored.policy, cell.method))
             rows = evaluate_policy(policy, preset, cell.seed, arguments, tell, self.starts)
         else:
@@ -153,6 +155,8 @@ class Replay(Experiment[Cell]):
 
     def write_tables(self, store: Store, console: Console) -> None:
         """Tables of this time, and how they and the episodes compare with those of the first."""
+        from benchmarks.reporting.tables.paper import build_tables, write_tables
+
         built = build_tables(store)
         write_tables(store, built)
         for table in built:

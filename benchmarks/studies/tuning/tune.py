@@ -150,7 +150,7 @@ class Tuning(Experiment[Training]):
     ) -> dict[str, Any] | None:
         """Train, then play validation episodes."""
         from benchmarks.evaluation.evaluate import begin_episodes, model_policy, run_policy
-        from benchmarks.methods.learners import env_arguments
+        from benchmarks.methods.episodes import env_arguments
         from benchmarks.runs.training import train
 
         track, mine = cell.configuration.apply(self.track), self._plan_cell(cell)

@@ -10,7 +10,8 @@ import torch
 import yaml
 
 from benchmarks.evaluation.evaluate import evaluate_policy, model_policy
-from benchmarks.methods.learners import ALGORITHMS, build_model, env_arguments, make_training_env
+from benchmarks.methods.episodes import env_arguments
+from benchmarks.methods.learners import ALGORITHMS, build_model, make_training_env
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import PRESETS, Preset, parse_preset
 from benchmarks.protocol.seeding import derive
