@@ -181,8 +181,8 @@ def score_again(replay: Replay, console: Console) -> int:
         console.print(f"Left out, not run yet: {replay.not_run} runs")
     if replay.without_policy:
         console.print(
-            f"Left out, without a policy: {replay.without_policy} runs; git holds those of the "
-            "headline methods, and a run whose folder is deleted is trained again"
+            f"Left out, their policy is not here: {replay.without_policy} runs; git keeps those of "
+            "the headline methods, and a run whose folder is deleted is trained again"
         )
     jobs = min(default_jobs(), len(replay.cells()))
     console.print(f"{len(replay.cells())} runs play again, {jobs} at a time; Ctrl-C ends it")

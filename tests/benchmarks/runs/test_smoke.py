@@ -190,6 +190,32 @@ def test_an_entry_is_compared_with_itself(
     assert cells[1] == cells[2]
 
 
+def test_runs_without_their_policy_are_complete_and_left_out_of_the_replay(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(results / "smoke", tmp_path / "smoke")
+    place = ["--preset", "smoke", "--results", str(tmp_path)]
+    runs = tmp_path / "smoke" / "runs"
+    (runs / "dqn-optimized-tuned-s0" / "policy.zip").unlink()
+    shutil.rmtree(runs / "rrt_connect-optimized-s0")
+    assert main(["evaluate", *place]) == 0
+    out = capsys.readouterr().out
+    assert "Left out, their policy is not here: 1 runs" in out
+    assert "Left out, not run yet: 1 runs" in out
+    assert "Runs whose every episode came out as stored: 2 of 2" in out
+    cells = re.search(r"that came out as stored: (\d+) of (\d+)\n", out)
+    assert cells is not None
+    assert cells[1] == cells[2]
+    # and what is complete without its policy is not run again
+    planned = "rrt_connect-optimized-s0"
+    shutil.copytree(results / "smoke" / "runs" / planned, runs / planned)
+    assert main(["run", *place]) == 0
+    assert "4 runs were complete already" in capsys.readouterr().out
+    (runs / "rainbow-optimized-tuned-s0" / "policy.zip").unlink()
+    assert main(["evaluate", *place]) == 2
+    assert "has no trained policy to score" in capsys.readouterr().err
+
+
 def test_a_policy_plays_only_under_its_own_settings(
     results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
