@@ -40,8 +40,8 @@ SPEED: Final = {
 
 def _experiment(arguments: argparse.Namespace) -> Experiment[Any]:
     module, _, name = STUDIES[arguments.study].partition(":")
-    kind: type[Experiment[Any]] = getattr(importlib.import_module(module), name)
-    return kind.open(preset=arguments.preset)
+    experiment: Experiment[Any] = getattr(importlib.import_module(module), name)(arguments.preset)
+    return experiment
 
 
 def _open(arguments: argparse.Namespace, create: bool = False) -> tuple[Experiment[Any], Store]:

@@ -10,12 +10,13 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from benchmarks.errors import BenchmarkError, known
-from benchmarks.protocol.presets import Preset, RunGroup, as_dict
+from benchmarks.protocol.presets import Preset, RunGroup, Track, as_dict
 
 LEARNERS: Final = ("rainbow", "dqn", "maskable_ppo")
 PLANNERS: Final = ("rrt_connect", "rrt_lattice", "optimum")
 DESIGN: Final = "design"
 METHODS: Final = (*LEARNERS, *PLANNERS)
+TRANSITION_BYTES: Final = 200
 GEOMETRIES: Final = ("initial", "optimized")
 
 # ablation -> the Rainbow constructor arguments that switch one component off
@@ -99,6 +100,11 @@ def units_of(config: dict[str, Any]) -> int:
     if "design" in config:
         return 1_500 * int(config["design"]["runs"])
     return 150 * int(config["evaluation"]["episodes"])
+
+
+def checkpoint_bytes(track: Track) -> int:
+    """Size of a checkpoint of a learner, which is that of its replay buffer, generously."""
+    return TRANSITION_BYTES * track.hyperparameters.buffer_size
 
 
 def settings(preset: Preset, cell: Cell) -> dict[str, Any]:

@@ -173,14 +173,14 @@ def _spent(training: dict[str, Any], began: float, cpu_began: float) -> dict[str
 def words(experiment: Experiment[Any], store: Store) -> list[str]:
     """The command that opens an experiment and its store in another process; :func:`opened`."""
     kind = type(experiment)
-    recipe = json.dumps(experiment.recipe())
+    recipe = json.dumps(experiment.recipe)
     return ["cell", f"{kind.__module__}:{kind.__name__}", recipe, str(store.folder.resolve())]
 
 
 def opened(kind: str, recipe: str, folder: Path) -> tuple[Experiment[Any], Store]:
     """What :func:`words` speak of."""
     module, _, name = kind.partition(":")
-    experiment = getattr(importlib.import_module(module), name).open(**json.loads(recipe))
+    experiment = getattr(importlib.import_module(module), name)(**json.loads(recipe))
     return experiment, Store(folder.parent, folder.name)
 
 

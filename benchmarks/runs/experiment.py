@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from rich.console import Console
 
@@ -32,22 +32,17 @@ C = TypeVar("C", bound=Named)
 class Experiment(ABC, Generic[C]):
     """Cells, what they cost, how one is run, and what is made of them all.
 
-    ``name`` is that of the store, ``place`` the folder in which the store lies, below that of all
-    results, and ``command`` the word that runs it.
+    Args:
+        name: of the store; ``place`` is the folder in which the store lies, below that of all
+            results, and ``command`` the word that runs it.
+        recipe: the class's arguments, as JSON can hold them, by which another process makes it.
     """
 
     place: ClassVar[str] = ""
     command: ClassVar[str] = "run"
-    name: str
 
-    @classmethod
-    @abstractmethod
-    def open(cls, **recipe: Any) -> Self:
-        """The experiment that :meth:`recipe` describes."""
-
-    @abstractmethod
-    def recipe(self) -> dict[str, Any]:
-        """Arguments of :meth:`open`, as JSON can hold them, by which another process finds it."""
+    def __init__(self, name: str, **recipe: Any) -> None:
+        self.name, self.recipe = name, recipe
 
     @abstractmethod
     def cells(self) -> Sequence[C]:

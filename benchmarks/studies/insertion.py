@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
@@ -21,52 +21,32 @@ if TYPE_CHECKING:
     from benchmarks.reporting.figures.parts import Picture
     from benchmarks.reporting.tables.table import Table
 
-TRANSITION_BYTES: Final = 200  # of a checkpointed replay buffer, generously
-
 
 class Insertion(Experiment[Cell]):
-    """Cells of a preset.
+    """Cells of a preset, which is loaded if its name or its file's path is given."""
 
-    Args:
-        preset: what runs; an impossible cell of it is an error.
-        argument: how another process is told of the preset: its name, or the path of its file.
-    """
-
-    def __init__(self, preset: Preset, argument: str | None = None) -> None:
-        self.preset, self.name = preset, preset.name
-        self.argument = preset.name if argument is None else argument
-        self._cells = plan.expand(preset)
-
-    @classmethod
-    def open(cls, **recipe: Any) -> Self:
-        """Of the preset of that name or path."""
-        return cls(load_preset(recipe["preset"]), recipe["preset"])
-
-    def recipe(self) -> dict[str, Any]:
-        """The preset's name or path."""
-        return {"preset": absolute(self.argument)}
+    def __init__(self, preset: Preset | str) -> None:
+        self.preset = load_preset(preset) if isinstance(preset, str) else preset
+        name = preset if isinstance(preset, str) else preset.name
+        super().__init__(self.preset.name, preset=absolute(name))
+        self._cells = plan.expand(self.preset)
 
     def cells(self) -> Sequence[Cell]:
-        """All cells, the longest first."""
         return self._cells
 
     def settings(self, cell: Cell) -> dict[str, Any]:
-        """As :func:`benchmarks.protocol.plan.settings`."""
         return plan.settings(self.preset, cell)
 
     def check(self, todo: Sequence[Cell]) -> None:
-        """Build each kind of learner once."""
         if learning := [cell for cell in todo if cell.learns]:
             from benchmarks.methods.learners import check_cells
 
             check_cells(self.preset, learning)
 
     def units(self, config: dict[str, Any]) -> int:
-        """As :func:`benchmarks.protocol.plan.units_of`."""
         return plan.units_of(config)
 
     def kinds(self, config: dict[str, Any]) -> Iterator[tuple[str, ...]]:
-        """By method and what its updates cost, else by method and geometry, else by method."""
         cell = config["cell"]
         if "track" in config:
             h = config["track"]["hyperparameters"]
@@ -78,10 +58,7 @@ class Insertion(Experiment[Cell]):
         yield (cell["method"],)
 
     def checkpoint_bytes(self, cell: Cell) -> int:
-        """That of the replay buffer."""
-        if not cell.learns:
-            return 0
-        return TRANSITION_BYTES * self.preset.tracks[cell.track].hyperparameters.buffer_size
+        return plan.checkpoint_bytes(self.preset.tracks[cell.track]) if cell.learns else 0
 
     def run(
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
@@ -138,7 +115,6 @@ class Insertion(Experiment[Cell]):
         return {**summary, "test_seconds": time.perf_counter() - began}
 
     def verdict(self, folder: RunFolder) -> str:
-        """Success on the test episodes."""
         if not folder.has_rows("episodes"):
             return ""
         rows = folder.rows("episodes")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from rich.console import Console
 
@@ -18,33 +18,22 @@ TRANSITION_BYTES: Final = 1_600  # of a checkpointed replay buffer: two images o
 
 
 class Classic(Experiment[Cell]):
-    """Cells of a preset of the classic tasks; ``argument`` is its name or the path of its file."""
+    """Cells of a preset of the classic tasks, loaded if its name or its file's path is given."""
 
     place = command = "classic"
 
-    def __init__(self, preset: Preset, argument: str = "") -> None:
-        self.preset, self.name = preset, preset.name
-        self.argument = argument
-
-    @classmethod
-    def open(cls, **recipe: Any) -> Self:
-        """Of the preset of that name or path."""
-        return cls(load_preset(recipe["preset"]), recipe["preset"])
-
-    def recipe(self) -> dict[str, Any]:
-        """The preset's name or path."""
-        return {"preset": absolute(self.argument)}
+    def __init__(self, preset: Preset | str) -> None:
+        self.preset = load_preset(preset) if isinstance(preset, str) else preset
+        name = preset if isinstance(preset, str) else preset.name
+        super().__init__(self.preset.name, preset=absolute(name))
 
     def cells(self) -> Sequence[Cell]:
-        """The first seeds of all tasks first."""
         return plan.expand(self.preset)
 
     def settings(self, cell: Cell) -> dict[str, Any]:
-        """As :func:`benchmarks.studies.classic.plan.settings`."""
         return plan.settings(self.preset, cell)
 
     def check(self, todo: Sequence[Cell]) -> None:
-        """Have what can be known to fail fail: settings, missing packages."""
         from benchmarks.studies.classic.train import build_model
 
         for task, method in {(cell.task, cell.method) for cell in todo if cell.kind != CLIFF}:
@@ -53,17 +42,14 @@ class Classic(Experiment[Cell]):
             env.close()
 
     def units(self, config: dict[str, Any]) -> int:
-        """As :func:`benchmarks.studies.classic.plan.units_of`."""
         return plan.units_of(config)
 
     def kinds(self, config: dict[str, Any]) -> Iterator[tuple[str, ...]]:
-        """By task and method, else by method."""
         cell = config["cell"]
         yield (cell["task"], cell["method"])
         yield (cell["method"],)
 
     def checkpoint_bytes(self, cell: Cell) -> int:
-        """That of the replay buffer."""
         if cell.kind == CLIFF:
             return 0
         arguments = self.preset.tasks[cell.task].methods[cell.method]
@@ -81,7 +67,6 @@ class Classic(Experiment[Cell]):
         return None if training is None else {"training": training}
 
     def verdict(self, folder: RunFolder) -> str:
-        """The final test's return."""
         if folder.has_rows("episodes"):
             rows = folder.rows("episodes")
             return f", return {rows['return'].mean():.1f} over {len(rows)} test episodes"
@@ -100,7 +85,6 @@ class Classic(Experiment[Cell]):
         console.print(f"Tables (CSV, Markdown, LaTeX): {store.tables}")
 
     def write_figures(self, store: Store, console: Console) -> None:
-        """Learning curves and the cliff walk."""
         from benchmarks.studies.classic.figures import write_figures
         from benchmarks.studies.classic.results import Results
 

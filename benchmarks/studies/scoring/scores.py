@@ -15,21 +15,21 @@ import dataclasses
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import pandas as pd
 from rich.console import Console
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol import plan
 from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS
 from benchmarks.protocol.plan import DESIGN, Cell
-from benchmarks.protocol.presets import Preset, absolute, load_preset
+from benchmarks.protocol.presets import Preset
 from benchmarks.runs.backends import default_jobs
 from benchmarks.runs.cell import Teller
-from benchmarks.runs.experiment import Experiment, StopRequested
+from benchmarks.runs.experiment import StopRequested
 from benchmarks.runs.harness import Harness
 from benchmarks.runs.store import RunFolder, Store
+from benchmarks.studies.insertion import Insertion
 
 if TYPE_CHECKING:
     from benchmarks.reporting.tables.table import Table
@@ -39,11 +39,11 @@ TIMES: Final = ("plan_seconds",)  # columns that differ from one play to the nex
 SHOWN: Final = ("performance", "ablation", "geometry", "robustness")
 
 
-class Replay(Experiment[Cell]):
+class Replay(Insertion):
     """The complete runs of a preset, played by their policies and planners.
 
     Args:
-        argument: the preset's name or the path of its file.
+        preset: its name or the path of its file.
         results: where its store lies, and the other one is made.
         episodes: test episodes per seed, for a quick look; None for the preset's.
         starts: stands for other starts than the test episodes'; None for the test episodes.
@@ -53,22 +53,18 @@ class Replay(Experiment[Cell]):
     """
 
     def __init__(
-        self,
-        argument: str,
-        results: Path,
-        episodes: int | None = None,
-        starts: int | None = None,
+        self, preset: str, results: Path | str, episodes: int | None, starts: int | None
     ) -> None:
-        self.argument, self.results = argument, results
-        self.episodes, self.starts = episodes, starts
-        self.preset = load_preset(argument)
-        self.name = self.preset.name
-        self.source = Store.open(results, self.name)
+        super().__init__(preset)
+        self.results, self.episodes, self.starts = Path(results), episodes, starts
+        where = str(self.results.resolve())
+        self.recipe |= {"results": where, "episodes": episodes, "starts": starts}
+        self.source = self.open_store(self.results)
         self.not_run, self.without_policy = 0, 0
-        self._cells: list[Cell] = []
-        for cell in plan.expand(self.preset):
+        all_cells, self._cells = self._cells, []
+        for cell in all_cells:
             run = self.source.run(cell.id)
-            run.check_config(plan.settings(self.preset, cell))
+            run.check_config(self.settings(cell))
             if not run.is_complete():
                 self.not_run += 1
             elif cell.learns and not run.has_policy():
@@ -80,26 +76,11 @@ class Replay(Experiment[Cell]):
                 f"{self.source.folder} has no trained policy to score: run the preset first"
             )
 
-    @classmethod
-    def open(cls, **recipe: Any) -> Self:
-        """Of the arguments of the class."""
-        return cls(recipe["preset"], Path(recipe["results"]), recipe["episodes"], recipe["starts"])
-
-    def recipe(self) -> dict[str, Any]:
-        """The arguments of the class."""
-        place = {"preset": absolute(self.argument), "results": str(self.results.resolve())}
-        return {**place, "episodes": self.episodes, "starts": self.starts}
-
-    def cells(self) -> Sequence[Cell]:
-        """What can play."""
-        return self._cells
-
-    def settings(self, cell: Cell) -> dict[str, Any]:
-        """Those of the run that plays again."""
-        return plan.settings(self.preset, cell)
+    def check(self, todo: Sequence[Cell]) -> None:
+        """What has run once can be built."""
 
     def units(self, config: dict[str, Any]) -> int:
-        """Episodes, as it does not matter how long a policy was trained."""
+        # it does not matter how long a policy was trained
         return int(config["evaluation"]["episodes"])
 
     def run(
@@ -129,8 +110,10 @@ class Replay(Experiment[Cell]):
         tests = dataclasses.replace(self.preset.evaluation, episodes=self.episodes)
         return dataclasses.replace(self.preset, evaluation=tests)
 
+    def checkpoint_bytes(self, cell: Cell) -> int:
+        return 0
+
     def verdict(self, folder: RunFolder) -> str:
-        """The metrics without noise."""
         return "; " + next(in_words(folder.rows("episodes"), "now"))
 
     def fresh_store(self) -> Store:
@@ -153,7 +136,7 @@ class Replay(Experiment[Cell]):
                     shutil.copy(path, again.run(run.id).path)
         return again
 
-    def write_tables(self, store: Store, console: Console) -> None:
+    def write_tables(self, store: Store, console: Console) -> list[Table]:
         """Tables of this time, and how they and the episodes compare with those of the first."""
         from benchmarks.reporting.tables.paper import build_tables, write_tables
 
@@ -169,6 +152,7 @@ class Replay(Experiment[Cell]):
             first = build_tables(self.source.part({*names, DESIGN}))
             console.print(_compare(first, built), markup=False, highlight=False)
         console.print(f"Episodes and tables of this time: {store.folder}")
+        return built
 
 
 def score_again(replay: Replay, console: Console) -> int:
@@ -194,7 +178,7 @@ def score_again(replay: Replay, console: Console) -> int:
     if outcome.failed:
         console.print(f"Failed: {', '.join(outcome.failed)}; the store is as it was")
         return 1
-    replay.report(again, console)
+    replay.write_tables(again, console)
     return 0
 
 

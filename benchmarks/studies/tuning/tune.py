@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from optuna.trial import FrozenTrial
 from rich.console import Console
@@ -32,7 +32,6 @@ from benchmarks.studies.tuning.study import SAMPLERS, Configuration, Search
 
 FIRST_SEED: Final = 1_000  # of the search; those of presets are small numbers
 STREAM: Final = "validate"
-TRANSITION_BYTES: Final = 200  # of a checkpointed replay buffer, generously
 
 
 @dataclass(frozen=True)
@@ -56,23 +55,15 @@ class Tuning(Experiment[Training]):
         title: of the table.
     """
 
-    def __init__(self, folder: Path, search: Search | None = None, title: str = "") -> None:
-        self.folder, self.name, self.title = folder, folder.name, title
-        about = RunFolder(folder).config()["search"]
+    def __init__(self, folder: Path | str, search: Search | None = None, title: str = "") -> None:
+        self.folder, self.title = Path(folder), title
+        super().__init__(self.folder.name, folder=str(self.folder.resolve()))
+        about = RunFolder(self.folder).config()["search"]
         self.seeds, self.episodes = int(about["seeds"]), int(about["episodes"])
-        self.track = build(Track, about["track"], str(folder / "config.yaml"))
-        self.store = Store(folder.parent, folder.name)
+        self.track = build(Track, about["track"], str(self.folder / "config.yaml"))
+        self.store = Store(self.folder.parent, self.folder.name)
         self._search = search
         self._open: list[FrozenTrial] = []
-
-    @classmethod
-    def open(cls, **recipe: Any) -> Self:
-        """Of the study in a folder."""
-        return cls(Path(recipe["folder"]))
-
-    def recipe(self) -> dict[str, Any]:
-        """The study's folder."""
-        return {"folder": str(self.folder.resolve())}
 
     @property
     def search(self) -> Search:
@@ -81,20 +72,17 @@ class Tuning(Experiment[Training]):
         return self._search
 
     def cells(self) -> Sequence[Training]:
-        """What an earlier call left under way."""
+        # what an earlier call left under way
         return [cell for frozen in self.search.begun() for cell in self._take_up(frozen)]
 
     def more(self) -> Sequence[Training]:
-        """The next configuration's."""
         asked = self.search.ask()
         return () if asked is None else self._take_up(asked)
 
     def to_come(self) -> int:
-        """Those of configurations that have not been asked for."""
         return self.search.left * self.seeds
 
     def find(self, cell_id: str) -> Training:
-        """The training that an id spells."""
         name, _, seed = cell_id.rpartition("-s")
         return Training(Configuration.parse(name), int(seed))
 
@@ -123,11 +111,9 @@ class Tuning(Experiment[Training]):
         return told
 
     def ended(self, cell: Training) -> str:
-        """The score of a configuration whose last training this was."""
         return "\n".join(self._settle())
 
     def settings(self, cell: Training) -> dict[str, Any]:
-        """As a run's of a preset, with validation in place of evaluation."""
         return {
             "cell": asdict(self._plan_cell(cell)),
             "track": as_dict(cell.configuration.apply(self.track)),
@@ -138,17 +124,14 @@ class Tuning(Experiment[Training]):
         return plan.Cell("rainbow", "full", "optimized", "search", cell.seed)
 
     def units(self, config: dict[str, Any]) -> int:
-        """As :func:`benchmarks.protocol.plan.units_of`."""
         return plan.units_of(config)
 
     def checkpoint_bytes(self, cell: Training) -> int:
-        """That of the replay buffer."""
-        return TRANSITION_BYTES * self.track.hyperparameters.buffer_size
+        return plan.checkpoint_bytes(self.track)
 
     def run(
         self, cell: Training, folder: RunFolder, stop_requested: StopRequested, device: str
     ) -> dict[str, Any] | None:
-        """Train, then play validation episodes."""
         from benchmarks.evaluation.evaluate import begin_episodes, model_policy, run_policy
         from benchmarks.methods.episodes import env_arguments
         from benchmarks.runs.training import train
@@ -167,7 +150,6 @@ class Tuning(Experiment[Training]):
         return {"training": {**summary, "test_seconds": time.perf_counter() - began}}
 
     def write_tables(self, store: Store, console: Console) -> None:
-        """The table of all scored configurations."""
         table = results_table(self.search, self.folder, self.seeds, self.title)
         table.write(self.folder)
         console.print(table.markdown(), markup=False, highlight=False)

@@ -66,7 +66,7 @@ def warm_up(preset: str, cells: list[str]) -> None:
     from benchmarks.runs.store import Store
     from benchmarks.studies.insertion import Insertion
 
-    experiment = Insertion.open(preset=preset)
+    experiment = Insertion(preset)
     with tempfile.TemporaryDirectory() as folder:
         for cell in cells:
             store = Store.open(folder, experiment.name, create=True)
