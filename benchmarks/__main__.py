@@ -80,11 +80,11 @@ def _parser() -> argparse.ArgumentParser:
 
     def add(name: str, command: Command, text: str, *more: argparse.ArgumentParser) -> None:
         verb = verbs.add_parser(name, help=text, description=text, parents=[common, *more])
-        verb.set_defaults(command=command)
+        verb.set_defaults(command=command, study="insertion")
 
     one = argparse.ArgumentParser(add_help=False)
     one.add_argument("--cell", required=True, help="a cell's id, as `plan` lists them")
-    one.add_argument("--parent", type=int, default=None, help=argparse.SUPPRESS)
+    one.add_argument("--parent", type=int, default=None, help=argparse.SUPPRESS)  # the harness
     one.add_argument(
         "--wait", type=float, default=0.0, help="seconds to wait for another process on the cell"
     )
@@ -110,8 +110,35 @@ def _parser() -> argparse.ArgumentParser:
     verbs.add_parser("design", help="the geometric optimization: table and figures")
     verbs.add_parser("audit", help="what each reward pays for: scripts and learners")
     verbs.add_parser("failures", help="where stored policies fail, and why")
-    verbs.add_parser("classic", help="Rainbow beside DQN and QR-DQN on other tasks")
+    _add_classic(verbs)
+    hidden = verbs.add_parser("cell", parents=[one, device])
+    for name in ("experiment", "recipe"):
+        hidden.add_argument(name)
+    hidden.add_argument("store", type=Path)
+    hidden.set_defaults(command=commands.cell)
     return parser
+
+
+def _add_classic(verbs: Any) -> None:
+    from benchmarks.studies.classic import presets
+
+    text = "Rainbow beside DQN and QR-DQN on small tasks"
+    epilog = "; ".join(f"{word}: {what}" for word, what in commands.CLASSIC.items())
+    verb = verbs.add_parser("classic", help=text, description=text, epilog=epilog)
+    add = verb.add_argument
+    add("word", nargs="?", default="run", choices=commands.CLASSIC, help="default: run")
+    names = ", ".join(presets.preset_names())
+    add("--preset", default=presets.DEFAULT_PRESET,
+        help=f"{names}, or a .yaml file (default: {presets.DEFAULT_PRESET})")  # fmt: skip
+    add("--results", type=Path, default=Path("results"), help="results folder")
+    add("--workers", "--jobs", dest="jobs", type=_positive, default=None,
+        help="processes (default: cores)")  # fmt: skip
+    add("--page", type=Path, default=Path("docs/rainbow.md"), help="of docs: the file")
+    add("--cell", default=None, help="of train: the run's id, as plan lists them")
+    add("--wait", type=float, default=0.0, help=argparse.SUPPRESS)
+    add("--parent", type=int, default=None, help=argparse.SUPPRESS)
+    verb.set_defaults(command=commands.classic, study="classic", backend="local", address=None,
+        gpus_per_run=0.0, device=None)  # fmt: skip
 
 
 def _add_entry(model: argparse.ArgumentParser) -> None:

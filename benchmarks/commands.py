@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,128 +13,84 @@ from typing import TYPE_CHECKING, Any, Final
 from rich.console import Console
 
 from benchmarks.errors import BenchmarkError, known
-from benchmarks.protocol.plan import expand, find
-from benchmarks.protocol.presets import DEFAULT_PRESET, Preset, load_preset
+from benchmarks.protocol.presets import DEFAULT_PRESET, load_preset
 from benchmarks.runs.store import Store
 
 if TYPE_CHECKING:
-    from benchmarks.reporting.figures.parts import Picture
-    from benchmarks.reporting.tables.table import Table
+    from benchmarks.runs.experiment import Experiment
 
-DELEGATED: Final = ("speed", "design", "classic", "audit", "failures", "tune")
+STUDIES: Final = {
+    "insertion": "benchmarks.studies.insertion:Insertion",
+    "classic": "benchmarks.studies.classic.experiment:Classic",
+}
+CLASSIC: Final = {
+    "run": "train what is missing, then tables and figures",
+    "plan": "list the runs of a preset, their state and cost",
+    "tables": "write and print the tables from stored runs",
+    "figures": "draw the figures from stored runs",
+    "docs": "rewrite the results in docs/rainbow.md",
+    "train": "one run in this process",
+}
+DELEGATED: Final = ("speed", "design", "audit", "failures", "tune")
 SPEED: Final = {
     "env": "benchmarks.studies.speed.env",
     "rainbow": "benchmarks.studies.speed.rainbow",
 }
 
 
-def _open(arguments: argparse.Namespace, create: bool = False) -> tuple[Preset, Store]:
-    preset = load_preset(arguments.preset)
-    expand(preset)  # an impossible cell is an error before anything is written
-    return preset, Store.open(arguments.results, preset.name, create)
+def _experiment(arguments: argparse.Namespace) -> Experiment[Any]:
+    module, _, name = STUDIES[arguments.study].partition(":")
+    experiment: Experiment[Any] = getattr(importlib.import_module(module), name)(arguments.preset)
+    return experiment
+
+
+def _open(arguments: argparse.Namespace, create: bool = False) -> tuple[Experiment[Any], Store]:
+    experiment = _experiment(arguments)  # an impossible one is an error before anything is written
+    return experiment, experiment.open_store(arguments.results, create)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Everything: what is missing is run, then tables and figures are written."""
-    from benchmarks.runs.backends import open_backend
-    from benchmarks.runs.harness import Harness
+    from benchmarks.runs.harness import Harness, open_backend
 
     console = Console(soft_wrap=True)
-    preset, store = _open(arguments, create=True)
+    experiment, store = _open(arguments, create=True)
     place = (arguments.address, arguments.gpus_per_run)
     device = arguments.device or ("cuda" if arguments.gpus_per_run else "cpu")
     with store.lock(), open_backend(arguments.backend, arguments.jobs, *place) as backend:
         console.print(f"{backend.describe()}, networks on {device}", markup=False)
-        # a process of a cluster starts in another folder
-        is_file = Path(arguments.preset).suffix in (".yaml", ".yml")
-        name = str(Path(arguments.preset).resolve()) if is_file else arguments.preset
-        results = arguments.results.resolve()
-        options = ("--device", device)
-        harness = Harness(preset, name, store, results, backend, console, options)
-        outcome = harness.run()
-        return outcome.close(store, console, lambda: _write_report(store, console))
-
-
-def _write_tables(store: Store, console: Console) -> list[Table]:
-    from benchmarks.reporting.tables.paper import PRINTED, build_tables, write_tables
-
-    built = build_tables(store)
-    write_tables(store, built)
-    for table in built:
-        if table.name in PRINTED:
-            console.print(table.markdown(), markup=False, highlight=False)
-    console.print(f"Tables (CSV, Markdown, LaTeX): {store.tables}")
-    return built
-
-
-def _write_figures(store: Store, console: Console) -> list[tuple[Picture, Path]]:
-    from benchmarks.reporting.figures.learning import write_figures
-
-    drawn = write_figures(store)
-    if drawn:
-        console.print(f"Figures: {store.figures}")
-    return drawn
-
-
-def _write_report(store: Store, console: Console) -> None:
-    from benchmarks.reporting.pages.html_report import write_report
-
-    path = write_report(store, _write_tables(store, console), _write_figures(store, console))
-    console.print(f"Report: {path}")
+        outcome = Harness(experiment, store, backend, console, device).run()
+        return outcome.close(store, console, lambda: experiment.report(store, console))
 
 
 def plan(arguments: argparse.Namespace) -> int:
     """The cells of a preset, whether they are complete, and what they cost."""
-    from rich.table import Column, Table
-
     from benchmarks.runs.backends import default_jobs
-    from benchmarks.runs.costs import costs, duration, wall_seconds
+    from benchmarks.runs.costs import print_plan
 
-    preset = load_preset(arguments.preset)
-    store = Store(arguments.results, preset.name)
-    if store.folder.is_dir() and any(store.folder.iterdir()):
-        store = Store.open(arguments.results, preset.name)
-    others = [
-        Store(arguments.results, path.parent.name)
-        for path in sorted(arguments.results.glob("*/store.json"))
-        if path.parent != store.folder
-    ]
-    found = costs(preset, store, others)
-    name = Column("cell", no_wrap=True, min_width=max(len(cost.cell.id) for cost in found))
-    table = Table(name, "state", Column("took", no_wrap=True), Column("left", no_wrap=True))
-    for cost in found:
-        times = (duration(cost.seconds), "") if cost.complete else ("", duration(cost.seconds))
-        table.add_row(cost.cell.id, cost.state, *times)
-    console = Console(soft_wrap=True)
-    console.print(table)
-    todo = [cost for cost in found if not cost.complete]
-    console.print(
-        f"{len(found)} cells of preset '{preset.name}' in {store.folder}, {len(todo)} to run"
-    )
-    if todo:
-        jobs = default_jobs() if arguments.jobs is None else arguments.jobs
-        alone = duration(sum(cost.seconds for cost in todo))
-        guessed = sum(cost.guessed for cost in todo)
-        text = f"About {alone} of one core left, {duration(wall_seconds(found, jobs))} with "
-        text += f"{jobs} process{'es' if jobs > 1 else ''}"
-        if guessed:
-            text += f"; a guess for {guessed} cells of a kind that never ran here"
-        console.print(text)
+    jobs = default_jobs() if arguments.jobs is None else arguments.jobs
+    print_plan(_experiment(arguments), arguments.results, jobs, Console(soft_wrap=True))
     return 0
 
 
 def train(arguments: argparse.Namespace) -> int:
-    """One cell in this process; what the harness starts, and what a cluster can start."""
-    from benchmarks.runs.cell import StopFlag, check_device, run_cell, tell_end
+    """One cell in this process; for a debugger, or a scheduler of one's own."""
+    from benchmarks.runs.cell import run_here
 
-    preset, store = _open(arguments, create=True)
-    cell = find(preset, arguments.cell)
+    experiment = _experiment(arguments)
+    experiment.find(arguments.cell)  # before anything is written
+    store = experiment.open_store(arguments.results, create=True)
     device = arguments.device or "cpu"
-    check_device(device)
-    flag = StopFlag(arguments.parent)
-    flag.listen()
-    complete = run_cell(preset, cell, store, flag, arguments.wait, device)
-    return tell_end(cell.id, store.run(cell.id), complete)
+    return run_here(experiment, store, arguments.cell, None, arguments.wait, device)
+
+
+def cell(arguments: argparse.Namespace) -> int:
+    """One cell of any experiment, as the harness starts it."""
+    from benchmarks.runs.cell import opened, run_here
+
+    experiment, store = opened(arguments.experiment, arguments.recipe, arguments.store)
+    parent, wait, device = arguments.parent, arguments.wait, arguments.device
+    return run_here(experiment, store, arguments.cell, parent, wait, device)
 
 
 def evaluate(arguments: argparse.Namespace) -> int:
@@ -148,12 +105,11 @@ def evaluate(arguments: argparse.Namespace) -> int:
         raise BenchmarkError(
             f"--{given[0].replace('_', '-')} belongs to a --model or --planner, which is not given"
         )
-    from benchmarks.studies.scoring.scores import score_again
+    from benchmarks.studies.scoring.scores import Replay, score_again
 
-    preset, store = _open(arguments)
-    console = Console(soft_wrap=True)
-    score_again(preset, store, arguments.results, console, arguments.episodes, arguments.starts)
-    return 0
+    chosen = (arguments.episodes, arguments.starts)
+    replay = Replay(arguments.preset, arguments.results, *chosen)
+    return score_again(replay, Console(soft_wrap=True))
 
 
 def _evaluate_entry(arguments: argparse.Namespace) -> int:
@@ -191,25 +147,25 @@ def _evaluate_entry(arguments: argparse.Namespace) -> int:
 
 def tables(arguments: argparse.Namespace) -> int:
     """Write and print the tables from stored data."""
-    _, store = _open(arguments)
+    experiment, store = _open(arguments)
     with store.lock():
-        _write_tables(store, Console(soft_wrap=True))
+        experiment.write_tables(store, Console(soft_wrap=True))
     return 0
 
 
 def figures(arguments: argparse.Namespace) -> int:
     """Draw the figures from stored data."""
-    _, store = _open(arguments)
+    experiment, store = _open(arguments)
     with store.lock():
-        _write_figures(store, Console(soft_wrap=True))
+        experiment.write_figures(store, Console(soft_wrap=True))
     return 0
 
 
 def report(arguments: argparse.Namespace) -> int:
     """Tables, figures and the one-page report from stored data."""
-    _, store = _open(arguments)
+    experiment, store = _open(arguments)
     with store.lock():
-        _write_report(store, Console(soft_wrap=True))
+        experiment.report(store, Console(soft_wrap=True))
     return 0
 
 
@@ -272,8 +228,27 @@ def readme(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def classic(arguments: argparse.Namespace) -> int:
+    """The same words for the classic tasks, and ``docs``."""
+    if arguments.word == "docs":
+        from benchmarks.studies.classic import docs
+        from benchmarks.studies.classic.presets import load_preset as load_classic
+        from benchmarks.studies.classic.results import Results
+
+        _, store = _open(arguments)
+        root = Path(os.path.relpath(store.folder, arguments.page.parent)).as_posix()
+        results = Results(load_classic(arguments.preset), store)
+        changed = docs.write(arguments.page, results, root)
+        print(f"{arguments.page}: {'rewritten' if changed else 'up to date'}")
+        return 0
+    if arguments.word == "train" and arguments.cell is None:
+        raise BenchmarkError("train needs --cell; `plan` lists the ids")
+    words = {"run": run, "plan": plan, "tables": tables, "figures": figures, "train": train}
+    return words[arguments.word](arguments)
+
+
 def delegate(word: str, rest: Sequence[str]) -> int:
-    """``speed``, ``design``, ``classic`` and ``tune`` have command lines of their own."""
+    """A word with a command line of its own."""
     if word == "tune":
         try:
             import optuna  # noqa: F401
@@ -284,8 +259,6 @@ def delegate(word: str, rest: Sequence[str]) -> int:
         return _main_of(f"benchmarks.studies.{word}", rest)
     if word == "design":
         return _main_of("benchmarks.studies.design.command", rest)
-    if word == "classic":
-        return _main_of("benchmarks.studies.classic.command", rest)
     if not rest or rest[0] not in SPEED:
         given = f"'{rest[0]}'" if rest else "nothing"
         raise BenchmarkError(f"speed of what? known: {known(SPEED)}; given: {given}")

@@ -23,6 +23,11 @@ Observations = NDArray[np.float32]
 Masks = NDArray[np.bool_]
 Policy = Callable[[Observations, Masks], NDArray[Any]]
 Rows = list[dict[str, object]]
+Tell = Callable[[float], None]  # hears which share is done
+
+
+def hush(share: float) -> None:
+    """Tell nobody."""
 
 
 def begin_episodes(
@@ -37,7 +42,13 @@ def begin_episodes(
     return [Episode(CoopInsertionEnv(**arguments), i, s) for i, s in enumerate(seeds)]
 
 
-def run_policy(policy: Policy, episodes: Sequence[Episode], noise: float, noise_seed: int) -> Rows:
+def run_policy(
+    policy: Policy,
+    episodes: Sequence[Episode],
+    noise: float,
+    noise_seed: int,
+    tell: Tell = hush,
+) -> Rows:
     """Run a policy on all episodes side by side until each is over.
 
     Args:
@@ -46,9 +57,11 @@ def run_policy(policy: Policy, episodes: Sequence[Episode], noise: float, noise_
         noise: standard deviation of Gaussian noise on the normalized observations; clipped to
             [0, 1] like the observations themselves.
         noise_seed: of the noise, drawn per episode so that it is the same for every method.
+        tell: hears before each move which share of the episodes is over.
     """
     generators = [np.random.default_rng((noise_seed, episode.number)) for episode in episodes]
     while running := [i for i, episode in enumerate(episodes) if not episode.over]:
+        tell(1.0 - len(running) / len(episodes))
         observations = np.stack([episodes[i].observation for i in running])
         if noise > 0.0:
             size = observations.shape[1]
@@ -77,20 +90,22 @@ def evaluate_policy(
     preset: Preset,
     seed: int,
     arguments: dict[str, Any],
-    tell: Callable[[float], None] = lambda share: None,
+    tell: Tell = hush,
     starts: int | None = None,
 ) -> Rows:
     """Rows of all test episodes of one seed, at every level of noise of the preset.
 
-    ``tell`` hears after each level which share is done. With ``starts`` the episodes begin where
-    that number says, not at the test episodes' starts.
+    With ``starts`` the episodes begin where that number says, not at the test episodes' starts.
     """
     rows: Rows = []
     levels = preset.evaluation.noise
-    for number, noise in enumerate(levels, start=1):
+    for number, noise in enumerate(levels):
         episodes = begin_episodes(arguments, seed, preset.evaluation.episodes, starts=starts)
-        rows += run_policy(policy, episodes, noise, derive("noise", seed))
-        tell(number / len(levels))
+
+        def tell_part(share: float, before: int = number) -> None:
+            tell((before + share) / len(levels))
+
+        rows += run_policy(policy, episodes, noise, derive("noise", seed), tell_part)
     return rows
 
 
@@ -98,7 +113,7 @@ def evaluate_planner(
     preset: Preset,
     cell: Cell,
     arguments: dict[str, Any],
-    tell: Callable[[float], None],
+    tell: Tell,
     starts: int | None = None,
 ) -> Rows:
     """Rows of all test episodes of one planner cell; planners see the true state, without noise."""
@@ -110,7 +125,7 @@ def play_episodes(
     preset: Preset,
     seed: int,
     arguments: dict[str, Any],
-    tell: Callable[[float], None],
+    tell: Tell,
     starts: int | None = None,
 ) -> Rows:
     """Rows of all test episodes of one seed, played one after the other, without noise."""

@@ -1,4 +1,4 @@
-"""One test episode: moves an environment and keeps what the metrics need."""
+"""One test episode: moves an environment and keeps what the metrics need. No torch here."""
 
 from __future__ import annotations
 
@@ -9,10 +9,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.protocol.plan import Cell
+from benchmarks.protocol.presets import Preset, Track
 from coop_env.env import CoopInsertionEnv, Observation
+from coop_env.geometry import RRSGeometry
 from coop_env.kinematics.rrs_kernels import platform_pose
 
 Point = NDArray[np.float64]
+
+
+def env_arguments(preset: Preset, cell: Cell, track: Track | None = None) -> dict[str, Any]:
+    """Keyword arguments of the environment of a cell; without a track, of a planner's."""
+    geometry: str | RRSGeometry = cell.geometry
+    if cell.geometry in preset.geometries:
+        geometry = RRSGeometry(**preset.geometries[cell.geometry])
+    if track is None:
+        return {"geometry": geometry, "reward": "progress"}
+    return {
+        "geometry": geometry,
+        "reward": track.reward,
+        "reward_kwargs": dict(track.reward_kwargs) or None,
+        "observation": track.observation,
+        "mask_singularities": track.mask_singularities,
+        "mask_visited": track.mask_visited,
+    }
 
 
 def distance_to_segment(points: Point, start: Point, end: Point) -> Point:

@@ -13,10 +13,10 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecMonitor
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.methods.episodes import env_arguments
 from benchmarks.protocol.plan import ABLATIONS, Cell
 from benchmarks.protocol.presets import Preset, Track
 from benchmarks.protocol.seeding import derive
-from coop_env.geometry import RRSGeometry
 from coop_env.vec_env import CoopInsertionVecEnv
 from sb3_rainbow import Rainbow
 
@@ -26,23 +26,6 @@ ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "dqn": DQN,
     "maskable_ppo": MaskablePPO,
 }
-
-
-def env_arguments(preset: Preset, cell: Cell, track: Track | None = None) -> dict[str, Any]:
-    """Keyword arguments of the environment of a cell; without a track, of a planner's."""
-    geometry: str | RRSGeometry = cell.geometry
-    if cell.geometry in preset.geometries:
-        geometry = RRSGeometry(**preset.geometries[cell.geometry])
-    if track is None:
-        return {"geometry": geometry, "reward": "progress"}
-    return {
-        "geometry": geometry,
-        "reward": track.reward,
-        "reward_kwargs": dict(track.reward_kwargs) or None,
-        "observation": track.observation,
-        "mask_singularities": track.mask_singularities,
-        "mask_visited": track.mask_visited,
-    }
 
 
 def make_training_env(preset: Preset, cell: Cell) -> VecMonitor:

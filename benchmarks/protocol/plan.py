@@ -6,17 +6,17 @@ see the same test episodes. The geometric optimization is one cell of its own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final
 
 from benchmarks.errors import BenchmarkError, known
-from benchmarks.protocol.presets import Preset, RunGroup, as_dict
+from benchmarks.protocol.presets import Preset, RunGroup, Track, as_dict
 
 LEARNERS: Final = ("rainbow", "dqn", "maskable_ppo")
 PLANNERS: Final = ("rrt_connect", "rrt_lattice", "optimum")
 DESIGN: Final = "design"
 METHODS: Final = (*LEARNERS, *PLANNERS)
+TRANSITION_BYTES: Final = 200
 GEOMETRIES: Final = ("initial", "optimized")
 
 # ablation -> the Rainbow constructor arguments that switch one component off
@@ -90,54 +90,21 @@ def expand(preset: Preset) -> list[Cell]:
         raise BenchmarkError(
             f"preset '{preset.name}' holds no run: runs and design are empty, or a group's methods"
         )
-    return sorted(cells, key=lambda cell: (-work_units(preset, cell), cell.seed))
-
-
-class Named(Protocol):
-    """A cell, of this harness or of the classic tasks'."""
-
-    @property
-    def id(self) -> str: ...
-
-
-N = TypeVar("N", bound=Named)
-
-
-def find(preset: Preset, cell_id: str) -> Cell:
-    """The cell of that id.
-
-    Raises:
-        BenchmarkError: the preset has no such cell.
-    """
-    return pick(expand(preset), preset.name, cell_id)
-
-
-def pick(cells: Sequence[N], preset: str, cell_id: str) -> N:
-    """The one of a preset's cells that has that id.
-
-    Raises:
-        BenchmarkError: there is none.
-    """
-    by_id = {cell.id: cell for cell in cells}
-    if cell_id not in by_id:
-        raise BenchmarkError(
-            f"preset '{preset}' has no cell '{cell_id}'; known cells: {known(by_id)}"
-        )
-    return by_id[cell_id]
-
-
-def work_units(preset: Preset, cell: Cell) -> int:
-    """A rough cost in environment steps, for progress bars and the order of runs."""
-    return units_of(settings(preset, cell))
+    return sorted(cells, key=lambda cell: (-units_of(settings(preset, cell)), cell.seed))
 
 
 def units_of(config: dict[str, Any]) -> int:
-    """:func:`work_units` of a run by its settings, of whatever preset it is."""
+    """A rough cost of a run by its settings, in environment steps; decides the order of runs."""
     if "track" in config:
         return int(config["track"]["timesteps"])
     if "design" in config:
         return 1_500 * int(config["design"]["runs"])
     return 150 * int(config["evaluation"]["episodes"])
+
+
+def checkpoint_bytes(track: Track) -> int:
+    """Size of a checkpoint of a learner, which is that of its replay buffer, generously."""
+    return TRANSITION_BYTES * track.hyperparameters.buffer_size
 
 
 def settings(preset: Preset, cell: Cell) -> dict[str, Any]:

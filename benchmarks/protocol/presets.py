@@ -10,45 +10,62 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import yaml
+from pydantic import AfterValidator, Field
 
 from benchmarks.errors import BenchmarkError, known
-from benchmarks.protocol.strict import build, merge
+from benchmarks.protocol.strict import STRICT, Count, Number, Seeds, build, merge, with_config
+from coop_env.geometry import GeometryError, RRSGeometry
 from coop_env.simulation.task import TRAIL
 
 PRESETS = Path(__file__).parent / "presets"
 DEFAULT_PRESET = "quick"
 
 
+def _levels(noise: list[float]) -> list[float]:
+    if 0.0 not in noise or min(noise) < 0.0:
+        raise ValueError("must hold 0.0 and no negative level")
+    return noise
+
+
+def _dimensions(values: dict[str, float]) -> dict[str, float]:
+    try:
+        RRSGeometry(**values)
+    except (GeometryError, TypeError) as error:
+        raise ValueError(str(error)) from error
+    return values
+
+
+@with_config(STRICT)
 @dataclass(frozen=True)
 class Hyperparameters:
     """The learner's settings (the paper's table of hyperparameters, and what it leaves out)."""
 
-    learning_rate: float
-    learning_rate_end: float  # linear decay over the run
-    gamma: float
-    v_min: float
-    v_max: float
-    batch_size: int
-    tau: float
-    sigma0: float
-    updates_per_step: float  # gradient steps per environment step
+    learning_rate: Number
+    learning_rate_end: Number  # linear decay over the run
+    gamma: Number
+    v_min: Number
+    v_max: Number
+    batch_size: Count
+    tau: Number
+    sigma0: Number
+    updates_per_step: Number  # gradient steps per environment step
     n_steps: int = 3
     n_atoms: int = 51
-    weight_decay: float = 1e-5
-    max_grad_norm: float = 5.0
-    buffer_size: int = 1_000_000
+    weight_decay: Number = 1e-5
+    max_grad_norm: Number = 5.0
+    buffer_size: Count = 1_000_000
     learning_starts: int = 1_000
-    alpha: float = 0.6
-    beta_start: float = 0.4
-    beta_end: float = 1.0
+    alpha: Number = 0.6
+    beta_start: Number = 0.4
+    beta_end: Number = 1.0
     net_arch: list[int] = field(default_factory=lambda: [256, 128, 64])
-    n_envs: int = 16
+    n_envs: Count = 16
     # epsilon-greedy, for vanilla DQN and for Rainbow without noisy layers
-    epsilon_start: float = 1.0
-    epsilon_end: float = 0.05
+    epsilon_start: Number = 1.0
+    epsilon_end: Number = 0.05
     epsilon_steps: int = 10_000
 
     @property
@@ -57,62 +74,70 @@ class Hyperparameters:
         return max(1, round(self.updates_per_step * self.n_envs))
 
 
+@with_config(STRICT)
 @dataclass(frozen=True)
 class PPOSettings:
     """sb3-contrib's MaskablePPO, a further reference; gamma, net and envs are the track's."""
 
-    learning_rate: float = 1.0e-3
-    learning_rate_end: float = 1.0e-5  # linear decay over the run
+    learning_rate: Number = 1.0e-3
+    learning_rate_end: Number = 1.0e-5  # linear decay over the run
     n_steps: int = 128
-    batch_size: int = 256
+    batch_size: Count = 256
     n_epochs: int = 10
-    gae_lambda: float = 0.95
-    ent_coef: float = 0.01
-    clip_range: float = 0.2
+    gae_lambda: Number = 0.95
+    ent_coef: Number = 0.01
+    clip_range: Number = 0.2
 
 
+@with_config(STRICT)
 @dataclass(frozen=True)
 class Curriculum:
     """Stage 0 has the four peripheral holes, stage 1 all six."""
 
     enabled: bool = True
-    threshold: float = 0.75
+    threshold: Number = 0.75
     window: int = 20
 
 
+@with_config(STRICT)
 @dataclass(frozen=True)
 class Track:
     """A reward, the settings of the task and the hyperparameters that go together."""
 
     description: str
-    reward: str
-    timesteps: int
+    reward: Literal["paper", "progress"]
+    timesteps: Count
     hyperparameters: Hyperparameters
-    reward_kwargs: dict[str, float] = field(default_factory=dict)
+    reward_kwargs: dict[str, Number] = field(default_factory=dict)
     observation: str = "paper"
     mask_singularities: bool = False  # these two as CoopInsertionEnv's
-    mask_visited: int = 0
+    mask_visited: Annotated[int, Field(ge=0, le=TRAIL)] = 0
     curriculum: Curriculum = field(default_factory=Curriculum)
     ppo: PPOSettings = field(default_factory=PPOSettings)
 
 
+@with_config(STRICT)
 @dataclass(frozen=True)
 class Evaluation:
     """The test protocol: ``episodes`` per seed, at each level of observation noise."""
 
-    episodes: int
-    noise: list[float] = field(default_factory=lambda: [0.0, 0.01])
+    episodes: Count
+    noise: Annotated[list[Number], AfterValidator(_levels)] = field(
+        default_factory=lambda: [0.0, 0.01]
+    )
 
 
+@with_config(STRICT)
 @dataclass(frozen=True)
 class PlannerSettings:
     """Limits of one planning call (the paper: 5 s)."""
 
-    time_limit: float = 5.0
+    time_limit: Number = 5.0
     max_iterations: int = 20_000
     node_limit: int = 2_000_000
 
 
+@with_config(STRICT)
 @dataclass(frozen=True)
 class DesignSettings:
     """The geometric optimization: independent Nelder-Mead runs, each with its own jitter."""
@@ -120,6 +145,7 @@ class DesignSettings:
     runs: int = 10
 
 
+@with_config(STRICT)
 @dataclass(frozen=True)
 class RunGroup:
     """A product of methods, ablations, geometries and tracks; seeds multiply all groups."""
@@ -130,20 +156,23 @@ class RunGroup:
     tracks: list[str] = field(default_factory=list)
 
 
+@with_config(STRICT)
 @dataclass(frozen=True)
 class Preset:
     """One experiment: what runs, with which settings."""
 
     name: str
     description: str
-    seeds: list[int]
+    seeds: Seeds
     evaluation: Evaluation
     runs: list[RunGroup]
     tracks: dict[str, Track] = field(default_factory=dict)
-    geometries: dict[str, dict[str, float]] = field(default_factory=dict)
+    geometries: dict[str, Annotated[dict[str, Number], AfterValidator(_dimensions)]] = field(
+        default_factory=dict
+    )
     planner: PlannerSettings = field(default_factory=PlannerSettings)
     design: DesignSettings | None = None
-    checkpoint_seconds: float = 60.0
+    checkpoint_seconds: Number = 60.0
 
 
 def preset_names(folder: Path = PRESETS) -> list[str]:
@@ -164,6 +193,11 @@ def preset_file(name: str, folder: Path, kind: str) -> Path:
             "(or the path of a .yaml file)"
         )
     return path
+
+
+def absolute(name: str) -> str:
+    """A preset's name, or the whole path of its file, which a process elsewhere finds too."""
+    return str(Path(name).resolve()) if name.endswith((".yaml", ".yml")) else name
 
 
 def load_preset(name: str) -> Preset:
@@ -195,51 +229,7 @@ def parse_preset(data: dict[str, Any], name: str, where: str) -> Preset:
                 f"{where}: tracks: {track}: unknown base '{base}'; known: {known(library)}"
             )
         full[track] = merge(library.get(base, {}), override)
-    preset = build(Preset, {**data, "name": name, "tracks": full}, where)
-    _check(preset, where)
-    return preset
-
-
-def _check(preset: Preset, where: str) -> None:
-    if not preset.seeds:
-        raise BenchmarkError(f"{where}: seeds: at least one seed is needed")
-    if len(set(preset.seeds)) != len(preset.seeds) or min(preset.seeds) < 0:
-        raise BenchmarkError(f"{where}: seeds: {preset.seeds} must differ and be 0 or above")
-    if preset.evaluation.episodes < 1:
-        raise BenchmarkError(f"{where}: evaluation: episodes must be 1 or above")
-    if 0.0 not in preset.evaluation.noise or min(preset.evaluation.noise) < 0.0:
-        raise BenchmarkError(f"{where}: evaluation: noise must hold 0.0 and no negative level")
-    for name, track in preset.tracks.items():
-        for key, value in (
-            ("timesteps", track.timesteps),
-            ("n_envs", track.hyperparameters.n_envs),
-            ("batch_size", track.hyperparameters.batch_size),
-            ("buffer_size", track.hyperparameters.buffer_size),
-        ):
-            if value < 1:
-                raise BenchmarkError(f"{where}: tracks: {name}: {key} = {value} must be above 0")
-        if track.reward not in ("paper", "progress"):
-            raise BenchmarkError(
-                f"{where}: tracks: {name}: unknown reward '{track.reward}'; known: paper, progress"
-            )
-        if not 0 <= track.mask_visited <= TRAIL:
-            raise BenchmarkError(
-                f"{where}: tracks: {name}: mask_visited = {track.mask_visited} must be from 0 to "
-                f"{TRAIL}"
-            )
-    _check_geometries(preset, where)
-
-
-def _check_geometries(preset: Preset, where: str) -> None:
-    if not preset.geometries:
-        return
-    from coop_env.geometry import GeometryError, RRSGeometry
-
-    for name, dimensions in preset.geometries.items():
-        try:
-            RRSGeometry(**dimensions)
-        except (GeometryError, TypeError) as error:
-            raise BenchmarkError(f"{where}: geometries: {name}: {error}") from error
+    return build(Preset, {**data, "name": name, "tracks": full}, where)
 
 
 def as_dict(value: object) -> dict[str, Any]:

@@ -1,78 +1,118 @@
-"""Mappings to frozen dataclasses, strictly: an unknown key is an error, never a silent default."""
+"""Mappings to frozen dataclasses, strictly, by pydantic: what a file gets wrong is one line.
+
+A dataclass to be read carries ``@with_config(STRICT)``. Values are of their own type, with one
+exception: YAML 1.1 reads 1e-4 as text, and a scientist means a :data:`Number`.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-import types
+import json
 import typing
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from contextlib import suppress
+from typing import Annotated, Any, Final, TypeVar
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    with_config,
+)
+from pydantic_core import ErrorDetails
 
 from benchmarks.errors import BenchmarkError, known
 
+__all__ = ["STRICT", "Count", "Number", "Seeds", "build", "merge", "with_config"]
+
 T = TypeVar("T")
+
+STRICT: Final = ConfigDict(extra="forbid", strict=True)
+# pydantic's kinds of error -> what it had expected
+_TYPES: Final = {
+    **{"int_type": "int", "float_type": "float", "bool_type": "bool", "string_type": "str"},
+    **{"list_type": "a list", "dict_type": "a mapping", "dataclass_type": "a mapping"},
+}
+_RANGES: Final = {
+    "greater_than": "must be above {gt}",
+    "greater_than_equal": "must be {ge} or above",
+    "less_than_equal": "must be {le} or below",
+    "literal_error": "is unknown; known: {expected}",
+}
+
+
+def _from_text(value: object) -> object:
+    if isinstance(value, str):
+        with suppress(ValueError):
+            return float(value)
+    return value
+
+
+def _differ(seeds: list[int]) -> list[int]:
+    if not seeds or len(set(seeds)) != len(seeds) or min(seeds) < 0:
+        raise ValueError("must be some, differ and be 0 or above")
+    return seeds
+
+
+Number = Annotated[float, BeforeValidator(_from_text)]
+Count = Annotated[int, Field(gt=0)]
+Seeds = Annotated[list[int], AfterValidator(_differ)]
 
 
 def build(cls: type[T], data: object, where: str) -> T:
-    """Build the dataclass ``cls`` from ``data``, checking every key and every value's type.
+    """Build the dataclass ``cls`` from ``data``, checking every key and every value.
 
     Args:
         cls: a dataclass; nested dataclasses, ``dict[str, dataclass]`` and lists of them are built.
         data: what YAML gave.
-        where: the place in words (file and key path) that an error names.
+        where: the place in words (the file) that an error names.
 
     Raises:
-        BenchmarkError: a key is unknown or missing, or a value has the wrong type.
+        BenchmarkError: a key is unknown or missing, or a value has the wrong type or range.
     """
-    if not isinstance(data, Mapping):
-        raise BenchmarkError(f"{where}: expected a mapping, found {type(data).__name__}")
-    fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
-    for key in data:
-        if key not in fields:
-            raise BenchmarkError(f"{where}: unknown key '{key}'; known keys: {known(fields)}")
-    hints = typing.get_type_hints(cls)
-    values: dict[str, Any] = {}
-    for name, field in fields.items():
-        if name in data:
-            values[name] = _convert(hints[name], data[name], f"{where}: {name}")
-        elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
-            raise BenchmarkError(f"{where}: key '{name}' is missing")
-    return cls(**values)
+    try:
+        # as JSON: of Python's own objects pydantic's strict mode takes no mapping for a dataclass
+        text = json.dumps(data, default=str)
+        return TypeAdapter(cls).validate_json(text)
+    except ValidationError as error:
+        # a key that is misspelt is missing, too
+        first = min(error.errors(), key=lambda e: e["type"] != "unexpected_keyword_argument")
+        raise BenchmarkError(f"{where}: {_in_words(cls, first)}") from None
 
 
-def _convert(hint: Any, value: Any, where: str) -> Any:
-    origin, args = typing.get_origin(hint), typing.get_args(hint)
-    if origin in (types.UnionType, typing.Union):
-        if value is None:
-            return None
-        return _convert(next(a for a in args if a is not type(None)), value, where)
-    if origin is list:
-        if not isinstance(value, list):
-            raise BenchmarkError(f"{where}: expected a list, found {value!r}")
-        return [_convert(args[0], item, f"{where}[{i}]") for i, item in enumerate(value)]
-    if origin is dict:
-        if not isinstance(value, Mapping):
-            raise BenchmarkError(f"{where}: expected a mapping, found {value!r}")
-        return {str(k): _convert(args[1], v, f"{where}: {k}") for k, v in value.items()}
-    if dataclasses.is_dataclass(hint):
-        return build(typing.cast(type, hint), value, where)
-    return _scalar(hint, value, where)
+def _in_words(cls: type, error: ErrorDetails) -> str:
+    *above, key = error["loc"] or ("",)
+    if isinstance(key, int) and above:
+        key = f"{above.pop()}[{key}]"
+    path = "".join(f"[{step}]: " if isinstance(step, int) else f"{step}: " for step in above)
+    path = path.replace(": [", "[")
+    kind, value = error["type"], error["input"]
+    if kind == "unexpected_keyword_argument":
+        fields = dataclasses.fields(_type_at(cls, error["loc"][:-1]))
+        return f"{path}unknown key '{key}'; known keys: {known(f.name for f in fields)}"
+    if kind.startswith("missing"):
+        return f"{path}key '{key}' is missing"
+    if kind in _RANGES:
+        return f"{path}{key} = {value!r} {_RANGES[kind].format(**error['ctx'])}"
+    what = f"expected {_TYPES[kind]}" if kind in _TYPES else error["msg"]
+    return f"{path}{key}: {what.removeprefix('Value error, ')}, found {value!r}".removeprefix(": ")
 
 
-def _scalar(hint: Any, value: Any, where: str) -> Any:
-    if hint is Any:
-        return value
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if hint is float and isinstance(value, str):
-        # YAML 1.1 reads 1e-4 as text; a scientist means a number
-        try:
-            return float(value)
-        except ValueError:
-            pass
-    if not isinstance(value, hint) or (isinstance(value, bool) and hint is not bool):
-        raise BenchmarkError(f"{where}: expected {hint.__name__}, found {value!r}")
-    return value
+def _type_at(cls: Any, loc: tuple[int | str, ...]) -> Any:
+    """The dataclass that lies at a place of another."""
+    for step in loc:
+        if dataclasses.is_dataclass(cls):
+            cls = typing.get_type_hints(cls)[str(step)]
+            # of "X | None" and the like, what is not None
+            options = [a for a in typing.get_args(cls) if dataclasses.is_dataclass(a)]
+            if typing.get_origin(cls) not in (list, dict) and options:
+                cls = options[0]
+        else:  # a list or a mapping
+            cls = typing.get_args(cls)[-1]
+    return cls
 
 
 def merge(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,12 +10,10 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Protocol
 
-from benchmarks.errors import BenchmarkError
 from benchmarks.runs.store import RunFolder
 
 BACKENDS: Final = ("local", "ray")
@@ -129,37 +127,6 @@ class LocalBackend:
 
     def close(self) -> None:
         pass
-
-
-@contextmanager
-def open_backend(
-    name: str, jobs: int | None, address: str | None = None, gpus_per_run: float = 0.0
-) -> Iterator[Backend]:
-    """The backend of that name, closed at the end.
-
-    Args:
-        name: one of ``BACKENDS``.
-        jobs: runs at a time; None for what there is room for.
-        address: of a Ray cluster.
-        gpus_per_run: GPUs that Ray reserves for a run, or the fraction of one.
-
-    Raises:
-        BenchmarkError: an argument does not go with the backend, or no cluster answers.
-    """
-    backend: Backend
-    if name == "local":
-        for option, given in (("--address", address), ("--gpus-per-run", gpus_per_run)):
-            if given:
-                raise BenchmarkError(f"{option} {given}: only with --backend ray")
-        backend = LocalBackend(jobs)
-    else:
-        from benchmarks.runs.ray_backend import RayBackend
-
-        backend = RayBackend(address, gpus_per_run, jobs)
-    try:
-        yield backend
-    finally:
-        backend.close()
 
 
 def default_jobs() -> int:

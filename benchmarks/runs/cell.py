@@ -1,20 +1,27 @@
-"""One cell from start to end: train or plan, test, store. Runs in a process of its own."""
+"""One cell of an experiment from start to end. Runs in a process of its own, or in this one."""
 
 from __future__ import annotations
 
+import importlib
+import json
 import os
 import signal
 import threading
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol.plan import DESIGN, Cell, settings
-from benchmarks.protocol.presets import Preset
-from benchmarks.protocol.seeding import derive
 from benchmarks.runs import machine
+from benchmarks.runs.experiment import C, Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
+
+PROGRESS_SECONDS: Final = 0.5
+
+
+class Stopped(Exception):
+    """Asked to end by a cell that has no checkpoint: what it did is soon done again."""
 
 
 class StopFlag:
@@ -43,6 +50,27 @@ class StopFlag:
         self.requested = True
 
 
+class Teller:
+    """Tells the harness which share of a cell is done, and raises :class:`Stopped` when asked.
+
+    Args:
+        folder: the cell's.
+        stop_requested: asked at each call.
+    """
+
+    def __init__(self, folder: RunFolder, stop_requested: StopRequested) -> None:
+        self._folder, self._stop_requested = folder, stop_requested
+        self._told = time.perf_counter()
+
+    def __call__(self, share: float, note: str = "") -> None:
+        if self._stop_requested():
+            raise Stopped
+        now = time.perf_counter()
+        if now - self._told >= PROGRESS_SECONDS:
+            self._told = now
+            self._folder.write_progress(share, note)
+
+
 def check_device(device: str) -> None:
     """Raise BenchmarkError if torch has no such device here."""
     if device == "cuda":
@@ -55,17 +83,17 @@ def check_device(device: str) -> None:
 
 
 def run_cell(
-    preset: Preset,
-    cell: Cell,
+    experiment: Experiment[C],
+    cell: C,
     store: Store,
-    stop_requested: Callable[[], bool] = lambda: False,
+    stop_requested: StopRequested = lambda: False,
     wait: float = 0.0,
     device: str = "cpu",
 ) -> bool:
     """Run a cell to its end, or until ``stop_requested``; a complete one is left as it is.
 
     Args:
-        preset: the experiment.
+        experiment: whose cell it is.
         cell: a cell of it.
         store: where its results go.
         stop_requested: asked between rounds of training.
@@ -82,154 +110,92 @@ def run_cell(
     folder = store.run(cell.id)
 
     def work() -> dict[str, Any] | None:
-        clock = Clock()
-        if cell.method == DESIGN:
-            training: dict[str, Any] | None = _run_design(preset, folder)
-        elif cell.learns:
-            training = _run_learner(preset, cell, folder, stop_requested, device)
-        else:
-            training = _run_planner(preset, cell, folder, stop_requested)
-        return None if training is None else _meta(preset, cell, training, clock)
+        return experiment.run(cell, folder, stop_requested, device)
 
-    return run_once(folder, settings(preset, cell), work, cell.learns, wait)
+    return run_once(folder, experiment.settings(cell), experiment.name, work, wait)
 
 
 def run_once(
     folder: RunFolder,
     config: Mapping[str, Any],
+    name: str,
     work: Callable[[], dict[str, Any] | None],
-    learns: bool,
-    wait: float,
+    wait: float = 0.0,
 ) -> bool:
-    """Do a run's work under its lock unless it is done, and write what meta.json says of it.
+    """Do a run's work under its lock unless it is complete, and write its meta.json.
 
     Args:
         folder: the run's.
         config: every setting that decides its result.
-        work: returns what meta.json says, without the machine; None if it was stopped.
-        learns: whether the run is complete only with a policy.
+        name: of the preset or study.
+        work: as :meth:`Experiment.run`.
         wait: seconds to wait for another process that works on it.
 
     Returns:
         Whether the run is complete.
 
     Raises:
-        BenchmarkError: the folder holds a run with other settings, or another process works on it.
+        BenchmarkError: as :func:`run_cell`.
     """
     folder.check_config(config)
-    if folder.is_done(learns):
+    if folder.is_complete():
         return True
     with folder.lock(wait):
-        if folder.is_done(learns):  # by the process that was waited for
+        if folder.is_complete():  # by the process that was waited for
             return True
-        folder.reopen()
         folder.begin(config)
         made_by = machine.describe()  # now: the sources may change while the run is on
-        record = work()
+        began = time.perf_counter(), time.process_time()
+        try:
+            record = work()
+        except Stopped:
+            folder.write_progress(0.0, "stopped")
+            record = None
         if record is None:
             return False
-        folder.write_meta({**record, **made_by})
+        spent = _spent(record["training"], *began)
+        folder.write_meta({
+            **{"cell": folder.id, "preset": name}, **spent, **record, **made_by
+        })  # fmt: skip
         folder.drop_checkpoint()
         return True
 
 
-def tell_end(cell_id: str, folder: RunFolder, complete: bool) -> int:
-    """Say how a run that was started on its own has ended; returns the exit code."""
-    if not complete:
-        print(f"{cell_id}: stopped, the checkpoint is in {folder.path}; the same command resumes")
-        return 130
-    print(f"{cell_id}: complete, see {folder.path}")
-    return 0
+def _spent(training: dict[str, Any], began: float, cpu_began: float) -> dict[str, float]:
+    """Wall and CPU seconds; a resumed run's are the sum over its processes."""
+    wall, cpu = time.perf_counter() - began, time.process_time() - cpu_began
+    if "wall_seconds" in training:
+        wall = max(wall, training["wall_seconds"] + training.get("test_seconds", 0.0))
+        cpu = max(cpu, training["cpu_seconds"])
+    return {"wall_seconds": wall, "cpu_seconds": cpu}
 
 
-class Clock:
-    """Wall and CPU time since its making."""
-
-    def __init__(self) -> None:
-        self._began = time.perf_counter(), time.process_time()
-
-    def read(self) -> tuple[float, float]:
-        """Seconds of both."""
-        wall, cpu = self._began
-        return time.perf_counter() - wall, time.process_time() - cpu
+def words(experiment: Experiment[Any], store: Store) -> list[str]:
+    """The command that opens an experiment and its store in another process; :func:`opened`."""
+    kind = type(experiment)
+    recipe = json.dumps(experiment.recipe)
+    return ["cell", f"{kind.__module__}:{kind.__name__}", recipe, str(store.folder.resolve())]
 
 
-def _run_learner(
-    preset: Preset,
-    cell: Cell,
-    folder: RunFolder,
-    stop_requested: Callable[[], bool],
+def opened(kind: str, recipe: str, folder: Path) -> tuple[Experiment[Any], Store]:
+    """What :func:`words` speak of."""
+    module, _, name = kind.partition(":")
+    experiment = getattr(importlib.import_module(module), name)(**json.loads(recipe))
+    return experiment, Store(folder.parent, folder.name)
+
+
+def run_here(
+    experiment: Experiment[Any], store: Store, cell_id: str, parent: int | None, wait: float,
     device: str,
-) -> dict[str, Any] | None:
-    from benchmarks.evaluation.evaluate import evaluate_policy, model_policy
-    from benchmarks.methods.learners import env_arguments
-    from benchmarks.runs import policy_file
-    from benchmarks.runs.training import train
-
-    trained = train(preset, cell, folder, stop_requested, device)
-    if trained is None:
-        return None
-    model, summary = trained
-    folder.write_progress(1.0, "testing")
-    began = time.perf_counter()
-    summary["weights_sha256"] = policy_file.digest(model)
-    policy_file.reduce_to_greedy(model)
-    arguments = env_arguments(preset, cell, preset.tracks[cell.track])
-    rows = evaluate_policy(model_policy(model), preset, cell.seed, arguments)
-    folder.write_rows("episodes", rows)
-    policy_file.save(model, folder.policy)
-    return {**summary, "test_seconds": time.perf_counter() - began}
-
-
-class _Stopped(Exception):
-    """Asked to end; a planner has no checkpoint, its episodes are soon planned again."""
-
-
-def _run_planner(
-    preset: Preset, cell: Cell, folder: RunFolder, stop_requested: Callable[[], bool]
-) -> dict[str, Any] | None:
-    from benchmarks.evaluation.evaluate import evaluate_planner
-    from benchmarks.methods.learners import env_arguments
-
-    def tell(share: float) -> None:
-        folder.write_progress(share, "")
-        if stop_requested():
-            raise _Stopped
-
-    try:
-        rows = evaluate_planner(preset, cell, env_arguments(preset, cell), tell)
-    except _Stopped:
-        folder.write_progress(0.0, "stopped")
-        return None
-    folder.write_rows("episodes", rows)
-    return {}
-
-
-def _run_design(preset: Preset, folder: RunFolder) -> dict[str, Any]:
-    from benchmarks.methods.geometric_design import geometry_rows
-
-    assert preset.design is not None
-    folder.write_rows("design", geometry_rows(preset.design.runs))
-    return {}
-
-
-def _meta(preset: Preset, cell: Cell, training: dict[str, Any], clock: Clock) -> dict[str, Any]:
-    wall, cpu = clock.read()
-    # a resumed run's training time is the sum over its processes
-    earlier = training.get("wall_seconds"), training.get("cpu_seconds")
-    if earlier[0] is not None and earlier[1] is not None:
-        tested = training["test_seconds"]
-        wall, cpu = max(wall, earlier[0] + tested), max(cpu, earlier[1])
-    return {
-        "cell": cell.id,
-        "preset": preset.name,
-        "seeds": {
-            "cell": cell.seed,
-            "train": derive("train", cell.seed),
-            "learner": derive("learner", cell.seed),
-            "first_test_episode": derive("test", cell.seed, 0),
-        },
-        "training": training,
-        "wall_seconds": wall,
-        "cpu_seconds": cpu,
-    }
+) -> int:  # fmt: skip
+    """Run one cell in this process and say how it ended; returns the command's exit code."""
+    flag = StopFlag(parent)
+    flag.listen()
+    cell = experiment.find(cell_id)
+    check_device(device)
+    folder = store.run(cell.id).path
+    if not run_cell(experiment, cell, store, flag, wait, device):
+        print(f"{cell.id}: stopped, {folder} keeps what was saved; the same command resumes")
+        return 130
+    print(f"{cell.id}: complete, see {folder}")
+    return 0

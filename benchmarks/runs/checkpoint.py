@@ -9,22 +9,21 @@ import random
 import shutil
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.vec_env import VecEnv, VecMonitor
+from stable_baselines3.common.vec_env import VecEnv
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.runs import machine
-from benchmarks.runs.callbacks import CurriculumCallback, CurveRecorder
 from benchmarks.runs.store import BROKEN, RunFolder
-from coop_env.vec_env import CoopInsertionVecEnv
 
 Model = TypeVar("Model", bound=BaseAlgorithm)
 
@@ -38,32 +37,42 @@ PASSING: Final = (
 )
 
 
+class Kept(Protocol):
+    """A part of a run, beside its model, that goes on from a checkpoint.
+
+    A state of None says that the episodes under way could not be kept: new ones begin.
+    """
+
+    def get_state(self) -> Any: ...
+
+    def set_state(self, state: Any) -> None: ...
+
+
 class Watch(BaseCallback):
     """Saves checkpoints, tells the harness how far the run is, and stops it when asked.
 
     Args:
         folder: the run's folder.
-        curriculum: saved with the model.
-        curve: saved with the model.
+        kept: what is saved with the model, by name; put back in this order.
         seconds: wall-clock time between two checkpoints.
         timesteps: the run's length, for its progress.
         stop_requested: asked before each round of collection.
+        note: a word on how the training goes.
     """
 
     def __init__(
         self,
         folder: RunFolder,
-        curriculum: CurriculumCallback,
-        curve: CurveRecorder,
+        kept: Mapping[str, Kept],
         seconds: float,
         timesteps: int,
         stop_requested: Callable[[], bool],
+        note: Callable[[], str],
     ) -> None:
         super().__init__()
-        self.folder = folder
-        self.curriculum, self.curve = curriculum, curve
+        self.folder, self.kept = folder, kept
         self.seconds, self.timesteps = seconds, timesteps
-        self.stop_requested = stop_requested
+        self.stop_requested, self.note = stop_requested, note
         self.stopped = False
         self.rng: dict[str, Any] | None = None
         self.resumed_at: list[int] = []
@@ -83,10 +92,7 @@ class Watch(BaseCallback):
         now = time.perf_counter()
         if now - self._told >= PROGRESS_SECONDS:
             self._told = now
-            share = self.num_timesteps / self.timesteps
-            recent = self.curve.recent
-            note = f"success {np.mean(recent):.0%}" if recent else "warming up"
-            self.folder.write_progress(share, f"{note}, stage {self.curriculum.stage}")
+            self.folder.write_progress(self.num_timesteps / self.timesteps, self.note())
         if self.stop_requested():
             self.stopped = True
         # before the first step there is nothing to lose, and a learner that resumes at step 0 would
@@ -98,56 +104,94 @@ class Watch(BaseCallback):
     def _on_step(self) -> bool:
         return not self.stopped
 
-    def times(self) -> dict[str, float]:
+    def _times(self) -> dict[str, float]:
         """Wall and CPU seconds of the training, over all its processes."""
         return {
             "wall_seconds": self._wall + time.perf_counter() - self._began[0],
             "cpu_seconds": self._cpu + time.process_time() - self._began[1],
         }
 
-    def save(self) -> None:
-        """Write a checkpoint of the run."""
-        model = self.model
-        monitor = self.training_env
-        assert isinstance(monitor, VecMonitor)
-        env = monitor.venv
-        assert isinstance(env, CoopInsertionVecEnv)
-        state = {
-            "env": env.get_state(),
-            "monitor": (monitor.episode_returns, monitor.episode_lengths, monitor.episode_count),
-            "curriculum": self.curriculum.get_state(),
-            "curve": self.curve.get_state(),
-            "rng": rng_state(model),
+    def _history(self) -> dict[str, Any]:
+        return {
+            **self._times(),
             "resumed_at": self.resumed_at,
             "set_aside": self.set_aside,
             "made_with": self.made_with,
-            **self.times(),
         }
-        write_checkpoint(self.folder.checkpoint, model, state)
 
-    def restore(self, state: dict[str, Any], monitor: VecMonitor, timesteps: int) -> None:
+    def summary(self, model: BaseAlgorithm) -> dict[str, Any]:
+        """What meta.json says of the training of a model."""
+        return {
+            **self._history(),
+            "device": str(model.device),
+            "timesteps": model.num_timesteps,
+        }
+
+    def save(self) -> None:
+        """Write a checkpoint of the run."""
+        state = {name: part.get_state() for name, part in self.kept.items()}
+        state |= {"rng": rng_state(self.model), **self._history()}
+        write_checkpoint(self.folder.checkpoint, self.model, state)
+
+    def restore(self, state: dict[str, Any], model: BaseAlgorithm) -> None:
         """Put everything but the model and its buffer back to a checkpoint.
 
         A state that lacks something, or is of another environment, is refused before any change.
         """
-        env = monitor.venv
-        assert isinstance(env, CoopInsertionVecEnv)
-        rng, curriculum, curve = state["rng"], state["curriculum"], state["curve"]
+        rng, parts = state["rng"], [(part, state[name]) for name, part in self.kept.items()]
         resumed_at, set_aside = state["resumed_at"], state["set_aside"]
         made_with = state.get("made_with", self.made_with)  # older checkpoints lack it
-        times, episodes = (state["wall_seconds"], state["cpu_seconds"]), state["monitor"]
-        env.set_state(state["env"])
-        monitor.episode_returns, monitor.episode_lengths, monitor.episode_count = episodes
-        self.curriculum.set_state(curriculum)
-        self.curve.set_state(curve)
+        times = state["wall_seconds"], state["cpu_seconds"]
+        for part, saved in parts:
+            if saved is None:
+                model._last_obs = None  # has learn() reset the environments
+            else:
+                part.set_state(saved)
         self.rng = rng
-        self.resumed_at = [*resumed_at, timesteps]
+        self.resumed_at = [*resumed_at, model.num_timesteps]
         self.set_aside = [*set_aside, *self.set_aside]
         if _version().items() <= made_with[-1].items():
             self.made_with = made_with
         else:  # the same settings, but perhaps not the same code: the run says so
-            self.made_with = [*made_with, {"from_step": timesteps, **_version()}]
+            self.made_with = [*made_with, {"from_step": model.num_timesteps, **_version()}]
         self._wall, self._cpu = times
+
+
+def learn(
+    watch: Watch,
+    algorithm: type[Model],
+    env: VecEnv,
+    build: Callable[[], Model],
+    callbacks: Sequence[BaseCallback],
+    logger: Logger,
+    device: str = "cpu",
+) -> Model | None:
+    """Train a model, from its newest checkpoint if there is one.
+
+    Args:
+        watch: of the run; it comes after the callbacks.
+        algorithm: the model's class.
+        env: what it learns in.
+        build: makes it anew.
+        callbacks: asked at each step and round.
+        logger: the model's.
+        device: where the network of a checkpoint is to live.
+
+    Returns:
+        The trained model, or None if it was stopped.
+    """
+    torch.set_num_threads(1)
+    model = load_newest(watch, algorithm, env, device) or build()
+    model.set_logger(logger)
+    remaining = watch.timesteps - model.num_timesteps
+    if remaining > 0:
+        model.learn(
+            remaining,
+            callback=CallbackList([*callbacks, watch]),
+            log_interval=10**9,  # the callbacks write, at even intervals of steps
+            reset_num_timesteps=model.num_timesteps == 0,
+        )
+    return None if watch.stopped else model
 
 
 def _version() -> dict[str, Any]:
@@ -226,45 +270,15 @@ def _is_passing(error: Exception) -> bool:
     return isinstance(error, torch.OutOfMemoryError)
 
 
-def load_newest(
-    folder: RunFolder,
-    algorithm: type[BaseAlgorithm],
-    env: VecMonitor,
-    watch: Watch,
-    device: str = "cpu",
-) -> BaseAlgorithm | None:
-    """The model of the newest readable checkpoint, with ``env`` and ``watch`` restored, or None."""
-
-    def restore(model: BaseAlgorithm, state: dict[str, Any]) -> None:
-        watch.restore(state, env, model.num_timesteps)
-
-    return read_newest(folder.checkpoint, algorithm, env, restore, watch.set_aside, device)
-
-
-def read_newest(
-    root: Path,
-    algorithm: type[Model],
-    env: VecEnv,
-    restore: Callable[[Model, dict[str, Any]], None],
-    set_aside: list[str],
-    device: str = "cpu",
-) -> Model | None:
-    """The model of the newest readable checkpoint below ``root``, or None.
+def load_newest(watch: Watch, algorithm: type[Model], env: VecEnv, device: str) -> Model | None:
+    """The model of the newest readable checkpoint, with what the watch keeps restored, or None.
 
     A checkpoint that is damaged is named in a warning and kept aside as ``broken-...``.
-
-    Args:
-        root: the run's folder of checkpoints.
-        algorithm: the model's class.
-        env: what the model goes on in.
-        restore: puts the checkpoint's state back; what it raises counts as unreadable.
-        set_aside: the names of checkpoints set aside are added to it.
-        device: where the network is to live.
 
     Raises:
         BenchmarkError: a checkpoint cannot be read now, for a reason that is not the file's.
     """
-    for path in reversed(checkpoints(root)):
+    for path in reversed(checkpoints(watch.folder.checkpoint)):
         try:
             with (path / "state.pkl").open("rb") as stream:
                 state = pickle.load(stream)
@@ -272,7 +286,7 @@ def read_newest(
             if isinstance(model, OffPolicyAlgorithm):
                 with (path / "buffer.pkl").open("rb") as stream:
                     model.load_replay_buffer(stream)
-            restore(model, state)
+            watch.restore(state, model)
         except Exception as error:
             if _is_passing(error):
                 raise BenchmarkError(
@@ -283,7 +297,7 @@ def read_newest(
             aside = path.with_name(f"{BROKEN}{path.name}")
             shutil.rmtree(aside, ignore_errors=True)
             path.rename(aside)
-            set_aside.append(aside.name)
+            watch.set_aside.append(aside.name)
             warnings.warn(
                 f"{path} cannot be read ({type(error).__name__}: {error}); it is kept as "
                 f"{aside.name} and the run restarts",

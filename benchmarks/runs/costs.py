@@ -4,61 +4,50 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
+from rich.console import Console
+from rich.table import Column, Table
+
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol.plan import Cell, expand, settings, units_of
-from benchmarks.protocol.presets import Preset
+from benchmarks.runs.experiment import Experiment
 from benchmarks.runs.store import RunFolder, Store
 
 GUESSED_RATE: Final = 1.5e-3  # seconds per unit of work, where nothing was measured yet
-
-Key = tuple[str, ...]
 
 
 class Rates:
     """Seconds per unit of work, from complete runs; the nearest kind of run counts.
 
     Args:
+        experiment: says what a run's kinds and units are.
         runs: complete runs.
     """
 
-    def __init__(self, runs: Iterable[RunFolder]) -> None:
-        self._totals: dict[Key, tuple[float, int]] = {}
+    def __init__(self, experiment: Experiment[Any], runs: Iterable[RunFolder]) -> None:
+        self._experiment = experiment
+        self._totals: dict[tuple[str, ...], tuple[float, int]] = {}
         for run in runs:
             config = run.config()
-            for key in _keys(config):
+            for key in experiment.kinds(config):
                 seconds, units = self._totals.get(key, (0.0, 0))
-                wall = float(run.meta()["wall_seconds"])
-                self._totals[key] = seconds + wall, units + units_of(config)
+                self._totals[key] = seconds + run.seconds(), units + experiment.units(config)
 
     def rate(self, config: dict[str, Any]) -> float | None:
         """Seconds per unit of work of a run with these settings; None if none like it ran."""
-        for key in _keys(config):
+        for key in self._experiment.kinds(config):
             if key in self._totals:
                 seconds, units = self._totals[key]
                 return seconds / units
         return None
 
 
-def _keys(config: dict[str, Any]) -> Iterator[Key]:
-    """Kinds of run, the closest first."""
-    cell = config["cell"]
-    if "track" in config:
-        h = config["track"]["hyperparameters"]
-        work = tuple(str(h[name]) for name in ("updates_per_step", "batch_size", "net_arch"))
-        yield (cell["method"], cell["ablation"], *work)
-        yield (cell["method"], *work)
-    else:
-        yield (cell["method"], cell["geometry"])
-    yield (cell["method"],)
-
-
 @dataclass(frozen=True)
 class Cost:
     """A cell, how far it is, and what it cost or will cost."""
 
-    cell: Cell
+    id: str
     complete: bool
     share: float
     seconds: float  # measured if complete, else estimated to its end
@@ -71,43 +60,43 @@ class Cost:
         return f"{100 * self.share:.0f} %" if self.share else "missing"
 
 
-def costs(preset: Preset, store: Store, others: Sequence[Store] = ()) -> list[Cost]:
+def costs(experiment: Experiment[Any], store: Store, others: Sequence[Store] = ()) -> list[Cost]:
     """Each cell's state and cost.
 
     Args:
-        preset: the experiment.
+        experiment: whose cells.
         store: its results.
-        others: results of other presets, asked where this one has no run of the kind yet.
+        others: results of its like, asked where this one has no run of the kind yet.
 
     Raises:
         BenchmarkError: a stored run was made with other settings.
     """
-    own = Rates(store.completed())
+    own = Rates(experiment, store.completed())
     found = []
     elsewhere: Rates | None = None
-    for cell in expand(preset):
-        folder, config = store.run(cell.id), settings(preset, cell)
+    for cell in experiment.cells():
+        folder, config = store.run(cell.id), experiment.settings(cell)
         folder.check_config(config)
-        if folder.is_done(cell.learns):
-            found.append(Cost(cell, True, 1.0, float(folder.meta()["wall_seconds"]), False))
+        if folder.is_complete():
+            found.append(Cost(cell.id, True, 1.0, folder.seconds(), False))
             continue
-        share = 0.0 if folder.is_complete() else folder.progress()[0]
-        rate = own.rate(config)
+        share, rate = folder.progress()[0], own.rate(config)
         if rate is None:
             if elsewhere is None:
-                elsewhere = Rates(_readable(others))
+                elsewhere = Rates(experiment, _readable(experiment, others))
             rate = elsewhere.rate(config)
-        seconds = (1.0 - share) * units_of(config) * (GUESSED_RATE if rate is None else rate)
-        found.append(Cost(cell, False, share, seconds, rate is None))
+        left = (1.0 - share) * experiment.units(config)
+        seconds = left * (GUESSED_RATE if rate is None else rate)
+        found.append(Cost(cell.id, False, share, seconds, rate is None))
     return found
 
 
-def _readable(stores: Sequence[Store]) -> Iterator[RunFolder]:
-    """Runs of other presets, without those that this version cannot read."""
+def _readable(experiment: Experiment[Any], stores: Sequence[Store]) -> Iterator[RunFolder]:
+    """Runs of other stores, without those that this version cannot read."""
     for store in stores:
         for run in store.completed():
             try:
-                run.meta(), units_of(run.config())
+                run.seconds(), experiment.units(run.config())
             except (BenchmarkError, KeyError, TypeError):
                 continue
             yield run
@@ -126,6 +115,38 @@ def wall_seconds(found: Sequence[Cost], jobs: int) -> float:
             index = free.index(min(free))
             free[index] += cost.seconds
     return max(free)
+
+
+def print_plan(experiment: Experiment[Any], results: Path, jobs: int, console: Console) -> None:
+    """Print the cells of an experiment, whether they are complete, and what they cost."""
+    place = results / experiment.place
+    store = Store(place, experiment.name)
+    if store.folder.is_dir() and any(store.folder.iterdir()):
+        store = experiment.open_store(results)
+    others = [
+        Store(place, path.parent.name)
+        for path in sorted(place.glob("*/store.json"))
+        if path.parent != store.folder
+    ]
+    found = costs(experiment, store, others)
+    name = Column("cell", no_wrap=True, min_width=max(len(cost.id) for cost in found))
+    table = Table(name, "state", Column("took", no_wrap=True), Column("left", no_wrap=True))
+    for cost in found:
+        times = (duration(cost.seconds), "") if cost.complete else ("", duration(cost.seconds))
+        table.add_row(cost.id, cost.state, *times)
+    console.print(table)
+    todo = [cost for cost in found if not cost.complete]
+    console.print(
+        f"{len(found)} cells of preset '{experiment.name}' in {store.folder}, {len(todo)} to run"
+    )
+    if not todo:
+        return
+    alone = duration(sum(cost.seconds for cost in todo))
+    text = f"About {alone} of one core left, {duration(wall_seconds(found, jobs))} with "
+    text += f"{jobs} process{'es' if jobs > 1 else ''}"
+    if guessed := sum(cost.guessed for cost in todo):
+        text += f"; a guess for {guessed} cells of a kind that never ran here"
+    console.print(text)
 
 
 def duration(seconds: float) -> str:

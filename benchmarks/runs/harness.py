@@ -1,4 +1,4 @@
-"""Runs what a preset lacks: independent processes, pinned threads, one progress line per run."""
+"""Runs what an experiment lacks: a process for each cell, one progress line per run."""
 
 from __future__ import annotations
 
@@ -6,31 +6,31 @@ import shutil
 import signal
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, Generic
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.progress import TimeRemainingColumn as Remaining
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol.plan import Cell, expand, settings, work_units
-from benchmarks.protocol.presets import Preset
+from benchmarks.runs import cell as cells
 from benchmarks.runs.backends import GRACE_SECONDS, Backend, Job, LocalBackend
 from benchmarks.runs.costs import duration
-from benchmarks.runs.store import RunFolder, Store
+from benchmarks.runs.experiment import C, Experiment
+from benchmarks.runs.store import Store
 
 RUN_BYTES: Final = 20_000_000  # a run's small files, its TensorBoard events, its model twice
-TRANSITION_BYTES: Final = 200  # of a checkpointed replay buffer, generously
 POLL_SECONDS: Final = 0.3
 
 
 @dataclass
-class _Child:
-    cell: Any
+class _Child(Generic[C]):
+    cell: C
     job: Job
     task: TaskID
     started: float | None = None
@@ -68,110 +68,63 @@ class Outcome:
         return 0
 
 
-def missing(preset: Preset, store: Store) -> tuple[list[Cell], list[Cell]]:
-    """The cells still to run and those complete; all are checked against their settings first.
-
-    Raises:
-        BenchmarkError: a stored run was made with other settings.
-    """
-    todo: list[Cell] = []
-    done: list[Cell] = []
-    for cell in expand(preset):
-        folder = store.run(cell.id)
-        folder.check_config(settings(preset, cell))
-        if folder.is_done(cell.learns):
-            folder.drop_checkpoint()  # left by a process that was killed at its very end
-            done.append(cell)
-        else:
-            todo.append(cell)
-    return todo, done
-
-
-def check_disk(preset: Preset, store: Store, todo: Sequence[Cell], slots: int) -> None:
+def check_disk(experiment: Experiment[C], store: Store, todo: Sequence[C], slots: int) -> None:
     """Refuse to start what would fill the disk: results, and checkpoints of runs side by side.
 
     Raises:
         BenchmarkError: there is too little room.
     """
-    buffers = [
-        preset.tracks[cell.track].hyperparameters.buffer_size if cell.learns else 0 for cell in todo
-    ]
     # a checkpoint is written beside the last one
-    checkpoints = 2 * TRANSITION_BYTES * sum(sorted(buffers, reverse=True)[:slots])
-    needed = RUN_BYTES * len(todo) + checkpoints
+    sizes = sorted((2 * experiment.checkpoint_bytes(cell) for cell in todo), reverse=True)
+    number = len(todo) + experiment.to_come()
+    needed = RUN_BYTES * number + sum(sizes[:slots])
     free = shutil.disk_usage(store.folder).free
     if free < needed:
         raise BenchmarkError(
-            f"{store.folder}: {needed / 1e9:.1f} GB may be needed for {len(todo)} runs, "
+            f"{store.folder}: {needed / 1e9:.1f} GB may be needed for {number} runs, "
             f"{free / 1e9:.1f} GB are free; make room, use another --results folder or fewer --jobs"
         )
 
 
-class Harness:
-    """Runs cells in processes; other experiments override what a cell is and costs.
+class Harness(Generic[C]):
+    """Runs the cells of an experiment in processes.
 
     Args:
-        preset: what to run.
-        preset_argument: how a process is told of the preset (a name or a path).
+        experiment: what to run.
         store: where results go; the caller holds its lock.
-        results: the folder above the store, for the processes.
         backend: where the processes live; a number stands for so many on this machine.
         console: where progress goes.
-        options: words added to the command of each process.
+        device: of the networks: cpu or cuda.
     """
-
-    #: the command that runs one cell
-    train_words: tuple[str, ...] = ("train",)
 
     def __init__(
         self,
-        preset: Any,
-        preset_argument: str,
+        experiment: Experiment[C],
         store: Store,
-        results: Path,
         backend: Backend | int,
         console: Console,
-        options: Sequence[str] = (),
+        device: str = "cpu",
     ) -> None:
-        self.preset, self.preset_argument = preset, preset_argument
-        self.store, self.results = store, results
-        self.console = console
+        self.experiment, self.store = experiment, store
+        self.console, self.device = console, device
         self.backend = LocalBackend(backend) if isinstance(backend, int) else backend
-        self.options = options
-        self._children: list[_Child] = []
-        self._failed: dict[str, Path] = {}
+        self._queue: deque[C] = deque()
+        self._children: list[_Child[C]] = []
+        self._units: dict[str, int] = {}
+        self._shares: dict[str, float] = {}
         self._trained: list[str] = []
-
-    def missing(self) -> tuple[list[Any], list[Any]]:
-        """The cells still to run and those complete."""
-        return missing(self.preset, self.store)
-
-    def check_cells(self, todo: Sequence[Any]) -> None:
-        """Refuse to start what cannot be built."""
-        cells = [cell for cell in todo if isinstance(cell, Cell) and cell.learns]
-        if cells:
-            from benchmarks.methods.learners import check_cells
-
-            check_cells(self.preset, cells)
-
-    def check_disk(self, todo: Sequence[Any]) -> None:
-        """Refuse to start what would fill the disk."""
-        check_disk(self.preset, self.store, todo, self.backend.slots)
-
-    def work_units(self, cell: Any) -> int:
-        """A rough cost of a cell, for the progress bar."""
-        return work_units(self.preset, cell)
-
-    def verdict(self, folder: RunFolder) -> str:
-        """What is said of a cell at its end."""
-        return _verdict(folder)
+        self._skipped: list[str] = []
+        self._failed: dict[str, Path] = {}
 
     def run(self) -> Outcome:
         """Run every missing cell; Ctrl-C or SIGTERM lets the running ones save and stop."""
-        todo, done = self.missing()
-        skipped = [cell.id for cell in done]
-        if not todo:
-            return Outcome([], skipped, {}, False)
+        self._admit(self.experiment.cells())
+        self._have_ready(self.backend.slots)
+        if not self._queue:
+            return self._outcome(False)
+        todo = list(self._queue)
+        check_disk(self.experiment, self.store, todo, self.backend.slots)
+        self.experiment.check(todo)
         columns = (
             TextColumn("{task.description}"),
             BarColumn(bar_width=24),
@@ -180,62 +133,56 @@ class Harness:
             Remaining(),
             TextColumn("{task.fields[note]}"),
         )
-        self.check_disk(todo)
-        self.check_cells(todo)
-        interrupted = False
         with Progress(*columns, console=self.console, refresh_per_second=2) as progress:
-            # what earlier calls have done counts as done, not as fast work
-            shares = {cell.id: self.store.run(cell.id).progress()[0] for cell in todo}
-            units = {cell.id: self.work_units(cell) for cell in todo}
-            overall = progress.add_task(
-                f"all {len(todo)} runs",
-                total=sum(units.values()),
-                completed=round(sum(shares[name] * units[name] for name in shares)),
-                note="",
-            )
+            overall = progress.add_task("", note="")
+            self._tell(progress, overall)
             try:
                 with terminable():
-                    self._loop(todo, progress, overall, shares)
+                    self._loop(progress, overall)
             except KeyboardInterrupt:
-                interrupted = True
                 self.console.print("Stopping: the runs save their checkpoints")
                 self._stop()
-        return Outcome(self._trained, skipped, self._failed, interrupted)
+                return self._outcome(True)
+        return self._outcome(False)
 
-    def _loop(
-        self, todo: Sequence[Any], progress: Progress, overall: TaskID, shares: dict[str, float]
-    ) -> None:
-        queue = list(todo)
-        while queue or self._children:
-            while queue and len(self._children) < self.backend.slots:
-                cell = queue.pop(0)
-                self._children.append(self._start(cell, progress, shares[cell.id]))
+    def _outcome(self, interrupted: bool) -> Outcome:
+        return Outcome(self._trained, self._skipped, self._failed, interrupted)
+
+    def _admit(self, cells: Sequence[C]) -> None:
+        """Queue the cells that are still to run; all are checked against their settings first."""
+        for cell in cells:
+            folder, config = self.store.run(cell.id), self.experiment.settings(cell)
+            folder.check_config(config)
+            if folder.is_complete():
+                folder.drop_checkpoint()  # left by a process that was killed at its very end
+                self._skipped.append(cell.id)
+                continue
+            self._queue.append(cell)
+            self._units[cell.id] = self.experiment.units(config)
+            # what earlier calls have done counts as done, not as fast work
+            self._shares[cell.id] = folder.progress()[0]
+
+    def _have_ready(self, number: int) -> None:
+        """Ask for more cells until so many wait, or there are none."""
+        while len(self._queue) < number and (new := self.experiment.more()):
+            self._admit(new)
+
+    def _loop(self, progress: Progress, overall: TaskID) -> None:
+        while True:
+            self._have_ready(self.backend.slots - len(self._children))
+            while self._queue and len(self._children) < self.backend.slots:
+                self._children.append(self._start(self._queue.popleft(), progress))
+            if not self._children:
+                return
             time.sleep(POLL_SECONDS)
             for child in list(self._children):
-                for sentence in child.job.news():
-                    self.console.print(f"{child.cell.id}: {sentence}", markup=False)
-                place = child.job.place()
-                if place is not None:
-                    if child.started is None:  # until now it waited for its turn
-                        child.started = time.perf_counter()
-                        progress.start_task(child.task)
-                    share, note = self.store.run(child.cell.id).progress()
-                    shares[child.cell.id] = share
-                    note = f"{note} on {place}" if place else note
-                    progress.update(child.task, completed=share, note=note, visible=True)
-                if child.job.poll() is not None:
-                    self._children.remove(child)
-                    progress.remove_task(child.task)
-                    self._report(child)
-                    shares[child.cell.id] = 1.0
-            done = sum(shares[cell.id] * self.work_units(cell) for cell in todo)
-            waiting = len(queue) + sum(child.job.place() is None for child in self._children)
-            progress.update(overall, completed=done, note=f"{waiting} wait" if waiting else "")
+                self._look_after(child, progress)
+            self._tell(progress, overall)
 
-    def _start(self, cell: Any, progress: Progress, share: float) -> _Child:
+    def _start(self, cell: C, progress: Progress) -> _Child[C]:
         words = [
-            *(*self.train_words, "--preset", self.preset_argument),
-            *("--results", str(self.results), "--cell", cell.id, *self.options),
+            *cells.words(self.experiment, self.store),
+            *("--cell", cell.id, "--device", self.device),
             # the process of a harness that was killed may still be saving
             *("--wait", f"{GRACE_SECONDS:g}"),
         ]
@@ -243,33 +190,63 @@ class Harness:
         task = progress.add_task(
             f"  {cell.id}", total=1.0, note="starting", visible=False, start=False
         )
-        progress.update(task, completed=share)
+        progress.update(task, completed=self._shares[cell.id])
         return _Child(cell, job, task)
 
-    def _report(self, child: _Child) -> None:
-        folder = self.store.run(child.cell.id)
-        code = child.job.poll()
-        if code == 0 and folder.is_complete():
-            self._trained.append(child.cell.id)
-            seconds = 0.0 if child.started is None else time.perf_counter() - child.started
-            self.console.print(
-                f"{child.cell.id}: done in {duration(seconds)}{self.verdict(folder)}"
+    def _look_after(self, child: _Child[C], progress: Progress) -> None:
+        name = child.cell.id
+        for sentence in child.job.news():
+            self.console.print(f"{name}: {sentence}", markup=False)
+        place = child.job.place()
+        if place is not None:
+            if child.started is None:  # until now it waited for its turn
+                child.started = time.perf_counter()
+                progress.start_task(child.task)
+            share, note = self.store.run(name).progress()
+            self._shares[name] = share
+            note = f"{note} on {place}" if place else note
+            progress.update(child.task, completed=share, note=note, visible=True)
+        if child.job.poll() is not None:
+            self._children.remove(child)
+            progress.remove_task(child.task)
+            self._shares[name] = 1.0
+            self._report(child)
+
+    def _tell(self, progress: Progress, overall: TaskID) -> None:
+        """How far everything is; cells to come count as much as those known do on average."""
+        known, to_come = len(self._units), self.experiment.to_come()
+        total = sum(self._units.values())
+        waiting = len(self._queue) + sum(child.job.place() is None for child in self._children)
+        progress.update(
+            overall,
+            description=f"all {known + to_come} runs",
+            total=total * (1.0 + to_come / known),
+            completed=sum(share * self._units[name] for name, share in self._shares.items()),
+            note=f"{waiting + to_come} wait" if waiting + to_come else "",
+        )
+
+    def _report(self, child: _Child[C]) -> None:
+        folder, code, log = self.store.run(child.cell.id), child.job.poll(), child.job.log
+        if code != 0 or not folder.is_complete():
+            self._failed[folder.id] = log
+            how = f"failed with exit code {code}"
+            if code is not None and code < 0:
+                how = f"was killed by signal {-code}, for want of memory perhaps"
+            self._say(f"{folder.id}: {how}, see {log}\n{_tail(log)}", "red")
+            return
+        self._trained.append(folder.id)
+        seconds = 0.0 if child.started is None else time.perf_counter() - child.started
+        self._say(f"{folder.id}: done in {duration(seconds)}{self.experiment.verdict(folder)}")
+        for name in folder.meta()["training"].get("set_aside", []):
+            kept = folder.checkpoint / name
+            self._say(
+                f"{folder.id}: a checkpoint could not be read and is kept as {kept}", "yellow"
             )
-            for name in folder.meta()["training"].get("set_aside", []):
-                self.console.print(
-                    f"{child.cell.id}: a checkpoint could not be read and is kept as "
-                    f"{folder.checkpoint / name}",
-                    style="yellow",
-                    markup=False,
-                )
-        else:
-            self._failed[child.cell.id] = child.job.log
-            self.console.print(
-                f"{child.cell.id}: failed with exit code {code}, "
-                f"see {child.job.log}\n{_tail(child.job.log)}",
-                style="red",
-                markup=False,
-            )
+        if news := self.experiment.ended(child.cell):
+            self._say(news)
+
+    def _say(self, text: str, style: str | None = None) -> None:
+        self.console.print(text, style=style, markup=False)
 
     def _stop(self) -> None:
         for child in self._children:
@@ -297,12 +274,35 @@ def terminable() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _verdict(folder: RunFolder) -> str:
-    if not folder.has_rows("episodes"):
-        return ""
-    rows = folder.rows("episodes")
-    clean = rows[rows["noise"] == 0.0]
-    return f", success {100 * clean['success'].mean():.0f} % of {len(clean)} test episodes"
+@contextmanager
+def open_backend(
+    name: str, jobs: int | None, address: str | None = None, gpus_per_run: float = 0.0
+) -> Iterator[Backend]:
+    """The backend of that name, closed at the end.
+
+    Args:
+        name: one of ``BACKENDS``.
+        jobs: runs at a time; None for what there is room for.
+        address: of a Ray cluster.
+        gpus_per_run: GPUs that Ray reserves for a run, or the fraction of one.
+
+    Raises:
+        BenchmarkError: an argument does not go with the backend, or no cluster answers.
+    """
+    backend: Backend
+    if name == "local":
+        for option, given in (("--address", address), ("--gpus-per-run", gpus_per_run)):
+            if given:
+                raise BenchmarkError(f"{option} {given}: only with --backend ray")
+        backend = LocalBackend(jobs)
+    else:
+        from benchmarks.runs.ray_backend import RayBackend
+
+        backend = RayBackend(address, gpus_per_run, jobs)
+    try:
+        yield backend
+    finally:
+        backend.close()
 
 
 def _tail(log: Path, lines: int = 8) -> str:

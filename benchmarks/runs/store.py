@@ -19,7 +19,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -100,17 +100,9 @@ class RunFolder:
         """Whether the run has ended and its results are stored."""
         return (self.path / "meta.json").is_file()
 
-    def is_done(self, learns: bool) -> bool:
-        """Whether there is nothing left to run: complete and, of a learner, with its policy.
-
-        A fresh clone holds the rows of the `quick` preset but not its policies: the tables can be
-        made and checked at once, and a run still trains.
-        """
-        return self.is_complete() and (not learns or self.policy.is_file())
-
-    def reopen(self) -> None:
-        """Let a complete run be run again; its rows stay until the new ones replace them."""
-        (self.path / "meta.json").unlink(missing_ok=True)
+    def has_policy(self) -> bool:
+        """Whether the run is complete and its policy is here: not every one is kept in git."""
+        return self.is_complete() and self.policy.is_file()
 
     def begin(self, config: Mapping[str, Any]) -> None:
         """Claim the folder for ``config``; a folder with other settings is left untouched.
@@ -166,6 +158,12 @@ class RunFolder:
                 f"reads {SCHEMA}; move {self.path} away"
             )
         return meta
+
+    def seconds(self) -> float:
+        """Wall-clock time that the complete run took."""
+        meta = self.meta()
+        # runs of the classic tasks once kept it with the training alone
+        return float(meta.get("wall_seconds") or meta["training"]["wall_seconds"])
 
     def _read(self, name: str, parse: Callable[[str], Any]) -> dict[str, Any]:
         path = self.path / name
@@ -251,10 +249,13 @@ class Store:
         self.entries = self.folder / "entries"
         self.tables = self.folder / "tables"
         self.figures = self.folder / "figures"
+        self._part: Collection[str] | None = None
 
     @classmethod
-    def open(cls, root: Path | str, preset: str, create: bool = False) -> Store:
-        """Open a store, and with ``create`` make it.
+    def open(
+        cls, root: Path | str, preset: str, create: bool = False, command: str = "run"
+    ) -> Store:
+        """Open a store, and with ``create`` make it; ``command`` is what fills it.
 
         Raises:
             BenchmarkError: the folder is missing, or of another schema version.
@@ -272,7 +273,8 @@ class Store:
             write_text(marker, json.dumps({"schema": SCHEMA}) + "\n")
         else:
             raise BenchmarkError(
-                f"{store.folder} has no results; run: python -m benchmarks run --preset {preset}"
+                f"{store.folder} has no results; "
+                f"run: python -m benchmarks {command} --preset {preset}"
             )
         return store
 
@@ -307,7 +309,14 @@ class Store:
     def completed(self) -> list[RunFolder]:
         """All complete runs, by id."""
         runs = [RunFolder(path) for path in sorted((self.folder / "runs").glob("*"))]
-        return [run for run in runs if run.is_complete()]
+        mine = [run for run in runs if self._part is None or run.id in self._part]
+        return [run for run in mine if run.is_complete()]
+
+    def part(self, ids: Collection[str]) -> Store:
+        """The same store, seen as if it held these runs alone."""
+        store = Store(self.folder.parent, self.folder.name)
+        store._part = ids
+        return store
 
     def entered(self) -> list[RunFolder]:
         """All methods that others brought, a folder per name and seed."""

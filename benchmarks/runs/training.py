@@ -9,18 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import torch
+import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import CallbackList
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env import VecMonitor
 
 from benchmarks.methods.learners import ALGORITHMS, build_model, make_training_env
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset
 from benchmarks.runs.callbacks import CurriculumCallback, CurveRecorder
-from benchmarks.runs.checkpoint import Watch, load_newest
+from benchmarks.runs.checkpoint import Kept, Watch, learn
 from benchmarks.runs.store import RunFolder
 from sb3_rainbow.learner.denormals import flush_denormals
+from coop_env.vec_env import CoopInsertionVecEnv
 
 
 def train(
@@ -42,37 +43,49 @@ def train(
     Returns:
         The trained model and what meta.json says of the training, or None if it was stopped.
     """
-    torch.set_num_threads(1)
     track = preset.tracks[cell.track]
     env = make_training_env(preset, cell)
     curriculum = CurriculumCallback(track.curriculum)
     curve = CurveRecorder(track, curriculum)
-    watch = Watch(
-        folder, curriculum, curve, preset.checkpoint_seconds, track.timesteps, stop_requested
-    )
-    model = load_newest(folder, ALGORITHMS[cell.method], env, watch, device)
+
+    def note() -> str:
+        how = f"success {np.mean(curve.recent):.0%}" if curve.recent else "warming up"
+        return f"{how}, stage {curriculum.stage}"
+
+    assert isinstance(env.venv, CoopInsertionVecEnv)
+    kept: dict[str, Kept] = {
+        "env": env.venv,
+        "monitor": _Monitor(env),
+        "curriculum": curriculum,
+        "curve": curve,
+    }
+    watch = Watch(folder, kept, preset.checkpoint_seconds, track.timesteps, stop_requested, note)
+    logger = configure(str(folder.tensorboard), ["tensorboard"])
+    with flush_denormals():  # for every method alike
+        model = learn(
+            watch,
+            ALGORITHMS[cell.method],
+            env,
+            lambda: build_model(preset, cell, env, device),
+            [curriculum, curve],
+            logger,
+            device,
+        )
     if model is None:
-        model = build_model(preset, cell, env, device)
-    model.set_logger(configure(str(folder.tensorboard), ["tensorboard"]))
-    remaining = track.timesteps - model.num_timesteps
-    if remaining > 0:
-        with flush_denormals():  # for every method alike
-            model.learn(
-                remaining,
-                callback=CallbackList([curriculum, curve, watch]),
-                log_interval=10**9,  # the curve recorder writes, at even intervals of steps
-                reset_num_timesteps=model.num_timesteps == 0,
-            )
-    if watch.stopped:
         return None
     curve.flush()
     folder.write_rows("curve", curve.rows)
-    return model, {
-        **curve.summary(),
-        **watch.times(),
-        "resumed_at": watch.resumed_at,
-        "set_aside": watch.set_aside,
-        "made_with": watch.made_with,
-        "device": str(model.device),
-        "timesteps": model.num_timesteps,
-    }
+    return model, {**curve.summary(), **watch.summary(model)}
+
+
+class _Monitor:
+    """The episodes that a VecMonitor is in the midst of."""
+
+    def __init__(self, env: VecMonitor) -> None:
+        self.env = env
+
+    def get_state(self) -> tuple[Any, ...]:
+        return self.env.episode_returns, self.env.episode_lengths, self.env.episode_count
+
+    def set_state(self, state: tuple[Any, ...]) -> None:
+        self.env.episode_returns, self.env.episode_lengths, self.env.episode_count = state

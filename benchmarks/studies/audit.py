@@ -171,7 +171,7 @@ def scripted(preset: Preset, starts: int, tell: Callable[[], None] = lambda: Non
         starts: number of validation starts (no test episode among them).
         tell: called after each start of a track.
     """
-    from benchmarks.methods.learners import env_arguments
+    from benchmarks.methods.episodes import env_arguments
 
     oracle = LatticeOracle()
     rows = []

@@ -48,7 +48,7 @@ def play(
     preset: Preset, cell: Cell, model: Any, oracle: LatticeOracle, tell: Callable[[], None]
 ) -> list[dict[str, object]]:
     """One row per test episode of a cell's seed."""
-    from benchmarks.methods.learners import env_arguments
+    from benchmarks.methods.episodes import env_arguments
 
     arguments = env_arguments(preset, cell, preset.tracks[cell.track])
     policy = model_policy(model)
@@ -241,7 +241,7 @@ def main(words: Sequence[str]) -> int:
         cell
         for cell in expand(preset)
         if (cell.method, cell.ablation, cell.geometry, cell.track) == wanted
-        and store.run(cell.id).is_done(learns=True)
+        and store.run(cell.id).has_policy()
     ]
     if not cells:
         raise BenchmarkError(

@@ -22,13 +22,14 @@ from typing import Final
 import yaml
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol.strict import build
+from benchmarks.protocol.strict import STRICT, build, with_config
 from benchmarks.reporting.tables.table import Cell, Number, Table
 
 REASONS: Final = Path(__file__).parent / "reasons.yaml"
 UNKNOWN: Final = "not explained yet"
 
 
+@with_config(STRICT)
 @dataclass(frozen=True)
 class Reason:
     """Why the paper's number lies outside our interval in some cells of a table."""

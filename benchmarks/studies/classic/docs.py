@@ -11,7 +11,7 @@ from benchmarks.studies.classic.results import Results
 from benchmarks.studies.classic.tables import build_tables
 
 END: Final = "<!-- classic:end -->"
-SHOWN: Final = ("scores", "cliff")
+SHOWN: Final = {"scores": "curves", "cliff": "cliff"}  # tables of the page, each with its figure
 
 
 def begin(preset: str) -> str:
@@ -34,10 +34,9 @@ def block(results: Results, root: str) -> str:
     name = results.preset.name
     tables = {table.name: table for table in build_tables(results)}
     parts = [begin(name), "", provenance(results)]
-    for table in SHOWN:
+    for table, figure in SHOWN.items():
         if table in tables:
             parts += ["", tables[table].markdown().rstrip()]
-            figure = "curves" if table == "scores" else "cliff"
             parts += ["", f"![{tables[table].title}]({root}/figures/{figure}.png)"]
     others = [f"[{table}]({root}/tables/{table}.md)" for table in tables if table not in SHOWN]
     if others:
@@ -50,7 +49,7 @@ def provenance(results: Results) -> str:
     if not results.folders:
         return f"Preset `{results.preset.name}`: no run is complete."
     metas = [folder.meta() for folder in results.folders]
-    minutes = sum(meta["training"]["wall_seconds"] for meta in metas) / 60.0
+    minutes = sum(folder.seconds() for folder in results.folders) / 60.0
     commits = sorted({str(meta["commit"])[:9] for meta in metas})
     machines = sorted({str(meta["machine"]["processor"]) for meta in metas})
     dirty = " with uncommitted changes" if any(meta["dirty"] for meta in metas) else ""
@@ -83,7 +82,6 @@ def write(path: Path, results: Results, root: str) -> bool:
         raise BenchmarkError(f"{path} is missing; it needs a block from {BEGIN}... to {END}")
     old = path.read_text(encoding="utf-8")
     new = rewrite(old, results, root)
-    if new == old:
-        return False
-    write_text(path, new)
-    return True
+    if new != old:
+        write_text(path, new)
+    return new != old

@@ -1,11 +1,10 @@
-"""Which cells a preset of the classic tasks holds. One cell is one independent process."""
+"""Which cells a preset of the classic tasks holds, and what decides and costs each."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from benchmarks.protocol.plan import pick
 from benchmarks.protocol.presets import as_dict
 from benchmarks.studies.classic.presets import Preset
 
@@ -42,28 +41,20 @@ def expand(preset: Preset) -> list[Cell]:
     for key, task in preset.tasks.items():
         for seed in preset.seeds if task.seeds is None else task.seeds:
             cells += [Cell("learn", key, method, seed) for method in preset.methods]
-    cells.sort(key=lambda cell: (cell.number, -work_units(preset, cell)))
+    cells.sort(key=lambda cell: (cell.number, -units_of(settings(preset, cell))))
     for key, variant in preset.cliff.items():
         for states in variant.states:
             cells += [Cell(CLIFF, key, replay, states) for replay in REPLAYS]
     return cells
 
 
-def find(preset: Preset, cell_id: str) -> Cell:
-    """The cell of that id.
-
-    Raises:
-        BenchmarkError: the preset has no such cell.
-    """
-    return pick(expand(preset), preset.name, cell_id)
-
-
-def work_units(preset: Preset, cell: Cell) -> int:
-    """A rough cost, for progress bars and the order of runs."""
-    if cell.kind == CLIFF:
-        variant = preset.cliff[cell.task]
-        return max(1, round(variant.seeds * min(variant.limit, 2.0**cell.number) / 10))
-    return max(1, round(preset.tasks[cell.task].timesteps * STEP_COST[cell.method]))
+def units_of(config: dict[str, Any]) -> int:
+    """A rough cost of a run by its settings, for progress bars and the order of runs."""
+    cell = config["cell"]
+    if cell["kind"] == CLIFF:
+        variant = config["variant"]
+        return max(1, round(variant["seeds"] * min(variant["limit"], 2.0 ** cell["number"]) / 10))
+    return max(1, round(config["task"]["timesteps"] * STEP_COST[cell["method"]]))
 
 
 def settings(preset: Preset, cell: Cell) -> dict[str, Any]:

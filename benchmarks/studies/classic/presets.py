@@ -4,61 +4,65 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal, get_args
 
-from benchmarks.errors import BenchmarkError, known
+from benchmarks.errors import BenchmarkError
 from benchmarks.protocol import presets
 from benchmarks.protocol.presets import preset_file, read_yaml
-from benchmarks.protocol.strict import build, merge
+from benchmarks.protocol.strict import STRICT, Count, Number, Seeds, build, merge, with_config
 
 PRESETS: Final = Path(__file__).parent / "presets"
 DEFAULT_PRESET: Final = "quick"
-METHODS: Final = ("rainbow", "dqn", "qrdqn")
+Method = Literal["rainbow", "dqn", "qrdqn"]
+METHODS: Final[tuple[Method, ...]] = get_args(Method)
 
 
+@with_config(STRICT)
 @dataclass(frozen=True)
 class Task:
     """An environment, the protocol of its runs, and each method's settings there."""
 
     title: str
     env: str
-    timesteps: int
-    eval_every: int  # environment steps between two evaluations
-    eval_episodes: int
+    timesteps: Count
+    eval_every: Count  # environment steps between two evaluations
+    eval_episodes: Count
     methods: dict[str, dict[str, Any]]  # constructor arguments
     env_kwargs: dict[str, Any] = field(default_factory=dict)
     policy: str = "MlpPolicy"
-    n_envs: int = 1
-    goal: float | None = None  # the mean return at which the task counts as solved
-    seeds: list[int] | None = None  # instead of the preset's
+    n_envs: Count = 1
+    goal: Number | None = None  # the mean return at which the task counts as solved
+    seeds: Seeds | None = None  # instead of the preset's
 
 
+@with_config(STRICT)
 @dataclass(frozen=True)
 class CliffVariant:
     """One learner of the blind cliff walk, with prioritized replay and without."""
 
     title: str
-    states: list[int]
-    measure: str  # learned or solved
-    limit: int  # updates after which a run is given up
-    seeds: int
+    states: list[Count]
+    measure: Literal["learned", "solved"]
+    limit: Count  # updates after which a run is given up
+    seeds: Count
     rainbow: dict[str, Any]  # constructor arguments
-    optimizer: str = "adam"
-    check_every: int = 20  # updates
+    optimizer: Literal["adam", "sgd"] = "adam"
+    check_every: Count = 20  # updates
 
 
+@with_config(STRICT)
 @dataclass(frozen=True)
 class Preset:
     """What runs, with which settings."""
 
     name: str
     description: str
-    seeds: list[int]
-    final_episodes: int
+    seeds: Seeds
+    final_episodes: Count
     tasks: dict[str, Task]
     cliff: dict[str, CliffVariant] = field(default_factory=dict)
-    methods: list[str] = field(default_factory=lambda: list(METHODS))
-    checkpoint_seconds: float = 60.0
+    methods: list[Method] = field(default_factory=lambda: list(METHODS))
+    checkpoint_seconds: Number = 60.0
 
 
 def preset_names() -> list[str]:
@@ -83,37 +87,10 @@ def load_preset(name: str) -> Preset:
             for key, override in chosen.items()
         }
     preset = build(Preset, {**data, "name": path.stem}, path.name)
-    _check(preset, path.name)
-    return preset
-
-
-def _check(preset: Preset, where: str) -> None:
-    for name in preset.methods:
-        if name not in METHODS:
-            raise BenchmarkError(f"{where}: unknown method '{name}'; known: {known(METHODS)}")
-    if preset.final_episodes < 1:
-        raise BenchmarkError(f"{where}: final_episodes = {preset.final_episodes} must be above 0")
-    _check_seeds(preset.seeds, where)
     for key, task in preset.tasks.items():
-        place = f"{where}: tasks: {key}"
-        if task.seeds is not None:
-            _check_seeds(task.seeds, place)
-        for number in ("timesteps", "eval_every", "eval_episodes", "n_envs"):
-            if getattr(task, number) < 1:
-                raise BenchmarkError(f"{place}: {number} = {getattr(task, number)} must be above 0")
         for method in preset.methods:
             if method not in task.methods:
-                raise BenchmarkError(f"{place}: methods has no settings for '{method}'")
-    for key, variant in preset.cliff.items():
-        place = f"{where}: cliff: {key}"
-        if variant.measure not in ("learned", "solved"):
-            raise BenchmarkError(f"{place}: measure = '{variant.measure}'; known: learned, solved")
-        if variant.optimizer not in ("adam", "sgd"):
-            raise BenchmarkError(f"{place}: optimizer = '{variant.optimizer}'; known: adam, sgd")
-        if min(variant.limit, variant.seeds, variant.check_every, *variant.states) < 1:
-            raise BenchmarkError(f"{place}: limit, seeds, check_every and states must be above 0")
-
-
-def _check_seeds(seeds: list[int], where: str) -> None:
-    if not seeds or len(set(seeds)) != len(seeds) or min(seeds) < 0:
-        raise BenchmarkError(f"{where}: seeds: {seeds} must be some, differ and be 0 or above")
+                raise BenchmarkError(
+                    f"{path.name}: tasks: {key}: methods has no settings for '{method}'"
+                )
+    return preset

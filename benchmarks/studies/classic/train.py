@@ -12,7 +12,6 @@ from typing import Any, Final
 
 import gymnasium as gym
 import numpy as np
-import torch
 from sb3_contrib import QRDQN
 from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
@@ -24,9 +23,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.seeding import derive, episode_seeds
-from benchmarks.runs.checkpoint import read_newest, restore_rng, rng_state, write_checkpoint
+from benchmarks.runs.checkpoint import Kept, Watch, learn
 from benchmarks.runs.store import RunFolder
-from benchmarks.studies.classic import envs
+from benchmarks.studies.classic.envs import make
 from benchmarks.studies.classic.features import SmallCnn
 from benchmarks.studies.classic.plan import Cell
 from benchmarks.studies.classic.presets import Preset, Task
@@ -43,7 +42,7 @@ PARALLEL: Final = 50  # episodes that a test plays side by side
 
 def make_env(task: Task) -> gym.Env[Any, Any]:
     """One environment of a task."""
-    return envs.make(task.env, **task.env_kwargs)
+    return make(task.env, **task.env_kwargs)
 
 
 def build_model(task: Task, method: str, seed: int) -> OffPolicyAlgorithm:
@@ -127,65 +126,30 @@ def _play(model: OffPolicyAlgorithm, task: Task, seeds: Sequence[int]) -> list[t
     return list(zip(returns, lengths, strict=True))
 
 
-class Watch(BaseCallback):
-    """Tests the policy every so many steps, saves checkpoints, and stops when it is asked to.
-
-    All of it happens between two rounds of training, where model, replay buffer and environments
-    agree with one another.
+class Tester(BaseCallback):
+    """Tests the policy every so many steps, between two rounds of training.
 
     Args:
-        folder: the run's folder.
         task: what is learned.
         seed: the run's seed, of which the test episodes' seeds are derived.
-        checkpoint_seconds: wall-clock time between two checkpoints.
-        stop_requested: asked before each round.
     """
 
-    def __init__(
-        self,
-        folder: RunFolder,
-        task: Task,
-        seed: int,
-        checkpoint_seconds: float,
-        stop_requested: Callable[[], bool],
-    ) -> None:
+    def __init__(self, task: Task, seed: int) -> None:
         super().__init__()
-        self.folder, self.task = folder, task
+        self.task = task
         self.seeds = episode_seeds(seed, task.eval_episodes, "validate")
-        self.checkpoint_seconds = checkpoint_seconds
-        self.stop_requested = stop_requested
-        self.stopped = False
         self.rows: list[dict[str, object]] = []
-        self.resumed_at: list[int] = []
-        self.set_aside: list[str] = []
-        self.evaluation_seconds = 0.0
-        self._rng: dict[str, Any] | None = None
+        self.seconds = 0.0
         self._next = 0
-        self._wall, self._cpu = 0.0, 0.0  # of earlier processes
-        self._began = time.perf_counter(), time.process_time()
-        self._saved = time.perf_counter()
 
-    def _on_training_start(self) -> None:
-        if self._rng is not None:
-            restore_rng(self._rng, self.model)
-            self._rng = None
+    def _on_step(self) -> bool:
+        return True
 
     def _on_rollout_start(self) -> None:
         if self.num_timesteps >= self._next:
             self.test()
-            self._next = self.num_timesteps - self.num_timesteps % self.task.eval_every
-            self._next += self.task.eval_every
-            share = self.num_timesteps / self.task.timesteps
-            self.folder.write_progress(share, f"return {self.rows[-1]['return_mean']:.1f}")
-        if self.stop_requested():
-            self.stopped = True
-        late = time.perf_counter() - self._saved >= self.checkpoint_seconds
-        if self.stopped or late:
-            self.save()
-            self._saved = time.perf_counter()
-
-    def _on_step(self) -> bool:
-        return not self.stopped
+            every = self.task.eval_every
+            self._next = self.num_timesteps - self.num_timesteps % every + every
 
     def test(self) -> None:
         """Add a row to the curve: the greedy policy on the run's validation episodes."""
@@ -202,57 +166,33 @@ class Watch(BaseCallback):
             "length_mean": float(played[:, 1].mean()),
             "training_return": float(np.mean(training)) if training else math.nan,
         })  # fmt: skip
-        self.evaluation_seconds += time.perf_counter() - began
+        self.seconds += time.perf_counter() - began
 
-    def times(self) -> dict[str, float]:
-        """Wall and CPU seconds, over all processes of the run; tests included."""
-        return {
-            "wall_seconds": self._wall + time.perf_counter() - self._began[0],
-            "cpu_seconds": self._cpu + time.process_time() - self._began[1],
-            "evaluation_seconds": self.evaluation_seconds,
-        }
+    def get_state(self) -> tuple[Any, ...]:
+        return self.rows, self._next, self.seconds
 
-    def save(self) -> None:
-        """Write a checkpoint of the run."""
-        model = self.model
-        assert isinstance(model, OffPolicyAlgorithm)
-        env = self.training_env
-        assert isinstance(env, DummyVecEnv)
-        state = {
-            "envs": _pickled(list(env.envs)),
-            "rows": self.rows,
-            "next": self._next,
-            "rng": rng_state(model),
-            "resumed_at": self.resumed_at,
-            "set_aside": self.set_aside,
-            "times": self.times(),
-        }
-        write_checkpoint(self.folder.checkpoint, model, state)
+    def set_state(self, state: tuple[Any, ...]) -> None:
+        self.rows, self._next, self.seconds = state
 
-    def restore(self, model: OffPolicyAlgorithm, state: dict[str, Any]) -> None:
-        """Put everything but the model and its buffer back to a checkpoint."""
+
+class _Envs:
+    """Training environments in the midst of their episodes; a world of Box2D cannot be kept."""
+
+    def __init__(self, model: OffPolicyAlgorithm) -> None:
         env = model.get_env()
         assert isinstance(env, DummyVecEnv)
-        rows, times, following = state["rows"], state["times"], state["next"]
-        if state["envs"] is None:
-            model._last_obs = None  # the episode cannot go on: learn() begins a new one
-        else:
-            env.envs = pickle.loads(state["envs"])
-        self.rows, self._next, self._rng = rows, following, state["rng"]
-        self.resumed_at = [*state["resumed_at"], model.num_timesteps]
-        self.set_aside += state["set_aside"]
-        self._wall, self._cpu = times["wall_seconds"], times["cpu_seconds"]
-        self.evaluation_seconds = times["evaluation_seconds"]
+        self.env = env
 
+    def get_state(self) -> bytes | None:
+        if any(isinstance(env.unwrapped, gym.utils.EzPickle) for env in self.env.envs):
+            return None  # it would be made anew from its arguments
+        try:
+            return pickle.dumps(list(self.env.envs))
+        except (TypeError, AttributeError, pickle.PicklingError):
+            return None
 
-def _pickled(running: list[gym.Env[Any, Any]]) -> bytes | None:
-    """Environments with their state, or None if they cannot be kept, as a world of Box2D."""
-    if any(isinstance(env.unwrapped, gym.utils.EzPickle) for env in running):
-        return None  # it would be made anew from its arguments
-    try:
-        return pickle.dumps(running)
-    except (TypeError, AttributeError, pickle.PicklingError):
-        return None
+    def set_state(self, state: bytes) -> None:
+        self.env.envs = pickle.loads(state)
 
 
 def run_learner(
@@ -275,30 +215,23 @@ def run_learner(
     Returns:
         What meta.json says of the training, or None if it was stopped.
     """
-    torch.set_num_threads(1)
     task, seed = preset.tasks[cell.task], cell.number
-    model = build_model(task, cell.method, seed)
-    watch = Watch(folder, task, seed, preset.checkpoint_seconds, stop_requested)
-    env = model.get_env()
-    assert env is not None
-    resumed = read_newest(
-        folder.checkpoint, ALGORITHMS[cell.method], env, watch.restore, watch.set_aside
-    )
-    model = model if resumed is None else resumed
-    model.set_logger(configure(None, []))
-    remaining = task.timesteps - model.num_timesteps
-    if remaining > 0:
-        model.learn(
-            remaining,
-            callback=watch,
-            log_interval=10**9,
-            reset_num_timesteps=model.num_timesteps == 0,
-        )
-    if watch.stopped:
+    fresh = build_model(task, cell.method, seed)
+    tester, envs = Tester(task, seed), _Envs(fresh)
+    kept: dict[str, Kept] = {"envs": envs, "curve": tester}
+
+    def note() -> str:
+        return f"return {tester.rows[-1]['return_mean']:.1f}"
+
+    seconds = preset.checkpoint_seconds
+    watch = Watch(folder, kept, seconds, task.timesteps, stop_requested, note)
+    logger, algorithm = configure(None, []), ALGORITHMS[cell.method]
+    model = learn(watch, algorithm, envs.env, lambda: fresh, [tester], logger)
+    if model is None:
         return None
-    watch.model = model
-    watch.test()
-    folder.write_rows("curve", watch.rows)
+    tester.model = model
+    tester.test()
+    folder.write_rows("curve", tester.rows)
     began = time.perf_counter()
     seeds = episode_seeds(seed, preset.final_episodes, "test")
     played = evaluate(model, task, seeds)
@@ -310,15 +243,13 @@ def run_learner(
         ],
     )
     return {
-        **watch.times(),
+        **watch.summary(model),
+        "evaluation_seconds": tester.seconds,
         "test_seconds": time.perf_counter() - began,
-        "timesteps": model.num_timesteps,
         "updates": model._n_updates,
-        "resumed_at": watch.resumed_at,
-        "set_aside": watch.set_aside,
         "seeds": {
             "learner": derive("learner", seed),
-            "first_validation_episode": watch.seeds[0],
+            "first_validation_episode": tester.seeds[0],
             "first_test_episode": seeds[0],
         },
     }

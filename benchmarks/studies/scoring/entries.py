@@ -21,31 +21,34 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import TimeElapsedColumn as Elapsed
+from rich.progress import TimeRemainingColumn as Remaining
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.evaluation.evaluate import (
     Rows,
+    Tell,
     evaluate_policy,
+    hush,
     model_policy,
     planner_runner,
     play_episodes,
 )
 from benchmarks.evaluation.model_files import detect_algorithm, fitting_observation, load_model
 from benchmarks.methods.base import Plan
-from benchmarks.methods.episodes import Episode
-from benchmarks.methods.learners import env_arguments
+from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.protocol import labels
 from benchmarks.protocol.plan import DESIGN, METHODS, PLANNERS, Cell
 from benchmarks.protocol.presets import Preset, as_dict
-from benchmarks.runs import machine
+from benchmarks.runs.cell import run_once
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.scoring.scores import in_words, progress_bar
+from benchmarks.studies.scoring.scores import in_words
 
 GEOMETRY: Final = "optimized"
-SOURCE: Final = ("observation", "mask_singularities", "mask_visited")
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,60}")
 
-Tell = Callable[[float], None]
+Record = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -114,25 +117,19 @@ def join(
     todo = [(seed, folder) for seed, folder in folders if not folder.is_complete()]
     if len(todo) < len(folders):
         console.print(f"{len(folders) - len(todo)} of {len(folders)} seeds were scored already")
-    with progress_bar(console) as progress:
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), Elapsed(), Remaining())
+    with Progress(*columns, console=console, refresh_per_second=2) as progress:
         task = progress.add_task(f"{entry.name}", total=len(todo))
         for number, (seed, folder) in enumerate(todo):
-            began = time.perf_counter(), time.process_time()
-            folder.begin(configs[seed])
 
             def tell(share: float, before: int = number) -> None:
                 progress.update(task, completed=before + share)
 
-            rows = scorers[seed][0](tell)
-            folder.write_rows("episodes", rows)
-            folder.write_meta({
-                "cell": folder.id,
-                "preset": preset.name,
-                "training": {},
-                "wall_seconds": time.perf_counter() - began[0],
-                "cpu_seconds": time.process_time() - began[1],
-                **machine.describe(),
-            })  # fmt: skip
+            def work(seed: int = seed, folder: RunFolder = folder, tell: Tell = tell) -> Record:
+                folder.write_rows("episodes", scorers[seed][0](tell))
+                return {"training": {}}
+
+            run_once(folder, configs[seed], preset.name, work)
             progress.update(task, completed=number + 1)
     return [folder.path for _, folder in folders]
 
@@ -146,7 +143,7 @@ def glance(preset: Preset, entry: Entry, episodes: int) -> Iterator[str]:
     tests = dataclasses.replace(preset.evaluation, episodes=episodes)
     preset = dataclasses.replace(preset, evaluation=tests)
     for seed, (score, _) in prepare(preset, entry).items():
-        yield from in_words(pd.DataFrame(score(lambda share: None)), f"{entry.name}, seed {seed}")
+        yield from in_words(pd.DataFrame(score(hush)), f"{entry.name}, seed {seed}")
 
 
 def _check(preset: Preset, entry: Entry) -> None:
@@ -179,21 +176,21 @@ def _config(preset: Preset, entry: Entry, seed: int, source: dict[str, Any]) -> 
     }
 
 
+def _masks(entry: Entry) -> dict[str, Any]:
+    """What the environment masks, of a model and of a planner alike."""
+    return {"mask_singularities": entry.mask_singularities, "mask_visited": entry.mask_visited}
+
+
 def _model_scorers(preset: Preset, entry: Entry) -> dict[int, Scorer]:
     by_file: dict[Path, tuple[Any, dict[str, Any], dict[str, Any]]] = {}
     for path in entry.models:
         model = load_model(path, entry.algorithm)
-        arguments = env_arguments(preset, _cell(entry, preset.seeds[0])) | {
-            "observation": fitting_observation(model, path),
-            "mask_singularities": entry.mask_singularities,
-            "mask_visited": entry.mask_visited,
-        }
+        protocol = {"observation": fitting_observation(model, path), **_masks(entry)}
+        arguments = env_arguments(preset, _cell(entry, preset.seeds[0])) | protocol
         source = {
             "algorithm": entry.algorithm or detect_algorithm(path),
             "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-            **{
-                key: arguments[key] for key in ("observation", "mask_singularities", "mask_visited")
-            },
+            **protocol,
         }
         by_file[path] = model, arguments, source
     files = entry.models if len(entry.models) > 1 else entry.models * len(preset.seeds)
@@ -209,7 +206,7 @@ def _model_scorers(preset: Preset, entry: Entry) -> dict[int, Scorer]:
 
 
 def _planner_scorers(preset: Preset, entry: Entry) -> dict[int, Scorer]:
-    source = {"algorithm": entry.planner, "sha256": ""}
+    source = {"algorithm": entry.planner, "sha256": "", **_masks(entry)}
 
     def scorer(seed: int) -> Scorer:
         cell = _cell(entry, seed)
@@ -218,7 +215,7 @@ def _planner_scorers(preset: Preset, entry: Entry) -> dict[int, Scorer]:
             play = planner_runner(preset, own)
         else:
             play = plan_and_follow(load_function(entry.planner), entry.planner)
-        arguments = env_arguments(preset, cell)
+        arguments = env_arguments(preset, cell) | _masks(entry)
         return lambda tell: play_episodes(play, preset, seed, arguments, tell), source
 
     return {seed: scorer(seed) for seed in preset.seeds}

@@ -12,179 +12,180 @@ episodes and tables go to ``results/again/``.
 from __future__ import annotations
 
 import dataclasses
-import os
 import shutil
-import signal
-import threading
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import active_children, get_context, parent_process
-from multiprocessing.connection import wait
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import pandas as pd
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
-from rich.progress import TimeElapsedColumn as Elapsed
-from rich.progress import TimeRemainingColumn as Remaining
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.evaluation.evaluate import Rows, evaluate_planner, evaluate_policy, model_policy
-from benchmarks.evaluation.model_files import load_model
-from benchmarks.methods.learners import env_arguments
 from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS
-from benchmarks.protocol.plan import DESIGN, Cell, expand, settings
+from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.presets import Preset
-from benchmarks.reporting.tables.paper import build_tables, write_tables
-from benchmarks.reporting.tables.table import Table
-from benchmarks.runs.backends import PINNED, default_jobs
-from benchmarks.runs.harness import terminable
+from benchmarks.runs.backends import default_jobs
+from benchmarks.runs.cell import Teller
+from benchmarks.runs.experiment import StopRequested
+from benchmarks.runs.harness import Harness
 from benchmarks.runs.store import RunFolder, Store
+from benchmarks.studies.insertion import Insertion
+
+if TYPE_CHECKING:
+    from benchmarks.reporting.tables.table import Table
 
 AGAIN: Final = "again"
 TIMES: Final = ("plan_seconds",)  # columns that differ from one play to the next
+SHOWN: Final = ("performance", "ablation", "geometry", "robustness")
 
 
-def score_again(
-    preset: Preset,
-    store: Store,
-    results: Path,
-    console: Console,
-    episodes: int | None = None,
-    starts: int | None = None,
-) -> Store:
-    """Play what a store holds once more, and build its tables from that.
+class Replay(Insertion):
+    """The complete runs of a preset, played by their policies and planners.
 
     Args:
-        preset: the experiment.
-        store: with its complete runs; those that are not are left out, and named.
-        results: the folder in which ``again/`` is made.
-        console: hears how far it is and what came of it.
+        preset: its name or the path of its file.
+        results: where its store lies, and the other one is made.
         episodes: test episodes per seed, for a quick look; None for the preset's.
         starts: stands for other starts than the test episodes'; None for the test episodes.
 
-    Returns:
-        A store with the episodes and tables of this time.
-
     Raises:
-        BenchmarkError: the store has no trained policy.
+        BenchmarkError: the store is missing, was made with other settings, or has no policy.
     """
-    cells = [cell for cell in expand(preset) if cell.method != DESIGN]
-    for cell in cells:
-        store.run(cell.id).check_config(settings(preset, cell))
-    ready = [cell for cell in cells if store.run(cell.id).is_done(cell.learns)]
-    if not any(cell.learns for cell in ready):
-        raise BenchmarkError(f"{store.folder} has no trained policy to score: run the preset first")
-    if len(ready) < len(cells):
-        console.print(f"Left out, not run yet or without a policy: {len(cells) - len(ready)} runs")
-    if episodes is not None:
-        tests = dataclasses.replace(preset.evaluation, episodes=episodes)
-        preset = dataclasses.replace(preset, evaluation=tests)
-    which = "test" if starts is None else f"starts-{starts}"
-    again = _fresh_store(store, results / AGAIN / which)
-    os.environ.update(PINNED)  # of the processes that are started now
-    jobs = min(default_jobs(), len(ready))
-    console.print(f"{len(ready)} runs play again, {jobs} at a time; Ctrl-C ends it")
-    equal = 0
-    with (
-        terminable(),
-        progress_bar(console) as progress,
-        ProcessPoolExecutor(jobs, get_context("spawn"), _begin_worker) as pool,
-    ):
-        task = progress.add_task("test episodes", total=len(ready))
-        futures = {
-            pool.submit(_play, preset, cell, store.run(cell.id).policy, starts): cell
-            for cell in ready
-        }
-        try:
-            for future in as_completed(futures):
-                cell, rows = futures[future], future.result()
-                equal += _keep(store.run(cell.id), again.run(cell.id), rows)
-                progress.advance(task)
-                console.print(next(in_words(pd.DataFrame(rows), cell.id)), markup=False)
-        except BaseException as error:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in active_children():  # what is queued in them is no use any more
-                process.terminate()
-            if isinstance(error, BrokenProcessPool):
-                raise BenchmarkError(
-                    "a process that played was killed, for want of memory perhaps; the store is as "
-                    "it was, the same command starts again"
-                ) from error
-            if isinstance(error, KeyboardInterrupt):
-                console.print("Interrupted; the store is as it was")
-            raise
-    built = build_tables(again)
-    write_tables(again, built)
-    for table in built:
-        if table.name in ("performance", "ablation", "geometry", "robustness"):
-            console.print(table.markdown(), markup=False, highlight=False)
-    if starts is None and episodes is None and len(ready) == len(cells):
-        console.print(f"Runs whose every episode came out as stored: {equal} of {len(ready)}")
-        console.print(_compare(build_tables(store), built), markup=False, highlight=False)
-    console.print(f"Episodes and tables of this time: {again.folder}")
-    return again
+
+    def __init__(
+        self, preset: str, results: Path | str, episodes: int | None, starts: int | None
+    ) -> None:
+        super().__init__(preset)
+        self.results, self.episodes, self.starts = Path(results), episodes, starts
+        where = str(self.results.resolve())
+        self.recipe |= {"results": where, "episodes": episodes, "starts": starts}
+        self.source = self.open_store(self.results)
+        self.not_run, self.without_policy = 0, 0
+        all_cells, self._cells = self._cells, []
+        for cell in all_cells:
+            run = self.source.run(cell.id)
+            run.check_config(self.settings(cell))
+            if not run.is_complete():
+                self.not_run += 1
+            elif cell.learns and not run.has_policy():
+                self.without_policy += 1
+            elif cell.method != DESIGN:
+                self._cells.append(cell)
+        if not any(cell.learns for cell in self._cells):
+            raise BenchmarkError(
+                f"{self.source.folder} has no trained policy to score: run the preset first"
+            )
+
+    def check(self, todo: Sequence[Cell]) -> None:
+        """What has run once can be built."""
+
+    def units(self, config: dict[str, Any]) -> int:
+        # it does not matter how long a policy was trained
+        return int(config["evaluation"]["episodes"])
+
+    def run(
+        self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
+    ) -> dict[str, Any]:
+        """Play the episodes; of all else meta.json says what the first run's does."""
+        from benchmarks.evaluation.evaluate import evaluate_planner, evaluate_policy, model_policy
+        from benchmarks.methods.episodes import env_arguments
+
+        stored, preset = self.source.run(cell.id), self._shortened()
+        tell = Teller(folder, stop_requested)
+        track = preset.tracks[cell.track] if cell.learns else None
+        arguments = env_arguments(preset, cell, track)
+        if cell.learns:
+            from benchmarks.evaluation.model_files import load_model
+
+            policy = model_policy(load_model(stored.policy, cell.method))
+            rows = evaluate_policy(policy, preset, cell.seed, arguments, tell, self.starts)
+        else:
+            rows = evaluate_planner(preset, cell, arguments, tell, self.starts)
+        folder.write_rows("episodes", rows)
+        return {key: value for key, value in stored.meta().items() if key != "schema"}
+
+    def _shortened(self) -> Preset:
+        if self.episodes is None:
+            return self.preset
+        tests = dataclasses.replace(self.preset.evaluation, episodes=self.episodes)
+        return dataclasses.replace(self.preset, evaluation=tests)
+
+    def checkpoint_bytes(self, cell: Cell) -> int:
+        return 0
+
+    def verdict(self, folder: RunFolder) -> str:
+        return "; " + next(in_words(folder.rows("episodes"), "now"))
+
+    def fresh_store(self) -> Store:
+        """A store beside the first, with the settings and the training of what is to play."""
+        which = "test" if self.starts is None else f"starts-{self.starts}"
+        root = self.results / AGAIN / which
+        if (root / self.name).exists():
+            shutil.rmtree(root / self.name)
+        again = Store.open(root, self.name, create=True)
+        if self.source.entries.is_dir():
+            shutil.copytree(self.source.entries, again.entries)
+        played = {cell.id for cell in self._cells}
+        for run in self.source.part({*played, DESIGN}).completed():
+            files = ["config.yaml", "curve.csv", "design.csv"]
+            if run.id not in played:
+                files.append("meta.json")  # which completes it; the others have to play first
+            again.run(run.id).path.mkdir(parents=True)
+            for path in (run.path / name for name in files):
+                if path.is_file():
+                    shutil.copy(path, again.run(run.id).path)
+        return again
+
+    def write_tables(self, store: Store, console: Console) -> list[Table]:
+        """Tables of this time, and how they and the episodes compare with those of the first."""
+        from benchmarks.reporting.tables.paper import build_tables, write_tables
+
+        built = build_tables(store)
+        write_tables(store, built)
+        for table in built:
+            if table.name in SHOWN:
+                console.print(table.markdown(), markup=False, highlight=False)
+        if self.starts is None and self.episodes is None:
+            names = [cell.id for cell in self._cells]
+            equal = sum(_same(self.source.run(name), store.run(name)) for name in names)
+            console.print(f"Runs whose every episode came out as stored: {equal} of {len(names)}")
+            first = build_tables(self.source.part({*names, DESIGN}))
+            console.print(_compare(first, built), markup=False, highlight=False)
+        console.print(f"Episodes and tables of this time: {store.folder}")
+        return built
 
 
-def progress_bar(console: Console) -> Progress:
-    """What is done, how long it took and will take."""
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), Elapsed(), Remaining())
-    return Progress(*columns, console=console, refresh_per_second=2)
+def score_again(replay: Replay, console: Console) -> int:
+    """Play what a store holds once more, and build its tables from that.
+
+    Returns:
+        The command's exit code.
+    """
+    if replay.not_run:
+        console.print(f"Left out, not run yet: {replay.not_run} runs")
+    if replay.without_policy:
+        console.print(
+            f"Left out, their policy is not here: {replay.without_policy} runs; git keeps those of "
+            "the headline methods, and a run whose folder is deleted is trained again"
+        )
+    jobs = min(default_jobs(), len(replay.cells()))
+    console.print(f"{len(replay.cells())} runs play again, {jobs} at a time; Ctrl-C ends it")
+    again = replay.fresh_store()
+    outcome = Harness(replay, again, jobs, console).run()
+    if outcome.interrupted:
+        console.print("Interrupted; the store is as it was")
+        return 130
+    if outcome.failed:
+        console.print(f"Failed: {', '.join(outcome.failed)}; the store is as it was")
+        return 1
+    replay.write_tables(again, console)
+    return 0
 
 
-def _fresh_store(store: Store, root: Path) -> Store:
-    """A store beside the first with its runs' settings and training, without episodes."""
-    folder = root / store.folder.name
-    if folder.exists():
-        shutil.rmtree(folder)
-    again = Store.open(root, store.folder.name, create=True)
-    if store.entries.is_dir():
-        shutil.copytree(store.entries, again.entries)
-    for run in store.completed():
-        copy = again.run(run.id).path
-        copy.mkdir(parents=True)
-        names = ["config.yaml", "curve.csv", "design.csv"]
-        if not run.has_rows("episodes"):
-            names.append("meta.json")  # which completes it; the others have to play first
-        for name in names:
-            if (run.path / name).is_file():
-                shutil.copy(run.path / name, copy / name)
-    return again
-
-
-def _keep(stored: RunFolder, again: RunFolder, rows: Rows) -> bool:
-    """Store a run's rows, which completes it; whether they are those of the first time."""
-    again.write_rows("episodes", rows)
-    shutil.copy(stored.path / "meta.json", again.path / "meta.json")
+def _same(stored: RunFolder, again: RunFolder) -> bool:
+    """Whether the rows are those of the first time."""
     first, second = (folder.rows("episodes").drop(columns=[*TIMES]) for folder in (stored, again))
     return first.equals(second)
-
-
-def _begin_worker() -> None:
-    """Leave Ctrl-C to the parent, and do not outlive it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = parent_process()
-    assert parent is not None
-
-    def end_with(sentinel: int) -> None:
-        wait([sentinel])
-        os._exit(1)
-
-    threading.Thread(target=end_with, args=(parent.sentinel,), daemon=True).start()
-
-
-def _play(preset: Preset, cell: Cell, policy: Path, starts: int | None) -> Rows:
-    import torch
-
-    torch.set_num_threads(1)
-    track = preset.tracks[cell.track] if cell.learns else None
-    arguments = env_arguments(preset, cell, track)
-    if not cell.learns:
-        return evaluate_planner(preset, cell, arguments, lambda share: None, starts)
-    model = load_model(policy, cell.method)
-    return evaluate_policy(model_policy(model), preset, cell.seed, arguments, starts=starts)
 
 
 def _compare(stored: list[Table], again: list[Table]) -> str:

@@ -7,6 +7,7 @@ was under way is taken up again, from the checkpoints of its trainings.
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 from optuna.study import Study
 from optuna.trial import FrozenTrial, TrialState
 
+from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.paper_values import HYPERPARAMETERS
 from benchmarks.protocol.presets import Track
 
@@ -67,6 +69,18 @@ class Configuration:
     def id(self) -> str:
         """A folder's name."""
         return f"lr{self.learning_rate:g}-n{self.n_steps}-b{self.batch_size}"
+
+    @classmethod
+    def parse(cls, name: str) -> Configuration:
+        """The point that an id names, which says all of it.
+
+        Raises:
+            BenchmarkError: the text is no such id.
+        """
+        found = re.fullmatch(r"lr(.+)-n(\d+)-b(\d+)", name)
+        if found is None:
+            raise BenchmarkError(f"'{name}' names no configuration; such names are lr0.0001-n3-b64")
+        return cls(float(found[1]), int(found[2]), int(found[3]))
 
     @property
     def is_papers(self) -> bool:

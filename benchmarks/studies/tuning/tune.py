@@ -1,8 +1,8 @@
 """The search for hyperparameters: ``python -m benchmarks tune``.
 
 The paper's coarse grid, or TPE beside it, each configuration trained on several seeds and scored on
-validation episodes; never on test episodes. Exit codes as the harness's: 0 done, 1 a run failed, 2
-bad input, 130 interrupted, and the same command resumes.
+validation episodes, never on test episodes: the streams of :mod:`benchmarks.protocol.seeding` are
+apart, and the seeds are those of no preset either. Exit codes are the harness's.
 """
 
 from __future__ import annotations
@@ -10,177 +10,150 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-import pandas as pd
 from optuna.trial import FrozenTrial
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
-from rich.progress import TimeRemainingColumn as Remaining
 
 from benchmarks.errors import BenchmarkError, known
-from benchmarks.protocol import labels
+from benchmarks.protocol import labels, plan
 from benchmarks.protocol.metrics import HOLES, SUCCESS
-from benchmarks.protocol.presets import Track, as_dict, load_preset
+from benchmarks.protocol.presets import Evaluation, Preset, Track, as_dict, load_preset
+from benchmarks.protocol.strict import build
 from benchmarks.reporting.stats import mean_interval, over_seeds
 from benchmarks.reporting.tables.table import Cell, Number, Table
-from benchmarks.runs.backends import GRACE_SECONDS, Backend, Job, LocalBackend
-from benchmarks.runs.cell import StopFlag
-from benchmarks.runs.store import RunFolder
-from benchmarks.studies.tuning import run as tune_run
+from benchmarks.runs.backends import LocalBackend
+from benchmarks.runs.experiment import Experiment, StopRequested
+from benchmarks.runs.harness import Harness
+from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.tuning.study import SAMPLERS, Configuration, Search
 
-POLL_SECONDS: Final = 0.2
+FIRST_SEED: Final = 1_000  # of the search; those of presets are small numbers
+STREAM: Final = "validate"
 
 
-@dataclass
-class _Trial:
-    """A configuration under way."""
+@dataclass(frozen=True)
+class Training:
+    """A configuration and a seed."""
 
-    frozen: FrozenTrial
-    folders: list[RunFolder]
+    configuration: Configuration
+    seed: int
 
-
-@dataclass
-class _Running:
-    job: Job
-    folder: RunFolder
-    task: TaskID
+    @property
+    def id(self) -> str:
+        return f"{self.configuration.id}-s{self.seed}"
 
 
-class Tuner:
-    """Trains what a search asks for.
+class Tuning(Experiment[Training]):
+    """Trainings that a study asks for, in the folder whose config.yaml says around what.
 
     Args:
-        search: the study.
-        track: what is searched around; its ``timesteps`` are each training's.
         folder: of the study.
-        seeds: trainings of each configuration.
-        episodes: validation episodes of each training.
-        backend: where trainings run.
-        console: for progress.
+        search: gives configurations and takes their scores; a single training needs none.
+        title: of the table.
     """
 
-    def __init__(
-        self,
-        search: Search,
-        track: Track,
-        folder: Path,
-        seeds: int,
-        episodes: int,
-        backend: Backend,
-        console: Console,
-    ) -> None:
-        self.search, self.track, self.folder = search, track, folder
-        self.seeds, self.episodes = seeds, episodes
-        self.backend, self.console = backend, console
-        self.failed: list[str] = []
-        self._scored = len(search.complete())
-        self._trials: list[_Trial] = []
-        self._queue: list[RunFolder] = []
-        self._running: list[_Running] = []
+    def __init__(self, folder: Path | str, search: Search | None = None, title: str = "") -> None:
+        self.folder, self.title = Path(folder), title
+        super().__init__(self.folder.name, folder=str(self.folder.resolve()))
+        about = RunFolder(self.folder).config()["search"]
+        self.seeds, self.episodes = int(about["seeds"]), int(about["episodes"])
+        self.track = build(Track, about["track"], str(self.folder / "config.yaml"))
+        self.store = Store(self.folder.parent, self.folder.name)
+        self._search = search
+        self._open: list[FrozenTrial] = []
 
-    def run(self) -> bool:
-        """Train until every configuration has its score; False if interrupted."""
-        for frozen in self.search.begun():
-            self._take_up(frozen)
-        total = self.search.trials * self.seeds
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
-            TextColumn("{task.percentage:>3.0f} %"),
-            TimeElapsedColumn(),
-            Remaining(elapsed_when_finished=True),
-            TextColumn("{task.fields[note]}"),
-        )
-        with Progress(*columns, console=self.console, refresh_per_second=2) as progress:
-            done = self._scored * self.seeds
-            overall = progress.add_task(
-                f"all {self.search.trials} configurations", total=total, completed=done, note=""
-            )
-            try:
-                while self._step(progress, overall):
-                    time.sleep(POLL_SECONDS)
-            except KeyboardInterrupt:
-                self.console.print("Stopping: the trainings save their checkpoints")
-                self._stop()
-                return False
-        return True
+    @property
+    def search(self) -> Search:
+        """The study."""
+        assert self._search is not None
+        return self._search
 
-    def _take_up(self, frozen: FrozenTrial) -> None:
-        """Queue the trainings of a configuration that are not complete."""
+    def cells(self) -> Sequence[Training]:
+        # what an earlier call left under way
+        return [cell for frozen in self.search.begun() for cell in self._take_up(frozen)]
+
+    def more(self) -> Sequence[Training]:
+        asked = self.search.ask()
+        return () if asked is None else self._take_up(asked)
+
+    def to_come(self) -> int:
+        return self.search.left * self.seeds
+
+    def find(self, cell_id: str) -> Training:
+        name, _, seed = cell_id.rpartition("-s")
+        return Training(Configuration.parse(name), int(seed))
+
+    def _take_up(self, frozen: FrozenTrial) -> list[Training]:
+        self._open.append(frozen)
+        self._settle()  # all may be complete from an earlier call
+        return self._trainings(frozen)
+
+    def _trainings(self, frozen: FrozenTrial) -> list[Training]:
         configuration = Configuration.of(frozen)
-        track = configuration.apply(self.track)
-        folders = []
-        for seed in range(tune_run.FIRST_SEED, tune_run.FIRST_SEED + self.seeds):
-            folder = RunFolder(self.folder / "runs" / f"{configuration.id}-s{seed}")
-            folder.begin(tune_run.settings(track, seed, self.episodes))
-            folders.append(folder)
-        self._trials.append(_Trial(frozen, folders))
-        self._queue += [folder for folder in folders if not folder.is_complete()]
-        self._settle()
+        return [Training(configuration, FIRST_SEED + i) for i in range(self.seeds)]
 
-    def _step(self, progress: Progress, overall: TaskID) -> bool:
-        """Start what there is room for and see to what has ended; False when all is done."""
-        while len(self._running) < self.backend.slots:
-            if not self._queue:
-                asked = self.search.ask()
-                if asked is None:
-                    break
-                self._take_up(asked)
-                continue
-            self._running.append(self._start(self._queue.pop(0), progress))
-        share = 0.0
-        for running in list(self._running):
-            done, note = running.folder.progress()
-            progress.update(running.task, completed=done, note=note)
-            code = running.job.poll()
-            if code is None:
-                share += 0.0 if running.folder.is_complete() else done
-                continue
-            self._running.remove(running)
-            progress.remove_task(running.task)
-            if code != 0 or not running.folder.is_complete():
-                self.failed.append(running.folder.id)
-                log = running.job.log
-                self.console.print(f"{running.folder.id}: failed with exit code {code}, see {log}",
-                                   style="red", markup=False)  # fmt: skip
-            self._settle()
-        waiting = sum(f.is_complete() for trial in self._trials for f in trial.folders)
-        progress.update(overall, completed=self._scored * self.seeds + waiting + share)
-        return bool(self._running or self._queue or self.search.left)
-
-    def _start(self, folder: RunFolder, progress: Progress) -> _Running:
-        job = self.backend.start(["tune", "--one", str(folder.path.resolve())], folder)
-        return _Running(
-            job, folder, progress.add_task(f"  {folder.id}", total=1.0, note="starting")
-        )
-
-    def _settle(self) -> None:
+    def _settle(self) -> list[str]:
         """Tell the study of configurations whose trainings are all complete."""
-        for trial in list(self._trials):
-            if not all(folder.is_complete() for folder in trial.folders):
-                continue
-            self._trials.remove(trial)
-            score = over_seeds([SUCCESS.reduce(validation(f)) for f in trial.folders])
-            self.search.tell(trial.frozen, score.mean)
-            self._scored += 1
-            name = Configuration.of(trial.frozen).id
-            self.console.print(f"{name}: success {score.text(1)} % in validation", markup=False)
+        told = []
+        for frozen in list(self._open):
+            folders = [self.store.run(cell.id) for cell in self._trainings(frozen)]
+            if all(folder.is_complete() for folder in folders):
+                self._open.remove(frozen)
+                score = over_seeds(
+                    [SUCCESS.reduce(folder.rows("validation")) for folder in folders]
+                )
+                self.search.tell(frozen, score.mean)
+                name = Configuration.of(frozen).id
+                told.append(f"{name}: success {score.text(1)} % in validation")
+        return told
 
-    def _stop(self) -> None:
-        for running in self._running:
-            running.job.stop()
-        end = time.monotonic() + GRACE_SECONDS
-        for running in self._running:
-            running.job.wait(end - time.monotonic())
+    def ended(self, cell: Training) -> str:
+        return "\n".join(self._settle())
 
+    def settings(self, cell: Training) -> dict[str, Any]:
+        return {
+            "cell": asdict(self._plan_cell(cell)),
+            "track": as_dict(cell.configuration.apply(self.track)),
+            "validation": {"episodes": self.episodes},
+        }
 
-def validation(folder: RunFolder) -> pd.DataFrame:
-    """A training's validation episodes."""
-    return folder.rows("validation")
+    def _plan_cell(self, cell: Training) -> plan.Cell:
+        return plan.Cell("rainbow", "full", "optimized", "search", cell.seed)
+
+    def units(self, config: dict[str, Any]) -> int:
+        return plan.units_of(config)
+
+    def checkpoint_bytes(self, cell: Training) -> int:
+        return plan.checkpoint_bytes(self.track)
+
+    def run(
+        self, cell: Training, folder: RunFolder, stop_requested: StopRequested, device: str
+    ) -> dict[str, Any] | None:
+        from benchmarks.evaluation.evaluate import begin_episodes, model_policy, run_policy
+        from benchmarks.methods.episodes import env_arguments
+        from benchmarks.runs.training import train
+
+        track, mine = cell.configuration.apply(self.track), self._plan_cell(cell)
+        preset = Preset("search", "", [cell.seed], Evaluation(1), [], tracks={"search": track})
+        trained = train(preset, mine, folder, stop_requested, device)
+        if trained is None:
+            return None
+        model, summary = trained
+        folder.write_progress(1.0, "validating")
+        began = time.perf_counter()
+        arguments = env_arguments(preset, mine, track)
+        episodes = begin_episodes(arguments, cell.seed, self.episodes, STREAM)
+        folder.write_rows("validation", run_policy(model_policy(model), episodes, 0.0, 0))
+        return {"training": {**summary, "test_seconds": time.perf_counter() - began}}
+
+    def write_tables(self, store: Store, console: Console) -> None:
+        table = results_table(self.search, self.folder, self.seeds, self.title)
+        table.write(self.folder)
+        console.print(table.markdown(), markup=False, highlight=False)
+        console.print(f"Table (CSV, Markdown, LaTeX): {self.folder / 'search.md'}")
 
 
 def results_table(search: Search, folder: Path, seeds: int, title: str) -> Table:
@@ -188,9 +161,9 @@ def results_table(search: Search, folder: Path, seeds: int, title: str) -> Table
     rows: list[tuple[float, list[Cell]]] = []
     for frozen in search.complete():
         configuration = Configuration.of(frozen)
-        ids = [f"{configuration.id}-s{tune_run.FIRST_SEED + i}" for i in range(seeds)]
+        ids = [f"{configuration.id}-s{FIRST_SEED + i}" for i in range(seeds)]
         folders = [RunFolder(folder / "runs" / name) for name in ids]
-        frames = [validation(each) for each in folders]
+        frames = [each.rows("validation") for each in folders]
         rates = [SUCCESS.reduce(frame) for frame in frames]
         low, high = mean_interval(rates)
         success = replace(over_seeds(rates), low=low, high=high)
@@ -220,15 +193,12 @@ def results_table(search: Search, folder: Path, seeds: int, title: str) -> Table
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a search, or with ``--one`` a single training of it; returns the exit code."""
+    """Run a search; returns the exit code."""
     arguments = _parser().parse_args(argv)
-    if arguments.one is not None:
-        return _one(arguments)
     console = Console(soft_wrap=True)
     track_name, track = _track(arguments)
     name = arguments.name or f"{track_name}-{arguments.sampler}"
-    folder = arguments.results / "tune" / name
-    study = RunFolder(folder)
+    study = RunFolder(arguments.results / "tune" / name)
     study.begin({
         "search": {
             "sampler": arguments.sampler,
@@ -238,29 +208,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         }
     })  # fmt: skip
     with study.lock():
-        search = Search(folder, arguments.sampler, arguments.trials)
+        search = Search(study.path, arguments.sampler, arguments.trials)
+        title = f"Search by {arguments.sampler} around {labels.track(track_name)}"
+        tuning = Tuning(study.path, search, title)
         console.print(
             f"{search.trials} configurations x {arguments.seeds} seeds x {track.timesteps} steps, "
             f"{arguments.episodes} validation episodes each; {len(search.complete())} are done",
             markup=False,
         )
-        backend = LocalBackend(arguments.jobs)
-        seeds, episodes = arguments.seeds, arguments.episodes
-        tuner = Tuner(search, track, folder, seeds, episodes, backend, console)
-        finished = tuner.run()
-        title = f"Search by {arguments.sampler} around {labels.track(track_name)}"
-        table = results_table(search, folder, seeds, title)
-        table.write(folder)
-        console.print(table.markdown(), markup=False, highlight=False)
-    console.print(f"Table (CSV, Markdown, LaTeX): {folder / 'search.md'}")
-    console.print(f"Study: {folder}")
-    if not finished:
-        console.print("Interrupted; the same command resumes")
-        return 130
-    if tuner.failed:
-        console.print(f"Failed: {', '.join(tuner.failed)}; the same command tries again")
-        return 1
-    return 0
+        outcome = Harness(tuning, tuning.store, LocalBackend(arguments.jobs), console).run()
+        tuning.report(tuning.store, console)
+        return outcome.close(tuning.store, console, lambda: None)
 
 
 def _track(arguments: argparse.Namespace) -> tuple[str, Track]:
@@ -277,12 +235,6 @@ def _track(arguments: argparse.Namespace) -> tuple[str, Track]:
     return name, track
 
 
-def _one(arguments: argparse.Namespace) -> int:
-    flag = StopFlag(arguments.parent)
-    flag.listen()
-    return 0 if tune_run.run(RunFolder(arguments.one), flag) else 130
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m benchmarks tune", description=__doc__)
     add = parser.add_argument
@@ -296,8 +248,6 @@ def _parser() -> argparse.ArgumentParser:
     add("--jobs", type=_positive, default=None, help="processes (default: cores)")
     add("--name", default=None, help="of the study (default: track and sampler)")
     add("--results", type=Path, default=Path("results"), help="results folder")
-    add("--one", type=Path, default=None, help=argparse.SUPPRESS)
-    add("--parent", type=int, default=None, help=argparse.SUPPRESS)
     return parser
 
 

@@ -10,8 +10,9 @@ import pytest
 import yaml
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol.plan import ABLATIONS, GEOMETRIES, expand, find, settings
+from benchmarks.protocol.plan import ABLATIONS, GEOMETRIES, expand, settings
 from benchmarks.protocol.presets import PRESETS, load_preset, parse_preset, preset_names
+from benchmarks.studies.insertion import Insertion
 
 
 def smoke() -> dict[str, Any]:
@@ -146,7 +147,7 @@ def test_unknown_presets_and_cells_list_the_known_ones(tmp_path: Path) -> None:
     with pytest.raises(BenchmarkError, match="unknown preset '_tracks'"):
         load_preset("_tracks")
     with pytest.raises(BenchmarkError, match="rainbow-optimized-tuned-s0"):
-        find(load_preset("smoke"), "rainbow-s9")
+        Insertion(load_preset("smoke")).find("rainbow-s9")
     broken = tmp_path / "broken.yaml"
     broken.write_text("seeds: [", encoding="utf-8")
     with pytest.raises(BenchmarkError, match="not valid YAML"):

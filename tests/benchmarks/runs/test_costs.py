@@ -9,10 +9,11 @@ import pytest
 import yaml
 
 from benchmarks.__main__ import main
-from benchmarks.protocol.plan import Cell, expand, settings, work_units
+from benchmarks.protocol.plan import expand, settings, units_of
 from benchmarks.protocol.presets import PRESETS, Preset, parse_preset
 from benchmarks.runs.costs import GUESSED_RATE, Cost, costs, duration, wall_seconds
 from benchmarks.runs.store import Store
+from benchmarks.studies.insertion import Insertion
 
 
 def make(name: str, timesteps: int, **more: Any) -> Preset:
@@ -37,7 +38,7 @@ def test_cost_comes_from_the_nearest_runs(tmp_path: Path) -> None:
     complete(elsewhere, other, "rainbow", 999.0)  # the preset's own run counts
     complete(elsewhere, other, "dqn", 5.0)
     store.run("dqn-optimized-tuned-s1").write_progress(0.25, "")
-    found = {cost.cell.id: cost for cost in costs(preset, store, [elsewhere])}
+    found = {cost.id: cost for cost in costs(Insertion(preset), store, [elsewhere])}
     assert found["rainbow-optimized-tuned-s0"].state == "complete"
     assert found["rainbow-optimized-tuned-s0"].seconds == 20.0
     assert found["rainbow-optimized-tuned-s1"].seconds == pytest.approx(20.0)
@@ -46,7 +47,8 @@ def test_cost_comes_from_the_nearest_runs(tmp_path: Path) -> None:
     assert found["dqn-optimized-tuned-s1"].state == "25 %"
     guessed = found["optimum-optimized-s0"]
     assert guessed.guessed
-    assert guessed.seconds == pytest.approx(GUESSED_RATE * work_units(preset, guessed.cell))
+    optimum = next(settings(preset, cell) for cell in expand(preset) if cell.id == guessed.id)
+    assert guessed.seconds == pytest.approx(GUESSED_RATE * units_of(optimum))
 
 
 def test_runs_of_another_version_are_no_measure(tmp_path: Path) -> None:
@@ -56,13 +58,12 @@ def test_runs_of_another_version_are_no_measure(tmp_path: Path) -> None:
     complete(elsewhere, other, "dqn", 5.0)
     meta = elsewhere.run("dqn-optimized-tuned-s0").path / "meta.json"
     meta.write_text('{"schema": 99, "wall_seconds": 1.0}', encoding="utf-8")
-    assert all(cost.guessed for cost in costs(preset, store, [elsewhere]))
+    assert all(cost.guessed for cost in costs(Insertion(preset), store, [elsewhere]))
 
 
 def test_time_left_is_that_of_processes_taking_the_next_run() -> None:
-    cell = Cell("optimum", "full", "optimized", "", 0)
-    found = [Cost(cell, False, 0.0, seconds, False) for seconds in (5.0, 4.0, 3.0, 2.0)]
-    found.append(Cost(cell, True, 1.0, 100.0, False))
+    found = [Cost("a", False, 0.0, seconds, False) for seconds in (5.0, 4.0, 3.0, 2.0)]
+    found.append(Cost("a", True, 1.0, 100.0, False))
     assert wall_seconds(found, 1) == 14.0
     assert wall_seconds(found, 2) == 7.0  # 5 and 2 beside 4 and 3
     assert wall_seconds(found, 9) == 5.0

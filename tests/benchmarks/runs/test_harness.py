@@ -29,6 +29,7 @@ from benchmarks.runs.cell import StopFlag, run_cell
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.harness import Harness, Outcome, check_disk
 from benchmarks.runs.store import RunFolder, Store
+from benchmarks.studies.insertion import Insertion
 
 
 @pytest.fixture
@@ -209,7 +210,7 @@ def fake_run(
     store = Store.open(tmp_path, "fake", create=True)
     terminal = Console(file=io.StringIO(), force_terminal=True, width=400, color_system=None)
     backend = FakeBackend(slots, scripts)
-    outcome = Harness(preset, "fake", store, tmp_path, backend, terminal).run()
+    outcome = Harness(Insertion(preset), store, backend, terminal).run()
     assert isinstance(terminal.file, io.StringIO)
     return outcome, backend, terminal.file.getvalue()
 
@@ -293,7 +294,7 @@ def test_fewer_jobs_need_less_room(tmp_path: Path) -> None:
     needed = []
     for slots in (1, 2, 1000):
         with pytest.raises(BenchmarkError, match="make room") as caught:
-            check_disk(preset, store, expand(preset), slots)
+            check_disk(Insertion(preset), store, expand(preset), slots)
         found = re.search(r": ([\d.]+) GB may be needed for 200 runs", str(caught.value))
         assert found is not None
         needed.append(float(found[1]))
@@ -307,10 +308,10 @@ def test_a_planner_that_is_asked_to_stop_stops(tmp_path: Path) -> None:
     preset = parse_preset(data, "plans", "plans.yaml")
     (cell,) = expand(preset)
     store = Store.open(tmp_path, "plans", create=True)
-    assert not run_cell(preset, cell, store, lambda: True)
+    assert not run_cell(Insertion(preset), cell, store, lambda: True)
     assert not store.run(cell.id).is_complete()
     assert store.run(cell.id).progress()[0] == 0.0
-    assert run_cell(preset, cell, store)
+    assert run_cell(Insertion(preset), cell, store)
 
 
 def test_a_preset_without_a_run_is_an_error(

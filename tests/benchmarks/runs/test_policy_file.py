@@ -10,13 +10,15 @@ import torch
 import yaml
 
 from benchmarks.evaluation.evaluate import evaluate_policy, model_policy
-from benchmarks.methods.learners import ALGORITHMS, build_model, env_arguments, make_training_env
+from benchmarks.methods.episodes import env_arguments
+from benchmarks.methods.learners import ALGORITHMS, build_model, make_training_env
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import PRESETS, Preset, parse_preset
 from benchmarks.protocol.seeding import derive
 from benchmarks.runs import policy_file
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.store import Store
+from benchmarks.studies.insertion import Insertion
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +37,7 @@ def test_the_stored_policy_repeats_the_stored_episodes(
 ) -> None:
     cell = Cell(method, "full", "optimized", "tuned", 0)
     store = Store.open(tmp_path, "smoke", create=True)
-    assert run_cell(preset, cell, store)
+    assert run_cell(Insertion(preset), cell, store)
     run = store.run(cell.id)
     assert run.policy.stat().st_size < 300_000
     assert len(run.meta()["training"]["weights_sha256"]) == 64

@@ -20,12 +20,12 @@ import yaml
 
 from benchmarks.__main__ import main
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol.plan import find
 from benchmarks.protocol.presets import PRESETS, load_preset
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.ray_backend import RayJob, run_remotely
 from benchmarks.runs.store import RunFolder, Store
+from benchmarks.studies.insertion import Insertion
 
 pytest.importorskip("ray", reason="needs the extra 'cluster'")
 
@@ -128,7 +128,7 @@ def test_a_lost_worker_and_a_lost_node_change_nothing(
     loaded, local = load_preset(str(preset)), Store.open(tmp_path / "local", "small", create=True)
     for run in runs:
         assert run.meta()["training"]["resumed_at"]
-        assert run_cell(loaded, find(loaded, run.id), local)
+        assert run_cell(Insertion(loaded), Insertion(loaded).find(run.id), local)
         other = local.run(run.id)
         assert other.meta()["training"]["resumed_at"] == []
         for name in ("episodes.csv", "curve.csv", "config.yaml"):

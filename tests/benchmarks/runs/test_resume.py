@@ -29,6 +29,7 @@ from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.runs.training import train
+from benchmarks.studies.insertion import Insertion
 from sb3_rainbow import Rainbow
 
 CELLS = [
@@ -298,14 +299,14 @@ def test_a_disk_that_is_really_full_is_told_in_one_line(
 def test_a_complete_cell_is_skipped_and_its_policy_loads(preset: Preset, tmp_path: Path) -> None:
     cell = CELLS[0]
     store = Store.open(tmp_path, "smoke", create=True)
-    assert not run_cell(preset, cell, store, stop_after(5))
+    assert not run_cell(Insertion(preset), cell, store, stop_after(5))
     assert not store.run(cell.id).is_complete()
-    assert run_cell(preset, cell, store)
+    assert run_cell(Insertion(preset), cell, store)
     run = store.run(cell.id)
     assert not run.checkpoint.exists()
     assert run.meta()["training"]["resumed_at"] == [20]
     stamps = {path: path.stat().st_mtime_ns for path in run.path.iterdir()}
-    assert run_cell(preset, cell, store)
+    assert run_cell(Insertion(preset), cell, store)
     assert {path: path.stat().st_mtime_ns for path in run.path.iterdir()} == stamps
     model = ALGORITHMS["rainbow"].load(run.policy, device="cpu")
     with warnings.catch_warnings():

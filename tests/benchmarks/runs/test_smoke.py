@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import importlib
 import os
@@ -189,6 +190,32 @@ def test_an_entry_is_compared_with_itself(
     assert cells[1] == cells[2]
 
 
+def test_runs_without_their_policy_are_complete_and_left_out_of_the_replay(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(results / "smoke", tmp_path / "smoke")
+    place = ["--preset", "smoke", "--results", str(tmp_path)]
+    runs = tmp_path / "smoke" / "runs"
+    (runs / "dqn-optimized-tuned-s0" / "policy.zip").unlink()
+    shutil.rmtree(runs / "rrt_connect-optimized-s0")
+    assert main(["evaluate", *place]) == 0
+    out = capsys.readouterr().out
+    assert "Left out, their policy is not here: 1 runs" in out
+    assert "Left out, not run yet: 1 runs" in out
+    assert "Runs whose every episode came out as stored: 2 of 2" in out
+    cells = re.search(r"that came out as stored: (\d+) of (\d+)\n", out)
+    assert cells is not None
+    assert cells[1] == cells[2]
+    # and what is complete without its policy is not run again
+    planned = "rrt_connect-optimized-s0"
+    shutil.copytree(results / "smoke" / "runs" / planned, runs / planned)
+    assert main(["run", *place]) == 0
+    assert "4 runs were complete already" in capsys.readouterr().out
+    (runs / "rainbow-optimized-tuned-s0" / "policy.zip").unlink()
+    assert main(["evaluate", *place]) == 2
+    assert "has no trained policy to score" in capsys.readouterr().err
+
+
 def test_a_policy_plays_only_under_its_own_settings(
     results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -202,6 +229,26 @@ def test_a_policy_plays_only_under_its_own_settings(
         assert "track.mask_visited: 64 -> 0" in capsys.readouterr().err
 
 
+def playing(pid: int) -> list[psutil.Process]:
+    """The processes that a process has started to play, but for those that have ended."""
+    found = []
+    for child in psutil.Process(pid).children():
+        # git, which tells the commit, ends at any moment: between these lines, too
+        with contextlib.suppress(psutil.NoSuchProcess):  # a zombie is one of these
+            if "cell" in child.cmdline() and child.status() != psutil.STATUS_ZOMBIE:
+                found.append(child)
+    return found
+
+
+def test_what_has_ended_plays_no_more() -> None:
+    with subprocess.Popen([sys.executable, "-c", "", "cell"]) as child:
+        deadline = time.monotonic() + 30
+        while psutil.Process(child.pid).status() != psutil.STATUS_ZOMBIE:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        assert child.pid not in [found.pid for found in playing(os.getpid())]
+
+
 def test_a_lost_process_and_ctrl_c_end_at_once(results: Path, tmp_path: Path) -> None:
     shutil.copytree(results / "smoke", tmp_path / "smoke")
     words = [sys.executable, "-m", "benchmarks", "evaluate", "--preset", "smoke"]
@@ -212,18 +259,17 @@ def test_a_lost_process_and_ctrl_c_end_at_once(results: Path, tmp_path: Path) ->
             stderr=subprocess.STDOUT,
             text=True,
         )
-        parent = psutil.Process(done.pid)
         players: list[psutil.Process] = []
         while not players:
             assert done.poll() is None
             time.sleep(0.05)
-            players = [p for p in parent.children() if "spawn_main" in " ".join(p.cmdline())]
-        target = players[0] if number == signal.SIGKILL else parent
-        target.send_signal(number)
+            players = playing(done.pid)
+        os.kill(players[0].pid if number == signal.SIGKILL else done.pid, number)
         out, _ = done.communicate(timeout=60)
         assert told in out
         assert "Traceback" not in out
-        assert done.returncode == (2 if number == signal.SIGKILL else 130)
+        assert done.returncode == (1 if number == signal.SIGKILL else 130)
+        assert out.count("Performance on the test episodes") == 0
         _, alive = psutil.wait_procs(players, timeout=30)
         assert not alive
 

@@ -161,13 +161,13 @@ def test_two_harnesses_cannot_hold_one_folder(tmp_path: Path) -> None:
         pass
 
 
-def test_a_learners_run_without_its_policy_is_run_again(tmp_path: Path) -> None:
+def test_a_complete_run_may_be_without_its_policy(tmp_path: Path) -> None:
     run = Store.open(tmp_path, "smoke", create=True).run("a")
     run.begin({"x": 1})
-    run.write_meta({"wall_seconds": 1.0})
-    assert run.is_done(learns=False)
-    assert not run.is_done(learns=True)
     run.policy.write_bytes(b"weights")
-    assert run.is_done(learns=True)
-    run.reopen()
-    assert not run.is_complete()
+    assert not run.has_policy()  # of a run that was killed before its end
+    run.write_meta({"wall_seconds": 1.0})
+    assert run.has_policy()
+    run.policy.unlink()
+    assert run.is_complete()
+    assert not run.has_policy()

@@ -62,15 +62,15 @@ def run(request: dict[str, Any]) -> None:
 
 def warm_up(preset: str, cells: list[str]) -> None:
     """Import what a run imports and compile what it compiles."""
-    from benchmarks.protocol.plan import find
-    from benchmarks.protocol.presets import load_preset
     from benchmarks.runs.cell import run_cell
     from benchmarks.runs.store import Store
+    from benchmarks.studies.insertion import Insertion
 
-    loaded = load_preset(preset)
+    experiment = Insertion(preset)
     with tempfile.TemporaryDirectory() as folder:
         for cell in cells:
-            run_cell(loaded, find(loaded, cell), Store.open(folder, loaded.name, create=True))
+            store = Store.open(folder, experiment.name, create=True)
+            run_cell(experiment, experiment.find(cell), store)
 
 
 def main() -> None:

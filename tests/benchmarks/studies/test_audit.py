@@ -14,11 +14,12 @@ import torch as th
 
 from benchmarks.__main__ import main
 from benchmarks.methods.oracle import LatticeOracle
-from benchmarks.protocol.plan import expand, find
+from benchmarks.protocol.plan import expand
 from benchmarks.protocol.presets import load_preset
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.store import Store
 from benchmarks.studies import audit, failures
+from benchmarks.studies.insertion import Insertion
 from coop_env.env import CoopInsertionEnv
 
 
@@ -73,7 +74,7 @@ def test_both_commands_write_what_they_say(
     words = ["--preset", "smoke", "--results", str(tmp_path)]
     assert main(["failures", *words]) == 2
     assert "no stored policy of rainbow, track tuned" in capsys.readouterr().err
-    assert run_cell(preset, find(preset, "rainbow-optimized-tuned-s0"), store)
+    assert run_cell(Insertion(preset), Insertion(preset).find("rainbow-optimized-tuned-s0"), store)
     assert main(["failures", *words]) == 0
     folder = store.folder / "failures"
     rows = pd.read_csv(folder / "rainbow-tuned.csv")

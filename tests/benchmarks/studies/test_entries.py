@@ -182,6 +182,7 @@ PLANNER = """
 from benchmarks.methods.oracle import LatticeOracle
 
 oracle = LatticeOracle()
+made = {}
 
 
 def plan(env):
@@ -195,6 +196,17 @@ def moves(env):
 
 def first_valid(env):
     return [int(env.action_masks().argmax())]
+
+
+def there_and_back(env):
+    # one move; then: is the way back allowed, are singular moves masked?
+    if id(env) not in made:
+        made[id(env)] = int(oracle.plan(env).moves[0])
+        return [made[id(env)]]
+    back = made.pop(id(env)) ^ 1
+    with open("masks.txt", "a") as stream:
+        stream.write(f"{env.action_masks()[back]} {env.params.task.mask_singularities}\\n")
+    return []
 
 
 def cheat(env):
@@ -233,6 +245,18 @@ def test_a_planner_joins_too_and_equals_the_harness_s_own(planners: Path) -> Non
     assert table.loc["mine", "Success (%)"] == "100.0"
     assert table.loc["mine", "Models"] == "-"
     assert check_runs(store) == []
+
+
+@pytest.mark.parametrize("flags", [[], ["--mask-singularities", "--mask-visited", "3"]])
+def test_a_planner_acts_under_the_masks_that_it_asks_for(flags: list[str], planners: Path) -> None:
+    words = ["--planner", "my_planner:there_and_back", "--name", "mine", *flags]
+    assert evaluate(planners, *words) == 0
+    lines = (planners / "masks.txt").read_text(encoding="utf-8").splitlines()
+    assert set(lines) == {"False True" if flags else "True False"}
+    expected = (bool(flags), 3 if flags else 0)
+    (entry,) = Store.open(planners, "smoke").entered()
+    stored = entry.config()["entry"]
+    assert (stored["mask_singularities"], stored["mask_visited"]) == expected
 
 
 def test_moves_past_the_end_are_not_made() -> None:

@@ -19,15 +19,17 @@ pytest.importorskip("optuna", reason="the extra 'tune' is not installed")
 from rich.console import Console
 
 from benchmarks.__main__ import main
+from benchmarks.errors import BenchmarkError
 from benchmarks.protocol import seeding
 from benchmarks.protocol.presets import Track, as_dict, load_preset
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.runs.backends import Job
+from benchmarks.runs.cell import opened, run_cell
 from benchmarks.runs.checkpoint import checkpoints
+from benchmarks.runs.harness import Harness, Outcome
 from benchmarks.runs.store import RunFolder
-from benchmarks.studies.tuning import run as tune_run
 from benchmarks.studies.tuning.study import GRID, PAPER, Configuration, Search
-from benchmarks.studies.tuning.tune import Tuner, results_table
+from benchmarks.studies.tuning.tune import FIRST_SEED, Tuning, results_table
 from coop_env.env import CoopInsertionEnv
 
 SEEDS, EPISODES = 2, 2
@@ -74,25 +76,34 @@ class Inline:
         return "inline"
 
     def start(self, words: Sequence[str], folder: RunFolder) -> Job:
-        assert list(words) == ["tune", "--one", str(folder.path)]
+        experiment, store = opened(words[1], words[2], Path(words[3]))
+        cell = experiment.find(words[words.index("--cell") + 1])
+        assert cell.id == folder.id
         self.started.append(folder.id)
         if len(self.started) == self.interrupt_at:
             asked = iter([False, False, True])
-            assert not tune_run.run(folder, lambda: next(asked, True))  # cut off in its midst
+            # cut off in its midst
+            assert not run_cell(experiment, cell, store, lambda: next(asked, True))
             raise KeyboardInterrupt
         if len(self.started) == self.fail_at:
             return Ended(folder.path / "log.txt", 1)
-        assert tune_run.run(folder)
+        assert run_cell(experiment, cell, store)
         return Ended(folder.path / "log.txt", 0)
 
     def close(self) -> None:
         pass
 
 
-def search(folder: Path, backend: Inline, trials: int = 2, sampler: str = "grid") -> Tuner:
-    folder.mkdir(parents=True, exist_ok=True)
-    study = Search(folder, sampler, trials)
-    return Tuner(study, tiny_track(), folder, SEEDS, EPISODES, backend, Console(quiet=True))
+def tuning(folder: Path, trials: int = 2) -> Tuning:
+    track = as_dict(tiny_track())
+    about = {"sampler": "grid", "seeds": SEEDS, "episodes": EPISODES, "track": track}
+    RunFolder(folder).begin({"search": about})
+    return Tuning(folder, Search(folder, "grid", trials))
+
+
+def search(folder: Path, backend: Inline, trials: int = 2) -> Outcome:
+    experiment = tuning(folder, trials)
+    return Harness(experiment, experiment.store, backend, Console(quiet=True)).run()
 
 
 def outcome(folder: Path) -> dict[str, bytes]:
@@ -173,45 +184,49 @@ def test_a_configuration_changes_what_it_names_and_nothing_else() -> None:
     assert dataclasses.replace(h, **back) == old  # type: ignore[arg-type]
 
 
+def test_a_configurations_name_says_all_of_it(tmp_path: Path) -> None:
+    study = Search(tmp_path, "tpe", 8)
+    while (frozen := study.ask()) is not None:
+        configuration = Configuration.of(frozen)
+        assert Configuration.parse(configuration.id) == configuration
+    with pytest.raises(BenchmarkError, match="names no configuration"):
+        Configuration.parse("lr0.1-b3")
+
+
 def test_an_interrupted_search_ends_as_one_that_was_not(tmp_path: Path) -> None:
-    assert search(tmp_path / "whole", Inline()).run()
+    assert search(tmp_path / "whole", Inline()).complete
     for moment in (1, 2, 3):
         folder = tmp_path / f"cut-{moment}"
-        assert not search(folder, Inline(interrupt_at=moment)).run()
+        assert search(folder, Inline(interrupt_at=moment)).interrupted
         (run,) = [p for p in (folder / "runs").iterdir() if checkpoints(p / "checkpoint")]
         again = Inline()
-        tuner = search(folder, again)
-        assert tuner.run()
+        assert search(folder, again).complete
         assert again.started[0] == run.name  # what was under way comes first
         assert len(again.started) == 2 * SEEDS - (moment - 1)
         assert outcome(folder) == outcome(tmp_path / "whole")
-        whole = search(tmp_path / "whole", Inline())
         titles = [
-            results_table(tuner.search, folder, SEEDS, "T").texts(),
-            results_table(whole.search, tmp_path / "whole", SEEDS, "T").texts(),
+            results_table(tuning(where).search, where, SEEDS, "T").texts()
+            for where in (folder, tmp_path / "whole")
         ]
         assert titles[0] == titles[1]
 
 
 def test_a_second_call_trains_nothing_and_more_trials_only_the_new(tmp_path: Path) -> None:
-    assert search(tmp_path, Inline(), trials=1).run()
+    assert search(tmp_path, Inline(), trials=1).complete
     backend = Inline()
-    assert search(tmp_path, backend, trials=1).run()
+    assert search(tmp_path, backend, trials=1).complete
     assert backend.started == []
-    assert search(tmp_path, backend, trials=2).run()
+    assert search(tmp_path, backend, trials=2).complete
     assert len(backend.started) == SEEDS
 
 
 def test_a_training_that_fails_is_told_and_tried_again(tmp_path: Path) -> None:
-    tuner = search(tmp_path, Inline(fail_at=1))
-    assert tuner.run()
-    assert len(tuner.failed) == 1
-    assert len(tuner.search.complete()) == 1
+    assert len(search(tmp_path, Inline(fail_at=1)).failed) == 1
+    assert len(tuning(tmp_path).search.complete()) == 1
     backend = Inline()
-    tuner = search(tmp_path, backend)
-    assert tuner.run()
+    assert search(tmp_path, backend).complete
     assert len(backend.started) == 1
-    assert len(tuner.search.complete()) == 2
+    assert len(tuning(tmp_path).search.complete()) == 2
 
 
 def test_test_episodes_are_never_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -228,8 +243,8 @@ def test_test_episodes_are_never_seen(tmp_path: Path, monkeypatch: pytest.Monkey
         return reset(self, **given)
 
     monkeypatch.setattr(CoopInsertionEnv, "reset", spy)
-    assert search(tmp_path, Inline(), trials=1).run()
-    seeds = [tune_run.FIRST_SEED + i for i in range(SEEDS)]
+    assert search(tmp_path, Inline(), trials=1).complete
+    seeds = [FIRST_SEED + i for i in range(SEEDS)]
     expected = {x for seed in seeds for x in episode_seeds(seed, EPISODES, "validate")}
     # SB3 seeds the environments once more, by the learner's seed
     trained = {
@@ -250,7 +265,7 @@ def test_test_episodes_are_never_seen(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_the_seeds_of_the_search_are_those_of_no_preset() -> None:
     for name in ("paper", "quick", "smoke"):
-        assert max(load_preset(name).seeds) < tune_run.FIRST_SEED
+        assert max(load_preset(name).seeds) < FIRST_SEED
 
 
 def test_the_table_ranks_and_marks_the_papers_choice(tmp_path: Path) -> None:

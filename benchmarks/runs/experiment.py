@@ -1,0 +1,129 @@
+"""An experiment: what the harness has to know of cells to run them, whatever they compute.
+
+One cell is one independent run with a folder of its own. The harness starts each in a process
+(:mod:`benchmarks.runs.harness`), which opens the experiment again by its recipe.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
+
+from rich.console import Console
+
+from benchmarks.errors import BenchmarkError, known
+from benchmarks.runs.store import RunFolder, Store
+
+StopRequested = Callable[[], bool]
+
+
+class Named(Protocol):
+    """A cell; its id is the name of its folder."""
+
+    @property
+    def id(self) -> str: ...
+
+
+C = TypeVar("C", bound=Named)
+
+
+class Experiment(ABC, Generic[C]):
+    """Cells, what they cost, how one is run, and what is made of them all.
+
+    Args:
+        name: of the store; ``place`` is the folder in which the store lies, below that of all
+            results, and ``command`` the word that runs it.
+        recipe: the class's arguments, as JSON can hold them, by which another process makes it.
+    """
+
+    place: ClassVar[str] = ""
+    command: ClassVar[str] = "run"
+
+    def __init__(self, name: str, **recipe: Any) -> None:
+        self.name, self.recipe = name, recipe
+
+    @abstractmethod
+    def cells(self) -> Sequence[C]:
+        """The cells that are known at the start, in the order in which they are to begin."""
+
+    def more(self) -> Sequence[C]:
+        """Cells that came into being since, asked for when there is room; none ends the matter."""
+        return ()
+
+    def to_come(self) -> int:
+        """How many cells :meth:`more` has yet to give."""
+        return 0
+
+    def find(self, cell_id: str) -> C:
+        """The cell of that id.
+
+        Raises:
+            BenchmarkError: there is no such cell.
+        """
+        by_id = {cell.id: cell for cell in self.cells()}
+        if cell_id not in by_id:
+            raise BenchmarkError(
+                f"preset '{self.name}' has no cell '{cell_id}'; known cells: {known(by_id)}"
+            )
+        return by_id[cell_id]
+
+    @abstractmethod
+    def settings(self, cell: C) -> dict[str, Any]:
+        """Everything that decides the cell's result, as plain YAML types: its config.yaml."""
+
+    def check(self, todo: Sequence[C]) -> None:
+        """Raise BenchmarkError if one of these cells cannot be built."""
+
+    @abstractmethod
+    def units(self, config: dict[str, Any]) -> int:
+        """A rough cost of a run by its settings, in environment steps."""
+
+    def kinds(self, config: dict[str, Any]) -> Iterator[tuple[str, ...]]:
+        """Kinds of run that this one is of, the closest first: equal kinds, equal unit costs."""
+        yield ()
+
+    def checkpoint_bytes(self, cell: C) -> int:
+        """Size of one checkpoint, generously."""
+        return 0
+
+    @abstractmethod
+    def run(
+        self, cell: C, folder: RunFolder, stop_requested: StopRequested, device: str
+    ) -> dict[str, Any] | None:
+        """Do the cell's work and write its rows.
+
+        Args:
+            cell: a cell.
+            folder: its own, begun.
+            stop_requested: asked now and then; True saves what can be saved and ends the call.
+            device: where networks live: cpu or cuda.
+
+        Returns:
+            What meta.json says of the run, ``training`` at least; None if it was stopped.
+        """
+
+    def verdict(self, folder: RunFolder) -> str:
+        """What came of a complete run, for its line on the console."""
+        return ""
+
+    def ended(self, cell: C) -> str:
+        """Take note that a cell is complete; returns what is to be told of it, if anything."""
+        return ""
+
+    @abstractmethod
+    def write_tables(self, store: Store, console: Console) -> Any:
+        """Write the tables of the complete runs, and print the main ones."""
+
+    def write_figures(self, store: Store, console: Console) -> Any:
+        """Draw the figures of the complete runs."""
+
+    def report(self, store: Store, console: Console) -> None:
+        """Everything that is made of the complete runs."""
+        self.write_tables(store, console)
+        self.write_figures(store, console)
+
+    def open_store(self, results: Path, create: bool = False) -> Store:
+        """The experiment's store; errors as those of :meth:`Store.open`."""
+        return Store.open(results / self.place, self.name, create, self.command)

@@ -1,0 +1,92 @@
+"""The classic tasks as an experiment of the harness."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+from rich.console import Console
+
+from benchmarks.protocol.presets import absolute
+from benchmarks.runs.experiment import Experiment, StopRequested
+from benchmarks.runs.store import RunFolder, Store
+from benchmarks.studies.classic import plan
+from benchmarks.studies.classic.plan import CLIFF, Cell
+from benchmarks.studies.classic.presets import Preset, load_preset
+
+TRANSITION_BYTES: Final = 1_600  # of a checkpointed replay buffer: two images of 10 x 10 x 7
+
+
+class Classic(Experiment[Cell]):
+    """Cells of a preset of the classic tasks, loaded if its name or its file's path is given."""
+
+    place = command = "classic"
+
+    def __init__(self, preset: Preset | str) -> None:
+        self.preset = load_preset(preset) if isinstance(preset, str) else preset
+        name = preset if isinstance(preset, str) else preset.name
+        super().__init__(self.preset.name, preset=absolute(name))
+
+    def cells(self) -> Sequence[Cell]:
+        return plan.expand(self.preset)
+
+    def settings(self, cell: Cell) -> dict[str, Any]:
+        return plan.settings(self.preset, cell)
+
+    def check(self, todo: Sequence[Cell]) -> None:
+        from benchmarks.studies.classic.train import build_model
+
+        for task, method in {(cell.task, cell.method) for cell in todo if cell.kind != CLIFF}:
+            env = build_model(self.preset.tasks[task], method, 0).get_env()
+            assert env is not None
+            env.close()
+
+    def units(self, config: dict[str, Any]) -> int:
+        return plan.units_of(config)
+
+    def kinds(self, config: dict[str, Any]) -> Iterator[tuple[str, ...]]:
+        cell = config["cell"]
+        yield (cell["task"], cell["method"])
+        yield (cell["method"],)
+
+    def checkpoint_bytes(self, cell: Cell) -> int:
+        if cell.kind == CLIFF:
+            return 0
+        arguments = self.preset.tasks[cell.task].methods[cell.method]
+        return TRANSITION_BYTES * int(arguments.get("buffer_size", 1_000_000))
+
+    def run(
+        self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
+    ) -> dict[str, Any] | None:
+        """Train and test a learner, or walk the cliff; on the CPU."""
+        from benchmarks.studies.classic.cliff import run_cliff
+        from benchmarks.studies.classic.train import run_learner
+
+        run = run_cliff if cell.kind == CLIFF else run_learner
+        training = run(self.preset, cell, folder, stop_requested)
+        return None if training is None else {"training": training}
+
+    def verdict(self, folder: RunFolder) -> str:
+        if folder.has_rows("episodes"):
+            rows = folder.rows("episodes")
+            return f", return {rows['return'].mean():.1f} over {len(rows)} test episodes"
+        return f", {len(folder.rows('updates'))} seeds"
+
+    def write_tables(self, store: Store, console: Console) -> None:
+        """Write all tables and print the two main ones."""
+        from benchmarks.studies.classic.docs import SHOWN
+        from benchmarks.studies.classic.results import Results
+        from benchmarks.studies.classic.tables import build_tables
+
+        for table in build_tables(Results(self.preset, store)):
+            table.write(store.tables)
+            if table.name in SHOWN:
+                console.print(table.markdown(), markup=False, highlight=False)
+        console.print(f"Tables (CSV, Markdown, LaTeX): {store.tables}")
+
+    def write_figures(self, store: Store, console: Console) -> None:
+        from benchmarks.studies.classic.figures import write_figures
+        from benchmarks.studies.classic.results import Results
+
+        write_figures(Results(self.preset, store), store)
+        console.print(f"Figures: {store.figures}")

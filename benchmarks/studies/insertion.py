@@ -1,0 +1,150 @@
+"""The experiment of a preset: learners, planners and the design on the insertion task."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from benchmarks.protocol import plan
+from benchmarks.protocol.plan import DESIGN, Cell
+from benchmarks.protocol.presets import Preset, absolute, load_preset
+from benchmarks.protocol.seeding import derive
+from benchmarks.runs.cell import Teller
+from benchmarks.runs.experiment import Experiment, StopRequested
+from benchmarks.runs.store import RunFolder, Store
+
+if TYPE_CHECKING:
+    from benchmarks.reporting.figures.parts import Picture
+    from benchmarks.reporting.tables.table import Table
+
+
+class Insertion(Experiment[Cell]):
+    """Cells of a preset, which is loaded if its name or its file's path is given."""
+
+    def __init__(self, preset: Preset | str) -> None:
+        self.preset = load_preset(preset) if isinstance(preset, str) else preset
+        name = preset if isinstance(preset, str) else preset.name
+        super().__init__(self.preset.name, preset=absolute(name))
+        self._cells = plan.expand(self.preset)
+
+    def cells(self) -> Sequence[Cell]:
+        return self._cells
+
+    def settings(self, cell: Cell) -> dict[str, Any]:
+        return plan.settings(self.preset, cell)
+
+    def check(self, todo: Sequence[Cell]) -> None:
+        if learning := [cell for cell in todo if cell.learns]:
+            from benchmarks.methods.learners import check_cells
+
+            check_cells(self.preset, learning)
+
+    def units(self, config: dict[str, Any]) -> int:
+        return plan.units_of(config)
+
+    def kinds(self, config: dict[str, Any]) -> Iterator[tuple[str, ...]]:
+        cell = config["cell"]
+        if "track" in config:
+            h = config["track"]["hyperparameters"]
+            work = tuple(str(h[name]) for name in ("updates_per_step", "batch_size", "net_arch"))
+            yield (cell["method"], cell["ablation"], *work)
+            yield (cell["method"], *work)
+        else:
+            yield (cell["method"], cell["geometry"])
+        yield (cell["method"],)
+
+    def checkpoint_bytes(self, cell: Cell) -> int:
+        return plan.checkpoint_bytes(self.preset.tracks[cell.track]) if cell.learns else 0
+
+    def run(
+        self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
+    ) -> dict[str, Any] | None:
+        """Train and test a learner, test a planner, or optimize the geometry."""
+        training: dict[str, Any] | None = {}
+        if cell.method == DESIGN:
+            self._optimize(folder)
+        elif cell.learns:
+            training = self._train(cell, folder, stop_requested, device)
+        else:
+            from benchmarks.evaluation.evaluate import evaluate_planner
+            from benchmarks.methods.episodes import env_arguments
+
+            arguments = env_arguments(self.preset, cell)
+            tell = Teller(folder, stop_requested)
+            folder.write_rows("episodes", evaluate_planner(self.preset, cell, arguments, tell))
+        if training is None:
+            return None
+        seeds = {
+            "cell": cell.seed,
+            "train": derive("train", cell.seed),
+            "learner": derive("learner", cell.seed),
+            "first_test_episode": derive("test", cell.seed, 0),
+        }
+        return {"seeds": seeds, "training": training}
+
+    def _optimize(self, folder: RunFolder) -> None:
+        from benchmarks.methods.geometric_design import geometry_rows
+
+        assert self.preset.design is not None
+        folder.write_rows("design", geometry_rows(self.preset.design.runs))
+
+    def _train(
+        self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
+    ) -> dict[str, Any] | None:
+        from benchmarks.evaluation.evaluate import evaluate_policy, model_policy
+        from benchmarks.methods.episodes import env_arguments
+        from benchmarks.runs import policy_file
+        from benchmarks.runs.training import train
+
+        trained = train(self.preset, cell, folder, stop_requested, device)
+        if trained is None:
+            return None
+        model, summary = trained
+        folder.write_progress(1.0, "testing")
+        began = time.perf_counter()
+        summary["weights_sha256"] = policy_file.digest(model)
+        policy_file.reduce_to_greedy(model)
+        arguments = env_arguments(self.preset, cell, self.preset.tracks[cell.track])
+        rows = evaluate_policy(model_policy(model), self.preset, cell.seed, arguments)
+        folder.write_rows("episodes", rows)
+        policy_file.save(model, folder.policy)
+        return {**summary, "test_seconds": time.perf_counter() - began}
+
+    def verdict(self, folder: RunFolder) -> str:
+        if not folder.has_rows("episodes"):
+            return ""
+        rows = folder.rows("episodes")
+        clean = rows[rows["noise"] == 0.0]
+        return f", success {100 * clean['success'].mean():.0f} % of {len(clean)} test episodes"
+
+    def write_tables(self, store: Store, console: Console) -> list[Table]:
+        """Write all tables, and print those that the paper has."""
+        from benchmarks.reporting.tables.paper import PRINTED, build_tables, write_tables
+
+        built = build_tables(store)
+        write_tables(store, built)
+        for table in built:
+            if table.name in PRINTED:
+                console.print(table.markdown(), markup=False, highlight=False)
+        console.print(f"Tables (CSV, Markdown, LaTeX): {store.tables}")
+        return built
+
+    def write_figures(self, store: Store, console: Console) -> list[tuple[Picture, Path]]:
+        """Draw the learning figures."""
+        from benchmarks.reporting.figures.learning import write_figures
+
+        drawn = write_figures(store)
+        if drawn:
+            console.print(f"Figures: {store.figures}")
+        return drawn
+
+    def report(self, store: Store, console: Console) -> None:
+        """Tables, figures and the page of both."""
+        from benchmarks.reporting.pages.html_report import write_report
+
+        tables, figures = self.write_tables(store, console), self.write_figures(store, console)
+        console.print(f"Report: {write_report(store, tables, figures)}")
