@@ -18,6 +18,8 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
+from benchmarks.runs.backends import spawn
+
 ROOT = Path(__file__).resolve().parent.parent
 SHIPPED = ("setup.cfg", "pyproject.toml", "README.md", "LICENSE")
 PACKAGES = ("sb3_rainbow", "coop_env", "benchmarks")
@@ -73,6 +75,16 @@ def test_the_env_needs_nothing_that_draws() -> None:
     """Matplotlib and Pillow are of the extra ``render``; without it there are no pictures alone."""
     code = "import sys, coop_env.env; sys.exit(bool({'matplotlib', 'PIL'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False, cwd=ROOT).returncode == 0
+
+
+def test_a_run_finds_the_harness_from_any_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An install brings none, and a node of a cluster starts its processes where it likes."""
+    monkeypatch.chdir(tmp_path)
+    log = tmp_path / "log.txt"
+    assert spawn(["train", "--help"], log).wait() == 0, log.read_text()
+    assert "usage: python -m benchmarks" in log.read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.runs.machine import REPOSITORY
 from benchmarks.runs.store import RunFolder
 
 BACKENDS: Final = ("local", "ray")
@@ -71,6 +72,8 @@ def command(words: Sequence[str]) -> list[str]:
 def spawn(words: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
     """Start a run's process: pinned to one thread, its output in ``log``."""
     log.parent.mkdir(parents=True, exist_ok=True)
+    # an install brings no benchmarks, and a node of a cluster starts in another folder
+    found_in = os.pathsep.join(filter(None, [str(REPOSITORY), os.environ.get("PYTHONPATH")]))
     with log.open("ab") as stream:
         # a session of its own: Ctrl-C reaches the harness alone, which then asks politely
         return subprocess.Popen(
@@ -78,7 +81,7 @@ def spawn(words: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
             stdin=subprocess.DEVNULL,
             stdout=stream,
             stderr=subprocess.STDOUT,
-            env={**os.environ, **PINNED},
+            env={**os.environ, **PINNED, "PYTHONPATH": found_in},
             start_new_session=True,
         )
 
