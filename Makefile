@@ -58,7 +58,7 @@ format: $(STAMP) ## Rewrite the sources in the house's form
 
 docs: $(STAMP) ## Regenerate every figure and number that the docs hold
 	@$(BIN)/python -m benchmarks design
-	@$(BIN)/python -m benchmarks.studies.media
+	@$(BIN)/python -m benchmarks media
 	@$(BIN)/python -m benchmarks audit
 	@$(BIN)/python -m benchmarks failures --preset paper --track tuned
 	@$(BIN)/python -m benchmarks failures --preset paper --track repaired
