@@ -62,7 +62,8 @@ def _single_loop(env: gym.Env[Any, Any], steps: int) -> Callable[[], None]:
 
 
 def _batch_loop(env: Any, steps: int) -> Callable[[], None]:
-    actions = _batched_actions(env, steps)
+    actions = _drawn(env.num_envs, steps)
+    env.reset()
 
     def loop() -> None:
         for row in actions:
@@ -74,8 +75,9 @@ def _batch_loop(env: Any, steps: int) -> Callable[[], None]:
 
 def _kernel_loop(env: CoopInsertionVecEnv, steps: int) -> Callable[[], None]:
     """The step kernel on a batch without resets and infos: moves to and fro from the start."""
-    actions = _batched_actions(env, steps)
+    actions = _drawn(env.num_envs, steps)
     actions[1::2] = actions[: len(actions[1::2]) * 2 : 2] ^ 1
+    env.reset()
     arguments = env._packed, env._observation, env._outcomes, env._rows
 
     def loop() -> None:
@@ -85,10 +87,8 @@ def _kernel_loop(env: CoopInsertionVecEnv, steps: int) -> Callable[[], None]:
     return loop
 
 
-def _batched_actions(env: Any, steps: int) -> np.ndarray:
-    env.reset()
-    rounds = max(1, steps // env.num_envs)
-    return np.random.default_rng(0).integers(12, size=(rounds, env.num_envs))
+def _drawn(n_envs: int, steps: int) -> np.ndarray:
+    return np.random.default_rng(0).integers(12, size=(max(1, steps // n_envs), n_envs))
 
 
 def _batch(n_envs: int, **options: Any) -> CoopInsertionVecEnv:
