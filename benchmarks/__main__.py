@@ -106,12 +106,12 @@ def _parser() -> argparse.ArgumentParser:
     _add_verify(verbs, page)
     _add_readme(verbs, page)
     verbs.add_parser("speed", help="measure speed: speed env, speed rainbow")
+    verbs.add_parser("media", help="draw a picture, a video and an animation of one episode")
+    verbs.add_parser("watch", help="the optimum or a policy plays in the browser")
     verbs.add_parser("tune", help="search hyperparameters: the paper's grid, or TPE")
     verbs.add_parser("design", help="the geometric optimization: table and figures")
     verbs.add_parser("audit", help="what each reward pays for: scripts and learners")
     verbs.add_parser("failures", help="where stored policies fail, and why")
-    verbs.add_parser("media", help="draw a picture, a video and an animation of one episode")
-    verbs.add_parser("watch", help="the optimum or a policy plays in the browser")
     verbs.add_parser("classic", help="Rainbow beside DQN and QR-DQN on other tasks")
     return parser
 
