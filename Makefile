@@ -1,4 +1,4 @@
-# Everything a fresh machine needs is Python 3.11 or later and make.
+# Everything a fresh machine needs is Python 3.11, 3.12 or 3.13, and make.
 # On a machine with a CUDA driver and no wish for the multi-gigabyte GPU build of torch, install
 # from an index of CPU builds: make results PIP_FLAGS='--extra-index-url <address of that index>'
 
@@ -23,7 +23,7 @@ help: ## Say what there is
 env: $(STAMP) ## Virtual environment with the pinned packages
 
 $(STAMP): constraints.txt setup.cfg pyproject.toml
-	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if v >= (3, 11) else f"Python 3.11 or later is needed, {sys.executable} is {v.major}.{v.minor}: make PYTHON=python3.11")'
+	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else "Python 3.11 to 3.13 is needed, $(PYTHON) is %d.%d: make PYTHON=python3.13" % v)'
 	@echo "Setting up $(VENV): the pinned packages, one to five minutes"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@$(PIP) setuptools wheel
@@ -58,7 +58,7 @@ format: $(STAMP) ## Rewrite the sources in the house's form
 
 docs: $(STAMP) ## Regenerate every figure and number that the docs hold
 	@$(BIN)/python -m benchmarks design
-	@$(BIN)/python -m benchmarks.studies.media
+	@$(BIN)/python -m benchmarks media
 	@$(BIN)/python -m benchmarks audit
 	@$(BIN)/python -m benchmarks failures --preset paper --track tuned
 	@$(BIN)/python -m benchmarks failures --preset paper --track repaired

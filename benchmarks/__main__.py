@@ -106,6 +106,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_verify(verbs, page)
     _add_readme(verbs, page)
     verbs.add_parser("speed", help="measure speed: speed env, speed rainbow")
+    verbs.add_parser("media", help="draw a picture, a video and an animation of one episode")
+    verbs.add_parser("watch", help="the optimum or a policy plays in the browser")
     verbs.add_parser("tune", help="search hyperparameters: the paper's grid, or TPE")
     verbs.add_parser("design", help="the geometric optimization: table and figures")
     verbs.add_parser("audit", help="what each reward pays for: scripts and learners")

@@ -31,7 +31,7 @@ CLASSIC: Final = {
     "docs": "rewrite the results in docs/rainbow.md",
     "train": "one run in this process",
 }
-DELEGATED: Final = ("speed", "design", "audit", "failures", "tune")
+DELEGATED: Final = ("speed", "design", "audit", "failures", "tune", "media", "watch")
 SPEED: Final = {
     "env": "benchmarks.studies.speed.env",
     "rainbow": "benchmarks.studies.speed.rainbow",
@@ -255,7 +255,7 @@ def delegate(word: str, rest: Sequence[str]) -> int:
         except ImportError as error:
             raise BenchmarkError(f"tune needs pip install '.[tune]': {error}") from error
         return _main_of("benchmarks.studies.tuning.tune", rest)
-    if word in ("audit", "failures"):
+    if word in ("audit", "failures", "media", "watch"):
         return _main_of(f"benchmarks.studies.{word}", rest)
     if word == "design":
         return _main_of("benchmarks.studies.design.command", rest)

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Protocol
 
+from benchmarks.runs.machine import REPOSITORY
 from benchmarks.runs.store import RunFolder
 
 BACKENDS: Final = ("local", "ray")
@@ -69,6 +70,8 @@ def command(words: Sequence[str]) -> list[str]:
 def spawn(words: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
     """Start a run's process: pinned to one thread, its output in ``log``."""
     log.parent.mkdir(parents=True, exist_ok=True)
+    # an install brings no benchmarks, and a node of a cluster starts in another folder
+    found_in = os.pathsep.join(filter(None, [str(REPOSITORY), os.environ.get("PYTHONPATH")]))
     with log.open("ab") as stream:
         # a session of its own: Ctrl-C reaches the harness alone, which then asks politely
         return subprocess.Popen(
@@ -76,7 +79,7 @@ def spawn(words: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
             stdin=subprocess.DEVNULL,
             stdout=stream,
             stderr=subprocess.STDOUT,
-            env={**os.environ, **PINNED},
+            env={**os.environ, **PINNED, "PYTHONPATH": found_in},
             start_new_session=True,
         )
 

@@ -15,19 +15,19 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.methods.scripts import SCRIPTS, Moves, Simulator, moves_of
 from benchmarks.protocol import labels
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset, load_preset
@@ -36,131 +36,10 @@ from benchmarks.reporting.results import TRACK_ORDER, Results, tail_mean
 from benchmarks.runs import machine
 from benchmarks.runs.store import Store, write_atomic, write_csv, write_text
 from coop_env.env import CoopInsertionEnv
-from coop_env.simulation import batch, task
-from coop_env.simulation.observation import make_observation
-from coop_env.simulation.state import OUTCOME
 
-Moves = list[int]
-SCRIPTS: Final = ("insert", "insert one", "farm", "oscillate", "random")
-DETOUR: Final = 2
-
-
-class Simulator:
-    """Moves copies of a state with the environment's own kernel.
-
-    Args:
-        env: decides geometry, reward and the episode's length.
-    """
-
-    def __init__(self, env: CoopInsertionEnv) -> None:
-        self._packed = task.pack(env.params)
-        self._transform, _ = make_observation("paper", True, env.params)
-
-    def step(self, states: NDArray[np.void], actions: NDArray[np.int64]) -> NDArray[np.void]:
-        """Move states (n,) in place; their outcomes (n,)."""
-        outcomes = np.zeros(len(states), OUTCOME)
-        rows = np.zeros((len(states), self._transform.shape[1]), np.float32)
-        batch.step_batch(states, actions, self._packed, self._transform, outcomes, rows)
-        return outcomes
-
-    def best_cycle(self, state: NDArray[np.void]) -> tuple[float, int]:
-        """What the best move there and back pays at a state (1,), and that move.
-
-        A move counts that is executed, inserts nothing and ends nothing, on both ways.
-        """
-        actions = np.arange(task.N_ACTIONS)
-        states = np.repeat(state, task.N_ACTIONS)
-        there = self.step(states, actions)
-        back = self.step(states, actions ^ 1)
-        paid = there["reward"] + back["reward"]
-        for outcome in (there, back):
-            paid[outcome["violation"] | outcome["inserted"] | outcome["terminated"]] = -np.inf
-        best = int(np.argmax(paid))
-        return float(paid[best]), best
-
-    def around(
-        self, start: np.void, way: Moves, detour: int
-    ) -> Iterator[tuple[Moves, NDArray[np.void]]]:
-        """States (1,) on a way and up to ``detour`` moves off it, each once, and how to get there.
-
-        Only by moves that are executed, insert nothing and end nothing.
-        """
-        front: list[tuple[Moves, NDArray[np.void]]] = [([], np.array([start]))]
-        for move in way:
-            moves, state = front[-1]
-            ahead = state.copy()
-            self.step(ahead, np.array([move]))
-            front.append(([*moves, move], ahead))
-        seen: set[bytes] = set()
-        for depth in range(detour + 1):
-            new = []
-            for moves, state in front:
-                key = state["offset"].tobytes()
-                if key not in seen:
-                    seen.add(key)
-                    yield moves, state
-                    new.append((moves, state))
-            if depth == detour:
-                return
-            front = [
-                ([*moves, action], ahead[action : action + 1])
-                for moves, state in new
-                for ahead, allowed in [self._neighbours(state)]
-                for action in np.flatnonzero(allowed).tolist()
-            ]
-
-    def _neighbours(self, state: NDArray[np.void]) -> tuple[NDArray[np.void], NDArray[np.bool_]]:
-        ahead = np.repeat(state, task.N_ACTIONS)
-        outcome = self.step(ahead, np.arange(task.N_ACTIONS))
-        barred = outcome["violation"] | outcome["inserted"] | outcome["terminated"]
-        return ahead, ~barred
-
-    def play(self, state: NDArray[np.void], moves: Sequence[int]) -> NDArray[np.void]:
-        """Outcomes of moves one after another, up to the episode's end; the state is moved."""
-        outcomes = []
-        for move in moves:
-            outcome = self.step(state, np.array([move]))
-            outcomes.append(outcome)
-            if outcome["terminated"][0] or outcome["truncated"][0]:
-                break
-        return np.concatenate(outcomes)
-
-
-def moves_of(
-    script: str, env: CoopInsertionEnv, simulator: Simulator, plans: list[Moves], seed: int
-) -> Moves:
-    """The moves of a script from the environment's state, at most as many as an episode has."""
-    length = int(env.params.task.max_moves)
-    if script == "insert":
-        return [move for plan in plans for move in plan]
-    if script == "insert one":
-        return plans[0] if plans else []
-    if script == "random":
-        return random_moves(env, simulator, length, seed)
-    # the last move of a plan would insert
-    way = plans[0][:-1] if plans and script == "farm" else []
-    best: tuple[float, Moves, int] = (-np.inf, [], 0)
-    for prefix, state in simulator.around(env.state, way, DETOUR if script == "farm" else 0):
-        paid, cycle = simulator.best_cycle(state)
-        worth = paid * (length - len(prefix))
-        if worth > best[0]:
-            best = worth, prefix, cycle
-    _, prefix, cycle = best
-    left = length - len(prefix)
-    return prefix + [cycle, cycle ^ 1] * (left // 2) + [cycle] * (left % 2)
-
-
-def random_moves(env: CoopInsertionEnv, simulator: Simulator, length: int, seed: int) -> Moves:
-    """Moves drawn evenly from the masks."""
-    rng = np.random.default_rng(seed)
-    state = np.array([env.state])
-    moves: Moves = []
-    while len(moves) < length:
-        moves.append(int(rng.choice(np.flatnonzero(state[0]["mask"]))))
-        outcome = simulator.step(state, np.array(moves[-1:]))
-        if outcome["terminated"][0]:
-            break
-    return moves
+CELL: Final = ("track", "method", "ablation", "geometry", "seed")
+LEARNED: Final = (*CELL, "return", "holes")
+MARKS: Final = {"rainbow": "o", "dqn": "s", "maskable_ppo": "^"}
 
 
 def scripted(preset: Preset, starts: int, tell: Callable[[], None] = lambda: None) -> pd.DataFrame:
@@ -213,22 +92,11 @@ def learned(store: Store) -> pd.DataFrame:
     """
     rows = []
     for run in Results(store).all():
-        cell = run.config["cell"]
-        if not run.folder.has_rows("curve"):
-            continue
-        curve = run.folder.rows("curve")
-        rows.append(
-            {
-                "track": cell["track"],
-                "method": cell["method"],
-                "ablation": cell["ablation"],
-                "geometry": cell["geometry"],
-                "seed": cell["seed"],
-                "return": tail_mean(curve, "episode_reward"),
-                "holes": tail_mean(curve, "holes"),
-            }
-        )
-    return pd.DataFrame(rows)
+        if run.folder.has_rows("curve"):
+            cell, curve = run.config["cell"], run.folder.rows("curve")
+            earned, holes = tail_mean(curve, "episode_reward"), tail_mean(curve, "holes")
+            rows.append([*(cell[key] for key in CELL), earned, holes])
+    return pd.DataFrame(rows, columns=LEARNED)
 
 
 def ratios(rows: pd.DataFrame, column: str = "return") -> pd.DataFrame:
@@ -252,22 +120,18 @@ def draw(rows: pd.DataFrame, learners: pd.DataFrame) -> Figure:
     left.set_ylabel("return / return of inserting")
     left.legend(fontsize=8)
     insert = rows[rows["script"] == "insert"].groupby("track")["return"].mean()
-    marks = {"rainbow": "o", "dqn": "s", "maskable_ppo": "^"}
+    learners = learners.query("ablation == 'full' and geometry == 'optimized'")
     for k, name in enumerate(tracks):
-        for method, mark in marks.items():
-            found = learners
+        for method, mark in MARKS.items():
+            found = learners.query("track == @name and method == @method")
             if len(found):
-                found = found[
-                    (found["track"] == name)
-                    & (found["method"] == method)
-                    & (found["ablation"] == "full")
-                    & (found["geometry"] == "optimized")
-                ]
-            if not len(found):
-                continue
-            label = f"{labels.METHODS[method]}, {labels.track(name)}"
-            share = found["return"] / insert[name]
-            right.plot(share, found["holes"], mark, color=f"C{k}", label=label, markersize=5)
+                share, label = found["return"] / insert[name], labels.METHODS[method]
+                look = {
+                    "color": f"C{k}",
+                    "label": f"{label}, {labels.track(name)}",
+                    "markersize": 5,
+                }
+                right.plot(share, found["holes"], mark, **look)
     right.axvline(1.0, color="black", linewidth=0.8, linestyle=":")
     right.set_xlabel("return of the last training episodes / return of inserting")
     right.set_ylabel("holes per episode")
@@ -315,7 +179,7 @@ def main(words: Sequence[str]) -> int:
     try:
         learners = learned(Store.open(arguments.results, preset.name))
     except BenchmarkError:
-        learners = pd.DataFrame()
+        learners = pd.DataFrame(columns=LEARNED)
     folder = arguments.results / "audit"
     write_csv(folder / "scripted.csv", _records(rows))
     write_csv(folder / "learned.csv", _records(learners))

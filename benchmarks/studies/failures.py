@@ -116,11 +116,6 @@ def action_gap(model: Any, observations: NDArray[np.float32], masks: NDArray[np.
     return float(np.median(best[:, 1] - best[:, 0]) / (net.v_max - net.v_min))
 
 
-def acting_success(store: Store, cell: Cell) -> float:
-    """Share of training episodes that a learner solved in its last tenth, with its exploration."""
-    return tail_mean(store.run(cell.id).rows("curve"), "success")
-
-
 def read(path: Path) -> pd.DataFrame:
     """Stored rows as :func:`play` made them."""
     return pd.read_csv(path).astype({"success": bool}).fillna({"cause": ""})
@@ -130,12 +125,7 @@ def summary(rows: pd.DataFrame) -> str:
     """Success, the optimum's and the excess in moves by polar angle and tilt, and the causes."""
     head = ("Starts", "n", "Success (%)", "Optimum (%)", "Moves over the optimum (%)")
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
-    groups = [(f"hole at {polar:.0f}°", found) for polar, found in rows.groupby("polar")]
-    groups += [
-        (f"tilt to {interval.right:.0f}°", found)
-        for interval, found in rows.groupby(_tilt_bins(rows), observed=True)
-    ]
-    for label, found in [*groups, ("all", rows)]:
+    for label, found in [*_groups(rows, "hole at {:.0f}°"), ("all", rows)]:
         both = found[found["success"] & found["optimum"].notna()]
         excess = np.nan
         if len(both):
@@ -169,19 +159,21 @@ def summary(rows: pd.DataFrame) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _tilt_bins(rows: pd.DataFrame) -> pd.Series:
-    return pd.Series(pd.cut(rows["tilt"], list(TILT_EDGES), include_lowest=True))
+def _groups(rows: pd.DataFrame, hole: str) -> list[tuple[str, pd.DataFrame]]:
+    """Labels and rows by the hole's polar angle, then by the tilt at the start."""
+    groups = [(hole.format(polar), found) for polar, found in rows.groupby("polar")]
+    tilts = pd.Series(pd.cut(rows["tilt"], list(TILT_EDGES), include_lowest=True))
+    return groups + [
+        (f"tilt to {interval.right:.0f}°", found)
+        for interval, found in rows.groupby(tilts, observed=True)
+    ]
 
 
 def draw(rows: pd.DataFrame) -> Figure:
     """Success and regret over polar angle and tilt, and the map of starts that fail."""
     figure = Figure(figsize=(10.5, 3.6), dpi=110, layout="constrained")
     success, regret, where = figure.subplots(1, 3)
-    bins = [(f"{polar:.0f}° hole", found) for polar, found in rows.groupby("polar")]
-    bins += [
-        (f"tilt to {interval.right:.0f}°", found)
-        for interval, found in rows.groupby(_tilt_bins(rows), observed=True)
-    ]
+    bins = _groups(rows, "{:.0f}° hole")
     names = [name for name, _ in bins]
     at = np.arange(len(bins))
     shares = np.array([found["success"].mean() for _, found in bins])
@@ -254,9 +246,11 @@ def main(words: Sequence[str]) -> int:
     with Progress(console=console) as bar:
         job = bar.add_task("test episodes", total=len(cells) * preset.evaluation.episodes)
         for cell in sorted(cells):
-            store.run(cell.id).check_config(settings(preset, cell))
-            model = ALGORITHMS[cell.method].load(store.run(cell.id).policy, device="cpu")
-            acting = acting_success(store, cell)
+            run = store.run(cell.id)
+            run.check_config(settings(preset, cell))
+            model = ALGORITHMS[cell.method].load(run.policy, device="cpu")
+            # the share that it solved in the last tenth of its training, with its exploration
+            acting = tail_mean(run.rows("curve"), "success")
             played = play(preset, cell, model, oracle, lambda: bar.advance(job))
             rows += [{**row, "acting": acting} for row in played]
     name = f"{arguments.method}-{arguments.track}"

@@ -1,13 +1,14 @@
 """The README's picture, and a video and a short animation of one solved episode.
 
-``python -m benchmarks.studies.media`` plays the exact lattice optimum, or with ``--model`` a
-policy.
+    python -m benchmarks media
+
+The exact lattice optimum plays, or with --model a policy. Written to results/media: scene.png,
+episode.mp4 and episode.gif.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
@@ -167,19 +168,16 @@ def write_animation(path: Path, frames: Sequence[Image8], fps: float) -> None:
     write_atomic(path, write)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.studies.media",
-        description="Write scene.png, episode.mp4 and episode.gif of one solved episode.",
+def parser(word: str, text: str | None) -> argparse.ArgumentParser:
+    """The command line of ``media`` and ``watch``: who plays on which geometry."""
+    found = argparse.ArgumentParser(
+        prog=f"python -m benchmarks {word}",
+        description=text,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--out", type=Path, default=Path("results/media"), help="folder")
-    parser.add_argument("--seed", type=int, default=DEFAULT_SEED, help="of the episode's start")
-    parser.add_argument("--geometry", choices=sorted(GEOMETRIES), default="optimized")
-    parser.add_argument("--camera", choices=list(CAMERAS), default="iso")
-    parser.add_argument(
-        "--model", type=Path, help="a saved Rainbow to play instead of the lattice optimum"
-    )
-    return parser
+    found.add_argument("--geometry", choices=sorted(GEOMETRIES), default="optimized")
+    found.add_argument("--model", type=Path, help="a saved Rainbow instead of the lattice optimum")
+    return found
 
 
 def _write_all(arguments: argparse.Namespace, console: Console) -> None:
@@ -214,18 +212,17 @@ def _write_all(arguments: argparse.Namespace, console: Console) -> None:
         console.print(f"{out / name}  {(out / name).stat().st_size / 1000:.0f} kB")
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line; returns the exit status."""
-    arguments = _parser().parse_args(argv)
+def main(words: Sequence[str]) -> int:
+    """Play, draw, write."""
+    line = parser("media", __doc__)
+    line.add_argument("--out", type=Path, default=Path("results/media"), help="folder")
+    line.add_argument("--seed", type=int, default=DEFAULT_SEED, help="of the episode's start")
+    line.add_argument("--camera", choices=list(CAMERAS), default="iso")
+    arguments = line.parse_args(words)
+    if arguments.seed < 0:
+        raise BenchmarkError(f"--seed {arguments.seed}: must not be negative")
     try:
-        if arguments.seed < 0:
-            raise BenchmarkError(f"--seed {arguments.seed}: must not be negative")
         _write_all(arguments, Console(soft_wrap=True))
-    except (BenchmarkError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    except OSError as error:
+        raise BenchmarkError(str(error)) from error
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,13 +1,13 @@
 """Watch the lattice optimum or a trained policy play, in the browser.
 
-``python -m benchmarks.studies.watch`` lets the exact optimum play; ``--model`` a saved Rainbow.
+    python -m benchmarks watch
+
+The exact lattice optimum plays, or with --model a policy.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,9 +15,8 @@ import numpy.typing as npt
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.methods.oracle import LatticeOracle
-from benchmarks.studies.media import policy_moves
+from benchmarks.studies.media import parser, policy_moves
 from coop_env.env import CoopInsertionEnv
-from coop_env.geometry import GEOMETRIES
 from coop_env.rendering.browser import ViewerError
 from coop_env.rendering.viewer import Act, view
 
@@ -57,28 +56,18 @@ class Optimum:
         return self._expected is None or not np.allclose(here, self._expected, atol=1e-9)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.studies.watch",
-        description="Watch a planner or a policy in the browser.",
-    )
-    parser.add_argument("--geometry", choices=sorted(GEOMETRIES), default="optimized")
-    parser.add_argument("--model", type=Path, help="a saved Rainbow instead of the lattice optimum")
-    parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
-    parser.add_argument("--port", type=int, default=8080)
-    arguments = parser.parse_args(argv)
+def main(words: Sequence[str]) -> int:
+    """Play until the browser view is closed."""
+    line = parser("watch", __doc__)
+    line.add_argument("--host", default="127.0.0.1", help="address to listen on")
+    line.add_argument("--port", type=int, default=8080)
+    arguments = line.parse_args(words)
     env = CoopInsertionEnv(geometry=arguments.geometry, render_mode="rgb_array")
+    act: Act = Optimum(env)
+    if arguments.model is not None:
+        act = policy_moves(arguments.model, env)
     try:
-        act: Act = Optimum(env)
-        if arguments.model is not None:
-            act = policy_moves(arguments.model, env)
         view(env, act, host=arguments.host, port=arguments.port)
-    except (BenchmarkError, ViewerError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    except ViewerError as error:
+        raise BenchmarkError(str(error)) from error
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -5,19 +5,22 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 from coop_env.rendering.camera import CAMERAS, Camera, CameraSpec
-from coop_env.rendering.frame import frame_view, render_frame
 
 if TYPE_CHECKING:
-    from coop_env.rendering.window import Window
+    from coop_env.rendering.frame import frame_view, render_frame
+    from coop_env.rendering.window import open_window
 
 __all__ = ["CAMERAS", "Camera", "CameraSpec", "frame_view", "open_window", "render_frame"]
 
+_DRAWS = {"frame_view": "frame", "render_frame": "frame", "open_window": "window"}
 
-def open_window(fps: float, **options: Any) -> Window:
-    """A window for scenes; see :func:`coop_env.rendering.window.open_window` (needs pygame)."""
-    from coop_env.rendering import window
 
-    return window.open_window(fps, **options)
+def __getattr__(name: str) -> Any:
+    """What draws is loaded when it is asked for: the environment needs the scene alone."""
+    if name not in _DRAWS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_DRAWS[name]}"), name)

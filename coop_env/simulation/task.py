@@ -155,5 +155,5 @@ def unpack(v: np.ndarray) -> EnvParams:
         DeltaParams(v[12], v[13], v[14], v[15], v[16], v[17], v[18], v[19]),
         TaskParams(v[20], v[21], v[22], int(v[23]), v[24] != 0.0, int(v[25]), v[26] != 0.0),
         RewardParams(v[27] != 0.0, v[28], v[29], v[30], v[31], v[32], v[33], v[34], v[35]),
-        _layout_at(v, 36),
+        _layout_at(v, 36),  # type: ignore[call-arg]  # the first is the typing context
     )

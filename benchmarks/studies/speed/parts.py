@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from benchmarks.studies.speed.setting import BATCH_SIZE, seconds_of
+from benchmarks.studies.speed.report import in_turns
+from benchmarks.studies.speed.setting import BATCH_SIZE
 
 
 def measure_parts(
@@ -23,27 +23,13 @@ def measure_parts(
     :param rounds: how often each part is timed
     :param n_calls: calls per timing
     """
-    actions: dict[str, dict[str, Callable[[], Any]]] = {
-        "SB3 DQN": {"whole update": partial(dqn.train, 1, BATCH_SIZE)}
-    }
-    for name, model in models.items():
-        actions[name] = parts_of(model)
-    found: dict[tuple[str, str], list[float]] = {}
-    for round_ in range(rounds + 1):
-        for name, parts in actions.items():
-            for part, action in parts.items():
-                cpu = seconds_of(partial(_repeat, action, n_calls)).cpu
-                if round_:  # the first one warms up
-                    found.setdefault((name, part), []).append(1e6 * cpu / n_calls)
+    actions = {name: parts_of(model) for name, model in models.items()}
+    actions = {"SB3 DQN": {"whole update": partial(dqn.train, 1, BATCH_SIZE)}, **actions}
+    flat = {(name, part): action for name in actions for part, action in actions[name].items()}
+    found = in_turns(flat, rounds, n_calls)
     return {
-        name: {part: statistics.median(found[name, part]) for part in parts}
-        for name, parts in actions.items()
+        name: {part: 1e6 * found[name, part] for part in parts} for name, parts in actions.items()
     }
-
-
-def _repeat(action: Callable[[], Any], n_calls: int) -> None:
-    for _ in range(n_calls):
-        action()
 
 
 def parts_of(model: Any) -> dict[str, Callable[[], Any]]:
@@ -51,13 +37,11 @@ def parts_of(model: Any) -> dict[str, Callable[[], Any]]:
     from sb3_rainbow.learner.learner import as_batch
 
     learner, buffer = model._learner, model.replay_buffer
-    samples = buffer.sample(BATCH_SIZE)
-    batch = as_batch(samples, model.gamma, False)
+    batch = as_batch(buffer.sample(BATCH_SIZE), model.gamma, False)
     _, priorities = learner.update(batch)
 
     def replay() -> None:
-        drawn = buffer.sample(BATCH_SIZE)
-        buffer.update_priorities(drawn.indices, priorities.numpy())
+        buffer.update_priorities(buffer.sample(BATCH_SIZE).indices, priorities.numpy())
 
     def noise() -> None:
         learner.q_net.reset_noise()
@@ -88,13 +72,13 @@ def matrix_products(q_net: Any) -> Callable[[], None]:
         for n_in, n_out in sizes
     ]
 
+    @th.no_grad()
     def products() -> None:
-        with th.no_grad():
-            for i, (inputs, weight, slope) in enumerate(tensors):
-                for _ in range(3):
-                    th.mm(inputs, weight.t())
-                th.mm(slope.t(), inputs)
-                if i:
-                    th.mm(slope, weight)
+        for i, (inputs, weight, slope) in enumerate(tensors):
+            for _ in range(3):
+                th.mm(inputs, weight.t())
+            th.mm(slope.t(), inputs)
+            if i:
+                th.mm(slope, weight)
 
     return products

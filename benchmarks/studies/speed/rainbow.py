@@ -15,28 +15,23 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import statistics
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.studies.speed.contest import RIVALS, RIVALS_PYTHON, Ours, Rival, measure_updates
+from benchmarks.studies.speed import contest, report
+from benchmarks.studies.speed import setting as at
+from benchmarks.studies.speed.contest import RIVALS, measure_updates, ours
 from benchmarks.studies.speed.parts import measure_parts
-from benchmarks.studies.speed.report import measured, provenance, write
-from benchmarks.studies.speed.setting import (
-    BATCH_SIZE,
-    CAPACITY,
-    NET_ARCH,
-    REWARD,
-    Contestant,
-    StubEnv,
-    random_contents,
-    seconds_of,
-)
+from benchmarks.studies.speed.setting import BATCH_SIZE, CAPACITY, StubEnv
 
 BASELINE: Final = "SB3 DQN"
 CUDA_BATCH_SIZES: Final = (64, 512, 4096)
@@ -52,22 +47,19 @@ TARGETS: Final = {
 def fill(buffer: Any) -> None:
     """Make a replay buffer full, without a million calls of ``add``."""
     capacity = buffer.observations.shape[0]
-    contents = random_contents(capacity)
+    contents = at.random_contents(capacity)
     buffer.observations[:, 0] = contents["obs"]
     if hasattr(buffer, "next_observations"):
         buffer.next_observations[:, 0] = contents["next_obs"]
     buffer.actions[:, 0, 0] = contents["action"]
-    buffer.rewards[:] = REWARD
+    buffer.rewards[:] = at.REWARD
     buffer.full = True
     if hasattr(buffer, "tree"):
         buffer.tree.set(np.arange(capacity), contents["priority"])
 
 
 def make_models(
-    with_compiled: bool,
-    capacity: int = CAPACITY,
-    batch_size: int = BATCH_SIZE,
-    device: str = "cpu",
+    with_compiled: bool, capacity: int, batch_size: int = BATCH_SIZE, device: str = "cpu"
 ) -> dict[str, Any]:
     """The methods by name, trained for a moment (compiled where they compile), buffers full."""
     from stable_baselines3 import DQN
@@ -80,7 +72,7 @@ def make_models(
         "batch_size": batch_size,
         "learning_starts": 50,
         "buffer_size": capacity,
-        "policy_kwargs": {"net_arch": list(NET_ARCH)},
+        "policy_kwargs": {"net_arch": list(at.NET_ARCH)},
         "device": device,
         "seed": 0,
     }
@@ -98,197 +90,122 @@ def make_models(
     return models
 
 
-def measure_replay(rounds: int, n_calls: int = 2000) -> dict[str, float]:
-    """Microseconds to draw 64 of 1e6 and set their priorities, alone and with the transitions."""
+def make_buffer(**arguments: Any) -> Any:
+    """Rainbow's replay buffer for 1e6 transitions, empty."""
     from sb3_rainbow import PrioritizedReplayBuffer
 
     env = StubEnv()
-    buffer = PrioritizedReplayBuffer(
-        CAPACITY, env.observation_space, env.action_space, device="cpu", n_steps=3
+    return PrioritizedReplayBuffer(
+        CAPACITY, env.observation_space, env.action_space, device="cpu", **arguments
     )
+
+
+def measure_replay(rounds: int, n_calls: int = 2000) -> dict[str, float]:
+    """Microseconds to draw 64 of 1e6 and set their priorities, alone and with the transitions."""
+    buffer = make_buffer(n_steps=3)
     fill(buffer)
     losses = np.random.default_rng(0).uniform(0.5, 2.0, BATCH_SIZE)
 
     def priorities() -> None:
-        for _ in range(n_calls):
-            buffer.update_priorities(buffer.tree.sample(BATCH_SIZE), losses)
+        buffer.update_priorities(buffer.tree.sample(BATCH_SIZE), losses)
 
-    def transitions() -> None:
-        for _ in range(n_calls):
-            buffer.sample(BATCH_SIZE)
-
-    priorities()
-    transitions()
-    return {
-        "sample_and_update_us": 1e6
-        * statistics.median(seconds_of(priorities).cpu / n_calls for _ in range(rounds)),
-        "sample_transitions_us": 1e6
-        * statistics.median(seconds_of(transitions).cpu / n_calls for _ in range(rounds)),
+    actions: dict[str, Callable[[], Any]] = {
+        "sample_and_update_us": priorities,
+        "sample_transitions_us": partial(buffer.sample, BATCH_SIZE),
     }
+    found = report.in_turns(actions, rounds, n_calls)
+    return {name: 1e6 * took for name, took in found.items()}
 
 
-_RESIDENT = """
-import numpy as np
-from benchmarks.studies.speed.setting import CAPACITY, StubEnv
-from sb3_rainbow import PrioritizedReplayBuffer
-env = StubEnv()
-def resident():
-    lines = open("/proc/self/status").read().splitlines()
-    return int(next(line for line in lines if line.startswith("VmRSS")).split()[1]) / 1e3
-n = 1000
-def make():
-    buffer = PrioritizedReplayBuffer(CAPACITY, env.observation_space, env.action_space, n_envs=n)
-    obs, zeros, masks = np.zeros((n, 12), np.float32), np.zeros(n), np.ones((n, 12), bool)
-    for i in range(CAPACITY // n):
-        buffer.add(obs, obs, zeros, zeros, zeros, [{}] * n, masks)
-    return buffer
-before = resident()
-buffer = make()
-assert buffer.full
-print(resident() - before)
-"""
+def measure_memory() -> float:
+    """Megabytes that 1e6 transitions with masks occupy in a fresh process."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        return pool.submit(_buffer_mb).result()
 
 
-def measure_memory() -> float | None:
-    """Megabytes that 1e6 transitions with masks occupy in a fresh process; None off Linux."""
-    if not Path("/proc/self/status").exists():
-        return None
-    done = subprocess.run(
-        [sys.executable, "-c", _RESIDENT], capture_output=True, text=True, check=True
-    )
-    return float(done.stdout)
+def _buffer_mb(n_envs: int = 1000) -> float:
+    import sb3_rainbow  # noqa: F401  before the first look at the memory
+
+    before = report.resident_mb()
+    buffer = make_buffer(n_envs=n_envs)
+    obs, zeros = np.zeros((n_envs, at.N_INPUTS), np.float32), np.zeros(n_envs)
+    masks = np.ones((n_envs, at.N_ACTIONS), bool)
+    while not buffer.full:
+        buffer.add(obs, obs, zeros, zeros, zeros, [{}] * n_envs, masks)
+    return report.resident_mb() - before
 
 
-def report(found: dict[str, Any]) -> str:
+def tell(found: dict[str, Any]) -> str:
     """The measurements on the CPU as Markdown."""
-    updates = found["updates"]
-    lines = [
-        *_heading("# Speed of Rainbow", found, "one core"),
-        "| method | per CPU second, one env step each | ratio | per wall second | update alone |",
-        "|---|---|---|---|---|",
+    updates, parts, replay = found["updates"], found["parts"], found["replay"]
+    goals = []
+    for (one, other), goal in TARGETS.items():
+        if one in updates and other in updates:
+            rates = (updates[one][k] / updates[other][k] for k in ("learn_cpu", "train_cpu"))
+            goals.append([one, other, *(f"{rate:.2f}" for rate in rates), f"{goal:g}"])
+    header = "method | per CPU second, one env step each | ratio | per wall second | update alone"
+    texts = [
+        report.table(
+            "Updates per second", header, _rates(updates, "learn_cpu", "learn_wall", "train_cpu")
+        ),
+        report.table("Ratios", "of | to | per step | update alone | target", goals),
     ]
-    for name, rates in updates.items():
-        ratio = rates["learn_cpu"] / updates[BASELINE]["learn_cpu"]
-        lines.append(
-            f"| {name} | {rates['learn_cpu']:.0f} | {ratio:.2f} | {rates['learn_wall']:.0f} "
-            f"| {rates['train_cpu']:.0f} |"
-        )
-    lines += ["", "| of | to | per step | update alone | target |", "|---|---|---|---|---|"]
-    for (first, second), target in TARGETS.items():
-        if first in updates and second in updates:
-            step, alone = (
-                updates[first][kind] / updates[second][kind] for kind in ("learn_cpu", "train_cpu")
-            )
-            lines.append(f"| {first} | {second} | {step:.2f} | {alone:.2f} | {target:g} |")
     for name, rival in found["rivals"].items():
-        lines += [
-            "",
-            f"{name} {rival['version']}: {rival['net']}, {rival['parameters']} parameters.",
-        ]
-    if found["parts"]:
-        lines += ["", *_parts_table(found["parts"])]
-    replay, memory = found["replay"], found["memory_mb"]
-    lines += [
-        "",
+        texts += [f"{name} {rival['version']}: {rival['net']}, {rival['parameters']} parameters."]
+    if parts:
+        names = dict.fromkeys(part for times in parts.values() for part in times)
+        title = "One update in torch, microseconds of a core; parts one by one, in warm caches"
+        rows = ([n, *(f"{t[n]:.0f}" if n in t else "" for t in parts.values())] for n in names)
+        texts += [report.table(title, " | ".join(["part", *parts]), rows)]
+    texts += [
         f"Drawing 64 of 1e6 and setting their priorities: {replay['sample_and_update_us']:.1f} us; "
         f"drawing with the transitions: {replay['sample_transitions_us']:.1f} us.",
-        "",
         "Resident memory of 1e6 transitions of 12 floats with 12-action masks: "
-        + ("not measured here." if memory is None else f"{memory:.0f} MB."),
-        "",
+        f"{found['memory_mb']:.0f} MB.",
     ]
-    return "\n".join(lines)
+    return report.page("Speed of Rainbow", found, "one core", *texts)
 
 
-def _parts_table(parts: dict[str, dict[str, float]]) -> list[str]:
-    names = list(dict.fromkeys(part for found in parts.values() for part in found))
-    return [
-        "One update in torch, microseconds of a core; parts timed one by one, in warm caches:",
-        "",
-        "| part | " + " | ".join(parts) + " |",
-        "|---|" + "---|" * len(parts),
-        *(
-            f"| {name} | "
-            + " | ".join(f"{found[name]:.0f}" if name in found else "" for found in parts.values())
-            + " |"
-            for name in names
-        ),
-    ]
-
-
-def report_cuda(found: dict[str, Any]) -> str:
+def tell_cuda(found: dict[str, Any]) -> str:
     """The measurements on a GPU as Markdown."""
-    lines = [
-        *_heading("# Speed of Rainbow on a GPU", found, found["gpu"]),
-        "| batch | method | per second, one env step each | ratio | update alone |",
-        "|---|---|---|---|---|",
+    rows = [
+        [batch_size, *row]
+        for batch_size, updates in found["updates"].items()
+        for row in _rates(updates, "learn_wall", "train_wall")
     ]
-    for batch_size, updates in found["updates"].items():
-        for name, rates in updates.items():
-            ratio = rates["learn_wall"] / updates[BASELINE]["learn_wall"]
-            lines.append(
-                f"| {batch_size} | {name} | {rates['learn_wall']:.0f} | {ratio:.2f} "
-                f"| {rates['train_wall']:.0f} |"
-            )
-    return "\n".join([*lines, ""])
+    header = "batch | method | per second, one env step each | ratio | update alone"
+    updates = report.table("Updates per second", header, rows)
+    return report.page("Speed of Rainbow on a GPU", found, found["gpu"], updates)
 
 
-def _heading(title: str, found: dict[str, Any], where: str) -> list[str]:
-    return [
-        title,
-        "",
-        f"Command: `{found['command']}`. {found['machine']['machine']['processor']}, {where}, "
-        f"load {found['load']:.1f}, commit {found['machine']['commit'][:10]}, "
-        + ", ".join(f"{k} {v}" for k, v in found["machine"]["versions"].items())
-        + ".",
-        "",
-        "Updates per second: median of "
-        f"{found['rounds']} rounds of {found['steps']} steps, the methods in turns.",
-        "",
-    ]
+def _rates(updates: dict[str, dict[str, float]], kind: str, *more: str) -> Iterator[list[str]]:
+    """Rows: method, its rate, the rate over the baseline's, more rates."""
+    for name, rates in updates.items():
+        ratio = rates[kind] / updates[BASELINE][kind]
+        yield [name, f"{rates[kind]:.0f}", f"{ratio:.2f}", *(f"{rates[k]:.0f}" for k in more)]
 
 
 def measure_cpu(arguments: argparse.Namespace, capacity: int = CAPACITY) -> dict[str, Any]:
     """All that is measured on the CPU."""
-    import torch as th
-
-    threads = th.get_num_threads()
-    th.set_num_threads(1)
-    rivals: dict[str, Rival] = {}
-    try:
-        with contextlib.ExitStack() as stack:
-            if arguments.rivals.exists():
-                for name in RIVALS:
-                    rival = measured(f"{name} starts", Rival, name, capacity, arguments.rivals)
-                    rivals[name] = stack.enter_context(rival)
-            else:
-                print(
-                    f"{' and '.join(RIVALS)} are not measured: no {arguments.rivals}; "
-                    "install them with: make rivals",
-                    file=sys.stderr,
-                )
-            models = make_models(not arguments.no_compile, capacity)
-            contestants: dict[str, Contestant] = {
-                **{name: Ours(model, BATCH_SIZE) for name, model in models.items()},
-                **rivals,
-            }
-            updates = measure_updates(contestants, arguments.steps, arguments.rounds)
-            in_torch = {name: model for name, model in models.items() if "torch" in name}
-            parts = (
-                measured("parts", measure_parts, models[BASELINE], in_torch, arguments.rounds)
-                if in_torch
-                else {}
-            )
-    finally:
-        th.set_num_threads(threads)
+    rivals: dict[str, contest.Rival] = {}
+    measured, size = report.measured, (arguments.steps, arguments.rounds)
+    with contextlib.ExitStack() as stack:
+        if arguments.rivals.exists():
+            for name in RIVALS:
+                rival = contest.start_rival(name, capacity, arguments.rivals)
+                rivals[name] = measured(f"{name} starts", stack.enter_context, rival)
+        else:
+            text = f"are not measured: no {arguments.rivals}; install them with: make rivals"
+            print(" and ".join(RIVALS), text, file=sys.stderr)
+        models = make_models(not arguments.no_compile, capacity)
+        contestants = {name: ours(model, BATCH_SIZE) for name, model in models.items()} | rivals
+        updates = measured("updates", measure_updates, contestants, *size)
+    torch = {name: model for name, model in models.items() if "torch" in name}
     return {
         "updates": updates,
-        "parts": parts,
-        "rivals": {
-            name: {"version": r.version, "net": r.net, "parameters": r.parameters}
-            for name, r in rivals.items()
-        },
-        "replay": measured("replay", measure_replay, arguments.rounds),
+        "parts": torch and measured("parts", measure_parts, models[BASELINE], torch, size[1]),
+        "rivals": {name: rival.about for name, rival in rivals.items()},
+        "replay": measured("replay", measure_replay, size[1]),
         "memory_mb": measured("memory", measure_memory),
     }
 
@@ -302,47 +219,31 @@ def measure_cuda(
     updates = {}
     for batch_size in CUDA_BATCH_SIZES:
         models = make_models(not arguments.no_compile, capacity, batch_size, device)
-        contestants = {name: Ours(model, batch_size) for name, model in models.items()}
+        contestants = {name: ours(model, batch_size) for name, model in models.items()}
         updates[str(batch_size)] = measure_updates(contestants, arguments.steps, arguments.rounds)
-    return {
-        "updates": updates,
-        "gpu": th.cuda.get_device_name() if device == "cuda" else device,
-    }
+    gpu = th.cuda.get_device_name() if device == "cuda" else device
+    return {"updates": updates, "gpu": gpu}
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str]) -> int:
     """Measure, print, and write ``speed/rainbow.json`` and ``.md`` below the results folder."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks speed rainbow", description=__doc__)
-    parser.add_argument("--results", type=Path, default=Path("results"))
-    parser.add_argument("--steps", type=int, default=1000, help="steps per round and method")
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--no-compile", action="store_true", help="only the default path")
-    parser.add_argument(
-        "--rivals", type=Path, default=RIVALS_PYTHON, help="interpreter with tianshou and AgileRL"
-    )
-    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
-    arguments = parser.parse_args(argv)
+    words = report.parser("rainbow", __doc__, steps=1000, rounds=5)
+    words.add_argument("--no-compile", action="store_true", help="only the default path")
+    text = "interpreter with tianshou and AgileRL"
+    words.add_argument("--rivals", type=Path, default=contest.RIVALS_PYTHON, help=text)
+    words.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    arguments = words.parse_args(argv)
     if os.environ.get("OMP_NUM_THREADS") != "1":
         # The BLAS libraries count their threads when they are loaded, which is too late now.
-        command = [sys.executable, "-m", "benchmarks.studies.speed.rainbow", *(argv or [])]
+        command = [sys.executable, "-m", "benchmarks", "speed", "rainbow", *argv]
         return subprocess.call(command, env={**os.environ, "OMP_NUM_THREADS": "1"})
-    found = {
-        **provenance("rainbow", argv),
-        "rounds": arguments.rounds,
-        "steps": arguments.steps,
-    }
-    if arguments.device == "cpu":
-        found.update(measure_cpu(arguments))
-        write(arguments.results, "rainbow", found, report(found))
-        return 0
     import torch as th
 
-    if not th.cuda.is_available():
+    on_cpu = arguments.device == "cpu"
+    if not (on_cpu or th.cuda.is_available()):
         raise BenchmarkError("--device cuda: torch finds no CUDA device here; use --device cpu")
-    found.update(measure_cuda(arguments))
-    write(arguments.results, "rainbow_cuda", found, report_cuda(found))
+    found = report.provenance("rainbow", argv, arguments)
+    found |= measure_cpu(arguments) if on_cpu else measure_cuda(arguments)
+    text = tell(found) if on_cpu else tell_cuda(found)
+    report.write(arguments.results, "rainbow" if on_cpu else "rainbow_cuda", found, text)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

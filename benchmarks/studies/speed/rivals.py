@@ -11,36 +11,19 @@ import importlib.metadata
 import json
 import os
 import sys
-from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
 
 import numpy as np
 import torch as th
-from torch import nn
 
-from benchmarks.studies.speed.setting import (
-    ALPHA,
-    BATCH_SIZE,
-    BETA,
-    GAMMA,
-    LEARNING_RATE,
-    N_ACTIONS,
-    N_ATOMS,
-    N_INPUTS,
-    N_STEPS,
-    NET_ARCH,
-    REWARD,
-    SIGMA0,
-    SUPPORT,
-    TAU,
-    Seconds,
-    StubEnv,
-    random_contents,
-    seconds_of,
-)
+from benchmarks.studies.speed import setting as at
+from benchmarks.studies.speed.setting import BATCH_SIZE, StubEnv, random_contents, seconds_of
 
 WARM_UP: Final = 2 * BATCH_SIZE
+ATOMS: Final[dict[str, Any]] = {
+    "num_atoms": at.N_ATOMS, "v_min": at.SUPPORT[0], "v_max": at.SUPPORT[1]
+}  # fmt: skip
 
 
 class Tianshou:
@@ -58,45 +41,33 @@ class Tianshou:
         from tianshou.utils.net.common import Net
         from tianshou.utils.net.discrete import NoisyLinear
 
-        env = StubEnv()
-        stream = {
-            "hidden_sizes": NET_ARCH[-1:],
-            "linear_layer": partial(NoisyLinear, noisy_std=SIGMA0),
-        }
-        net = Net(
-            state_shape=(N_INPUTS,),
-            action_shape=N_ACTIONS,
-            hidden_sizes=NET_ARCH[:-1],
+        env, noisy = StubEnv(), partial(NoisyLinear, noisy_std=at.SIGMA0)
+        stream = {"hidden_sizes": at.NET_ARCH[-1:], "linear_layer": noisy}
+        self.network = Net(
+            state_shape=(at.N_INPUTS,),
+            action_shape=at.N_ACTIONS,
+            hidden_sizes=at.NET_ARCH[:-1],
             softmax=True,
-            num_atoms=N_ATOMS,
+            num_atoms=at.N_ATOMS,
             dueling_param=(stream, stream),
         )
-        policy = C51Policy(
-            model=net,
-            action_space=env.action_space,
-            observation_space=env.observation_space,
-            num_atoms=N_ATOMS,
-            v_min=SUPPORT[0],
-            v_max=SUPPORT[1],
-        )
+        spaces = {"action_space": env.action_space, "observation_space": env.observation_space}
+        policy = C51Policy(model=self.network, **spaces, **ATOMS)
         self.algorithm = RainbowDQN(
             policy=policy,
-            optim=AdamOptimizerFactory(lr=LEARNING_RATE),
-            gamma=GAMMA,
-            n_step_return_horizon=N_STEPS,
+            optim=AdamOptimizerFactory(lr=at.LEARNING_RATE),
+            gamma=at.GAMMA,
+            n_step_return_horizon=at.N_STEPS,
             target_update_freq=1000,
         )
-        self.buffer = PrioritizedVectorReplayBuffer(capacity, buffer_num=1, alpha=ALPHA, beta=BETA)
+        priorities = {"alpha": at.ALPHA, "beta": at.BETA}
+        self.buffer = PrioritizedVectorReplayBuffer(capacity, buffer_num=1, **priorities)
         self.collector = Collector(policy, DummyVectorEnv([StubEnv]), self.buffer)
         self.collector.reset()
         self.collector.collect(n_step=WARM_UP)
-        self._fill(capacity)
-
-    def _fill(self, capacity: int) -> None:
-        contents = random_contents(capacity)
-        stored = self.buffer._meta
+        contents, stored = random_contents(capacity), self.buffer._meta
         stored.obs[:], stored.obs_next[:] = contents["obs"], contents["next_obs"]
-        stored.act[:], stored.rew[:] = contents["action"], REWARD
+        stored.act[:], stored.rew[:] = contents["action"], at.REWARD
         self.buffer.buffers[0]._size = self.buffer._lengths[0] = capacity
         self.buffer.weight[np.arange(capacity)] = contents["priority"]
         assert len(self.buffer) == capacity
@@ -125,47 +96,42 @@ class AgileRL:
         from agilerl.components.replay_buffer import MultiStepReplayBuffer, PrioritizedReplayBuffer
 
         self.env = gym.vector.SyncVectorEnv([StubEnv])
+        first, latent, head = at.NET_ARCH
         self.agent = RainbowDQN(
             self.env.single_observation_space,
             self.env.single_action_space,
             net_config={
-                "latent_dim": NET_ARCH[1],
-                "encoder_config": {"hidden_size": [NET_ARCH[0]]},
-                "head_config": {"hidden_size": [NET_ARCH[2]]},
+                "latent_dim": latent,
+                "encoder_config": {"hidden_size": [first]},
+                "head_config": {"hidden_size": [head]},
             },
             batch_size=BATCH_SIZE,
-            lr=LEARNING_RATE,
+            lr=at.LEARNING_RATE,
             learn_step=1,
-            gamma=GAMMA,
-            tau=TAU,
-            beta=BETA,
-            num_atoms=N_ATOMS,
-            v_min=SUPPORT[0],
-            v_max=SUPPORT[1],
-            noise_std=SIGMA0,
-            n_step=N_STEPS,
+            gamma=at.GAMMA,
+            tau=at.TAU,
+            beta=at.BETA,
+            noise_std=at.SIGMA0,
+            n_step=at.N_STEPS,
+            **ATOMS,
         )
+        self.network = self.agent.actor
         self.agent.set_training_mode(True)
-        self.memory = PrioritizedReplayBuffer(capacity, alpha=ALPHA)
-        self.n_step_memory = MultiStepReplayBuffer(capacity, n_step=N_STEPS, gamma=GAMMA)
+        self.memory = PrioritizedReplayBuffer(capacity, alpha=at.ALPHA)
+        self.n_step_memory = MultiStepReplayBuffer(capacity, n_step=at.N_STEPS, gamma=at.GAMMA)
         self.obs, _ = self.env.reset()
         for _ in range(WARM_UP):
             self.step()
-        self._fill(capacity)
-
-    def _fill(self, capacity: int) -> None:
         contents = random_contents(capacity)
         for memory in (self.memory, self.n_step_memory):
-            stored = memory.storage
             for name in ("obs", "next_obs"):
-                stored[name][:] = th.from_numpy(contents[name])
-            stored["action"][:, 0] = th.from_numpy(contents["action"])
-            stored["reward"][:] = REWARD
+                memory.storage[name][:] = th.from_numpy(contents[name])
+            memory.storage["action"][:, 0] = th.from_numpy(contents["action"])
+            memory.storage["reward"][:] = at.REWARD
             memory.size = capacity
             assert memory.is_full
-        every = np.arange(capacity)
-        self.memory.sum_tree.update_batch(every, contents["priority"])
-        self.memory.min_tree.update_batch(every, contents["priority"])
+        for tree in (self.memory.sum_tree, self.memory.min_tree):
+            tree.update_batch(np.arange(capacity), contents["priority"])
 
     def step(self) -> None:
         """One step of the env."""
@@ -190,52 +156,31 @@ class AgileRL:
         self.memory.update_priorities(indices, priorities)
 
 
-RIVALS: Final[dict[str, type[Tianshou] | type[AgileRL]]] = {
-    "tianshou": Tianshou,
-    "AgileRL": AgileRL,
-}
-
-
-def serve(name: str, capacity: int, answer: Callable[[Any], None]) -> None:
-    """Build a rival, then time what standard input asks for."""
-    np.random.seed(0)  # noqa: NPY002
-    th.manual_seed(0)
-    th.set_num_threads(1)
-    rival = RIVALS[name](capacity)
-
-    def learn(n: int) -> None:
-        for _ in range(n):
-            rival.step()
-            rival.update()
-
-    def train(n: int) -> None:
-        for _ in range(n):
-            rival.update()
-
-    learn(20)
-    parameters = sum(p.numel() for net in _networks(rival) for p in net.parameters())
-    answer(
-        {
-            "version": importlib.metadata.version(rival.package),
-            "net": rival.net,
-            "parameters": parameters,
-        }
-    )
-    requests = {"learn": learn, "train": train}
-    for line in sys.stdin:
-        request, n = json.loads(line)
-        answer(Seconds(*seconds_of(partial(requests[request], n))))
-
-
-def _networks(rival: Any) -> list[nn.Module]:
-    return [rival.agent.actor if hasattr(rival, "agent") else rival.algorithm.policy.model]
+RIVALS: Final[dict[str, Any]] = {"tianshou": Tianshou, "AgileRL": AgileRL}
 
 
 def main() -> None:
-    """Answers go to the pipe alone: what the libraries print goes to standard error."""
+    """Build a rival, say what it is, then time what standard input asks for."""
+    # answers go to the pipe alone: what the libraries print goes to standard error
     pipe = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
-    serve(sys.argv[1], int(sys.argv[2]), lambda message: print(json.dumps(message), file=pipe))
+    np.random.seed(0)  # noqa: NPY002
+    th.manual_seed(0)
+    th.set_num_threads(1)
+    rival = RIVALS[sys.argv[1]](int(sys.argv[2]))
+
+    def step_and_update() -> None:
+        rival.step()
+        rival.update()
+
+    seconds_of(step_and_update, 20)
+    parameters = sum(p.numel() for p in rival.network.parameters())
+    version = importlib.metadata.version(rival.package)
+    print(json.dumps({"version": version, "net": rival.net, "parameters": parameters}), file=pipe)
+    requests = {"learn": step_and_update, "train": rival.update}
+    for line in sys.stdin:
+        request, n = json.loads(line)
+        print(json.dumps([n * s for s in seconds_of(requests[request], n)]), file=pipe)
 
 
 if __name__ == "__main__":

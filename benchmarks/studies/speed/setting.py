@@ -1,10 +1,13 @@
-"""The setting in which the speed of Rainbow is measured, ours and others'; light to import."""
+"""The setting in which the speed of Rainbow is measured, ours and others', and the stopwatch.
+
+Rivals import it in an interpreter of their own, which has neither SB3 nor this house's packages.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -34,16 +37,6 @@ class Seconds(NamedTuple):
 
     cpu: float
     wall: float
-
-
-class Contestant(Protocol):
-    """A method under measurement, in this process or another."""
-
-    def learn(self, n_steps: int) -> Seconds:
-        """Steps of the env, each with one update."""
-
-    def train(self, n_updates: int) -> Seconds:
-        """Updates alone."""
 
 
 class StubEnv(gym.Env[np.ndarray, np.int64]):
@@ -78,8 +71,10 @@ def random_contents(capacity: int) -> dict[str, NDArray]:
     }
 
 
-def seconds_of(action: Callable[[], Any]) -> Seconds:
-    """CPU and wall seconds of a call."""
+def seconds_of(action: Callable[[], Any], n_calls: int = 1) -> Seconds:
+    """CPU and wall seconds of a call, the mean of so many in a row."""
     wall, cpu = time.perf_counter(), time.process_time()
-    action()
-    return Seconds(time.process_time() - cpu, time.perf_counter() - wall)
+    for _ in range(n_calls):
+        action()
+    cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
+    return Seconds(cpu / n_calls, wall / n_calls)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.methods.scripts import SCRIPTS
 from benchmarks.reporting.pages import includes
 from benchmarks.reporting.verify import check_summaries
 from benchmarks.runs.store import write_csv, write_text
@@ -26,7 +27,7 @@ def store(folder: Path) -> Path:
     rows: list[dict[str, object]] = [
         {"track": "tuned", "script": script, "start": i, "return": 10.0 + k + i,
          "discounted": 5.0, "holes": 1, "moves": 30}
-        for k, script in enumerate(audit.SCRIPTS) for i in range(2)
+        for k, script in enumerate(SCRIPTS) for i in range(2)
     ]  # fmt: skip
     write_csv(results / "audit" / "scripted.csv", rows)
     import pandas as pd

@@ -14,6 +14,7 @@ import torch as th
 
 from benchmarks.__main__ import main
 from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.methods.scripts import SCRIPTS, Simulator
 from benchmarks.protocol.plan import expand
 from benchmarks.protocol.presets import load_preset
 from benchmarks.runs.cell import run_cell
@@ -25,7 +26,7 @@ from coop_env.env import CoopInsertionEnv
 
 def test_the_best_cycle_is_the_best_of_all() -> None:
     env = CoopInsertionEnv(reward="paper")
-    simulator = audit.Simulator(env)
+    simulator = Simulator(env)
     for seed in range(5):
         env.reset(seed=seed)
         before = env.get_state()
@@ -49,7 +50,7 @@ def test_scripts_return_what_the_environment_pays() -> None:
     preset = load_preset("paper")
     tracks = {name: preset.tracks[name] for name in ("printed", "tuned")}
     rows = audit.scripted(dataclasses.replace(preset, tracks=tracks), 2)
-    assert set(rows["script"]) == set(audit.SCRIPTS)
+    assert set(rows["script"]) == set(SCRIPTS)
     means = {
         (track, script): (float(found["return"].mean()), float(found["holes"].mean()))
         for (track, script), found in rows.groupby(["track", "script"])

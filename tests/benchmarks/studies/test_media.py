@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.__main__ import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.studies import media, watch
 from coop_env.env import CoopInsertionEnv
@@ -39,7 +40,7 @@ def test_three_files_of_one_solved_episode(
     out = tmp_path / "media"
     out.mkdir()
     (out / "scene.png").write_bytes(b"old")
-    assert media.main(["--out", str(out)]) == 0
+    assert main(["media", "--out", str(out)]) == 0
     said = capsys.readouterr().out
     assert sorted(path.name for path in out.iterdir()) == [
         "episode.gif",
@@ -60,7 +61,7 @@ def test_three_files_of_one_solved_episode(
 @pytest.mark.usefixtures("short")
 def test_same_seed_same_picture(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        assert media.main(["--out", str(tmp_path / name), "--seed", "3"]) == 0
+        assert main(["media", "--out", str(tmp_path / name), "--seed", "3"]) == 0
     for name in ("scene.png", "episode.gif"):
         first, second = (tmp_path / folder / name for folder in ("a", "b"))
         assert first.read_bytes() == second.read_bytes()
@@ -78,7 +79,7 @@ def test_bad_arguments_are_one_error_and_nothing_is_written(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "media"
-    assert media.main([*arguments, "--out", str(out)]) == 2
+    assert main(["media", *arguments, "--out", str(out)]) == 2
     assert message in capsys.readouterr().err
     assert not out.exists()
 
@@ -108,5 +109,5 @@ def test_optimum_plans_anew_where_it_is_put() -> None:
 
 
 def test_watch_names_a_bad_port(capsys: pytest.CaptureFixture[str]) -> None:
-    assert watch.main(["--port", "0"]) == 2
+    assert main(["watch", "--port", "0"]) == 2
     assert "port 0" in capsys.readouterr().err

@@ -8,13 +8,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from stable_baselines3 import DQN
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.runs.machine import REPOSITORY
 from benchmarks.studies.speed import rainbow as speed_rainbow
-from benchmarks.studies.speed.contest import RIVALS, RIVALS_PYTHON, Rival, measure_updates
+from benchmarks.studies.speed.contest import RIVALS, RIVALS_PYTHON, measure_updates, start_rival
 from benchmarks.studies.speed.parts import measure_parts
 from benchmarks.studies.speed.setting import BATCH_SIZE, Seconds, StubEnv
 from sb3_rainbow import Rainbow
@@ -28,12 +29,11 @@ class Clockwork:
     def __init__(self, seconds: list[float]) -> None:
         self.seconds = iter(seconds)
 
-    def learn(self, n_steps: int) -> Seconds:
+    def __call__(self, kind: str, n: int) -> Seconds:
+        if kind == "train":
+            return Seconds(n * 1e-3, n * 1e-3)
         second = next(self.seconds)
-        return Seconds(n_steps * second, 2.0 * n_steps * second)
-
-    def train(self, n_updates: int) -> Seconds:
-        return Seconds(n_updates * 1e-3, n_updates * 1e-3)
+        return Seconds(n * second, 2.0 * n * second)
 
 
 def test_rates_are_medians_over_the_rounds() -> None:
@@ -49,24 +49,60 @@ def test_rivals_learn_in_their_own_interpreter(name: str) -> None:
     python = REPOSITORY / RIVALS_PYTHON
     if not python.exists():
         pytest.skip("tianshou and AgileRL are not installed: make rivals")
-    with Rival(name, SMALL, python) as rival:
-        learn, train = rival.learn(3), rival.train(3)
+    with start_rival(name, SMALL, python) as rival:
+        learn, train = rival("learn", 3), rival("train", 3)
     assert learn.cpu > 0.0
     assert train.wall > 0.0
     # two streams of 128-64-(12 or 1) x 51, noisy, behind 12-256-128: about our own size
-    assert rival.parameters == pytest.approx(150_000, rel=0.1)
+    assert rival.about["parameters"] == pytest.approx(150_000, rel=0.1)
+
+
+STAND_IN = """
+import torch
+from benchmarks.studies.speed import rivals
+
+class StandIn:
+    package, net = "numpy", "a line"
+    network = torch.nn.Linear(3, 2)
+
+    def __init__(self, capacity):
+        assert capacity == 192
+        print("noise of a library")
+
+    def step(self):
+        sum(range(80_000))
+
+    def update(self):
+        sum(range(20_000))
+
+rivals.RIVALS["tianshou"] = StandIn
+rivals.main()
+"""
+
+
+def test_a_rival_is_driven_through_its_pipes(tmp_path: Path) -> None:
+    python = tmp_path / "python"
+    code = STAND_IN.replace('"', '\\"')
+    python.write_text(f'#!/bin/sh\nexec {sys.executable} -c "{code}" "$5" "$6"\n')
+    python.chmod(0o755)
+    with start_rival("tianshou", SMALL, python) as rival:
+        assert rival.about == {"version": np.__version__, "net": "a line", "parameters": 8}
+        few, many = rival("learn", 10), rival("learn", 100)
+        assert 5.0 * few.cpu < many.cpu < 20.0 * few.cpu
+        assert rival("train", 100).cpu < many.cpu <= many.wall + 0.05
 
 
 def test_an_interpreter_without_them_is_one_clear_error() -> None:
-    with pytest.raises(BenchmarkError, match=r"tianshou stopped: .*make rivals"):
-        Rival("tianshou", SMALL, Path(sys.executable))
+    rival = start_rival("tianshou", SMALL, Path(sys.executable))
+    with pytest.raises(BenchmarkError, match=r"tianshou stopped: .*make rivals"), rival:
+        pass
 
 
 def test_without_rivals_one_line_says_so_and_the_rest_is_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(speed_rainbow, "measure_replay", lambda _: {"sample_and_update_us": 1.0})
-    monkeypatch.setattr(speed_rainbow, "measure_memory", lambda: None)
+    monkeypatch.setattr(speed_rainbow, "measure_memory", lambda: 140.0)
     arguments = argparse.Namespace(
         rivals=tmp_path / "python", no_compile=True, steps=5, rounds=1, results=tmp_path
     )
@@ -76,6 +112,11 @@ def test_without_rivals_one_line_says_so_and_the_rest_is_measured(
     assert "tianshou and AgileRL are not measured" in said
     assert set(found["updates"]) == {"SB3 DQN", "Rainbow"}
     assert found["rivals"] == found["parts"] == {}
+
+
+def test_the_memory_of_a_million_transitions() -> None:
+    # observations once, rewards, actions, ends, masks and the tree: about 140 bytes each
+    assert 100.0 < speed_rainbow.measure_memory() < 200.0
 
 
 def test_the_parts_of_an_update_are_less_than_the_whole() -> None:
@@ -104,15 +145,16 @@ def test_the_report_gives_the_ratios_of_the_rates() -> None:
         "rivals": {"tianshou": {"version": "2", "net": "a net", "parameters": 7}},
         "parts": {"SB3 DQN": {"whole update": 9.0}, "x": {"whole update": 8.0, "noise": 1.4}},
         "replay": {"sample_and_update_us": 10.0, "sample_transitions_us": 20.0},
-        "memory_mb": None,
+        "memory_mb": 140.4,
     }
-    text = speed_rainbow.report(json.loads(json.dumps(found)))
+    text = " ".join(speed_rainbow.tell(json.loads(json.dumps(found))).split())
     assert "| Rainbow | 600 | 1.20 |" in text
     assert "| Rainbow | SB3 DQN | 1.20 | 1.20 | 1.1 |" in text
     assert "| Rainbow | tianshou | 5.00 | 5.00 | 4 |" in text
     assert "AgileRL" not in text
     assert "| whole update | 9 | 8 |" in text
-    assert "| noise |  | 1 |" in text
+    assert "| noise | | 1 |" in text
+    assert "12-action masks: 140 MB." in text
     assert "tianshou 2: a net, 7 parameters." in text
 
 
@@ -123,7 +165,7 @@ def test_the_gpu_table_at_its_batch_sizes(monkeypatch: pytest.MonkeyPatch) -> No
     assert set(found["updates"]) == {"8", "16"}
     machine = {"machine": {"processor": "p"}, "commit": "0", "versions": {}}
     whole = {"command": "c", "load": 0.0, "rounds": 1, "steps": 5, "machine": machine, **found}
-    text = speed_rainbow.report_cuda(whole)
+    text = " ".join(speed_rainbow.tell_cuda(whole).split())
     assert text.count("| SB3 DQN |") == text.count("| Rainbow |") == 2
 
 

@@ -1,0 +1,136 @@
+"""Scripted ways to earn a reward: doing the task, farming the reward, moves at random."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coop_env.env import CoopInsertionEnv
+from coop_env.simulation import batch, task
+from coop_env.simulation.observation import make_observation
+from coop_env.simulation.state import OUTCOME
+
+Moves = list[int]
+SCRIPTS: Final = ("insert", "insert one", "farm", "oscillate", "random")
+DETOUR: Final = 2
+
+
+class Simulator:
+    """Moves copies of a state with the environment's own kernel.
+
+    Args:
+        env: decides geometry, reward and the episode's length.
+    """
+
+    def __init__(self, env: CoopInsertionEnv) -> None:
+        self._packed = task.pack(env.params)
+        self._transform, _ = make_observation("paper", True, env.params)
+
+    def step(self, states: NDArray[np.void], actions: NDArray[np.int64]) -> NDArray[np.void]:
+        """Move states (n,) in place; their outcomes (n,)."""
+        outcomes = np.zeros(len(states), OUTCOME)
+        rows = np.zeros((len(states), self._transform.shape[1]), np.float32)
+        batch.step_batch(states, actions, self._packed, self._transform, outcomes, rows)
+        return outcomes
+
+    def best_cycle(self, state: NDArray[np.void]) -> tuple[float, int]:
+        """What the best move there and back pays at a state (1,), and that move.
+
+        A move counts that is executed, inserts nothing and ends nothing, on both ways.
+        """
+        actions = np.arange(task.N_ACTIONS)
+        states = np.repeat(state, task.N_ACTIONS)
+        there = self.step(states, actions)
+        back = self.step(states, actions ^ 1)
+        paid = there["reward"] + back["reward"]
+        for outcome in (there, back):
+            paid[outcome["violation"] | outcome["inserted"] | outcome["terminated"]] = -np.inf
+        best = int(np.argmax(paid))
+        return float(paid[best]), best
+
+    def around(
+        self, start: np.void, way: Moves, detour: int
+    ) -> Iterator[tuple[Moves, NDArray[np.void]]]:
+        """States (1,) on a way and up to ``detour`` moves off it, each once, and how to get there.
+
+        Only by moves that are executed, insert nothing and end nothing.
+        """
+        front: list[tuple[Moves, NDArray[np.void]]] = [([], np.array([start]))]
+        for move in way:
+            moves, state = front[-1]
+            ahead = state.copy()
+            self.step(ahead, np.array([move]))
+            front.append(([*moves, move], ahead))
+        seen: set[bytes] = set()
+        for depth in range(detour + 1):
+            new = []
+            for moves, state in front:
+                key = state["offset"].tobytes()
+                if key not in seen:
+                    seen.add(key)
+                    yield moves, state
+                    new.append((moves, state))
+            if depth == detour:
+                return
+            front = [
+                ([*moves, action], ahead[action : action + 1])
+                for moves, state in new
+                for ahead, allowed in [self._neighbours(state)]
+                for action in np.flatnonzero(allowed).tolist()
+            ]
+
+    def _neighbours(self, state: NDArray[np.void]) -> tuple[NDArray[np.void], NDArray[np.bool_]]:
+        ahead = np.repeat(state, task.N_ACTIONS)
+        outcome = self.step(ahead, np.arange(task.N_ACTIONS))
+        barred = outcome["violation"] | outcome["inserted"] | outcome["terminated"]
+        return ahead, ~barred
+
+    def play(self, state: NDArray[np.void], moves: Sequence[int]) -> NDArray[np.void]:
+        """Outcomes of moves one after another, up to the episode's end; the state is moved."""
+        outcomes = []
+        for move in moves:
+            outcome = self.step(state, np.array([move]))
+            outcomes.append(outcome)
+            if outcome["terminated"][0] or outcome["truncated"][0]:
+                break
+        return np.concatenate(outcomes)
+
+
+def moves_of(
+    script: str, env: CoopInsertionEnv, simulator: Simulator, plans: list[Moves], seed: int
+) -> Moves:
+    """The moves of a script from the environment's state, at most as many as an episode has."""
+    length = int(env.params.task.max_moves)
+    if script == "insert":
+        return [move for plan in plans for move in plan]
+    if script == "insert one":
+        return plans[0] if plans else []
+    if script == "random":
+        return random_moves(env, simulator, length, seed)
+    # the last move of a plan would insert
+    way = plans[0][:-1] if plans and script == "farm" else []
+    best: tuple[float, Moves, int] = (-np.inf, [], 0)
+    for prefix, state in simulator.around(env.state, way, DETOUR if script == "farm" else 0):
+        paid, cycle = simulator.best_cycle(state)
+        worth = paid * (length - len(prefix))
+        if worth > best[0]:
+            best = worth, prefix, cycle
+    _, prefix, cycle = best
+    left = length - len(prefix)
+    return prefix + [cycle, cycle ^ 1] * (left // 2) + [cycle] * (left % 2)
+
+
+def random_moves(env: CoopInsertionEnv, simulator: Simulator, length: int, seed: int) -> Moves:
+    """Moves drawn evenly from the masks."""
+    rng = np.random.default_rng(seed)
+    state = np.array([env.state])
+    moves: Moves = []
+    while len(moves) < length:
+        moves.append(int(rng.choice(np.flatnonzero(state[0]["mask"]))))
+        outcome = simulator.step(state, np.array(moves[-1:]))
+        if outcome["terminated"][0]:
+            break
+    return moves

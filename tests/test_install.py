@@ -1,0 +1,185 @@
+"""What an install brings: the wheel alone, what it declares to need, and the README's examples."""
+
+from __future__ import annotations
+
+import email
+import importlib.metadata as metadata
+import os
+import re
+import shutil
+import subprocess
+import sys
+import venv
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+
+from benchmarks.runs.backends import spawn
+
+ROOT = Path(__file__).resolve().parent.parent
+SHIPPED = ("setup.cfg", "pyproject.toml", "README.md", "LICENSE")
+PACKAGES = ("sb3_rainbow", "coop_env", "benchmarks")
+STEPS = 300  # of the README's trainings: past their first updates
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+# all but what draws, which needs the extra `render`
+EVERY_MODULE = """
+import importlib, importlib.util, pkgutil, sys
+import coop_env, sb3_rainbow
+for package in (sb3_rainbow, coop_env):
+    assert package.__file__.startswith(sys.prefix), package.__file__
+    for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+        if not module.name.startswith("coop_env.rendering."):
+            importlib.import_module(module.name)
+assert importlib.util.find_spec("benchmarks") is None
+"""
+
+
+def test_all_say_the_same_pythons() -> None:
+    metadata_text = (ROOT / "setup.cfg").read_text(encoding="utf-8")
+    named = re.findall(r"Python :: 3\.(\d+)", metadata_text)
+    allowed = re.search(r"python_requires = (.*)", metadata_text)
+    assert allowed is not None
+    assert named == [str(n) for n in range(30) if f"3.{n}.1" in SpecifierSet(allowed[1])]
+    first, last = named[0], named[-1]
+    assert f"Python 3.{first} to 3.{last}" in README
+    for text in ("setup.cfg", "Makefile"):
+        assert re.search(rf"3\D+{first}\D", (ROOT / text).read_text("utf-8"))
+
+
+def test_make_refuses_another_python_in_one_line(tmp_path: Path) -> None:
+    """A python that is too new by its own word: make has nothing else to go by."""
+    pretender = tmp_path / "python3.14"
+    pretender.write_text(
+        f'#!/bin/sh\nexec {sys.executable} -c "import sys; import collections; '
+        "sys.version_info = collections.namedtuple('V', 'major minor micro')(3, 14, 0); "
+        'exec(sys.argv[1])" "$2"\n',
+        encoding="utf-8",
+    )
+    pretender.chmod(0o755)
+    done = subprocess.run(
+        ["make", "env", f"PYTHON={pretender}", f"VENV={tmp_path / 'venv'}"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode != 0
+    said = [line for line in done.stderr.splitlines() if not line.startswith("make")]
+    assert len(said) == 1
+    assert "Python 3.11 to 3.13 is needed" in said[0]
+    assert "is 3.14" in said[0]
+    assert not (tmp_path / "venv").exists()
+
+
+def test_the_env_needs_nothing_that_draws() -> None:
+    """Matplotlib and Pillow are of the extra ``render``; without it there are no pictures alone."""
+    code = "import sys, coop_env.env; sys.exit(bool({'matplotlib', 'PIL'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], check=False, cwd=ROOT).returncode == 0
+
+
+def test_a_run_finds_the_harness_from_any_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An install brings none, and a node of a cluster starts its processes where it likes."""
+    monkeypatch.chdir(tmp_path)
+    log = tmp_path / "log.txt"
+    assert spawn(["train", "--help"], log).wait() == 0, log.read_text()
+    assert "usage: python -m benchmarks" in log.read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Built from a copy: a build leaves folders behind, and takes in what an earlier one left."""
+    sources, out = tmp_path_factory.mktemp("sources"), tmp_path_factory.mktemp("dist")
+    for name in SHIPPED:
+        shutil.copy(ROOT / name, sources)
+    for name in PACKAGES:
+        without = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / name, sources / name, ignore=without)
+    build = ("pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation")
+    options = ("--disable-pip-version-check", "--wheel-dir", str(out), str(sources))
+    subprocess.run([sys.executable, "-m", *build, *options], check=True)
+    (path,) = out.glob("*.whl")
+    return path
+
+
+def test_the_wheel_holds_the_two_packages(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {
+        "sb3_rainbow",
+        "coop_env",
+    }
+    sources = {
+        str(path.relative_to(ROOT))
+        for package in ("sb3_rainbow", "coop_env")
+        for path in (ROOT / package).rglob("*")
+        if path.suffix == ".py" or path.name == "py.typed"
+    }
+    assert sources == {name for name in names if ".dist-info" not in name}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_readme_runs_where_only_the_wheel_and_its_needs_are(
+    wheel: Path, tmp_path: Path
+) -> None:
+    """In a new environment with the wheel, links to what it declares to need, and nothing else."""
+    home, empty = tmp_path / "venv", tmp_path / "empty"
+    venv.create(home, with_pip=False, symlinks=True)
+    (site,) = home.glob("lib/python3.*/site-packages")
+    pip = (sys.executable, "-m", "pip", "--python", str(home / "bin" / "python"))
+    install = ("install", "--quiet", "--disable-pip-version-check", "--no-deps", "--no-index")
+    subprocess.run([*pip, *install, str(wheel)], check=True)
+    (info,) = site.glob("*.dist-info/METADATA")
+    needs = email.message_from_string(info.read_text(encoding="utf-8")).get_all("Requires-Dist")
+    for name in needed(needs or []):
+        for top in tops(name):
+            if not (site / top.name).exists():
+                (site / top.name).symlink_to(top)
+    empty.mkdir()
+    blocks = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    assert len(blocks) == 3
+    program = ""
+    for block in [EVERY_MODULE, *blocks]:
+        shorter, trainings = re.subn(r"learn\([\d_]+\)", f"learn({STEPS})", block)
+        assert trainings == block.count(".learn(")
+        program += f"exec({shorter!r}, {{}})\n"
+    done = subprocess.run(
+        [home / "bin" / "python", "-c", program],
+        cwd=empty,
+        env={k: v for k, v in os.environ.items() if not k.startswith("PYTHON")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert [path.name for path in empty.iterdir()] == ["rainbow_cartpole.zip"]
+
+
+def needed(requirements: list[str]) -> set[str]:
+    """Names of the distributions that these requirements come to, extras only where asked for."""
+    found: set[str] = set()
+    asked = [Requirement(text) for text in requirements]
+    while asked:
+        one = asked.pop()
+        extras = {"", *one.extras}
+        if one.marker and not any(one.marker.evaluate({"extra": extra}) for extra in extras):
+            continue
+        name = re.sub(r"[-_.]+", "-", one.name).lower()
+        if name not in found:
+            found.add(name)
+            asked += [Requirement(text) for text in metadata.requires(name) or []]
+    return found
+
+
+def tops(name: str) -> Iterator[Path]:
+    """The topmost files and folders that an installed distribution put beside its packages."""
+    distribution = metadata.distribution(name)
+    for top in sorted({file.parts[0] for file in distribution.files or []} - {".."}):
+        path = Path(str(distribution.locate_file(top)))
+        if path.name != "__pycache__" and path.exists():
+            yield path
