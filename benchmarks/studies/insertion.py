@@ -135,6 +135,7 @@ class Insertion(Experiment[Cell]):
         rows = evaluate_policy(model_policy(model), self.preset, cell.seed, arguments)
         folder.write_rows("episodes", rows)
         policy_file.save(model, folder.policy)
+        summary["policy_sha256"] = folder.policy_digest()
         return {**summary, "test_seconds": time.perf_counter() - began}
 
     def verdict(self, folder: RunFolder) -> str:

@@ -10,6 +10,7 @@ import pandas as pd
 
 from benchmarks.protocol import labels
 from benchmarks.reporting.tables.table import Cell, Table
+from benchmarks.reporting.verify import Report, check_file
 from benchmarks.runs.store import write_text
 from benchmarks.studies.design.store import DesignStore, stored_geometry_rows
 
@@ -247,3 +248,36 @@ BLOCKS: Final[dict[str, Callable[[DesignStore], str]]] = {
     "pose-model": _pose_model,
     "design-pose-model": _pose_model_design,
 }
+
+
+def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
+    """Verify that the study's table follows from its runs, and the docs from its data."""
+    store = DesignStore(results)
+    if (store.folder / "meta.json").is_file():
+        found = _check_table(store)
+        for path in sorted(docs.glob("*.md")):
+            wanted = rewrite(path.read_text(encoding="utf-8"), store)
+            found += check_file(path, wanted, f"the data in {store.folder}")
+        report.add(f"{store.folder}: table, and its blocks in {docs}", found)
+
+
+def _check_table(store: DesignStore) -> list[str]:
+    rows = {row["metric"]: row for row in store.rows("table").to_dict("records")}
+    runs = store.rows("runs")
+    problems = []
+    for end, column in (("initial", "a_w_initial"), ("optimized", "a_w")):
+        stored, wanted = float(rows["workspace"][f"{end}_mean"]), float(runs[column].mean())
+        if abs(stored - wanted) > 1e-6:
+            problems.append(
+                f"{store.folder / 'table.csv'} gives {stored:.7g} as the {end} workspace, the mean "
+                f"of runs.csv is {wanted:.7g}"
+            )
+    shown = {row["metric"]: row for row in stored_geometry_rows(store.folder.parent)}
+    for metric, row in rows.items():
+        problems += [
+            f"{store.folder}: table.json gives {shown[metric][end]} as {metric}, {end}, "
+            f"table.csv {row[end]}"
+            for end in ("initial", "optimized")
+            if shown[metric][end] != row[end]
+        ]
+    return problems
