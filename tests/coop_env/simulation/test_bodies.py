@@ -50,17 +50,17 @@ def clearances(env: CoopInsertionEnv, c: Configuration) -> tuple[float, float]:
 @pytest.mark.parametrize("leaning", LEANING)
 def test_a_forearm_touches_at_ten_millimetres(leaning: Configuration) -> None:
     env = CoopInsertionEnv()
-    x, y, z, *platform = leaning
+    x, y, z, roll, pitch, heave = leaning
     touching, free = z, z + 0.06
     assert env.configuration_status(leaning) == COLLISION
-    assert env.configuration_status((x, y, free, *platform)) == FREE
+    assert env.configuration_status((x, y, free, roll, pitch, heave)) == FREE
     while free - touching > 1e-7:
         middle = 0.5 * (free + touching)
-        if env.configuration_status((x, y, middle, *platform)) == FREE:
+        if env.configuration_status((x, y, middle, roll, pitch, heave)) == FREE:
             free = middle
         else:
             touching = middle
-    forearm, others = clearances(env, (x, y, free, *platform))
+    forearm, others = clearances(env, (x, y, free, roll, pitch, heave))
     assert forearm == pytest.approx(0.010, abs=1e-6)
     assert others > 0.005
 
