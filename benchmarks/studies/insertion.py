@@ -18,7 +18,7 @@ from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
 
 if TYPE_CHECKING:
-    from benchmarks.reporting.figures.parts import Picture
+    from benchmarks.reporting.figures.style import Picture
     from benchmarks.reporting.tables.table import Table
 
 TRANSITION_BYTES: Final = 200  # of a checkpointed replay buffer, generously

@@ -1,86 +1,30 @@
-"""What the figures are drawn with: axes, curves over seeds with their bands, marks of the switch.
-
-Figures are made without pyplot, so that none is left open and no global state is touched.
-"""
+"""Training curves over seeds with their bands, and marks of the curriculum's switch."""
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from PIL import Image
 
+from benchmarks.reporting.figures.style import METHOD_COLOURS, PALETTE, TRACK_STYLES
 from benchmarks.reporting.results import Group
 from benchmarks.reporting.stats import mean_band, moving_average
 
-matplotlib.use("Agg")
-
 EPISODES: Final = 10  # of the paper's moving average
 POINTS: Final = 300
-COLOURS: Final = 256  # of a stored picture: flat colours and their smoothed edges need no more
-# one colour per method and one style per track, in every figure
-METHOD_COLOURS: Final = {
-    "rainbow": "C0", "dqn": "C1", "maskable_ppo": "C2", "rrt_connect": "C3", "rrt_lattice": "C4",
-    "optimum": "C5",
-}  # fmt: skip
-TRACK_STYLES: Final = {"": "-", "tuned": "-", "repaired": "--", "printed": ":"}
 BY_EPISODE: Final = frozenset({"episode_reward", "holes", "success", "duration"})
 
 Curve = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Picture:
-    """A figure that can be drawn: its file's name, what stands under it, and what it shows."""
-
-    name: str
-    section: str
-    caption: str
-    alt: str
-    draw: Callable[[], Figure]
-
-    def png(self) -> bytes:
-        """The picture as PNG; the same data give the same bytes."""
-        raw = io.BytesIO()
-        self.draw().savefig(raw, format="png", metadata={"Software": None})
-        return flat_png(raw.getvalue())
-
-
-def flat_png(data: bytes) -> bytes:
-    """A PNG with few colours, a fraction of the size: charts have no more."""
-    image = Image.open(io.BytesIO(data)).convert("RGB")
-    # by coverage: a median cut merges the colours of thin lines, of which there are few pixels
-    flat = image.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-    small = io.BytesIO()
-    flat.save(small, format="PNG", optimize=True)
-    return small.getvalue()
-
-
 def look(group: Group) -> tuple[str, str]:
     """Colour and line style of a group's method and track."""
     cell = group.runs[0].config["cell"]
-    return METHOD_COLOURS.get(cell["method"], "C6"), TRACK_STYLES.get(cell["track"], "-.")
-
-
-def canvas(
-    panels: int = 1, below: bool = False, width: float = 6.0, height: float = 3.6
-) -> tuple[Figure, list[Axes]]:
-    """A figure with its axes, side by side or one below the other."""
-    figure = Figure(figsize=(width, height), dpi=110, layout="constrained")
-    shape = (panels, 1) if below else (1, panels)
-    grid = figure.subplots(*shape, squeeze=False, sharex=below)
-    axes = [each for row in grid for each in row]
-    for each in axes:
-        each.grid(alpha=0.3)
-    return figure, axes
+    return METHOD_COLOURS.get(cell["method"], PALETTE[-1]), TRACK_STYLES.get(cell["track"], "-.")
 
 
 def curve_frames(group: Group) -> list[pd.DataFrame]:
@@ -179,25 +123,3 @@ def mark_switches(axes: Axes, groups: Sequence[tuple[Group, str]]) -> None:
             label = None if marked else "curriculum switch"
             axes.axvline(step, color=colour, linestyle=":", linewidth=0.9, alpha=0.8, label=label)
             marked = True
-
-
-def finish(axes: Axes, ylabel: str, xlabel: str = "Environment steps") -> None:
-    """Labels, and a legend if anything was drawn."""
-    axes.set_xlabel(xlabel)
-    axes.set_ylabel(ylabel)
-    if axes.get_legend_handles_labels()[1]:
-        axes.legend(fontsize=8)
-
-
-def legend_below(figure: Figure, axes: Sequence[Axes], columns: int = 3) -> None:
-    """One legend under all panels, where nothing is hidden behind it."""
-    entries: dict[str, Any] = {}
-    for each in axes:
-        legend = each.get_legend()
-        if legend is not None:
-            legend.remove()
-        for handle, label in zip(*each.get_legend_handles_labels(), strict=True):
-            entries.setdefault(label, handle)
-    figure.legend(
-        list(entries.values()), list(entries), loc="outside lower center", ncols=columns, fontsize=8
-    )
