@@ -37,7 +37,7 @@ PALETTE: Final = (
 # one colour per method and one style per track, in every figure
 METHOD_COLOURS: Final = {
     "rainbow": PALETTE[0], "dqn": PALETTE[1], "maskable_ppo": PALETTE[2], "qrdqn": PALETTE[2],
-    "rrt_connect": PALETTE[3], "rrt_lattice": PALETTE[4], "optimum": PALETTE[5],
+    "rrt_connect": PALETTE[3], "rrt_lattice": PALETTE[4], "optimum": PALETTE[6],
 }  # fmt: skip
 TRACK_STYLES: Final = {"": "-", "tuned": "-", "repaired": "--", "printed": ":"}
 STYLE: Final[Any] = {
