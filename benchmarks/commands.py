@@ -32,6 +32,8 @@ CLASSIC: Final = {
     "train": "one run in this process",
 }
 DELEGATED: Final = ("speed", "design", "audit", "failures", "tune", "media", "watch")
+# the studies that keep tables: each has a `check` of what it stored
+CHECKED: Final = ("design.docs", "audit", "failures", "classic.docs", "tuning.check")
 SPEED: Final = {
     "env": "benchmarks.studies.speed.env",
     "rainbow": "benchmarks.studies.speed.rainbow",
@@ -194,10 +196,14 @@ def curves(arguments: argparse.Namespace) -> int:
 
 def verify(arguments: argparse.Namespace) -> int:
     """Recompute every table; exit code 1 if one, the README or the docs disagree."""
-    from benchmarks.reporting.verify import verify_all
+    from benchmarks.reporting.verify import store_names, verify_all
 
     presets = [] if arguments.preset is None else [load_preset(arguments.preset).name]
     report = verify_all(arguments.results, presets, arguments.readme, arguments.docs)
+    names = presets or store_names(arguments.results)
+    for study in CHECKED:
+        check = importlib.import_module(f"benchmarks.studies.{study}").check
+        check(report, arguments.results, names, arguments.docs)
     for line in report.checked:
         print(line)
     for problem in report.problems:

@@ -1,11 +1,11 @@
-"""Check that tables, README and docs agree with the stored data they were made from.
+"""Check that stored runs are what their settings say, and that tables and pages follow from them.
 
-Every number is made again from the rows of the runs and compared as text; nothing is trained.
+Every number is made again from the rows of the runs and compared as text; nothing is trained. The
+studies check their own data with what is here and add it to the same :class:`Report`.
 """
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,9 +21,6 @@ from benchmarks.reporting.pages.readme import results_block, split
 from benchmarks.reporting.tables.paper import build_tables
 from benchmarks.reporting.tables.table import Table
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies import audit, failures
-from benchmarks.studies.design import docs as design_docs
-from benchmarks.studies.design.store import DesignStore, stored_geometry_rows
 
 WRITTEN_BY: Final = re.compile(r"<!-- written by: python -m benchmarks readme --preset (\S+) -->")
 TABLE_FILES: Final = (".csv", ".md", ".tex")
@@ -36,6 +33,11 @@ class Report:
     checked: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
+    def add(self, checked: str, problems: list[str]) -> None:
+        """Say what was looked at and what came of it."""
+        self.checked.append(checked)
+        self.problems += problems
+
 
 def verify_all(results: Path, presets: list[str], readme: Path, docs: Path) -> Report:
     """Check the stores of ``presets`` (all under ``results`` if none is named), README and docs.
@@ -44,13 +46,13 @@ def verify_all(results: Path, presets: list[str], readme: Path, docs: Path) -> R
         results: the results folder.
         presets: stores to check.
         readme: checked if it holds the block of one of these stores.
-        docs: folder of pages; the blocks of the design study are checked if there is one.
+        docs: folder of pages; what they include is checked.
 
     Raises:
         BenchmarkError: a store is missing or of another schema.
     """
     report = Report()
-    names = presets or sorted(path.parent.name for path in results.glob("*/store.json"))
+    names = presets or store_names(results)
     if not names:
         raise BenchmarkError(f"{results} has no results; run: python -m benchmarks run")
     blocks = presets_of(readme)
@@ -59,8 +61,9 @@ def verify_all(results: Path, presets: list[str], readme: Path, docs: Path) -> R
         found = check_runs(store)
         if not found:  # rows that cannot be trusted make no tables
             found = verify(store, readme)
-        report.problems += found
-        report.checked.append(f"{store.folder}: tables of {len(store.completed())} runs")
+        policies = sum(run.policy.is_file() for run in store.completed())
+        what = f"{store.folder}: tables of {len(store.completed())} runs, {policies} policies"
+        report.add(what, found)
         if name in blocks:
             report.checked.append(f"{readme}: its results, of preset {name}")
     if not any(name in names for name in blocks):
@@ -70,23 +73,17 @@ def verify_all(results: Path, presets: list[str], readme: Path, docs: Path) -> R
         for name in blocks
         if not presets and name not in names
     ]
-    if (results / "design" / "meta.json").is_file():
-        report.problems += check_design(results, docs)
-        report.checked.append(f"{results / 'design'}: table, and its blocks in {docs}")
-    report.problems += check_summaries(results, names)
-    for path in sorted((results / "classic").glob("*/store.json")):
-        report.problems += check_classic(path.parent, docs)
-        report.checked.append(f"{path.parent}: tables, and its block in {docs}")
-    for path in sorted((results / "tune").glob("*/journal.log")):
-        report.problems += check_search(path.parent)
-        report.checked.append(f"{path.parent}: table")
     pages = [path for path in (readme, *sorted(docs.glob("*.md"))) if path.is_file()]
     for path in pages:
         of = {Path(name).parts[1] for name in includes.included(path.read_text(encoding="utf-8"))}
         if of and (not presets or of.intersection(presets)):
-            report.problems += check_includes(results, path)
-            report.checked.append(f"{path}: what it includes")
+            report.add(f"{path}: what it includes", check_includes(results, path))
     return report
+
+
+def store_names(results: Path) -> list[str]:
+    """The presets that have a store under ``results``."""
+    return sorted(path.parent.name for path in results.glob("*/store.json"))
 
 
 def verify(store: Store, readme: Path | None = None) -> list[str]:
@@ -101,9 +98,7 @@ def verify(store: Store, readme: Path | None = None) -> list[str]:
     if readme is not None and store.folder.name in presets_of(readme):
         above, block, _ = split(readme.read_text(encoding="utf-8"))
         wanted = results_block(store, tables)
-        if block != wanted:
-            lines = above.count("\n")
-            problems.append(_differs(readme, block, wanted, "the stored episodes", lines))
+        problems += differs(readme, block, wanted, "the stored episodes", above.count("\n"))
     return problems
 
 
@@ -115,10 +110,10 @@ def check_tables(folder: Path, tables: list[Table]) -> list[str]:
         for suffix, text in table.forms().items():
             path = folder / f"{table.name}{suffix}"
             made.add(path)
-            if not path.is_file():
+            if path.is_file():
+                problems += check_file(path, text, "the stored episodes")
+            else:
                 problems.append(f"{path} is missing; the command `tables` writes it")
-            elif (stored := path.read_text(encoding="utf-8")) != text:
-                problems.append(_differs(path, stored, text, "the stored episodes"))
     problems += [
         f"{path} is made by no table of this version; delete it"
         for path in sorted(folder.glob("*"))
@@ -135,7 +130,7 @@ def presets_of(readme: Path) -> list[str]:
 
 
 def check_runs(store: Store) -> list[str]:
-    """Whether each complete run is what its settings say: its rows, seeds and initial states."""
+    """Whether each complete run is what its settings say: rows, seeds, initial states, policy."""
     problems: list[str] = []
     starts: dict[tuple[str, int], str] = {}
     for run in [*store.completed(), *store.entered()]:
@@ -161,7 +156,11 @@ def _check_run(run: RunFolder, starts: dict[tuple[str, int], str]) -> list[str]:
     noisy = cell.learns or bool(config.get("entry", {}).get("sha256"))
     evaluation = config["evaluation"]
     levels = evaluation["noise"] if noisy else [0.0]  # planners see the true state
-    return _check_episodes(cell, evaluation["episodes"], levels, run.rows("episodes"), starts)
+    rows = run.rows("episodes")
+    problems = _check_episodes(cell, evaluation["episodes"], levels, rows, starts)
+    if run.policy.is_file() and run.policy_digest() != meta["training"].get("policy_sha256"):
+        problems.append("policy.zip is not the policy whose digest its meta.json has")
+    return problems
 
 
 def _check_episodes(
@@ -195,88 +194,6 @@ def _check_episodes(
     return problems
 
 
-def check_summaries(results: Path, names: list[str]) -> list[str]:
-    """Whether the audit's and the failure maps' tables follow from their rows."""
-    pairs = [
-        (path, failures.summary(failures.read(path)))
-        for name in names
-        for path in sorted((results / name / "failures").glob("*.csv"))
-    ]
-    scripted = results / "audit" / "scripted.csv"
-    if scripted.is_file():
-        pairs.append((scripted, audit.markdown(pd.read_csv(scripted))))
-    problems = []
-    for path, wanted in pairs:
-        table = path.with_suffix(".md")
-        stored = table.read_text(encoding="utf-8") if table.is_file() else ""
-        if stored != wanted:
-            problems.append(_differs(table, stored, wanted, f"the rows of {path.name}"))
-    return problems
-
-
-def check_design(results: Path, docs: Path) -> list[str]:
-    """Whether the design study's table follows from its runs, and the docs from its data."""
-    store = DesignStore(results)
-    problems = []
-    rows = {row["metric"]: row for row in store.rows("table").to_dict("records")}
-    runs = store.rows("runs")
-    for end, column in (("initial", "a_w_initial"), ("optimized", "a_w")):
-        stored, wanted = float(rows["workspace"][f"{end}_mean"]), float(runs[column].mean())
-        if abs(stored - wanted) > 1e-6:
-            problems.append(
-                f"{store.folder / 'table.csv'} gives {stored:.7g} as the {end} workspace, the mean "
-                f"of runs.csv is {wanted:.7g}"
-            )
-    shown = {row["metric"]: row for row in stored_geometry_rows(results)}
-    for metric, row in rows.items():
-        problems += [
-            f"{store.folder}: table.json gives {shown[metric][end]} as {metric}, {end}, "
-            f"table.csv {row[end]}"
-            for end in ("initial", "optimized")
-            if shown[metric][end] != row[end]
-        ]
-    for path in sorted(docs.glob("*.md")):
-        page = path.read_text(encoding="utf-8")
-        wanted_page = design_docs.rewrite(page, store)
-        if page != wanted_page:
-            problems.append(_differs(path, page, wanted_page, f"the data in {store.folder}"))
-    return problems
-
-
-def check_classic(folder: Path, docs: Path) -> list[str]:
-    """Whether a store of the classic tasks has the tables of its runs, and the docs its block."""
-    from benchmarks.studies.classic import docs as block
-    from benchmarks.studies.classic.presets import load_preset
-    from benchmarks.studies.classic.results import Results
-    from benchmarks.studies.classic.tables import build_tables as build_classic
-
-    store = Store.open(folder.parent, folder.name)
-    classic = Results(load_preset(folder.name), store)
-    problems = check_tables(store.tables, build_classic(classic))
-    for path in sorted(docs.glob("*.md")):
-        page = path.read_text(encoding="utf-8")
-        if block.begin(folder.name) in page:
-            root = Path(os.path.relpath(folder, docs)).as_posix()
-            wanted = block.rewrite(page, classic, root)
-            if page != wanted:
-                problems.append(_differs(path, page, wanted, f"the runs in {folder}"))
-    return problems
-
-
-def check_search(folder: Path) -> list[str]:
-    """Whether the table of a search follows from its trainings' validation episodes."""
-    try:
-        from benchmarks.studies.tuning.study import Search
-        from benchmarks.studies.tuning.tune import results_table
-    except ImportError as error:
-        raise BenchmarkError(f"{folder} cannot be checked without the extra 'tune'") from error
-    settings = RunFolder(folder).config()["search"]
-    path = folder / "search.md"
-    title = path.read_text(encoding="utf-8").split("**")[1] if path.is_file() else ""
-    search = Search(folder, settings["sampler"], None)
-    return check_tables(folder, [results_table(search, folder, settings["seeds"], title)])
-
-
 def check_includes(results: Path, path: Path) -> list[str]:
     """Whether the files that a page includes are still what the page shows."""
     page = path.read_text(encoding="utf-8")
@@ -284,17 +201,23 @@ def check_includes(results: Path, path: Path) -> list[str]:
         wanted = includes.render(page, results, str(path))
     except BenchmarkError as error:
         return [str(error)]
-    if page == wanted:
+    return differs(path, page, wanted, "the files that it includes")
+
+
+def check_file(path: Path, wanted: str, source: str) -> list[str]:
+    """Whether a file holds what is made from its source now; a missing file holds nothing."""
+    stored = path.read_text(encoding="utf-8") if path.is_file() else ""
+    return differs(path, stored, wanted, source)
+
+
+def differs(path: Path, stored: str, wanted: str, source: str, above: int = 0) -> list[str]:
+    """A sentence on the first line that differs, if any; ``above`` lines come before ``stored``."""
+    if stored == wanted:
         return []
-    return [_differs(path, page, wanted, "the files that it includes")]
-
-
-def _differs(path: Path, stored: str, wanted: str, source: str, above: int = 0) -> str:
-    """A sentence on the first line that differs; ``above`` lines come before ``stored``."""
     old_lines, new_lines = stored.splitlines(), wanted.splitlines()
     where = f"{len(old_lines)} lines stored, {len(new_lines)} recomputed"
     for number, (old, new) in enumerate(zip(old_lines, new_lines, strict=False), start=1 + above):
         if old != new:
             where = f"line {number}: stored {old!r}, recomputed {new!r}"
             break
-    return f"{path} differs from {source} ({where})"
+    return [f"{path} differs from {source} ({where})"]

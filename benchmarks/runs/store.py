@@ -15,6 +15,7 @@ new one. A run is complete when its meta.json is there: it is written last.
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import os
 import shutil
@@ -103,6 +104,10 @@ class RunFolder:
     def has_policy(self) -> bool:
         """Whether the run is complete and its policy is here: not every one is kept in git."""
         return self.is_complete() and self.policy.is_file()
+
+    def policy_digest(self) -> str:
+        """SHA-256 of the policy's file, which meta.json keeps as ``training.policy_sha256``."""
+        return hashlib.sha256(self.policy.read_bytes()).hexdigest()
 
     def begin(self, config: Mapping[str, Any]) -> None:
         """Claim the folder for ``config``; a folder with other settings is left untouched.

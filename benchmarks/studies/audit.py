@@ -33,6 +33,7 @@ from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.results import TRACK_ORDER, Results, tail_mean
+from benchmarks.reporting.verify import Report, check_file
 from benchmarks.runs import machine
 from benchmarks.runs.store import Store, write_atomic, write_csv, write_text
 from coop_env.env import CoopInsertionEnv
@@ -196,3 +197,12 @@ def main(words: Sequence[str]) -> int:
 
 def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
     return [{str(k): v for k, v in row.items()} for row in frame.to_dict("records")]
+
+
+def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
+    """Verify that the table of the scripted policies follows from their episodes."""
+    path = results / "audit" / "scripted.csv"
+    if path.is_file():
+        wanted = markdown(pd.read_csv(path))
+        found = check_file(path.with_suffix(".md"), wanted, f"the rows of {path.name}")
+        report.add(f"{path.parent}: table", found)

@@ -34,6 +34,7 @@ from benchmarks.protocol.plan import LEARNERS, Cell, expand, settings
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.reporting.results import tail_mean
 from benchmarks.reporting.stats import wilson
+from benchmarks.reporting.verify import Report, check_file
 from benchmarks.runs.store import Store, write_atomic, write_csv, write_text
 from coop_env.kinematics.rotations import tilt_azimuth
 
@@ -265,3 +266,12 @@ def main(words: Sequence[str]) -> int:
     console.print(summary(frame), markup=False, highlight=False)
     console.print(f"Failures: {folder}")
     return 0
+
+
+def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
+    """Verify that the summaries of failures in the presets' stores follow from their rows."""
+    for name in presets:
+        for path in sorted((results / name / "failures").glob("*.csv")):
+            wanted = summary(read(path))
+            found = check_file(path.with_suffix(".md"), wanted, f"the rows of {path.name}")
+            report.add(f"{path}: summary", found)

@@ -18,7 +18,7 @@ from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
 
 if TYPE_CHECKING:
-    from benchmarks.reporting.figures.parts import Picture
+    from benchmarks.reporting.figures.style import Picture
     from benchmarks.reporting.tables.table import Table
 
 
@@ -112,6 +112,7 @@ class Insertion(Experiment[Cell]):
         rows = evaluate_policy(model_policy(model), self.preset, cell.seed, arguments)
         folder.write_rows("episodes", rows)
         policy_file.save(model, folder.policy)
+        summary["policy_sha256"] = folder.policy_digest()
         return {**summary, "test_seconds": time.perf_counter() - began}
 
     def verdict(self, folder: RunFolder) -> str:

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.protocol import labels, paper_values
-from benchmarks.reporting.figures.parts import Picture, canvas, finish, legend_below, look
+from benchmarks.reporting.figures.curves import look
+from benchmarks.reporting.figures.style import Picture, canvas, finish, legend_below
 from benchmarks.reporting.results import Group, Results
 from benchmarks.reporting.stats import Value, profile_over_seeds
 from benchmarks.reporting.tables.compare import printed_spread
@@ -85,7 +86,7 @@ def _profile_scores(results: Results) -> list[tuple[str, Mapping[str, Scores]]]:
 
 
 def _profiles(results: Results) -> Figure:
-    figure, panels = canvas(2, width=9.0, height=4.4)
+    figure, panels = canvas(1, 2, (9.0, 4.4))
     looks = {name: look(group) for name, group in configurations(results)}
     for axes, (label, methods) in zip(panels, _profile_scores(results), strict=True):
         for name, scores in methods.items():
@@ -120,7 +121,7 @@ def _robustness_lines(results: Results) -> dict[str, Group]:
 
 
 def _robustness(results: Results) -> Figure:
-    figure, (axes,) = canvas(height=4.2)
+    figure, (axes,) = canvas(size=(6.0, 4.2))
     levels = results.noise_levels()
     for name, group in _robustness_lines(results).items():
         _error_bars(axes, levels, [group.success(level) for level in levels], name, look(group))
@@ -174,7 +175,7 @@ def _ablation_rows(results: Results) -> list[tuple[str, str, Value, str]]:
 
 
 def _ablation_comparison(rows: Sequence[tuple[str, str, Value, str]]) -> Figure:
-    figure, (axes,) = canvas(height=4.2)
+    figure, (axes,) = canvas(size=(6.0, 4.2))
     titles = list(dict.fromkeys(title for _, title, _, _ in rows))
     tracks = list(dict.fromkeys(track for track, _, _, _ in rows))
     for i, track in enumerate(tracks):

@@ -12,22 +12,19 @@ from matplotlib.figure import Figure
 
 from benchmarks.protocol import labels
 from benchmarks.reporting.figures.comparisons import comparisons
-from benchmarks.reporting.figures.parts import (
+from benchmarks.reporting.figures.curves import (
     EPISODES,
-    METHOD_COLOURS,
-    Picture,
-    canvas,
     curve_frames,
     draw_curve,
     draw_stages,
-    finish,
     mark_switches,
     seed_curves,
     switches,
 )
+from benchmarks.reporting.figures.style import METHOD_COLOURS, Picture, canvas, finish
 from benchmarks.reporting.results import Group, Results
 from benchmarks.reporting.tables.statistics import N_HOLES, configurations
-from benchmarks.runs.store import Store, write_atomic
+from benchmarks.runs.store import Store
 
 STAGE_0_HOLES: Final = 4
 WIDE: Final = 50  # episodes of the moving average where many lines share the axes
@@ -74,17 +71,7 @@ def pictures(results: Results) -> list[Picture]:
 
 def write_figures(store: Store) -> list[tuple[Picture, Path]]:
     """Draw all figures of a store; returns them with their paths."""
-    drawn = []
-    for picture in pictures(Results(store)):
-        path = store.figures / f"{picture.name}.png"
-        data = picture.png()
-        write_atomic(path, partial(_write, data))
-        drawn.append((picture, path))
-    return drawn
-
-
-def _write(data: bytes, path: Path) -> None:
-    path.write_bytes(data)
+    return [(picture, picture.write(store.figures)) for picture in pictures(Results(store))]
 
 
 def _learning(results: Results, track: str) -> list[Picture]:
@@ -160,9 +147,10 @@ def _alt_of_curves(groups: Groups, column: str, label: str) -> str:
 
 def _coloured(groups: Groups) -> list[tuple[str, Group, str]]:
     """Methods in their own colours; ablations and geometries one after the other."""
-    methods = {labels.METHODS[key]: colour for key, colour in METHOD_COLOURS.items()}
+    methods = {title: METHOD_COLOURS.get(key) for key, title in labels.METHODS.items()}
     return [
-        (name, group, methods.get(name, f"C{i}")) for i, (name, group) in enumerate(groups.items())
+        (name, group, methods.get(name) or f"C{i}")
+        for i, (name, group) in enumerate(groups.items())
     ]
 
 
@@ -199,7 +187,7 @@ def _mark_support(axes: Axes, groups: Groups) -> None:
 
 
 def _exploration(groups: Groups) -> Figure:
-    figure, (above, below) = canvas(2, below=True)
+    figure, (above, below) = canvas(2, sharex=True)
     for name, group, colour in _coloured(groups):
         frames = curve_frames(group)
         draw_curve(above, frames, "learning_rate", name, colour)

@@ -14,7 +14,7 @@ import jinja2
 from markupsafe import Markup, escape
 from PIL import Image
 
-from benchmarks.reporting.figures.parts import Picture, flat_png
+from benchmarks.reporting.figures.style import Picture, flat_png
 from benchmarks.reporting.pages.readme import provenance
 from benchmarks.reporting.results import Results
 from benchmarks.reporting.tables.deviations import UNKNOWN, Reason, load_reasons

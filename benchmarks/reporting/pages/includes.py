@@ -1,4 +1,4 @@
-"""Pages hold whole files of ``results/`` between two markers, written by a command.
+"""Pages hold whole files of ``results/`` in blocks, written by a command.
 
 In a page::
 
@@ -11,18 +11,11 @@ what stands between the markers is replaced by it, and `verify` compares the two
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
-from typing import Final
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.reporting.pages.blocks import fill, pattern
 from benchmarks.runs.store import write_text
-
-_BLOCK: Final = re.compile(
-    r"(<!-- include:begin (\S+) \(written by: python -m benchmarks readme\) -->\n)"
-    r"(.*?)(<!-- include:end -->)",
-    re.DOTALL,
-)
 
 
 def render(page: str, results: Path, where: str) -> str:
@@ -37,20 +30,20 @@ def render(page: str, results: Path, where: str) -> str:
         BenchmarkError: an included file is missing or lies outside ``results/``.
     """
 
-    def fill(match: re.Match[str]) -> str:
-        begin, name, _, end = match.groups()
+    def read(said: str) -> str:
+        name = said.split()[0]
         parts = Path(name).parts
         path = results.joinpath(*parts[1:])
         if parts[0] != "results" or ".." in parts or not path.is_file():
             raise BenchmarkError(f"{where} includes {name}, which is no file of {results}")
-        return f"{begin}\n{path.read_text(encoding='utf-8').strip()}\n\n{end}"
+        return path.read_text(encoding="utf-8")
 
-    return _BLOCK.sub(fill, page)
+    return fill(page, "include", read)
 
 
 def included(page: str) -> list[str]:
     """The files that a page includes, as its markers name them."""
-    return [match.group(2) for match in _BLOCK.finditer(page)]
+    return [match[2].split()[0] for match in pattern("include").finditer(page)]
 
 
 def rewrite_all(docs: Path, results: Path) -> list[Path]:
@@ -58,10 +51,7 @@ def rewrite_all(docs: Path, results: Path) -> list[Path]:
     pages = []
     for path in sorted(docs.glob("*.md")):
         old = path.read_text(encoding="utf-8")
-        if not included(old):
-            continue
-        pages.append(path)
-        new = render(old, results, str(path))
-        if new != old:
-            write_text(path, new)
+        if included(old):
+            pages.append(path)
+            write_text(path, render(old, results, str(path)))
     return pages

@@ -11,6 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+import pandas as pd
+
 from benchmarks.protocol import labels, paper_values
 from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS
 from benchmarks.reporting.results import Group, Results, excess_over_optimum
@@ -68,18 +70,22 @@ def write_tables(store: Store, tables: list[Table] | None = None) -> list[Path]:
 
 def design(results: Results) -> Table:
     """Table "results": the geometric optimization, five metrics."""
+    if results.design is None:
+        return design_table(None, 0)
+    runs = int(results.design.config()["design"]["runs"])
+    return design_table(results.design.rows("design"), runs)
+
+
+def design_table(measured: pd.DataFrame | None, runs: int) -> Table:
+    """The paper's table of the geometric optimization, beside it rows of so many runs of ours."""
     header = ["Metric", "Initial, paper", "Initial, ours", "Optimized, paper", "Optimized, ours"]
-    rows: list[list[Cell]] = []
-    notes = []
-    stored = {}
-    runs = 0
-    if results.design is not None:
-        frame = results.design.rows("design").fillna({"note": ""})
+    notes, stored = [], {}
+    if measured is not None:
+        frame = measured.fillna({"note": ""})
         stored = {str(row["metric"]): row for row in frame.to_dict("records")}
-        notes = [str(row["note"]) for row in stored.values() if row["note"]]
-        runs = int(results.design.config()["design"]["runs"])
-        notes.insert(0, f"Ours: mean ± std over {runs} Nelder-Mead runs, each with its own jitter.")
-        notes.append(FLAG_NOTE)
+        notes = [f"Ours: mean ± std over {runs} Nelder-Mead runs, each with its own jitter."]
+        notes += [*filter(None, frame["note"]), FLAG_NOTE]
+    rows: list[list[Cell]] = []
     for key, paper in paper_values.DESIGN.items():
         row: list[Cell] = [labels.DESIGN_METRICS[key]]
         for end, printed in zip(("initial", "optimized"), paper, strict=True):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Final
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.runs.store import write_text
+from benchmarks.reporting.verify import Report, check_tables, differs
+from benchmarks.runs.store import Store, write_text
+from benchmarks.studies.classic.presets import load_preset
 from benchmarks.studies.classic.results import Results
 from benchmarks.studies.classic.tables import build_tables
 
@@ -85,3 +88,23 @@ def write(path: Path, results: Results, root: str) -> bool:
     if new != old:
         write_text(path, new)
     return new != old
+
+
+def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
+    """Verify the tables of each store of the classic tasks, and its block in the docs."""
+    for path in sorted((results / "classic").glob("*/store.json")):
+        found = check_store(path.parent, docs)
+        report.add(f"{path.parent}: tables, and its block in {docs}", found)
+
+
+def check_store(folder: Path, docs: Path) -> list[str]:
+    """What disagrees with the runs in a store of the classic tasks."""
+    store = Store.open(folder.parent, folder.name)
+    results = Results(load_preset(folder.name), store)
+    problems = check_tables(store.tables, build_tables(results))
+    for path in sorted(docs.glob("*.md")):
+        page = path.read_text(encoding="utf-8")
+        if begin(folder.name) in page:
+            wanted = rewrite(page, results, Path(os.path.relpath(folder, docs)).as_posix())
+            problems += differs(path, page, wanted, f"the runs in {folder}")
+    return problems

@@ -10,66 +10,19 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, TextIO
+
+from rich.console import Console
+from rich.progress import Progress
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.methods.geometric_design import geometry_rows, measured_runs, run_rows, table_rows
+from benchmarks.methods.geometric_design import measured_runs, run_rows, table_rows
 from benchmarks.runs import machine
 from benchmarks.studies.design import docs as design_docs
 from benchmarks.studies.design import study
 from benchmarks.studies.design.figures import write_figures
 from benchmarks.studies.design.store import DesignStore
-from coop_env.design import Optimum
-
-__all__ = ["geometry_rows", "main"]
-
-# share of the whole by stage, as measured; only the time-left display rests on it
-_SHARES: Final = {
-    "optimizer's runs": 0.15,
-    "atlas": 0.22,
-    "global optimum, bands of heave": 0.33,
-    "sensitivity": 0.20,
-    "test trajectory, pose models, maps": 0.03,
-    "speed": 0.03,
-    "figures and docs": 0.04,
-}
-
-
-class _Progress:
-    """One line that says the stage, the share done and the time left."""
-
-    def __init__(self, stream: TextIO) -> None:
-        self.stream = stream
-        self.start = time.monotonic()
-        self.before = 0.0
-        self.stage = ""
-        self.shown = -1.0
-
-    def enter(self, stage: str) -> Callable[[float], None]:
-        """Begin a stage; the returned function takes the share of it that is done."""
-        names = list(_SHARES)
-        self.before = sum(_SHARES[name] for name in names[: names.index(stage)])
-        self.stage = stage
-        self.update(0.0)
-        return self.update
-
-    def update(self, share: float) -> None:
-        done = self.before + _SHARES[self.stage] * share
-        elapsed = time.monotonic() - self.start
-        live = self.stream.isatty()
-        if share > 0.0 and not live and elapsed - self.shown < 5.0:
-            return
-        self.shown = elapsed
-        left = f", about {elapsed * (1.0 - done) / done:.0f} s left" if done > 0.05 else ""
-        line = f"[{100 * done:3.0f} %] {self.stage} ({elapsed:.0f} s{left})"
-        self.stream.write(f"\r{line:<76}" if live else f"{line}\n")
-        self.stream.flush()
-
-    def close(self) -> None:
-        if self.stream.isatty():
-            self.stream.write("\r" + " " * 76 + "\r")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -77,12 +30,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = _parser().parse_args(argv)
     store = DesignStore(arguments.results)
     if not arguments.figures_only:
-        run(store, arguments.runs, arguments.atlas_step, _Progress(sys.stderr))
+        run(store, arguments.runs, arguments.atlas_step)
+    elif not store.is_complete():
+        raise BenchmarkError(f"{store.path} holds no study; run: python -m benchmarks design")
     figures = write_figures(store)
     docs = design_docs.rewrite_all(arguments.docs, store)
-    print(design_docs.table_markdown(store))
-    print()
-    print(f"Data:    {store.folder}")
+    print(design_docs.table(store).markdown())
+    print(f"Data:    {store.path}")
     print(f"Figures: {', '.join(str(p) for p in figures if p.suffix == '.png')} (and .pdf)")
     print(f"Docs:    {', '.join(str(path) for path in docs) or 'no page with a block for these'}")
     return 0
@@ -104,7 +58,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def run(store: DesignStore, runs: int, atlas_step: float, progress: _Progress) -> None:
+def run(store: DesignStore, runs: int, atlas_step: float) -> None:
     """Compute everything and store it.
 
     Raises:
@@ -114,45 +68,48 @@ def run(store: DesignStore, runs: int, atlas_step: float, progress: _Progress) -
         raise BenchmarkError(f"--runs {runs}: must be at least 1")
     if not 0.005 <= atlas_step <= 0.5:
         raise BenchmarkError(f"--atlas-step {atlas_step}: must lie in 0.005 to 0.5")
-    measured = measured_runs(runs, progress.enter("optimizer's runs"))
-    run_table, paths = run_rows(measured)
-    store.write_rows("table", table_rows(measured))
-    store.write_rows("runs", run_table)
-    store.write_rows("paths", paths)
+    began = time.monotonic()
+    with Progress(console=Console(stderr=True)) as bar:
+        stage = bar.add_task("optimizer's runs", total=1.0)
 
-    atlas = study.atlas_rows(atlas_step, progress.enter("atlas"))
-    store.write_rows("atlas", atlas)
-    optima = study.optima(atlas, progress.enter("global optimum, bands of heave"))
-    store.write_rows("optima", study.optimum_rows(optima))
-    best = optima[f"band {study.ROBUST}"]
-    assert isinstance(best, Optimum)
-    robust = best.geometry
+        def enter(name: str) -> None:
+            bar.reset(stage, description=name, total=1.0)
 
-    update = progress.enter("sensitivity")
-    store.write_rows("heave", study.heave_rows(robust))
-    update(0.2)
-    store.write_rows("threshold", study.threshold_rows())
-    update(0.5)
-    slopes, tolerances = study.tolerance_rows(robust)
-    store.write_rows("slopes", slopes)
-    store.write_rows("tolerances", tolerances)
+        def tell(share: float) -> None:
+            bar.update(stage, completed=share)
 
-    progress.enter("test trajectory, pose models, maps")
-    trajectory, validation = study.trajectory_rows(robust)
-    store.write_rows("trajectory", trajectory)
-    store.write_rows("validation", validation)
-    store.write_rows("pose_model", study.pose_model_rows())
-    store.write_rows("pose_model_design", study.pose_model_design_rows())
-    store.write_maps(**study.map_arrays())
+        measured = measured_runs(runs, tell)
+        run_table, paths = run_rows(measured)
+        store.write_rows("table", table_rows(measured))
+        store.write_rows("runs", run_table)
+        store.write_rows("paths", paths)
 
-    progress.enter("speed")
-    store.write_rows("speed", study.speed_rows())
-    seconds = time.monotonic() - progress.start
-    store.write_meta(
-        {**machine.describe(), "runs": runs, "atlas_step": atlas_step, "seconds": round(seconds, 1)}
-    )
-    progress.enter("figures and docs")
-    progress.close()
+        enter("atlas")
+        atlas = study.atlas_rows(atlas_step, tell)
+        store.write_rows("atlas", atlas)
+        enter("global optimum, bands of heave")
+        optima = study.optima(atlas, tell)
+        store.write_rows("optima", study.optimum_rows(optima))
+        robust = optima[f"band {study.ROBUST}"][0]
+
+        enter("sensitivity")
+        store.write_rows("heave", study.heave_rows(robust))
+        store.write_rows("threshold", study.threshold_rows())
+        slopes, tolerances = study.tolerance_rows(robust)
+        store.write_rows("slopes", slopes)
+        store.write_rows("tolerances", tolerances)
+
+        enter("test trajectory, pose models, maps, speed")
+        trajectory, validation = study.trajectory_rows(robust)
+        store.write_rows("trajectory", trajectory)
+        store.write_rows("validation", validation)
+        store.write_rows("pose_model", study.pose_model_rows())
+        store.write_rows("pose_model_design", study.pose_model_design_rows())
+        store.write_maps(**study.map_arrays())
+        store.write_rows("speed", study.speed_rows())
+    seconds = round(time.monotonic() - began, 1)
+    made = {"runs": runs, "atlas_step": atlas_step, "seconds": seconds}
+    store.write_meta({**machine.describe(), **made})
 
 
 if __name__ == "__main__":

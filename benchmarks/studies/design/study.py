@@ -9,8 +9,8 @@ from typing import Final
 
 import numpy as np
 
+from benchmarks.methods.geometric_design import Row
 from benchmarks.studies.design import reference as design_reference
-from benchmarks.studies.design.store import Row
 from coop_env import design
 from coop_env.design import DesignProblem, Optimum
 from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, RRSGeometry
@@ -42,51 +42,42 @@ def atlas_rows(step: float, progress: Callable[[float], None]) -> list[Row]:
     ]
 
 
-def optima(atlas: Sequence[Row], progress: Callable[[float], None]) -> dict[str, Optimum | Row]:
-    """The best designs by method at home's heave, and the best for each band of heave."""
+def optima(
+    atlas: Sequence[Row], progress: Callable[[float], None]
+) -> dict[str, tuple[RRSGeometry, int]]:
+    """The best designs by method at home's heave, and for each band of heave, with evaluations."""
     problem = DesignProblem()
-    found: dict[str, Optimum | Row] = {
-        "nelder_mead": design.optimize(problem),
-        "differential_evolution": design.optimize_globally(problem, generations=20),
-        "atlas": max(atlas, key=lambda row: float(str(row["a_w"]))),
+    cell = max(atlas, key=lambda row: float(str(row["a_w"])))
+    lambdas = float(str(cell["lambda1"])), float(str(cell["lambda2"]))
+    found = {
+        "nelder_mead": _told(design.optimize(problem)),
+        "differential_evolution": _told(design.optimize_globally(problem, generations=20)),
+        "atlas": (problem.geometry(*lambdas), 0),
     }
     progress(0.4)
     for k, (name, heaves) in enumerate(BANDS.items()):
         band = design.at_heaves(problem, heaves)
         rough = design.optimize_globally(band, generations=8, population=8)
         local = design.optimize(band)
-        found[f"band {name}"] = max((rough, local), key=lambda best: best.value)
+        found[f"band {name}"] = _told(max((rough, local), key=lambda best: best.value))
         progress(0.4 + 0.2 * (k + 1))
     return found
 
 
-def optimum_rows(found: dict[str, Optimum | Row]) -> list[Row]:
+def _told(best: Optimum) -> tuple[RRSGeometry, int]:
+    return best.geometry, best.evaluations
+
+
+def optimum_rows(found: dict[str, tuple[RRSGeometry, int]]) -> list[Row]:
     """For each of :func:`optima`: lambdas, lengths, A_w at home and the least over each band."""
-    problem = DesignProblem()
-    designs: dict[str, tuple[RRSGeometry, int]] = {
-        "initial": (INITIAL, 0),
-        "printed optimum (fit)": (OPTIMIZED, 0),
-    }
-    for name, best in found.items():
-        if isinstance(best, Optimum):
-            designs[name] = best.geometry, best.evaluations
-        else:
-            lambda1, lambda2 = float(str(best["lambda1"])), float(str(best["lambda2"]))
-            designs[name] = problem.geometry(lambda1, lambda2), 0
     rows: list[Row] = []
-    for name, (g, evaluations) in designs.items():
-        lambda1, lambda2, lambda3 = g.lambdas
-        row: Row = {
-            "design": name,
-            "lambda1": lambda1,
-            "lambda2": lambda2,
-            "lambda3": lambda3,
-            "base_radius": g.base_radius,
-            "proximal_length": g.proximal_length,
-            "platform_radius": g.platform_radius,
-            "evaluations": evaluations,
-            "a_w_home": design.workspace_area(g),
-        }
+    given = {"initial": (INITIAL, 0), "printed optimum (fit)": (OPTIMIZED, 0)}
+    for name, (g, evaluations) in {**given, **found}.items():
+        row: Row = {"design": name}
+        row |= {f"lambda{i}": value for i, value in enumerate(g.lambdas, start=1)}
+        for length in ("base_radius", "proximal_length", "platform_radius"):
+            row[length] = getattr(g, length)
+        row |= {"evaluations": evaluations, "a_w_home": design.workspace_area(g)}
         for band, heaves in BANDS.items():
             row[f"a_w {band}"] = float(design.over_heaves(g, heaves).min())
         rows.append(row)
@@ -107,19 +98,9 @@ def threshold_rows() -> list[Row]:
     """A_w by threshold on sigma_min, and the optimum for each."""
     thresholds = [0.05, 0.10, 0.15, 0.20, 0.25, 0.30, 0.40]
     sweep = design.over_thresholds([INITIAL, OPTIMIZED], thresholds)
-    return [
-        {
-            "threshold": t,
-            "initial": float(given[0]),
-            "optimized": float(given[1]),
-            "reoptimized": float(best),
-            "lambda1": float(lambdas[0]),
-            "lambda2": float(lambdas[1]),
-        }
-        for t, given, best, lambdas in zip(
-            thresholds, sweep.given, sweep.optimum, sweep.lambdas, strict=True
-        )
-    ]
+    keys = ("threshold", "initial", "optimized", "reoptimized", "lambda1", "lambda2")
+    found = np.column_stack((thresholds, sweep.given, sweep.optimum, sweep.lambdas))
+    return [dict(zip(keys, row, strict=True)) for row in found.tolist()]
 
 
 def tolerance_rows(robust: RRSGeometry, draws: int = 100) -> tuple[list[Row], list[Row]]:
@@ -130,15 +111,10 @@ def tolerance_rows(robust: RRSGeometry, draws: int = 100) -> tuple[list[Row], li
     for name, g in designs.items():
         for tolerance in (1e-4, 5e-4, 1e-3, 2e-3):
             areas = design.under_tolerances(g, tolerance, draws)
-            rows.append(
-                {
-                    "design": name,
-                    "tolerance_mm": 1e3 * tolerance,
-                    "mean": float(areas.mean()),
-                    "std": float(areas.std(ddof=1)),
-                    "least": float(areas.min()),
-                }
-            )
+            rows.append({
+                "design": name, "tolerance_mm": 1e3 * tolerance, "mean": float(areas.mean()),
+                "std": float(areas.std(ddof=1)), "least": float(areas.min()),
+            })  # fmt: skip
     return slopes, rows
 
 
@@ -156,20 +132,12 @@ def trajectory_rows(robust: RRSGeometry) -> tuple[list[Row], list[Row]]:
         for name in ("initial", "optimized"):
             row.update({f"q{k} {name}": float(reports[name].q[i, k]) for k in range(3)})
         rows.append(row)
+    angles = ("joint_low", "joint_high", "excursion", "peak_rate", "peak_acceleration")
+    others = ("log_jerk", "sigma_min", "kappa_max", "forward_error")
     summary: list[Row] = [
-        {
-            "design": name,
-            "valid": report.valid,
-            "joint_low": math.degrees(report.joint_low),
-            "joint_high": math.degrees(report.joint_high),
-            "excursion": math.degrees(report.excursion),
-            "peak_rate": math.degrees(report.peak_rate),
-            "peak_acceleration": math.degrees(report.peak_acceleration),
-            "log_jerk": report.log_jerk,
-            "sigma_min": report.sigma_min,
-            "kappa_max": report.kappa_max,
-            "forward_error": report.forward_error,
-        }
+        {"design": name, "valid": report.valid}
+        | {key: math.degrees(getattr(report, key)) for key in angles}
+        | {key: getattr(report, key) for key in others}
         for name, report in reports.items()
     ]
     return rows, summary
@@ -185,31 +153,22 @@ def pose_model_rows() -> list[Row]:
     rows: list[Row] = []
     for tilt in (5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0):
         lean = math.radians(tilt)
-        n = np.stack(
-            [
-                math.sin(lean) * np.cos(azimuth),
-                math.sin(lean) * np.sin(azimuth),
-                np.full_like(azimuth, math.cos(lean)),
-            ],
-            axis=-1,
-        )
+        level = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+        n = np.insert(math.sin(lean) * level, 2, math.cos(lean), axis=-1)
         poses = np.concatenate([roll_pitch(n), np.full((len(azimuth), 1), 0.21)], axis=-1)
         exact, paper = rrs.platform_pose(poses), rrs.platform_pose(poses, pose_model="paper")
         reached = rrs.forward(rrs.inverse(poses, pose_model="paper").q, poses)
         there = rrs.platform_pose(reached.pose)
-        rows.append(
-            {
-                "tilt": tilt,
-                "plane_mm": 1e3 * _worst(rrs.plane_offset(poses, pose_model="paper")),
-                "centre_mm": 1e3 * _worst(np.linalg.norm(exact.position - paper.position, axis=-1)),
-                "yaw_deg": math.degrees(_worst(rrs.parasitic(poses)[:, 2])),
-                "hole_mm": 1e3 * _hole_errors(exact, paper)[0],
-                "hole_deg": math.degrees(_hole_errors(exact, paper)[1]),
-                "lost": int((~reached.converged).sum()),
-                "reached_hole_mm": 1e3 * _hole_errors(there, paper)[0],
-                "reached_hole_deg": math.degrees(_hole_errors(there, paper)[1]),
-            }
-        )
+        off = np.linalg.norm(exact.position - paper.position, axis=-1)
+        rows.append({
+            "tilt": tilt,
+            "plane_mm": 1e3 * _worst(rrs.plane_offset(poses, pose_model="paper")),
+            "centre_mm": 1e3 * _worst(off),
+            "yaw_deg": math.degrees(_worst(rrs.parasitic(poses)[:, 2])),
+            **_hole_errors("", exact, paper),
+            "lost": int((~reached.converged).sum()),
+            **_hole_errors("reached_", there, paper),
+        })  # fmt: skip
     return rows
 
 
@@ -219,18 +178,13 @@ def pose_model_design_rows() -> list[Row]:
     for model in ("exact", "paper"):
         for name, g in GEOMETRIES.items():
             found = design.measure(g, DesignProblem(pose_model=model))
-            rows.append(
-                {
-                    "pose_model": model,
-                    "design": name,
-                    "a_w": found.area,
-                    "sigma_cone": found.sigma_cone,
-                    "max_angle": math.degrees(found.max_angle),
-                    "kappa_variation": 100.0 * found.kappa_variation,
-                    "joint_low": math.degrees(found.joint_low),
-                    "joint_high": math.degrees(found.joint_high),
-                }
-            )
+            rows.append({
+                "pose_model": model, "design": name, "a_w": found.area,
+                "sigma_cone": found.sigma_cone, "max_angle": math.degrees(found.max_angle),
+                "kappa_variation": 100.0 * found.kappa_variation,
+                "joint_low": math.degrees(found.joint_low),
+                "joint_high": math.degrees(found.joint_high),
+            })  # fmt: skip
     return rows
 
 
@@ -238,8 +192,8 @@ def _worst(values: np.ndarray) -> float:
     return float(np.nanmax(np.abs(values)))
 
 
-def _hole_errors(a: rrs.PlatformPose, b: rrs.PlatformPose) -> tuple[float, float]:
-    """Largest distance (m) and angle (rad) between one hole of the dome in two platform poses."""
+def _hole_errors(prefix: str, a: rrs.PlatformPose, b: rrs.PlatformPose) -> Row:
+    """Largest distance (mm) and angle (degrees) between one hole of the dome in two poses."""
     directions = np.array(PAPER_TASK.hole_normals)
     normals = [np.einsum("nij,hj->nhi", pose.rotation, directions) for pose in (a, b)]
     holes = [
@@ -247,7 +201,8 @@ def _hole_errors(a: rrs.PlatformPose, b: rrs.PlatformPose) -> tuple[float, float
         for pose, normal in zip((a, b), normals, strict=True)
     ]
     apart = np.linalg.norm(holes[0] - holes[1], axis=-1)
-    return _worst(apart), _worst(angle_between(normals[0], normals[1]))
+    angle = _worst(angle_between(normals[0], normals[1]))
+    return {f"{prefix}hole_mm": 1e3 * _worst(apart), f"{prefix}hole_deg": math.degrees(angle)}
 
 
 def speed_rows(repeats: int = 9) -> list[Row]:

@@ -72,6 +72,20 @@ def test_counts_agree_with_the_environments_infos() -> None:
     assert row["reward"] == pytest.approx(total)
 
 
+def test_each_entry_into_a_filled_hole_is_counted() -> None:
+    from benchmarks.methods.oracle import LatticeOracle
+
+    env = CoopInsertionEnv(reward="progress")
+    episode = Episode(env, 0, episode_seeds(0, 1)[0])
+    plan = LatticeOracle().plan(env)
+    assert plan.moves is not None
+    infos = [episode.move(int(move)) for move in plan.moves]
+    assert episode.row()["duplicates"] == 0
+    for _ in range(3):
+        infos += [episode.move(4), episode.move(5)]  # out and in again
+    assert episode.row()["duplicates"] == sum(info["duplicate"] for info in infos) == 3
+
+
 def test_an_insertion_is_measured_where_it_happens() -> None:
     from benchmarks.methods.oracle import LatticeOracle
 

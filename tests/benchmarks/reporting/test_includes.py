@@ -9,7 +9,7 @@ import pytest
 from benchmarks.errors import BenchmarkError
 from benchmarks.methods.scripts import SCRIPTS
 from benchmarks.reporting.pages import includes
-from benchmarks.reporting.verify import check_summaries
+from benchmarks.reporting.verify import Report
 from benchmarks.runs.store import write_csv, write_text
 from benchmarks.studies import audit
 
@@ -58,10 +58,16 @@ def test_what_is_not_there_is_named(tmp_path: Path) -> None:
         includes.render(outside, store(tmp_path), "page.md")
 
 
+def check(results: Path) -> list[str]:
+    report = Report()
+    audit.check(report, results, [], results)
+    return report.problems
+
+
 def test_a_changed_digit_is_seen(tmp_path: Path) -> None:
     results = store(tmp_path)
-    assert check_summaries(results, []) == []
+    assert check(results) == []
     table = results / "audit" / "scripted.md"
     write_text(table, table.read_text(encoding="utf-8").replace("10.5", "10.6"))
-    (problem,) = check_summaries(results, [])
+    (problem,) = check(results)
     assert problem.startswith(f"{table} differs from the rows of scripted.csv (line 3")

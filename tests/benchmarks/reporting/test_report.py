@@ -21,7 +21,7 @@ from PIL import Image
 
 from benchmarks.__main__ import main
 from benchmarks.reporting.figures.learning import pictures
-from benchmarks.reporting.figures.parts import canvas, flat_png
+from benchmarks.reporting.figures.style import canvas, flat_png
 from benchmarks.reporting.pages.html_report import DESIGN, report_path, write_report
 from benchmarks.reporting.results import Results
 from benchmarks.reporting.tables import deviations

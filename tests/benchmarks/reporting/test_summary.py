@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
+from benchmarks.protocol.plan import ABLATIONS
 from benchmarks.reporting.pages.summary import sentences
 from benchmarks.reporting.results import Results, tail_mean
 from benchmarks.runs.store import Store
+from tests.benchmarks import fabricated_store
 from tests.benchmarks.fabricated_store import make_store
 
 
@@ -70,17 +74,92 @@ def test_the_design_stage_reproduces_only_at_the_ceiling(
     assert ("at the ceiling" in told) == (before == after == 1.0)
 
 
-@pytest.mark.parametrize(("holes", "blamed"), [(0.0, True), (1.0, False)])
-def test_the_printed_reward_is_blamed_only_where_nothing_is_filled(
-    holes: float, blamed: bool, tmp_path: Path
+@pytest.mark.parametrize(
+    ("holes", "reward", "blamed"),
+    [(0.0, 30.0, True), (0.49, 0.01, True), (0.5, 30.0, False), (0.0, 0.0, False)],
+)
+def test_the_printed_reward_is_blamed_only_where_it_is_earned_without_holes(
+    holes: float, reward: float, blamed: bool, tmp_path: Path
 ) -> None:
     store = make_store(tmp_path, [0], "paper", lambda c: c.track == "printed")
     solve(store, "rainbow-optimized-printed-s0", 0.0)
     path = store.run("rainbow-optimized-printed-s0").path / "curve.csv"
-    pd.read_csv(path).assign(holes=holes).to_csv(path, index=False)
+    rows = pd.read_csv(path).assign(holes=holes, episode_reward=reward)
+    rows.to_csv(path, index=False)
     (told,) = [line for line in sentences(Results(store)) if "As printed" in line]
     assert f"fill {holes:.2f} holes" in told
     assert ("hovering" in told) == blamed
+
+
+@pytest.fixture
+def verdicts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, float]], str]:
+    """The sentences after some runs solved a share of 100 episodes, in one text."""
+    monkeypatch.setattr(fabricated_store, "EPISODES", 100)
+
+    def tell(shares: dict[str, float]) -> str:
+        store = make_store(tmp_path, [0], "paper", lambda cell: cell.id in shares)
+        for run, share in shares.items():
+            solve(store, run, share)
+        return "\n".join(sentences(Results(store)))
+
+    return tell
+
+
+@pytest.mark.parametrize(
+    ("ours", "optimum", "verdict"),
+    [
+        (0.95, 0.95, "reproduces"),
+        (0.94, 0.94, "falls short"),  # below 95 %
+        (0.98, 1.00, "reproduces"),
+        (0.97, 1.00, "falls short"),  # below 0.98 of the optimum's
+    ],
+)
+def test_the_success_rate_reproduces_near_the_optimum(
+    ours: float, optimum: float, verdict: str, verdicts: Callable[[dict[str, float]], str]
+) -> None:
+    told = verdicts({"rainbow-optimized-tuned-s0": ours, "optimum-optimized-s0": optimum})
+    assert f"**The success rate {verdict}**" in told
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "verdict"),
+    [(0.49, 0.98, "reproduces"), (0.48, 0.98, "in part"), (0.49, 0.97, "in part")],
+)
+def test_the_design_stage_reproduces_near_both_optima(
+    before: float, after: float, verdict: str, verdicts: Callable[[dict[str, float]], str]
+) -> None:
+    told = verdicts({
+        "rainbow-initial-tuned-s0": before, "rainbow-optimized-tuned-s0": after,
+        "optimum-initial-s0": 0.5, "optimum-optimized-s0": 1.0,
+    })  # fmt: skip
+    assert re.search(rf"effect (reproduces )?{verdict}\*\*", told)
+
+
+@pytest.mark.parametrize(("share", "learns"), [(0.5, True), (0.49, False)])
+def test_as_printed_it_learns_from_half_of_the_episodes_on(
+    share: float, learns: bool, verdicts: Callable[[dict[str, float]], str]
+) -> None:
+    told = verdicts({"rainbow-optimized-printed-s0": share})
+    assert told.startswith("**As printed** Rainbow inserts") == learns
+    assert ("does not learn" in told) != learns
+
+
+def test_a_component_counts_where_the_intervals_are_apart(
+    verdicts: Callable[[dict[str, float]], str],
+) -> None:
+    runs = {f"rainbow-{name}-optimized-repaired-s0": 0.8 for name in ABLATIONS}
+    runs.pop("rainbow-full-optimized-repaired-s0")
+    runs |= {"rainbow-optimized-repaired-s0": 0.8, "rainbow-no_noisy-optimized-repaired-s0": 0.95}
+    # Wilson's intervals of 80 and 70, or 88, of 100 overlap, those of 80 and 60, or 95, do not
+    runs |= {f"rainbow-{name}-optimized-repaired-s0": share
+             for name, share in (("no_dueling", 0.7), ("no_n_steps", 0.88))}  # fmt: skip
+    told = verdicts(runs)
+    assert "does not reproduce" in told
+    assert re.search(r"more without [^;,]*95\.0[^;,]*;", told)
+    assert "less without" not in told
+    told = verdicts(runs | {"rainbow-no_double_q-optimized-repaired-s0": 0.6})
+    assert "reproduces in part" in told
+    assert re.search(r"less without [^;,]*60\.0[^;,]*;", told)
 
 
 def test_the_last_episodes_count_once_each() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import re
 import shutil
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,20 +13,15 @@ import pandas as pd
 import pytest
 
 from benchmarks.__main__ import main
+from benchmarks.protocol.plan import expand
+from benchmarks.protocol.presets import load_preset
 from benchmarks.reporting.pages.includes import included, rewrite_all
 from benchmarks.reporting.pages.readme import BEGIN, END, rewrite
 from benchmarks.reporting.tables.paper import build_tables
-from benchmarks.reporting.verify import (
-    check_classic,
-    check_design,
-    check_runs,
-    check_search,
-    check_tables,
-    verify,
-    verify_all,
-)
+from benchmarks.reporting.verify import Report, check_runs, check_tables, verify, verify_all
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.design.docs import BLOCKS
+from benchmarks.studies.design import docs as design_docs
+from benchmarks.studies.tuning.check import check_search
 
 ROOT = Path(__file__).resolve().parents[3]
 RESULTS = ROOT / "results"
@@ -33,9 +29,9 @@ RESULTS = ROOT / "results"
 
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
-    """The committed quick results, README about them, and docs; no pictures, no working files."""
+    """Committed results of preset long, README about them, and docs; no pictures or policies."""
     unneeded = shutil.ignore_patterns("*.zip", "figures", "checkpoint", "tensorboard", "*.lock")
-    for name in ("quick", "design"):
+    for name in ("long", "design"):
         shutil.copytree(RESULTS / name, tmp_path / "results" / name, ignore=unneeded)
     shutil.copytree(ROOT / "docs", tmp_path / "docs")
     shutil.copy(ROOT / "README.md", tmp_path)
@@ -43,7 +39,7 @@ def copy(tmp_path: Path) -> Path:
         for name in included(page.read_text(encoding="utf-8")):
             (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, tmp_path / name)
-    rewrite(tmp_path / "README.md", Store.open(tmp_path / "results", "quick"))
+    rewrite(tmp_path / "README.md", Store.open(tmp_path / "results", "long"))
     return tmp_path
 
 
@@ -54,11 +50,6 @@ def words(folder: Path) -> list[str]:
 
 def learners(store: Store) -> list[RunFolder]:
     return [run for run in store.completed() if run.has_rows("curve")]
-
-
-def planners(store: Store) -> list[RunFolder]:
-    runs = [run for run in store.completed() if run.has_rows("episodes")]
-    return [run for run in runs if not run.has_rows("curve")]
 
 
 def change_digit(path: Path, rng: random.Random, begin: str = "", end: str = "") -> int:
@@ -87,7 +78,7 @@ def test_the_committed_results_are_what_their_episodes_say(
 
 
 def test_one_digit_of_any_table_is_seen(copy: Path) -> None:
-    store = Store.open(copy / "results", "quick")
+    store = Store.open(copy / "results", "long")
     rng = random.Random(0)
     tables = sorted(store.tables.iterdir())
     assert len(tables) >= 21
@@ -123,10 +114,17 @@ def test_text_outside_the_readmes_block_is_free(copy: Path) -> None:
     assert main(words(copy)) == 0
 
 
+def check_design(copy: Path) -> list[str]:
+    report = Report()
+    design_docs.check(report, copy / "results", [], copy / "docs")
+    assert len(report.checked) == 1
+    return report.problems
+
+
 def blocks() -> Iterator[tuple[str, str]]:
     for path in sorted((ROOT / "docs").glob("*.md")):
         text = path.read_text(encoding="utf-8")
-        for name in BLOCKS:
+        for name in design_docs.BLOCKS:
             if f"<!-- {name}:begin" in text:
                 yield path.name, name
 
@@ -139,7 +137,7 @@ def test_one_digit_of_any_generated_block_of_the_docs_is_seen(copy: Path) -> Non
         path = copy / "docs" / page
         kept = path.read_bytes()
         line = change_digit(path, rng, f"<!-- {name}:begin", f"<!-- {name}:end")
-        (problem,) = check_design(copy / "results", copy / "docs")
+        (problem,) = check_design(copy)
         assert problem.startswith(f"{path} differs from the data in")
         assert f"(line {line}: stored" in problem
         path.write_bytes(kept)
@@ -149,13 +147,13 @@ def test_the_designs_table_must_follow_from_its_runs(copy: Path) -> None:
     path = copy / "results" / "design" / "runs.csv"
     runs = pd.read_csv(path)
     runs.assign(a_w=runs["a_w"] + 0.01).to_csv(path, index=False)
-    (problem,) = check_design(copy / "results", copy / "docs")
+    (problem,) = check_design(copy)
     wanted = runs["a_w"].mean() + 0.01
     assert f"as the optimized workspace, the mean of runs.csv is {wanted:.7g}" in problem
 
 
 def test_an_episode_that_changed_makes_the_tables_disagree(copy: Path) -> None:
-    store = Store.open(copy / "results", "quick")
+    store = Store.open(copy / "results", "long")
     run = learners(store)[0]
     rows = run.rows("episodes")
     rows["success"] = [1 - rows["success"][0], *rows["success"][1:]]
@@ -166,9 +164,9 @@ def test_an_episode_that_changed_makes_the_tables_disagree(copy: Path) -> None:
 
 
 def test_rows_that_are_not_the_test_episodes_are_named(copy: Path) -> None:
-    store = Store.open(copy / "results", "quick")
+    store = Store.open(copy / "results", "long")
     assert check_runs(store) == []
-    path = planners(store)[-1].path / "episodes.csv"
+    path = store.completed()[-1].path / "episodes.csv"
     text = path.read_text(encoding="utf-8")
     lines = text.splitlines(keepends=True)
 
@@ -178,7 +176,7 @@ def test_rows_that_are_not_the_test_episodes_are_named(copy: Path) -> None:
         path.write_text(text, encoding="utf-8")
         return found
 
-    assert "rows at noise 0, not one for each" in problem("".join(lines[:5] + lines[6:]))
+    assert "rows at noise 0.0, not one for each" in problem("".join(lines[:5] + lines[6:]))
     number, seed, start, rest = lines[1].split(",", 3)
     assert "other than the test seeds" in problem(
         "".join([lines[0], f"{number},{int(seed) + 1},{start},{rest}", *lines[2:]])
@@ -193,8 +191,22 @@ def test_rows_that_are_not_the_test_episodes_are_named(copy: Path) -> None:
     assert "episodes.csv has noise [0.0], not [0.0, " in found
 
 
+def test_a_policy_that_is_not_its_runs_is_named(tmp_path: Path) -> None:
+    shutil.copytree(RESULTS / "attempts", tmp_path / "attempts")
+    store = Store.open(tmp_path, "attempts")
+    assert check_runs(store) == []
+    first, second = [run for run in store.completed() if run.policy.is_file()][:2]
+    kept = first.policy.read_bytes()
+    first.policy.write_bytes(second.policy.read_bytes())
+    second.policy.write_bytes(kept)
+    wanted = "policy.zip is not the policy whose digest its meta.json has"
+    assert check_runs(store) == [f"{run.path}: {wanted}" for run in (first, second)]
+    second.policy.unlink()
+    assert check_runs(store) == [f"{first.path}: {wanted}"]
+
+
 def test_a_damaged_or_foreign_run_is_named(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    store = Store.open(copy / "results", "quick")
+    store = Store.open(copy / "results", "long")
     run = learners(store)[0].path
     for name, text, message in (
         ("meta.json", '{"schema": 99}', "has results schema 99, this version reads 1"),
@@ -217,7 +229,7 @@ def test_a_damaged_or_foreign_run_is_named(copy: Path, capsys: pytest.CaptureFix
 
 
 def test_a_table_that_nothing_makes_is_named(copy: Path) -> None:
-    store = Store.open(copy / "results", "quick")
+    store = Store.open(copy / "results", "long")
     (store.tables / "old.md").write_text("95", encoding="utf-8")
     (store.tables / "ablation.csv").unlink()
     missing, old = verify(store)
@@ -236,9 +248,9 @@ def test_the_readme_is_rewritten_for_the_preset_that_it_shows(copy: Path) -> Non
 
 
 def test_a_readme_without_its_results_is_named(copy: Path) -> None:
-    shutil.move(copy / "results" / "quick", copy / "results" / "slow")
+    shutil.move(copy / "results" / "long", copy / "results" / "slow")
     report = verify_all(copy / "results", [], copy / "README.md", copy / "docs")
-    assert any("shows preset 'quick', but" in problem for problem in report.problems)
+    assert any("shows preset 'long', but" in problem for problem in report.problems)
 
 
 def test_nothing_to_verify_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -280,12 +292,12 @@ def test_the_classic_tables_must_follow_from_their_runs(tmp_path: Path) -> None:
     page = tmp_path / "docs" / "rainbow.md"
     page.parent.mkdir()
     page.write_text(f"{block.begin('quick')}\n{block.END}\n", encoding="utf-8")
-    (problem,) = check_classic(store.folder, page.parent)
+    (problem,) = block.check_store(store.folder, page.parent)
     assert problem.startswith(f"{page} differs from the runs in")
     block.write(page, classic, "../results/classic/quick")
-    assert check_classic(store.folder, page.parent) == []
+    assert block.check_store(store.folder, page.parent) == []
     change_digit(store.tables / "settings.md", random.Random(4))
-    (problem,) = check_classic(store.folder, page.parent)
+    (problem,) = block.check_store(store.folder, page.parent)
     assert "settings.md differs" in problem
 
 
@@ -306,3 +318,27 @@ def test_an_included_file_that_changed_is_seen(
     part.unlink()
     assert main(words(copy)) == 1
     assert "which is no file of" in capsys.readouterr().err
+
+
+def test_the_policies_in_git_are_few(tmp_path: Path) -> None:
+    """Those of the headline methods; what else a run leaves is ignored."""
+    if not (ROOT / ".git").exists():
+        pytest.skip("not a git checkout")
+
+    def git(*words: str, given: str = "") -> list[str]:
+        done = subprocess.run(
+            ["git", *words], cwd=ROOT, capture_output=True, text=True, input=given
+        )
+        return done.stdout.split()
+
+    tracked = [ROOT / name for name in git("ls-files", "results/**/policy.zip")]
+    assert 0 < sum(path.stat().st_size for path in tracked) < 8_000_000
+    names = [str(path) for path in tracked]
+    # a renewed run of a preset whose results are tracked adds no file, and quick is not tracked
+    assert git("check-ignore", "--no-index", "--stdin", given="\n".join(names)) == []
+    made = ["results/quick/tables/performance.md", "results/paper/report.html"]
+    for preset in ("paper", "attempts", "long"):
+        cells = [f"results/{preset}/runs/{c.id}/policy.zip" for c in expand(load_preset(preset))]
+        made += [cell for cell in cells if str(ROOT / cell) not in names]
+    assert git("check-ignore", "--no-index", "--stdin", given="\n".join(made)) == made
+    assert git("ls-files", "results/quick") == []

@@ -27,7 +27,6 @@ def complete(store: Store, preset: Preset, method: str, seconds: float) -> None:
     run = store.run(cell.id)
     run.begin(settings(preset, cell))
     run.write_meta({"wall_seconds": seconds})
-    run.policy.write_bytes(b"weights")
 
 
 def test_cost_comes_from_the_nearest_runs(tmp_path: Path) -> None:

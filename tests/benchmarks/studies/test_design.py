@@ -12,11 +12,12 @@ import pytest
 from benchmarks.errors import BenchmarkError
 from benchmarks.methods.geometric_design import measured_runs, run_rows, table_rows
 from benchmarks.protocol import paper_values
+from benchmarks.reporting.figures.style import save, style
 from benchmarks.studies.design import command
 from benchmarks.studies.design import docs as design_docs
 from benchmarks.studies.design import figures as design_figures
 from benchmarks.studies.design import study as design_study
-from benchmarks.studies.design.store import FILES, DesignStore, stored_geometry_rows
+from benchmarks.studies.design.store import DesignStore
 
 ROOT = Path(__file__).resolve().parents[3]
 STORED = DesignStore(ROOT / "results")
@@ -52,16 +53,17 @@ def test_the_papers_pose_costs_more_the_further_it_tilts() -> None:
 
 
 def test_the_stored_table_is_what_the_command_would_write() -> None:
-    stored = {str(row["metric"]): row for row in stored_geometry_rows(ROOT / "results")}
+    stored = STORED.rows("table").set_index("metric")
     meta = STORED.meta()
     fresh = table_rows(measured_runs(1, lambda _: None))
     for row in fresh:
         for name in ("initial", "optimized"):
-            mean = float(stored[str(row["metric"])][f"{name}_mean"])  # type: ignore[arg-type]
+            mean = float(str(stored.at[str(row["metric"]), f"{name}_mean"]))
             assert mean == pytest.approx(float(str(row[f"{name}_mean"])), rel=0.05)
     assert meta["seconds"] < 120.0
-    for name in FILES:
-        assert len(STORED.rows(name)) > 0
+    names = [path.stem for path in STORED.path.glob("*.csv")]
+    assert len(names) == 14
+    assert all(len(STORED.rows(name)) for name in names)
 
 
 @pytest.mark.parametrize("page", ["design.md", "kinematics.md"])
@@ -83,10 +85,10 @@ def test_figures_and_pages_come_from_stored_data_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     store = DesignStore(tmp_path)
-    store.folder.mkdir()
-    for path in STORED.folder.iterdir():
+    store.path.mkdir()
+    for path in STORED.path.iterdir():
         if path.is_file():
-            (store.folder / path.name).write_bytes(path.read_bytes())
+            (store.path / path.name).write_bytes(path.read_bytes())
     page = tmp_path / "page.md"
     page.write_text((ROOT / "docs" / "design.md").read_text("utf-8").replace("1.164", "9.999"))
     monkeypatch.setattr(command, "run", lambda *_: pytest.fail("it computed"))
@@ -95,15 +97,15 @@ def test_figures_and_pages_come_from_stored_data_alone(
     assert "9.999" not in page.read_text("utf-8")
     printed = capsys.readouterr().out
     assert "Orientation workspace" in printed
-    assert str(store.folder) in printed
+    assert str(store.path) in printed
     assert len(list(store.figures.glob("*.png"))) == 5
 
 
 def test_the_same_data_gives_the_same_picture(tmp_path: Path) -> None:
     pictures = []
     for _ in range(2):
-        figure = design_figures.heave(STORED)
-        path = design_figures._save(DesignStore(tmp_path), "heave", "png", figure)
+        with style():
+            path = save(design_figures.heave(STORED), tmp_path / "heave.png")
         pictures.append(path.read_bytes())
     assert pictures[0] == pictures[1]
 

@@ -94,14 +94,10 @@ def test_re_entering_a_filled_hole_is_a_duplicate_once() -> None:
     assert back["duplicate"]
     assert not back["inserted"]
     assert back["reward_terms"]["duplicate"] == -1.0
-    there = env.state["offset"].copy()
-    for action in (6, 8, 10, 11):  # a small tilt stays in the hole: no new entry
-        if env.action_masks()[action]:
-            info = env.step(action)[4]
-            if env.state["inside"].any() and not info["violation"]:
-                assert not info["duplicate"]
-            break
-    assert np.abs(env.state["offset"] - there).sum() <= 1
+    stays = env.step(7)[4]  # a small tilt stays in the hole: no new entry
+    assert env.state["inside"].any()
+    assert not stays["violation"]
+    assert not stays["duplicate"]
 
 
 @pytest.mark.parametrize("geometry", ["initial", "optimized"])
