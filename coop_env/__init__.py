@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from coop_env.kernel_cache import drop_stale_kernels
+from coop_env.compilation import drop_stale_kernels
 
 if TYPE_CHECKING:
     from coop_env.env import CoopInsertionEnv

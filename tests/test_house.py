@@ -13,6 +13,54 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("sb3_rainbow", "coop_env", "benchmarks")
+MOST_ENTRIES = 12
+MARKERS = {"__init__.py", "py.typed", "__pycache__"}
+
+# Each floor may import from itself and from those before it, never from those after it.
+FLOORS = {
+    "benchmarks": (
+        "benchmarks.errors",
+        "benchmarks.protocol",
+        "benchmarks.methods",
+        "benchmarks.evaluation",
+        "benchmarks.runs",
+        "benchmarks.reporting",
+        "benchmarks.studies",
+        "benchmarks.commands",
+        "benchmarks.__main__",
+    ),
+    "coop_env": (
+        "coop_env.errors",
+        "coop_env.compilation",
+        "coop_env.checks",
+        "coop_env.geometry",
+        "coop_env.kinematics",
+        "coop_env.design",
+        "coop_env.simulation",
+        "coop_env.rendering.scene",
+        "coop_env.env",
+        "coop_env.env_batch",
+        "coop_env.vec_env",
+        "coop_env.vector_env",
+        "coop_env.rendering",
+    ),
+    "sb3_rainbow": (
+        "sb3_rainbow.type_aliases",
+        "sb3_rainbow.compilation",
+        "sb3_rainbow.network",
+        "sb3_rainbow.masking.conventions",
+        "sb3_rainbow.masking.transitions",
+        "sb3_rainbow.replay",
+        "sb3_rainbow.masking",
+        "sb3_rainbow.policies",
+        "sb3_rainbow.fast",
+        "sb3_rainbow.learner",
+        "sb3_rainbow.settings",
+        "sb3_rainbow.resume",
+        "sb3_rainbow.callbacks",
+        "sb3_rainbow.rainbow",
+    ),
+}
 
 # module prefix -> what it must not import
 LEARNING = ("torch", "stable_baselines3", "sb3_contrib", "sb3_rainbow")
@@ -50,6 +98,59 @@ def _imports(path: Path) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
+def _imported_modules(name: str) -> set[str]:
+    """Modules of this house that a module imports, wherever in it; not the packages around them."""
+    named = {target for target in _imports(SOURCES[name]) if target in SOURCES}
+    packages = {target for target in named if SOURCES[target].name == "__init__.py"}
+    return {
+        target
+        for target in named - {name}
+        if not (target in packages and any(_is_within(t, target) and t != target for t in named))
+    }
+
+
+def _floor(module: str, floors: tuple[str, ...]) -> int | None:
+    """The number of the longest prefix that holds the module."""
+    held = [prefix for prefix in floors if _is_within(module, prefix)]
+    return floors.index(max(held, key=len)) if held else None
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_imports_never_go_up(package: str) -> None:
+    floors = FLOORS[package]
+    for prefix in floors:
+        assert any(_is_within(name, prefix) for name in SOURCES), f"no {prefix}: has it moved?"
+    wrong, homeless = [], []
+    for name in SOURCES:
+        mine = _floor(name, floors)
+        if not _is_within(name, package) or name == package:
+            continue
+        if mine is None:
+            homeless.append(name)
+            continue
+        for target in _imported_modules(name):
+            theirs = _floor(target, floors)
+            if theirs is not None and theirs > mine:
+                wrong.append(f"{name} imports {target}")
+    assert wrong == []
+    assert homeless == []
+
+
+def test_no_circle_of_imports() -> None:
+    graph = {name: _imported_modules(name) for name in SOURCES}
+    done: set[str] = set()
+
+    def visit(name: str, path: tuple[str, ...]) -> None:
+        assert name not in path, " -> ".join([*path[path.index(name) :], name])
+        if name not in done:
+            for target in sorted(graph[name]):
+                visit(target, (*path, name))
+            done.add(name)
+
+    for name in sorted(graph):
+        visit(name, ())
+
+
 @pytest.mark.parametrize("prefix", sorted(FORBIDDEN))
 def test_rooms_keep_to_themselves(prefix: str) -> None:
     modules = [name for name in SOURCES if _is_within(name, prefix)]
@@ -61,6 +162,16 @@ def test_rooms_keep_to_themselves(prefix: str) -> None:
         if any(_is_within(target, bad) for bad in FORBIDDEN[prefix])
     ]
     assert wrong == []
+
+
+def test_no_room_is_crowded() -> None:
+    crowded = []
+    for top in (*PACKAGES, "tests"):
+        for folder in [ROOT / top, *(p for p in (ROOT / top).rglob("*") if p.is_dir())]:
+            entries = {p.name for p in folder.iterdir()} - MARKERS
+            if folder.name != "__pycache__" and len(entries) > MOST_ENTRIES:
+                crowded.append(f"{folder.relative_to(ROOT)}: {len(entries)}")
+    assert crowded == []
 
 
 def test_only_the_batched_env_touches_sb3() -> None:

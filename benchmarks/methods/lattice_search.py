@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 import coop_env
-from coop_env.kernel_cache import drop_stale_kernels
+from coop_env.compilation import drop_stale_kernels
 from coop_env.kinematics import rrs_kernels
 from coop_env.simulation import state
 from coop_env.simulation.collision import collides, hole, peg_tip

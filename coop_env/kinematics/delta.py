@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from coop_env.compilation import compiling_alone
 from coop_env.geometry import DELTA, DeltaGeometry
-from coop_env.kernel_cache import compiling_alone
 from coop_env.kinematics._batch import Bools, Floats, ShapeError, as_points, quiet
 from coop_env.kinematics.delta_kernels import make_params
 

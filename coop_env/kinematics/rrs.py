@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from coop_env.compilation import compiling_alone
 from coop_env.geometry import OPTIMIZED, RRSGeometry
-from coop_env.kernel_cache import compiling_alone
 from coop_env.kinematics._batch import (
     Bools,
     Floats,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from coop_env.kernel_cache import drop_stale_kernels
+from coop_env.compilation import drop_stale_kernels
 
 
 def test_indices_older_than_a_kernel_are_dropped(tmp_path: Path) -> None:
