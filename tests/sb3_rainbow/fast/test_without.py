@@ -43,4 +43,4 @@ def test_without_the_folder(tmp_path: Path) -> None:
         assert done.returncode == 0, done.stderr
         assert done.stdout.split() == [str(root / "sb3_rainbow/__init__.py"), str(without)]
         weights.append(np.load(tmp_path / f"{without}.npy"))
-    np.testing.assert_allclose(*weights, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(weights[0], weights[1], rtol=1e-4, atol=1e-5)

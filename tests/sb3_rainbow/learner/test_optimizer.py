@@ -241,7 +241,8 @@ def test_the_joined_state_of_version_0_1_is_taken_apart(tmp_path: Path) -> None:
         for i, entry in found["state"].items():
             for name, value in entry.items():
                 assert th.equal(value, saved["state"][i][name])
-        model.set_parameters({"policy": model.policy.state_dict(), "policy.optimizer": old})
+        parameters: Any = {"policy": model.policy.state_dict(), "policy.optimizer": old}
+        model.set_parameters(parameters)
         assert len(model.policy.optimizer.state) == n_entries
     assert per_parameter(saved, model.policy.optimizer) is saved
     model.learn(20, reset_num_timesteps=False)
