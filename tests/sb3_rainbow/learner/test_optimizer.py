@@ -12,7 +12,7 @@ from stable_baselines3.common.utils import set_random_seed
 from torch import nn
 
 from sb3_rainbow import Rainbow
-from sb3_rainbow.policies import per_parameter
+from sb3_rainbow.resume.optimizer_state import per_parameter
 
 FAST: dict[str, Any] = {
     "learning_starts": 20,

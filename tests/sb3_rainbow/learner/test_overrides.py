@@ -210,6 +210,11 @@ def test_a_network_that_is_the_packages_own_gets_its_kernels_back() -> None:
     assert not uses_kernels(model)
     handle.remove()
     assert uses_kernels(model)
+    optimizer = model.policy.optimizer
+    model.policy.optimizer = th.optim.SGD(model.q_net.parameters(), lr=0.1)
+    assert not uses_kernels(model)
+    model.policy.optimizer = optimizer
+    assert uses_kernels(model)
     model.policy.to(th.float64)
     assert not uses_kernels(model)
     model.policy.to(th.float32)
