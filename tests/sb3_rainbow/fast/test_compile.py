@@ -27,6 +27,12 @@ FAST: dict[str, Any] = {
 }
 
 
+@pytest.fixture(autouse=True)
+def _forget_graphs() -> None:
+    """Torch compiles one function at most eight times in a process."""
+    th.compiler.reset()
+
+
 def test_without_a_compiler_one_warning_and_the_same_run(monkeypatch: Any) -> None:
     def broken(*args: Any, **kwargs: Any) -> Any:
         def call(*args: Any) -> Any:

@@ -150,6 +150,7 @@ def test_options_that_older_torch_does_not_have_are_not_asked_for() -> None:
 @pytest.mark.parametrize("path", ["kernels", "eager", "compiled"])
 @pytest.mark.parametrize("settings", [{}, {"distributional": False, "prioritized": False}], ids=str)
 def test_a_batch_of_one(path: str, settings: dict[str, Any], monkeypatch: Any) -> None:
+    th.compiler.reset()
     compiled = th.compile
     monkeypatch.setattr(
         th, "compile", lambda f, **kwargs: compiled(f, backend="eager", fullgraph=True)

@@ -10,7 +10,9 @@ import numpy as np
 import sb3_rainbow
 
 _PROGRAM = """
-import sys, warnings
+import sys
+# An installation for development would look for what is missing here in its own folder.
+sys.meta_path[:] = [f for f in sys.meta_path if "editable" not in getattr(f, "__module__", "")]
 import numpy as np, torch as th
 import sb3_rainbow
 from sb3_rainbow import Rainbow

@@ -26,6 +26,12 @@ FAST: dict[str, Any] = {
 PATHS = ["kernels", "eager", "compiled"]
 
 
+@pytest.fixture(autouse=True)
+def _forget_graphs() -> None:
+    """Torch compiles one function at most eight times in a process."""
+    th.compiler.reset()
+
+
 def make_model(path: str, monkeypatch: pytest.MonkeyPatch, **kwargs: Any) -> Rainbow:
     """On one of the three ways of an update."""
     if path == "compiled":
