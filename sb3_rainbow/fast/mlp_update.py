@@ -5,21 +5,17 @@ from operator import attrgetter, is_
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
-from stable_baselines3.common.torch_layers import CombinedExtractor, FlattenExtractor
 from torch import nn
 
 from sb3_rainbow.fast import learning_kernels
 from sb3_rainbow.fast import mlp_kernels as kernels
 from sb3_rainbow.fast.adam import AdamOnVector
-from sb3_rainbow.fast.originals import are_untouched
-from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_
+from sb3_rainbow.fast.perceptron import constants_of, is_perceptron, parameters_of, table_of
+from sb3_rainbow.network.noisy_linear import scale_noise_
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.network.shared_memory import share
 from sb3_rainbow.type_aliases import Batch
 
-# What an extractor may consist of. The kernels let the online network's serve the target too, and
-# call it as often as suits them: nothing in it may change, learn or draw random numbers.
-_STATELESS = (FlattenExtractor, CombinedExtractor, nn.ModuleDict, nn.Flatten)
 # Below any probability that float32 holds as a normal number
 _TINY = float(np.finfo(np.float32).tiny)
 _GRAD = attrgetter("grad")
@@ -43,7 +39,7 @@ class MlpUpdate:
 
     def __init__(self, q_net: RainbowNetwork, q_net_target: RainbowNetwork) -> None:
         self.q_net, self.q_net_target = q_net, q_net_target
-        self._online, self._target = _parameters(q_net), _parameters(q_net_target)
+        self._online, self._target = parameters_of(q_net), parameters_of(q_net_target)
         vectors = [_join(parameters) for parameters in (self._online, self._target)]
         gradient = th.zeros_like(vectors[0])
         sizes = [p.numel() for p in self._online]
@@ -56,7 +52,7 @@ class MlpUpdate:
         self._shared = [*self._online, *self._target, *epsilons]
         self._addresses = [t.data_ptr() for t in self._shared]
         self._adam = AdamOnVector(self._online, vectors[0], gradient)
-        self.table = _table(q_net)
+        self.table = table_of(q_net)
         n_in, n_out = self.table[-1, [kernels.INPUTS, kernels.OUTPUTS]]
         n_effective = int(self.table[-1, kernels.EFFECTIVE] + (n_in + 1) * n_out)
         self._effective, self._effective_target, self._gradient = (
@@ -92,13 +88,14 @@ class MlpUpdate:
         nothing in them overridden or replaced by something else.
         """
         nets = (q_net, q_net_target)
-        if not all(_is_perceptron(net) for net in nets):
+        if not all(is_perceptron(net) for net in nets):
             return False
-        online = _parameters(q_net)
+        online, target = parameters_of(q_net), parameters_of(q_net_target)
         return (
             all(p.requires_grad for p in online)
-            and np.array_equal(_table(q_net), _table(q_net_target))
-            and _constants(q_net) == _constants(q_net_target)
+            and not {*map(id, online)} & {*map(id, target)}
+            and np.array_equal(table_of(q_net), table_of(q_net_target))
+            and constants_of(q_net) == constants_of(q_net_target)
             and AdamOnVector.is_possible(optimizer, set(map(id, online)))
         )
 
@@ -273,60 +270,3 @@ def _exponential(logits: NDArray[np.float32]) -> NDArray[np.float32]:
     """
     learning_kernels.shift_to_zero(logits)
     return th.from_numpy(logits).exp().numpy()
-
-
-def _is_perceptron(net: RainbowNetwork) -> bool:
-    """Of the package's own parts alone, each in its place once."""
-    if type(net) is not RainbowNetwork or type(net.activation) is not nn.ReLU:
-        return False
-    layers = list(net.layers)
-    own = all(type(layer) in (nn.Linear, NoisyLinear) for layer in layers)
-    stateless = all(type(module) in _STATELESS for module in net.features_extractor.modules())
-    if not (own and stateless and are_untouched(net.modules())):
-        return False
-    parameters, table = _parameters(net), _table(net)
-    n_parameters = int(((1 + table[:, kernels.NOISY]) * _sizes(table)).sum())
-    return (
-        len(set(map(id, parameters))) == len(list(net.parameters()))
-        and all(
-            p is not None and (p.dtype, p.device.type) == (th.float32, "cpu") and p.is_contiguous()
-            for p in parameters
-        )
-        and sum(p.numel() for p in parameters) == n_parameters
-        and table[0, kernels.INPUTS] == net.features_dim
-        and bool((table[1:, kernels.INPUTS] == table[:-1, kernels.OUTPUTS]).all())
-    )
-
-
-def _sizes(table: NDArray[np.int64]) -> NDArray[np.int64]:
-    return (table[:, kernels.INPUTS] + 1) * table[:, kernels.OUTPUTS]
-
-
-def _constants(net: RainbowNetwork) -> tuple[float, ...]:
-    return (net.n_actions, net.n_atoms, net.dueling, net.v_min, net.v_max)
-
-
-def _parameters(net: RainbowNetwork) -> list[nn.Parameter]:
-    """In the order in which the kernels want them."""
-    names = {
-        NoisyLinear: ("weight_mu", "weight_sigma", "bias_mu", "bias_sigma"),
-        nn.Linear: ("weight", "bias"),
-    }
-    return [getattr(layer, name) for layer in net.layers for name in names[type(layer)]]
-
-
-def _table(net: RainbowNetwork) -> NDArray[np.int64]:
-    """Where each layer lies; see :mod:`sb3_rainbow.fast.mlp_kernels`."""
-    rows = []
-    parameters = noise = effective = hidden = 0
-    for layer in net.layers:
-        assert isinstance(layer, NoisyLinear | nn.Linear)
-        noisy = isinstance(layer, NoisyLinear)
-        n_in, n_out = layer.in_features, layer.out_features
-        rows.append([n_in, n_out, int(noisy), parameters, noise, effective, hidden])
-        size = (n_in + 1) * n_out
-        parameters += 2 * size if noisy else size
-        noise += n_in + n_out if noisy else 0
-        effective += size
-        hidden += n_out
-    return np.asarray(rows, dtype=np.int64)

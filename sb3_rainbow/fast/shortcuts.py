@@ -55,6 +55,7 @@ class Shortcuts:
 
     def _forget(self) -> None:
         self._watch: Watch | None = None
+        self._optimizer: th.optim.Optimizer | None = None
         self._mlp: MlpUpdate | None = None
         self._graph: CompiledLoss | None = None
 
@@ -77,6 +78,7 @@ class Shortcuts:
     def _look(self) -> None:
         if (
             self._watch is not None
+            and self._optimizer is self.policy.optimizer
             and self._watch.sees_no_change()
             and (self._mlp is None or self._mlp.is_current(self.policy.optimizer))
         ):
@@ -89,7 +91,7 @@ class Shortcuts:
         elif self._compile_loss:
             self._graph = CompiledLoss(q_net, q_net_target, self._loss, self.max_grad_norm)
         self._acts = inherits(self.policy, RainbowPolicy, *_ACTING)
-        self._watch = Watch(self.policy)
+        self._watch, self._optimizer = Watch(self.policy), self.policy.optimizer
 
     def update(self, batch: Batch) -> LossAndPriorities | None:
         """A whole update, noise and optimizer's step included; None where it did nothing."""

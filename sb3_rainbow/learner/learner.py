@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
-from stable_baselines3.common.utils import get_parameters_by_name, polyak_update
 from torch import nn
 
 from sb3_rainbow.learner.update import mean_loss, td_target
@@ -118,9 +117,10 @@ class Learner:
             return
         online, target = self.q_net, self.q_net_target
         th._foreach_lerp_(list(target.parameters()), list(online.parameters()), tau)
-        statistics = get_parameters_by_name(online, ["running_"])
-        if statistics:
-            polyak_update(statistics, get_parameters_by_name(target, ["running_"]), 1.0)
+        for ours, theirs in zip(online.modules(), target.modules(), strict=True):
+            for name, statistic in ours._buffers.items():
+                if name.startswith("running_"):
+                    theirs._buffers[name].copy_(statistic)  # type: ignore[union-attr, arg-type]
 
     @th.no_grad()
     def diagnostics(self, batch: Batch, priorities: th.Tensor) -> dict[str, float]:

@@ -1,5 +1,6 @@
 """The compiled kernels against torch's autograd and optimizer, one and several updates long."""
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from torch import nn
 
 from sb3_rainbow import Rainbow
 from sb3_rainbow.fast import learning_kernels as kernels
+from sb3_rainbow.fast.adam import AdamOnVector
 from sb3_rainbow.learner.learner import Learner
 from sb3_rainbow.policies import MlpPolicy, MultiInputPolicy
 from sb3_rainbow.type_aliases import Batch
@@ -136,6 +138,42 @@ def test_an_optimizer_given_later_is_the_one_that_steps(kind: Any) -> None:
     steps = {int(state["step"]) for state in model.policy.optimizer.state.values() if state}
     assert steps == ({15} if kind is th.optim.Adam else set())
     assert not th.equal(before, nn.utils.parameters_to_vector(model.q_net.parameters()))
+
+
+def test_options_that_older_torch_does_not_have_are_not_asked_for() -> None:
+    learner = make_learner(True)
+    optimizer = learner.policy.optimizer
+    del optimizer.param_groups[0]["decoupled_weight_decay"]  # as torch before 2.7
+    assert AdamOnVector.is_possible(optimizer, set(map(id, learner.q_net.parameters())))
+
+
+@pytest.mark.parametrize("path", ["kernels", "eager", "compiled"])
+@pytest.mark.parametrize("settings", [{}, {"distributional": False, "prioritized": False}], ids=str)
+def test_a_batch_of_one(path: str, settings: dict[str, Any], monkeypatch: Any) -> None:
+    th.compiler.reset()
+    compiled = th.compile
+    monkeypatch.setattr(
+        th, "compile", lambda f, **kwargs: compiled(f, backend="eager", fullgraph=True)
+    )
+    model = Rainbow(
+        "MlpPolicy",
+        "CartPole-v1",
+        learning_starts=10,
+        batch_size=1,
+        buffer_size=100,
+        cpu_kernels=path == "kernels",
+        compile=path == "compiled",
+        device="cpu",
+        seed=0,
+        **settings,
+    )
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", module="torch")
+        model.learn(60, log_interval=10**6)
+    logged = dict(model.logger.name_to_value)
+    assert {"train/loss", "train/max_q"} <= set(logged)
+    assert np.isfinite(list(logged.values())).all(), logged
+    assert th.isfinite(nn.utils.parameters_to_vector(model.q_net.parameters())).all()
 
 
 def test_discrete_observations_are_one_hot_for_the_kernels_too() -> None:

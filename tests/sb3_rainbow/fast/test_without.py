@@ -1,0 +1,48 @@
+"""The folder of the shortcuts can be deleted: everything works, slower, and learns the same."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import sb3_rainbow
+
+_PROGRAM = """
+import sys
+# An installation for development would look for what is missing here in its own folder.
+sys.meta_path[:] = [f for f in sys.meta_path if "editable" not in getattr(f, "__module__", "")]
+import numpy as np, torch as th
+import sb3_rainbow
+from sb3_rainbow import Rainbow
+model = Rainbow(
+    "MlpPolicy", "CartPole-v1", learning_starts=20, train_freq=4, batch_size=8, buffer_size=500,
+    policy_kwargs={"net_arch": [24, 16], "optimizer_kwargs": {"eps": 1e-2}}, seed=0, device="cpu",
+).learn(80)
+assert model._n_updates == 15
+print(sb3_rainbow.__file__, model._learner.shortcuts is None)
+weights = th.nn.utils.parameters_to_vector(model.policy.parameters()).detach().numpy()
+model.save(sys.argv[1] + ".zip")
+Rainbow.load(sys.argv[1] + ".zip", env=model.get_env()).learn(40)
+np.save(sys.argv[1], weights)
+"""
+
+
+def test_without_the_folder(tmp_path: Path) -> None:
+    package = Path(sb3_rainbow.__file__).parent
+    shutil.copytree(package, tmp_path / "sb3_rainbow", ignore=lambda *_: ["fast", "__pycache__"])
+    weights = []
+    for root, without in ((tmp_path, True), (package.parent, False)):
+        done = subprocess.run(
+            [sys.executable, "-c", _PROGRAM, str(tmp_path / f"{without}.npy")],
+            cwd=root,
+            env={"PYTHONPATH": str(root), "NUMBA_CACHE_DIR": str(tmp_path / "numba")},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.split() == [str(root / "sb3_rainbow/__init__.py"), str(without)]
+        weights.append(np.load(tmp_path / f"{without}.npy"))
+    np.testing.assert_allclose(weights[0], weights[1], rtol=1e-4, atol=1e-5)

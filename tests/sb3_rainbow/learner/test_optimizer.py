@@ -1,0 +1,254 @@
+"""The policy's optimizer is one of torch's over the network's own parameters, whoever uses it."""
+
+import copy
+import pickle
+import warnings
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch as th
+from stable_baselines3.common.utils import set_random_seed
+from torch import nn
+
+from sb3_rainbow import Rainbow
+from sb3_rainbow.resume.optimizer_state import per_parameter
+
+FAST: dict[str, Any] = {
+    "learning_starts": 20,
+    "train_freq": 4,
+    "buffer_size": 500,
+    "batch_size": 8,
+    "seed": 0,
+    "policy_kwargs": {"net_arch": [16]},
+    "device": "cpu",
+}
+PATHS = ["kernels", "eager", "compiled"]
+
+
+@pytest.fixture(autouse=True)
+def _forget_graphs() -> None:
+    """Torch compiles one function at most eight times in a process."""
+    th.compiler.reset()
+
+
+def make_model(path: str, monkeypatch: pytest.MonkeyPatch, **kwargs: Any) -> Rainbow:
+    """On one of the three ways of an update."""
+    if path == "compiled":
+        compiled = th.compile
+        monkeypatch.setattr(
+            th, "compile", lambda f, **kwargs: compiled(f, backend="eager", fullgraph=True)
+        )
+    settings = {**FAST, "cpu_kernels": path == "kernels", "compile": path == "compiled", **kwargs}
+    return Rainbow("MlpPolicy", "CartPole-v1", **settings)
+
+
+def learn(model: Rainbow, total: int = 40) -> Rainbow:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.filterwarnings("error", message="compile=True has no effect")
+        return model.learn(total, reset_num_timesteps=False)
+
+
+def weights(model: Rainbow) -> th.Tensor:
+    return nn.utils.parameters_to_vector(model.q_net.parameters()).detach().clone()
+
+
+@pytest.mark.parametrize("trained", [False, True])
+@pytest.mark.parametrize("path", PATHS)
+def test_steps_from_outside_move_the_weights(
+    path: str, trained: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = make_model(path, monkeypatch)
+    if trained:
+        learn(model)
+    optimizer, obs = model.policy.optimizer, th.ones(4, 4)
+    held = [p for group in optimizer.param_groups for p in group["params"]]
+    assert [id(p) for p in held] == [id(p) for p in model.q_net.parameters()]
+    with th.no_grad():
+        before = model.q_net(obs)
+    for _ in range(200):
+        optimizer.zero_grad()
+        (model.q_net(obs, noisy=True) - 3.0).square().mean().backward()
+        optimizer.step()
+    with th.no_grad():
+        after = model.q_net(obs)
+    assert (after - 3.0).abs().mean() < (before - 3.0).abs().mean() - 0.1
+    # What learning does next starts from there.
+    moved = weights(model)
+    learn(model, 4 if trained else 24)
+    assert 0.0 < (weights(model) - moved).abs().max() < 0.01
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_states_are_exchanged_with_a_plain_adam(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = learn(make_model(path, monkeypatch))
+    copies = [nn.Parameter(p.detach().clone()) for p in model.q_net.parameters()]
+    plain = th.optim.Adam(copies, lr=1e-4)
+    plain.load_state_dict(copy.deepcopy(model.policy.optimizer.state_dict()))
+    gradients = [th.randn_like(p) for p in copies]
+    optimizer = model.policy.optimizer
+    for _ in range(2):
+        for p, q, g in zip(copies, model.q_net.parameters(), gradients, strict=True):
+            p.grad, q.grad = g.clone(), g.clone()
+        plain.step()
+        optimizer.step()
+        th.testing.assert_close(nn.utils.parameters_to_vector(copies), weights(model))
+        # and back
+        optimizer.load_state_dict(copy.deepcopy(plain.state_dict()))
+    n_steps = int(next(iter(optimizer.state.values()))["step"])
+    learn(model, 4)
+    assert {int(s["step"]) for s in optimizer.state.values()} == {n_steps + 1}
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_hooks_fire_once_per_update_and_change_nothing(
+    path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = learn(make_model(path, monkeypatch), 60)
+    model = make_model(path, monkeypatch)
+    seen: list[str] = []
+    model.policy.optimizer.register_step_pre_hook(lambda *_: seen.append("pre"))
+    model.policy.optimizer.register_step_post_hook(lambda *_: seen.append("post"))
+    learn(model, 60)
+    assert seen == ["pre", "post"] * model._n_updates
+    assert th.equal(weights(model), weights(plain))
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_a_pre_hook_sees_the_clipped_gradient_and_may_change_it(
+    path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = make_model(path, monkeypatch, max_grad_norm=1e-3)
+    norms: list[float] = []
+
+    def hook(*_: Any) -> None:
+        gradients = [p.grad for p in model.q_net.parameters() if p.grad is not None]
+        norms.append(float(th.stack([g.norm() for g in gradients]).norm()))
+        for g in gradients:
+            g.zero_()
+
+    model.policy.optimizer.register_step_pre_hook(hook)
+    before = weights(model)
+    learn(model)
+    assert norms == pytest.approx([1e-3] * len(norms), rel=1e-3)
+    assert th.equal(before, weights(model))
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_a_schedule_of_torch_counts_the_steps(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = make_model(path, monkeypatch)
+    th.optim.lr_scheduler.ExponentialLR(model.policy.optimizer, 0.9)
+    learn(model)
+    assert model.policy.optimizer._opt_called  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_without_clipping(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    free = learn(make_model(path, monkeypatch, max_grad_norm=None))
+    wide = learn(make_model(path, monkeypatch, max_grad_norm=1e9))
+    assert th.equal(weights(free), weights(wide))
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_a_parameter_put_in_place_of_another_is_trained(
+    path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = learn(make_model(path, monkeypatch))
+    layer: Any = model.q_net.layers[-1]
+    layer.weight_mu = nn.Parameter(th.zeros_like(layer.weight_mu))
+    model.q_net.layers[0] = type(layer)(4, 16)
+    replaced = [layer.weight_mu, *model.q_net.layers[0].parameters()]
+    before = [p.detach().clone() for p in replaced]
+    learn(model, 12)
+    for p, old in zip(replaced, before, strict=True):
+        assert 0.0 < (p - old).abs().max() < 0.01
+    held = {id(p) for p in model.policy.optimizer.param_groups[0]["params"]}
+    assert (
+        held
+        == {id(p) for p in model.q_net.parameters()}
+        == set(map(id, model.policy.optimizer.state))
+    )
+
+
+def test_an_optimizer_of_some_parameters_moves_those_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model = learn(make_model("kernels", monkeypatch))
+    head = list(model.q_net.layers[-1].parameters())
+    model.policy.optimizer = th.optim.Adam(head, lr=1e-3)
+    before = {name: p.detach().clone() for name, p in model.q_net.named_parameters()}
+    learn(model)
+    moved = {n for n, p in model.q_net.named_parameters() if not th.equal(p, before[n])}
+    assert moved == {n for n in before if n.startswith("layers.1.")}
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_a_policy_that_learned_pickles_to_its_numbers(
+    path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = make_model(path, monkeypatch, policy_kwargs={"net_arch": [64, 64]})
+    n_weights = sum(p.numel() for p in model.policy.parameters())
+    overhead = 40_000  # bytes, most of it about 500 for each tensor
+    assert len(pickle.dumps(model.policy)) < 4 * n_weights + overhead
+    learn(model)
+    # Two moments of the online network's
+    assert len(pickle.dumps(model.policy)) < 4 * 2 * n_weights + overhead
+    assert len(pickle.dumps(model.q_net)) < 4 * n_weights // 2 + overhead
+    before = weights(model)
+    learn(model, 4)
+    assert not th.equal(before, weights(model))
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+@pytest.mark.parametrize("path", PATHS)
+def test_a_deep_copy_learns_on_as_the_original(
+    path: str, when: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = make_model(path, monkeypatch)
+    if when == "after":
+        learn(model)
+    twin = copy.deepcopy(model)
+    results = []
+    for each in (model, twin):
+        set_random_seed(3)
+        if when == "after":
+            each.train(6, 8)
+        else:
+            learn(each)
+        results.append(weights(each))
+    assert th.equal(*results)
+    # and apart from the original
+    for p in twin.q_net.parameters():
+        p.data += 1.0
+    assert th.equal(results[0], weights(model))
+
+
+def test_the_joined_state_of_version_0_1_is_taken_apart(tmp_path: Path) -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST).learn(60)
+    saved = copy.deepcopy(model.policy.optimizer.state_dict())
+    entries = saved["state"].values()
+    joined = {
+        "state": {
+            0: {
+                "step": next(iter(entries))["step"],
+                **{
+                    name: th.cat([entry[name].reshape(-1) for entry in entries])
+                    for name in ("exp_avg", "exp_avg_sq")
+                },
+            }
+        },
+        "param_groups": [{**saved["param_groups"][0], "params": [0]}],
+    }
+    for old, n_entries in ((joined, len(saved["state"])), ({**joined, "state": {}}, 0)):
+        found = per_parameter(old, model.policy.optimizer)
+        assert found["param_groups"] == saved["param_groups"]
+        assert len(found["state"]) == n_entries
+        for i, entry in found["state"].items():
+            for name, value in entry.items():
+                assert th.equal(value, saved["state"][i][name])
+        parameters: Any = {"policy": model.policy.state_dict(), "policy.optimizer": old}
+        model.set_parameters(parameters)
+        assert len(model.policy.optimizer.state) == n_entries
+    assert per_parameter(saved, model.policy.optimizer) is saved
+    model.learn(20, reset_num_timesteps=False)

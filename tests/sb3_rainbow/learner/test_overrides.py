@@ -1,0 +1,222 @@
+"""Whatever a user overrides or replaces takes part in acting and in learning, on every path."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+from torch import nn
+from torch.nn.utils import parametrizations
+
+from sb3_rainbow import MlpPolicy, NoisyLinear, Rainbow
+from sb3_rainbow.network.rainbow_network import RainbowNetwork
+
+FAST: dict[str, Any] = {
+    "learning_starts": 20,
+    "train_freq": 4,
+    "buffer_size": 500,
+    "batch_size": 8,
+    "seed": 0,
+    "device": "cpu",
+}
+ACTIVATIONS = pytest.mark.parametrize("activation", [nn.ReLU, nn.Tanh])
+
+
+def make_model(policy: Any = "MlpPolicy", activation: type[nn.Module] = nn.ReLU) -> Rainbow:
+    kwargs = {"net_arch": [16], "activation_fn": activation}
+    return Rainbow(policy, "CartPole-v1", policy_kwargs=kwargs, **FAST)
+
+
+def uses_kernels(model: Rainbow) -> bool:
+    shortcuts = model._learner.shortcuts
+    return shortcuts is not None and shortcuts.kernels is not None
+
+
+def policy_of(network: type[RainbowNetwork]) -> type[MlpPolicy]:
+    class Policy(MlpPolicy):
+        def make_q_net(self) -> RainbowNetwork:
+            arguments = self._update_features_extractor(self.net_args, features_extractor=None)
+            return network(**arguments).to(self.device)
+
+    return Policy
+
+
+def calls_during(model: Rainbow, calls: list[Any]) -> tuple[int, int]:
+    """Calls in choosing one action, and within two updates."""
+    model.learn(24)
+    model._n_updates = 50  # no look for the logs now
+    found = []
+    for action in (
+        lambda: model._explore(np.zeros((1, 4), np.float32), None),
+        lambda: model.train(2, 8),
+    ):
+        del calls[:]
+        action()
+        found.append(len(calls))
+    return found[0], found[1]
+
+
+@pytest.mark.parametrize("where", ["class", "instance"])
+@pytest.mark.parametrize("method", ["streams", "join", "forward"])
+@ACTIVATIONS
+def test_methods_of_the_network(activation: type[nn.Module], method: str, where: str) -> None:
+    calls: list[Any] = []
+    own = getattr(RainbowNetwork, method)
+
+    def overridden(self: Any, *args: Any, **kwargs: Any) -> th.Tensor:
+        calls.append(self)
+        return own(self, *args, **kwargs)
+
+    if where == "class":
+        network = type("Network", (RainbowNetwork,), {method: overridden})
+        model = make_model(policy_of(network), activation)
+    else:
+        model = make_model(activation=activation)
+        model.learn(24)  # with kernels, where there are any
+        for net in (model.q_net, model.q_net_target):
+            setattr(net, method, lambda *a, _net=net, **k: overridden(_net, *a, **k))
+    acting, learning = calls_during(model, calls)
+    assert acting == 1
+    # Twice the online network, once the target network
+    assert learning == 2 * (1 if method == "forward" else 3)
+    assert not uses_kernels(model)
+
+
+@pytest.mark.parametrize("where", ["class", "instance"])
+@pytest.mark.parametrize("method", ["predict", "_predict"])
+@ACTIVATIONS
+def test_methods_of_the_policy(activation: type[nn.Module], method: str, where: str) -> None:
+    calls: list[Any] = []
+    own = getattr(MlpPolicy, method)
+
+    def overridden(self: Any, *args: Any, **kwargs: Any) -> Any:
+        calls.append(self)
+        return own(self, *args, **kwargs)
+
+    if where == "class":
+        model = make_model(type("Policy", (MlpPolicy,), {method: overridden}), activation)
+    else:
+        model = make_model(activation=activation)
+        model.learn(24)
+        policy = model.policy
+        setattr(policy, method, lambda *a, **k: overridden(policy, *a, **k))
+    assert calls_during(model, calls)[0] == 1
+
+
+@ACTIVATIONS
+def test_predict_of_the_algorithm(activation: type[nn.Module]) -> None:
+    class Always(Rainbow):
+        def predict(self, *args: Any, **kwargs: Any) -> Any:
+            actions, state = super().predict(*args, **kwargs)
+            return np.ones_like(actions), state
+
+    kwargs = {"net_arch": [16], "activation_fn": activation}
+    model = Always("MlpPolicy", "CartPole-v1", policy_kwargs=kwargs, **FAST).learn(60)
+    assert model.replay_buffer is not None
+    assert (model.replay_buffer.actions[20:60] == 1).all()
+
+
+class Doubled(nn.Module):
+    """A layer around another."""
+
+    def __init__(self, inner: nn.Module) -> None:
+        super().__init__()
+        self.inner = inner
+
+    def forward(self, inputs: th.Tensor) -> th.Tensor:
+        return 2.0 * self.inner(inputs)
+
+
+class OwnLinear(nn.Linear):
+    """A subclass that does something else."""
+
+    def forward(self, inputs: th.Tensor) -> th.Tensor:
+        return super().forward(inputs) - 1.0
+
+
+def wrap(net: RainbowNetwork) -> None:
+    net.layers[-1] = Doubled(net.layers[-1])
+
+
+def subclass(net: RainbowNetwork) -> None:
+    net.layers[0] = OwnLinear(4, 16)
+
+
+def activate(net: RainbowNetwork) -> None:
+    net.activation = nn.Sigmoid()
+
+
+def normalize(net: RainbowNetwork) -> None:
+    parametrizations.spectral_norm(net.layers[-1], "weight_mu")
+
+
+def hook(net: RainbowNetwork) -> None:
+    net.layers[-1].register_forward_hook(lambda module, inputs, outputs: outputs * 3.0)
+
+
+def shadow(net: RainbowNetwork) -> None:
+    layer: Any = net.layers[-1]
+    own = layer.forward
+    layer.forward = lambda *args: 5.0 - own(*args)
+
+
+CHANGES = [wrap, subclass, activate, normalize, hook, shadow]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_changed_parts_act_and_learn(change: Callable[[RainbowNetwork], None]) -> None:
+    """A model changed under way goes on as one that never had kernels."""
+    found = []
+    for cpu_kernels in (True, False):
+        kwargs = {"net_arch": [16]}
+        model = Rainbow(
+            "MlpPolicy", "CartPole-v1", policy_kwargs=kwargs, cpu_kernels=cpu_kernels, **FAST
+        )
+        assert uses_kernels(model) == cpu_kernels
+        model._learner.act(th.zeros(1, 4), None)
+        th.manual_seed(5)
+        for net in (model.q_net, model.q_net_target):
+            change(net)
+        before = [p.detach().clone() for p in model.q_net.parameters()]
+        th.manual_seed(6)
+        model.learn(60)
+        assert not uses_kernels(model)
+        after = list(model.q_net.parameters())
+        assert not any(th.equal(p, q) for p, q in zip(before, after, strict=True))
+        found.append((nn.utils.parameters_to_vector(after), model.replay_buffer))
+    th.testing.assert_close(found[0][0], found[1][0])
+    np.testing.assert_array_equal(found[0][1].actions, found[1][1].actions)  # type: ignore[union-attr]
+
+
+def test_noise_inside_of_a_wrapper_is_drawn_and_silenced() -> None:
+    model = make_model()
+    wrap(model.q_net)
+    obs = th.ones(50, 4)
+    inner = [m for m in model.q_net.modules() if isinstance(m, NoisyLinear)]
+    assert len(inner) == 2
+    with th.no_grad():
+        for noisy in (True, False):
+            values = []
+            for _ in range(2):
+                model.policy.reset_noise()
+                values.append(model.q_net(obs, noisy=noisy))
+            assert th.equal(*values) != noisy
+
+
+def test_a_network_that_is_the_packages_own_gets_its_kernels_back() -> None:
+    model = make_model()
+    handle = model.q_net.layers[0].register_forward_hook(lambda *_: None)
+    assert not uses_kernels(model)
+    handle.remove()
+    assert uses_kernels(model)
+    optimizer = model.policy.optimizer
+    model.policy.optimizer = th.optim.SGD(model.q_net.parameters(), lr=0.1)
+    assert not uses_kernels(model)
+    model.policy.optimizer = optimizer
+    assert uses_kernels(model)
+    model.policy.to(th.float64)
+    assert not uses_kernels(model)
+    model.policy.to(th.float32)
+    assert uses_kernels(model)
+    model.learn(40)
