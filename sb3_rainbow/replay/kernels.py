@@ -51,18 +51,15 @@ def complete_windows(
 @njit(cache=True)
 def assemble_windows(
     leaves: NDArray[np.int64],
-    masses: NDArray[np.float64],
     rewards: NDArray[np.float32],
     ends: NDArray[np.uint8],
     slots: NDArray[np.int32],
     newest: int,
     n_steps: int,
     gamma: float,
-    beta: float,
     returns: NDArray[np.float32],
     discounts: NDArray[np.float32],
     dones: NDArray[np.float32],
-    weights: NDArray[np.float32],
     last_leaves: NDArray[np.int64],
     next_rows: NDArray[np.int64],
     next_slots: NDArray[np.int64],
@@ -75,7 +72,6 @@ def assemble_windows(
     ended or where it is the newest of all, else it is the observation of the following row.
     """
     n_rows, n_envs = rewards.shape
-    smallest = np.inf
     for i in range(leaves.shape[0]):
         row = leaves[i] // n_envs
         env = leaves[i] - row * n_envs
@@ -100,8 +96,19 @@ def assemble_windows(
             next_slots[i] = env
         else:
             next_slots[i] = -1
+
+
+@njit(cache=True)
+def importance_weights(
+    leaves: NDArray[np.int64],
+    masses: NDArray[np.float64],
+    beta: float,
+    weights: NDArray[np.float32],
+) -> None:
+    """``(N P(i)) ** -beta`` over their maximum in the batch; N and the total mass cancel."""
+    smallest = np.inf
+    for i in range(leaves.shape[0]):
         smallest = min(smallest, masses[leaves[i]])
-    # N and the total mass cancel when (N P(i))^-beta is divided by the batch maximum.
     for i in range(leaves.shape[0]):
         weights[i] = (smallest / masses[leaves[i]]) ** beta
 

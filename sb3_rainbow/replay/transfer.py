@@ -21,22 +21,24 @@ def to_device(arrays: dict[str, ObsArray], device: th.device) -> dict[str, Any]:
     On the CPU they share the arrays' memory. To any other device all bytes go in one copy, which
     nobody waits for: one for each array would cost more than a small batch's whole update.
     """
+    if device.type == "cpu":
+        return {
+            name: {key: th.from_numpy(part) for key, part in given.items()}
+            if isinstance(given, dict)
+            else th.from_numpy(given)
+            for name, given in arrays.items()
+        }
     flat: dict[str, NDArray] = {}
     for name, given in arrays.items():
-        if isinstance(given, dict):
-            flat |= {f"{name}/{key}": part for key, part in given.items()}
-        else:
-            flat[name] = given
-    if device.type == "cpu":
-        tensors = {name: th.from_numpy(array) for name, array in flat.items()}
-    else:
-        places, size = place(flat)
-        packed = pack(places, size, pinned=device.type == "cuda")
-        tensors = unpack(packed.to(device, non_blocking=True), places)
+        parts = given.items() if isinstance(given, dict) else [("", given)]
+        flat |= {f"{name}/{key}": part for key, part in parts}
+    places, size = place(flat)
+    packed = pack(places, size, pinned=device.type == "cuda")
+    tensors = unpack(packed.to(device, non_blocking=True), places)
     return {
         name: {key: tensors[f"{name}/{key}"] for key in given}
         if isinstance(given, dict)
-        else tensors[name]
+        else tensors[f"{name}/"]
         for name, given in arrays.items()
     }
 
