@@ -150,8 +150,8 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         Raises:
             ResetOptionError: ``configuration`` is not six numbers.
         """
-        c = start_states.as_configuration(configuration)
-        return int(state.configuration_status(c, self._params))
+        c = np.array(start_states.as_configuration(configuration))
+        return int(batch.status(c, self._packed))
 
     def action_masks(self) -> NDArray[np.bool_]:
         """(12,): True where the move leads to a valid configuration; all True if none does."""
