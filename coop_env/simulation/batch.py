@@ -51,7 +51,7 @@ def write_reset_outcome(s: Record, out: Record) -> None:
 
 @njit(cache=True)
 def status(configuration: np.ndarray, packed: np.ndarray) -> int:
-    """:func:`~coop_env.simulation.state.configuration_status` of (6,), quick to call from Python."""
+    """``configuration_status`` of a configuration (6,), quick to call from Python."""
     c = configuration
     return configuration_status((c[0], c[1], c[2], c[3], c[4], c[5]), unpack(packed))
 

@@ -37,7 +37,8 @@ Record = Any  # a row of STATE or OUTCOME, whose fields numba reads as attribute
 @lru_cache
 def state_dtype(n_holes: int) -> np.dtype[np.void]:
     """The layout of a row of state, in SI units; everything that the next step depends on."""
-    unaligned = -(3 * n_holes + N_ACTIONS + 2) % 8  # bytes short of the next eight
+    # Named padding to the next eight bytes: hidden padding would make equal rows differ in bytes.
+    unaligned = -(3 * n_holes + N_ACTIONS + 2) % 8
     padding = [("unused", "u1", (unaligned,))] if unaligned else []
     return np.dtype([*_fields(n_holes), *padding], align=True)
 
@@ -62,11 +63,11 @@ def _fields(n_holes: int) -> list[Any]:
         ("trail", "i8", (TRAIL,)),  # keys of configurations left, a ring
         ("trailed", "i8"),  # number of them since the start or the last insertion
         ("machine", MACHINE),  # what sim-to-real knobs make of the nominal machine
+        ("over", "u2"),  # before the odd bytes, so that it leaves no gap
         ("inside", "u1", (n_holes,)),  # tip meets the hole's insertion criterion
         ("active", "u1", (n_holes,)),
         ("filled", "u1", (n_holes,)),
         ("mask", "u1", (N_ACTIONS,)),
-        ("over", "u2"),
     ]
 
 
