@@ -20,10 +20,7 @@ from coop_env.simulation import rewards
 from coop_env.simulation.collision import below_ceiling, collides, hole
 from coop_env.simulation.insertion_task import PAPER_TASK
 from coop_env.simulation.machine import MACHINE
-from coop_env.simulation.task import N_ACTIONS, N_AXES, TRAIL, EnvParams
-
-KEY_SPAN: Final = 1024
-"""Lattice points along an axis that a key of the trail tells apart."""
+from coop_env.simulation.task import KEY_SPAN, N_ACTIONS, N_AXES, TRAIL, EnvParams
 
 VALID: Final = 0
 INVALID: Final = 1

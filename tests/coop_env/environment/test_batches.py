@@ -156,10 +156,10 @@ def assert_same(ours: dict[str, Any], theirs: dict[str, Any]) -> None:
 
 def test_the_vector_env_shows_what_gymnasiums_own_shows() -> None:
     """Against ``SyncVectorEnv`` in the same autoreset mode: values, types, infos, final infos."""
-    arguments = {"max_moves": 9, "reward": "progress", "observation": "markov"}
-    ours = CoopInsertionVectorEnv(3, **arguments)
+    arguments: dict[str, Any] = {"max_moves": 9, "reward": "progress", "observation": "markov"}
+    ours: Any = CoopInsertionVectorEnv(3, **arguments)
     theirs = SyncVectorEnv(
-        [lambda: CoopInsertionEnv(**arguments)] * 3,  # type: ignore[arg-type]
+        [lambda: CoopInsertionEnv(**arguments)] * 3,
         autoreset_mode=AutoresetMode.SAME_STEP,
     )
     assert ours.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
