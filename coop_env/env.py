@@ -19,23 +19,19 @@ from coop_env.compilation import report_compilation
 from coop_env.errors import ActionError, ArgumentError, StateError
 from coop_env.geometry import (
     DeltaGeometry,
-    GeometryError,
     RRSGeometry,
     resolve_delta,
     resolve_rrs,
 )
-from coop_env.kinematics import rrs_kernels
 from coop_env.rendering.scene import Scene, make_scene
 from coop_env.simulation import batch, rewards, start_states, state
 from coop_env.simulation.insertion_task import PAPER_TASK, InsertionTask
 from coop_env.simulation.observation import make_observation, observe_batch
 from coop_env.simulation.sim_to_real import SimToReal, resolve
-from coop_env.simulation.state import KEY_SPAN
 from coop_env.simulation.task import (
     N_ACTIONS,
     TRAIL,
     EnvParams,
-    RewardParams,
     make_params,
     pack,
 )
@@ -44,7 +40,94 @@ Observation = NDArray[np.float32]
 
 
 class CoopInsertionEnv(gym.Env[Any, Any]):
-    """A Delta carries a peg, a 3-RRS tilts a dome of holes; fill them one after another."""
+    """A Delta carries a peg, a 3-RRS tilts a dome of holes; fill them one after another.
+
+    ``docs/env.md`` says all of this at length.
+
+    ## Action Space
+
+    ``Discrete(12)``: action ``2 k`` adds one step on axis ``k``, ``2 k + 1`` takes it away.
+
+    | Actions | Axis | Step |
+    |---------|------|------|
+    | 0 - 5   | x, y, z of the Delta's effector | 0.02 m |
+    | 6 - 9   | roll, pitch of the platform | 0.03 rad |
+    | 10, 11  | heave of the platform | 0.02 m |
+
+    :meth:`action_masks` is True where a move leads to a configuration both robots can take.
+
+    ## Observation Space
+
+    ``Box(0, 1, (12,), float32)``, or ``(19,)`` with ``observation="markov"``, scaled from:
+
+    | Field   | Meaning | Least | Largest |
+    |---------|---------|-------|---------|
+    | 0, 1    | x, y of the effector, Delta's frame, m | -0.16 | 0.16 |
+    | 2       | z of the effector, m | -0.65 | -0.25 |
+    | 3, 4    | roll, pitch, rad | -pi/4 | pi/4 |
+    | 5       | heave, m | 0.21 | 0.25 |
+    | 6 - 8   | target hole's mouth - tip, world frame, m | -0.15 | 0.15 |
+    | 9 - 11  | normal of the target hole, world frame | -1 | 1 |
+    | 12 - 17 | hole filled (``"markov"``; one field a hole) | 0 | 1 |
+    | 18      | time elapsed, s (``"markov"``) | 0 | 0.2 ``max_moves`` |
+
+    ## Rewards
+
+    | Event or term            | ``"paper"``                 | ``"progress"``              |
+    |--------------------------|-----------------------------|-----------------------------|
+    | violation                | -3                          | ``-violation_penalty``      |
+    | insertion, the N-th at t | 150 + 25 N + 80 (1 - t / 60) | ``insertion_bonus``, or so |
+    | entry to a filled hole   | -1                          | ``-duplicate_penalty``      |
+    | other steps              | -0.01 - d + 200 max(0.03 - d, 0) | ``-step_cost``         |
+    | approach                 | 50 max(d_before - d, 0)     | ``distance_scale`` (d_before - d) |
+    | alignment                |                             | ``angle_scale`` (a_before - a) |
+
+    ## Starting State
+
+    Tilt, height, tip and target hole are drawn within the task's start ranges until the state is
+    valid, free of collision and far from singular; ``options`` of :meth:`reset` can set them.
+
+    ## Episode End
+
+    1. Termination: all active holes are filled, or a move ends with signed sigma_min below 0.05.
+    2. Truncation: ``max_moves`` moves were made.
+
+    ## Arguments
+
+    All numbers above are the defaults of ``geometry``, ``delta`` and ``task``. Each of these and
+    ``sim_to_real`` may be a plain mapping of fields (from YAML, say). Twelve moves and six axes are
+    structure, and no argument changes them.
+
+    Args:
+        geometry: ``"optimized"``, ``"initial"`` or an :class:`~coop_env.geometry.RRSGeometry`.
+        reward: ``"paper"`` (equation (reward) to the letter) or ``"progress"``.
+        reward_kwargs: scales of ``"progress"``, see
+            :data:`coop_env.simulation.rewards.PROGRESS_DEFAULTS`.
+        observation: ``"paper"``, 12 numbers, or ``"markov"``, with filled holes and time.
+        normalize: observation in [0, 1], or in SI units.
+        mask_singularities: action masks also exclude collisions and singular moves.
+        mask_visited: they also exclude moves back to the last so many configurations (at most 64)
+            visited since the last insertion: 1 forbids undoing the last move, 0 nothing.
+        stage: 0, the first holes (of the paper's, the four peripheral), or 1, all of them.
+        pose_model: ``"exact"``, with parasitic motion, or ``"paper"``.
+        max_moves: moves until truncation; 300 are the paper's 60 s.
+        sim_to_real: None, ``"randomized"`` or a
+            :class:`~coop_env.simulation.sim_to_real.SimToReal`.
+        render_mode: None, ``"rgb_array"``, ``"human"`` or ``"ansi"``.
+        delta: None, the standard robot, or a :class:`~coop_env.geometry.DeltaGeometry`.
+        task: None, the paper's task, or an
+            :class:`~coop_env.simulation.insertion_task.InsertionTask`: dome and holes, tolerances,
+            steps, start ranges, bodies. Another number of holes compiles the kernels once more.
+
+    Raises:
+        ArgumentError: an argument is unknown or out of range (its message names the mend).
+        RewardError: so is a reward or one of its scales.
+        GeometryError: a robot cannot be assembled, or not at its home height.
+
+    ## Version History
+
+    * v0: initial version
+    """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own form
         "render_modes": ["rgb_array", "human", "ansi"],
@@ -78,10 +161,10 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         self._stage = start_states.check_stage(stage)
         self._task = PAPER_TASK if task is None else as_dataclass("task", task, InsertionTask)
         self._knobs = resolve(sim_to_real, self._task)
-        self._params = _params(
+        self._params = make_params(
             resolve_rrs(geometry),
             rewards.make_reward(reward, reward_kwargs),
-            pose_model,
+            pose_model=pose_model,
             delta=resolve_delta(delta),
             task=self._task,
             max_moves=check_integer("max_moves", max_moves, 1),
@@ -151,8 +234,8 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         Raises:
             ResetOptionError: ``configuration`` is not six numbers.
         """
-        c = start_states.as_configuration(configuration)
-        return int(state.configuration_status(c, self._params))
+        c = np.array(start_states.as_configuration(configuration))
+        return int(batch.status(c, self._packed))
 
     def action_masks(self) -> NDArray[np.bool_]:
         """(12,): True where the move leads to a valid configuration; all True if none does."""
@@ -351,32 +434,3 @@ def make(max_moves: int = 300, **kwargs: Any) -> TimeLimit[Any, Any]:
 
 
 make.metadata = CoopInsertionEnv.metadata  # type: ignore[attr-defined]  # gymnasium.make reads it
-
-
-def _params(
-    geometry: RRSGeometry, reward: RewardParams, pose_model: str, **kwargs: Any
-) -> EnvParams:
-    if pose_model not in ("exact", "paper"):
-        raise ArgumentError(f"pose_model = {pose_model!r}: must be 'exact' or 'paper'")
-    p = make_params(geometry, reward, pose_model=pose_model, **kwargs)
-    if not rrs_kernels.is_valid(0.0, 0.0, geometry.home_heave, p.rrs):
-        raise GeometryError(
-            f"the 3-RRS cannot take its home pose at home_heave = {geometry.home_heave} m within "
-            "its joint limits: choose other lengths, another height or wider limits"
-        )
-    if p.task.visited > 0:
-        _check_memory(p)
-    return p
-
-
-def _check_memory(p: EnvParams) -> None:
-    """``mask_visited`` tells lattice points apart within 1024 steps of the start."""
-    d, r, step = p.delta, p.rrs, p.layout["step"]
-    rise = 2.0 * min(d.proximal_length, d.distal_length)
-    widths = (2.0 * d.planar_limit, rise, 2.0 * r.max_tilt, r.heave_max - r.heave_min)
-    for width, size in zip(widths, (step[0], step[2], step[3], step[5]), strict=True):
-        if width / size > KEY_SPAN - 2:
-            raise ArgumentError(
-                f"mask_visited needs steps of at least {width / (KEY_SPAN - 2):.2g}, not "
-                f"{size:.2g}: make them larger or leave mask_visited at 0"
-            )

@@ -142,12 +142,11 @@ def _problem(
             bounds.setHigh(axis, HELD)
     space.setBounds(bounds)
     setup = og.SimpleSetup(space)
-    params = env.params
 
     def is_valid(state: Any) -> bool:
         c = np.array(state[0:N_AXES]) * unit + start
         # the peg may touch the dome within a hole's chamfer, as when it moves
-        return bool(dynamics.configuration_status(tuple(c), params) == dynamics.VALID)
+        return env.configuration_status(c) == dynamics.VALID
 
     setup.setStateValidityChecker(is_valid)
     extent = space.getMaximumExtent()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from coop_env.compilation import njit
 from coop_env.simulation import dynamics, observation
 from coop_env.simulation.rewards import TERMS
-from coop_env.simulation.state import INFO_FIELDS, Record
+from coop_env.simulation.state import INFO_FIELDS, Record, configuration_status
 from coop_env.simulation.task import unpack
 
 _N_FIELDS = len(INFO_FIELDS)  # the reward's terms come next
@@ -47,6 +47,13 @@ def write_reset_outcome(s: Record, out: Record) -> None:
     out.target = s.target
     out.time = out.energy = out.reward = 0.0
     out.terms[:] = 0.0
+
+
+@njit(cache=True)
+def status(configuration: np.ndarray, packed: np.ndarray) -> int:
+    """``configuration_status`` of a configuration (6,), quick to call from Python."""
+    c = configuration
+    return configuration_status((c[0], c[1], c[2], c[3], c[4], c[5]), unpack(packed))
 
 
 def make_infos(outcomes: NDArray[np.void]) -> list[dict[str, Any]]:

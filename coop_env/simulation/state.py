@@ -20,10 +20,7 @@ from coop_env.simulation import rewards
 from coop_env.simulation.collision import below_ceiling, collides, hole
 from coop_env.simulation.insertion_task import PAPER_TASK
 from coop_env.simulation.machine import MACHINE
-from coop_env.simulation.task import N_ACTIONS, N_AXES, TRAIL, EnvParams
-
-KEY_SPAN: Final = 1024
-"""Lattice points along an axis that a key of the trail tells apart."""
+from coop_env.simulation.task import KEY_SPAN, N_ACTIONS, N_AXES, TRAIL, EnvParams
 
 VALID: Final = 0
 INVALID: Final = 1
@@ -37,7 +34,8 @@ Record = Any  # a row of STATE or OUTCOME, whose fields numba reads as attribute
 @lru_cache
 def state_dtype(n_holes: int) -> np.dtype[np.void]:
     """The layout of a row of state, in SI units; everything that the next step depends on."""
-    unaligned = -(3 * n_holes + N_ACTIONS + 2) % 8  # bytes short of the next eight
+    # Named padding to the next eight bytes: hidden padding would make equal rows differ in bytes.
+    unaligned = -(3 * n_holes + N_ACTIONS + 2) % 8
     padding = [("unused", "u1", (unaligned,))] if unaligned else []
     return np.dtype([*_fields(n_holes), *padding], align=True)
 
@@ -62,11 +60,11 @@ def _fields(n_holes: int) -> list[Any]:
         ("trail", "i8", (TRAIL,)),  # keys of configurations left, a ring
         ("trailed", "i8"),  # number of them since the start or the last insertion
         ("machine", MACHINE),  # what sim-to-real knobs make of the nominal machine
+        ("over", "u2"),  # before the odd bytes, so that it leaves no gap
         ("inside", "u1", (n_holes,)),  # tip meets the hole's insertion criterion
         ("active", "u1", (n_holes,)),
         ("filled", "u1", (n_holes,)),
         ("mask", "u1", (N_ACTIONS,)),
-        ("over", "u2"),
     ]
 
 

@@ -7,6 +7,7 @@ base frame (m), then the platform's tilt (rad) and height (m).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -15,7 +16,8 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from coop_env.compilation import njit
-from coop_env.geometry import DELTA, DeltaGeometry, RRSGeometry
+from coop_env.errors import ArgumentError
+from coop_env.geometry import DELTA, DeltaGeometry, GeometryError, RRSGeometry
 from coop_env.kinematics import delta_kernels, rrs_kernels
 from coop_env.kinematics.delta_kernels import DeltaParams
 from coop_env.kinematics.rrs_kernels import RRSParams
@@ -27,6 +29,8 @@ AXES: Final = ("x", "y", "z", "roll", "pitch", "heave")
 
 TRAIL: Final = 64
 """Configurations that a state can remember for ``mask_visited``."""
+KEY_SPAN: Final = 1024
+"""Lattice points along an axis that such a memory tells apart."""
 
 
 class TaskParams(NamedTuple):
@@ -117,15 +121,41 @@ def make_params(
     """Geometries, task and reward as the kernels take them; ``flags`` are of TaskParams.
 
     Raises:
-        ValueError: ``pose_model`` is neither ``"exact"`` nor ``"paper"``.
+        ArgumentError: ``pose_model`` is neither ``"exact"`` nor ``"paper"``, or the steps are too
+            small for ``mask_visited``.
+        GeometryError: the 3-RRS cannot take its home pose.
     """
-    return EnvParams(
+    if pose_model not in ("exact", "paper"):
+        raise ArgumentError(f"pose_model = {pose_model!r}: must be 'exact' or 'paper'")
+    p = EnvParams(
         rrs_kernels.make_params(rrs, pose_model),
         delta_kernels.make_params(delta),
         TaskParams(task.chamfer, task.tolerance, task.angle_tolerance, **flags),
         reward._replace(task_time=task.task_time),
         make_layout(task),
     )
+    if not rrs_kernels.is_valid(0.0, 0.0, rrs.home_heave, p.rrs):
+        raise GeometryError(
+            f"the 3-RRS cannot take its home pose at home_heave = {rrs.home_heave} m within "
+            "its joint limits: choose other lengths, another height or wider limits"
+        )
+    if p.task.visited > 0:
+        _check_memory(p, task.steps)
+    return p
+
+
+def _check_memory(p: EnvParams, steps: Sequence[float]) -> None:
+    """``mask_visited`` tells lattice points apart if no axis is too many steps wide."""
+    d, r = p.delta, p.rrs
+    rise = 2.0 * min(d.proximal_length, d.distal_length)
+    widths = (2.0 * d.planar_limit, rise, 2.0 * r.max_tilt, r.heave_max - r.heave_min)
+    for width, step in zip(widths, (steps[0], steps[2], steps[3], steps[5]), strict=True):
+        least = width / (KEY_SPAN - 2)
+        if step < least:
+            raise ArgumentError(
+                f"mask_visited needs steps of at least {least:.2g} here, not {step:.2g}: make them "
+                "larger or leave mask_visited at 0"
+            )
 
 
 def pack(p: EnvParams) -> NDArray[np.float64]:
@@ -155,5 +185,5 @@ def unpack(v: np.ndarray) -> EnvParams:
         DeltaParams(v[12], v[13], v[14], v[15], v[16], v[17], v[18], v[19]),
         TaskParams(v[20], v[21], v[22], int(v[23]), v[24] != 0.0, int(v[25]), v[26] != 0.0),
         RewardParams(v[27] != 0.0, v[28], v[29], v[30], v[31], v[32], v[33], v[34], v[35]),
-        _layout_at(v, 36),  # type: ignore[call-arg]  # the first is the typing context
+        _layout_at(v, 36),  # type: ignore[call-arg]  # numba hands over the context itself
     )

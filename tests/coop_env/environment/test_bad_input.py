@@ -46,6 +46,13 @@ VALID = (0.0, 0.0, -0.33, 0.1, 0.1, 0.22)
         ({"pose_model": "approximate"}, ArgumentError, "'approximate'"),
         ({"max_moves": 0}, ArgumentError, "max_moves = 0"),
         ({"max_moves": 3.5}, ArgumentError, "max_moves = 3.5"),
+        ({"max_moves": 2**63}, ArgumentError, "max_moves = 9223372036854775808.*2147483647"),
+        ({"max_moves": None}, ArgumentError, "max_moves = None"),
+        ({"stage": "all"}, ArgumentError, "stage = 'all'"),
+        ({"mask_visited": 1.0}, ArgumentError, "mask_visited = 1.0"),
+        ({"reward": "progress", "reward_kwargs": "big"}, RewardError, "'big': must be a mapping"),
+        ({"sim_to_real": 1}, ArgumentError, "sim_to_real = 1"),
+        ({"sim_to_real": {"wind": 1}}, ArgumentError, "unknown keys.*wind"),
         ({"render_mode": "opengl"}, ArgumentError, "'opengl'"),
         ({"sim_to_real": "harsh"}, ArgumentError, "'harsh'"),
     ],
@@ -94,9 +101,10 @@ def test_a_geometry_without_start_states_is_told_not_searched_for_ever() -> None
         ({"filled": [7]}, "7"),
         ({"filled": range(6)}, "leaves no active hole"),
         ({"filled": [2], "target": 2}, "target = 2"),
+        ("home", "'home': must be a mapping"),
     ],
 )
-def test_reset_options(options: dict[str, Any], message: str) -> None:
+def test_reset_options(options: Any, message: str) -> None:
     env = CoopInsertionEnv()
     env.reset(seed=3)
     env.step(int(np.flatnonzero(env.action_masks())[0]))
@@ -201,6 +209,11 @@ def test_configuration_status_of_nonsense() -> None:
         {"latency": 0.5},
         {"insertion_probability": 1.1},
         {"chamfer_error": "big"},
+        {"randomize": "yes"},
+        {"randomize": 1},
+        {"latency": True},
+        {"backlash": None},
+        {"base_tilt_error": math.inf},
     ],
 )
 def test_knobs(knobs: dict[str, Any]) -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
@@ -77,8 +80,15 @@ def clearance(env: CoopInsertionEnv, c: Configuration) -> float:
     return min(gaps)
 
 
-def test_configurations_collide_when_their_sampled_bodies_do() -> None:
-    env = CoopInsertionEnv()
+THICK = {
+    "dome_radius": 0.11, "chamfer": 0.02, "holes": [(0.2, 1.0 * k) for k in range(6)],
+    "effector_radius": 0.06, "forearm_radius": 0.03, "spoke_radius": 0.025, "limb_radius": 0.02,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("task", [{}, THICK], ids=["paper", "thick"])
+def test_configurations_collide_when_their_sampled_bodies_do(task: dict[str, Any]) -> None:
+    env = CoopInsertionEnv(task=task)
     rng = np.random.default_rng(0)
     counts = {True: 0, False: 0}
     while min(counts.values()) < 40:

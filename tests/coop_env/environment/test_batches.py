@@ -1,0 +1,218 @@
+"""Both vector forms: copies that play on, use out of turn, snapshots, options, conventions."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import NoAsyncCallError, ResetNeeded
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
+
+from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, CoopInsertionVectorEnv
+from coop_env.errors import ArgumentError, ResetOptionError
+
+NOISY: dict[str, Any] = {"sim_to_real": "randomized", "max_moves": 30, "mask_visited": 4}
+COPIES: list[Callable[[Any], Any]] = [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))]
+
+
+def courses(env: Any, n: int) -> list[bytes]:
+    """What a fixed sequence of moves shows, masks included."""
+    rng = np.random.default_rng(1)
+    shown = []
+    for _ in range(n):
+        step = env.step(rng.integers(12, size=env.num_envs))
+        shown += [x.tobytes() for x in step[:-1]] + [env.action_masks().tobytes()]
+    return shown
+
+
+@pytest.mark.parametrize("duplicate", COPIES, ids=["deepcopy", "pickle"])
+@pytest.mark.parametrize("form", [CoopInsertionVecEnv, CoopInsertionVectorEnv])
+def test_a_copy_of_a_batch_plays_on_as_the_original(form: Any, duplicate: Any) -> None:
+    env = form(3, **NOISY)
+    env.reset()
+    courses(env, 20)
+    env.set_attr("stage", 0)
+    twin = duplicate(env)
+    assert list(twin.get_attr("stage")) == [0, 0, 0]
+    assert courses(twin, 80) == courses(env, 80)
+    assert [s["active"].sum() for s in twin.get_attr("state")] == [4, 4, 4]
+
+
+@pytest.mark.parametrize("duplicate", COPIES, ids=["deepcopy", "pickle"])
+def test_a_copy_makes_the_move_that_was_taken(duplicate: Any) -> None:
+    env = CoopInsertionVecEnv(3, seed=0)
+    env.reset()
+    env.set_options({"target": 2})
+    env.step_async(np.array([0, 6, 11]))
+    twin = duplicate(env)
+    ours, theirs = env.step_wait(), twin.step_wait()
+    assert ours[0].tobytes() == theirs[0].tobytes()
+    assert not np.array_equal(ours[0], env.reset())
+    twin.reset()
+    assert [s["target"] for s in twin.get_attr("state")] == [2, 2, 2]
+
+
+@pytest.mark.parametrize("duplicate", COPIES, ids=["deepcopy", "pickle"])
+def test_a_copy_does_not_share_the_originals_rows(duplicate: Any) -> None:
+    env = CoopInsertionVecEnv(2, seed=0)
+    env.reset()
+    before = env.get_state()["states"].tobytes()
+    twin = duplicate(env)
+    twin.step(np.array([4, 4]))
+    assert env.get_state()["states"].tobytes() == before
+    assert twin.get_attr("state")[0].tobytes() == twin.get_state()["states"][0].tobytes()
+
+
+def test_a_batch_needs_a_reset_and_actions() -> None:
+    env = CoopInsertionVecEnv(2, seed=0)
+    uses: list[Callable[[], object]] = [
+        lambda: env.step(np.zeros(2, int)),
+        lambda: env.step_async(np.zeros(2, int)),
+        env.step_wait,
+        env.action_masks,
+    ]
+    for use in uses:
+        with pytest.raises(ResetNeeded, match="reset"):
+            use()
+    env.reset()
+    env.step(np.zeros(2, int))
+    with pytest.raises(NoAsyncCallError, match="no actions"):
+        env.step_wait()
+    with pytest.raises(ResetNeeded, match="reset"):
+        CoopInsertionVectorEnv(2).step(np.zeros(2, int))
+
+
+def test_a_snapshot_brings_its_observations_and_the_move_taken() -> None:
+    env = CoopInsertionVecEnv(3, seed=0, **NOISY)
+    env.reset()
+    last, *_ = env.step(np.array([0, 1, 2]))
+    env.step_async(np.array([3, 4, 6]))
+    snapshot = pickle.loads(pickle.dumps(env.get_state()))
+    other = CoopInsertionVecEnv(3, seed=9, **NOISY)
+    other.reset()
+    assert other.set_state(snapshot).tobytes() == last.tobytes()  # the very noise, not another draw
+    assert other.step_wait()[0].tobytes() == env.step_wait()[0].tobytes()
+    assert courses(other, 60) == courses(env, 60)
+
+
+def test_a_single_snapshot_brings_its_observation() -> None:
+    env = CoopInsertionEnv(**NOISY)
+    env.reset(seed=0)
+    last, *_ = env.step(0)
+    snapshot = env.get_state()
+    env.step(2)
+    assert env.set_state(snapshot).tobytes() == last.tobytes()
+
+
+@pytest.mark.parametrize(
+    "bad", [{"target": 9}, {"goal": 1}, [{"target": 1}], [{}, {"filled": 3}], "home", 5]
+)
+def test_bad_options_leave_the_old_ones(bad: Any) -> None:
+    env = CoopInsertionVecEnv(2, seed=0)
+    env.set_options({"target": 3})
+    with pytest.raises(ResetOptionError):
+        env.set_options(bad)
+    env.reset()
+    assert [s["target"] for s in env.get_attr("state")] == [3, 3]
+
+
+def test_a_batch_is_reset_wholly_or_not_at_all() -> None:
+    env = CoopInsertionVecEnv(2, seed=0)
+    env.reset()
+    env.set_options([{}, {"target": 5}])
+    env.set_attr("stage", 0)
+    before = env.get_state()["states"].tobytes()
+    with pytest.raises(ResetOptionError, match="not active"):
+        env.reset()
+    assert env.get_state()["states"].tobytes() == before
+
+
+@pytest.mark.parametrize("seed", [-1, "one", 1.5, True])
+def test_seeds(seed: Any) -> None:
+    with pytest.raises(ArgumentError, match="seed"):
+        CoopInsertionVecEnv(2, seed=seed)
+    with pytest.raises(ArgumentError, match="seed"):
+        CoopInsertionVectorEnv(2).reset(seed=seed)
+
+
+def assert_same(ours: dict[str, Any], theirs: dict[str, Any]) -> None:
+    assert set(ours) == set(theirs)
+    for key, value in ours.items():
+        if isinstance(value, dict):
+            assert_same(value, theirs[key])
+        elif value.dtype == object:
+            for a, b in zip(value, theirs[key], strict=True):
+                assert (a is None and b is None) or a.tobytes() == b.tobytes()
+        else:
+            assert value.dtype == theirs[key].dtype
+            np.testing.assert_array_equal(value, theirs[key])
+
+
+def test_the_vector_env_shows_what_gymnasiums_own_shows() -> None:
+    """Against ``SyncVectorEnv`` in the same autoreset mode: values, types, infos, final infos."""
+    arguments: dict[str, Any] = {"max_moves": 9, "reward": "progress", "observation": "markov"}
+    ours: Any = CoopInsertionVectorEnv(3, **arguments)
+    theirs = SyncVectorEnv(
+        [lambda: CoopInsertionEnv(**arguments)] * 3,
+        autoreset_mode=AutoresetMode.SAME_STEP,
+    )
+    assert ours.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP
+    assert ours.observation_space == theirs.observation_space
+    assert ours.action_space == theirs.action_space
+    (a, own_infos), (b, infos) = ours.reset(seed=5), theirs.reset(seed=5)
+    assert a.tobytes() == b.tobytes()
+    assert_same(own_infos, infos)
+    rng = np.random.default_rng(0)
+    finals = 0
+    for _ in range(60):
+        masks = ours.action_masks()
+        actions = rng.integers(12, size=3)
+        (*got, own_infos), (*expected, infos) = ours.step(actions), theirs.step(actions)
+        for x, y in zip(got, expected, strict=True):
+            assert x.dtype == y.dtype
+            np.testing.assert_array_equal(x, y)
+        if "final_obs" in own_infos:
+            finals += 1
+            ended = own_infos.pop("_final_action_mask")
+            assert ended.tolist() == (got[2] | got[3]).tolist()
+            final_masks = own_infos.pop("final_action_mask")
+            assert final_masks.shape == masks.shape
+            assert not final_masks[~ended].any()
+            assert final_masks[ended].any(axis=1).all()
+        assert_same(own_infos, infos)
+    assert finals >= 6
+
+
+def test_gymnasiums_vector_wrapper_counts_episodes() -> None:
+    env = RecordEpisodeStatistics(CoopInsertionVectorEnv(4, max_moves=6))
+    env.reset(seed=0)
+    for _ in range(6):
+        *_, truncated, infos = env.step(np.zeros(4, int))
+    assert truncated.all()
+    assert infos["episode"]["l"].tolist() == [6, 6, 6, 6]
+
+
+def test_attributes_and_calls_reach_each_environment() -> None:
+    env = CoopInsertionVectorEnv(2, render_mode="ansi")
+    env.reset(seed=[4, None], options={"target": 1})
+    assert [s["target"] for s in env.get_attr("state")] == [1, 1]
+    env.call("set_stage", 0)
+    env.set_attr("stage", [1, 0])
+    assert env.get_attr("stage") == (1, 0)
+    frames = env.render()
+    assert frames is not None
+    assert all("target" in frame for frame in frames)
+    with pytest.raises(ArgumentError, match="3 values for 2"):
+        env.set_attr("stage", [0, 1, 0])
+    with pytest.raises(ArgumentError, match="speed"):
+        env.set_attr("speed", 1)
+    with pytest.raises(ArgumentError, match="seed"):
+        env.reset(seed=[1, 2, 3])
+    env.close()
+    assert isinstance(env, gym.vector.VectorEnv)

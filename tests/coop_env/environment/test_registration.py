@@ -1,0 +1,85 @@
+"""What ``gymnasium.make`` and ``gymnasium.make_vec`` make of the registered name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.wrappers import TimeAwareObservation
+
+import coop_env
+from coop_env import CoopInsertionVecEnv, CoopInsertionVectorEnv
+from coop_env.errors import ArgumentError
+
+ID = "CoopInsertion-v0"
+
+
+def moves_until_cut(env: gym.Env[Any, Any], most: int = 1000) -> int:
+    env.reset(seed=0)
+    for k in range(1, most):
+        *_, terminated, truncated, _ = env.step(k % 2)
+        assert not terminated
+        if truncated:
+            return k
+    return most
+
+
+@pytest.mark.parametrize("max_moves", [40, 300, 450])
+def test_max_moves_is_the_limit_that_wrappers_see(max_moves: int) -> None:
+    env = gym.make(ID, max_moves=max_moves)
+    assert env.spec is not None
+    assert env.spec.max_episode_steps == max_moves
+    assert moves_until_cut(env) == max_moves
+    assert moves_until_cut(gym.make(env.spec)) == max_moves
+
+
+def test_gymnasiums_own_limit_cuts_earlier_but_not_later() -> None:
+    assert moves_until_cut(gym.make(ID, max_episode_steps=25)) == 25
+    assert moves_until_cut(gym.make(ID, max_moves=30, max_episode_steps=99)) == 30
+    assert moves_until_cut(gym.make(ID, max_moves=30, max_episode_steps=-1)) == 30
+
+
+def test_time_can_be_observed() -> None:
+    env = TimeAwareObservation(gym.make(ID), normalize_time=True)
+    observation, _ = env.reset(seed=0)
+    assert observation.shape == (13,)
+    assert observation[-1] == 0.0
+    for k in range(1, 4):
+        assert env.step(0)[0][-1] == pytest.approx(k / 300)
+
+
+def test_make_vec_makes_the_batch() -> None:
+    env = gym.make_vec(ID, num_envs=4, geometry="initial", max_moves=8)
+    assert isinstance(env, CoopInsertionVectorEnv)
+    batch = CoopInsertionVecEnv(4, seed=3, geometry="initial", max_moves=8)
+    observations, _ = env.reset(seed=3)
+    assert observations.tobytes() == batch.reset().tobytes()
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        actions = rng.integers(12, size=4)
+        observations, rewards, terminated, truncated, _ = env.step(actions)
+        expected, floats, dones, _ = batch.step(actions)
+        assert observations.tobytes() == expected.tobytes()
+        assert rewards.astype(np.float32).tobytes() == floats.tobytes()
+        assert (terminated | truncated).tolist() == dones.tolist()
+    env.close()
+
+
+def test_make_vec_knows_gymnasiums_name_of_the_limit() -> None:
+    env = gym.make_vec(ID, num_envs=2, max_episode_steps=5)
+    env.reset(seed=0)
+    for _ in range(5):
+        *_, truncated, _ = env.step(np.zeros(2, int))
+    assert truncated.all()
+    with pytest.raises(ArgumentError, match="two names of one limit"):
+        CoopInsertionVectorEnv(2, max_episode_steps=5, max_moves=6)
+
+
+def test_the_registry_names_both_entries() -> None:
+    spec = gym.spec(ID)
+    assert spec.vector_entry_point == "coop_env.vector_env:CoopInsertionVectorEnv"
+    assert gym.make(ID, render_mode="ansi").unwrapped.render_mode == "ansi"
+    for name in coop_env.__all__:
+        assert getattr(coop_env, name) is not None

@@ -1,0 +1,242 @@
+"""The task's numbers as arguments: what they change, and one named error for each bad value."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env as gymnasium_check
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.methods.oracle import LatticeOracle
+from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, DeltaGeometry, InsertionTask, SimToReal
+from coop_env.errors import ArgumentError
+from coop_env.geometry import OPTIMIZED, GeometryError
+
+RING = [[0.4, 2.0 * math.pi * k / 9.0] for k in range(9)]
+PLANS: dict[int, np.ndarray] = {}
+
+
+def plan(seed: int) -> np.ndarray:
+    """The optimum to the first target of the paper's task; no moves where there is none."""
+    if seed not in PLANS:
+        env = CoopInsertionEnv()
+        env.reset(seed=seed)
+        moves = LatticeOracle().plan(env).moves
+        PLANS[seed] = np.zeros(0, int) if moves is None else moves
+    return PLANS[seed]
+
+
+def insertions(**task: Any) -> int:
+    """How many of the same 25 courses end in the hole."""
+    env = CoopInsertionEnv(task=task)
+    found = 0
+    for seed in range(25):
+        env.reset(seed=seed)
+        info: dict[str, Any] = {}
+        for move in plan(seed):
+            info = env.step(int(move))[4]
+        found += bool(info.get("success"))
+    return found
+
+
+def test_the_same_moves_insert_less_often_where_the_tolerance_is_tighter() -> None:
+    by_distance = [insertions(tolerance=t) for t in (0.010, 0.008, 0.005, 0.002)]
+    assert by_distance == sorted(by_distance, reverse=True)
+    assert by_distance[0] >= 20
+    assert by_distance[-1] < by_distance[0] // 2
+    by_angle = [insertions(angle_tolerance=math.radians(a)) for a in (5.0, 2.0, 0.5)]
+    assert by_angle == sorted(by_angle, reverse=True)
+    assert by_angle[-1] < by_angle[0]
+
+
+def test_the_defaults_are_one_task_in_three_spellings() -> None:
+    own = CoopInsertionEnv().get_state()["params"]
+    for task in (InsertionTask(), {}, InsertionTask().as_dict()):
+        assert CoopInsertionEnv(task=task).get_state()["params"] == own
+    for delta in (DeltaGeometry(), {}, DeltaGeometry().as_dict()):
+        assert CoopInsertionEnv(delta=delta).get_state()["params"] == own
+    assert CoopInsertionEnv(geometry=OPTIMIZED.as_dict()).get_state()["params"] == own
+    made: Any = gym.make("CoopInsertion-v0", task={"tolerance": 0.005}, delta={"peg_length": 0.1})
+    assert made.unwrapped.task.tolerance == 0.005
+    assert made.unwrapped.params.delta.peg_length == 0.1
+    knobs = {"backlash": 0.01}
+    assert CoopInsertionEnv(sim_to_real=knobs)._knobs == SimToReal(backlash=0.01)
+
+
+def test_another_delta_reaches_elsewhere() -> None:
+    far = (0.18, 0.0, -0.4, 0.0, 0.0, 0.22)
+    assert CoopInsertionEnv().configuration_status(far) == 1
+    long = CoopInsertionEnv(delta={"proximal_length": 0.25, "distal_length": 0.5})
+    assert long.configuration_status(far) == 0
+    assert long.unwrapped.observation_space.shape == (12,)
+    high = CoopInsertionEnv(delta={"base_height": 0.95}, normalize=False)
+    high.reset(seed=0)
+    assert high.scene().effector[2] == pytest.approx(high.configuration[2] + 0.95)
+
+
+def test_any_number_of_holes() -> None:
+    holes, n = RING, len(RING)  # one number, as each compiles the kernels of the state anew
+    arguments: dict[str, Any] = {
+        "observation": "markov",
+        "task": {"holes": holes, "stage_0_holes": 2},
+    }
+    env = CoopInsertionEnv(**arguments)
+    gymnasium_check(env, skip_render_check=True)
+    assert env.observation_space.shape == (13 + n,)
+    assert env.state.dtype.itemsize == sum(
+        env.state.dtype[name].itemsize for name in env.state.dtype.names or ()
+    )
+    batch = CoopInsertionVecEnv(2, seed=7, stage=0, **arguments)
+    batch.reset()
+    assert all(s["active"].sum() == 2 for s in batch.get_attr("state"))
+    env.set_stage(1)
+    env.reset(seed=1, options={"filled": range(n - 1)})
+    assert env.state["target"] == n - 1
+    polar, azimuth = holes[-1]
+    scene = env.scene()
+    inwards = scene.platform_rotation.T @ scene.hole_normals[n - 1]
+    expected = [math.sin(polar) * math.cos(azimuth), math.sin(polar) * math.sin(azimuth)]
+    np.testing.assert_allclose(inwards[:2], expected, atol=1e-12)
+    moves = LatticeOracle().plan(env).moves
+    assert moves is not None
+    for move in moves[:-1]:
+        assert not env.step(move)[2]
+    *_, terminated, _, info = env.step(moves[-1])
+    assert terminated
+    assert info["n_filled"] == n
+
+
+def test_entering_the_last_of_many_holes_once_more_is_a_duplicate() -> None:
+    env = CoopInsertionEnv(task={"holes": [*([1.2, 0.6 * k] for k in range(8)), [0.0, 0.0]]})
+    for filled in (8, 0):
+        above = (0.0, 0.0, -0.43, 0.0, 0.0, 0.22)
+        env.reset(options={"configuration": above, "filled": [filled], "target": 1})
+        assert [env.step(action)[4]["duplicate"] for action in (5, 5, 4, 5)] == (
+            [True, False, False, True] if filled == 8 else [False] * 4
+        )
+
+
+@pytest.mark.parametrize(("action", "size"), [(0, 0.01), (6, 0.05), (10, 0.004)])
+def test_steps_and_their_duration(action: int, size: float) -> None:
+    task = {"linear_step": 0.01, "angular_step": 0.05, "heave_step": 0.004, "dt": 0.5}
+    env = CoopInsertionEnv(task=task, observation="markov", normalize=False)
+    env.reset(options={"configuration": (0, 0, -0.33, 0, 0, 0.22), "target": 0})
+    before = env.configuration
+    observation, *_, info = env.step(action)
+    assert (env.configuration - before)[action // 2] == pytest.approx(size)
+    assert info["time"] == observation[-1] == 0.5
+    assert env.observation_space.high[-1] == 150.0
+    assert env.metadata["render_fps"] == 2
+
+
+def test_the_optimum_is_found_on_another_lattice() -> None:
+    env = CoopInsertionEnv(task={"linear_step": 0.015, "angular_step": 0.04, "tolerance": 0.008})
+    solved = 0
+    for seed in range(4):
+        env.reset(seed=seed)
+        moves = LatticeOracle().plan(env).moves  # verified in the environment's own kernel
+        solved += moves is not None
+    assert solved >= 2
+
+
+def test_the_time_bonus_and_the_bound_of_the_error() -> None:
+    bonus = {}
+    for time in (60.0, 30.0):
+        env = CoopInsertionEnv(task={"task_time": time})
+        env.reset(seed=0)
+        for move in plan(0):
+            info = env.step(int(move))[4]
+        bonus[time] = info["reward_terms"]["insertion"]
+    elapsed = 0.2 * len(plan(0))
+    assert bonus[60.0] - bonus[30.0] == pytest.approx(80.0 * elapsed * (1 / 30 - 1 / 60))
+    fine, coarse = (CoopInsertionEnv(task={"error_bound": b}) for b in (0.3, 0.6))
+    a, b = (env.reset(seed=0)[0][6:9] - 0.5 for env in (fine, coarse))
+    np.testing.assert_allclose(a, 2.0 * b, atol=1e-6)
+
+
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(
+    tilt=st.floats(0.0, 0.4),
+    planar=st.floats(0.0, 0.05),
+    low=st.floats(0.03, 0.08),
+    width=st.floats(0.0, 0.05),
+)
+def test_starts_lie_within_their_ranges(
+    tilt: float, planar: float, low: float, width: float
+) -> None:
+    task = InsertionTask(start_tilt=tilt, start_planar=planar, start_clearance=(low, low + width))
+    env = CoopInsertionEnv(task=task)
+    for seed in range(5):
+        env.reset(seed=seed)
+        x, y, _, roll, pitch, heave = env.configuration
+        assert max(abs(x), abs(y)) <= planar
+        assert max(abs(roll), abs(pitch)) <= tilt
+        assert low - 1e-9 <= env.state["tip"][2] - heave - task.dome_radius <= low + width + 1e-9
+
+
+def test_a_wider_singular_margin_ends_episodes_sooner() -> None:
+    near = (0.0, 0.0, -0.3, 0.55, 0.0, 0.22)
+    sigma = 0.0
+    for margin, status in ((0.05, 0), (0.9, 3)):
+        env = CoopInsertionEnv(task={"singular_margin": margin, "start_sigma": 0.95})
+        assert env.configuration_status(near) == status
+        sigma = env.params.layout["singular_margin"]
+    assert sigma == 0.9
+
+
+@pytest.mark.parametrize(
+    ("task", "message"),
+    [
+        ({"tolerence": 0.005}, "unknown keys.*tolerence.*known.*tolerance"),
+        ("tight", "'tight': must be a InsertionTask or a mapping"),
+        ({"tolerance": 0.0}, r"tolerance = 0.0: must be above 0 and at most 0.1"),
+        ({"tolerance": math.nan}, "tolerance = nan"),
+        ({"tolerance": "5 mm"}, "tolerance = '5 mm': must be a number"),
+        ({"tolerance": True}, "tolerance = True: must be a number"),
+        ({"angle_tolerance": 5.0}, "angle_tolerance = 5.0.*at most 1.57"),
+        ({"dome_radius": -0.1}, "dome_radius = -0.1"),
+        ({"linear_step": math.inf}, "linear_step = inf"),
+        ({"dt": 0}, "dt = 0"),
+        ({"start_sigma": 0.01}, "start_sigma = 0.01: must be at least 0.05"),
+        ({"start_clearance": 0.1}, "start_clearance = 0.1: must be two numbers"),
+        ({"start_clearance": (0.15, 0.05)}, r"start_clearance\[1\] = 0.05: must be at least 0.15"),
+        ({"holes": []}, "holes are 0: must be 1 to 32"),
+        ({"holes": [(0.0, 0.1 * k) for k in range(33)]}, "holes are 33"),
+        ({"holes": [(0.1, 0.0), (0.1, 0.0)]}, "named twice"),
+        ({"holes": [(2.0, 0.0)]}, r"holes\[0\] polar angle = 2.0"),
+        ({"holes": [0.1, 0.2]}, r"holes\[0\] = 0.1: must be two numbers"),
+        ({"holes": "six"}, "holes = 'six'"),
+        ({"stage_0_holes": 0}, "stage_0_holes = 0"),
+        ({"forearm_radius": None}, "forearm_radius = None"),
+    ],
+)
+def test_bad_numbers_of_a_task(task: Any, message: str) -> None:
+    with pytest.raises(ArgumentError, match=message):
+        CoopInsertionEnv(task=task)
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "error", "message"),
+    [
+        ({"delta": {"proximal": 0.2}}, ArgumentError, "delta has unknown keys.*proximal"),
+        ({"delta": {"proximal_length": "long"}}, GeometryError, "'long': must be a number"),
+        ({"delta": {"proximal_length": 0.5}}, GeometryError, "must exceed"),
+        ({"delta": 0.2}, ArgumentError, "must be a DeltaGeometry or a mapping"),
+        ({"geometry": {"base_radius": 0.2}}, ArgumentError, "proximal_length"),
+        ({"geometry": {**OPTIMIZED.as_dict(), "joint_min": "low"}}, GeometryError, "'low'"),
+        ({"mask_visited": 1, "task": {"linear_step": 1e-4}}, ArgumentError, "steps of at least"),
+        (
+            {"sim_to_real": {"chamfer_error": 0.004}, "task": {"tolerance": 0.003}},
+            ArgumentError,
+            "chamfer_error = 0.004: must be below",
+        ),
+    ],
+)
+def test_bad_machines(kwargs: dict[str, Any], error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        CoopInsertionEnv(**kwargs)
