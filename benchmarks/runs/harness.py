@@ -281,7 +281,6 @@ def open_backend(
     """The backend of that name, closed at the end.
 
     Args:
-        name: one of ``BACKENDS``.
         jobs: runs at a time; None for what there is room for.
         address: of a Ray cluster.
         gpus_per_run: GPUs that Ray reserves for a run, or the fraction of one.

@@ -120,16 +120,8 @@ def join(
 ) -> list[Path]:  # fmt: skip
     """Score an entry on the preset's test episodes and store it; complete seeds are kept.
 
-    Args:
-        preset: gives seeds, episodes and levels of noise.
-        store: where it goes.
-        entry: the method.
-        scorers: of :func:`prepare`.
-        console: for progress.
-        replace: let the entry take the place of another one of its name.
-
-    Returns:
-        The folders of all its seeds.
+    With ``replace`` it may take the place of another one of its name. Returns the folders of all
+    seeds.
 
     Raises:
         BenchmarkError: the name is taken.
