@@ -50,7 +50,7 @@ class StopFlag:
 
 
 class Teller:
-    """Tells the harness which share of a cell is done; raises :class:`Stopped` when asked to end."""
+    """Tells the harness how far a cell is; raises :class:`Stopped` when asked to end."""
 
     def __init__(self, folder: RunFolder, stop_requested: StopRequested) -> None:
         self._folder, self._stop_requested = folder, stop_requested
