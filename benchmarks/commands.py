@@ -81,7 +81,7 @@ def train(arguments: argparse.Namespace) -> int:
     experiment.find(arguments.cell)  # before anything is written
     store = experiment.open_store(arguments.results, create=True)
     device = arguments.device or "cpu"
-    return run_here(experiment, store, arguments.cell, None, arguments.wait, device)
+    return run_here(experiment, store, arguments.cell, arguments.parent, arguments.wait, device)
 
 
 def cell(arguments: argparse.Namespace) -> int:
