@@ -89,7 +89,7 @@ def cell(arguments: argparse.Namespace) -> int:
     from benchmarks.runs.cell import opened, run_here
 
     experiment, store = opened(arguments.experiment, arguments.recipe, arguments.store)
-    parent, wait, device = arguments.parent, arguments.wait, arguments.device
+    parent, wait, device = arguments.parent, arguments.wait, arguments.device or "cpu"
     return run_here(experiment, store, arguments.cell, parent, wait, device)
 
 
