@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import commands
-from benchmarks.errors import BenchmarkError
+from benchmarks.errors import BenchmarkError, at_least
 from benchmarks.protocol.presets import DEFAULT_PRESET, preset_names
 from benchmarks.runs.backends import BACKENDS
 
@@ -67,7 +67,7 @@ def _parser() -> argparse.ArgumentParser:
         "--device", choices=("cpu", "cuda"), help="of the networks (default: cpu, with GPUs cuda)"
     )
     jobs = argparse.ArgumentParser(add_help=False)
-    jobs.add_argument("--jobs", type=_positive, default=None, help="processes (default: cores)")
+    jobs.add_argument("--jobs", type=at_least(1), default=None, help="processes (default: cores)")
     place = argparse.ArgumentParser(add_help=False)
     place.add_argument(
         "--backend", choices=BACKENDS, default=BACKENDS[0], help="processes here, or a Ray cluster"
@@ -133,7 +133,7 @@ def _add_classic(verbs: Any) -> None:
     add("--preset", default=presets.DEFAULT_PRESET,
         help=f"{names}, or a .yaml file (default: {presets.DEFAULT_PRESET})")  # fmt: skip
     add("--results", type=Path, default=Path("results"), help="results folder")
-    add("--workers", "--jobs", dest="jobs", type=_positive, default=None,
+    add("--workers", "--jobs", dest="jobs", type=at_least(1), default=None,
         help="processes (default: cores)")  # fmt: skip
     add("--page", type=Path, default=Path("docs/rainbow.md"), help="of docs: the file")
     add("--cell", default=None, help="of train: the run's id, as plan lists them")
@@ -164,11 +164,11 @@ def _add_entry(model: argparse.ArgumentParser) -> None:
     add("--mask-singularities", action="store_true", help="as the model was trained")
     add("--mask-visited", type=int, default=0, metavar="N", help="as the model was trained")
     add("--replace", action="store_true", help="take the place of another entry of this name")
-    add("--episodes", type=_positive, default=None,
+    add("--episodes", type=at_least(1), default=None,
         help="test episodes per seed, for a quick look: nothing joins the leaderboard")  # fmt: skip
     add(
         "--starts",
-        type=_natural,
+        type=at_least(0),
         default=None,
         metavar="NUMBER",
         help="stored policies: begin where this number says, not at the test episodes' starts",
@@ -190,20 +190,6 @@ def _add_verify(verbs: Any, page: argparse.ArgumentParser) -> None:
     verb.add_argument("--results", type=Path, default=Path("results"), help="results folder")
     verb.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the docs")
     verb.set_defaults(command=commands.verify)
-
-
-def _natural(text: str) -> int:
-    number = int(text)
-    if number < 0:
-        raise argparse.ArgumentTypeError(f"{number} is below 0")
-    return number
-
-
-def _positive(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"{number} is below 1")
-    return number
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import argparse
 import importlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -83,7 +83,7 @@ def train(arguments: argparse.Namespace) -> int:
     experiment.find(arguments.cell)  # before anything is written
     store = experiment.open_store(arguments.results, create=True)
     device = arguments.device or "cpu"
-    return run_here(experiment, store, arguments.cell, None, arguments.wait, device)
+    return run_here(experiment, store, arguments.cell, arguments.parent, arguments.wait, device)
 
 
 def cell(arguments: argparse.Namespace) -> int:
@@ -91,7 +91,7 @@ def cell(arguments: argparse.Namespace) -> int:
     from benchmarks.runs.cell import opened, run_here
 
     experiment, store = opened(arguments.experiment, arguments.recipe, arguments.store)
-    parent, wait, device = arguments.parent, arguments.wait, arguments.device
+    parent, wait, device = arguments.parent, arguments.wait, arguments.device or "cpu"
     return run_here(experiment, store, arguments.cell, parent, wait, device)
 
 
@@ -147,28 +147,20 @@ def _evaluate_entry(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def tables(arguments: argparse.Namespace) -> int:
-    """Write and print the tables from stored data."""
-    experiment, store = _open(arguments)
-    with store.lock():
-        experiment.write_tables(store, Console(soft_wrap=True))
-    return 0
+def _of_stored(method: str, text: str) -> Callable[[argparse.Namespace], int]:
+    def command(arguments: argparse.Namespace) -> int:
+        experiment, store = _open(arguments)
+        with store.lock():
+            getattr(experiment, method)(store, Console(soft_wrap=True))
+        return 0
+
+    command.__doc__ = text
+    return command
 
 
-def figures(arguments: argparse.Namespace) -> int:
-    """Draw the figures from stored data."""
-    experiment, store = _open(arguments)
-    with store.lock():
-        experiment.write_figures(store, Console(soft_wrap=True))
-    return 0
-
-
-def report(arguments: argparse.Namespace) -> int:
-    """Tables, figures and the one-page report from stored data."""
-    experiment, store = _open(arguments)
-    with store.lock():
-        experiment.report(store, Console(soft_wrap=True))
-    return 0
+tables = _of_stored("write_tables", "Write and print the tables from stored data.")
+figures = _of_stored("write_figures", "Draw the figures from stored data.")
+report = _of_stored("report", "Tables, figures and the one-page report from stored data.")
 
 
 def curves(arguments: argparse.Namespace) -> int:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import argparse
+from collections.abc import Callable, Iterable
 
 
 class BenchmarkError(ValueError):
@@ -12,3 +13,15 @@ class BenchmarkError(ValueError):
 def known(names: Iterable[str]) -> str:
     """``a, b, c`` in a stable order, for the tail of a message."""
     return ", ".join(sorted(names))
+
+
+def at_least(least: int) -> Callable[[str], int]:
+    """The type of a command's argument: a whole number from ``least``."""
+
+    def parse(text: str) -> int:
+        if (number := int(text)) < least:
+            raise argparse.ArgumentTypeError(f"{number} is below {least}")
+        return number
+
+    parse.__name__ = "int"  # what argparse calls it in a message
+    return parse

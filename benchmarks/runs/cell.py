@@ -27,9 +27,8 @@ class Stopped(Exception):
 class StopFlag:
     """True once the process was asked to end (SIGTERM or Ctrl-C); a run then saves and stops.
 
-    Args:
-        parent: process id of the harness that started this process, if one did; when it is gone,
-            killed without a word, that counts as being asked.
+    Of a process whose ``parent``, the harness that started it, is gone, killed without a word, that
+    counts as being asked.
     """
 
     def __init__(self, parent: int | None = None) -> None:
@@ -51,12 +50,7 @@ class StopFlag:
 
 
 class Teller:
-    """Tells the harness which share of a cell is done, and raises :class:`Stopped` when asked.
-
-    Args:
-        folder: the cell's.
-        stop_requested: asked at each call.
-    """
+    """Tells the harness how far a cell is; raises :class:`Stopped` when asked to end."""
 
     def __init__(self, folder: RunFolder, stop_requested: StopRequested) -> None:
         self._folder, self._stop_requested = folder, stop_requested
@@ -93,10 +87,6 @@ def run_cell(
     """Run a cell to its end, or until ``stop_requested``; a complete one is left as it is.
 
     Args:
-        experiment: whose cell it is.
-        cell: a cell of it.
-        store: where its results go.
-        stop_requested: asked between rounds of training.
         wait: seconds to wait for another process that works on the cell.
         device: where a learner's network lives: cpu or cuda.
 
@@ -124,18 +114,8 @@ def run_once(
 ) -> bool:
     """Do a run's work under its lock unless it is complete, and write its meta.json.
 
-    Args:
-        folder: the run's.
-        config: every setting that decides its result.
-        name: of the preset or study.
-        work: as :meth:`Experiment.run`.
-        wait: seconds to wait for another process that works on it.
-
-    Returns:
-        Whether the run is complete.
-
-    Raises:
-        BenchmarkError: as :func:`run_cell`.
+    ``work`` is as :meth:`Experiment.run`, ``name`` that of the preset or study; the rest, and
+    errors, as :func:`run_cell`.
     """
     folder.check_config(config)
     if folder.is_complete():

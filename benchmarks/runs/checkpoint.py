@@ -52,11 +52,9 @@ class Watch(BaseCallback):
     """Saves checkpoints, tells the harness how far the run is, and stops it when asked.
 
     Args:
-        folder: the run's folder.
         kept: what is saved with the model, by name; put back in this order.
         seconds: wall-clock time between two checkpoints.
-        timesteps: the run's length, for its progress.
-        stop_requested: asked before each round of collection.
+        timesteps: the run's length.
         note: a word on how the training goes.
     """
 
@@ -166,19 +164,9 @@ def learn(
     logger: Logger,
     device: str = "cpu",
 ) -> Model | None:
-    """Train a model, from its newest checkpoint if there is one.
+    """Train a model under a watch, from its newest checkpoint or as ``build`` makes it.
 
-    Args:
-        watch: of the run; it comes after the callbacks.
-        algorithm: the model's class.
-        env: what it learns in.
-        build: makes it anew.
-        callbacks: asked at each step and round.
-        logger: the model's.
-        device: where the network of a checkpoint is to live.
-
-    Returns:
-        The trained model, or None if it was stopped.
+    ``device`` is where the network of a checkpoint is to live. Returns None if it was stopped.
     """
     torch.set_num_threads(1)
     model = load_newest(watch, algorithm, env, device) or build()
@@ -217,10 +205,7 @@ def checkpoints(root: Path) -> list[Path]:
 def write_checkpoint(root: Path, model: BaseAlgorithm, state: dict[str, Any]) -> None:
     """Write a checkpoint beside the last one, rename it into place, then drop the last one.
 
-    Args:
-        root: the run's folder of checkpoints.
-        model: saved with its replay buffer if it has one.
-        state: whatever else the run needs to go on; pickled.
+    It holds the model, its replay buffer if it has one, and ``state``, pickled.
 
     Raises:
         BenchmarkError: the disk is full; the last checkpoint stays.

@@ -18,12 +18,7 @@ GUESSED_RATE: Final = 1.5e-3  # seconds per unit of work, where nothing was meas
 
 
 class Rates:
-    """Seconds per unit of work, from complete runs; the nearest kind of run counts.
-
-    Args:
-        experiment: says what a run's kinds and units are.
-        runs: complete runs.
-    """
+    """Seconds per unit of work, from complete runs; the nearest kind of run counts."""
 
     def __init__(self, experiment: Experiment[Any], runs: Iterable[RunFolder]) -> None:
         self._experiment = experiment
@@ -61,12 +56,7 @@ class Cost:
 
 
 def costs(experiment: Experiment[Any], store: Store, others: Sequence[Store] = ()) -> list[Cost]:
-    """Each cell's state and cost.
-
-    Args:
-        experiment: whose cells.
-        store: its results.
-        others: results of its like, asked where this one has no run of the kind yet.
+    """Each cell's state and cost; ``others`` are asked where the store has no run of the kind yet.
 
     Raises:
         BenchmarkError: a stored run was made with other settings.
@@ -103,12 +93,7 @@ def _readable(experiment: Experiment[Any], stores: Sequence[Store]) -> Iterator[
 
 
 def wall_seconds(found: Sequence[Cost], jobs: int) -> float:
-    """Time until all cells are complete with ``jobs`` processes, each taking the next in the list.
-
-    Args:
-        found: what :func:`costs` says, in the order in which the cells are started.
-        jobs: processes at a time.
-    """
+    """Time until all cells are complete with ``jobs`` processes, each taking the next one."""
     free = [0.0] * jobs
     for cost in found:
         if not cost.complete:

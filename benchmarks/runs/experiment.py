@@ -40,6 +40,8 @@ class Experiment(ABC, Generic[C]):
 
     place: ClassVar[str] = ""
     command: ClassVar[str] = "run"
+    #: a run's small files, its TensorBoard events, its model twice
+    run_bytes: ClassVar[int] = 20_000_000
 
     def __init__(self, name: str, **recipe: Any) -> None:
         self.name, self.recipe = name, recipe

@@ -24,7 +24,6 @@ from benchmarks.runs.costs import duration
 from benchmarks.runs.experiment import C, Experiment
 from benchmarks.runs.store import Store
 
-RUN_BYTES: Final = 20_000_000  # a run's small files, its TensorBoard events, its model twice
 POLL_SECONDS: Final = 0.3
 
 
@@ -77,7 +76,7 @@ def check_disk(experiment: Experiment[C], store: Store, todo: Sequence[C], slots
     # a checkpoint is written beside the last one
     sizes = sorted((2 * experiment.checkpoint_bytes(cell) for cell in todo), reverse=True)
     number = len(todo) + experiment.to_come()
-    needed = RUN_BYTES * number + sum(sizes[:slots])
+    needed = experiment.run_bytes * number + sum(sizes[:slots])
     free = shutil.disk_usage(store.folder).free
     if free < needed:
         raise BenchmarkError(
@@ -281,7 +280,6 @@ def open_backend(
     """The backend of that name, closed at the end.
 
     Args:
-        name: one of ``BACKENDS``.
         jobs: runs at a time; None for what there is room for.
         address: of a Ray cluster.
         gpus_per_run: GPUs that Ray reserves for a run, or the fraction of one.

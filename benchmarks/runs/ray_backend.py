@@ -32,13 +32,8 @@ WORKER: Final = "worker.json"  # from the worker: where it runs
 def run_remotely(words: Sequence[str], folder: str, nonce: str) -> int:
     """In a worker: run ``python -m benchmarks <words>`` and return its exit code.
 
-    Args:
-        words: the command.
-        folder: the run's folder.
-        nonce: what the harness has written there.
-
     Raises:
-        BenchmarkError: the folder here is not the one that the harness sees.
+        BenchmarkError: the folder here is not the one where the harness wrote ``nonce``.
     """
     run = RunFolder(Path(folder))
     if _read(run.checkpoint / TICKET).get("nonce") != nonce:

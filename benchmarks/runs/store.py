@@ -224,10 +224,7 @@ class RunFolder:
             return 0.0, ""
 
     def lock(self, wait: float = 0.0) -> AbstractContextManager[None]:
-        """Hold the run for one process.
-
-        Args:
-            wait: seconds to wait for a process that holds it, one that saves and ends, say.
+        """Hold the run for one process; ``wait`` seconds for one that holds it, and saves and ends.
 
         Raises:
             BenchmarkError: another process holds it.

@@ -33,13 +33,6 @@ def train(
 ) -> tuple[BaseAlgorithm, dict[str, Any]] | None:
     """Train a cell, from its newest checkpoint if there is one.
 
-    Args:
-        preset: the experiment.
-        cell: a learning cell of it.
-        folder: where checkpoints, the curve and TensorBoard's events go.
-        stop_requested: asked between rounds; True saves a checkpoint and ends the call.
-        device: where the network lives: cpu or cuda.
-
     Returns:
         The trained model and what meta.json says of the training, or None if it was stopped.
     """

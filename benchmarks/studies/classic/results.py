@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks.reporting.stats import Value, means, over_seeds, stratified_bootstrap
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.classic.plan import CLIFF, REPLAYS, expand
+from benchmarks.studies.classic.plan import CLIFF, expand
 from benchmarks.studies.classic.presets import Preset
 
 Array = NDArray[np.float64]
@@ -43,11 +43,9 @@ class Run:
 class Ratio:
     """Updates under uniform replay over updates under prioritized replay, on one walk.
 
-    Args:
-        uniform: median updates; ``censored`` says how many of the runs hit the limit, which then
-            stands for their number, so that the ratio is a lower bound.
-        prioritized: the same.
-        ratio: ratio of the medians with a bootstrap interval over seeds, drawn in pairs.
+    Medians over ``n`` seeds, and their ratio with a bootstrap interval over seeds, drawn in pairs.
+    ``censored`` says how many of the runs hit the limit, which then stands for their number, so
+    that the ratio is a lower bound.
     """
 
     states: int
@@ -117,19 +115,18 @@ class Results:
 
     def ratio(self, variant: str, states: int) -> Ratio | None:
         """How many times fewer updates prioritized replay takes."""
-        found = {replay: self.updates(variant, replay, states) for replay in REPLAYS}
-        if any(updates is None for updates in found.values()):
-            return None
         limit = float(self.preset.cliff[variant].limit)
-        censored, samples = {}, {}
-        for replay, updates in found.items():
-            assert updates is not None
+        censored, samples = {}, []
+        for replay in ("uniform", "prioritized"):
+            updates = self.updates(variant, replay, states)
+            if updates is None:
+                return None
             censored[replay] = int(np.isinf(updates).sum())
-            samples[replay] = np.minimum(updates, limit)
-        pairs = np.stack([samples["uniform"], samples["prioritized"]], axis=1)
+            samples.append(np.minimum(updates, limit))
+        pairs = np.stack(samples, axis=1)
+        uniform, prioritized = (float(median) for median in np.median(pairs, axis=0))
         value = bootstrap_ratio(pairs)
-        medians = np.median(pairs, axis=0)
-        return Ratio(states, len(pairs), float(medians[0]), float(medians[1]), censored, value)
+        return Ratio(states, len(pairs), uniform, prioritized, censored, value)
 
 
 def bootstrap_ratio(pairs: Array, seed: int = 0) -> Value:

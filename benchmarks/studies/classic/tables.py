@@ -26,18 +26,14 @@ def _scores(results: Results) -> Table:
     preset = results.preset
     rows: list[list[Cell]] = []
     for key, task in preset.tasks.items():
-        row: list[Cell] = [task.title, f"{task.timesteps:,}"]
+        values = [results.score(key, method) for method in preset.methods]
+        counts = dict.fromkeys(str(len(results.runs(key, method))) for method in preset.methods)
         goal = "-" if task.goal is None else f"{task.goal:g}"
-        counts = [len(results.runs(key, method)) for method in preset.methods]
-        row += [goal, "/".join(str(n) for n in dict.fromkeys(counts))]
-        for method in preset.methods:
-            value = results.score(key, method)
-            row.append(_with_interval(value.mean, value.low, value.high))
-        rows.append(row)
-    episodes = preset.final_episodes
+        row: list[Cell] = [task.title, f"{task.timesteps:,}", goal, "/".join(counts)]
+        rows.append([*row, *(_with_interval(v.mean, v.low, v.high) for v in values)])
     return Table(
         "scores",
-        f"Return of the last greedy policy, {episodes} test episodes per seed",
+        f"Return of the last greedy policy, {preset.final_episodes} test episodes per seed",
         ["Task", "Steps", "Goal", "Seeds", *(NAMES[m] for m in preset.methods)],
         rows,
         [
@@ -58,22 +54,18 @@ def _with_interval(mean: float, low: float, high: float) -> str:
 
 
 def _speed(results: Results) -> Table:
-    preset = results.preset
     rows: list[list[Cell]] = []
-    for key, task in preset.tasks.items():
-        for method in preset.methods:
+    for key, task in results.preset.tasks.items():
+        for method in results.preset.methods:
             runs = results.runs(key, method)
-            row: list[Cell] = [task.title, NAMES[method]]
-            if task.goal is None:
-                row += ["-", "-"]
-            else:
-                steps = [run.steps_to(task.goal) for run in runs]
-                reached = sum(not math.isnan(s) for s in steps)
-                row += [Number(over_seeds(steps), 0), f"{reached} of {len(runs)}"]
-            row.append(Number(over_seeds([run.meta["training"]["updates"] for run in runs]), 0))
-            minutes = [run.meta["training"]["cpu_seconds"] / 60.0 for run in runs]
-            row.append(Number(over_seeds(minutes), 1))
-            rows.append(row)
+            there: list[Cell] = ["-", "-"]
+            if task.goal is not None:
+                steps = over_seeds([run.steps_to(task.goal) for run in runs])
+                there = [Number(steps, 0), f"{steps.n} of {len(runs)}"]
+            trained = [run.meta["training"] for run in runs]
+            updates = Number(over_seeds([training["updates"] for training in trained]), 0)
+            minutes = over_seeds([training["cpu_seconds"] / 60.0 for training in trained])
+            rows.append([task.title, NAMES[method], *there, updates, Number(minutes, 1)])
     return Table(
         "steps",
         "Environment steps to the goal, updates and time",

@@ -84,15 +84,9 @@ def build_model(task: Task, method: str, seed: int) -> OffPolicyAlgorithm:
 def evaluate(
     model: OffPolicyAlgorithm, task: Task, seeds: Sequence[int]
 ) -> list[tuple[float, int]]:
-    """Play one episode per seed with the greedy policy; draws from no generator of the training.
+    """Return and length of the greedy policy's episodes, one for each ``reset(seed=...)``.
 
-    Args:
-        model: acts with ``deterministic=True``, under the env's masks if it knows masks.
-        task: whose environments to play in.
-        seeds: ``reset(seed=...)`` of each episode.
-
-    Returns:
-        Return and length of each episode, in the order of ``seeds``.
+    Draws from no generator of the training; masks are asked for if the model knows masks.
     """
     results: list[tuple[float, int]] = []
     for first in range(0, len(seeds), PARALLEL):
@@ -127,12 +121,7 @@ def _play(model: OffPolicyAlgorithm, task: Task, seeds: Sequence[int]) -> list[t
 
 
 class Tester(BaseCallback):
-    """Tests the policy every so many steps, between two rounds of training.
-
-    Args:
-        task: what is learned.
-        seed: the run's seed, of which the test episodes' seeds are derived.
-    """
+    """Tests the policy every so many steps, between two rounds of training."""
 
     def __init__(self, task: Task, seed: int) -> None:
         super().__init__()
@@ -204,16 +193,8 @@ def run_learner(
     """Train a cell, from its newest checkpoint if there is one, and test its last policy.
 
     Writes ``curve.csv`` (validation during training) and ``episodes.csv`` (the final test, on
-    seeds that neither training nor validation uses).
-
-    Args:
-        preset: the experiment.
-        cell: a learning cell of it.
-        folder: the run's.
-        stop_requested: asked between rounds; True saves a checkpoint and ends the call.
-
-    Returns:
-        What meta.json says of the training, or None if it was stopped.
+    seeds that neither training nor validation uses). Returns what meta.json says of the training,
+    or None if it was stopped.
     """
     task, seed = preset.tasks[cell.task], cell.number
     fresh = build_model(task, cell.method, seed)

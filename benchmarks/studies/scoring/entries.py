@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -48,8 +49,6 @@ from benchmarks.studies.scoring.scores import in_words
 GEOMETRY: Final = "optimized"
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,60}")
 
-Record = dict[str, Any]
-
 
 @dataclass(frozen=True)
 class Entry:
@@ -67,7 +66,13 @@ class Entry:
     mask_visited: int = 0
 
 
-Scorer = tuple[Callable[[Tell], Rows], dict[str, Any]]  # how to score a seed, and what it is
+@dataclass(frozen=True)
+class Scorer:
+    """An entry under one seed: how its test episodes are played, and what decides them."""
+
+    folder_name: str
+    config: dict[str, Any]
+    play: Callable[[Tell], Rows]
 
 
 def prepare(preset: Preset, entry: Entry) -> dict[int, Scorer]:
@@ -77,61 +82,79 @@ def prepare(preset: Preset, entry: Entry) -> dict[int, Scorer]:
         BenchmarkError: the name, the files or their spaces will not do.
     """
     _check(preset, entry)
-    return _planner_scorers(preset, entry) if entry.planner else _model_scorers(preset, entry)
+    number = len(preset.seeds)
+    files = entry.models if len(entry.models) > 1 else entry.models * number
+    loaded = {path: load_model(path, entry.algorithm) for path in entry.models}
+    masks: dict[str, Any] = {
+        "mask_singularities": entry.mask_singularities,
+        "mask_visited": entry.mask_visited,
+    }
+
+    def scorer(seed: int, path: Path | None) -> Scorer:
+        cell = Cell(entry.name, "full", GEOMETRY, "", seed)
+        if path is None:
+            source, protocol = {"algorithm": entry.planner, "sha256": ""}, dict(masks)
+            follow = _planner(preset, entry, seed)
+            play = partial(play_episodes, follow, preset, seed)
+        else:
+            protocol = {"observation": fitting_observation(loaded[path], path), **masks}
+            source = {
+                "algorithm": entry.algorithm or detect_algorithm(path),
+                "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+            }
+            play = partial(evaluate_policy, model_policy(loaded[path]), preset, seed)
+        config = {
+            "cell": asdict(cell),
+            "evaluation": as_dict(preset.evaluation),
+            "entry": {**source, **protocol},
+        }
+        return Scorer(cell.id, config, partial(play, env_arguments(preset, cell) | protocol))
+
+    paths = files or (None,) * number
+    return {seed: scorer(seed, path) for seed, path in zip(preset.seeds, paths, strict=True)}
 
 
 def join(
-    preset: Preset,
-    store: Store,
-    entry: Entry,
-    scorers: dict[int, Scorer],
-    console: Console,
+    preset: Preset, store: Store, entry: Entry, scorers: dict[int, Scorer], console: Console,
     replace: bool = False,
-) -> list[Path]:
+) -> list[Path]:  # fmt: skip
     """Score an entry on the preset's test episodes and store it; complete seeds are kept.
 
-    Args:
-        preset: gives seeds, episodes and levels of noise.
-        store: where it goes.
-        entry: the method.
-        scorers: of :func:`prepare`.
-        console: for progress.
-        replace: let the entry take the place of another one of its name.
-
-    Returns:
-        The folders of all its seeds.
+    With ``replace`` it may take the place of another one of its name. Returns the folders of all
+    seeds.
 
     Raises:
         BenchmarkError: the name is taken.
     """
-    folders = [(seed, RunFolder(store.entries / _cell(entry, seed).id)) for seed in preset.seeds]
-    configs = {seed: _config(preset, entry, seed, scorers[seed][1]) for seed in preset.seeds}
-    for seed, folder in folders:
-        if (folder.path / "config.yaml").is_file() and folder.config() != configs[seed]:
+    found = [(RunFolder(store.entries / each.folder_name), each) for each in scorers.values()]
+    for folder, scorer in found:
+        if (folder.path / "config.yaml").is_file() and folder.config() != scorer.config:
             if not replace:
                 raise BenchmarkError(
                     f"'{entry.name}' is already on the board with another model or protocol "
                     f"({folder.path}); choose another --name, or --replace it"
                 )
             shutil.rmtree(folder.path)
-    todo = [(seed, folder) for seed, folder in folders if not folder.is_complete()]
-    if len(todo) < len(folders):
-        console.print(f"{len(folders) - len(todo)} of {len(folders)} seeds were scored already")
+    todo = [(folder, scorer) for folder, scorer in found if not folder.is_complete()]
+    if len(todo) < len(found):
+        console.print(f"{len(found) - len(todo)} of {len(found)} seeds were scored already")
     columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), Elapsed(), Remaining())
     with Progress(*columns, console=console, refresh_per_second=2) as progress:
-        task = progress.add_task(f"{entry.name}", total=len(todo))
-        for number, (seed, folder) in enumerate(todo):
+        for folder, scorer in todo:
+            _score(folder, scorer, preset.name, progress)
+    return [folder.path for folder, _ in found]
 
-            def tell(share: float, before: int = number) -> None:
-                progress.update(task, completed=before + share)
 
-            def work(seed: int = seed, folder: RunFolder = folder, tell: Tell = tell) -> Record:
-                folder.write_rows("episodes", scorers[seed][0](tell))
-                return {"training": {}}
+def _score(folder: RunFolder, scorer: Scorer, preset: str, progress: Progress) -> None:
+    task = progress.add_task(folder.id, total=1.0)
 
-            run_once(folder, configs[seed], preset.name, work)
-            progress.update(task, completed=number + 1)
-    return [folder.path for _, folder in folders]
+    def work() -> dict[str, Any]:
+        rows = scorer.play(lambda share: progress.update(task, completed=share))
+        folder.write_rows("episodes", rows)
+        return {"training": {}}
+
+    run_once(folder, scorer.config, preset, work)
+    progress.update(task, completed=1.0)
 
 
 def glance(preset: Preset, entry: Entry, episodes: int) -> Iterator[str]:
@@ -142,8 +165,8 @@ def glance(preset: Preset, entry: Entry, episodes: int) -> Iterator[str]:
     """
     tests = dataclasses.replace(preset.evaluation, episodes=episodes)
     preset = dataclasses.replace(preset, evaluation=tests)
-    for seed, (score, _) in prepare(preset, entry).items():
-        yield from in_words(pd.DataFrame(score(hush)), f"{entry.name}, seed {seed}")
+    for seed, scorer in prepare(preset, entry).items():
+        yield from in_words(pd.DataFrame(scorer.play(hush)), f"{entry.name}, seed {seed}")
 
 
 def _check(preset: Preset, entry: Entry) -> None:
@@ -164,61 +187,10 @@ def _check(preset: Preset, entry: Entry) -> None:
         )
 
 
-def _cell(entry: Entry, seed: int) -> Cell:
-    return Cell(entry.name, "full", GEOMETRY, "", seed)
-
-
-def _config(preset: Preset, entry: Entry, seed: int, source: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "cell": asdict(_cell(entry, seed)),
-        "evaluation": as_dict(preset.evaluation),
-        "entry": source,
-    }
-
-
-def _masks(entry: Entry) -> dict[str, Any]:
-    """What the environment masks, of a model and of a planner alike."""
-    return {"mask_singularities": entry.mask_singularities, "mask_visited": entry.mask_visited}
-
-
-def _model_scorers(preset: Preset, entry: Entry) -> dict[int, Scorer]:
-    by_file: dict[Path, tuple[Any, dict[str, Any], dict[str, Any]]] = {}
-    for path in entry.models:
-        model = load_model(path, entry.algorithm)
-        protocol = {"observation": fitting_observation(model, path), **_masks(entry)}
-        arguments = env_arguments(preset, _cell(entry, preset.seeds[0])) | protocol
-        source = {
-            "algorithm": entry.algorithm or detect_algorithm(path),
-            "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-            **protocol,
-        }
-        by_file[path] = model, arguments, source
-    files = entry.models if len(entry.models) > 1 else entry.models * len(preset.seeds)
-
-    def scorer(seed: int, path: Path) -> Scorer:
-        model, arguments, source = by_file[path]
-        return (
-            lambda tell: evaluate_policy(model_policy(model), preset, seed, arguments, tell),
-            source,
-        )
-
-    return {seed: scorer(seed, path) for seed, path in zip(preset.seeds, files, strict=True)}
-
-
-def _planner_scorers(preset: Preset, entry: Entry) -> dict[int, Scorer]:
-    source = {"algorithm": entry.planner, "sha256": "", **_masks(entry)}
-
-    def scorer(seed: int) -> Scorer:
-        cell = _cell(entry, seed)
-        if entry.planner in PLANNERS:
-            own = Cell(entry.planner, "full", GEOMETRY, "", seed)
-            play = planner_runner(preset, own)
-        else:
-            play = plan_and_follow(load_function(entry.planner), entry.planner)
-        arguments = env_arguments(preset, cell) | _masks(entry)
-        return lambda tell: play_episodes(play, preset, seed, arguments, tell), source
-
-    return {seed: scorer(seed) for seed in preset.seeds}
+def _planner(preset: Preset, entry: Entry, seed: int) -> Callable[[Episode], None]:
+    if entry.planner in PLANNERS:
+        return planner_runner(preset, Cell(entry.planner, "full", GEOMETRY, "", seed))
+    return plan_and_follow(load_function(entry.planner), entry.planner)
 
 
 def load_function(name: str) -> Callable[[Any], Any]:

@@ -52,6 +52,8 @@ class Replay(Insertion):
         BenchmarkError: the store is missing, was made with other settings, or has no policy.
     """
 
+    run_bytes = 1_000_000
+
     def __init__(
         self, preset: str, results: Path | str, episodes: int | None, starts: int | None
     ) -> None:

@@ -17,7 +17,7 @@ from typing import Any, Final
 from optuna.trial import FrozenTrial
 from rich.console import Console
 
-from benchmarks.errors import BenchmarkError, known
+from benchmarks.errors import BenchmarkError, at_least, known
 from benchmarks.protocol import labels, plan
 from benchmarks.protocol.metrics import HOLES, SUCCESS
 from benchmarks.protocol.presets import Evaluation, Preset, Track, as_dict, load_preset
@@ -241,18 +241,11 @@ def _parser() -> argparse.ArgumentParser:
     add("--sampler", choices=SAMPLERS, default="grid", help="the paper's grid, or TPE")
     add("--preset", default="paper", help="whose tracks there are (default: paper)")
     add("--track", default=None, help="what to search around (default: repaired, or the first)")
-    add("--trials", type=_positive, default=None, help="configurations (default: 27 or 30)")
-    add("--steps", type=_positive, default=None, help="of each training (default: the track's)")
-    add("--seeds", type=_positive, default=5, help="trainings of a configuration (default: 5)")
-    add("--episodes", type=_positive, default=100, help="validation episodes (default: 100)")
-    add("--jobs", type=_positive, default=None, help="processes (default: cores)")
+    add("--trials", type=at_least(1), default=None, help="configurations (default: 27 or 30)")
+    add("--steps", type=at_least(1), default=None, help="of each training (default: the track's)")
+    add("--seeds", type=at_least(1), default=5, help="trainings of a configuration (default: 5)")
+    add("--episodes", type=at_least(1), default=100, help="validation episodes (default: 100)")
+    add("--jobs", type=at_least(1), default=None, help="processes (default: cores)")
     add("--name", default=None, help="of the study (default: track and sampler)")
     add("--results", type=Path, default=Path("results"), help="results folder")
     return parser
-
-
-def _positive(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"{number} is below 1")
-    return number
