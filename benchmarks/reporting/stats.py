@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.stats
@@ -151,6 +151,15 @@ def mean_interval(values: ArrayLike) -> tuple[float, float]:
     """95 % bootstrap interval of the mean of a sample; NaNs are left out, NaN below two values."""
     data = np.asarray(values, dtype=np.float64)
     return stratified_bootstrap(data[~np.isnan(data)][:, None], means)
+
+
+def measured(values: Sequence[float], alone: Callable[[], tuple[float, float]]) -> Value:
+    """One number per seed as their mean with its 95 % interval, which ``alone`` gives for one."""
+    value = over_seeds(values)
+    if value.n == 0:
+        return value
+    low, high = mean_interval(values) if value.n > 1 else alone()
+    return replace(value, low=low, high=high)
 
 
 def t_interval(mean: float, std: float, n: int, confidence: float = 0.95) -> tuple[float, float]:

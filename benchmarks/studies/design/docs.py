@@ -10,7 +10,7 @@ import pandas as pd
 import yaml
 
 from benchmarks.reporting.pages import blocks
-from benchmarks.reporting.tables.paper import design_table
+from benchmarks.reporting.tables.geometric import design_table
 from benchmarks.reporting.tables.table import Table
 from benchmarks.reporting.verify import Report, check_file
 from benchmarks.studies.design.store import DesignStore
