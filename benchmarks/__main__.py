@@ -180,7 +180,7 @@ def _add_readme(verbs: Any, page: argparse.ArgumentParser) -> None:
     verb = verbs.add_parser("readme", help=text, description=text, parents=[page])
     verb.add_argument("--preset", default=None, help="(default: the one that the README shows)")
     verb.add_argument("--results", type=Path, default=Path("results"), help="results folder")
-    verb.set_defaults(command=commands.readme)
+    verb.set_defaults(command=commands.readme, study="insertion")
 
 
 def _add_verify(verbs: Any, page: argparse.ArgumentParser) -> None:

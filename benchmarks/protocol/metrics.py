@@ -61,3 +61,4 @@ EXTRA_METRICS: Final = (
 )
 
 HOLES: Final = EXTRA_METRICS[0]
+METRICS: Final = {metric.key: metric for metric in (*PAPER_METRICS, *EXTRA_METRICS)}

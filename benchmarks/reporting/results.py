@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
@@ -12,7 +12,7 @@ import pandas as pd
 from benchmarks.protocol.metrics import SUCCESS, Metric
 from benchmarks.protocol.plan import DESIGN, LEARNERS, expand
 from benchmarks.protocol.presets import load_preset, preset_names
-from benchmarks.reporting.stats import Value, mean_interval, over_seeds, wilson
+from benchmarks.reporting.stats import Value, mean_interval, measured, over_seeds, wilson
 from benchmarks.runs.store import RunFolder, Store
 
 TRACK_ORDER: Final = ("printed", "repaired", "tuned")
@@ -67,19 +67,14 @@ class Group:
         mean. Several: the stratified bootstrap over seeds.
         """
         tests = [rows for rows in (run.test(noise) for run in self.runs) if len(rows)]
-        numbers = [metric.reduce(rows) for rows in tests]
-        value = over_seeds(numbers)
-        if value.n == 0:
-            return value
-        if value.n > 1:
-            low, high = mean_interval(numbers)
-            return replace(value, low=low, high=high)
-        (episodes,) = (x for x in (metric.values(rows) for rows in tests) if len(x))
-        if metric.proportion:
-            low, high = wilson(int(episodes.sum()), len(episodes))
-        else:
-            low, high = mean_interval(episodes)
-        return replace(value, low=metric.scale * low, high=metric.scale * high)
+
+        def alone() -> tuple[float, float]:
+            (episodes,) = (x for x in (metric.values(rows) for rows in tests) if len(x))
+            proportion = (int(episodes.sum()), len(episodes))
+            low, high = wilson(*proportion) if metric.proportion else mean_interval(episodes)
+            return metric.scale * low, metric.scale * high
+
+        return measured([metric.reduce(rows) for rows in tests], alone)
 
     def success(self, noise: float = 0.0) -> Value:
         """Success rate in %, with a 95 % interval."""
@@ -92,25 +87,17 @@ class Group:
         """
         pairs = [(run.test()["success"], run.test(noise)["success"]) for run in self.runs]
         changes = [100.0 * (b - a).to_numpy(dtype=float) for a, b in pairs if len(a) == len(b)]
-        value = over_seeds([each.mean() for each in changes])
-        if value.n == 0:
-            return value
-        low, high = mean_interval(changes[0] if value.n == 1 else [each.mean() for each in changes])
-        return replace(value, low=low, high=high)
+        return measured([each.mean() for each in changes], lambda: mean_interval(changes[0]))
 
     def singular_per_1000(self) -> Value:
         """Singularity terminations per 1000 training episodes, with an interval as for success."""
-        numbers = [
-            1000.0 * t["singular"] / t["episodes"] for t in self._training() if t["episodes"]
-        ]
-        value = over_seeds(numbers)
-        if value.n > 1:
-            low, high = mean_interval(numbers)
-            return replace(value, low=low, high=high)
-        for training in self._training():
-            low, high = wilson(training["singular"], training["episodes"])
-            return replace(value, low=1000.0 * low, high=1000.0 * high)
-        return value
+        counts = [(t["singular"], t["episodes"]) for t in self._training() if t["episodes"]]
+
+        def alone() -> tuple[float, float]:
+            low, high = wilson(*counts[0])
+            return 1000.0 * low, 1000.0 * high
+
+        return measured([1000.0 * singular / episodes for singular, episodes in counts], alone)
 
     def _training(self) -> list[dict[str, Any]]:
         return [run.meta["training"] for run in self.runs if run.meta["training"]]

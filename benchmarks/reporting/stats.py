@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.stats
@@ -153,12 +153,21 @@ def mean_interval(values: ArrayLike) -> tuple[float, float]:
     return stratified_bootstrap(data[~np.isnan(data)][:, None], means)
 
 
+def measured(values: Sequence[float], alone: Callable[[], tuple[float, float]]) -> Value:
+    """One number per seed as their mean with its 95 % interval, which ``alone`` gives for one."""
+    value = over_seeds(values)
+    if value.n == 0:
+        return value
+    low, high = mean_interval(values) if value.n > 1 else alone()
+    return replace(value, low=low, high=high)
+
+
 def t_interval(mean: float, std: float, n: int, confidence: float = 0.95) -> tuple[float, float]:
     """Student's interval of a mean of which only the sample's mean, deviation and size are kept."""
     if n < 2 or math.isnan(std):
         return math.nan, math.nan
-    half = float(scipy.stats.t.ppf(0.5 + confidence / 2, n - 1)) * std / math.sqrt(n)
-    return mean - half, mean + half
+    low, high = scipy.stats.t.interval(confidence, n - 1, mean, std / math.sqrt(n))
+    return float(low), float(high)
 
 
 def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> Array:
@@ -222,18 +231,15 @@ def paired_t_test(ours: ArrayLike, theirs: ArrayLike) -> PairedTest:
     a, b = np.asarray(ours, dtype=np.float64), np.asarray(theirs, dtype=np.float64)
     if a.shape != b.shape:
         raise ValueError(f"paired samples must have one shape, found {a.shape} and {b.shape}")
-    difference = a - b
-    difference = difference[~np.isnan(difference)]
+    difference = (a - b)[~np.isnan(a - b)]
     n = int(difference.size)
     mean = float(difference.mean()) if n else math.nan
     spread = float(difference.std(ddof=1)) if n > 1 else math.nan
     if n < 2 or spread == 0.0:
         same = n > 1 and mean == 0.0
         return PairedTest(mean, 0.0 if same else math.nan, 1.0 if same else math.nan, math.nan, n)
-    effect = mean / spread
-    t = effect * math.sqrt(n)
-    p = float(2 * scipy.stats.t.sf(abs(t), n - 1))
-    return PairedTest(mean, t, p, effect, n)
+    t, p = scipy.stats.ttest_1samp(difference, 0.0)
+    return PairedTest(mean, float(t), float(p), mean / spread, n)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -17,7 +17,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.pages import includes
-from benchmarks.reporting.pages.readme import results_block, split
+from benchmarks.reporting.pages.readme import render
 from benchmarks.reporting.tables.paper import build_tables
 from benchmarks.reporting.tables.table import Table
 from benchmarks.runs.store import RunFolder, Store
@@ -96,9 +96,8 @@ def verify(store: Store, readme: Path | None = None) -> list[str]:
     tables = build_tables(store)
     problems = check_tables(store.tables, tables)
     if readme is not None and store.folder.name in presets_of(readme):
-        above, block, _ = split(readme.read_text(encoding="utf-8"))
-        wanted = results_block(store, tables)
-        problems += differs(readme, block, wanted, "the stored episodes", above.count("\n"))
+        wanted = render(readme.read_text(encoding="utf-8"), store, tables)
+        problems += check_file(readme, wanted, "the stored episodes")
     return problems
 
 
@@ -196,27 +195,24 @@ def _check_episodes(
 
 def check_includes(results: Path, path: Path) -> list[str]:
     """Whether the files that a page includes are still what the page shows."""
-    page = path.read_text(encoding="utf-8")
     try:
-        wanted = includes.render(page, results, str(path))
+        wanted = includes.render(path.read_text(encoding="utf-8"), results, str(path))
     except BenchmarkError as error:
         return [str(error)]
-    return differs(path, page, wanted, "the files that it includes")
+    return check_file(path, wanted, "the files that it includes")
 
 
 def check_file(path: Path, wanted: str, source: str) -> list[str]:
-    """Whether a file holds what is made from its source now; a missing file holds nothing."""
+    """A sentence on the first line that differs from what the source makes now, if any.
+
+    A file that is missing holds nothing.
+    """
     stored = path.read_text(encoding="utf-8") if path.is_file() else ""
-    return differs(path, stored, wanted, source)
-
-
-def differs(path: Path, stored: str, wanted: str, source: str, above: int = 0) -> list[str]:
-    """A sentence on the first line that differs, if any; ``above`` lines come before ``stored``."""
     if stored == wanted:
         return []
     old_lines, new_lines = stored.splitlines(), wanted.splitlines()
     where = f"{len(old_lines)} lines stored, {len(new_lines)} recomputed"
-    for number, (old, new) in enumerate(zip(old_lines, new_lines, strict=False), start=1 + above):
+    for number, (old, new) in enumerate(zip(old_lines, new_lines, strict=False), start=1):
         if old != new:
             where = f"line {number}: stored {old!r}, recomputed {new!r}"
             break

@@ -11,11 +11,11 @@ what stands between the markers is replaced by it, and `verify` compares the two
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.reporting.pages.blocks import fill, pattern
-from benchmarks.runs.store import write_text
+from benchmarks.reporting.pages.blocks import fill, pattern, rewrite
 
 
 def render(page: str, results: Path, where: str) -> str:
@@ -50,8 +50,7 @@ def rewrite_all(docs: Path, results: Path) -> list[Path]:
     """Fill the includes of every page of ``docs``; returns the pages that have one."""
     pages = []
     for path in sorted(docs.glob("*.md")):
-        old = path.read_text(encoding="utf-8")
-        if included(old):
+        if included(path.read_text(encoding="utf-8")):
+            rewrite(path, partial(render, results=results, where=str(path)))
             pages.append(path)
-            write_text(path, render(old, results, str(path)))
     return pages

@@ -23,10 +23,14 @@ import yaml
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.strict import STRICT, build, with_config
-from benchmarks.reporting.tables.table import Cell, Number, Table
+from benchmarks.reporting.tables.table import FLAG, Cell, Number, Table
 
 REASONS: Final = Path(__file__).parent / "reasons.yaml"
 UNKNOWN: Final = "not explained yet"
+FLAG_NOTE: Final = (
+    f"{FLAG} no number that rounds to the paper's lies in our 95 % interval; the reasons are in "
+    "the table `deviations`."
+)
 
 
 @with_config(STRICT)

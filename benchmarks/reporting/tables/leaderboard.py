@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from benchmarks.protocol.metrics import EXTRA_METRICS, HOLES, PAPER_METRICS
+from benchmarks.protocol.metrics import HOLES, METRICS
 from benchmarks.reporting.results import Group, Result, Results, excess_over_optimum
 from benchmarks.reporting.tables.statistics import configurations
 from benchmarks.reporting.tables.table import Cell, Number, Table
@@ -55,8 +55,7 @@ def _order(place: Place) -> tuple[bool, float, float, str]:
 def leaderboard(store: Store, results: Results) -> Table:
     """Table "leaderboard": a row per method, ranked by success rate, then by holes filled."""
     optimum = results.group("optimum", GEOMETRY)
-    all_holes = next(metric for metric in EXTRA_METRICS if metric.key == "all_holes")
-    time_first = next(metric for metric in PAPER_METRICS if metric.key == "time_first")
+    all_holes, time_first = METRICS["all_holes"], METRICS["time_first"]
     rows: list[list[Cell]] = []
     rank = 0
     for place in places(store, results):

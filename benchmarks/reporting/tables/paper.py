@@ -6,37 +6,31 @@ Nothing is trained or re-evaluated here, and torch is not imported.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
-
-import pandas as pd
+from typing import Final
 
 from benchmarks.protocol import labels, paper_values
-from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS
+from benchmarks.protocol.metrics import EXTRA_METRICS, METRICS, PAPER_METRICS
 from benchmarks.reporting.results import Group, Results, excess_over_optimum
 from benchmarks.reporting.stats import (
     Value,
     interquartile_mean,
     mean_interval,
     stratified_bootstrap,
-    t_interval,
 )
-from benchmarks.reporting.tables.deviations import deviations
+from benchmarks.reporting.tables.deviations import FLAG_NOTE, deviations
+from benchmarks.reporting.tables.geometric import design
 from benchmarks.reporting.tables.hyperparameters import hyperparameters
 from benchmarks.reporting.tables.leaderboard import leaderboard
 from benchmarks.reporting.tables.statistics import aggregates, improvement, signed, significance
-from benchmarks.reporting.tables.table import FLAG, Cell, Number, Table
+from benchmarks.reporting.tables.table import Cell, Number, Table
 from benchmarks.runs.store import Store
 
 # the five that a run prints; the others are written beside them
 PRINTED: Final = ("design", "performance", "ablation", "geometry", "robustness")
 BASELINES: Final = ("rrt_connect", "rrt_lattice")
-FLAG_NOTE: Final = (
-    f"{FLAG} no number that rounds to the paper's lies in our 95 % interval; the reasons are in "
-    "the table `deviations`."
-)
 NOISE: Final = 0.01  # the level of the paper's section "Robustness"
 
 
@@ -68,116 +62,71 @@ def write_tables(store: Store, tables: list[Table] | None = None) -> list[Path]:
     return [path for table in built for path in table.write(store.tables)]
 
 
-def design(results: Results) -> Table:
-    """Table "results": the geometric optimization, five metrics."""
-    if results.design is None:
-        return design_table(None, 0)
-    runs = int(results.design.config()["design"]["runs"])
-    return design_table(results.design.rows("design"), runs)
-
-
-def design_table(measured: pd.DataFrame | None, runs: int) -> Table:
-    """The paper's table of the geometric optimization, beside it rows of so many runs of ours."""
-    header = ["Metric", "Initial, paper", "Initial, ours", "Optimized, paper", "Optimized, ours"]
-    notes, stored = [], {}
-    if measured is not None:
-        frame = measured.fillna({"note": ""})
-        stored = {str(row["metric"]): row for row in frame.to_dict("records")}
-        notes = [f"Ours: mean ± std over {runs} Nelder-Mead runs, each with its own jitter."]
-        notes += [*filter(None, frame["note"]), FLAG_NOTE]
-    rows: list[list[Cell]] = []
-    for key, paper in paper_values.DESIGN.items():
-        row: list[Cell] = [labels.DESIGN_METRICS[key]]
-        for end, printed in zip(("initial", "optimized"), paper, strict=True):
-            row += [printed, _design_cell(stored[key], end, runs, printed) if stored else "missing"]
-        rows.append(row)
-    return Table("design", "Geometric optimization of the 3-RRS", header, rows, notes)
-
-
-def _design_cell(row: dict[Hashable, Any], end: str, runs: int, paper: str) -> Cell:
-    """A measured design metric; a range differs from the paper's if either of its ends does."""
-    mean, std = float(str(row[f"{end}_mean"])), float(str(row[f"{end}_std"]))
-    low, high = t_interval(mean, std, runs)
-    shown = str(row[end])
-    digits = len(shown.split()[0].rstrip(",").partition(".")[2])
-    number = Number(Value(mean, std, runs, low, high), digits, paper=paper, shown=shown)
-    upper = float(str(row[f"{end}_high_mean"]))
-    if math.isnan(upper):
-        return number
-    first, second = paper.strip("[]").split(", ")
-    ends = (
-        replace(number, paper=first),
-        # of the upper end only the mean is kept
-        Number(Value(upper, low=upper, high=upper), paper=second),
-    )
-    return replace(number, differs=any(each.flagged for each in ends))
-
-
 def _cell(group: Group, value: Value, digits: int, paper: str = "", suffix: str = "") -> Cell:
     """A value of a group, or the word for its absence."""
     return Number(value, digits, suffix, paper) if group.n else group.absent
 
 
-def _columns(results: Results) -> list[tuple[str, str, Group]]:
-    """(header, method, group) of the performance table's own columns."""
-    columns = [("RRT-Connect", "rrt_connect", results.group("rrt_connect"))]
+Layout = list[tuple[str, str, Group | None]]
+
+
+def _layout(results: Results) -> Layout:
+    """(header, method, runs) of the performance table's columns; the paper's own have no runs."""
+    ours = [("RRT-Connect", "rrt_connect", results.group("rrt_connect"))]
     closed = results.group("rrt_lattice")
     if closed.n or closed.planned:
-        columns.append((labels.METHODS["rrt_lattice"], "rrt_lattice", closed))
+        ours.append((labels.METHODS["rrt_lattice"], "rrt_lattice", closed))
     learners = [
-        (method, f"{labels.METHODS[method]}, {labels.track(track)}", group)
+        (f"{labels.METHODS[method]}, {labels.track(track)}", method, group)
         for track in results.tracks()
         for method, group in results.learners(track)
     ]
-    for method in dict.fromkeys(method for method, _, _ in learners):
-        columns += [(title, method, group) for each, title, group in learners if each == method]
-    columns.append((labels.METHODS["optimum"], "optimum", results.group("optimum")))
-    return columns
+    for name in dict.fromkeys(method for _, method, _ in learners):
+        ours += [column for column in learners if column[1] == name]
+    ours.append((labels.METHODS["optimum"], "optimum", results.group("optimum")))
+    found: Layout = []
+    for title, method, group in ours:
+        printed = method in paper_values.PERFORMANCE["success"]
+        if printed and all(method != before for _, before, _ in found):
+            found.append((f"{labels.METHODS[method]}, paper", method, None))
+        found.append((title, method, group))
+    return found
 
 
 def performance(results: Results) -> Table:
     """Table "performance": the paper's six metrics and ours beyond them, per method."""
-    columns = _columns(results)
-    header = ["Metric"]
-    seen: set[str] = set()
-    layout: list[tuple[str, Group | None]] = []
-    for title, method, group in columns:
-        if method in paper_values.PERFORMANCE["success"] and method not in seen:
-            header.append(f"{labels.METHODS[method]}, paper")
-            layout.append((method, None))
-            seen.add(method)
-        header.append(title)
-        layout.append((method, group))
+    layout = _layout(results)
     rows: list[list[Cell]] = []
     for metric in (*PAPER_METRICS, *EXTRA_METRICS):
         printed = paper_values.PERFORMANCE.get(metric.key, {})
         row: list[Cell] = [metric.label]
-        for method, ours in layout:
-            if ours is None:
+        for _, method, group in layout:
+            if group is None:
                 row.append(printed.get(method, "-"))
             else:
                 paper = printed.get(method, "")
-                row.append(_cell(ours, ours.value(metric), metric.digits, paper))
+                row.append(_cell(group, group.value(metric), metric.digits, paper))
         rows.append(row)
+    groups = {title: group for title, _, group in layout if group is not None}
     rows.append(_excess_row(results, layout))
-    if any(group is not None and group.n > 1 for _, group in layout):
+    if any(group.n > 1 for group in groups.values()):
         rows.append(_iqm_row(layout))
-    groups = {title: group for title, _, group in columns}
     notes = [*_seeds_notes(groups), *_failure_notes(results), FLAG_NOTE]
+    header = ["Metric", *(title for title, _, _ in layout)]
     return Table("performance", "Performance on the test episodes", header, rows, notes)
 
 
-def _excess_row(results: Results, layout: list[tuple[str, Group | None]]) -> list[Cell]:
+def _excess_row(results: Results, layout: Layout) -> list[Cell]:
     optimum = results.group("optimum")
     row: list[Cell] = ["Moves to first insertion over the optimum (%)"]
-    for _, group in layout:
+    for _, _, group in layout:
         row.append("-" if group is None else _cell(group, excess_over_optimum(group, optimum), 1))
     return row
 
 
-def _iqm_row(layout: list[tuple[str, Group | None]]) -> list[Cell]:
+def _iqm_row(layout: Layout) -> list[Cell]:
     row: list[Cell] = ["Success rate, IQM over seeds [95 % interval]"]
-    for _, group in layout:
+    for _, _, group in layout:
         if group is None or group.n < 2:
             row.append("-")
             continue
@@ -307,7 +256,6 @@ def geometry(results: Results) -> Table:
             made += [paper or "-", *[cell(group, paper) for group in groups[name]]]
         return made
 
-    singular = next(metric for metric in EXTRA_METRICS if metric.key == "singular")
     rows = [
         row("Env. steps to 75 % success (1e5)", "steps_to_75", _steps_to_75),
         row("Final success rate (%)", "success", lambda g, paper: _cell(g, g.success(), 1, paper)),
@@ -319,7 +267,7 @@ def geometry(results: Results) -> Table:
         row(
             "Singularity terminations / 1000 test ep.",
             "",
-            lambda g, paper: _cell(g, g.value(singular), 1, paper),
+            lambda g, paper: _cell(g, g.value(METRICS["singular"]), 1, paper),
         ),
     ]
     ceiling: list[Cell] = ["Exact optimum's success rate (%)"]

@@ -10,10 +10,9 @@ import pandas as pd
 import yaml
 
 from benchmarks.reporting.pages import blocks
-from benchmarks.reporting.tables.paper import design_table
+from benchmarks.reporting.tables.geometric import design_table
 from benchmarks.reporting.tables.table import Table
 from benchmarks.reporting.verify import Report, check_file
-from benchmarks.runs.store import write_text
 from benchmarks.studies.design.store import DesignStore
 
 COLUMNS: Final[dict[str, dict[str, list[list[str]]]]] = yaml.safe_load(
@@ -31,10 +30,10 @@ def rewrite_all(folder: Path, store: DesignStore) -> list[Path]:
     """Rewrite every generated block in the pages of ``folder``; returns the pages that have one."""
     pages = []
     for path in sorted(folder.glob("*.md")) if folder.is_dir() else []:
-        old = path.read_text(encoding="utf-8")
-        if any(blocks.pattern(name).search(old) for name in BLOCKS):
+        page = path.read_text(encoding="utf-8")
+        if any(blocks.pattern(name).search(page) for name in BLOCKS):
+            blocks.rewrite(path, lambda page: rewrite(page, store))
             pages.append(path)
-            write_text(path, rewrite(old, store))
     return pages
 
 
