@@ -49,7 +49,8 @@ __all__ = [
 drop_stale_kernels(Path(__file__).parent, Path(__file__).parent)
 gymnasium.register(
     id="CoopInsertion-v0",
-    entry_point="coop_env.env:make",
+    entry_point="coop_env.env:CoopInsertionEnv",
+    max_episode_steps=300,  # whoever gives more max_moves gives this too
     vector_entry_point="coop_env.vector_env:CoopInsertionVectorEnv",
 )
 

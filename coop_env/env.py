@@ -11,7 +11,6 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import DependencyNotInstalled, ResetNeeded
-from gymnasium.wrappers import TimeLimit
 from numpy.typing import NDArray
 
 from coop_env.checks import as_dataclass, check_flag, check_integer
@@ -421,16 +420,3 @@ def check_snapshot(snapshot: Mapping[str, Any], own: Mapping[str, Any]) -> None:
         )
     if snapshot["params"] != own["params"]:
         raise StateError("the snapshot is of an environment with other arguments (geometry, ...)")
-
-
-def make(max_moves: int = 300, **kwargs: Any) -> TimeLimit[Any, Any]:
-    """What ``gymnasium.make`` makes: the environment in a ``TimeLimit`` of its own ``max_moves``.
-
-    A limit in the registry would cut a larger ``max_moves`` off; this one is always the
-    environment's, and wrappers such as ``TimeAwareObservation`` find it in ``env.spec``.
-    """
-    env = CoopInsertionEnv(max_moves=max_moves, **kwargs)
-    return TimeLimit(env, env.params.task.max_moves)
-
-
-make.metadata = CoopInsertionEnv.metadata  # type: ignore[attr-defined]  # gymnasium.make reads it

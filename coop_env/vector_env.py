@@ -10,6 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from coop_env.checks import check_integer
 from coop_env.env import CoopInsertionEnv
 from coop_env.env_batch import EnvBatch, check_seed
 from coop_env.errors import ArgumentError
@@ -29,7 +30,8 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
 
     Args:
         num_envs: number of environments.
-        max_episode_steps: another name of ``max_moves``, as ``make_vec`` gives it.
+        max_episode_steps: Gymnasium's limit, which ``make_vec`` gives; the smaller of it and
+            ``max_moves`` holds, as with ``gymnasium.make``.
         kwargs: as for :class:`~coop_env.env.CoopInsertionEnv`.
 
     Raises:
@@ -45,12 +47,9 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         self, num_envs: int = 1, max_episode_steps: int | None = None, **kwargs: Any
     ) -> None:
         if max_episode_steps is not None:
-            moves = kwargs.setdefault("max_moves", max_episode_steps)
-            if moves != max_episode_steps:
-                raise ArgumentError(
-                    f"max_moves = {moves!r} and max_episode_steps = {max_episode_steps!r} are two "
-                    "names of one limit: give one of them"
-                )
+            limit = check_integer("max_episode_steps", max_episode_steps, 1)
+            moves = check_integer("max_moves", kwargs.get("max_moves", limit), 1)
+            kwargs["max_moves"] = min(moves, limit)
         self._batch = EnvBatch(num_envs, **kwargs)
         first = self.envs[0]
         self.num_envs = int(num_envs)

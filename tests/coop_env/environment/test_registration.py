@@ -26,16 +26,18 @@ def moves_until_cut(env: gym.Env[Any, Any], most: int = 1000) -> int:
     return most
 
 
-@pytest.mark.parametrize("max_moves", [40, 300, 450])
-def test_max_moves_is_the_limit_that_wrappers_see(max_moves: int) -> None:
-    env = gym.make(ID, max_moves=max_moves)
+@pytest.mark.parametrize("limit", [40, 300, 450])
+def test_the_limit_is_what_wrappers_see(limit: int) -> None:
+    env = gym.make(ID, max_moves=limit, max_episode_steps=limit)
     assert env.spec is not None
-    assert env.spec.max_episode_steps == max_moves
-    assert moves_until_cut(env) == max_moves
-    assert moves_until_cut(gym.make(env.spec)) == max_moves
+    assert env.spec.max_episode_steps == limit
+    assert moves_until_cut(env) == limit
+    assert moves_until_cut(gym.make(env.spec)) == limit
 
 
-def test_gymnasiums_own_limit_cuts_earlier_but_not_later() -> None:
+def test_the_earlier_of_both_limits_cuts() -> None:
+    assert moves_until_cut(gym.make(ID)) == 300
+    assert moves_until_cut(gym.make(ID, max_moves=40)) == 40
     assert moves_until_cut(gym.make(ID, max_episode_steps=25)) == 25
     assert moves_until_cut(gym.make(ID, max_moves=30, max_episode_steps=99)) == 30
     assert moves_until_cut(gym.make(ID, max_moves=30, max_episode_steps=-1)) == 30
@@ -73,12 +75,15 @@ def test_make_vec_knows_gymnasiums_name_of_the_limit() -> None:
     for _ in range(5):
         *_, truncated, _ = env.step(np.zeros(2, int))
     assert truncated.all()
-    with pytest.raises(ArgumentError, match="two names of one limit"):
-        CoopInsertionVectorEnv(2, max_episode_steps=5, max_moves=6)
+    longer = CoopInsertionVectorEnv(2, max_episode_steps=5, max_moves=6)
+    assert longer.envs[0].params.task.max_moves == 5
+    with pytest.raises(ArgumentError, match="max_episode_steps = 0"):
+        CoopInsertionVectorEnv(2, max_episode_steps=0)
 
 
 def test_the_registry_names_both_entries() -> None:
     spec = gym.spec(ID)
+    assert spec.max_episode_steps == 300
     assert spec.vector_entry_point == "coop_env.vector_env:CoopInsertionVectorEnv"
     assert gym.make(ID, render_mode="ansi").unwrapped.render_mode == "ansi"
     for name in coop_env.__all__:
