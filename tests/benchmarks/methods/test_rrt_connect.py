@@ -19,7 +19,6 @@ from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.methods.rrt_connect import RRTConnect, alignment_pose, displacement, round_path
 from benchmarks.protocol.seeding import episode_seeds
 from coop_env.env import CoopInsertionEnv
-from coop_env.simulation import dynamics
 from coop_env.simulation.insertion_task import PAPER_TASK
 
 UNITS = np.array(PAPER_TASK.steps)
@@ -120,12 +119,12 @@ def test_the_iteration_limit_binds(monkeypatch: pytest.MonkeyPatch) -> None:
     env = begin(0).env
     start, goal = env.configuration, alignment_pose(env, env.configuration, env.state["target"])
 
-    def islands(configuration: tuple[float, ...], params: object) -> int:
+    def islands(configuration: tuple[float, ...]) -> int:
         # only the start and the goal are free: no path can be found
         lag = [np.abs((np.array(configuration) - end) / UNITS).max() for end in (start, goal)]
         return 0 if min(lag) < 0.2 else 1
 
-    monkeypatch.setattr(dynamics, "configuration_status", islands)
+    monkeypatch.setattr(env, "configuration_status", islands)
     plan = RRTConnect(time_limit=60.0, max_iterations=200).plan(env)
     assert plan.moves is None
     assert plan.status == "no plan (3-RRS)"
