@@ -49,7 +49,7 @@ class Replay(Insertion):
         starts: stands for other starts than the test episodes'; None for the test episodes.
 
     Raises:
-        BenchmarkError: the store is missing, was made with other settings, or has no policy.
+        BenchmarkError: the store is missing.
     """
 
     run_bytes = 1_000_000
@@ -62,21 +62,29 @@ class Replay(Insertion):
         where = str(self.results.resolve())
         self.recipe |= {"results": where, "episodes": episodes, "starts": starts}
         self.source = self.open_store(self.results)
-        self.not_run, self.without_policy = 0, 0
+
+    def leave_out(self) -> tuple[int, int]:
+        """Keep the cells that can play; returns how many have not run, and lack their policy.
+
+        Raises:
+            BenchmarkError: a run was made with other settings, or none has a policy.
+        """
+        not_run = without_policy = 0
         all_cells, self._cells = self._cells, []
         for cell in all_cells:
             run = self.source.run(cell.id)
             run.check_config(self.settings(cell))
             if not run.is_complete():
-                self.not_run += 1
+                not_run += 1
             elif cell.learns and not run.has_policy():
-                self.without_policy += 1
+                without_policy += 1
             elif cell.method != DESIGN:
                 self._cells.append(cell)
         if not any(cell.learns for cell in self._cells):
             raise BenchmarkError(
                 f"{self.source.folder} has no trained policy to score: run the preset first"
             )
+        return not_run, without_policy
 
     def check(self, todo: Sequence[Cell]) -> None:
         """What has run once can be built."""
@@ -163,11 +171,12 @@ def score_again(replay: Replay, console: Console) -> int:
     Returns:
         The command's exit code.
     """
-    if replay.not_run:
-        console.print(f"Left out, not run yet: {replay.not_run} runs")
-    if replay.without_policy:
+    not_run, without_policy = replay.leave_out()
+    if not_run:
+        console.print(f"Left out, not run yet: {not_run} runs")
+    if without_policy:
         console.print(
-            f"Left out, their policy is not here: {replay.without_policy} runs; git keeps those of "
+            f"Left out, their policy is not here: {without_policy} runs; git keeps those of "
             "the headline methods, and a run whose folder is deleted is trained again"
         )
     jobs = min(default_jobs(), len(replay.cells()))
