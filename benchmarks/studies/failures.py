@@ -185,7 +185,7 @@ def draw(rows: pd.DataFrame) -> Figure:
     success.plot(at, ceiling, "k_", markersize=18, label="exact optimum")
     success.set_ylabel("success at the first hole (%)")
     success.set_ylim(max(0.0, 100 * limits.min() - 10.0), 101.0)
-    success.legend(loc="lower left")
+    success.legend(loc="lower left", frameon=True)
     lost = [(f["moves"] - f["optimum"])[f["success"]].dropna().to_numpy() for _, f in bins]
     regret.boxplot(lost, positions=at, showfliers=False, whis=(5, 95))
     means = [values.mean() if len(values) else np.nan for values in lost]
@@ -209,7 +209,7 @@ def _map(axes: Axes, rows: pd.DataFrame) -> None:
     axes.set_xlabel("roll at the start (°)")
     axes.set_ylabel("pitch at the start (°)")
     axes.set_aspect("equal")
-    axes.legend()
+    axes.legend(frameon=True)
 
 
 def main(words: Sequence[str]) -> int:
