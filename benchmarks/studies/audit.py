@@ -32,10 +32,11 @@ from benchmarks.protocol import labels
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.protocol.seeding import episode_seeds
+from benchmarks.reporting.figures.style import canvas, save, style
 from benchmarks.reporting.results import TRACK_ORDER, Results, tail_mean
 from benchmarks.reporting.verify import Report, check_file
 from benchmarks.runs import machine
-from benchmarks.runs.store import Store, write_atomic, write_csv, write_text
+from benchmarks.runs.store import Store, write_csv, write_text
 from coop_env.env import CoopInsertionEnv
 
 CELL: Final = ("track", "method", "ablation", "geometry", "seed")
@@ -108,8 +109,7 @@ def ratios(rows: pd.DataFrame, column: str = "return") -> pd.DataFrame:
 
 def draw(rows: pd.DataFrame, learners: pd.DataFrame) -> Figure:
     """Left: scripts' returns over that of inserting. Right: what the learners came to."""
-    figure = Figure(figsize=(9.0, 3.6), dpi=110, layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = canvas(1, 2, (9.0, 3.6), grid=False)
     shares = ratios(rows)
     tracks = [name for name in TRACK_ORDER if name in shares.index]
     for k, script in enumerate(SCRIPTS):
@@ -119,7 +119,7 @@ def draw(rows: pd.DataFrame, learners: pd.DataFrame) -> Figure:
     left.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
     left.set_xticks(np.arange(len(tracks)), [labels.track(name) for name in tracks])
     left.set_ylabel("return / return of inserting")
-    left.legend(fontsize=8)
+    left.legend()
     insert = rows[rows["script"] == "insert"].groupby("track")["return"].mean()
     learners = learners.query("ablation == 'full' and geometry == 'optimized'")
     for k, name in enumerate(tracks):
@@ -127,18 +127,14 @@ def draw(rows: pd.DataFrame, learners: pd.DataFrame) -> Figure:
             found = learners.query("track == @name and method == @method")
             if len(found):
                 share, label = found["return"] / insert[name], labels.METHODS[method]
-                look = {
-                    "color": f"C{k}",
-                    "label": f"{label}, {labels.track(name)}",
-                    "markersize": 5,
-                }
-                right.plot(share, found["holes"], mark, **look)
+                label += f", {labels.track(name)}"
+                right.plot(share, found["holes"], mark, color=f"C{k}", label=label, markersize=5)
     right.axvline(1.0, color="black", linewidth=0.8, linestyle=":")
     right.set_xlabel("return of the last training episodes / return of inserting")
     right.set_ylabel("holes per episode")
     right.set_ylim(-0.2, 6.2)
     if right.get_legend_handles_labels()[0]:
-        right.legend(fontsize=7)
+        right.legend()
     else:
         right.text(0.5, 0.5, "no learner stored", ha="center", transform=right.transAxes)
     return figure
@@ -186,8 +182,8 @@ def main(words: Sequence[str]) -> int:
     write_csv(folder / "learned.csv", _records(learners))
     rows = pd.read_csv(folder / "scripted.csv")  # what is told follows from what is stored
     write_text(folder / "scripted.md", markdown(rows))
-    figure = draw(rows, learners)
-    write_atomic(folder / "audit.png", lambda path: figure.savefig(path, format="png"))
+    with style():
+        save(draw(rows, learners), folder / "audit.png")
     record = {**machine.describe(), "starts": arguments.starts, "preset": preset.name}
     write_text(folder / "meta.json", json.dumps(record, indent=1, sort_keys=True) + "\n")
     console.print(markdown(rows), markup=False, highlight=False)

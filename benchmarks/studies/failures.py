@@ -32,10 +32,11 @@ from benchmarks.evaluation.evaluate import begin_episodes, model_policy
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.protocol.plan import LEARNERS, Cell, expand, settings
 from benchmarks.protocol.presets import Preset, load_preset
+from benchmarks.reporting.figures.style import canvas, save, style
 from benchmarks.reporting.results import tail_mean
 from benchmarks.reporting.stats import wilson
 from benchmarks.reporting.verify import Report, check_file
-from benchmarks.runs.store import Store, write_atomic, write_csv, write_text
+from benchmarks.runs.store import Store, write_csv, write_text
 from coop_env.kinematics.rotations import tilt_azimuth
 
 CAUSES: Final = ("infeasible", "singular", "cycle", "wandering")
@@ -172,8 +173,7 @@ def _groups(rows: pd.DataFrame, hole: str) -> list[tuple[str, pd.DataFrame]]:
 
 def draw(rows: pd.DataFrame) -> Figure:
     """Success and regret over polar angle and tilt, and the map of starts that fail."""
-    figure = Figure(figsize=(10.5, 3.6), dpi=110, layout="constrained")
-    success, regret, where = figure.subplots(1, 3)
+    figure, (success, regret, where) = canvas(1, 3, (10.5, 3.6), grid=False)
     bins = _groups(rows, "{:.0f}° hole")
     names = [name for name, _ in bins]
     at = np.arange(len(bins))
@@ -185,13 +185,13 @@ def draw(rows: pd.DataFrame) -> Figure:
     success.plot(at, ceiling, "k_", markersize=18, label="exact optimum")
     success.set_ylabel("success at the first hole (%)")
     success.set_ylim(max(0.0, 100 * limits.min() - 10.0), 101.0)
-    success.legend(fontsize=8, loc="lower left")
+    success.legend(loc="lower left", frameon=True)
     lost = [(f["moves"] - f["optimum"])[f["success"]].dropna().to_numpy() for _, f in bins]
     regret.boxplot(lost, positions=at, showfliers=False, whis=(5, 95))
     means = [values.mean() if len(values) else np.nan for values in lost]
     regret.plot(at, means, "o", color="C1", label="mean")
     regret.set_ylabel("moves more than the optimum")
-    regret.legend(fontsize=8)
+    regret.legend()
     for axes in (success, regret):
         axes.set_xticks(at, names, rotation=60, fontsize=8)
     _map(where, rows)
@@ -209,7 +209,7 @@ def _map(axes: Axes, rows: pd.DataFrame) -> None:
     axes.set_xlabel("roll at the start (°)")
     axes.set_ylabel("pitch at the start (°)")
     axes.set_aspect("equal")
-    axes.legend(fontsize=7)
+    axes.legend(frameon=True)
 
 
 def main(words: Sequence[str]) -> int:
@@ -261,8 +261,8 @@ def main(words: Sequence[str]) -> int:
     write_csv(folder / f"{name}.csv", rows)
     frame = read(folder / f"{name}.csv")  # what is told follows from what is stored
     write_text(folder / f"{name}.md", summary(frame))
-    figure = draw(frame)
-    write_atomic(folder / f"{name}.png", lambda path: figure.savefig(path, format="png"))
+    with style():
+        save(draw(frame), folder / f"{name}.png")
     console.print(summary(frame), markup=False, highlight=False)
     console.print(f"Failures: {folder}")
     return 0
