@@ -58,8 +58,8 @@ def make_lattice(start: NDArray[np.float64], p: EnvParams) -> Lattice:
     first = np.floor(low).astype(np.int64) - 1
     shape = np.ceil(high).astype(np.int64) + 2 - first
     strides = np.append(np.cumprod(shape[:0:-1])[::-1], 1)
-    free = [np.zeros(math.prod(part.tolist()), np.bool_) for part in (shape[:3], shape[3:])]
-    lattice = Lattice(start, first, shape, strides, *free, p)
+    delta_free, rrs_free = (np.zeros(part.prod(), np.bool_) for part in (shape[:3], shape[3:]))
+    lattice = Lattice(start, first, shape, strides, delta_free, rrs_free, p)
     fill_free(lattice)
     return lattice
 
@@ -121,7 +121,9 @@ def goals(lattice: Lattice, target: int) -> NDArray[np.int64]:
     some_delta = point_at(lattice, np.zeros(6, np.int64)) // n_rrs
     reach = int(p.task.tolerance / step[0]) + 1
     nearest, at = np.empty(3, np.int64), np.empty(3, np.int64)
-    for rrs_node in np.flatnonzero(lattice.rrs_free):
+    for rrs_node in range(n_rrs):
+        if not lattice.rrs_free[rrs_node]:
+            continue
         c = configuration_at(lattice, some_delta * n_rrs + rrs_node)
         pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
         mouth, normal = hole(pose, target, p)
