@@ -127,11 +127,10 @@ def _problem(
     space = ob.RealVectorStateSpace(N_AXES)
     bounds = ob.RealVectorBounds(N_AXES)
     unit = units(env)
-    low, high = (workspace(env.params) - start) / unit
+    low, high = (workspace(env.params) - start) / unit * np.isin(range(N_AXES), moving)
     for axis in range(N_AXES):
-        held = axis not in moving
-        bounds.setLow(axis, -HELD if held else float(low[axis]) - HELD)
-        bounds.setHigh(axis, HELD if held else float(high[axis]) + HELD)
+        bounds.setLow(axis, float(low[axis]) - HELD)
+        bounds.setHigh(axis, float(high[axis]) + HELD)
     space.setBounds(bounds)
     setup = og.SimpleSetup(space)
 
@@ -248,8 +247,7 @@ def _attempt(episode: Episode, plan: PlanFunction) -> str:
     answer = plan(episode.env)
     filled, refused = len(episode.insertions), 0
     if not filled:
-        earlier = 0.0 if math.isnan(episode.plan_seconds) else episode.plan_seconds
-        episode.plan_seconds = earlier + answer.seconds
+        episode.plan_seconds = float(np.nansum([episode.plan_seconds, answer.seconds]))
     if answer.moves is None:
         return "no plan"
     info: dict[str, Any] = {}
