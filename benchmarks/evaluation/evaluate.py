@@ -43,11 +43,7 @@ def begin_episodes(
 
 
 def run_policy(
-    policy: Policy,
-    episodes: Sequence[Episode],
-    noise: float,
-    noise_seed: int,
-    tell: Tell = hush,
+    policy: Policy, episodes: Sequence[Episode], noise: float, noise_seed: int, tell: Tell = hush
 ) -> Rows:
     """Run a policy on all episodes side by side until each is over.
 
@@ -109,17 +105,6 @@ def evaluate_policy(
     return rows
 
 
-def evaluate_planner(
-    preset: Preset,
-    cell: Cell,
-    arguments: dict[str, Any],
-    tell: Tell,
-    starts: int | None = None,
-) -> Rows:
-    """Rows of all test episodes of one planner cell; planners see the true state, without noise."""
-    return play_episodes(planner_runner(preset, cell), preset, cell.seed, arguments, tell, starts)
-
-
 def play_episodes(
     play: Callable[[Episode], None],
     preset: Preset,
@@ -128,14 +113,15 @@ def play_episodes(
     tell: Tell,
     starts: int | None = None,
 ) -> Rows:
-    """Rows of all test episodes of one seed, played one after the other, without noise."""
+    """Rows of all test episodes of one seed, played one after the other.
+
+    Without noise: planners see the true state.
+    """
     episodes = begin_episodes(arguments, seed, preset.evaluation.episodes, starts=starts)
-    rows: Rows = []
     for number, episode in enumerate(episodes, start=1):
         play(episode)
-        rows.append(episode.row())
         tell(number / len(episodes))
-    return rows
+    return [episode.row() for episode in episodes]
 
 
 def planner_runner(preset: Preset, cell: Cell) -> Callable[[Episode], None]:

@@ -1,4 +1,4 @@
-"""A planner's answer; a planner is anything whose ``plan(env)`` gives one and leaves env alone."""
+"""A planner's answer, and the box it searches; ``plan(env)`` gives the one and leaves env alone."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from coop_env.simulation.task import EnvParams
 
 
 @dataclass(frozen=True)
@@ -24,3 +26,12 @@ class Plan:
     moves: NDArray[np.int64] | None
     seconds: float
     detail: dict[str, Any] = field(default_factory=dict)
+
+
+def workspace(p: EnvParams) -> NDArray[np.float64]:
+    """Lower and upper bounds (2, 6) of the configuration space, SI units."""
+    d, r = p.delta, p.rrs
+    reach, drop = d.proximal_length + d.distal_length, abs(d.proximal_length - d.distal_length)
+    low = [-d.planar_limit, -d.planar_limit, -reach, -r.max_tilt, -r.max_tilt, r.heave_min]
+    high = [d.planar_limit, d.planar_limit, -drop, r.max_tilt, r.max_tilt, r.heave_max]
+    return np.array([low, high])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
@@ -25,14 +26,9 @@ def env_arguments(preset: Preset, cell: Cell, track: Track | None = None) -> dic
         geometry = RRSGeometry(**preset.geometries[cell.geometry])
     if track is None:
         return {"geometry": geometry, "reward": "progress"}
-    return {
-        "geometry": geometry,
-        "reward": track.reward,
-        "reward_kwargs": dict(track.reward_kwargs) or None,
-        "observation": track.observation,
-        "mask_singularities": track.mask_singularities,
-        "mask_visited": track.mask_visited,
-    }
+    names = ("reward", "observation", "mask_singularities", "mask_visited")
+    given = {name: getattr(track, name) for name in names}
+    return {"geometry": geometry, "reward_kwargs": dict(track.reward_kwargs) or None, **given}
 
 
 def distance_to_segment(points: Point, start: Point, end: Point) -> Point:
@@ -79,7 +75,7 @@ class Episode:
         self.plan_seconds = math.nan
         self._target = int(info["target"])
         self._track = [dome_frame(env)]
-        self._at_first: dict[str, float] = {}
+        self._at_first: defaultdict[str, float] = defaultdict(lambda: math.nan)
         self._info = info
 
     def _identify(self) -> str:
@@ -107,7 +103,7 @@ class Episode:
             self.insertions.append(self.moves)
             self.alignments.append(math.degrees(info["alignment_error"]))
             if len(self.insertions) == 1:
-                self._at_first = self._first(info)
+                self._at_first |= self._first(info)
         self._info = info
         self.over = bool(terminated or truncated)
         return info
@@ -142,18 +138,18 @@ class Episode:
             "singular": bool(self._info["singular"]),
             "moves": self.moves,
             "reward": self.reward,
-            "moves_first": first.get("moves_first", math.nan),
-            "time_first": first.get("time_first", math.nan),
+            "moves_first": first["moves_first"],
+            "time_first": first["time_first"],
             "time_per_hole": dt * self.insertions[-1] / holes if holes else math.nan,
-            "alignment_error": first.get("alignment_error", math.nan),
+            "alignment_error": first["alignment_error"],
             "alignment_error_all": float(np.mean(self.alignments)) if holes else math.nan,
-            "trajectory_error": first.get("trajectory_error", math.nan),
+            "trajectory_error": first["trajectory_error"],
             "collisions": self.collisions,
-            "collisions_first": first.get("collisions_first", math.nan),
+            "collisions_first": first["collisions_first"],
             "violations": self.violations,
             "duplicates": self.duplicates,
             "energy": float(self._info["energy"]),
-            "energy_first": first.get("energy_first", math.nan),
+            "energy_first": first["energy_first"],
             "insertion_moves": ";".join(str(move) for move in self.insertions),
             "failure": self.failure,
             "plan_seconds": self.plan_seconds,

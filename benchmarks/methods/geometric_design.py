@@ -32,13 +32,8 @@ def measured_runs(runs: int, progress: Callable[[float], None]) -> list[Measured
     for seed in range(runs):
         best = design.optimize(problem, seed=seed)
         samples = design.sample_points(problem, np.random.default_rng(seed))
-        found.append(
-            Measured(
-                best,
-                design.measure(INITIAL, problem, samples),
-                design.measure(best.geometry, problem, samples),
-            )
-        )
+        ends = [design.measure(g, problem, samples) for g in (INITIAL, best.geometry)]
+        found.append(Measured(best, *ends))
         progress((seed + 1) / runs)
     return found
 
@@ -47,9 +42,7 @@ def table_rows(found: Sequence[Measured]) -> list[Row]:
     """The paper's five rows: its values, ours (text, mean, std), and what is to be said."""
     initial = [run.initial for run in found]
     optimized = [run.optimized for run in found]
-    cone = [
-        100 * float(np.mean([m.kappa_variation_cone for m in ms])) for ms in (initial, optimized)
-    ]
+    cone = [100 * np.mean([m.kappa_variation_cone for m in ms]) for ms in (initial, optimized)]
     spread = max(np.std([m.area for m in initial]), np.std([m.area for m in optimized]))
     notes = {
         "workspace": f"Workspace: jitter alone moves it by {spread:.3f}; the paper's spread is "
@@ -82,20 +75,16 @@ def table_rows(found: Sequence[Measured]) -> list[Row]:
             std = data.std(axis=0, ddof=1) if len(data) > 1 else np.zeros(data.shape[1])
             row[name] = _text(mean, std, digits)
             row[f"{name}_mean"], row[f"{name}_std"] = float(mean[0]), float(std[0])
-            row[f"{name}_high_mean"] = float(mean[1]) if len(mean) > 1 else math.nan
+            row[f"{name}_high_mean"] = float(mean[1]) if len(mean) > 1 else None
         row["note"] = notes[metric]
         rows.append(row)
-    return [{key: _plain(value) for key, value in row.items()} for row in rows]
+    return rows
 
 
 def _text(mean: np.ndarray, std: np.ndarray, digits: int) -> str:
     if len(mean) == 2:
         return f"[{mean[0]:.{digits}f}, {mean[1]:.{digits}f}]"
     return f"{mean[0]:.{digits}f} ± {std[0]:.{digits}f}"
-
-
-def _plain(value: object) -> object:
-    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def geometry_rows(runs: int = 10) -> list[Row]:
@@ -109,13 +98,11 @@ def run_rows(found: Sequence[Measured]) -> tuple[list[Row], list[Row]]:
     paths: list[Row] = []
     for seed, run in enumerate(found):
         best = run.optimum
-        runs.append({"seed": seed, **_lambdas(best), "a_w": best.value,
-                     "a_w_initial": best.start_value, "evaluations": best.evaluations,
-                     "converged": best.converged})  # fmt: skip
+        runs.append({
+            "seed": seed, "lambda1": best.lambda1, "lambda2": best.lambda2,
+            "lambda3": best.lambda3, "a_w": best.value, "a_w_initial": best.start_value,
+            "evaluations": best.evaluations, "converged": best.converged,
+        })  # fmt: skip
         for step, (a, b, value) in enumerate(best.path.tolist()):
             paths.append({"seed": seed, "step": step, "lambda1": a, "lambda2": b, "a_w": value})
     return runs, paths
-
-
-def _lambdas(best: Optimum) -> Row:
-    return {"lambda1": best.lambda1, "lambda2": best.lambda2, "lambda3": best.lambda3}

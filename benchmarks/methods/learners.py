@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import asdict, replace
+from typing import Any, Final
 
 from sb3_contrib import MaskablePPO
 from stable_baselines3 import DQN
@@ -26,6 +26,14 @@ ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "dqn": DQN,
     "maskable_ppo": MaskablePPO,
 }
+# hyperparameters that the algorithms know by the same names: SB3's DQN, and what Rainbow adds
+DQN_NAMES: Final = (
+    *("buffer_size", "learning_starts", "batch_size", "tau", "gamma"),
+    *("gradient_steps", "max_grad_norm"),
+)
+RAINBOW_NAMES: Final = (
+    *("n_steps", "n_atoms", "v_min", "v_max", "sigma0", "alpha", "beta_start", "beta_end"),
+)
 
 
 def make_training_env(preset: Preset, cell: Cell) -> VecMonitor:
@@ -47,15 +55,9 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu"
     if cell.method == "maskable_ppo":
         return _build_ppo(track, cell, env, device)
     common: dict[str, Any] = {
+        **{name: getattr(h, name) for name in DQN_NAMES},
         "learning_rate": LinearSchedule(h.learning_rate, h.learning_rate_end, 1.0),
-        "buffer_size": h.buffer_size,
-        "learning_starts": h.learning_starts,
-        "batch_size": h.batch_size,
-        "tau": h.tau,
-        "gamma": h.gamma,
         "train_freq": 1,
-        "gradient_steps": h.gradient_steps,
-        "max_grad_norm": h.max_grad_norm,
         "exploration_initial_eps": h.epsilon_start,
         "exploration_final_eps": h.epsilon_end,
         "exploration_fraction": min(1.0, h.epsilon_steps / track.timesteps),
@@ -70,35 +72,22 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu"
         # SB3 moves the target once per round of collection, not once per update: tau is compounded
         common["tau"] = 1.0 - (1.0 - h.tau) ** h.gradient_steps
         return DQN("MlpPolicy", env, target_update_interval=h.n_envs, **common)
-    rainbow: dict[str, Any] = {
-        "n_steps": h.n_steps,
-        "n_atoms": h.n_atoms,
-        "v_min": h.v_min,
-        "v_max": h.v_max,
-        "sigma0": h.sigma0,
-        "alpha": h.alpha,
-        "beta_start": h.beta_start,
-        "beta_end": h.beta_end,
-    }
-    return Rainbow("MlpPolicy", env, **common, **(rainbow | ABLATIONS[cell.ablation]))
+    rainbow = {name: getattr(h, name) for name in RAINBOW_NAMES} | ABLATIONS[cell.ablation]
+    return Rainbow("MlpPolicy", env, **common, **rainbow)
 
 
 def _build_ppo(track: Track, cell: Cell, env: VecMonitor, device: str) -> MaskablePPO:
-    h, ppo = track.hyperparameters, track.ppo
+    given = asdict(track.ppo)
+    start, end = given.pop("learning_rate"), given.pop("learning_rate_end")
     return MaskablePPO(
         "MlpPolicy",
         env,
-        learning_rate=LinearSchedule(ppo.learning_rate, ppo.learning_rate_end, 1.0),
-        n_steps=ppo.n_steps,
-        batch_size=ppo.batch_size,
-        n_epochs=ppo.n_epochs,
-        gamma=h.gamma,
-        gae_lambda=ppo.gae_lambda,
-        ent_coef=ppo.ent_coef,
-        clip_range=ppo.clip_range,
-        policy_kwargs={"net_arch": list(h.net_arch)},
+        learning_rate=LinearSchedule(start, end, 1.0),
+        gamma=track.hyperparameters.gamma,
+        policy_kwargs={"net_arch": list(track.hyperparameters.net_arch)},
         seed=derive("learner", cell.seed),
         device=device,
+        **given,
     )
 
 

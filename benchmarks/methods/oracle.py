@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 import time
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -12,21 +10,12 @@ from numpy.typing import NDArray
 
 from benchmarks.methods import lattice_search as search
 from benchmarks.methods.base import Plan
-from benchmarks.methods.lattice_search import Grid
+from benchmarks.methods.lattice_search import Lattice
 from coop_env.simulation import dynamics
 from coop_env.simulation.state import OUTCOME, aim
 from coop_env.simulation.task import N_ACTIONS, EnvParams
 
 DEFAULT_NODE_LIMIT: Final = 2_000_000
-
-
-@dataclass(frozen=True)
-class _Lattice:
-    """The two sub-lattices of one episode; they serve every target of it."""
-
-    start: NDArray[np.float64]
-    delta: Grid
-    rrs: Grid
 
 
 class LatticeOracle:
@@ -44,8 +33,7 @@ class LatticeOracle:
         if node_limit < 1:
             raise ValueError(f"node_limit = {node_limit!r}: must be at least 1")
         self.node_limit = node_limit
-        self._lattice: _Lattice | None = None
-        self._lattice_params: EnvParams | None = None
+        self._lattice: Lattice | None = None
 
     def plan(self, env: Any) -> Plan:
         """Plan from the environment's current state, without changing it.
@@ -80,28 +68,24 @@ class LatticeOracle:
     def _plan(self, state: Any, p: EnvParams) -> Plan:
         began = time.perf_counter()
         lattice = self._lattice_of(state, p)
-        delta, rrs = lattice.delta, lattice.rrs
-        source = (
-            search.node_at(delta, state["offset"][:3]),
-            search.node_at(rrs, state["offset"][3:]),
-        )
+        source = int(search.point_at(lattice, state["offset"].astype(np.int64)))
         target = int(state["target"])
-        goals = search.goals(lattice.start, delta, rrs, target, p)
+        goals = search.goals(lattice, target)
         to_delta, to_rrs, bound = _distances(lattice, goals, source)
         detail: dict[str, Any] = {"goals": len(goals), "expanded": 0}
         length = search.INFEASIBLE
         if len(to_delta):
             # Untouched pages of a large zeroed array cost nothing.
-            came_by = np.zeros(delta.free.size * rrs.free.size, np.uint8)
-            length, pair, detail["expanded"] = search.a_star(
-                lattice.start, delta, rrs, source, to_delta, to_rrs, came_by, self.node_limit, p
+            came_by = np.zeros(lattice.delta_free.size * lattice.rrs_free.size, np.uint8)
+            length, point, detail["expanded"] = search.a_star(
+                lattice, source, to_delta, to_rrs, came_by, self.node_limit
             )
             detail["bound"] = bound
         if bound == 0 and not 0 < length <= 2:
             # Already in the hole, but only a move can insert: one there and one back.
             moves, length = _there_and_back(state, p)
         elif length > 0:
-            moves = search.trace_back(pair, length, delta, rrs, came_by)
+            moves = search.trace_back(lattice, point, length, came_by)
         if length < 0:
             status = "node_limit" if length == search.NODE_LIMIT else "infeasible"
             return Plan(status, None, time.perf_counter() - began, detail)
@@ -113,59 +97,33 @@ class LatticeOracle:
             )
         return Plan("solved", moves, time.perf_counter() - began, detail)
 
-    def _lattice_of(self, state: Any, p: EnvParams) -> _Lattice:
+    def _lattice_of(self, state: Any, p: EnvParams) -> Lattice:
+        """The lattice of the state's episode, made anew where the last one was another's."""
         known = self._lattice
-        start = np.array(state["start"])
-        if known is None or p is not self._lattice_params or np.any(known.start != start):
-            self._lattice, self._lattice_params = _make_lattice(start, p), p
-        assert self._lattice is not None
-        return self._lattice
-
-
-def _grid(
-    start: NDArray[np.float64], axis: int, low: list[float], high: list[float], p: EnvParams
-) -> Grid:
-    step = p.layout["step"][axis : axis + 3]
-    origin = start[axis : axis + 3]
-    # One node beyond each limit: rounding may let the kernels accept a node on the limit.
-    first = np.floor((np.array(low) - origin) / step).astype(np.int64)
-    last = np.ceil((np.array(high) - origin) / step).astype(np.int64)
-    shape = last - first + 1
-    return Grid(first, shape, np.zeros(math.prod(shape.tolist()), np.bool_))
-
-
-def _make_lattice(start: NDArray[np.float64], p: EnvParams) -> _Lattice:
-    d, r = p.delta, p.rrs
-    reach, drop = d.proximal_length + d.distal_length, abs(d.proximal_length - d.distal_length)
-    delta = _grid(
-        start,
-        0,
-        [-d.planar_limit, -d.planar_limit, -reach],
-        [d.planar_limit, d.planar_limit, -drop],
-        p,
-    )
-    rrs = _grid(
-        start, 3, [-r.max_tilt, -r.max_tilt, r.heave_min], [r.max_tilt, r.max_tilt, r.heave_max], p
-    )
-    search.fill_free(start, delta, rrs, p)
-    return _Lattice(start, delta, rrs)
+        if known is None or p is not known.p or np.any(known.start != state["start"]):
+            known = self._lattice = search.make_lattice(np.array(state["start"]), p)
+        return known
 
 
 def _distances(
-    lattice: _Lattice, goals: NDArray[np.int64], source: tuple[int, int]
+    lattice: Lattice, goals: NDArray[np.int64], source: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], int]:
     """Distances (goals, nodes) to the goals that both robots can reach, and the lower bound."""
+    n_rrs = lattice.rrs_free.size
     maps: list[NDArray[np.int32]] = []
-    for column, grid in enumerate((lattice.delta, lattice.rrs)):
-        nodes, inverse = np.unique(goals[:, column], return_inverse=True)
-        table = np.empty((len(nodes), grid.free.size), np.int32)
+    for numbers, free, strides in (
+        (goals // n_rrs, lattice.delta_free, lattice.strides[:3] // n_rrs),
+        (goals % n_rrs, lattice.rrs_free, lattice.strides[3:]),
+    ):
+        nodes, inverse = np.unique(numbers, return_inverse=True)
+        table = np.empty((len(nodes), free.size), np.int32)
         for row, node in enumerate(nodes):
-            search.distances(grid, int(node), table[row])
-        maps.append(table[inverse.reshape(-1)])
+            search.distances(free, strides, int(node), table[row])
+        maps.append(table[inverse])
     to_delta, to_rrs = maps
-    near = (to_delta[:, source[0]] != search.UNREACHED) & (to_rrs[:, source[1]] != search.UNREACHED)
+    near = to_delta[:, source // n_rrs] + to_rrs[:, source % n_rrs] < search.UNREACHED
     to_delta, to_rrs = to_delta[near], to_rrs[near]
-    bound = search.lower_bound(source[0], source[1], to_delta, to_rrs) if near.any() else -1
+    bound = search.lower_bound(source, to_delta, to_rrs) if near.any() else -1
     return to_delta, to_rrs, int(bound)
 
 
@@ -175,10 +133,8 @@ def _nominal(state: Any, p: EnvParams) -> tuple[Any, EnvParams]:
         return state, p
     p = p._replace(task=p.task._replace(imperfect=False))
     twin = np.zeros(1, state.dtype)[0]
-    x, y, z, roll, pitch, heave = (float(v) for v in state["configuration"])
-    status = dynamics.begin(
-        twin, (x, y, z, roll, pitch, heave), state["active"], state["filled"], p
-    )
+    at = tuple(state["configuration"].tolist())
+    status = dynamics.begin(twin, at, state["active"], state["filled"], p)
     if status != dynamics.VALID:  # only the real machine can stand here
         raise ValueError("the model takes this state for a collision or singular: reset first")
     aim(twin, int(state["target"]))

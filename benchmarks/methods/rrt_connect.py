@@ -18,11 +18,11 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from benchmarks.methods.base import Plan
+from benchmarks.methods.base import Plan, workspace
 from benchmarks.methods.episodes import Episode
 from coop_env.env import CoopInsertionEnv
 from coop_env.kinematics.rrs_kernels import platform_pose
-from coop_env.simulation import dynamics
+from coop_env.simulation import collision, dynamics
 from coop_env.simulation.task import N_AXES
 
 Configuration = NDArray[np.float64]
@@ -67,34 +67,28 @@ class RRTConnect:
             ``"solved"`` with the rounded moves, or ``"no alignment pose"``,
             ``"no plan (3-RRS)"``, ``"no plan (Delta)"`` without any.
         """
-        begun = time.perf_counter()
+        begun, iterations = time.perf_counter(), 0
         target = int(env.state["target"])
-        iterations = 0
         moves = retreat(env)
-        start = env.configuration + units(env) * displacement(moves)
-        goal = alignment_pose(env, start, target)
-        if goal is None:
-            return Plan("no alignment pose", None, time.perf_counter() - begun)
-        path, used = self._search(env, start, goal, moving=(3, 4, 5))
-        iterations += used
-        if path is None:
-            return self._failed("no plan (3-RRS)", begun, iterations)
-        moves += round_path((path - start) / units(env))
-        # kinematics are known exactly, so the coordinator knows where the rounded moves lead
-        reached = env.configuration + units(env) * displacement(moves)
-        goal = _above_hole(env, reached, target)
-        path, used = self._search(env, reached, goal, moving=(0, 1, 2))
-        iterations += used
-        if path is None:
-            return self._failed("no plan (Delta)", begun, iterations)
-        moves += round_path((path - reached) / units(env))
-        seconds = time.perf_counter() - begun
-        array = np.array(moves, dtype=np.int64)
-        return Plan("solved", array, seconds, {"iterations": iterations})
-
-    @staticmethod
-    def _failed(status: str, begun: float, iterations: int) -> Plan:
-        return Plan(status, None, time.perf_counter() - begun, {"iterations": iterations})
+        status = "solved"
+        for robot, moving, aim in (
+            ("3-RRS", (3, 4, 5), alignment_pose),
+            ("Delta", (0, 1, 2), _above_hole),
+        ):
+            # kinematics are known exactly, so the coordinator knows where the rounded moves lead
+            start = env.configuration + units(env) * displacement(moves)
+            goal = aim(env, start, target)
+            if goal is None:
+                status = "no alignment pose"
+                break
+            path, used = self._search(env, start, goal, moving)
+            iterations += used
+            if path is None:
+                status = f"no plan ({robot})"
+                break
+            moves += round_path((path - start) / units(env))
+        found = np.array(moves, dtype=np.int64) if status == "solved" else None
+        return Plan(status, found, time.perf_counter() - begun, {"iterations": iterations})
 
     def _search(
         self,
@@ -132,14 +126,11 @@ def _problem(
     """The OMPL problem in units of moves relative to ``start``."""
     space = ob.RealVectorStateSpace(N_AXES)
     bounds = ob.RealVectorBounds(N_AXES)
-    unit, (low, high) = units(env), _workspace(env)
+    unit = units(env)
+    low, high = (workspace(env.params) - start) / unit * np.isin(range(N_AXES), moving)
     for axis in range(N_AXES):
-        if axis in moving:
-            bounds.setLow(axis, float((low[axis] - start[axis]) / unit[axis]) - HELD)
-            bounds.setHigh(axis, float((high[axis] - start[axis]) / unit[axis]) + HELD)
-        else:
-            bounds.setLow(axis, -HELD)
-            bounds.setHigh(axis, HELD)
+        bounds.setLow(axis, float(low[axis]) - HELD)
+        bounds.setHigh(axis, float(high[axis]) + HELD)
     space.setBounds(bounds)
     setup = og.SimpleSetup(space)
 
@@ -161,15 +152,6 @@ def _problem(
 def units(env: CoopInsertionEnv) -> Configuration:
     """One move along each axis (6,), SI units."""
     return np.array(env.task.steps)
-
-
-def _workspace(env: CoopInsertionEnv) -> tuple[Configuration, Configuration]:
-    """Bounds (6,) of the configuration space, SI units."""
-    d, r = env.params.delta, env.params.rrs
-    reach, drop = d.proximal_length + d.distal_length, abs(d.proximal_length - d.distal_length)
-    low = [-d.planar_limit, -d.planar_limit, -reach, -r.max_tilt, -r.max_tilt, r.heave_min]
-    high = [d.planar_limit, d.planar_limit, -drop, r.max_tilt, r.max_tilt, r.heave_max]
-    return np.array(low), np.array(high)
 
 
 def retreat(env: CoopInsertionEnv) -> Moves:
@@ -206,12 +188,9 @@ def _above_hole(env: CoopInsertionEnv, configuration: Configuration, hole: int) 
     """The configuration with the peg's tip in the hole's mouth, the platform as it is."""
     roll, pitch, heave = (float(x) for x in configuration[3:6])
     pose = platform_pose(roll, pitch, heave, env.params.rrs)
-    rotation = np.array(pose[3:12]).reshape(3, 3)
-    normal, radius = np.array(env.task.hole_normals[hole]), env.task.dome_radius
-    mouth = np.array(pose[0:3]) + radius * rotation @ normal
-    delta = env.params.delta
     goal = configuration.copy()
-    goal[0:3] = mouth - np.array([0.0, 0.0, delta.base_height - delta.peg_length])
+    goal[0:3] = collision.hole(pose, hole, env.params)[0]
+    goal[2] -= env.params.delta.base_height - env.params.delta.peg_length
     return goal
 
 
@@ -228,9 +207,9 @@ def round_path(path: Configuration) -> Moves:
             axis = int(np.argmax(np.abs(lag)))
             if abs(lag[axis]) <= 0.5:
                 break
-            sign = 1 if lag[axis] > 0.0 else -1
-            at[axis] += sign
-            moves.append(2 * axis + (0 if sign > 0 else 1))
+            move = 2 * axis + int(lag[axis] < 0.0)
+            at[axis] += 1 - 2 * (move % 2)
+            moves.append(move)
     return moves
 
 
@@ -268,8 +247,7 @@ def _attempt(episode: Episode, plan: PlanFunction) -> str:
     answer = plan(episode.env)
     filled, refused = len(episode.insertions), 0
     if not filled:
-        earlier = 0.0 if math.isnan(episode.plan_seconds) else episode.plan_seconds
-        episode.plan_seconds = earlier + answer.seconds
+        episode.plan_seconds = float(np.nansum([episode.plan_seconds, answer.seconds]))
     if answer.moves is None:
         return "no plan"
     info: dict[str, Any] = {}

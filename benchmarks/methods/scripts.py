@@ -36,18 +36,17 @@ class Simulator:
         batch.step_batch(states, actions, self._packed, self._transform, outcomes, rows)
         return outcomes
 
-    def best_cycle(self, state: NDArray[np.void]) -> tuple[float, int]:
-        """What the best move there and back pays at a state (1,), and that move.
+    def paid(self, states: NDArray[np.void], actions: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Rewards (n,) of moves made; -inf of those refused, and those that insert or end."""
+        outcome = self.step(states, actions)
+        barred = outcome["violation"] | outcome["inserted"] | outcome["terminated"]
+        return np.where(barred, -np.inf, outcome["reward"])
 
-        A move counts that is executed, inserts nothing and ends nothing, on both ways.
-        """
+    def best_cycle(self, state: NDArray[np.void]) -> tuple[float, int]:
+        """What the best move there and back pays at a state (1,), and that move."""
         actions = np.arange(task.N_ACTIONS)
         states = np.repeat(state, task.N_ACTIONS)
-        there = self.step(states, actions)
-        back = self.step(states, actions ^ 1)
-        paid = there["reward"] + back["reward"]
-        for outcome in (there, back):
-            paid[outcome["violation"] | outcome["inserted"] | outcome["terminated"]] = -np.inf
+        paid = self.paid(states, actions) + self.paid(states, actions ^ 1)
         best = int(np.argmax(paid))
         return float(paid[best]), best
 
@@ -75,18 +74,11 @@ class Simulator:
                     new.append((moves, state))
             if depth == detour:
                 return
-            front = [
-                ([*moves, action], ahead[action : action + 1])
-                for moves, state in new
-                for ahead, allowed in [self._neighbours(state)]
-                for action in np.flatnonzero(allowed).tolist()
-            ]
-
-    def _neighbours(self, state: NDArray[np.void]) -> tuple[NDArray[np.void], NDArray[np.bool_]]:
-        ahead = np.repeat(state, task.N_ACTIONS)
-        outcome = self.step(ahead, np.arange(task.N_ACTIONS))
-        barred = outcome["violation"] | outcome["inserted"] | outcome["terminated"]
-        return ahead, ~barred
+            front = []
+            for moves, state in new:
+                ahead = np.repeat(state, task.N_ACTIONS)
+                made = np.isfinite(self.paid(ahead, np.arange(task.N_ACTIONS)))
+                front += [([*moves, a], ahead[a : a + 1]) for a in np.flatnonzero(made).tolist()]
 
     def play(self, state: NDArray[np.void], moves: Sequence[int]) -> NDArray[np.void]:
         """Outcomes of moves one after another, up to the episode's end; the state is moved."""
@@ -112,13 +104,11 @@ def moves_of(
         return random_moves(env, simulator, length, seed)
     # the last move of a plan would insert
     way = plans[0][:-1] if plans and script == "farm" else []
-    best: tuple[float, Moves, int] = (-np.inf, [], 0)
+    options = []
     for prefix, state in simulator.around(env.state, way, DETOUR if script == "farm" else 0):
         paid, cycle = simulator.best_cycle(state)
-        worth = paid * (length - len(prefix))
-        if worth > best[0]:
-            best = worth, prefix, cycle
-    _, prefix, cycle = best
+        options.append((paid * (length - len(prefix)), prefix, cycle))
+    _, prefix, cycle = max(options, key=lambda option: option[0])
     left = length - len(prefix)
     return prefix + [cycle, cycle ^ 1] * (left // 2) + [cycle] * (left % 2)
 

@@ -26,6 +26,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.methods.scripts import SCRIPTS, Moves, Simulator, moves_of
 from benchmarks.protocol import labels
@@ -45,15 +46,10 @@ MARKS: Final = {"rainbow": "o", "dqn": "s", "maskable_ppo": "^"}
 
 
 def scripted(preset: Preset, starts: int, tell: Callable[[], None] = lambda: None) -> pd.DataFrame:
-    """One row per track, script and start: return, discounted return, holes, moves.
+    """One row per track, script and validation start: return, discounted return, holes, moves.
 
-    Args:
-        preset: whose tracks' rewards are played.
-        starts: number of validation starts (no test episode among them).
-        tell: called after each start of a track.
+    ``tell`` is called after each start of a track.
     """
-    from benchmarks.methods.episodes import env_arguments
-
     oracle = LatticeOracle()
     rows = []
     for name, track in preset.tracks.items():
@@ -101,20 +97,20 @@ def learned(store: Store) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=LEARNED)
 
 
-def ratios(rows: pd.DataFrame, column: str = "return") -> pd.DataFrame:
+def ratios(rows: pd.DataFrame) -> pd.DataFrame:
     """Mean return of each script over that of inserting, by track; above 1 the reward is farmed."""
-    means = rows.groupby(["track", "script"])[column].mean().unstack()
-    return means.div(means["insert"], axis=0)[list(SCRIPTS)]
+    means = rows.groupby(["track", "script"])["return"].mean().unstack()
+    tracks = [name for name in TRACK_ORDER if name in means.index]
+    return means.div(means["insert"], axis=0).loc[tracks, list(SCRIPTS)]
 
 
 def draw(rows: pd.DataFrame, learners: pd.DataFrame) -> Figure:
     """Left: scripts' returns over that of inserting. Right: what the learners came to."""
     figure, (left, right) = canvas(1, 2, (9.0, 3.6), grid=False)
     shares = ratios(rows)
-    tracks = [name for name in TRACK_ORDER if name in shares.index]
+    tracks = shares.index.tolist()
     for k, script in enumerate(SCRIPTS):
-        at = np.arange(len(tracks)) + (k - 2) * 0.16
-        left.bar(at, shares.loc[tracks, script], width=0.16, label=script)
+        left.bar(np.arange(len(tracks)) + (k - 2) * 0.16, shares[script], width=0.16, label=script)
     left.axhline(0.0, color="black", linewidth=0.8)
     left.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
     left.set_xticks(np.arange(len(tracks)), [labels.track(name) for name in tracks])
@@ -146,15 +142,14 @@ def markdown(rows: pd.DataFrame) -> str:
         "| Reward | Script | Return | Discounted | Holes | Return / inserting |",
         "|---|---|---|---|---|---|",
     ]
-    shares = ratios(rows)
-    for name in [name for name in TRACK_ORDER if name in shares.index]:
-        for script in SCRIPTS:
+    for name, shares in ratios(rows).iterrows():
+        for script, share in shares.items():
             found = rows[(rows["track"] == name) & (rows["script"] == script)]
-            mean, spread = found["return"].mean(), found["return"].std()
             lines.append(
-                f"| {labels.track(name)} | {script} | {mean:.1f} ± {spread:.1f} "
+                f"| {labels.track(str(name))} | {script} "
+                f"| {found['return'].mean():.1f} ± {found['return'].std():.1f} "
                 f"| {found['discounted'].mean():.1f} | {found['holes'].mean():.2f} "
-                f"| {float(shares.to_dict()[script][name]):.2f} |"
+                f"| {share:.2f} |"
             )
     return "\n".join(lines) + "\n"
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,6 +30,7 @@ from rich.progress import Progress
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.evaluate import begin_episodes, model_policy
+from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.protocol.plan import LEARNERS, Cell, expand, settings
 from benchmarks.protocol.presets import Preset, load_preset
@@ -50,16 +52,13 @@ def play(
     preset: Preset, cell: Cell, model: Any, oracle: LatticeOracle, tell: Callable[[], None]
 ) -> list[dict[str, object]]:
     """One row per test episode of a cell's seed."""
-    from benchmarks.methods.episodes import env_arguments
-
     arguments = env_arguments(preset, cell, preset.tracks[cell.track])
     policy = model_policy(model)
     rows = []
     for episode in begin_episodes(arguments, cell.seed, preset.evaluation.episodes):
-        state = episode.env.state
-        roll, pitch = (float(v) for v in state["configuration"][3:5])
+        target, lean = int(episode.env.state["target"]), episode.env.configuration[3:5]
+        roll, pitch = np.degrees(lean).tolist()
         plan = oracle.plan(episode.env)
-        optimum = len(plan.moves) if plan.moves is not None else None
         trail, seen, allowed = [], [], []
         singular = False
         while not episode.over and not episode.insertions:
@@ -71,24 +70,23 @@ def play(
             trail.append(episode.env.state["offset"].tobytes())
         success = bool(episode.insertions)
         cause = ""
-        if not success and optimum is None:
-            cause = "infeasible"
-        elif not success:
+        if not success:
             cycles = len(set(trail[-RECENT:])) <= FEW
             cause = "singular" if singular else "cycle" if cycles else "wandering"
+            cause = "infeasible" if plan.moves is None else cause
         rows.append(
             {
                 "seed": cell.seed,
                 "episode": episode.number,
                 "start": episode.start,
-                "target": int(state["target"]),
-                "polar": float(np.degrees(episode.env.task.holes[int(state["target"])][0])),
-                "roll": float(np.degrees(roll)),
-                "pitch": float(np.degrees(pitch)),
-                "tilt": float(np.degrees(tilt_azimuth(np.array([roll, pitch]))[0])),
-                "optimum": np.nan if optimum is None else float(optimum),
+                "target": target,
+                "polar": math.degrees(episode.env.task.holes[target][0]),
+                "roll": roll,
+                "pitch": pitch,
+                "tilt": float(np.degrees(tilt_azimuth(lean)[0])),
+                "optimum": math.nan if plan.moves is None else float(len(plan.moves)),
                 "success": success,
-                "moves": float(episode.moves) if success else np.nan,
+                "moves": float(episode.moves) if success else math.nan,
                 "gap": action_gap(model, np.array(seen), np.array(allowed)),
                 "cause": cause,
             }
@@ -128,18 +126,15 @@ def summary(rows: pd.DataFrame) -> str:
     head = ("Starts", "n", "Success (%)", "Optimum (%)", "Moves over the optimum (%)")
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for label, found in [*_groups(rows, "hole at {:.0f}°"), ("all", rows)]:
-        both = found[found["success"] & found["optimum"].notna()]
-        excess = np.nan
-        if len(both):
-            excess = 100.0 * (both["moves"].sum() / both["optimum"].sum() - 1.0)
+        moves, optimum = found.loc[found["success"], ["moves", "optimum"]].dropna().sum()
+        excess = 100.0 * (moves / optimum - 1.0) if optimum else math.nan
         lines.append(
             f"| {label} | {len(found)} | {100 * found['success'].mean():.1f} "
             f"| {100 * found['optimum'].notna().mean():.1f} | {excess:.1f} |"
         )
-    counts = rows.loc[~rows["success"], "cause"].value_counts()
-    failed = int((~rows["success"]).sum())
-    named = ", ".join(f"{counts.get(cause, 0)} {cause}" for cause in CAUSES)
-    lines += ["", f"{failed} failures of {len(rows)}: {named}."]
+    failed = rows.loc[~rows["success"], "cause"].tolist()
+    named = ", ".join(f"{failed.count(cause)} {cause}" for cause in CAUSES)
+    lines += ["", f"{len(failed)} failures of {len(rows)}: {named}."]
     acting = rows.groupby("seed")["acting"].first().mean()
     if not math.isnan(acting):  # a training episode ended there
         lines += [
@@ -229,13 +224,9 @@ def main(words: Sequence[str]) -> int:
     arguments = parser.parse_args(list(words))
     preset = load_preset(arguments.preset)
     store = Store.open(arguments.results, preset.name)
-    wanted = (arguments.method, "full", arguments.geometry, arguments.track)
-    cells = [
-        cell
-        for cell in expand(preset)
-        if (cell.method, cell.ablation, cell.geometry, cell.track) == wanted
-        and store.run(cell.id).has_policy()
-    ]
+    wanted = Cell(arguments.method, "full", arguments.geometry, arguments.track, 0)
+    alike = (cell for cell in expand(preset) if replace(cell, seed=0) == wanted)
+    cells = sorted(cell for cell in alike if store.run(cell.id).has_policy())
     if not cells:
         raise BenchmarkError(
             f"{store.folder} has no stored policy of {arguments.method}, track {arguments.track}, "
@@ -246,7 +237,7 @@ def main(words: Sequence[str]) -> int:
     rows: list[dict[str, object]] = []
     with Progress(console=console) as bar:
         job = bar.add_task("test episodes", total=len(cells) * preset.evaluation.episodes)
-        for cell in sorted(cells):
+        for cell in cells:
             run = store.run(cell.id)
             run.check_config(settings(preset, cell))
             model = ALGORITHMS[cell.method].load(run.policy, device="cpu")

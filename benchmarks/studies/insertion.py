@@ -70,12 +70,13 @@ class Insertion(Experiment[Cell]):
         elif cell.learns:
             training = self._train(cell, folder, stop_requested, device)
         else:
-            from benchmarks.evaluation.evaluate import evaluate_planner
+            from benchmarks.evaluation.evaluate import planner_runner, play_episodes
             from benchmarks.methods.episodes import env_arguments
 
-            arguments = env_arguments(self.preset, cell)
+            play, arguments = planner_runner(self.preset, cell), env_arguments(self.preset, cell)
             tell = Teller(folder, stop_requested)
-            folder.write_rows("episodes", evaluate_planner(self.preset, cell, arguments, tell))
+            rows = play_episodes(play, self.preset, cell.seed, arguments, tell)
+            folder.write_rows("episodes", rows)
         if training is None:
             return None
         seeds = {

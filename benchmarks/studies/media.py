@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import imageio_ffmpeg
 import numpy as np
@@ -48,15 +49,15 @@ def planned_moves(env: CoopInsertionEnv) -> Act:
     Raises:
         BenchmarkError: the optimum does not fill every hole from this start.
     """
-    plans = LatticeOracle().plan_episode(env)
-    for number, plan in enumerate(plans, start=1):
+    moves: list[int] = []
+    for number, plan in enumerate(LatticeOracle().plan_episode(env), start=1):
         if plan.moves is None:
             raise BenchmarkError(
                 f"no plan for hole number {number} of this episode ({plan.status}): "
                 "try another --seed"
             )
-    moves = iter(np.concatenate([plan.moves for plan in plans if plan.moves is not None]))
-    return lambda observation, masks: int(next(moves))
+        moves += plan.moves.tolist()
+    return lambda observation, masks: moves.pop(0)
 
 
 def policy_moves(path: Path, env: CoopInsertionEnv) -> Act:
@@ -148,24 +149,11 @@ def write_animation(path: Path, frames: Sequence[Image8], fps: float) -> None:
     accents = np.round(255 * shades.reshape(-1, 3)).astype(np.uint8)
     rows = np.repeat(np.resize(accents, (seen.shape[1], 3))[None], len(seen) // 4, axis=0)
     palette = Image.fromarray(np.concatenate([seen, rows])).quantize(GIF_COLOURS)
-    images = [
-        Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
-        for frame in frames
-    ]
-    durations = [round(1000 / fps)] * (len(images) - 1) + [round(1000 * HOLD_SECONDS)]
-
-    def write(temporary: Path) -> None:
-        images[0].save(
-            temporary,
-            "GIF",
-            save_all=True,
-            append_images=images[1:],
-            duration=durations,
-            loop=0,
-            optimize=False,
-        )
-
-    write_atomic(path, write)
+    look: dict[str, Any] = {"palette": palette, "dither": Image.Dither.NONE}
+    first, *others = (Image.fromarray(frame).quantize(**look) for frame in frames)
+    durations = [round(1000 / fps)] * len(others) + [round(1000 * HOLD_SECONDS)]
+    options = {"append_images": others, "duration": durations, "loop": 0, "optimize": False}
+    write_atomic(path, lambda file: first.save(file, "GIF", save_all=True, **options))
 
 
 def parser(word: str, text: str | None) -> argparse.ArgumentParser:
@@ -183,18 +171,16 @@ def parser(word: str, text: str | None) -> argparse.ArgumentParser:
 def _write_all(arguments: argparse.Namespace, console: Console) -> None:
     env = CoopInsertionEnv(geometry=arguments.geometry, render_mode="rgb_array")
     model: Path | None = arguments.model
-    choose = planned_moves if model is None else lambda e: policy_moves(model, e)
+    choose = planned_moves if model is None else partial(policy_moves, model)
     scenes = play(env, arguments.seed, choose)
-    out: Path = arguments.out
-    write_picture(
-        out / "scene.png", scenes[telling_moment(scenes, arguments.camera)], arguments.camera
-    )
+    out, camera = arguments.out, arguments.camera
+    write_picture(out / "scene.png", scenes[telling_moment(scenes, camera)], camera)
     stills = scenes[::GIF_EVERY] + ([] if len(scenes) % GIF_EVERY else scenes[-1:])
     with Progress(console=console) as progress:
         task = progress.add_task("drawing", total=len(scenes) + len(stills))
 
         def draw(scene: Scene, size: tuple[int, int]) -> Image8:
-            frame = render_frame(scene, size=size, camera=arguments.camera)
+            frame = render_frame(scene, size=size, camera=camera)
             progress.advance(task)
             return frame
 

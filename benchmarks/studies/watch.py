@@ -63,9 +63,7 @@ def main(words: Sequence[str]) -> int:
     line.add_argument("--port", type=int, default=8080)
     arguments = line.parse_args(words)
     env = CoopInsertionEnv(geometry=arguments.geometry, render_mode="rgb_array")
-    act: Act = Optimum(env)
-    if arguments.model is not None:
-        act = policy_moves(arguments.model, env)
+    act: Act = Optimum(env) if arguments.model is None else policy_moves(arguments.model, env)
     try:
         view(env, act, host=arguments.host, port=arguments.port)
     except ViewerError as error:

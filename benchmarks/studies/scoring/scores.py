@@ -97,20 +97,21 @@ class Replay(Insertion):
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
     ) -> dict[str, Any]:
         """Play the episodes; of all else meta.json says what the first run's does."""
-        from benchmarks.evaluation.evaluate import evaluate_planner, evaluate_policy, model_policy
+        from benchmarks.evaluation import evaluate
         from benchmarks.methods.episodes import env_arguments
 
         stored, preset = self.source.run(cell.id), self._shortened()
         tell = Teller(folder, stop_requested)
         track = preset.tracks[cell.track] if cell.learns else None
-        arguments = env_arguments(preset, cell, track)
+        protocol = (preset, cell.seed, env_arguments(preset, cell, track), tell, self.starts)
         if cell.learns:
             from benchmarks.evaluation.model_files import load_model
 
-            policy = model_policy(load_model(stored.policy, cell.method))
-            rows = evaluate_policy(policy, preset, cell.seed, arguments, tell, self.starts)
+            policy = evaluate.model_policy(load_model(stored.policy, cell.method))
+            rows = evaluate.evaluate_policy(policy, *protocol)
         else:
-            rows = evaluate_planner(preset, cell, arguments, tell, self.starts)
+            play = evaluate.planner_runner(preset, cell)
+            rows = evaluate.play_episodes(play, *protocol)
         folder.write_rows("episodes", rows)
         return {key: value for key, value in stored.meta().items() if key != "schema"}
 

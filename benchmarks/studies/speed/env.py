@@ -48,7 +48,7 @@ EVERY_OPTION: Final[dict[str, Any]] = {
 
 
 def _single_loop(env: gym.Env[Any, Any], steps: int) -> Callable[[], None]:
-    actions = np.random.default_rng(0).integers(12, size=steps)
+    actions = _drawn(1, steps)[:, 0]
     bare: Any = env.unwrapped
     env.reset(seed=0)
 
@@ -93,23 +93,20 @@ def _drawn(n_envs: int, steps: int) -> np.ndarray:
     return np.random.default_rng(0).integers(12, size=(max(1, steps // n_envs), n_envs))
 
 
-def _batch(n_envs: int, **options: Any) -> CoopInsertionVecEnv:
-    return CoopInsertionVecEnv(n_envs, seed=0, **options)
-
-
 def measure_steps(steps: int, rounds: int) -> dict[str, float]:
     """Microseconds a step, median over rounds in turns."""
     from stable_baselines3.common.vec_env import DummyVecEnv
 
+    batch = partial(CoopInsertionVecEnv, seed=0)
     loops = {
         SINGLE: _single_loop(gym.make("CoopInsertion-v0"), steps),
         BARE: _single_loop(CoopInsertionEnv(), steps),
         "SB3 DummyVecEnv of 64": _batch_loop(DummyVecEnv([CoopInsertionEnv] * 64), steps),
-        **{f"batch of {n}": _batch_loop(_batch(n), steps) for n in (1, 8, 64, 256)},
-        "batch of 64, every option": _batch_loop(_batch(64, **EVERY_OPTION), steps),
+        **{f"batch of {n}": _batch_loop(batch(n), steps) for n in (1, 8, 64, 256)},
+        "batch of 64, every option": _batch_loop(batch(64, **EVERY_OPTION), steps),
         KERNEL: _kernel_loop(EnvBatch(64), steps),
     }
-    return {k: 1e6 * took / steps for k, took in report.in_turns(loops, rounds).items()}
+    return report.in_turns(loops, rounds, unit=1e-6 * steps)
 
 
 def measure_area(rounds: int) -> dict[str, float]:
@@ -118,7 +115,7 @@ def measure_area(rounds: int) -> dict[str, float]:
         OUR_MAP: partial(design.workspace_area, OPTIMIZED),
         NUMPY_MAP: partial(workspace_map, OPTIMIZED),
     }
-    return {name: 1e3 * took for name, took in report.in_turns(maps, rounds).items()}
+    return report.in_turns(maps, rounds, unit=1e-3)
 
 
 def measure_oracle(starts: int, geometry: str) -> dict[str, float]:
@@ -133,11 +130,11 @@ def measure_oracle(starts: int, geometry: str) -> dict[str, float]:
 
     env.reset(seed=0)
     oracle.plan(env)  # its kernels compile
-    took = seconds_of(plan)
+    seconds = seconds_of(plan).cpu
     found = [(len(p.moves), p.detail["bound"]) for p in plans if p.moves is not None]
     moves, bound = np.mean(found, axis=0)
     return {
-        "seconds": took.cpu,
+        "seconds": seconds,
         "feasible": len(found) / starts,
         "mean_moves": float(moves),
         "mean_detour": float(moves - bound),
@@ -146,7 +143,7 @@ def measure_oracle(starts: int, geometry: str) -> dict[str, float]:
 
 def measure_memory(steps: int) -> float:
     """Megabytes that the process grows by over so many batched steps."""
-    loop = _batch_loop(_batch(64), steps // 2)
+    loop = _batch_loop(CoopInsertionVecEnv(64, seed=0), steps // 2)
     loop()
     before = report.resident_mb()
     loop()

@@ -26,10 +26,8 @@ def measure_parts(
     actions = {name: parts_of(model) for name, model in models.items()}
     actions = {"SB3 DQN": {"whole update": partial(dqn.train, 1, BATCH_SIZE)}, **actions}
     flat = {(name, part): action for name in actions for part, action in actions[name].items()}
-    found = in_turns(flat, rounds, n_calls)
-    return {
-        name: {part: 1e6 * found[name, part] for part in parts} for name, parts in actions.items()
-    }
+    found = in_turns(flat, rounds, n_calls, unit=1e-6)
+    return {name: {part: found[name, part] for part in parts} for name, parts in actions.items()}
 
 
 def parts_of(model: Any) -> dict[str, Callable[[], Any]]:
@@ -59,11 +57,7 @@ def parts_of(model: Any) -> dict[str, Callable[[], Any]]:
 
 
 def matrix_products(q_net: Any) -> Callable[[], None]:
-    """
-    The products of an update: three passes forward, and one back by weights and by inputs.
-
-    The head is evaluated for all actions, as torch does it.
-    """
+    """An update's products for all actions: three forward, one back by weights and by inputs."""
     import torch as th
 
     sizes = [(layer.in_features, layer.out_features) for layer in q_net.layers]

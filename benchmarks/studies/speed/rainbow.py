@@ -95,9 +95,8 @@ def make_buffer(**arguments: Any) -> Any:
     from sb3_rainbow import PrioritizedReplayBuffer
 
     env = StubEnv()
-    return PrioritizedReplayBuffer(
-        CAPACITY, env.observation_space, env.action_space, device="cpu", **arguments
-    )
+    spaces = env.observation_space, env.action_space
+    return PrioritizedReplayBuffer(CAPACITY, *spaces, device="cpu", **arguments)
 
 
 def measure_replay(rounds: int, n_calls: int = 2000) -> dict[str, float]:
@@ -113,8 +112,7 @@ def measure_replay(rounds: int, n_calls: int = 2000) -> dict[str, float]:
         "sample_and_update_us": priorities,
         "sample_transitions_us": partial(buffer.sample, BATCH_SIZE),
     }
-    found = report.in_turns(actions, rounds, n_calls)
-    return {name: 1e6 * took for name, took in found.items()}
+    return report.in_turns(actions, rounds, n_calls, unit=1e-6)
 
 
 def measure_memory() -> float:
@@ -144,10 +142,9 @@ def tell(found: dict[str, Any]) -> str:
             rates = (updates[one][k] / updates[other][k] for k in ("learn_cpu", "train_cpu"))
             goals.append([one, other, *(f"{rate:.2f}" for rate in rates), f"{goal:g}"])
     header = "method | per CPU second, one env step each | ratio | per wall second | update alone"
+    shown = _rates(updates, "learn_cpu", "learn_wall", "train_cpu")
     texts = [
-        report.table(
-            "Updates per second", header, _rates(updates, "learn_cpu", "learn_wall", "train_cpu")
-        ),
+        report.table("Updates per second", header, shown),
         report.table("Ratios", "of | to | per step | update alone | target", goals),
     ]
     for name, rival in found["rivals"].items():

@@ -24,13 +24,13 @@ Name = TypeVar("Name", bound=Hashable)
 
 
 def in_turns(
-    actions: Mapping[Name, Callable[[], Any]], rounds: int, n_calls: int = 1
+    actions: Mapping[Name, Callable[[], Any]], rounds: int, n_calls: int = 1, unit: float = 1.0
 ) -> dict[Name, float]:
-    """CPU seconds of a call, medians over rounds in turns; a round before them is not counted."""
+    """CPU time of a call, in ``unit`` s: medians over rounds in turns; the first is not counted."""
     times: dict[Name, list[float]] = {name: [] for name in actions}
     for _ in range(rounds + 1):
         for name, action in actions.items():
-            times[name].append(seconds_of(action, n_calls).cpu)
+            times[name].append(seconds_of(action, n_calls).cpu / unit)
     return {name: statistics.median(values[1:]) for name, values in times.items()}
 
 
