@@ -28,9 +28,10 @@ from stable_baselines3.common.save_util import load_from_zip_file
 from benchmarks.protocol.plan import expand
 from benchmarks.protocol.presets import PRESETS, load_preset
 from benchmarks.runs.checkpoint import checkpoints
+from benchmarks.runs.machine import REPOSITORY
 from benchmarks.runs.store import RunFolder, Store
 
-SERVER = Path(__file__).with_name("warm_server.py")
+SERVER = "tests.benchmarks.runs.warm_server"
 KILLS = 24  # by the clock; the task asks for 20
 INSIDE = 12  # of these, surely inside training
 TORN = 3  # of these, while a checkpoint was being written
@@ -46,7 +47,8 @@ class Server:
     def __init__(self, preset: Path, cells: list[str]) -> None:
         self.preset = preset
         self.process = subprocess.Popen(
-            [sys.executable, str(SERVER), str(preset), *cells],
+            [sys.executable, "-m", SERVER, str(preset), *cells],
+            cwd=REPOSITORY,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
