@@ -100,7 +100,8 @@ class Ended:
         assert parameters is not None
         weights: Any = parameters["policy"]
         training = run.meta()["training"]
-        for name in ("wall_seconds", "cpu_seconds", "test_seconds", "resumed_at", "made_with"):
+        times = ("wall_seconds", "cpu_seconds", "test_seconds", "resumed_at", "made_with")
+        for name in (*times, "policy_sha256"):  # of a file that keeps times: its weights count
             del training[name]
         curve, episodes = ((run.path / f"{n}.csv").read_bytes() for n in ("curve", "episodes"))
         return cls(weights, curve, episodes, training)
