@@ -40,6 +40,11 @@ def _guarded(action: Callable[[], int]) -> int:
     except BenchmarkError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except (NotADirectoryError, FileExistsError, PermissionError) as error:
+        if error.filename is None:
+            raise
+        print(f"error: {error.strerror}: {error.filename}; name another place", file=sys.stderr)
+        return 2
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise

@@ -213,6 +213,8 @@ def readme(arguments: argparse.Namespace) -> int:
     from benchmarks.reporting.pages.includes import rewrite_all
     from benchmarks.reporting.pages.readme import rewrite
 
+    if not arguments.readme.is_file():
+        raise BenchmarkError(f"{arguments.readme} is missing; name another with --readme")
     if arguments.preset is None:  # the one that the page is about
         from benchmarks.reporting.verify import presets_of
 

@@ -32,7 +32,10 @@ def check_number(
     """
     if isinstance(value, bool) or not isinstance(value, Real):
         raise error(f"{name} = {value!r}: must be a number")
-    number = float(value)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
     if not (math.isfinite(number) and low <= number <= high) or (above and number == low):
         if math.isinf(low) and math.isinf(high):
             raise error(f"{name} = {value!r}: must be finite")

@@ -81,6 +81,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
             ResetOptionError: an option is malformed, or names a state that cannot be taken.
             ArgumentError: a seed is no integer, is negative, or the list has another length.
         """
+        given = self._batch.check_options(options)
         if seed is None:
             seeds: list[int | None] = [None] * self.num_envs
         elif isinstance(seed, Sequence) and len(seed) == self.num_envs:
@@ -90,7 +91,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
             assert first is not None
             super().reset(seed=first)
             seeds = [first + i for i in range(self.num_envs)]
-        self._batch.reset(seeds, self._batch.check_options(options))
+        self._batch.reset(seeds, given)
         return self._batch.rows.copy(), batch.make_columns(self._batch.outcomes)
 
     def step(self, actions: NDArray[Any]) -> Step:

@@ -115,22 +115,30 @@ class RainbowPolicy(BasePolicy):
             lr=lr_schedule(1),  # type: ignore[call-arg]
             **kwargs,
         )
+        self._parameters_then = list(self.q_net.parameters())
 
     def update_optimizer(self) -> None:
-        """Give the optimizer the parameters that took the place of some that it holds."""
+        """
+        Give the optimizer the parameters that took the place of some of the network's.
+
+        What else it holds (a head of one's own, say) stays, and so does a choice of the network's
+        parameters by who made the optimizer.
+        """
         parameters = list(self.q_net.parameters())
         present = {id(p) for p in parameters}
+        gone = {id(p) for p in self._parameters_then} - present
+        self._parameters_then = parameters
         groups = self.optimizer.param_groups
         held = {id(p) for group in groups for p in group["params"]}
-        if held <= present:
-            # Perhaps not all of the network's, but then by the choice of who made the optimizer.
-            return
         for group in groups:
-            stale = [p for p in group["params"] if id(p) not in present]
-            if stale:
-                kept = {id(p) for p in group["params"]} & present
-                group["params"] = [p for p in parameters if id(p) in kept or id(p) not in held]
-                held |= present
+            stale = [p for p in group["params"] if id(p) in gone]
+            if not stale:
+                continue
+            mine = {id(p) for p in group["params"]}
+            others = [p for p in group["params"] if id(p) not in present | gone]
+            kept = [p for p in parameters if id(p) in mine or id(p) not in held]
+            group["params"] = [*kept, *others]
+            held |= present
             for p in stale:
                 self.optimizer.state.pop(p, None)
 

@@ -220,6 +220,9 @@ class Rainbow(ResumableAlgorithm):
             self._setup_model()
 
     def _setup_model(self) -> None:
+        buffer_class = self.replay_buffer_class
+        # None, if load was given it, means what it means to the constructor
+        self.prioritized, self.n_steps = served_by(buffer_class, self.prioritized, self.n_steps)
         check_settings(self)
         self._support = (self.v_min, self.v_max)
         self._setup_lr_schedule()
@@ -243,7 +246,6 @@ class Rainbow(ResumableAlgorithm):
         if self.replay_buffer_class is None:
             self.replay_buffer_class = PrioritizedReplayBuffer
         buffer_class, size = self.replay_buffer_class, self.buffer_size
-        served_by(buffer_class, self.prioritized, self.n_steps)
         kwargs: dict[str, Any] = {}
         if issubclass(buffer_class, PrioritizedReplayBuffer):
             size = max(size, smallest_buffer(self.n_envs, self.n_steps))
@@ -346,7 +348,10 @@ class Rainbow(ResumableAlgorithm):
             if not buffer.can_sample:
                 # The first n-step windows are not complete yet.
                 return
+        if gradient_steps < 1:
+            return
         self.policy.set_training_mode(True)
+        self.policy.q_net_target.set_training_mode(False)  # what was put into it since, too
         self._update_learning_rate(self.policy.optimizer)
         learner = self._learner
         losses: list[Any] = []  # numbers, or tensors that nobody has waited for
@@ -423,11 +428,14 @@ class Rainbow(ResumableAlgorithm):
         smallest that is not.
         """
         if "tau" in kwargs:
-            kwargs["_tau_was_chosen"] = True
+            kwargs["_tau_was_chosen"] = kwargs["tau"] is not None
+        if kwargs.get("tau", 0.0) is None:
+            del kwargs["tau"]
         model = super().load(
             path, env, device, custom_objects, print_system_info, force_reset, **kwargs
         )
-        if "target_update_interval" in kwargs and not model._tau_was_chosen:
+        new_rule = not kwargs.get("_tau_was_chosen", True) or "target_update_interval" in kwargs
+        if new_rule and not model._tau_was_chosen:
             model.tau = default_tau(model.target_update_interval)
         return model
 

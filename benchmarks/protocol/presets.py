@@ -245,8 +245,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
     """
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
-        raise BenchmarkError(f"{path.name}: not valid YAML: {error}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        reason = " ".join(str(error).split())
+        raise BenchmarkError(f"{path.name}: not valid YAML: {reason}") from error
     if not isinstance(data, dict):
         raise BenchmarkError(f"{path.name}: expected a mapping at the top")
     return data

@@ -28,7 +28,7 @@ def is_perceptron(net: RainbowNetwork) -> bool:
     parameters, table = parameters_of(net), table_of(net)
     n_parameters = int(((1 + table[:, kernels.NOISY]) * _sizes(table)).sum())
     return (
-        len(set(map(id, parameters))) == len(list(net.parameters()))
+        len(parameters) == len(set(map(id, parameters))) == len(list(net.parameters()))
         and all(
             p is not None and (p.dtype, p.device.type) == (th.float32, "cpu") and p.is_contiguous()
             for p in parameters

@@ -101,7 +101,9 @@ class RainbowNetwork(BasePolicy):
         self.v_max = v_max
         # A constant, not a weight: what loads or randomizes the weights must not change it.
         self.register_buffer("support", th.linspace(v_min, v_max, self.n_atoms), persistent=False)
+        self.register_buffer("noise", th.zeros(0), persistent=False)
         self._build_layers()
+        self.reset_noise()
 
     @property
     def device(self) -> th.device:
@@ -121,12 +123,15 @@ class RainbowNetwork(BasePolicy):
                 NoisyLinear(n_in, n_out, self.sigma0) if is_noisy else nn.Linear(n_in, n_out)
             )
         self.activation = self.activation_fn()
-        self.register_buffer("noise", th.zeros(0), persistent=False)
-        self.reset_noise()
+
+    def _own_layers(self) -> list[nn.Module]:
+        """The layers that :meth:`streams` calls; none where a subclass does without."""
+        layers = self._modules.get("layers")
+        return [] if layers is None else list(layers.children())
 
     def _epsilons(self) -> list[th.Tensor]:
-        """The noise of the layers that are noisy, in their order."""
-        layers = [x for x in self.layers._modules.values() if isinstance(x, NoisyLinear)]
+        """The noise of the layers that draw it as the package's own do, in their order."""
+        layers = [layer for layer in self._own_layers() if _draws_plainly(layer)]
         return [b for x in layers for b in (x._buffers["epsilon_in"], x._buffers["epsilon_out"])]  # type: ignore[misc]
 
     def tie_noise(self) -> list[th.Tensor]:
@@ -144,14 +149,16 @@ class RainbowNetwork(BasePolicy):
         return epsilons
 
     def _layers_called_by_others(self) -> Iterator[NoisyLinear]:
-        """Noisy layers inside of wrappers, or in the features extractor."""
+        """Noisy layers inside of wrappers, in the features extractor, or of a subclass's own."""
+        own = self._own_layers()
         for part in self._parts():
-            if type(part) not in _NOTHING_INSIDE:
+            if isinstance(part, NoisyLinear) or type(part) not in _NOTHING_INSIDE:
                 inside = (m for m in part.modules() if isinstance(m, NoisyLinear))
-                yield from (m for m in inside if m is not part)
+                yield from (m for m in inside if not any(m is layer for layer in own))
 
     def _parts(self) -> list[nn.Module]:
-        return [self.features_extractor, self.activation, *self.layers]
+        others = [part for name, part in self._modules.items() if name != "layers" and part]
+        return [*others, *self._own_layers()]
 
     def __getstate__(self) -> dict[str, Any]:
         # Pickle would store the whole memory of which a tensor is a part with every part.
@@ -163,6 +170,9 @@ class RainbowNetwork(BasePolicy):
         """Draw new noise for every noisy layer."""
         if self.tie_noise():
             scale_noise_(self.noise.normal_())
+        for layer in self._own_layers():
+            if isinstance(layer, NoisyLinear) and not _draws_plainly(layer):
+                layer.reset_noise()
         for layer in self._layers_called_by_others():
             layer.reset_noise()
 
@@ -170,7 +180,7 @@ class RainbowNetwork(BasePolicy):
         """Mean absolute sigma of each noisy layer, by the layer's place among the layers."""
         return {
             f"layer{i}": float(layer.noise_magnitude())
-            for i, layer in enumerate(self.layers)
+            for i, layer in enumerate(self._own_layers())
             if isinstance(layer, NoisyLinear)
         }
 
@@ -264,6 +274,13 @@ class RainbowNetwork(BasePolicy):
         )
         data.update({name: getattr(self, name) for name in names})
         return data
+
+
+def _draws_plainly(layer: nn.Module) -> bool:
+    """Whether a layer's noise is what :class:`NoisyLinear` draws."""
+    if not isinstance(layer, NoisyLinear) or "reset_noise" in vars(layer):
+        return False
+    return type(layer).reset_noise is NoisyLinear.reset_noise
 
 
 def check_support(n_atoms: int, v_min: float, v_max: float) -> None:

@@ -14,6 +14,7 @@ from typing import Any, Final
 import gymnasium as gym
 import numpy as np
 
+from benchmarks.errors import at_least
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.studies.design.reference import workspace_map
 from benchmarks.studies.speed import report
@@ -200,8 +201,10 @@ def tell(found: dict[str, Any]) -> str:
 def main(argv: list[str]) -> int:
     """Measure, print, and write ``speed/env.json`` and ``.md`` below the results folder."""
     words = report.parser("env", __doc__, steps=12_800, rounds=9)
-    words.add_argument("--starts", type=int, default=500, help="starts for the exact optimum")
-    words.add_argument("--memory-steps", type=int, default=1_000_000)
+    words.add_argument(
+        "--starts", type=at_least(1), default=500, help="starts for the exact optimum"
+    )
+    words.add_argument("--memory-steps", type=at_least(1), default=1_000_000)
     given = words.parse_args(argv)
     measured, starts = report.measured, given.starts
     found = report.provenance("env", argv, given) | {

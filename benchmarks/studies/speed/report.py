@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 import psutil
 
+from benchmarks.errors import at_least
 from benchmarks.reporting.tables.table import Table
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
@@ -43,8 +44,10 @@ def parser(word: str, text: str | None, steps: int, rounds: int) -> argparse.Arg
     """The command line of ``speed <word>``, with its defaults."""
     found = argparse.ArgumentParser(prog=f"python -m benchmarks speed {word}", description=text)
     found.add_argument("--results", type=Path, default=Path("results"))
-    found.add_argument("--steps", type=int, default=steps, help="steps per round and method")
-    found.add_argument("--rounds", type=int, default=rounds)
+    found.add_argument(
+        "--steps", type=at_least(1), default=steps, help="steps per round and method"
+    )
+    found.add_argument("--rounds", type=at_least(1), default=rounds)
     return found
 
 

@@ -1,0 +1,145 @@
+"""Layers, heads and noise of a user's own take part as they would in SB3."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.type_aliases import PyTorchObs
+from torch import nn
+
+from sb3_rainbow import MlpPolicy, NoisyLinear, Rainbow
+from sb3_rainbow.network.rainbow_network import RainbowNetwork
+
+
+def make(policy: Any = "MlpPolicy", **kwargs: Any) -> Rainbow:
+    return Rainbow(
+        policy, "CartPole-v1", learning_starts=20, buffer_size=500, batch_size=8, seed=0,
+        train_freq=1, device="cpu", **kwargs,
+    )  # fmt: skip
+
+
+def test_a_layer_in_two_places_stays_one_layer() -> None:
+    model = make(noisy=False, policy_kwargs={"net_arch": [64] * 3})
+    for net in (model.policy.q_net, model.policy.q_net_target):
+        net.layers[2] = net.layers[1]
+    before = model.q_net.layers[1].weight.detach().clone()  # type: ignore[operator]
+    model.learn(60)
+    assert model.q_net.layers[1] is model.q_net.layers[2]
+    assert not th.equal(before, model.q_net.layers[1].weight)  # type: ignore[arg-type]
+    shortcuts = model._learner.shortcuts
+    assert shortcuts is None or shortcuts.kernels is None
+
+
+def test_an_optimizer_keeps_what_is_not_the_networks() -> None:
+    model = make()
+    aux = nn.Parameter(th.zeros(1))
+    model.policy.optimizer.add_param_group({"params": [aux]})
+    model.q_net.layers[2] = NoisyLinear(64, 153)
+    model.policy.q_net_target.layers[2] = NoisyLinear(64, 153).requires_grad_(False)
+    model.learn(40)
+    own, other = model.policy.optimizer.param_groups
+    assert {id(p) for p in own["params"]} == {id(p) for p in model.q_net.parameters()}
+    assert other["params"] == [aux]
+
+
+class Ones(NoisyLinear):
+    def reset_noise(self) -> None:
+        self.epsilon_in.fill_(1.0)
+        self.epsilon_out.fill_(1.0)
+
+
+def test_a_layer_draws_noise_of_its_own() -> None:
+    model = make()
+    for net in (model.policy.q_net, model.policy.q_net_target):
+        net.layers[2] = Ones(64, 153)
+    model.policy.q_net_target.requires_grad_(False)
+    model.learn(40)
+    assert bool((model.q_net.layers[2].epsilon_in == 1.0).all())  # type: ignore[union-attr]
+
+
+class Before(RainbowNetwork):
+    """A noisy layer between extractor and layers."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.before = NoisyLinear(self.features_dim, self.features_dim)
+
+    def extract_features(self, obs: PyTorchObs, features_extractor: Any) -> th.Tensor:
+        features: th.Tensor = self.before(super().extract_features(obs, features_extractor))
+        return features
+
+
+class Bare(RainbowNetwork):
+    """A body without ``layers`` and ``activation``."""
+
+    def _build_layers(self) -> None:
+        self.body = nn.Linear(self.features_dim, self.n_actions * self.n_atoms)
+
+    def streams(self, obs: PyTorchObs, noisy: bool) -> th.Tensor:
+        features = self.extract_features(obs, self.features_extractor)
+        out: th.Tensor = self.body(features)
+        return out.view(features.shape[0], -1, self.n_atoms)
+
+
+class BeforePolicy(MlpPolicy):
+    kind: type[RainbowNetwork] = Before
+
+    def make_q_net(self) -> RainbowNetwork:
+        net_args = self._update_features_extractor(self.net_args, features_extractor=None)
+        return self.kind(**net_args).to(self.device)
+
+
+class BarePolicy(BeforePolicy):
+    kind = Bare
+
+
+def test_noise_of_a_subclass_is_drawn_and_silenced() -> None:
+    model = make(BeforePolicy)
+    net = model.q_net
+    assert isinstance(net, Before)
+    old = net.before.epsilon_in.clone()
+    model.learn(40)
+    assert not th.equal(old, net.before.epsilon_in)
+    observations = th.rand(5, 4)
+    quiet = net(observations, noisy=False)
+    net.reset_noise()
+    assert th.equal(quiet, net(observations, noisy=False))
+
+
+def test_a_network_with_another_body_learns() -> None:
+    model = make(BarePolicy, noisy=False, dueling=False)
+    before = [p.detach().clone() for p in model.q_net.parameters()]
+    model.learn(40)
+    after = list(model.q_net.parameters())
+    assert not all(th.equal(a, b) for a, b in zip(before, after, strict=True))
+
+
+def test_dropout_put_into_the_target_is_off() -> None:
+    model = make()
+    for net in (model.policy.q_net, model.policy.q_net_target):
+        net.layers[1] = nn.Sequential(nn.Linear(64, 64), nn.Dropout(0.5))
+    model.policy.q_net_target.requires_grad_(False)
+    model.learn(40)
+    assert not model.policy.q_net_target.layers[1].training
+
+
+def test_no_update_is_no_error() -> None:
+    model = make()
+    model.learn(40)
+    model.train(0)
+
+
+def test_none_means_to_load_what_it_means_to_the_constructor(tmp_path: Any) -> None:
+    model = make(tau=0.5, prioritized=False, n_steps=1)
+    model.save(tmp_path / "model")
+    path = tmp_path / "model.zip"
+    loaded = Rainbow.load(path, tau=None, prioritized=None, n_steps=None)
+    assert (loaded.tau, loaded.prioritized, loaded.n_steps) == (1e-3, True, 3)
+    assert Rainbow.load(path, tau=None, target_update_interval=100).tau == 1.0
+    assert Rainbow.load(path).tau == 0.5
+    assert isinstance(loaded.action_space, spaces.Discrete)
+    with pytest.raises(ValueError, match="tau"):
+        Rainbow.load(path, tau=2.0)
