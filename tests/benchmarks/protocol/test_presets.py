@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
+from benchmarks.__main__ import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import ABLATIONS, GEOMETRIES, expand, settings
 from benchmarks.protocol.presets import PRESETS, load_preset, parse_preset, preset_names
@@ -176,3 +177,27 @@ def test_a_track_may_vary_another() -> None:
     data["tracks"] = {"mine": {"base": "tunde"}}
     with pytest.raises(BenchmarkError, match="unknown base 'tunde'"):
         parse_preset(data, "mine", "mine.yaml")
+
+
+def test_bytes_that_are_no_text_are_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "bin.yaml"
+    for content in (b"\xff\xfe\x00", b"seeds: [0\nruns"):
+        path.write_bytes(content)
+        with pytest.raises(BenchmarkError, match="not valid YAML") as caught:
+            load_preset(str(path))
+        assert "\n" not in str(caught.value)
+
+
+def test_a_file_in_the_place_of_the_results_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    assert main(["run", "--preset", "smoke", "--results", str(tmp_path / "file")]) == 2
+    assert "name another place" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["rainbow", "--steps", "-1"], ["env", "--starts", "0"]])
+def test_speed_of_nothing_is_refused(words: list[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["speed", *words])
+    assert caught.value.code == 2

@@ -11,7 +11,7 @@ from gymnasium.wrappers import TimeAwareObservation
 
 import coop_env
 from coop_env import CoopInsertionVecEnv, CoopInsertionVectorEnv
-from coop_env.errors import ArgumentError
+from coop_env.errors import ArgumentError, ResetOptionError
 
 ID = "CoopInsertion-v0"
 
@@ -88,3 +88,17 @@ def test_the_registry_names_both_entries() -> None:
     assert gym.make(ID, render_mode="ansi").unwrapped.render_mode == "ansi"
     for name in coop_env.__all__:
         assert getattr(coop_env, name) is not None
+
+
+def test_a_refused_reset_leaves_the_generators() -> None:
+    env = CoopInsertionVectorEnv(2)
+    env.reset(seed=3)
+    before = env.np_random.bit_generator.state
+    with pytest.raises(ResetOptionError):
+        env.reset(seed=9, options={"target": 77})
+    assert env.np_random.bit_generator.state == before
+
+
+def test_numbers_beyond_floats_are_named() -> None:
+    with pytest.raises(ArgumentError, match="tolerance"):
+        coop_env.CoopInsertionEnv(task={"tolerance": 10**400})
