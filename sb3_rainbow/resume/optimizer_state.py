@@ -14,7 +14,9 @@ def per_parameter(state_dict: dict[str, Any], optimizer: th.optim.Optimizer) -> 
     :param state_dict: as saved
     :param optimizer: that is to take it
     """
-    groups, state = state_dict["param_groups"], state_dict["state"]
+    groups, state = state_dict.get("param_groups"), state_dict.get("state")
+    if not groups or state is None:
+        return state_dict  # none of an optimizer: torch says so
     parameters = optimizer.param_groups[0]["params"]
     joined = len(groups) == 1 and len(groups[0]["params"]) == 1 < len(parameters)
     vectors = [v for v in state.get(0, {}).values() if isinstance(v, th.Tensor) and v.ndim]

@@ -181,3 +181,10 @@ def test_a_model_of_another_algorithm(tmp_path: Any) -> None:
     DQN("MlpPolicy", "CartPole-v1", buffer_size=100).save(tmp_path / "dqn")
     with pytest.raises(ValueError, match="saved by another algorithm"):
         Rainbow.load(tmp_path / "dqn")
+
+
+def test_parameters_that_lack_something_are_refused_as_in_sb3() -> None:
+    model: Any = Rainbow("MlpPolicy", "CartPole-v1", buffer_size=100)
+    lacking = {name: dict(list(part.items())[:-1]) for name, part in model.get_parameters().items()}
+    with pytest.raises(RuntimeError, match="Missing key"):
+        model.set_parameters(lacking)
