@@ -220,9 +220,9 @@ class Rainbow(ResumableAlgorithm):
             self._setup_model()
 
     def _setup_model(self) -> None:
-        buffer_class = self.replay_buffer_class
-        # None, if load was given it, means what it means to the constructor
-        self.prioritized, self.n_steps = served_by(buffer_class, self.prioritized, self.n_steps)
+        asked: tuple[bool | None, int | None] = (self.prioritized, self.n_steps)
+        if None in asked:  # given to load, it means what it means to the constructor
+            self.prioritized, self.n_steps = served_by(self.replay_buffer_class, *asked)
         check_settings(self)
         self._support = (self.v_min, self.v_max)
         self._setup_lr_schedule()
@@ -246,6 +246,7 @@ class Rainbow(ResumableAlgorithm):
         if self.replay_buffer_class is None:
             self.replay_buffer_class = PrioritizedReplayBuffer
         buffer_class, size = self.replay_buffer_class, self.buffer_size
+        served_by(buffer_class, self.prioritized, self.n_steps)
         kwargs: dict[str, Any] = {}
         if issubclass(buffer_class, PrioritizedReplayBuffer):
             size = max(size, smallest_buffer(self.n_envs, self.n_steps))
