@@ -93,6 +93,9 @@ class Rainbow(ResumableAlgorithm):
     :param alpha: exponent of the priorities
     :param beta_start: importance-sampling exponent at the start of training
     :param beta_end: the same at the end; linear in between
+    :param advantage_learning: share of ``Q(s, a) - max Q(s, .)`` that is added to each target, in
+        [0, 1): advantage learning (Bellemare et al. 2016), which widens the gap between the best
+        action and the others where errors of the values would swallow it. 0 (default) is Rainbow
     :param use_masking: "auto" uses ``action_masks()`` where the env has it
     :param compile: one graph of target and loss by ``torch.compile``; the first update then takes
         some seconds. Without a compiler, one warning and no effect
@@ -152,6 +155,7 @@ class Rainbow(ResumableAlgorithm):
         alpha: float = 0.6,
         beta_start: float = 0.4,
         beta_end: float = 1.0,
+        advantage_learning: float = 0.0,
         use_masking: UseMasking = "auto",
         compile: bool = False,
         mixed_precision: bool = False,
@@ -206,6 +210,7 @@ class Rainbow(ResumableAlgorithm):
         self.alpha = alpha
         self.beta_start = beta_start
         self.beta_end = beta_end
+        self.advantage_learning = advantage_learning
         self.use_masking = use_masking
         self.compile = compile
         self.mixed_precision = mixed_precision
@@ -224,6 +229,7 @@ class Rainbow(ResumableAlgorithm):
         if None in asked:  # given to load, it means what it means to the constructor
             self.prioritized, self.n_steps = served_by(self.replay_buffer_class, *asked)
         check_settings(self)
+        self._needs_masks_at_t = self.advantage_learning > 0.0
         self._support = (self.v_min, self.v_max)
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
@@ -274,6 +280,7 @@ class Rainbow(ResumableAlgorithm):
             self.policy,
             self.double_q,
             self.max_grad_norm,
+            self.advantage_learning,
             self.compile,
             self.mixed_precision,
             self.cpu_kernels,

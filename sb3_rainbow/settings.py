@@ -89,6 +89,7 @@ class Settings(Protocol):
     """What an algorithm was told, as :class:`~sb3_rainbow.Rainbow`'s arguments name it."""
 
     action_space: spaces.Discrete
+    advantage_learning: float
     alpha: float
     batch_size: int
     beta_end: float
@@ -117,6 +118,8 @@ def check_settings(model: Settings) -> None:
     check_replay_parameters(model.n_steps, model.gamma, model.alpha, model.beta_start)
     if not 0.0 <= model.beta_end <= 1.0:
         raise ValueError(f"beta_end must lie in [0, 1], got {model.beta_end}")
+    if not 0.0 <= model.advantage_learning < 1.0:
+        raise ValueError(f"advantage_learning must lie in [0, 1), got {model.advantage_learning}")
     if model.batch_size < 1:
         raise ValueError(f"batch_size must be at least 1, got {model.batch_size}")
     if not 0.0 <= model.tau <= 1.0:

@@ -27,6 +27,7 @@ class PrioritizedReplayBufferSamples(NamedTuple):
     :param weights: importance-sampling weights over their batch maximum, ``(B,)``
     :param indices: leaves of the sum tree, for ``update_priorities``, ``(B,)``
     :param next_action_masks: allowed actions at t + k, ``(B, n_actions)``, None without masks
+    :param action_masks: the same at t, None where they were not stored
     """
 
     observations: th.Tensor | TensorDict
@@ -37,7 +38,8 @@ class PrioritizedReplayBufferSamples(NamedTuple):
     discounts: th.Tensor
     weights: th.Tensor
     indices: NDArray[np.int64]
-    next_action_masks: th.Tensor | None
+    next_action_masks: th.Tensor | None = None
+    action_masks: th.Tensor | None = None
 
 
 class Batch(NamedTuple):
@@ -55,3 +57,4 @@ class Batch(NamedTuple):
     discounts: th.Tensor
     weights: th.Tensor | None
     next_action_masks: th.Tensor | None
+    action_masks: th.Tensor | None = None

@@ -112,22 +112,31 @@ def all_logits(
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def best_actions(
-    masses: Matrix, support: Vector, masks: NDArray[np.bool_], actions: NDArray[np.int64]
+    masses: Matrix,
+    support: Vector,
+    masks: NDArray[np.bool_],
+    actions: NDArray[np.int64],
+    taken: NDArray[np.int64],
+    advantages: Vector,
 ) -> None:
     """
-    The allowed action of the highest expectation.
+    The allowed action of the highest expectation, and how far another one's is below it.
 
     :param masses: proportional to the atoms' probabilities, ``(B, n_actions * n_atoms)``; with one
         atom, the values themselves
     :param masks: ``(B, n_actions)``, or ``(0, 0)`` to allow everything
     :param actions: result, ``(B,)``
+    :param taken: actions to compare with the best, ``(B,)``, or ``(0,)`` for none
+    :param advantages: result, their expectations less the best ones, ``(B,)`` or ``(0,)``
     """
     n_atoms = support.shape[0]
     n_actions = masses.shape[1] // n_atoms
     for b in range(masses.shape[0]):
         best, chosen = np.float32(0.0), -1
         for a in range(n_actions):
-            if masks.shape[0] > 0 and not masks[b, a]:
+            compared = taken.shape[0] > 0 and taken[b] == a
+            forbidden = masks.shape[0] > 0 and not masks[b, a]
+            if forbidden and not compared:
                 continue
             part = masses[b, a * n_atoms : (a + 1) * n_atoms]
             expectation = part[0]
@@ -137,9 +146,13 @@ def best_actions(
                     total += part[j]
                     moment += part[j] * support[j]
                 expectation = moment / total
-            if chosen < 0 or expectation > best:
+            if compared:
+                advantages[b] = expectation
+            if not forbidden and (chosen < 0 or expectation > best):
                 best, chosen = expectation, a
         actions[b] = chosen
+        if taken.shape[0] > 0:
+            advantages[b] -= best
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -20,6 +20,8 @@ from sb3_rainbow.type_aliases import Batch
 _TINY = float(np.finfo(np.float32).tiny)
 _GRAD = attrgetter("grad")
 _NO_MASKS = np.zeros((0, 0), dtype=np.bool_)
+_NO_ACTIONS = np.zeros(0, dtype=np.int64)
+_NO_VALUES = np.zeros(0, dtype=np.float32)
 
 
 class MlpUpdate:
@@ -110,6 +112,7 @@ class MlpUpdate:
         optimizer: th.optim.Optimizer,
         double_q: bool,
         max_grad_norm: float | None,
+        advantage_learning: float = 0.0,
     ) -> tuple[th.Tensor, th.Tensor]:
         """As ``Learner.update``."""
         for noise in self._noises:
@@ -117,7 +120,9 @@ class MlpUpdate:
         obs, next_obs = self._features(batch.observations), self._features(batch.next_observations)
         n = obs.shape[0]
         weights = np.ones(n, np.float32) if batch.weights is None else batch.weights.numpy()
-        slope, losses, priorities = self._slopes(batch, obs, next_obs, weights, double_q)
+        slope, losses, priorities = self._slopes(
+            batch, obs, next_obs, weights, double_q, advantage_learning
+        )
         learning_kernels.backward(
             self._effective,
             self.table,
@@ -153,8 +158,7 @@ class MlpUpdate:
             self._vectors[0].numpy(), self._noises[0].numpy(), self.table, self._effective
         )
         units = kernels.hidden_units(self._effective, self.table, features, self._hidden)
-        masks = _NO_MASKS if action_masks is None else action_masks
-        return self._best_actions(self._effective, units, masks)
+        return self._best_actions(self._effective, units, action_masks)
 
     def move_target(self, tau: float) -> None:
         """Polyak average of the parameters."""
@@ -173,6 +177,7 @@ class MlpUpdate:
         next_obs: NDArray[np.float32],
         weights: NDArray[np.float32],
         double_q: bool,
+        advantage_learning: float,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         """Slope of the weighted mean loss in the taken logits, losses and priorities."""
         net, table, n = self.q_net, self.table, obs.shape[0]
@@ -190,19 +195,22 @@ class MlpUpdate:
             )
         else:
             chooser, units_next = target, units_target
-        masks = batch.next_action_masks
-        next_actions = self._best_actions(
-            chooser, units_next, _NO_MASKS if masks is None else masks.numpy()
-        )
-        units = kernels.hidden_units(online, table, obs, self._hidden)
+        next_actions = self._best_actions(chooser, units_next, _array(batch.next_action_masks))
         self._actions = batch.actions[:, 0].numpy()
+        returns = batch.rewards.numpy()
+        if advantage_learning > 0.0:
+            advantages = np.empty(n, np.float32)
+            units_before = kernels.hidden_units(target, table, obs, self._hidden_next)
+            masks = _array(batch.action_masks)
+            self._best_actions(target, units_before, masks, self._actions, advantages)
+            returns = returns + np.float32(advantage_learning) * advantages[:, None]
+        units = kernels.hidden_units(online, table, obs, self._hidden)
         logits = self._taken(online, units, self._actions, self._common, self._common_bias)
         target_logits = self._taken(
             target, units_target, next_actions, self._common_target, self._common_bias_target
         )
         slope, losses = np.empty_like(logits), np.empty(n, np.float32)
-        returns, discounts = batch.rewards.numpy(), batch.discounts.numpy()
-        dones = batch.dones.numpy()
+        discounts, dones = batch.discounts.numpy(), batch.dones.numpy()
         priorities = np.empty(n, np.float32)
         if net.distributional:
             target = np.empty_like(logits)
@@ -227,7 +235,9 @@ class MlpUpdate:
         self,
         effective: NDArray[np.float32],
         units: NDArray[np.float32],
-        masks: NDArray[np.bool_],
+        masks: NDArray[np.bool_] | None,
+        taken: NDArray[np.int64] = _NO_ACTIONS,
+        advantages: NDArray[np.float32] = _NO_VALUES,
     ) -> NDArray[np.int64]:
         net, n = self.q_net, units.shape[0]
         logits = self._logits[:n]
@@ -235,7 +245,10 @@ class MlpUpdate:
         if net.distributional:
             th.from_numpy(logits).exp_()
         actions = np.empty(n, np.int64)
-        kernels.best_actions(logits, net.support.numpy(), masks, actions)
+        kernels.best_actions(
+            *(logits, net.support.numpy(), _NO_MASKS if masks is None else masks, actions),
+            *(taken, advantages),
+        )
         return actions
 
     def _taken(
@@ -260,6 +273,10 @@ def _join(parameters: list[nn.Parameter]) -> th.Tensor:
     vector = th.cat([p.detach().reshape(-1) for p in parameters])
     share(parameters, vector)
     return vector
+
+
+def _array(masks: th.Tensor | None) -> NDArray[np.bool_] | None:
+    return None if masks is None else masks.numpy()
 
 
 def _exponential(logits: NDArray[np.float32]) -> NDArray[np.float32]:

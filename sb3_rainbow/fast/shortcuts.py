@@ -31,6 +31,7 @@ class Shortcuts:
     :param policy: whose networks and optimizer to work on
     :param loss: weighted mean loss with gradient, and priorities, of two networks and a batch
     :param double_q: double Q-learning
+    :param advantage_learning: share of the action's advantage that is added to its target
     :param max_grad_norm: gradient norm to clip to, None for no clipping
     :param compile_loss: whether to make one graph by ``torch.compile``
     :param cpu_kernels: whether compiled kernels take over where they can
@@ -41,12 +42,14 @@ class Shortcuts:
         policy: RainbowPolicy,
         loss: Loss,
         double_q: bool,
+        advantage_learning: float,
         max_grad_norm: float | None,
         compile_loss: bool,
         cpu_kernels: bool,
     ) -> None:
         self.policy = policy
         self.double_q = double_q
+        self.advantage_learning = advantage_learning
         self.max_grad_norm = max_grad_norm
         self._loss = loss
         self._compile_loss = compile_loss
@@ -99,7 +102,13 @@ class Shortcuts:
         if self._mlp is None:
             return None
         with single_blas_thread():
-            return self._mlp.update(batch, self.policy.optimizer, self.double_q, self.max_grad_norm)
+            return self._mlp.update(
+                batch,
+                self.policy.optimizer,
+                self.double_q,
+                self.max_grad_norm,
+                self.advantage_learning,
+            )
 
     def gradient(self, batch: Batch) -> LossAndPriorities | None:
         """Leave the clipped gradient in the parameters' ``grad``; None where it did nothing."""

@@ -25,6 +25,7 @@ class Learner:
 
     :param policy: whose networks and optimizer to work on
     :param double_q: double Q-learning
+    :param advantage_learning: share of the action's advantage that is added to its target
     :param max_grad_norm: gradient norm to clip to, None for no clipping
     :param compile_loss: whether ``torch.compile`` makes one graph of target, loss and gradient
     :param mixed_precision: whether to compute the loss in bfloat16 where that is safe (CUDA)
@@ -36,18 +37,26 @@ class Learner:
         policy: RainbowPolicy,
         double_q: bool,
         max_grad_norm: float | None,
+        advantage_learning: float = 0.0,
         compile_loss: bool = False,
         mixed_precision: bool = False,
         cpu_kernels: bool = True,
     ) -> None:
         self.policy = policy
         self.double_q = double_q
+        self.advantage_learning = advantage_learning
         self.max_grad_norm = max_grad_norm
         self.mixed_precision = mixed_precision
         self.shortcuts: Shortcuts | None = None
         if Shortcuts is not None:
             self.shortcuts = Shortcuts(
-                policy, self._loss, double_q, max_grad_norm, compile_loss, cpu_kernels
+                policy,
+                self._loss,
+                double_q,
+                advantage_learning,
+                max_grad_norm,
+                compile_loss,
+                cpu_kernels,
             )
 
     @property
@@ -97,7 +106,7 @@ class Learner:
     ) -> tuple[th.Tensor, th.Tensor]:
         """Weighted mean loss with gradient, and priorities ``(B,)``."""
         with th.autocast(q_net.device.type, th.bfloat16, enabled=self.mixed_precision):
-            return mean_loss(q_net, q_net_target, batch, self.double_q)
+            return mean_loss(q_net, q_net_target, batch, self.double_q, self.advantage_learning)
 
     def act(
         self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None
@@ -131,10 +140,12 @@ class Learner:
         """
         values = {"max_q": float(self.q_net(batch.observations).amax(dim=1).mean())}
         if self.q_net.distributional:
-            target = td_target(self.q_net, self.q_net_target, batch, self.double_q)
+            target = td_target(
+                self.q_net, self.q_net_target, batch, self.double_q, self.advantage_learning
+            )
             share = clipped_share(
                 target.next_probabilities,
-                batch.rewards,
+                target.rewards,
                 batch.discounts * (1.0 - batch.dones),
                 self.q_net.support,
                 self.q_net.v_min,
@@ -173,4 +184,5 @@ def as_batch(samples: Any, gamma: float, masking: bool) -> Batch:
         discounts,
         getattr(samples, "weights", None),
         getattr(samples, "next_action_masks", None) if masking else None,
+        getattr(samples, "action_masks", None) if masking else None,
     )

@@ -25,10 +25,16 @@ class Target(NamedTuple):
     """Actions chosen at t + k, ``(B, 1)``."""
     next_probabilities: th.Tensor
     """Distribution at t + k before discounting, ``(B, N)``."""
+    rewards: th.Tensor
+    """Returns of the k steps, with what advantage learning adds, ``(B, 1)``."""
 
 
 def td_target(
-    q_net: RainbowNetwork, q_net_target: RainbowNetwork, batch: Batch, double_q: bool
+    q_net: RainbowNetwork,
+    q_net_target: RainbowNetwork,
+    batch: Batch,
+    double_q: bool,
+    advantage_learning: float = 0.0,
 ) -> Target:
     """
     n-step target (Hessel et al. 2018, equation 3), or its scalar form; without gradients.
@@ -36,21 +42,29 @@ def td_target(
     The action at t + k is the best allowed there by that state's own mask, in the eyes of the
     online network with double Q-learning and of the target network without; its value is always
     the target network's.
+
+    Advantage learning (Bellemare et al. 2016, equation 10) adds a share of the target network's
+    ``Q(s, a) - max Q(s, .)`` at t, the maximum over what was allowed there: the best action keeps
+    its value, and the others fall behind it by up to ``1 / (1 - share)`` times as much as without.
     """
     chooser = q_net if double_q else q_net_target
     with th.no_grad():
         q_values = chooser(batch.next_observations, noisy=True)
         actions = mask_q_values(q_values, batch.next_action_masks).argmax(dim=1, keepdim=True)
-        discounts = batch.discounts * (1.0 - batch.dones)
+        discounts, rewards = batch.discounts * (1.0 - batch.dones), batch.rewards
+        if advantage_learning > 0.0:
+            q_values = q_net_target(batch.observations, noisy=True)
+            best = mask_q_values(q_values, batch.action_masks).amax(dim=1, keepdim=True)
+            rewards = rewards + advantage_learning * (q_values.gather(1, batch.actions) - best)
         if not q_net.distributional:
             next_values = q_net_target(batch.next_observations, noisy=True).gather(1, actions)
-            return Target(batch.rewards + discounts * next_values, actions, next_values)
+            return Target(rewards + discounts * next_values, actions, next_values, rewards)
         logits = q_net_target.logits(batch.next_observations, noisy=True)
         probabilities = F.softmax(of_actions(logits, actions), dim=1)
         values = project_distribution(
-            probabilities, batch.rewards, discounts, q_net.support, q_net.v_min, q_net.v_max
+            probabilities, rewards, discounts, q_net.support, q_net.v_min, q_net.v_max
         )
-        return Target(values, actions, probabilities)
+        return Target(values, actions, probabilities, rewards)
 
 
 def td_losses(
@@ -78,10 +92,14 @@ def td_losses(
 
 
 def mean_loss(
-    q_net: RainbowNetwork, q_net_target: RainbowNetwork, batch: Batch, double_q: bool
+    q_net: RainbowNetwork,
+    q_net_target: RainbowNetwork,
+    batch: Batch,
+    double_q: bool,
+    advantage_learning: float = 0.0,
 ) -> tuple[th.Tensor, th.Tensor]:
     """Importance-weighted mean of the losses, scalar with gradient, and priorities ``(B,)``."""
-    target = td_target(q_net, q_net_target, batch, double_q)
+    target = td_target(q_net, q_net_target, batch, double_q, advantage_learning)
     losses, priorities = td_losses(q_net, batch, target.values)
     return (losses if batch.weights is None else losses * batch.weights).mean(), priorities
 

@@ -34,6 +34,7 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
     action_space: spaces.Discrete
     use_masking: UseMasking = "auto"
     _masking: bool = False
+    _needs_masks_at_t: bool = False  # whether targets look at the state the action was taken in
     _warned_of_lost_mask: bool = False
     _last_action_masks: NDArray[np.bool_] | None = None
 
@@ -128,14 +129,18 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
         next_obs = original_obs
         if dones.any():
             next_obs = with_terminal_observations(original_obs, dones, infos, normalizer)
-        masks = None
+        masks, masks_at_t = None, None
         if self._masking:
+            if self._needs_masks_at_t:
+                masks_at_t = self._last_action_masks
             self._last_action_masks = self._current_masks()
             masks, lost = with_terminal_masks(self._last_action_masks, dones, infos)
             if lost and not self._warned_of_lost_mask:
                 self._warned_of_lost_mask = True
                 warnings.warn(LOST_MASK_WARNING, stacklevel=2)
         assert stored_obs is not None
-        replay_buffer.add(stored_obs, next_obs, buffer_action, stored_reward, dones, infos, masks)
+        replay_buffer.add(
+            stored_obs, next_obs, buffer_action, stored_reward, dones, infos, masks, masks_at_t
+        )
         self._last_obs = new_obs
         self._last_original_obs = original_obs

@@ -138,7 +138,7 @@ class PrioritizedReplayBuffer(NStepRing):
         parts = self._windows(batch_inds, env)
         parts["weights"] = np.empty(batch_inds.shape[0], dtype=np.float32)
         importance_weights(batch_inds, self.tree.leaves, self.beta, parts["weights"])
-        tensors: dict[str, Any] = {"next_action_masks": None, **to_device(parts, self.device)}
+        tensors: dict[str, Any] = to_device(parts, self.device)
         return PrioritizedReplayBufferSamples(indices=batch_inds, **tensors)
 
     def update_priorities(self, indices: NDArray[np.int64], losses: NDArray) -> None:

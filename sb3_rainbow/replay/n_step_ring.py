@@ -21,7 +21,7 @@ from sb3_rainbow.replay.observation_store import ObservationStore, Rows, stored_
 from sb3_rainbow.replay.parameters import warn_of_memory
 from sb3_rainbow.type_aliases import ObsArray
 
-_TRIMMED = ("actions", "rewards", "ends", "next_action_masks")
+_TRIMMED = ("actions", "rewards", "ends", "action_masks", "next_action_masks")
 
 
 class NStepRing(ReplayBuffer):
@@ -72,6 +72,7 @@ class NStepRing(ReplayBuffer):
         self.actions = np.zeros((*shape, self.action_dim), dtype=stored_dtype(self.action_space))
         self.rewards = np.zeros(shape, dtype=np.float32)
         self.ends = np.zeros(shape, dtype=np.uint8)
+        self.action_masks: NDArray[np.bool_] | None = None
         self.next_action_masks: NDArray[np.bool_] | None = None
         # Stored transitions per env whose window is not complete yet
         self._pending = np.zeros(self.n_envs, dtype=np.int64)
@@ -108,8 +109,9 @@ class NStepRing(ReplayBuffer):
     @property
     def nbytes(self) -> int:
         """Bytes that all of it occupies once it is full, but for terminal observations."""
-        arrays = [self.actions, self.rewards, self.ends, self.next_action_masks]
-        return self._store.nbytes + sum(array.nbytes for array in arrays if array is not None)
+        masks = (self.action_masks, self.next_action_masks)
+        arrays = [self.actions, self.rewards, self.ends, *(m for m in masks if m is not None)]
+        return self._store.nbytes + sum(array.nbytes for array in arrays)
 
     def add(
         self,
@@ -120,6 +122,7 @@ class NStepRing(ReplayBuffer):
         done: NDArray,
         infos: list[dict[str, Any]],
         next_action_masks: NDArray[np.bool_] | None = None,
+        action_masks: NDArray[np.bool_] | None = None,
     ) -> None:
         """
         Store one step of every env.
@@ -133,6 +136,7 @@ class NStepRing(ReplayBuffer):
         :param infos: ``"TimeLimit.truncated"`` tells truncations from terminations
         :param next_action_masks: actions allowed at ``next_obs``, ``(n_envs, n_actions)``; None
             allows all
+        :param action_masks: the same at ``obs``, for who needs them
         :raises ValueError: for a reward that is not finite in float32; nothing is stored then
         """
         rewards = np.asarray(reward, dtype=np.float32)
@@ -152,7 +156,8 @@ class NStepRing(ReplayBuffer):
         self._store.write(pos, current, following)
         self.actions[pos] = action.reshape(self.n_envs, self.action_dim)
         self.rewards[pos] = rewards
-        self._store_masks(pos, next_action_masks)
+        self._store_masks("next_action_masks", pos, next_action_masks)
+        self._store_masks("action_masks", pos, action_masks)
 
         ended = np.asarray(done, dtype=bool)
         self.ends[pos] = np.where(ended, TERMINATED, RUNNING)
@@ -185,18 +190,18 @@ class NStepRing(ReplayBuffer):
                 self._store.keep_newest(newest, env)
             self._complete(interrupted, newest)
 
-    def _store_masks(self, pos: int, masks: NDArray[np.bool_] | None) -> None:
+    def _store_masks(self, name: str, pos: int, masks: NDArray[np.bool_] | None) -> None:
+        stored = getattr(self, name)
         if masks is None:
-            if self.next_action_masks is not None:
-                self.next_action_masks[pos] = True
+            if stored is not None:
+                stored[pos] = True
             return
-        if self.next_action_masks is None:
+        if stored is None:
             n_actions = int(cast(spaces.Discrete, self.action_space).n)
-            self.next_action_masks = np.ones(
-                (self.buffer_size, self.n_envs, n_actions), dtype=np.bool_
-            )
+            stored = np.ones((self.buffer_size, self.n_envs, n_actions), dtype=np.bool_)
+            setattr(self, name, stored)
             warn_of_memory(self.nbytes)
-        self.next_action_masks[pos] = masks
+        stored[pos] = masks
 
     def _complete(self, ended: NDArray[np.bool_], newest: int) -> None:
         leaves = np.empty(int(self._pending.sum()), dtype=np.int64)
@@ -242,10 +247,10 @@ class NStepRing(ReplayBuffer):
             "rewards": returns,
             "discounts": discounts,
         }
-        if self.next_action_masks is not None:
-            n_actions = self.next_action_masks.shape[-1]
-            masks = self.next_action_masks.reshape(-1, n_actions)
-            parts["next_action_masks"] = masks[last_leaves]
+        for name, where in (("action_masks", leaves), ("next_action_masks", last_leaves)):
+            masks = getattr(self, name)
+            if masks is not None:
+                parts[name] = masks.reshape(-1, masks.shape[-1])[where]
         return parts
 
     def _normalized_returns(

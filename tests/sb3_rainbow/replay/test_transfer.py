@@ -38,7 +38,7 @@ def test_a_sample_needs_one_copy_to_another_device(
         obs = {"a": np.full((1, 3), step, np.float32), "b": np.array([step % 4])}
         given = obs if is_dict else obs["a"]
         mask = np.arange(6)[None] <= step
-        buffer.add(given, given, np.array([step]), np.ones(1), np.zeros(1), [{}], mask)
+        buffer.add(given, given, np.array([step]), np.ones(1), np.zeros(1), [{}], mask, ~mask)
     indices = np.arange(4)
     expected = buffer.samples_at(indices)
     copies = []
