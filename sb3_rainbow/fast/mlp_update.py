@@ -57,9 +57,10 @@ class MlpUpdate:
         self.table = table_of(q_net)
         n_in, n_out = self.table[-1, [kernels.INPUTS, kernels.OUTPUTS]]
         n_effective = int(self.table[-1, kernels.EFFECTIVE] + (n_in + 1) * n_out)
-        self._effective, self._effective_target, self._gradient = (
-            np.zeros(n_effective, np.float32) for _ in range(3)
+        self._effective, self._effective_target, self._effective_mean, self._gradient = (
+            np.zeros(n_effective, np.float32) for _ in range(4)
         )
+        self._no_noise = np.zeros_like(self._noises[1].numpy())
         self._capacity = 0
         self._common, self._common_target = (
             np.zeros((q_net.n_atoms, n_in), np.float32) for _ in range(2)
@@ -200,9 +201,11 @@ class MlpUpdate:
         returns = batch.rewards.numpy()
         if advantage_learning > 0.0:
             advantages = np.empty(n, np.float32)
-            units_before = kernels.hidden_units(target, table, obs, self._hidden_next)
+            mean, vector = self._effective_mean, self._vectors[1].numpy()
+            kernels.effective_weights(vector, self._no_noise, table, mean)
+            units_before = kernels.hidden_units(mean, table, obs, self._hidden_next)
             masks = _array(batch.action_masks)
-            self._best_actions(target, units_before, masks, self._actions, advantages)
+            self._best_actions(mean, units_before, masks, self._actions, advantages)
             returns = returns + np.float32(advantage_learning) * advantages[:, None]
         units = kernels.hidden_units(online, table, obs, self._hidden)
         logits = self._taken(online, units, self._actions, self._common, self._common_bias)

@@ -46,6 +46,7 @@ def td_target(
     Advantage learning (Bellemare et al. 2016, equation 10) adds a share of the target network's
     ``Q(s, a) - max Q(s, .)`` at t, the maximum over what was allowed there: the best action keeps
     its value, and the others fall behind it by up to ``1 / (1 - share)`` times as much as without.
+    By the mean weights: a maximum over noisy values is too high, and every action would pay for it.
     """
     chooser = q_net if double_q else q_net_target
     with th.no_grad():
@@ -53,7 +54,7 @@ def td_target(
         actions = mask_q_values(q_values, batch.next_action_masks).argmax(dim=1, keepdim=True)
         discounts, rewards = batch.discounts * (1.0 - batch.dones), batch.rewards
         if advantage_learning > 0.0:
-            q_values = q_net_target(batch.observations, noisy=True)
+            q_values = q_net_target(batch.observations, noisy=False)
             best = mask_q_values(q_values, batch.action_masks).amax(dim=1, keepdim=True)
             rewards = rewards + advantage_learning * (q_values.gather(1, batch.actions) - best)
         if not q_net.distributional:

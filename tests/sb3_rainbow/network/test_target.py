@@ -119,7 +119,7 @@ def test_advantage_learning_adds_a_share_of_the_gap(distributional: bool, masked
     batch = make_batch()._replace(action_masks=masks if masked else None)
     masks[th.arange(64), batch.actions[:, 0]] = True
     nets = (policy.q_net, policy.q_net_target)
-    q_values = policy.q_net_target(batch.observations, noisy=True).detach().numpy()
+    q_values = policy.q_net_target(batch.observations, noisy=False).detach().numpy()
     gaps = [
         gap(q_values[i], int(batch.actions[i]), masks[i].numpy() if masked else None)
         for i in range(64)
