@@ -55,7 +55,8 @@ def play(
     arguments = env_arguments(preset, cell, preset.tracks[cell.track])
     policy = model_policy(model)
     rows = []
-    for episode in begin_episodes(arguments, cell.seed, preset.evaluation.episodes):
+    tests = preset.evaluation
+    for episode in begin_episodes(arguments, cell.seed, tests.episodes, tests.stream):
         target, lean = int(episode.env.state["target"]), episode.env.configuration[3:5]
         roll, pitch = np.degrees(lean).tolist()
         plan = oracle.plan(episode.env)
