@@ -78,7 +78,9 @@ def _informed(episodes: Sequence[Episode], weight: float, ahead: bool) -> Choose
     packed = task.pack(episodes[0].env.params)
 
     def choose(_: Any, masks: NDArray[np.bool_], running: Sequence[int]) -> NDArray[Any]:
-        states = np.array([episodes[i].env.state for i in running])
+        states = np.empty(len(running), episodes[0].env.state.dtype)
+        for row, i in enumerate(running):
+            states[row] = episodes[i].env.state
         return costs(states, weight, ahead, packed).argmin(axis=1)
 
     return choose
@@ -179,14 +181,22 @@ def _moved(c: Configuration, action: int, p: EnvParams) -> Configuration:
 
 
 @njit(cache=True)
+def _allowed(c: Configuration, p: EnvParams) -> bool:
+    """Whether masks without a memory allow a move to a configuration."""
+    if p.task.mask_singularities:
+        return state.configuration_status(c, p) == state.VALID
+    return state.delta_valid(c, p) and state.rrs_valid(c, p)
+
+
+@njit(cache=True)
 def observed_costs(
     rows: np.ndarray, masks: np.ndarray, o: np.ndarray, weight: float, ahead: bool,
     packed: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """As :func:`costs`, from observations (n, 12) and masks (n, 12) of the first move.
 
-    ``o`` is the observation's transform. Of the second moves those are allowed that lead to a valid
-    configuration, free of collision and not singular, and do not undo the first.
+    ``o`` is the observation's transform. Of the second moves those are allowed that lead to what
+    the track's masks take for a valid configuration, and do not undo the first.
     """
     p = task.unpack(packed)
     out = np.full((rows.shape[0], N_ACTIONS), np.inf)
@@ -205,6 +215,6 @@ def observed_costs(
                 continue
             for second in range(N_ACTIONS):
                 c = _moved(there, second, p)
-                if second != action ^ 1 and state.configuration_status(c, p) == state.VALID:
+                if second != action ^ 1 and _allowed(c, p):
                     out[i, action] = min(out[i, action], potential(c, target, weight, p))
     return out

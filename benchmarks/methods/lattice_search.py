@@ -32,6 +32,9 @@ drop_stale_kernels(Path(__file__).parent, Path(coop_env.__file__).parent)
 UNREACHED: Final = 1 << 20  # above any path, and sums of two stay small integers
 NODE_LIMIT: Final = -1
 INFEASIBLE: Final = -2
+# how far a real machine may be from its model at most, beyond which it is not asked
+TILT_SLACK: Final = 0.3  # rad
+REACH_SLACK: Final = 0.02  # m
 BARRED: Final = 255  # of a point, in place of the move that led there
 
 
@@ -172,8 +175,13 @@ def goals(lattice: Lattice, target: int) -> NDArray[np.int64]:
         if not lattice.rrs_free[rrs_node]:
             continue
         c = configuration_at(lattice, some_delta * n_rrs + rrs_node)
-        pose = placed(lattice, c)[3]
+        pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
         mouth, normal = hole(pose, target, p)
+        if p.task.imperfect:
+            believed = state.alignment_angle(normal[0], normal[1], normal[2])
+            if believed >= p.task.angle_tolerance + TILT_SLACK:
+                continue
+            mouth, normal = hole(placed(lattice, c)[3], target, p)
         if state.alignment_angle(normal[0], normal[1], normal[2]) >= p.task.angle_tolerance:
             continue
         above = mouth[2] - p.delta.base_height + p.delta.peg_length
@@ -192,12 +200,21 @@ def goals(lattice: Lattice, target: int) -> NDArray[np.int64]:
 @njit(cache=True)
 def _meets(lattice: Lattice, point: int, mouth: tuple[float, float, float]) -> bool:
     """Whether the Delta's node is free and has the peg's tip in a mouth."""
+    p = lattice.p
     if not lattice.delta_free[point // lattice.rrs_free.size]:
         return False
-    _, at, _, _, _ = placed(lattice, configuration_at(lattice, point))
-    tip = peg_tip(at[0], at[1], at[2], lattice.p.delta)
+    c = configuration_at(lattice, point)
+    distance = _tip_distance((c[0], c[1], c[2]), mouth, p)
+    if p.task.imperfect and distance < p.task.tolerance + REACH_SLACK:
+        distance = _tip_distance(placed(lattice, c)[1], mouth, p)
+    return distance < p.task.tolerance
+
+
+@njit(cache=True)
+def _tip_distance(effector: Row, mouth: Row, p: EnvParams) -> float:
+    tip = peg_tip(effector[0], effector[1], effector[2], p.delta)
     dx, dy, dz = mouth[0] - tip[0], mouth[1] - tip[1], mouth[2] - tip[2]
-    return math.sqrt(dx * dx + dy * dy + dz * dz) < lattice.p.task.tolerance
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
 @njit(cache=True)

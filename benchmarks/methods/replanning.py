@@ -25,7 +25,7 @@ from coop_env.simulation.collision import hole, peg_tip
 
 drop_stale_kernels(Path(__file__).parent, Path(coop_env.__file__).parent)
 
-WIDEST: Final = 3.0  # tolerances within which a configuration is worth a visit
+WIDEST: Final = 2.0  # tolerances within which a configuration is worth a visit
 RING: Final = 0.25  # tolerances between two rings, of which the inner is searched first
 
 Points = NDArray[np.int64]

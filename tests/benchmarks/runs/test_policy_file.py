@@ -26,23 +26,23 @@ def preset() -> Preset:
     data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
     data["evaluation"] = {"episodes": 3, "noise": [0.0]}
     preset = parse_preset(data, "smoke", "smoke.yaml")
-    track = preset.tracks["tuned"]
+    track = preset.tracks["safe"]
     ppo = dataclasses.replace(track.ppo, n_steps=16, batch_size=16, n_epochs=1)
-    return dataclasses.replace(preset, tracks={"tuned": dataclasses.replace(track, ppo=ppo)})
+    return dataclasses.replace(preset, tracks={"safe": dataclasses.replace(track, ppo=ppo)})
 
 
 @pytest.mark.parametrize("method", sorted(ALGORITHMS))
 def test_the_stored_policy_repeats_the_stored_episodes(
     method: str, preset: Preset, tmp_path: Path
 ) -> None:
-    cell = Cell(method, "full", "optimized", "tuned", 0)
+    cell = Cell(method, "full", "optimized", "safe", 0)
     store = Store.open(tmp_path, "smoke", create=True)
     assert run_cell(Insertion(preset), cell, store)
     run = store.run(cell.id)
     assert run.policy.stat().st_size < 300_000
     assert len(run.meta()["training"]["weights_sha256"]) == 64
     model = ALGORITHMS[method].load(run.policy, device="cpu")
-    arguments = env_arguments(preset, cell, preset.tracks["tuned"])
+    arguments = env_arguments(preset, cell, preset.tracks["safe"])
     again = evaluate_policy(model_policy(model), preset, cell.seed, arguments)
     stored = run.rows("episodes")
     assert [row["reward"] for row in again] == pytest.approx(stored["reward"].tolist(), rel=1e-6)
@@ -53,7 +53,7 @@ def test_the_stored_policy_repeats_the_stored_episodes(
 def test_half_precision_moves_no_weight_further_than_its_last_bit(
     method: str, preset: Preset
 ) -> None:
-    cell = Cell(method, "full", "optimized", "tuned", derive("learner", 3) % 1000)
+    cell = Cell(method, "full", "optimized", "safe", derive("learner", 3) % 1000)
     model = build_model(preset, cell, make_training_env(preset, cell))
     before = {k: v.clone() for k, v in model.policy.state_dict().items()}
     whole = policy_file.digest(model)

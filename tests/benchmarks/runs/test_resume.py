@@ -33,19 +33,19 @@ from benchmarks.studies.insertion import Insertion
 from sb3_rainbow import Rainbow
 
 CELLS = [
-    Cell("rainbow", "full", "optimized", "tuned", 0),
-    Cell("rainbow", "no_noisy", "optimized", "tuned", 0),
-    Cell("dqn", "full", "optimized", "tuned", 0),
+    Cell("rainbow", "full", "optimized", "safe", 0),
+    Cell("rainbow", "no_noisy", "optimized", "safe", 0),
+    Cell("dqn", "full", "optimized", "safe", 0),
 ]
 
 
 @pytest.fixture(scope="module")
 def preset() -> Preset:
     data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
-    data["tracks"]["tuned"]["timesteps"] = 400
+    data["tracks"]["safe"]["timesteps"] = 400
     data["evaluation"] = {"episodes": 1, "noise": [0.0]}
     # a low bar, so that the curriculum's switch lies within the run
-    data["tracks"]["tuned"]["curriculum"] = {"threshold": -1.0, "window": 1}
+    data["tracks"]["safe"]["curriculum"] = {"threshold": -1.0, "window": 1}
     return parse_preset(data, "smoke", "smoke.yaml")
 
 
@@ -100,12 +100,12 @@ def test_stopping_twice_at_odd_moments_changes_nothing(
 
 
 def test_an_actor_critic_resumes_too(preset: Preset, tmp_path: Path) -> None:
-    track = preset.tracks["tuned"]
+    track = preset.tracks["safe"]
     short = dataclasses.replace(track.ppo, n_steps=8, batch_size=16, n_epochs=2)
     mine = dataclasses.replace(
-        preset, tracks={"tuned": dataclasses.replace(track, ppo=short, timesteps=256)}
+        preset, tracks={"safe": dataclasses.replace(track, ppo=short, timesteps=256)}
     )
-    cell = Cell("maskable_ppo", "full", "optimized", "tuned", 0)
+    cell = Cell("maskable_ppo", "full", "optimized", "safe", 0)
     whole, cut = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "cut")
     expected = train(mine, cell, whole)
     assert expected is not None
