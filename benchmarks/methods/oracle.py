@@ -28,7 +28,8 @@ class LatticeOracle:
     Args:
         node_limit: pairs of lattice nodes to expand before giving up with ``"node_limit"``.
         real: with sim-to-real knobs, plan on the real machine, which nobody else knows, and not on
-            its model. Exact without backlash, latency and luck.
+            its model. Exact where the base is displaced and the joints are coarse, without
+            backlash, latency and luck.
     """
 
     def __init__(self, node_limit: int = DEFAULT_NODE_LIMIT, real: bool = False) -> None:
