@@ -1,4 +1,4 @@
-"""The whole chain through the ``smoke`` preset: four methods, tables, skipping, bad input."""
+"""The whole chain through the ``smoke`` preset: five methods, tables, skipping, bad input."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from benchmarks.runs.store import SCHEMA, Store
 RUNS = {
     "rainbow-optimized-safe-s0",
     "dqn-optimized-safe-s0",
+    "greedy-optimized-safe-s0",
     "rrt_connect-optimized-s0",
     "optimum-optimized-s0",
 }
@@ -68,7 +69,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_all_four_methods_ran_and_say_how(results: Path) -> None:
+def test_all_methods_ran_and_say_how(results: Path) -> None:
     runs = {run.id: run for run in Store.open(results, "smoke").completed()}
     assert set(runs) == RUNS
     for run in runs.values():
@@ -126,7 +127,7 @@ def test_a_second_call_trains_nothing_and_changes_no_result(results: Path) -> No
     tables = {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()}
     done = harness("run", "--preset", "smoke", "--results", str(results))
     assert done.returncode == 0
-    assert "4 runs were complete already" in done.stdout
+    assert "5 runs were complete already" in done.stdout
     assert stamps() == before
     assert {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()} == tables
 
@@ -137,7 +138,7 @@ def test_plan_verify_curves_and_evaluate(
     place = ["--preset", "smoke", "--results", str(results)]
     assert main(["plan", *place]) == 0
     out = capsys.readouterr().out
-    assert out.count("complete") == 4
+    assert out.count("complete") == 5
     assert main(["verify", *place, "--readme", str(tmp_path / "none.md")]) == 0
     assert main(["curves", *place]) == 0
     assert "75 % over 20 at never" in capsys.readouterr().out
@@ -210,7 +211,7 @@ def test_runs_without_their_policy_are_complete_and_left_out_of_the_replay(
     planned = "rrt_connect-optimized-s0"
     shutil.copytree(results / "smoke" / "runs" / planned, runs / planned)
     assert main(["run", *place]) == 0
-    assert "4 runs were complete already" in capsys.readouterr().out
+    assert "5 runs were complete already" in capsys.readouterr().out
     (runs / "rainbow-optimized-safe-s0" / "policy.zip").unlink()
     assert main(["evaluate", *place]) == 2
     assert "has no trained policy to score" in capsys.readouterr().err
@@ -298,7 +299,7 @@ def test_other_starts_are_starts_of_their_own(
         assert "Performance on the test episodes" in out
         folder = tmp_path / "again" / f"starts-{starts}" / "smoke" / "runs"
         runs = [pd.read_csv(path) for path in sorted(folder.glob("*/episodes.csv"))]
-        assert len(runs) == 4
+        assert len(runs) == 5
         found = [set(rows.loc[rows["noise"] == 0.0, "start"].astype(str)) for rows in runs]
         assert all(starts == found[0] for starts in found)  # the same for every method
         seen.append(found[0])
