@@ -28,7 +28,7 @@ from coop_env import SimToReal
 def preset() -> Preset:
     """The paper's, small."""
     whole = load_preset("paper")
-    small = {"buffer_size": 1000, "n_envs": 2, "net_arch": [16, 16]}
+    small: dict[str, Any] = {"buffer_size": 1000, "n_envs": 2, "net_arch": [16, 16]}
     tracks = {
         name: dataclasses.replace(
             track,
@@ -150,7 +150,7 @@ def test_a_recurrent_policy_remembers_each_episode_by_itself(preset: Preset) -> 
         seen.append(state[0].copy())
         return predict(observations, state, **kwargs)
 
-    model.predict = watch  # type: ignore[method-assign]
+    model.predict = watch  # type: ignore
     courses(1, [0])
     assert np.all(seen[0] == 0.0)
     assert all(np.any(state != 0.0) for state in seen[1:])

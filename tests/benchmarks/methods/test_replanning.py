@@ -17,10 +17,10 @@ from benchmarks.methods.rrt_connect import RRTConnect, execute
 from coop_env import SimToReal
 
 STARTS = 20
-UNSURE = {"base_position_error": 0.003, "base_tilt_error": math.radians(1.0)}
+UNSURE: dict[str, Any] = {"base_position_error": 0.003, "base_tilt_error": math.radians(1.0)}
 
 
-def play(planner: Any, sim_to_real: dict[str, float] | None) -> list[Episode]:
+def play(planner: Any, sim_to_real: dict[str, Any] | None) -> list[Episode]:
     knobs = SimToReal(**sim_to_real) if sim_to_real else None
     episodes = begin_episodes({"reward": "progress", "sim_to_real": knobs}, 0, STARTS, "validate")
     for episode in episodes:
@@ -72,7 +72,7 @@ def test_a_refused_move_is_not_tried_again() -> None:
                 tried[self.number, here, action] += 1
             return info
 
-    far = {name: 3.0 * bound for name, bound in UNSURE.items()}
+    far: dict[str, Any] = {name: 3.0 * bound for name, bound in UNSURE.items()}
     for episode in begin_episodes({"sim_to_real": SimToReal(**far)}, 0, STARTS, "validate"):
         watched = Watched(episode.env, episode.number, episode.reset_seed)
         Replanner(True, 2_000_000).play(watched)
