@@ -81,10 +81,10 @@ def test_plan_says_what_is_left(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert main(["plan", "--preset", "smoke", "--results", str(tmp_path), "--jobs", "2"]) == 0
     out = capsys.readouterr().out
     assert "5 to run" in out
-    assert "with 2 processes; a guess for 4 cells" in out
+    assert "with 2 processes; a guess for 5 cells" in out
     assert list(tmp_path.iterdir()) == []  # a plan writes nothing
     complete(Store.open(tmp_path, "smoke", create=True), preset, "dqn", 60.0)
     assert main(["plan", "--preset", "smoke", "--results", str(tmp_path), "--jobs", "1"]) == 0
     out = capsys.readouterr().out
-    assert "3 to run" in out
+    assert "4 to run" in out
     assert "60 s" in out
