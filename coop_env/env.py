@@ -107,6 +107,9 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         mask_singularities: action masks also exclude collisions and singular moves.
         mask_visited: they also exclude moves back to the last so many configurations (at most 64)
             visited since the last insertion: 1 forbids undoing the last move, 0 nothing.
+        mask_refused: they also exclude moves that were made and refused at the present
+            configuration (an imperfect machine collides where its model does not), until it
+            changes or a reset; when everything valid has been refused, all of it is allowed again.
         stage: 0, the first holes (of the paper's, the four peripheral), or 1, all of them.
         pose_model: ``"exact"``, with parasitic motion, or ``"paper"``.
         max_moves: moves until truncation; 300 are the paper's 60 s.
@@ -145,6 +148,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         normalize: bool = True,
         mask_singularities: bool = False,
         mask_visited: int = 0,
+        mask_refused: bool = False,
         stage: int = 1,
         pose_model: str = "exact",
         max_moves: int = 300,
@@ -170,6 +174,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
             mask_singularities=check_flag("mask_singularities", mask_singularities),
             visited=check_integer("mask_visited", mask_visited, 0, TRAIL),
             imperfect=self._knobs.active,
+            refused=check_flag("mask_refused", mask_refused),
         )
         self._packed = pack(self._params)
         self.observation_space: spaces.Box

@@ -1,33 +1,136 @@
 """The test protocol: every method on the same initial states, deterministic, all holes, to the end.
 
-Learners act on all episodes of a seed at once, so that the network is asked once per move.
+A cell's episodes are played at each of its levels (:func:`levels`): of observation noise, of the
+error of an uncertain machine, and once under the paper's masks where a learner has better ones.
 """
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.methods.base import Plan
-from benchmarks.methods.episodes import Episode
-from benchmarks.protocol.plan import Cell
+from benchmarks.methods.episodes import Episode, env_arguments
+from benchmarks.protocol.knowledge import UNMASKED
+from benchmarks.protocol.metrics import OWN_MASKS, PAPER_MASKS
+from benchmarks.protocol.plan import CONTROLS, Cell
 from benchmarks.protocol.presets import Preset
 from benchmarks.protocol.seeding import derive, episode_seeds
 from coop_env.env import CoopInsertionEnv
+from coop_env.simulation.sim_to_real import SimToReal
 
 Observations = NDArray[np.float32]
 Masks = NDArray[np.bool_]
 Policy = Callable[[Observations, Masks], NDArray[Any]]
+#: observations (n, size), masks (n, 12) and indices (n,) of the episodes they are of, to actions
+Chooser = Callable[[Observations, Masks, Sequence[int]], NDArray[Any]]
+#: what chooses in these episodes, from their start on: it may remember them
+MakeChooser = Callable[[Sequence[Episode]], Chooser]
 Rows = list[dict[str, object]]
 Tell = Callable[[float], None]  # hears which share is done
+SEES_THE_STATE = ("random", "greedy", "lookahead")
 
 
 def hush(share: float) -> None:
     """Tell nobody."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """One of the conditions under which a cell's test episodes are played.
+
+    Attributes:
+        arguments: of the environments.
+        noise: standard deviation of the noise on the normalized observations.
+        columns: what the rows of episodes.csv say of it beside the noise.
+    """
+
+    arguments: dict[str, Any]
+    noise: float = 0.0
+    columns: dict[str, object] = field(default_factory=dict)
+
+
+def levels(preset: Preset, cell: Cell) -> list[Level]:
+    """The levels of a cell; each has all test episodes.
+
+    A track with ``sim_to_real`` has its machine at each of the preset's errors, others each level
+    of noise (no noise for who sees the true state). Learners that act under
+    ``mask_singularities`` play once more under the paper's masks, without a memory in them.
+    """
+    track = preset.tracks[cell.track] if cell.track else None
+    arguments = env_arguments(preset, cell, track)
+    if track is not None and track.sim_to_real is not None:
+        machine = SimToReal(**track.sim_to_real)
+        return [
+            Level({**arguments, "sim_to_real": displaced(machine, error)}, 0.0, {"error": error})
+            for error in preset.evaluation.errors
+        ]
+    if cell.plans or cell.method in SEES_THE_STATE:
+        return [Level(arguments)]
+    noise = preset.evaluation.noise
+    masked = cell.learns and cell.method not in UNMASKED
+    if track is None or not (masked and track.mask_singularities):
+        return [Level(arguments, level) for level in noise]
+    bare = {"mask_singularities": False, "mask_visited": 0, "mask_refused": False}
+    return [
+        *(Level(arguments, level, {"masks": OWN_MASKS}) for level in noise),
+        Level({**arguments, **bare}, 0.0, {"masks": PAPER_MASKS}),
+    ]
+
+
+def displaced(machine: SimToReal, error: float) -> SimToReal:
+    """The machine with its base displaced by up to ``error`` mm, and tilted in proportion."""
+    share = 1e-3 * error / machine.base_position_error
+    return replace(
+        machine, base_position_error=1e-3 * error, base_tilt_error=share * machine.base_tilt_error
+    )
+
+
+def evaluate_cell(
+    preset: Preset, cell: Cell, tell: Tell = hush, starts: int | None = None, model: Any = None
+) -> Rows:
+    """Rows of all test episodes of a cell, at each of its levels.
+
+    Args:
+        tell: hears which share is done.
+        starts: the episodes begin where that number says, not at the preset's starts.
+        model: the trained model of a learner.
+    """
+    rows: Rows = []
+    each = levels(preset, cell)
+    for level, part in zip(each, shares(tell, len(each)), strict=True):
+        tests = preset.evaluation
+        episodes = begin_episodes(level.arguments, cell.seed, tests.episodes, tests.stream, starts)
+        if cell.plans:
+            play_in_turn(planner_runner(preset, cell), episodes, part)
+        else:
+            noise_seed = derive("noise", cell.seed)
+            chooser = _make_chooser(preset, cell, model)(episodes)
+            play_together(chooser, episodes, level.noise, noise_seed, part)
+        rows += [episode.row(level.noise) | level.columns for episode in episodes]
+    return rows
+
+
+def _make_chooser(preset: Preset, cell: Cell, model: Any) -> MakeChooser:
+    if cell.method in CONTROLS:
+        from benchmarks.methods.controls import control
+
+        return control(cell.method, preset.tracks[cell.track].controls, cell.seed)
+    if cell.method == "recurrent_ppo":
+        return lambda episodes: recurrent_chooser(model, len(episodes))
+    policy = model_policy(model)
+    return lambda episodes: lambda observations, masks, _: policy(observations, masks)
+
+
+def shares(tell: Tell, parts: int) -> Iterator[Tell]:
+    """For each of so many equal parts, what hears which share of it is done."""
+    for number in range(parts):
+        yield lambda share, before=number: tell((before + share) / parts)  # type: ignore[misc]
 
 
 def begin_episodes(
@@ -42,13 +145,13 @@ def begin_episodes(
     return [Episode(CoopInsertionEnv(**arguments), i, s) for i, s in enumerate(seeds)]
 
 
-def run_policy(
-    policy: Policy, episodes: Sequence[Episode], noise: float, noise_seed: int, tell: Tell = hush
-) -> Rows:
-    """Run a policy on all episodes side by side until each is over.
+def play_together(
+    choose: Chooser, episodes: Sequence[Episode], noise: float, noise_seed: int, tell: Tell = hush
+) -> None:
+    """Play all episodes side by side until each is over: a network is asked once per move.
 
     Args:
-        policy: observations (n, size) and action masks (n, 12) to actions (n,).
+        choose: observations (n, size), action masks (n, 12) and the episodes' indices to actions.
         episodes: fresh episodes.
         noise: standard deviation of Gaussian noise on the normalized observations; clipped to
             [0, 1] like the observations themselves.
@@ -64,8 +167,28 @@ def run_policy(
             drawn = np.stack([generators[i].normal(0.0, noise, size) for i in running])
             observations = np.clip(observations + drawn, 0.0, 1.0).astype(np.float32)
         masks = np.stack([episodes[i].env.action_masks() for i in running])
-        for i, action in zip(running, policy(observations, masks), strict=True):
+        for i, action in zip(running, choose(observations, masks, running), strict=True):
             episodes[i].move(int(action))
+
+
+def play_in_turn(
+    play: Callable[[Episode], None], episodes: Sequence[Episode], tell: Tell = hush
+) -> None:
+    """Play one episode after the other."""
+    for number, episode in enumerate(episodes, start=1):
+        play(episode)
+        tell(number / len(episodes))
+
+
+def run_policy(
+    policy: Policy, episodes: Sequence[Episode], noise: float, noise_seed: int, tell: Tell = hush
+) -> Rows:
+    """Rows of episodes played by a policy; arguments as :func:`play_together`."""
+
+    def choose(observations: Observations, masks: Masks, _: Sequence[int]) -> NDArray[Any]:
+        return policy(observations, masks)
+
+    play_together(choose, episodes, noise, noise_seed, tell)
     return [episode.row(noise) for episode in episodes]
 
 
@@ -81,27 +204,34 @@ def model_policy(model: Any) -> Policy:
     return act
 
 
+def recurrent_chooser(model: Any, n_episodes: int) -> Chooser:
+    """Greedy actions of a recurrent model of sb3-contrib, which remembers each of the episodes."""
+    lstm = model.policy.lstm_actor
+    # hidden and cell states, (layers, episodes, size)
+    memory = np.zeros((2, lstm.num_layers, n_episodes, lstm.hidden_size), np.float32)
+
+    def choose(observations: Observations, masks: Masks, running: Sequence[int]) -> NDArray[Any]:
+        before = (memory[0][:, running], memory[1][:, running])
+        actions, after = model.predict(observations, before, deterministic=True)
+        memory[0][:, running], memory[1][:, running] = after
+        return np.asarray(actions)
+
+    return choose
+
+
 def evaluate_policy(
     policy: Policy,
     preset: Preset,
     seed: int,
     arguments: dict[str, Any],
     tell: Tell = hush,
-    starts: int | None = None,
 ) -> Rows:
-    """Rows of all test episodes of one seed, at every level of noise of the preset.
-
-    With ``starts`` the episodes begin where that number says, not at the test episodes' starts.
-    """
+    """Rows of a policy of one's own on the test episodes of one seed, at every level of noise."""
     rows: Rows = []
-    levels = preset.evaluation.noise
-    for number, noise in enumerate(levels):
-        episodes = begin_episodes(arguments, seed, preset.evaluation.episodes, starts=starts)
-
-        def tell_part(share: float, before: int = number) -> None:
-            tell((before + share) / len(levels))
-
-        rows += run_policy(policy, episodes, noise, derive("noise", seed), tell_part)
+    noise, tests = preset.evaluation.noise, preset.evaluation
+    for level, part in zip(noise, shares(tell, len(noise)), strict=True):
+        episodes = begin_episodes(arguments, seed, tests.episodes, tests.stream)
+        rows += run_policy(policy, episodes, level, derive("noise", seed), part)
     return rows
 
 
@@ -110,27 +240,25 @@ def play_episodes(
     preset: Preset,
     seed: int,
     arguments: dict[str, Any],
-    tell: Tell,
-    starts: int | None = None,
+    tell: Tell = hush,
 ) -> Rows:
-    """Rows of all test episodes of one seed, played one after the other.
-
-    Without noise: planners see the true state.
-    """
-    episodes = begin_episodes(arguments, seed, preset.evaluation.episodes, starts=starts)
-    for number, episode in enumerate(episodes, start=1):
-        play(episode)
-        tell(number / len(episodes))
+    """Rows of a planner of one's own on the test episodes of one seed; it sees the true state."""
+    tests = preset.evaluation
+    episodes = begin_episodes(arguments, seed, tests.episodes, tests.stream)
+    play_in_turn(play, episodes, tell)
     return [episode.row() for episode in episodes]
 
 
 def planner_runner(preset: Preset, cell: Cell) -> Callable[[Episode], None]:
     """How a planner plays one episode."""
-    from benchmarks.methods import rrt_connect
+    from benchmarks.methods import replanning, rrt_connect
     from benchmarks.methods.oracle import LatticeOracle
 
     limits = preset.planner
-    oracle = LatticeOracle(node_limit=limits.node_limit)
+    if cell.method in ("nominal_plan", "plan_search"):
+        return replanning.Replanner(cell.method == "plan_search", limits.node_limit).play
+    uncertain = bool(cell.track)
+    oracle = LatticeOracle(node_limit=limits.node_limit, real=uncertain)
     if cell.method == "optimum":
         return lambda episode: follow(episode, oracle.plan)
     rrt = rrt_connect.RRTConnect(
@@ -138,7 +266,7 @@ def planner_runner(preset: Preset, cell: Cell) -> Callable[[Episode], None]:
     )
     if cell.method == "rrt_lattice":
         return lambda episode: rrt_connect.execute(episode, rrt.plan, finish=oracle.plan)
-    return lambda episode: rrt_connect.execute(episode, rrt.plan)
+    return lambda episode: rrt_connect.execute(episode, rrt.plan, again=uncertain)
 
 
 def follow(episode: Episode, plan: Callable[[CoopInsertionEnv], Plan]) -> None:

@@ -28,12 +28,12 @@ OBSERVATIONS: Final = ("paper", "markov")
 
 
 def algorithms() -> dict[str, Any]:
-    """Names of the algorithms whose models can be scored."""
+    """Names of the algorithms whose models can be scored: what acts on one observation."""
     import sb3_contrib
     import stable_baselines3
 
     return {
-        **ALGORITHMS,
+        **{name: kind for name, kind in ALGORITHMS.items() if name != "recurrent_ppo"},
         "a2c": stable_baselines3.A2C,
         "ars": sb3_contrib.ARS,
         "maskable_ppo": sb3_contrib.MaskablePPO,

@@ -26,9 +26,10 @@ def env_arguments(preset: Preset, cell: Cell, track: Track | None = None) -> dic
         geometry = RRSGeometry(**preset.geometries[cell.geometry])
     if track is None:
         return {"geometry": geometry, "reward": "progress"}
-    names = ("reward", "observation", "mask_singularities", "mask_visited")
+    names = ("reward", "observation", "mask_singularities", "mask_visited", "mask_refused")
     given = {name: getattr(track, name) for name in names}
-    return {"geometry": geometry, "reward_kwargs": dict(track.reward_kwargs) or None, **given}
+    given |= {"reward_kwargs": dict(track.reward_kwargs) or None, "sim_to_real": track.sim_to_real}
+    return {"geometry": geometry, **given}
 
 
 def distance_to_segment(points: Point, start: Point, end: Point) -> Point:

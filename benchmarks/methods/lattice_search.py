@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 import math
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 import coop_env
 from benchmarks.methods.base import workspace
 from coop_env.compilation import drop_stale_kernels
-from coop_env.kinematics import rrs_kernels
-from coop_env.simulation import state
+from coop_env.kinematics import delta_kernels, rrs_forward_kernels, rrs_kernels
+from coop_env.kinematics.rrs_kernels import Pose
+from coop_env.kinematics.singularity import Row
+from coop_env.simulation import machine, state
 from coop_env.simulation.collision import collides, hole, peg_tip
 from coop_env.simulation.state import Configuration
 from coop_env.simulation.task import EnvParams
@@ -30,6 +32,10 @@ drop_stale_kernels(Path(__file__).parent, Path(coop_env.__file__).parent)
 UNREACHED: Final = 1 << 20  # above any path, and sums of two stay small integers
 NODE_LIMIT: Final = -1
 INFEASIBLE: Final = -2
+# how far a real machine may be from its model at most, beyond which it is not asked
+TILT_SLACK: Final = 0.3  # rad
+REACH_SLACK: Final = 0.02  # m
+BARRED: Final = 255  # of a point, in place of the move that led there
 
 
 class Lattice(NamedTuple):
@@ -40,6 +46,10 @@ class Lattice(NamedTuple):
     numbers that one move on an axis adds. The flat ``delta_free`` and ``rrs_free`` mark the nodes
     that a robot's own limits (and, of the 3-RRS, its singularities) allow. The outermost never are,
     so that one move from a free node leads to a node.
+
+    With ``p.task.imperfect`` it is the lattice of the commands of a real machine, a record of
+    :data:`coop_env.simulation.machine.MACHINE`; it is exact where what the machine does follows
+    from the configuration alone, without backlash, latency or luck.
     """
 
     start: NDArray[np.float64]
@@ -49,17 +59,22 @@ class Lattice(NamedTuple):
     delta_free: NDArray[np.bool_]
     rrs_free: NDArray[np.bool_]
     p: EnvParams
+    machine: Any
 
 
-def make_lattice(start: NDArray[np.float64], p: EnvParams) -> Lattice:
-    """The lattice of an episode that starts at a configuration (6,)."""
+def make_lattice(start: NDArray[np.float64], p: EnvParams, real: Any = None) -> Lattice:
+    """The lattice of an episode that starts at a configuration (6,).
+
+    ``real`` is the machine's record where the parameters say that it is imperfect.
+    """
+    record = np.void(np.zeros(1, machine.MACHINE)[0] if real is None else real)
     low, high = (workspace(p) - start) / p.layout["step"]
     # Rounding may let the kernels accept a node on the limit, so one more is beyond it for certain.
     first = np.floor(low).astype(np.int64) - 1
     shape = np.ceil(high).astype(np.int64) + 2 - first
     strides = np.append(np.cumprod(shape[:0:-1])[::-1], 1)
     delta_free, rrs_free = (np.zeros(part.prod(), np.bool_) for part in (shape[:3], shape[3:]))
-    lattice = Lattice(start, first, shape, strides, delta_free, rrs_free, p)
+    lattice = Lattice(start, first, shape, strides, delta_free, rrs_free, p, record)
     fill_free(lattice)
     return lattice
 
@@ -88,8 +103,43 @@ def fill_free(lattice: Lattice) -> None:
     for node in range(n_rrs):
         c = configuration_at(lattice, start // n_rrs * n_rrs + node)
         lattice.rrs_free[node] = state.rrs_valid(c, p) and not state.is_singular(
-            rrs_kernels.sigma_at(c[3], c[4], c[5], p.rrs), p
-        )
+            real_sigma(lattice, c) if p.task.imperfect
+            else rrs_kernels.sigma_at(c[3], c[4], c[5], p.rrs), p
+        )  # fmt: skip
+
+
+@njit(cache=True)
+def real_sigma(lattice: Lattice, c: Configuration) -> float:
+    """Signed sigma_min of the real machine where the model is at a configuration; NaN if open."""
+    m, p = lattice.machine, lattice.p
+    real = machine.real_params(m, p)
+    _, theta, _, q = state.joint_angles(c, p)
+    joints = machine.answer(m, theta, q)
+    q = (joints[3], joints[4], joints[5])
+    closed, tilt, _ = rrs_forward_kernels.forward(q, c[3], c[4], c[5], real.rrs)
+    if not closed:
+        return np.nan
+    pose = rrs_kernels.platform_pose(tilt[0], tilt[1], tilt[2], real.rrs)
+    return rrs_kernels.signed_sigma_min(pose, q, real.rrs)
+
+
+@njit(cache=True)
+def placed(lattice: Lattice, c: Configuration) -> tuple[bool, Row, Row, Pose, Row]:
+    """Where the robots are at a configuration: whether they close, effector, theta, pose and q.
+
+    Of an imperfect machine, the real ones, the platform's as the Delta meets it.
+    """
+    m, p = lattice.machine, lattice.p
+    _, theta, pose, q = state.joint_angles(c, p)
+    if not p.task.imperfect:
+        return True, (c[0], c[1], c[2]), theta, pose, q
+    real = machine.real_params(m, p)
+    joints = machine.answer(m, theta, q)
+    theta, q = (joints[0], joints[1], joints[2]), (joints[3], joints[4], joints[5])
+    delta_closed, at = delta_kernels.forward(theta, real.delta)
+    rrs_closed, tilt, _ = rrs_forward_kernels.forward(q, c[3], c[4], c[5], real.rrs)
+    pose = machine.displaced(m, rrs_kernels.platform_pose(tilt[0], tilt[1], tilt[2], real.rrs))
+    return delta_closed and rrs_closed, at, theta, pose, q
 
 
 @njit(cache=True)
@@ -127,6 +177,11 @@ def goals(lattice: Lattice, target: int) -> NDArray[np.int64]:
         c = configuration_at(lattice, some_delta * n_rrs + rrs_node)
         pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
         mouth, normal = hole(pose, target, p)
+        if p.task.imperfect:
+            believed = state.alignment_angle(normal[0], normal[1], normal[2])
+            if believed >= p.task.angle_tolerance + TILT_SLACK:
+                continue
+            mouth, normal = hole(placed(lattice, c)[3], target, p)
         if state.alignment_angle(normal[0], normal[1], normal[2]) >= p.task.angle_tolerance:
             continue
         above = mouth[2] - p.delta.base_height + p.delta.peg_length
@@ -145,18 +200,31 @@ def goals(lattice: Lattice, target: int) -> NDArray[np.int64]:
 @njit(cache=True)
 def _meets(lattice: Lattice, point: int, mouth: tuple[float, float, float]) -> bool:
     """Whether the Delta's node is free and has the peg's tip in a mouth."""
+    p = lattice.p
+    if not lattice.delta_free[point // lattice.rrs_free.size]:
+        return False
     c = configuration_at(lattice, point)
-    tip = peg_tip(c[0], c[1], c[2], lattice.p.delta)
+    distance = _tip_distance((c[0], c[1], c[2]), mouth, p)
+    if p.task.imperfect and distance < p.task.tolerance + REACH_SLACK:
+        distance = _tip_distance(placed(lattice, c)[1], mouth, p)
+    return distance < p.task.tolerance
+
+
+@njit(cache=True)
+def _tip_distance(effector: Row, mouth: Row, p: EnvParams) -> float:
+    tip = peg_tip(effector[0], effector[1], effector[2], p.delta)
     dx, dy, dz = mouth[0] - tip[0], mouth[1] - tip[1], mouth[2] - tip[2]
-    near = math.sqrt(dx * dx + dy * dy + dz * dz) < lattice.p.task.tolerance
-    return near and lattice.delta_free[point // lattice.rrs_free.size]
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
 @njit(cache=True)
 def _point_collides(lattice: Lattice, point: int) -> bool:
-    c = configuration_at(lattice, point)
-    _, theta, pose, q = state.joint_angles(c, lattice.p)
-    return collides(c[0], c[1], c[2], theta, pose, q, lattice.p)
+    p = lattice.p
+    closed, at, theta, pose, q = placed(lattice, configuration_at(lattice, point))
+    if not p.task.imperfect:
+        return collides(at[0], at[1], at[2], theta, pose, q, p)
+    real = machine.real_params(lattice.machine, p)
+    return not closed or collides(at[0], at[1], at[2], theta, pose, q, real)
 
 
 @njit(cache=True)
@@ -197,7 +265,7 @@ def a_star(
         if came_by[point] != 0:
             continue
         if g > 0 and _point_collides(lattice, point):
-            came_by[point] = 255
+            came_by[point] = BARRED
             continue
         came_by[point] = by
         if total == g and g > 0:

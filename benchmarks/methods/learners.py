@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import Any, Final
 
-from sb3_contrib import MaskablePPO
+from sb3_contrib import MaskablePPO, RecurrentPPO
 from stable_baselines3 import DQN
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.utils import LinearSchedule
@@ -25,6 +25,7 @@ ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "rainbow": Rainbow,
     "dqn": DQN,
     "maskable_ppo": MaskablePPO,
+    "recurrent_ppo": RecurrentPPO,
 }
 # hyperparameters that the algorithms know by the same names: SB3's DQN, and what Rainbow adds
 DQN_NAMES: Final = (
@@ -37,8 +38,13 @@ RAINBOW_NAMES: Final = (
 
 
 def make_training_env(preset: Preset, cell: Cell) -> VecMonitor:
-    """The batched training environment, at the curriculum's first stage."""
+    """The batched training environment, at the curriculum's first stage.
+
+    Its machines are drawn anew each episode within the track's ``sim_to_real``.
+    """
     track = preset.tracks[cell.track]
+    if track.train_nominal:
+        track = replace(track, sim_to_real=None)
     env = CoopInsertionVecEnv(
         track.hyperparameters.n_envs,
         seed=derive("train", cell.seed),
@@ -52,7 +58,7 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu"
     """The learner of a cell, untrained."""
     track = preset.tracks[cell.track]
     h = track.hyperparameters
-    if cell.method == "maskable_ppo":
+    if cell.method in ("maskable_ppo", "recurrent_ppo"):
         return _build_ppo(track, cell, env, device)
     common: dict[str, Any] = {
         **{name: getattr(h, name) for name in DQN_NAMES},
@@ -76,19 +82,24 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu"
     return Rainbow("MlpPolicy", env, **common, **rainbow)
 
 
-def _build_ppo(track: Track, cell: Cell, env: VecMonitor, device: str) -> MaskablePPO:
-    given = asdict(track.ppo)
+def _build_ppo(track: Track, cell: Cell, env: VecMonitor, device: str) -> BaseAlgorithm:
+    recurrent = cell.method == "recurrent_ppo"
+    given = asdict(track.recurrent if recurrent else track.ppo)
     start, end = given.pop("learning_rate"), given.pop("learning_rate_end")
-    return MaskablePPO(
-        "MlpPolicy",
-        env,
-        learning_rate=LinearSchedule(start, end, 1.0),
-        gamma=track.hyperparameters.gamma,
-        policy_kwargs={"net_arch": list(track.hyperparameters.net_arch)},
-        seed=derive("learner", cell.seed),
-        device=device,
+    policy: dict[str, Any] = {"net_arch": list(track.hyperparameters.net_arch)}
+    if recurrent:
+        policy["lstm_hidden_size"] = given.pop("lstm_size")
+    common: dict[str, Any] = {
+        "learning_rate": LinearSchedule(start, end, 1.0),
+        "gamma": track.hyperparameters.gamma,
+        "policy_kwargs": policy,
+        "seed": derive("learner", cell.seed),
+        "device": device,
         **given,
-    )
+    }
+    if recurrent:
+        return RecurrentPPO("MlpLstmPolicy", env, **common)
+    return MaskablePPO("MlpPolicy", env, **common)
 
 
 def check_cells(preset: Preset, cells: Sequence[Cell]) -> None:

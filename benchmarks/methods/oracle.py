@@ -27,12 +27,15 @@ class LatticeOracle:
 
     Args:
         node_limit: pairs of lattice nodes to expand before giving up with ``"node_limit"``.
+        real: with sim-to-real knobs, plan on the real machine, which nobody else knows, and not on
+            its model. Exact where the base is displaced and the joints are coarse, without
+            backlash, latency and luck.
     """
 
-    def __init__(self, node_limit: int = DEFAULT_NODE_LIMIT) -> None:
+    def __init__(self, node_limit: int = DEFAULT_NODE_LIMIT, real: bool = False) -> None:
         if node_limit < 1:
             raise ValueError(f"node_limit = {node_limit!r}: must be at least 1")
-        self.node_limit = node_limit
+        self.node_limit, self.real = node_limit, real
         self._lattice: Lattice | None = None
 
     def plan(self, env: Any) -> Plan:
@@ -40,11 +43,13 @@ class LatticeOracle:
 
         Returns:
             ``"solved"`` with the moves, ``"infeasible"`` if no sequence of moves inserts, or
-            ``"node_limit"``. With sim-to-real knobs the plan is the nominal model's, as any
-            planner's would be. ``detail`` has ``length``, ``expanded`` (pairs), ``goals`` (lattice
-            points that meet the criterion) and ``bound`` (moves if nothing collided).
+            ``"node_limit"``; ``"inexact"`` if a real machine does not do as planned. With
+            sim-to-real knobs the plan is the nominal model's, as any planner's would be, unless
+            the oracle is of the real one. ``detail`` has ``length``, ``expanded`` (pairs),
+            ``goals`` (lattice points that meet the criterion) and ``bound`` (moves if nothing
+            collided).
         """
-        return self._plan(*_nominal(env.unwrapped.state, env.unwrapped.params))
+        return self._plan(*self._known(env))
 
     def plan_episode(self, env: Any) -> list[Plan]:
         """One plan per hole, each from where the last one ends, until the holes or moves run out.
@@ -53,7 +58,7 @@ class LatticeOracle:
         changed. The last plan has no moves if it failed: ``"timeout"`` if it is too long for the
         moves left.
         """
-        state, p = _nominal(env.unwrapped.state, env.unwrapped.params)
+        state, p = self._known(env)
         plans: list[Plan] = []
         while not state["over"]:
             plan = self._plan(state, p)
@@ -64,6 +69,10 @@ class LatticeOracle:
                 break
             _execute(state, plan.moves, p)
         return plans
+
+    def _known(self, env: Any) -> tuple[Any, EnvParams]:
+        state, p = env.unwrapped.state, env.unwrapped.params
+        return (state, p) if self.real else _nominal(state, p)
 
     def _plan(self, state: Any, p: EnvParams) -> Plan:
         began = time.perf_counter()
@@ -91,6 +100,8 @@ class LatticeOracle:
             return Plan(status, None, time.perf_counter() - began, detail)
         detail["length"] = int(length)
         if not _execute(state.copy(), moves, p):
+            if p.task.imperfect:
+                return Plan("inexact", None, time.perf_counter() - began, detail)
             raise RuntimeError(
                 f"the plan for hole {target} does not insert in the environment's own kernel: "
                 "the search and the environment disagree (a defect, please report it)"
@@ -100,8 +111,15 @@ class LatticeOracle:
     def _lattice_of(self, state: Any, p: EnvParams) -> Lattice:
         """The lattice of the state's episode, made anew where the last one was another's."""
         known = self._lattice
-        if known is None or p is not known.p or np.any(known.start != state["start"]):
-            known = self._lattice = search.make_lattice(np.array(state["start"]), p)
+        start, machine = state["start"], state["machine"]
+        if (
+            known is None
+            or p is not known.p
+            or np.any(known.start != start)
+            or (p.task.imperfect and np.any(known.machine["base"] != machine["base"]))
+        ):
+            real = machine if p.task.imperfect else None
+            known = self._lattice = search.make_lattice(np.array(start), p, real)
         return known
 
 

@@ -224,8 +224,13 @@ def displacement(moves: Sequence[int]) -> NDArray[np.int64]:
 PlanFunction = Callable[[CoopInsertionEnv], Plan]
 
 
-def execute(episode: Episode, plan: PlanFunction, finish: PlanFunction | None = None) -> None:
+def execute(
+    episode: Episode, plan: PlanFunction, finish: PlanFunction | None = None, again: bool = False
+) -> None:
     """Fill hole after hole, each by one plan run open loop; stop at the first that fails.
+
+    With ``again``, for a machine that is not as modelled, a plan is left where a move is refused,
+    and the next begins where one ended; without a plan it stops.
 
     With ``finish`` the loop is closed: where the open-loop moves did not insert (or there was no
     plan), this second planner starts from the state they led to, and only its failure counts.
@@ -234,7 +239,11 @@ def execute(episode: Episode, plan: PlanFunction, finish: PlanFunction | None = 
     all later ones start from elsewhere), precision (too far from the mouth) or alignment.
     """
     while not episode.over:
-        cause = _attempt(episode, plan)
+        moves = episode.moves
+        cause = _attempt(episode, plan, again)
+        if again and cause and episode.moves > moves:
+            episode.failure = cause
+            continue
         if cause and cause != "singularity" and finish is not None:
             cause = _attempt(episode, finish)
         if cause:
@@ -242,8 +251,11 @@ def execute(episode: Episode, plan: PlanFunction, finish: PlanFunction | None = 
             return
 
 
-def _attempt(episode: Episode, plan: PlanFunction) -> str:
-    """Plan once and run the moves; the cause of the failure, or nothing after an insertion."""
+def _attempt(episode: Episode, plan: PlanFunction, stop: bool = False) -> str:
+    """Plan once and run the moves; the cause of the failure, or nothing after an insertion.
+
+    With ``stop`` a refused move is the last.
+    """
     answer = plan(episode.env)
     filled, refused = len(episode.insertions), 0
     if not filled:
@@ -256,7 +268,7 @@ def _attempt(episode: Episode, plan: PlanFunction) -> str:
         refused += bool(info["violation"])
         if len(episode.insertions) > filled:
             return ""
-        if episode.over:
+        if episode.over or (stop and refused):
             break
     return _cause(episode, info, refused)
 

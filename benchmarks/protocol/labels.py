@@ -8,9 +8,17 @@ METHODS: Final = {
     "rainbow": "Rainbow DQN",
     "dqn": "Vanilla DQN",
     "maskable_ppo": "MaskablePPO",
+    "recurrent_ppo": "RecurrentPPO",
+    "random": "Random",
+    "greedy": "Greedy",
+    "lookahead": "Two-move lookahead",
+    "greedy_observed": "Greedy, from the observation",
+    "lookahead_observed": "Two-move lookahead, from the observation",
     "rrt_connect": "RRT-Connect",
     "rrt_lattice": "RRT-Connect + lattice insertion",
     "optimum": "Exact optimum",
+    "nominal_plan": "Nominal plan, replanned",
+    "plan_search": "Nominal plan, then search",
 }
 ABLATIONS: Final = {
     "full": "Full Rainbow",
@@ -22,7 +30,14 @@ ABLATIONS: Final = {
     "no_double_q": "- Double Q-learning",
     "none": "All six off (masked DQN)",
 }
-TRACKS: Final = {"printed": "as printed", "repaired": "repaired", "tuned": "tuned"}
+TRACKS: Final = {
+    "printed": "as printed",
+    "reward": "reward",
+    "safe": "safe",
+    "memory": "memory",
+    "uncertain": "uncertain",
+    "uncertain_nominal": "uncertain, trained nominal",
+}
 DESIGN_METRICS: Final = {
     "workspace": "Orientation workspace (rad²)",
     "sigma_min": "Min sigma_min",

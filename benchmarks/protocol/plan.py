@@ -1,21 +1,26 @@
 """Which cells a preset holds. One cell is one independent run: it trains or plans, then is tested.
 
-A cell is (method, ablation, geometry, track, seed). Learners have a track; planners have none and
-see the same test episodes. The geometric optimization is one cell of its own.
+A cell is (method, ablation, geometry, track, seed). Learners and controls have a track; planners
+have none, but on an imperfect machine, and see the same test episodes. The geometric optimization
+is one cell of its own.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.presets import Preset, RunGroup, Track, as_dict
 
-LEARNERS: Final = ("rainbow", "dqn", "maskable_ppo")
-PLANNERS: Final = ("rrt_connect", "rrt_lattice", "optimum")
+LEARNERS: Final = ("rainbow", "dqn", "maskable_ppo", "recurrent_ppo")
+CONTROLS: Final = ("random", "greedy", "lookahead", "greedy_observed", "lookahead_observed")
+PERFECT_PLANNERS: Final = ("rrt_connect", "rrt_lattice", "optimum")  # without a track
+IMPERFECT_PLANNERS: Final = ("nominal_plan", "plan_search", "rrt_connect", "optimum")
+PLANNERS: Final = tuple(dict.fromkeys((*PERFECT_PLANNERS, *IMPERFECT_PLANNERS)))
 DESIGN: Final = "design"
-METHODS: Final = (*LEARNERS, *PLANNERS)
+METHODS: Final = (*LEARNERS, *CONTROLS, *PLANNERS)
 TRANSITION_BYTES: Final = 200
 GEOMETRIES: Final = ("initial", "optimized")
 
@@ -41,7 +46,7 @@ ABLATIONS: Final[dict[str, dict[str, Any]]] = {
 
 @dataclass(frozen=True, order=True)
 class Cell:
-    """One run of the experiment; ``track`` is empty for planners."""
+    """One run of the experiment; ``track`` is empty for planners of a perfect machine."""
 
     method: str
     ablation: str
@@ -66,6 +71,11 @@ class Cell:
     def learns(self) -> bool:
         """Whether the cell trains a network."""
         return self.method in LEARNERS
+
+    @property
+    def plans(self) -> bool:
+        """Whether the cell plays plans."""
+        return self.method in PLANNERS
 
 
 def expand(preset: Preset) -> list[Cell]:
@@ -95,11 +105,13 @@ def expand(preset: Preset) -> list[Cell]:
 
 def units_of(config: dict[str, Any]) -> int:
     """A rough cost of a run by its settings, in environment steps; decides the order of runs."""
-    if "track" in config:
-        return int(config["track"]["timesteps"])
+    track = config.get("track", {})
+    if "timesteps" in track:
+        return int(track["timesteps"])
     if "design" in config:
         return 1_500 * int(config["design"]["runs"])
-    return 150 * int(config["evaluation"]["episodes"])
+    levels = len(config["evaluation"].get("errors", [0.0]))
+    return 150 * levels * int(config["evaluation"]["episodes"])
 
 
 def checkpoint_bytes(track: Track) -> int:
@@ -108,22 +120,45 @@ def checkpoint_bytes(track: Track) -> int:
 
 
 def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
-    """Everything that decides the cell's result, as plain YAML types: the run's config.yaml."""
+    """Everything that decides the cell's result, as plain YAML types: the run's config.yaml.
+
+    What has no bearing on it is left out, so that it can change without the run, and so are keys at
+    values that runs from before there were these keys had.
+    """
     config: dict[str, Any] = {"cell": asdict(cell)}
     if cell.method == DESIGN:
         config["design"] = as_dict(preset.design)
         return config
-    config["evaluation"] = as_dict(preset.evaluation)
+    track = preset.tracks[cell.track] if cell.track else None
+    config["evaluation"] = _evaluation(preset, track)
     if cell.geometry in preset.geometries:
         config["dimensions"] = dict(preset.geometries[cell.geometry])
+    if track is not None:
+        config["track"] = _track(track, cell.method)
     if cell.learns:
-        config["track"] = as_dict(preset.tracks[cell.track])
-        if cell.method != "maskable_ppo":
-            del config["track"]["ppo"]  # so that its settings can change without the others' runs
         config["switches"] = dict(ABLATIONS[cell.ablation])
-    else:
+    elif cell.method in PLANNERS:
         config["planner"] = as_dict(preset.planner)
     return config
+
+
+def _evaluation(preset: Preset, track: Track | None) -> dict[str, Any]:
+    config = as_dict(preset.evaluation)
+    if track is None or track.sim_to_real is None:
+        del config["errors"]
+    if config["stream"] == "test":
+        del config["stream"]
+    return config
+
+
+def _track(track: Track, method: str) -> dict[str, Any]:
+    config = as_dict(track)
+    settings_of = {"ppo": ("maskable_ppo",), "recurrent": ("recurrent_ppo",), "controls": CONTROLS}
+    unused = [key for key, methods in settings_of.items() if method not in methods]
+    if method not in LEARNERS:
+        unused += ["description", "timesteps", "hyperparameters", "curriculum", "train_nominal"]
+    unused += [key for key in ("sim_to_real", "train_nominal", "mask_refused") if not config[key]]
+    return {key: value for key, value in config.items() if key not in unused}
 
 
 def _check_group(preset: Preset, group: RunGroup) -> None:
@@ -138,10 +173,34 @@ def _check_group(preset: Preset, group: RunGroup) -> None:
         for name in names:
             if name not in allowed:
                 raise BenchmarkError(f"{where}: unknown {kind} '{name}'; known: {known(allowed)}")
+    for name in group.tracks:
+        _check_errors(preset, name)
     for method in group.methods:
-        if method in LEARNERS and not group.tracks:
-            raise BenchmarkError(f"{where}: method '{method}' learns and needs a track")
-        if method in PLANNERS and group.tracks:
-            raise BenchmarkError(f"{where}: method '{method}' plans and takes no track")
+        if method in (*LEARNERS, *CONTROLS) and not group.tracks:
+            raise BenchmarkError(f"{where}: method '{method}' needs a track")
+        if method in PLANNERS:
+            _check_planner(preset, method, group.tracks)
         if method != "rainbow" and group.ablations != ["full"]:
             raise BenchmarkError(f"{where}: only rainbow has ablations, not '{method}'")
+
+
+def _check_errors(preset: Preset, track: str) -> None:
+    machine = preset.tracks[track].sim_to_real
+    if machine is not None:
+        own = 1000.0 * machine["base_position_error"]
+        if not any(math.isclose(own, level) for level in preset.evaluation.errors):
+            raise BenchmarkError(
+                f"preset '{preset.name}': evaluation: errors lack {own:g} mm, track '{track}'s own"
+            )
+
+
+def _check_planner(preset: Preset, method: str, tracks: list[str]) -> None:
+    where = f"preset '{preset.name}'"
+    if not tracks and method not in PERFECT_PLANNERS:
+        raise BenchmarkError(f"{where}: method '{method}' needs a track with sim_to_real")
+    for name in tracks:
+        if preset.tracks[name].sim_to_real is None or method not in IMPERFECT_PLANNERS:
+            raise BenchmarkError(
+                f"{where}: method '{method}' plans and takes no track '{name}'; with a track of "
+                f"sim_to_real plan: {known(IMPERFECT_PLANNERS)}"
+            )

@@ -1,8 +1,8 @@
 """Presets: YAML files with strict keys that say what is trained, for how long and how often.
 
-``presets/_tracks.yaml`` holds the tracks (a reward and the hyperparameters that go with it) in
-full; a preset names the tracks it uses and overrides what it must, usually only ``timesteps``. A
-track of another name says with ``base`` which of them it varies.
+``presets/_tracks.yaml`` holds the tracks (a task and the hyperparameters that go with it); a preset
+names the tracks it uses and overrides what it must, usually only ``timesteps``. A track says with
+``base`` which of the library's it varies; without, one of a name that the library has varies that.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from pydantic import AfterValidator, Field
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.strict import STRICT, Count, Number, Seeds, build, merge, with_config
+from coop_env.errors import ArgumentError
 from coop_env.geometry import GeometryError, RRSGeometry
+from coop_env.simulation.sim_to_real import SimToReal
 from coop_env.simulation.task import TRAIL
 
 PRESETS = Path(__file__).parent / "presets"
@@ -28,6 +30,24 @@ def _levels(noise: list[float]) -> list[float]:
     if 0.0 not in noise or min(noise) < 0.0:
         raise ValueError("must hold 0.0 and no negative level")
     return noise
+
+
+def _errors(levels: list[float]) -> list[float]:
+    if not levels or min(levels) < 0.0:
+        raise ValueError("must be some, none of them negative")
+    return levels
+
+
+def _machine(knobs: dict[str, Any] | None) -> dict[str, Any] | None:
+    if knobs is None:
+        return None
+    try:
+        machine = SimToReal(**knobs)
+    except (ArgumentError, TypeError) as error:
+        raise ValueError(str(error)) from error
+    if machine.base_position_error == 0.0:
+        raise ValueError("must have a base_position_error: test errors are in proportion to it")
+    return knobs
 
 
 def _dimensions(values: dict[str, float]) -> dict[str, float]:
@@ -91,6 +111,23 @@ class PPOSettings:
 
 @with_config(STRICT)
 @dataclass(frozen=True)
+class RecurrentSettings(PPOSettings):
+    """sb3-contrib's RecurrentPPO; what MaskablePPO has, and the size of its memory."""
+
+    lstm_size: Count = 128
+
+
+@with_config(STRICT)
+@dataclass(frozen=True)
+class Controls:
+    """Weight of the angle, per rad, in the scripts' potentials where a metre weighs 500."""
+
+    greedy_angle: Number = 150.0
+    lookahead_angle: Number = 150.0
+
+
+@with_config(STRICT)
+@dataclass(frozen=True)
 class Curriculum:
     """Stage 0 has the four peripheral holes, stage 1 all six."""
 
@@ -102,7 +139,11 @@ class Curriculum:
 @with_config(STRICT)
 @dataclass(frozen=True)
 class Track:
-    """A reward, the settings of the task and the hyperparameters that go together."""
+    """A reward, the settings of the task and the hyperparameters that go together.
+
+    ``sim_to_real`` has fields of :class:`coop_env.SimToReal`; learners of a track with
+    ``train_nominal`` see the nominal machine in training, and the imperfect ones in tests alone.
+    """
 
     description: str
     reward: Literal["paper", "progress"]
@@ -110,21 +151,35 @@ class Track:
     hyperparameters: Hyperparameters
     reward_kwargs: dict[str, Number] = field(default_factory=dict)
     observation: str = "paper"
-    mask_singularities: bool = False  # these two as CoopInsertionEnv's
+    mask_singularities: bool = False  # these three as CoopInsertionEnv's
     mask_visited: Annotated[int, Field(ge=0, le=TRAIL)] = 0
+    mask_refused: bool = False
+    sim_to_real: Annotated[dict[str, Any] | None, AfterValidator(_machine)] = None
+    train_nominal: bool = False
     curriculum: Curriculum = field(default_factory=Curriculum)
     ppo: PPOSettings = field(default_factory=PPOSettings)
+    recurrent: RecurrentSettings = field(default_factory=RecurrentSettings)
+    controls: Controls = field(default_factory=Controls)
 
 
 @with_config(STRICT)
 @dataclass(frozen=True)
 class Evaluation:
-    """The test protocol: ``episodes`` per seed, at each level of observation noise."""
+    """The test protocol: ``episodes`` per seed, at each level of observation noise.
+
+    On tracks with ``sim_to_real``, which has a noise of its own, at each of ``errors`` instead:
+    bounds of the base's displacement, mm; its tilt is in proportion. ``stream`` says which starts
+    (:mod:`benchmarks.protocol.seeding`): ``test`` is for the preset ``paper`` alone.
+    """
 
     episodes: Count
     noise: Annotated[list[Number], AfterValidator(_levels)] = field(
         default_factory=lambda: [0.0, 0.01]
     )
+    errors: Annotated[list[Number], AfterValidator(_errors)] = field(
+        default_factory=lambda: [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0]
+    )
+    stream: Literal["test", "validate"] = "validate"
 
 
 @with_config(STRICT)
@@ -228,8 +283,15 @@ def parse_preset(data: dict[str, Any], name: str, where: str) -> Preset:
             raise BenchmarkError(
                 f"{where}: tracks: {track}: unknown base '{base}'; known: {known(library)}"
             )
-        full[track] = merge(library.get(base, {}), override)
+        full[track] = merge(_from_library(library, base), override)
     return build(Preset, {**data, "name": name, "tracks": full}, where)
+
+
+def _from_library(library: dict[str, Any], name: str) -> dict[str, Any]:
+    """A track of the library with its own base below it; nothing if there is none."""
+    own = dict(library.get(name, {}))
+    base = own.pop("base", None)
+    return merge(_from_library(library, base), own) if base else own
 
 
 def as_dict(value: object) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import torch
 
 from benchmarks.runs.store import write_atomic
 
-_UNUSED: Final = ("q_net_target.", "mlp_extractor.value_net.", "value_net.")
+_UNUSED: Final = ("q_net_target.", "mlp_extractor.value_net.", "value_net.", "lstm_critic.")
 """What the greedy policy of Rainbow, DQN or an actor-critic never asks, by prefix."""
 _NOISE: Final = ("_sigma", ".epsilon_in", ".epsilon_out")
 """What a noisy layer adds only when it explores, by suffix."""

@@ -1,6 +1,6 @@
 """Where a learned policy fails, why, and by how much it is slower than the optimum.
 
-    python -m benchmarks failures --preset paper [--track tuned] [--method rainbow]
+    python -m benchmarks failures --preset paper [--track safe] [--method rainbow]
 
 The stored policies of all seeds play their test episodes again, up to the first insertion, beside
 the exact optimum. A failure is *infeasible* if no sequence of moves inserts from that start,
@@ -55,7 +55,8 @@ def play(
     arguments = env_arguments(preset, cell, preset.tracks[cell.track])
     policy = model_policy(model)
     rows = []
-    for episode in begin_episodes(arguments, cell.seed, preset.evaluation.episodes):
+    tests = preset.evaluation
+    for episode in begin_episodes(arguments, cell.seed, tests.episodes, tests.stream):
         target, lean = int(episode.env.state["target"]), episode.env.configuration[3:5]
         roll, pitch = np.degrees(lean).tolist()
         plan = oracle.plan(episode.env)
@@ -218,7 +219,7 @@ def main(words: Sequence[str]) -> int:
     )
     parser.add_argument("--preset", default="paper")
     parser.add_argument("--results", type=Path, default=Path("results"))
-    parser.add_argument("--track", default="tuned")
+    parser.add_argument("--track", default="safe")
     parser.add_argument("--method", default="rainbow", choices=LEARNERS)
     parser.add_argument("--geometry", default="optimized")
     arguments = parser.parse_args(list(words))

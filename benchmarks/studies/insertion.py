@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from benchmarks.protocol import plan
+from benchmarks.protocol.metrics import main_rows
 from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.presets import Preset, absolute, load_preset
 from benchmarks.protocol.seeding import derive
@@ -48,7 +49,7 @@ class Insertion(Experiment[Cell]):
 
     def kinds(self, config: dict[str, Any]) -> Iterator[tuple[str, ...]]:
         cell = config["cell"]
-        if "track" in config:
+        if "hyperparameters" in config.get("track", {}):
             h = config["track"]["hyperparameters"]
             work = tuple(str(h[name]) for name in ("updates_per_step", "batch_size", "net_arch"))
             yield (cell["method"], cell["ablation"], *work)
@@ -63,19 +64,16 @@ class Insertion(Experiment[Cell]):
     def run(
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
     ) -> dict[str, Any] | None:
-        """Train and test a learner, test a planner, or optimize the geometry."""
+        """Train and test a learner, test a control or planner, or optimize the geometry."""
         training: dict[str, Any] | None = {}
         if cell.method == DESIGN:
             self._optimize(folder)
         elif cell.learns:
             training = self._train(cell, folder, stop_requested, device)
         else:
-            from benchmarks.evaluation.evaluate import planner_runner, play_episodes
-            from benchmarks.methods.episodes import env_arguments
+            from benchmarks.evaluation.evaluate import evaluate_cell
 
-            play, arguments = planner_runner(self.preset, cell), env_arguments(self.preset, cell)
-            tell = Teller(folder, stop_requested)
-            rows = play_episodes(play, self.preset, cell.seed, arguments, tell)
+            rows = evaluate_cell(self.preset, cell, Teller(folder, stop_requested))
             folder.write_rows("episodes", rows)
         if training is None:
             return None
@@ -83,7 +81,7 @@ class Insertion(Experiment[Cell]):
             "cell": cell.seed,
             "train": derive("train", cell.seed),
             "learner": derive("learner", cell.seed),
-            "first_test_episode": derive("test", cell.seed, 0),
+            "first_test_episode": derive(self.preset.evaluation.stream, cell.seed, 0),
         }
         return {"seeds": seeds, "training": training}
 
@@ -96,8 +94,7 @@ class Insertion(Experiment[Cell]):
     def _train(
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
     ) -> dict[str, Any] | None:
-        from benchmarks.evaluation.evaluate import evaluate_policy, model_policy
-        from benchmarks.methods.episodes import env_arguments
+        from benchmarks.evaluation.evaluate import evaluate_cell
         from benchmarks.runs import policy_file
         from benchmarks.runs.training import train
 
@@ -109,9 +106,7 @@ class Insertion(Experiment[Cell]):
         began = time.perf_counter()
         summary["weights_sha256"] = policy_file.digest(model)
         policy_file.reduce_to_greedy(model)
-        arguments = env_arguments(self.preset, cell, self.preset.tracks[cell.track])
-        rows = evaluate_policy(model_policy(model), self.preset, cell.seed, arguments)
-        folder.write_rows("episodes", rows)
+        folder.write_rows("episodes", evaluate_cell(self.preset, cell, model=model))
         policy_file.save(model, folder.policy)
         summary["policy_sha256"] = folder.policy_digest()
         return {**summary, "test_seconds": time.perf_counter() - began}
@@ -119,8 +114,7 @@ class Insertion(Experiment[Cell]):
     def verdict(self, folder: RunFolder) -> str:
         if not folder.has_rows("episodes"):
             return ""
-        rows = folder.rows("episodes")
-        clean = rows[rows["noise"] == 0.0]
+        clean = main_rows(folder.rows("episodes"), folder.config().get("track"))
         return f", success {100 * clean['success'].mean():.0f} % of {len(clean)} test episodes"
 
     def write_tables(self, store: Store, console: Console) -> list[Table]:

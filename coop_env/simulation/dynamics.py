@@ -73,6 +73,7 @@ def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p
     s.sigma = sigma
     s.moves = 0
     s.trailed = 0
+    s.refused[:] = 0
     s.insertions = 0
     s.energy = 0.0
     s.over = False
@@ -185,7 +186,11 @@ def _attempt(s: Record, action: int, p: EnvParams) -> int:
     else:
         status = _move_delta(s, action, p)
     if status in (INVALID, COLLISION):
+        if p.task.refused:
+            s.refused[action] = 1
+            update_mask(s, True, True, p)
         return status
+    s.refused[:] = 0
     if p.task.visited > 0:
         leave(s)
     s.offset[action // 2] += 1 - 2 * (action % 2)

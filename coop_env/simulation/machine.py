@@ -78,7 +78,7 @@ def real_params(m: Record, p: EnvParams) -> EnvParams:
         ),
         TaskParams(
             m.chamfer, m.tolerance, p.task.angle_tolerance, p.task.max_moves,
-            p.task.mask_singularities, p.task.visited, p.task.imperfect,
+            p.task.mask_singularities, p.task.visited, p.task.imperfect, p.task.refused,
         ),
         p.reward,
         p.layout,

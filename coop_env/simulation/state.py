@@ -35,7 +35,7 @@ Record = Any  # a row of STATE or OUTCOME, whose fields numba reads as attribute
 def state_dtype(n_holes: int) -> np.dtype[np.void]:
     """The layout of a row of state, in SI units; everything that the next step depends on."""
     # Named padding to the next eight bytes: hidden padding would make equal rows differ in bytes.
-    unaligned = -(3 * n_holes + N_ACTIONS + 2) % 8
+    unaligned = -(3 * n_holes + 2 * N_ACTIONS + 2) % 8
     padding = [("unused", "u1", (unaligned,))] if unaligned else []
     return np.dtype([*_fields(n_holes), *padding], align=True)
 
@@ -65,6 +65,7 @@ def _fields(n_holes: int) -> list[Any]:
         ("active", "u1", (n_holes,)),
         ("filled", "u1", (n_holes,)),
         ("mask", "u1", (N_ACTIONS,)),
+        ("refused", "u1", (N_ACTIONS,)),  # moves that were refused at this configuration
     ]
 
 
@@ -303,15 +304,27 @@ def _forbid_visited(s: Record, visited: int) -> None:
 
 
 @njit(cache=True)
+def _forbid_refused(s: Record) -> None:
+    """Take out of the mask what was refused here; if that is all, it is forgotten."""
+    if s.mask.sum() == 0:
+        s.mask[:] = 1
+    if np.all(s.refused >= s.mask):
+        s.refused[:] = 0
+    for action in range(N_ACTIONS):
+        s.mask[action] &= 1 - s.refused[action]
+
+
+@njit(cache=True)
 def update_mask(s: Record, delta: bool, rrs: bool, p: EnvParams) -> None:
     """Recompute the action mask of the robots that moved: the halves do not depend on each other.
 
-    With ``mask_singularities`` collisions couple them, with ``visited`` the past does, and both are
-    recomputed. If nothing is valid, everything is allowed.
+    With ``mask_singularities`` collisions couple them, with ``visited`` and ``refused`` the past
+    does, and both are recomputed. If nothing is valid, everything is allowed. Of what is left when
+    refused moves are out, the way back is forbidden: a dead end is left rather than run into.
     """
     couple = p.task.mask_singularities
     # a full mask may stand for "nothing valid"
-    afresh = p.task.visited > 0 or s.mask.sum() == N_ACTIONS
+    afresh = p.task.visited > 0 or p.task.refused or s.mask.sum() == N_ACTIONS
     for action in range(N_ACTIONS):
         if couple:
             s.mask[action] = _is_safe(s, action, p)
@@ -320,6 +333,8 @@ def update_mask(s: Record, delta: bool, rrs: bool, p: EnvParams) -> None:
                 s.mask[action] = delta_valid(neighbour(s, action, p), p)
         elif rrs or afresh:
             s.mask[action] = rrs_valid(neighbour(s, action, p), p)
+    if p.task.refused:
+        _forbid_refused(s)
     if p.task.visited > 0:
         _forbid_visited(s, p.task.visited)
     if s.mask.sum() == 0:

@@ -1,4 +1,4 @@
-"""Stored policies and the planners play once more; the tables are built from what they do then.
+"""Policies, controls and planners play once more; the tables are built from what they do then.
 
     python -m benchmarks evaluate --preset paper
     python -m benchmarks evaluate --preset paper --starts 2026
@@ -21,7 +21,7 @@ import pandas as pd
 from rich.console import Console
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS
+from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS, main_rows
 from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.presets import Preset
 from benchmarks.runs.backends import default_jobs
@@ -40,7 +40,7 @@ SHOWN: Final = ("performance", "ablation", "geometry", "robustness")
 
 
 class Replay(Insertion):
-    """The complete runs of a preset, played by their policies and planners.
+    """The complete runs of a preset, played by their policies, controls and planners.
 
     Args:
         preset: its name or the path of its file.
@@ -97,21 +97,15 @@ class Replay(Insertion):
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
     ) -> dict[str, Any]:
         """Play the episodes; of all else meta.json says what the first run's does."""
-        from benchmarks.evaluation import evaluate
-        from benchmarks.methods.episodes import env_arguments
+        from benchmarks.evaluation.evaluate import evaluate_cell
 
-        stored, preset = self.source.run(cell.id), self._shortened()
-        tell = Teller(folder, stop_requested)
-        track = preset.tracks[cell.track] if cell.learns else None
-        protocol = (preset, cell.seed, env_arguments(preset, cell, track), tell, self.starts)
+        stored, tell = self.source.run(cell.id), Teller(folder, stop_requested)
+        model = None
         if cell.learns:
-            from benchmarks.evaluation.model_files import load_model
+            from benchmarks.methods.learners import ALGORITHMS
 
-            policy = evaluate.model_policy(load_model(stored.policy, cell.method))
-            rows = evaluate.evaluate_policy(policy, *protocol)
-        else:
-            play = evaluate.planner_runner(preset, cell)
-            rows = evaluate.play_episodes(play, *protocol)
+            model = ALGORITHMS[cell.method].load(stored.policy, device="cpu")
+        rows = evaluate_cell(self._shortened(), cell, tell, self.starts, model)
         folder.write_rows("episodes", rows)
         return {key: value for key, value in stored.meta().items() if key != "schema"}
 
@@ -125,7 +119,8 @@ class Replay(Insertion):
         return 0
 
     def verdict(self, folder: RunFolder) -> str:
-        return "; " + next(in_words(folder.rows("episodes"), "now"))
+        rows = main_rows(folder.rows("episodes"), folder.config().get("track"))
+        return "; " + next(in_words(rows, "now"))
 
     def fresh_store(self) -> Store:
         """A store beside the first, with the settings and the training of what is to play."""

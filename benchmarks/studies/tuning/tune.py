@@ -224,7 +224,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _track(arguments: argparse.Namespace) -> tuple[str, Track]:
     preset = load_preset(arguments.preset)
     names = list(preset.tracks)
-    name = arguments.track or ("repaired" if "repaired" in names else names[0] if names else "")
+    name = arguments.track or ("safe" if "safe" in names else names[0] if names else "")
     if name not in preset.tracks:
         raise BenchmarkError(
             f"preset '{preset.name}' has no track '{name}'; known: {known(names) or 'none'}"
@@ -240,7 +240,7 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("--sampler", choices=SAMPLERS, default="grid", help="the paper's grid, or TPE")
     add("--preset", default="paper", help="whose tracks there are (default: paper)")
-    add("--track", default=None, help="what to search around (default: repaired, or the first)")
+    add("--track", default=None, help="what to search around (default: safe, or the first)")
     add("--trials", type=at_least(1), default=None, help="configurations (default: 27 or 30)")
     add("--steps", type=at_least(1), default=None, help="of each training (default: the track's)")
     add("--seeds", type=at_least(1), default=5, help="trainings of a configuration (default: 5)")

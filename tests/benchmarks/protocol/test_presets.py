@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ def smoke() -> dict[str, Any]:
     return data
 
 
-@pytest.mark.parametrize("name", ["smoke", "quick", "paper"])
+@pytest.mark.parametrize("name", ["smoke", "quick", "tuning", "paper"])
 def test_shipped_presets_expand_to_cells_with_unique_folders(name: str) -> None:
     cells = expand(load_preset(name))
     assert len({cell.id for cell in cells}) == len(cells) > 0
@@ -30,8 +31,8 @@ def test_shipped_presets_expand_to_cells_with_unique_folders(name: str) -> None:
 
 def test_the_quick_preset_fills_every_row_of_the_papers_tables() -> None:
     ids = {cell.id for cell in expand(load_preset("quick"))}
-    wanted = {f"rainbow-{a}-optimized-tuned-s0" for a in ABLATIONS if a != "full"}
-    wanted |= {"rainbow-optimized-tuned-s0", "rainbow-initial-tuned-s0", "dqn-optimized-tuned-s0"}
+    wanted = {f"rainbow-{a}-optimized-safe-s0" for a in ABLATIONS if a != "full"}
+    wanted |= {"rainbow-optimized-safe-s0", "rainbow-initial-safe-s0", "dqn-optimized-safe-s0"}
     wanted |= {"rrt_connect-optimized-s0", "optimum-optimized-s0", "optimum-initial-s0", "design"}
     assert wanted <= ids
 
@@ -40,9 +41,7 @@ def test_the_paper_preset_has_the_papers_protocol_and_hyperparameters() -> None:
     preset = load_preset("paper")
     assert len(preset.seeds) == 5
     assert preset.evaluation.episodes == 100
-    whole = parse_preset(
-        smoke() | {"tracks": {"tuned": None, "printed": None}}, "mine", "mine.yaml"
-    )
+    whole = parse_preset(smoke() | {"tracks": {"safe": None, "printed": None}}, "mine", "mine.yaml")
     track, cut = whole.tracks["printed"], preset.tracks["printed"]
     assert dataclasses.replace(track, timesteps=cut.timesteps) == cut
     h = track.hyperparameters
@@ -68,8 +67,8 @@ def test_geometries_and_rewards_are_those_of_the_task() -> None:
     [
         ((), "sedes"),
         (("evaluation",), "episode"),
-        (("tracks", "tuned"), "timestep"),
-        (("tracks", "tuned", "hyperparameters"), "learnin_rate"),
+        (("tracks", "safe"), "timestep"),
+        (("tracks", "safe", "hyperparameters"), "learnin_rate"),
         (("runs", 0), "method"),
     ],
 )
@@ -119,17 +118,25 @@ def test_an_impossible_value_is_refused(change: dict[str, Any], word: str) -> No
 @pytest.mark.parametrize(
     ("group", "word"),
     [
-        ({"methods": ["ppo"], "tracks": ["tuned"]}, "unknown method 'ppo'"),
+        ({"methods": ["ppo"], "tracks": ["safe"]}, "unknown method 'ppo'"),
         ({"methods": ["rainbow"], "tracks": ["best"]}, "unknown track 'best'"),
         ({"methods": ["rainbow"]}, "needs a track"),
-        ({"methods": ["optimum"], "tracks": ["tuned"]}, "takes no track"),
-        ({"methods": ["dqn"], "tracks": ["tuned"], "ablations": ["no_noisy"]}, "only rainbow"),
-        ({"methods": ["rainbow"], "tracks": ["tuned"], "ablations": ["no_luck"]}, "no_luck"),
+        ({"methods": ["greedy"]}, "needs a track"),
+        ({"methods": ["optimum"], "tracks": ["safe"]}, "takes no track 'safe'"),
+        ({"methods": ["rrt_lattice"], "tracks": ["unsure"]}, "takes no track 'unsure'"),
+        ({"methods": ["nominal_plan"]}, "needs a track with sim_to_real"),
+        ({"methods": ["greedy"], "tracks": ["far"]}, "errors lack 2.5 mm"),
+        ({"methods": ["dqn"], "tracks": ["safe"], "ablations": ["no_noisy"]}, "only rainbow"),
+        ({"methods": ["rainbow"], "tracks": ["safe"], "ablations": ["no_luck"]}, "no_luck"),
         ({"methods": ["optimum"], "geometries": ["round"]}, "unknown geometry 'round'"),
     ],
 )
 def test_an_impossible_cell_is_refused(group: dict[str, Any], word: str) -> None:
-    preset = parse_preset(smoke() | {"runs": [group]}, "mine", "mine.yaml")
+    tracks = smoke()["tracks"] | {
+        "unsure": {"base": "uncertain"},
+        "far": {"base": "uncertain", "sim_to_real": {"base_position_error": 0.0025}},
+    }
+    preset = parse_preset(smoke() | {"tracks": tracks, "runs": [group]}, "mine", "mine.yaml")
     with pytest.raises(BenchmarkError, match=word):
         expand(preset)
 
@@ -143,11 +150,11 @@ def test_a_geometry_of_ones_own_reaches_the_runs_settings() -> None:
 
 
 def test_unknown_presets_and_cells_list_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(BenchmarkError, match="paper, quick, smoke"):
+    with pytest.raises(BenchmarkError, match="paper, quick, smoke, tuning"):
         load_preset("fast")
     with pytest.raises(BenchmarkError, match="unknown preset '_tracks'"):
         load_preset("_tracks")
-    with pytest.raises(BenchmarkError, match="rainbow-optimized-tuned-s0"):
+    with pytest.raises(BenchmarkError, match="rainbow-optimized-safe-s0"):
         Insertion(load_preset("smoke")).find("rainbow-s9")
     broken = tmp_path / "broken.yaml"
     broken.write_text("seeds: [", encoding="utf-8")
@@ -163,19 +170,76 @@ def test_each_ablation_switches_one_component_and_no_other() -> None:
             assert len(switches) == {"full": 0, "none": 6}.get(cell.ablation, 1)
 
 
-def test_a_track_may_vary_another() -> None:
-    presets = load_preset("attempts").tracks
-    tuned = load_preset("paper").tracks["tuned"]
-    assert presets["undo"].mask_visited == 1
-    same: dict[str, Any] = {
-        "mask_visited": 64,
-        "timesteps": tuned.timesteps,
-        "description": tuned.description,
-    }
-    assert dataclasses.replace(presets["undo"], **same) == tuned
+def test_a_track_may_vary_another_and_that_one_a_third() -> None:
+    tracks = load_preset("paper").tracks
+    safe, memory, uncertain = (tracks[name] for name in ("safe", "memory", "uncertain"))
+    said: dict[str, Any] = {"description": "", "mask_visited": 64}
+    assert dataclasses.replace(safe, **said) == dataclasses.replace(memory, **said)
+    said |= {"mask_refused": True, "sim_to_real": uncertain.sim_to_real}
+    assert dataclasses.replace(memory, **said) == dataclasses.replace(uncertain, **said)
     data = smoke()
-    data["tracks"] = {"mine": {"base": "tunde"}}
-    with pytest.raises(BenchmarkError, match="unknown base 'tunde'"):
+    data["tracks"] = {"mine": {"base": "sfae"}}
+    with pytest.raises(BenchmarkError, match="unknown base 'sfae'"):
+        parse_preset(data, "mine", "mine.yaml")
+
+
+def test_tracks_change_what_they_are_named_for() -> None:
+    tracks = load_preset("paper").tracks
+    printed, reward = tracks["printed"], tracks["reward"]
+    said: dict[str, Any] = {"description": "", "reward": "", "reward_kwargs": {}}
+    assert dataclasses.replace(printed, **said) == dataclasses.replace(reward, **said)
+    assert (reward.reward, reward.mask_singularities, reward.mask_visited) == ("progress", False, 0)
+    assert tracks["safe"].mask_singularities
+    assert tracks["safe"].mask_visited == 0
+    assert not tracks["safe"].mask_refused
+    nominal: dict[str, Any] = {"description": "", "train_nominal": True}
+    uncertain = dataclasses.replace(tracks["uncertain"], **nominal)
+    assert uncertain == dataclasses.replace(tracks["uncertain_nominal"], **nominal)
+
+
+def test_the_test_starts_are_the_paper_presets_alone() -> None:
+    streams = {name: load_preset(name).evaluation.stream for name in preset_names()}
+    assert {name for name, stream in streams.items() if stream == "test"} == {"paper"}
+    assert min(load_preset("tuning").seeds) > max(load_preset("paper").seeds)
+
+
+def test_runs_from_before_the_newer_keys_are_still_what_the_preset_says() -> None:
+    """Printed runs, and the planners', are hours of work that no new key may make void."""
+    preset = load_preset("paper")
+    runs = PRESETS.parents[2] / "results" / "paper" / "runs"
+    seen = 0
+    for cell in expand(preset):
+        path = runs / cell.id / "config.yaml"
+        if path.is_file() and (cell.track == "printed" or not cell.track):
+            stored = yaml.safe_load(path.read_text(encoding="utf-8"))
+            assert stored == json.loads(json.dumps(settings(preset, cell))), cell.id
+            seen += cell.learns and cell.track == "printed"
+    assert seen == 10
+
+
+def test_what_has_no_bearing_on_a_control_is_not_among_its_settings() -> None:
+    preset = load_preset("paper")
+    by_id = {cell.id: settings(preset, cell) for cell in expand(preset)}
+    track = by_id["greedy-optimized-uncertain-s0"]["track"]
+    assert "hyperparameters" not in track
+    assert track["controls"] == {"greedy_angle": 150.0, "lookahead_angle": 150.0}
+    assert "controls" not in by_id["rainbow-optimized-uncertain-s0"]["track"]
+    assert "errors" not in by_id["greedy-optimized-safe-s0"]["evaluation"]
+    assert 3.0 in by_id["optimum-optimized-uncertain-s0"]["evaluation"]["errors"]
+
+
+@pytest.mark.parametrize(
+    ("knobs", "word"),
+    [
+        ({"base_position_error": 0.003, "base_tlit_error": 0.0}, "base_tlit_error"),
+        ({"base_position_error": 1.0}, "base_position_error"),
+        ({"observation_noise": 0.01}, "must have a base_position_error"),
+    ],
+)
+def test_an_impossible_machine_is_refused(knobs: dict[str, float], word: str) -> None:
+    data = smoke()
+    data["tracks"] = {"mine": {"base": "safe", "sim_to_real": knobs}}
+    with pytest.raises(BenchmarkError, match=word):
         parse_preset(data, "mine", "mine.yaml")
 
 

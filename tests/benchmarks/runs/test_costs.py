@@ -18,7 +18,7 @@ from benchmarks.studies.insertion import Insertion
 
 def make(name: str, timesteps: int, **more: Any) -> Preset:
     data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
-    data["tracks"]["tuned"]["timesteps"] = timesteps
+    data["tracks"]["safe"]["timesteps"] = timesteps
     return parse_preset(data | more, name, name)
 
 
@@ -36,14 +36,14 @@ def test_cost_comes_from_the_nearest_runs(tmp_path: Path) -> None:
     complete(store, preset, "rainbow", 20.0)
     complete(elsewhere, other, "rainbow", 999.0)  # the preset's own run counts
     complete(elsewhere, other, "dqn", 5.0)
-    store.run("dqn-optimized-tuned-s1").write_progress(0.25, "")
+    store.run("dqn-optimized-safe-s1").write_progress(0.25, "")
     found = {cost.id: cost for cost in costs(Insertion(preset), store, [elsewhere])}
-    assert found["rainbow-optimized-tuned-s0"].state == "complete"
-    assert found["rainbow-optimized-tuned-s0"].seconds == 20.0
-    assert found["rainbow-optimized-tuned-s1"].seconds == pytest.approx(20.0)
-    assert found["dqn-optimized-tuned-s0"].seconds == pytest.approx(10.0)  # twice the steps
-    assert found["dqn-optimized-tuned-s1"].seconds == pytest.approx(7.5)
-    assert found["dqn-optimized-tuned-s1"].state == "25 %"
+    assert found["rainbow-optimized-safe-s0"].state == "complete"
+    assert found["rainbow-optimized-safe-s0"].seconds == 20.0
+    assert found["rainbow-optimized-safe-s1"].seconds == pytest.approx(20.0)
+    assert found["dqn-optimized-safe-s0"].seconds == pytest.approx(10.0)  # twice the steps
+    assert found["dqn-optimized-safe-s1"].seconds == pytest.approx(7.5)
+    assert found["dqn-optimized-safe-s1"].state == "25 %"
     guessed = found["optimum-optimized-s0"]
     assert guessed.guessed
     optimum = next(settings(preset, cell) for cell in expand(preset) if cell.id == guessed.id)
@@ -55,7 +55,7 @@ def test_runs_of_another_version_are_no_measure(tmp_path: Path) -> None:
     store = Store.open(tmp_path, "mine", create=True)
     elsewhere = Store.open(tmp_path, "other", create=True)
     complete(elsewhere, other, "dqn", 5.0)
-    meta = elsewhere.run("dqn-optimized-tuned-s0").path / "meta.json"
+    meta = elsewhere.run("dqn-optimized-safe-s0").path / "meta.json"
     meta.write_text('{"schema": 99, "wall_seconds": 1.0}', encoding="utf-8")
     assert all(cost.guessed for cost in costs(Insertion(preset), store, [elsewhere]))
 
@@ -80,11 +80,11 @@ def test_plan_says_what_is_left(tmp_path: Path, capsys: pytest.CaptureFixture[st
     preset = make("smoke", 480)
     assert main(["plan", "--preset", "smoke", "--results", str(tmp_path), "--jobs", "2"]) == 0
     out = capsys.readouterr().out
-    assert "4 to run" in out
-    assert "with 2 processes; a guess for 4 cells" in out
+    assert "5 to run" in out
+    assert "with 2 processes; a guess for 5 cells" in out
     assert list(tmp_path.iterdir()) == []  # a plan writes nothing
     complete(Store.open(tmp_path, "smoke", create=True), preset, "dqn", 60.0)
     assert main(["plan", "--preset", "smoke", "--results", str(tmp_path), "--jobs", "1"]) == 0
     out = capsys.readouterr().out
-    assert "3 to run" in out
+    assert "4 to run" in out
     assert "60 s" in out

@@ -36,8 +36,8 @@ from benchmarks.studies.insertion import Insertion
 def long_preset(tmp_path: Path) -> Path:
     """One run that no test waits for."""
     data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
-    data["tracks"]["tuned"]["timesteps"] = 10_000_000
-    data["runs"] = [{"methods": ["dqn"], "tracks": ["tuned"]}]
+    data["tracks"]["safe"]["timesteps"] = 10_000_000
+    data["runs"] = [{"methods": ["dqn"], "tracks": ["safe"]}]
     path = tmp_path / "long.yaml"
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
     return path
@@ -61,7 +61,7 @@ def test_an_ended_harness_leaves_a_checkpoint_to_resume_from(
         stderr=subprocess.STDOUT,
         text=True,
     )
-    run = Store(tmp_path / "results", "long").run("dqn-optimized-tuned-s0")
+    run = Store(tmp_path / "results", "long").run("dqn-optimized-safe-s0")
     wait_for(run.checkpoint / "progress.json")
     process.send_signal(number)
     out, _ = process.communicate(timeout=100)
@@ -127,8 +127,8 @@ def test_an_impossible_cell_is_refused_before_the_start(
     track: dict[str, Any], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
-    data["tracks"]["tuned"] = merge(data["tracks"]["tuned"], track)
-    data["runs"] = [{"methods": ["rainbow"], "tracks": ["tuned"]}]
+    data["tracks"]["safe"] = merge(data["tracks"]["safe"], track)
+    data["runs"] = [{"methods": ["rainbow"], "tracks": ["safe"]}]
     path = tmp_path / "odd.yaml"
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
     assert main(["run", "--preset", str(path), "--results", str(tmp_path / "results")]) == 2
@@ -288,7 +288,7 @@ def test_one_process_per_core_with_its_threads_pinned(
 def test_fewer_jobs_need_less_room(tmp_path: Path) -> None:
     data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
     data["seeds"] = list(range(50))
-    data["tracks"]["tuned"]["hyperparameters"]["buffer_size"] = 10**9
+    data["tracks"]["safe"]["hyperparameters"]["buffer_size"] = 10**9
     preset = parse_preset(data, "big", "big.yaml")
     store = Store.open(tmp_path, "big", create=True)
     needed = []

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 import yaml
 
-from benchmarks.evaluation.evaluate import evaluate_policy, model_policy
-from benchmarks.methods.episodes import env_arguments
+from benchmarks.evaluation.evaluate import evaluate_cell
 from benchmarks.methods.learners import ALGORITHMS, build_model, make_training_env
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import PRESETS, Preset, parse_preset
@@ -26,24 +26,26 @@ def preset() -> Preset:
     data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
     data["evaluation"] = {"episodes": 3, "noise": [0.0]}
     preset = parse_preset(data, "smoke", "smoke.yaml")
-    track = preset.tracks["tuned"]
-    ppo = dataclasses.replace(track.ppo, n_steps=16, batch_size=16, n_epochs=1)
-    return dataclasses.replace(preset, tracks={"tuned": dataclasses.replace(track, ppo=ppo)})
+    track = preset.tracks["safe"]
+    short: dict[str, Any] = {"n_steps": 16, "batch_size": 16, "n_epochs": 1}
+    ppo = dataclasses.replace(track.ppo, **short)
+    recurrent = dataclasses.replace(track.recurrent, **short, lstm_size=32)
+    track = dataclasses.replace(track, ppo=ppo, recurrent=recurrent)
+    return dataclasses.replace(preset, tracks={"safe": track})
 
 
 @pytest.mark.parametrize("method", sorted(ALGORITHMS))
 def test_the_stored_policy_repeats_the_stored_episodes(
     method: str, preset: Preset, tmp_path: Path
 ) -> None:
-    cell = Cell(method, "full", "optimized", "tuned", 0)
+    cell = Cell(method, "full", "optimized", "safe", 0)
     store = Store.open(tmp_path, "smoke", create=True)
     assert run_cell(Insertion(preset), cell, store)
     run = store.run(cell.id)
     assert run.policy.stat().st_size < 300_000
     assert len(run.meta()["training"]["weights_sha256"]) == 64
     model = ALGORITHMS[method].load(run.policy, device="cpu")
-    arguments = env_arguments(preset, cell, preset.tracks["tuned"])
-    again = evaluate_policy(model_policy(model), preset, cell.seed, arguments)
+    again = evaluate_cell(preset, cell, model=model)
     stored = run.rows("episodes")
     assert [row["reward"] for row in again] == pytest.approx(stored["reward"].tolist(), rel=1e-6)
     assert [row["moves"] for row in again] == stored["moves"].tolist()
@@ -53,13 +55,13 @@ def test_the_stored_policy_repeats_the_stored_episodes(
 def test_half_precision_moves_no_weight_further_than_its_last_bit(
     method: str, preset: Preset
 ) -> None:
-    cell = Cell(method, "full", "optimized", "tuned", derive("learner", 3) % 1000)
+    cell = Cell(method, "full", "optimized", "safe", derive("learner", 3) % 1000)
     model = build_model(preset, cell, make_training_env(preset, cell))
     before = {k: v.clone() for k, v in model.policy.state_dict().items()}
     whole = policy_file.digest(model)
     policy_file.reduce_to_greedy(model)
     assert policy_file.digest(model) != whole
-    acting = {"rainbow": "q_net", "dqn": "q_net", "maskable_ppo": "action_net"}[method]
+    acting = {"rainbow": "q_net", "dqn": "q_net"}.get(method, "action_net")
     compared = 0
     for name, value in model.policy.state_dict().items():
         if name.startswith(f"{acting}.") and not name.endswith(("sigma", "in", "out")):

@@ -32,16 +32,16 @@ pytest.importorskip("ray", reason="needs the extra 'cluster'")
 # Ray leaves sockets and processes to the garbage collector
 pytestmark = pytest.mark.filterwarnings("ignore")
 
-CELLS = ("rainbow-optimized-tuned-s0", "dqn-optimized-tuned-s0")
+CELLS = ("rainbow-optimized-safe-s0", "dqn-optimized-safe-s0")
 
 
 @pytest.fixture(scope="module")
 def preset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
     # long enough that no run ends between two looks of the test
-    data["tracks"]["tuned"]["timesteps"] = 3000
+    data["tracks"]["safe"]["timesteps"] = 3000
     data["evaluation"] = {"episodes": 1, "noise": [0.0]}
-    data["runs"] = [{"methods": ["rainbow", "dqn"], "tracks": ["tuned"]}]
+    data["runs"] = [{"methods": ["rainbow", "dqn"], "tracks": ["safe"]}]
     data["checkpoint_seconds"] = 0.2
     path = tmp_path_factory.mktemp("preset") / "small.yaml"
     path.write_text(yaml.safe_dump(data), encoding="utf-8")

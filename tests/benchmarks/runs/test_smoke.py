@@ -1,4 +1,4 @@
-"""The whole chain through the ``smoke`` preset: four methods, tables, skipping, bad input."""
+"""The whole chain through the ``smoke`` preset: five methods, tables, skipping, bad input."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ from benchmarks.protocol.presets import PRESETS
 from benchmarks.runs.store import SCHEMA, Store
 
 RUNS = {
-    "rainbow-optimized-tuned-s0",
-    "dqn-optimized-tuned-s0",
+    "rainbow-optimized-safe-s0",
+    "dqn-optimized-safe-s0",
+    "greedy-optimized-safe-s0",
     "rrt_connect-optimized-s0",
     "optimum-optimized-s0",
 }
@@ -68,7 +69,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_all_four_methods_ran_and_say_how(results: Path) -> None:
+def test_all_methods_ran_and_say_how(results: Path) -> None:
     runs = {run.id: run for run in Store.open(results, "smoke").completed()}
     assert set(runs) == RUNS
     for run in runs.values():
@@ -77,7 +78,7 @@ def test_all_four_methods_ran_and_say_how(results: Path) -> None:
         assert meta["wall_seconds"] > 0 < meta["cpu_seconds"]
         assert {"commit", "dirty", "versions", "machine", "seeds"} <= set(meta)
         assert not run.checkpoint.exists()
-    for name in ("rainbow-optimized-tuned-s0", "dqn-optimized-tuned-s0"):
+    for name in ("rainbow-optimized-safe-s0", "dqn-optimized-safe-s0"):
         assert runs[name].policy.is_file()
         assert runs[name].meta()["training"]["timesteps"] == 480
         assert runs[name].rows("curve")["timesteps"].is_monotonic_increasing
@@ -88,7 +89,7 @@ def test_every_method_began_the_same_episodes(results: Path) -> None:
     episodes = {run.id: run.rows("episodes") for run in store.completed()}
     starts = {name: tuple(rows["start"].unique()) for name, rows in episodes.items()}
     assert len(set(starts.values())) == 1
-    assert set(episodes["rainbow-optimized-tuned-s0"]["noise"]) == {0.0, 0.01}
+    assert set(episodes["rainbow-optimized-safe-s0"]["noise"]) == {0.0, 0.01}
     optimum = episodes["optimum-optimized-s0"]
     assert optimum["success"].all()
     assert (optimum["collisions"] == 0).all()
@@ -99,12 +100,12 @@ def test_tables_and_figures_lie_where_it_says(results: Path) -> None:
     names = {path.name for path in store.tables.iterdir()}
     for table in ("performance", "ablation", "geometry", "robustness", "design"):
         assert {f"{table}.csv", f"{table}.md", f"{table}.tex"} <= names
-    assert (store.figures / "tuned_success.png").is_file()
+    assert (store.figures / "safe_success.png").is_file()
 
 
 def test_tensorboard_has_the_papers_curves(results: Path) -> None:
     module = importlib.import_module("tensorboard.backend.event_processing.event_accumulator")
-    run = Store.open(results, "smoke").run("rainbow-optimized-tuned-s0")
+    run = Store.open(results, "smoke").run("rainbow-optimized-safe-s0")
     events = module.EventAccumulator(str(run.tensorboard))
     events.Reload()
     tags = set(events.Tags()["scalars"])
@@ -126,7 +127,7 @@ def test_a_second_call_trains_nothing_and_changes_no_result(results: Path) -> No
     tables = {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()}
     done = harness("run", "--preset", "smoke", "--results", str(results))
     assert done.returncode == 0
-    assert "4 runs were complete already" in done.stdout
+    assert "5 runs were complete already" in done.stdout
     assert stamps() == before
     assert {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()} == tables
 
@@ -137,11 +138,11 @@ def test_plan_verify_curves_and_evaluate(
     place = ["--preset", "smoke", "--results", str(results)]
     assert main(["plan", *place]) == 0
     out = capsys.readouterr().out
-    assert out.count("complete") == 4
+    assert out.count("complete") == 5
     assert main(["verify", *place, "--readme", str(tmp_path / "none.md")]) == 0
     assert main(["curves", *place]) == 0
     assert "75 % over 20 at never" in capsys.readouterr().out
-    policy = results / "smoke" / "runs" / "dqn-optimized-tuned-s0" / "policy.zip"
+    policy = results / "smoke" / "runs" / "dqn-optimized-safe-s0" / "policy.zip"
     words = ["--model", str(policy), "--algorithm", "dqn", "--episodes", "1"]
     assert main(["evaluate", *place, *words]) == 0
     stored = pd.read_csv(policy.parent / "episodes.csv")
@@ -154,14 +155,14 @@ def test_what_is_stored_comes_out_again(
 ) -> None:
     shutil.copytree(results / "smoke", tmp_path / "smoke")
     place = ["evaluate", "--preset", "smoke", "--results", str(tmp_path)]
-    rows = tmp_path / "smoke" / "runs" / "rainbow-optimized-tuned-s0" / "episodes.csv"
+    rows = tmp_path / "smoke" / "runs" / "rainbow-optimized-safe-s0" / "episodes.csv"
     first = pd.read_csv(rows)
     first.assign(holes=first["holes"] + 1).to_csv(rows, index=False)
     files = {p: p.read_bytes() for p in (tmp_path / "smoke").rglob("*") if p.is_file()}
     assert main(place) == 0
     out = capsys.readouterr().out
     assert "Runs whose every episode came out as stored: 3 of 4" in out
-    assert re.search(r"performance, Holes per episode.*Rainbow DQN, tuned: .* stored, .* now", out)
+    assert re.search(r"performance, Holes per episode.*Rainbow DQN, safe: .* stored, .* now", out)
     again = tmp_path / "again" / "test" / "smoke"
     played = pd.read_csv(again / "runs" / rows.parent.name / "episodes.csv")
     pd.testing.assert_frame_equal(played, first)
@@ -196,7 +197,7 @@ def test_runs_without_their_policy_are_complete_and_left_out_of_the_replay(
     shutil.copytree(results / "smoke", tmp_path / "smoke")
     place = ["--preset", "smoke", "--results", str(tmp_path)]
     runs = tmp_path / "smoke" / "runs"
-    (runs / "dqn-optimized-tuned-s0" / "policy.zip").unlink()
+    (runs / "dqn-optimized-safe-s0" / "policy.zip").unlink()
     shutil.rmtree(runs / "rrt_connect-optimized-s0")
     assert main(["evaluate", *place]) == 0
     out = capsys.readouterr().out
@@ -210,8 +211,8 @@ def test_runs_without_their_policy_are_complete_and_left_out_of_the_replay(
     planned = "rrt_connect-optimized-s0"
     shutil.copytree(results / "smoke" / "runs" / planned, runs / planned)
     assert main(["run", *place]) == 0
-    assert "4 runs were complete already" in capsys.readouterr().out
-    (runs / "rainbow-optimized-tuned-s0" / "policy.zip").unlink()
+    assert "5 runs were complete already" in capsys.readouterr().out
+    (runs / "rainbow-optimized-safe-s0" / "policy.zip").unlink()
     assert main(["evaluate", *place]) == 2
     assert "has no trained policy to score" in capsys.readouterr().err
 
@@ -220,7 +221,7 @@ def test_a_policy_plays_only_under_its_own_settings(
     results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     preset = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
-    preset["tracks"]["tuned"]["mask_visited"] = 0
+    preset["tracks"]["safe"]["mask_visited"] = 0
     changed = tmp_path / "smoke.yaml"
     changed.write_text(yaml.safe_dump(preset), encoding="utf-8")
     for command in ("evaluate", "failures"):
@@ -298,7 +299,7 @@ def test_other_starts_are_starts_of_their_own(
         assert "Performance on the test episodes" in out
         folder = tmp_path / "again" / f"starts-{starts}" / "smoke" / "runs"
         runs = [pd.read_csv(path) for path in sorted(folder.glob("*/episodes.csv"))]
-        assert len(runs) == 4
+        assert len(runs) == 5
         found = [set(rows.loc[rows["noise"] == 0.0, "start"].astype(str)) for rows in runs]
         assert all(starts == found[0] for starts in found)  # the same for every method
         seen.append(found[0])
@@ -374,7 +375,7 @@ def test_a_run_made_with_other_settings_is_not_overwritten(
     results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copytree(results / "smoke", tmp_path / "smoke")
-    config = tmp_path / "smoke" / "runs" / "dqn-optimized-tuned-s0" / "config.yaml"
+    config = tmp_path / "smoke" / "runs" / "dqn-optimized-safe-s0" / "config.yaml"
     config.write_text(config.read_text("utf-8").replace("gamma: 0.93", "gamma: 0.5"), "utf-8")
     assert main(["run", "--preset", "smoke", "--results", str(tmp_path)]) == 2
     assert "gamma: 0.5 -> 0.93" in capsys.readouterr().err

@@ -48,20 +48,20 @@ def test_the_best_cycle_is_the_best_of_all() -> None:
 
 def test_scripts_return_what_the_environment_pays() -> None:
     preset = load_preset("paper")
-    tracks = {name: preset.tracks[name] for name in ("printed", "tuned")}
+    tracks = {name: preset.tracks[name] for name in ("printed", "safe")}
     rows = audit.scripted(dataclasses.replace(preset, tracks=tracks), 2)
     assert set(rows["script"]) == set(SCRIPTS)
     means = {
         (track, script): (float(found["return"].mean()), float(found["holes"].mean()))
         for (track, script), found in rows.groupby(["track", "script"])
     }
-    for name in ("printed", "tuned"):
+    for name in ("printed", "safe"):
         assert means[name, "farm"][1] == means[name, "oscillate"][1] == 0
         assert means[name, "insert one"][1] == 1
         assert means[name, "insert"][1] > 3
-    # as printed a farmer earns more than one insertion does; with the tuned reward next to nothing
+    # as printed a farmer earns more than one insertion does; with the safe reward next to nothing
     assert means["printed", "farm"][0] > means["printed", "insert one"][0]
-    assert means["tuned", "farm"][0] < 0.1 * means["tuned", "insert one"][0]
+    assert means["safe", "farm"][0] < 0.1 * means["safe", "insert one"][0]
     # oscillating earns the dense term of every second move, which is at most 50 x 20 mm
     assert 0.0 < means["printed", "oscillate"][0] < 150 * 50 * 0.02
     assert "| as printed | farm |" in audit.markdown(rows)
@@ -74,18 +74,18 @@ def test_both_commands_write_what_they_say(
     store = Store.open(tmp_path, "smoke", create=True)
     words = ["--preset", "smoke", "--results", str(tmp_path)]
     assert main(["failures", *words]) == 2
-    assert "no stored policy of rainbow, track tuned" in capsys.readouterr().err
-    assert run_cell(Insertion(preset), Insertion(preset).find("rainbow-optimized-tuned-s0"), store)
+    assert "no stored policy of rainbow, track safe" in capsys.readouterr().err
+    assert run_cell(Insertion(preset), Insertion(preset).find("rainbow-optimized-safe-s0"), store)
     assert main(["failures", *words]) == 0
     folder = store.folder / "failures"
-    rows = pd.read_csv(folder / "rainbow-tuned.csv")
+    rows = pd.read_csv(folder / "rainbow-safe.csv")
     assert len(rows) == preset.evaluation.episodes
     assert set(rows.loc[~rows["success"].astype(bool), "cause"]) <= set(failures.CAUSES)
-    assert (folder / "rainbow-tuned.png").stat().st_size > 10_000
+    assert (folder / "rainbow-safe.png").stat().st_size > 10_000
     assert rows["gap"].between(0.0, 1.0).all()
     assert rows["acting"].isna().all()  # no training episode ended within so few steps
-    assert "last tenth" not in failures.summary(failures.read(folder / "rainbow-tuned.csv"))
-    known = failures.read(folder / "rainbow-tuned.csv").assign(acting=0.5)
+    assert "last tenth" not in failures.summary(failures.read(folder / "rainbow-safe.csv"))
+    known = failures.read(folder / "rainbow-safe.csv").assign(acting=0.5)
     assert "with exploration: 50.0 %" in failures.summary(known)
     assert main(["audit", *words, "--starts", "1"]) == 0
     learned = pd.read_csv(tmp_path / "audit" / "learned.csv")
@@ -122,8 +122,8 @@ def test_causes_are_told_apart() -> None:
             self.actions.append(self.actions.pop(0))
             return np.array([self.actions[-1]]), None
 
-    plain = dataclasses.replace(preset.tracks["tuned"], mask_singularities=False, mask_visited=0)
-    preset = dataclasses.replace(preset, tracks={"tuned": plain})
+    plain = dataclasses.replace(preset.tracks["safe"], mask_singularities=False, mask_visited=0)
+    preset = dataclasses.replace(preset, tracks={"safe": plain})
     rows = failures.play(preset, cell, Model([4, 5]), LatticeOracle(), lambda: None)
     assert {row["cause"] for row in rows} <= {"cycle", "infeasible"}
     assert any(row["cause"] == "cycle" for row in rows)

@@ -36,7 +36,7 @@ SEEDS, EPISODES = 2, 2
 
 
 def tiny_track(steps: int = 96) -> Track:
-    track = load_preset("smoke").tracks["tuned"]
+    track = load_preset("smoke").tracks["safe"]
     small = dataclasses.replace(track.hyperparameters, learning_starts=32, net_arch=[16])
     return dataclasses.replace(track, timesteps=steps, hyperparameters=small)
 
@@ -299,7 +299,7 @@ def test_ctrl_c_saves_and_the_same_command_resumes(tmp_path: Path) -> None:
         [sys.executable, "-m", "benchmarks", *given],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip
-    study = tmp_path / "tune" / "tuned-grid"
+    study = tmp_path / "tune" / "safe-grid"
     deadline = time.monotonic() + 120
     while not list(study.glob("runs/*/checkpoint/progress.json")):
         assert time.monotonic() < deadline
@@ -320,9 +320,9 @@ def test_bad_input_is_one_error(tmp_path: Path, capsys: pytest.CaptureFixture[st
         assert error.startswith("error: ")
         return error
 
-    assert "has no track 'printed'; known: tuned" in error_of("--track", "printed")
+    assert "has no track 'printed'; known: safe" in error_of("--track", "printed")
     assert not (tmp_path / "tune").exists()
-    folder = tmp_path / "tune" / "tuned-grid"
+    folder = tmp_path / "tune" / "safe-grid"
     RunFolder(folder).begin({"search": {"sampler": "grid", "seeds": 3}})
     assert "holds a run with other settings" in error_of("--seeds", "2")
     with pytest.raises(SystemExit):
@@ -332,8 +332,8 @@ def test_bad_input_is_one_error(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 def test_a_search_has_one_harness(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     preset = load_preset("smoke")
-    folder = RunFolder(tmp_path / "tune" / "tuned-grid")
-    track = dataclasses.replace(preset.tracks["tuned"], timesteps=96)
+    folder = RunFolder(tmp_path / "tune" / "safe-grid")
+    track = dataclasses.replace(preset.tracks["safe"], timesteps=96)
     folder.begin(
         {"search": {"sampler": "grid", "seeds": 1, "episodes": 1, "track": as_dict(track)}}
     )

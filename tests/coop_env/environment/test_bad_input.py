@@ -41,6 +41,7 @@ VALID = (0.0, 0.0, -0.33, 0.1, 0.1, 0.22)
         ({"mask_singularities": "yes"}, ArgumentError, "'yes'"),
         ({"mask_visited": True}, ArgumentError, "True: must be an integer from 0 to 64"),
         ({"mask_visited": 65}, ArgumentError, "65: must be an integer from 0 to 64"),
+        ({"mask_refused": 1}, ArgumentError, "mask_refused = 1"),
         ({"stage": 2}, ArgumentError, "stage = 2"),
         ({"stage": True}, ArgumentError, "stage = True"),
         ({"pose_model": "approximate"}, ArgumentError, "'approximate'"),

@@ -17,7 +17,12 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, CoopInsertionVectorEnv
 from coop_env.errors import ArgumentError, ResetOptionError
 
-NOISY: dict[str, Any] = {"sim_to_real": "randomized", "max_moves": 30, "mask_visited": 4}
+NOISY: dict[str, Any] = {
+    "sim_to_real": "randomized",
+    "max_moves": 30,
+    "mask_visited": 4,
+    "mask_refused": True,
+}
 COPIES: list[Callable[[Any], Any]] = [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))]
 
 

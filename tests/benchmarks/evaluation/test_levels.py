@@ -1,0 +1,156 @@
+"""The levels of a cell: noise, errors of an uncertain machine, and the paper's masks."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from benchmarks.evaluation.evaluate import (
+    begin_episodes,
+    displaced,
+    evaluate_cell,
+    levels,
+    play_together,
+    recurrent_chooser,
+)
+from benchmarks.methods.learners import build_model, make_training_env
+from benchmarks.protocol.plan import Cell
+from benchmarks.protocol.presets import Preset, load_preset
+from coop_env import SimToReal
+
+
+@pytest.fixture(scope="module")
+def preset() -> Preset:
+    """The paper's, small."""
+    whole = load_preset("paper")
+    small: dict[str, Any] = {"buffer_size": 1000, "n_envs": 2, "net_arch": [16, 16]}
+    tracks = {
+        name: dataclasses.replace(
+            track,
+            hyperparameters=dataclasses.replace(track.hyperparameters, **small),
+            recurrent=dataclasses.replace(track.recurrent, lstm_size=8),
+        )
+        for name, track in whole.tracks.items()
+    }
+    tests = dataclasses.replace(
+        whole.evaluation, episodes=2, noise=[0.0, 0.01], errors=[0.0, 3.0], stream="validate"
+    )
+    return dataclasses.replace(whole, tracks=tracks, evaluation=tests)
+
+
+def cell(method: str, track: str) -> Cell:
+    return Cell(method, "full", "optimized", track, 0)
+
+
+@pytest.mark.parametrize(
+    ("method", "track", "noise"),
+    [
+        ("rainbow", "printed", [0.0, 0.01]),
+        ("dqn", "safe", [0.0, 0.01]),
+        ("greedy_observed", "safe", [0.0, 0.01]),
+        ("greedy", "safe", [0.0]),
+        ("random", "memory", [0.0]),
+        ("optimum", "", [0.0]),
+    ],
+)
+def test_what_sees_the_state_is_played_without_noise(
+    method: str, track: str, noise: list[float], preset: Preset
+) -> None:
+    found = levels(preset, cell(method, track))
+    assert [level.noise for level in found] == noise
+    assert all(not level.columns for level in found)
+
+
+def test_learners_with_better_masks_play_under_the_papers_too(preset: Preset) -> None:
+    *own, paper = levels(preset, cell("rainbow", "memory"))
+    assert [(level.noise, level.columns) for level in own] == [
+        (0.0, {"masks": "own"}), (0.01, {"masks": "own"}),
+    ]  # fmt: skip
+    assert all(level.arguments["mask_visited"] == 64 for level in own)
+    assert (paper.noise, paper.columns) == (0.0, {"masks": "paper"})
+    changed = {"mask_singularities": False, "mask_visited": 0, "mask_refused": False}
+    assert paper.arguments == own[0].arguments | changed
+
+
+@pytest.mark.parametrize("method", ["rainbow", "recurrent_ppo", "greedy", "plan_search", "optimum"])
+def test_on_an_uncertain_machine_all_play_at_each_error(method: str, preset: Preset) -> None:
+    found = levels(preset, cell(method, "uncertain"))
+    assert [level.columns for level in found] == [{"error": 0.0}, {"error": 3.0}]
+    none, own = (level.arguments["sim_to_real"] for level in found)
+    assert none == SimToReal(observation_noise=0.01, joint_resolution=math.radians(0.1))
+    track = preset.tracks["uncertain"].sim_to_real
+    assert track is not None
+    assert dataclasses.asdict(own) == pytest.approx({**dataclasses.asdict(own), **track})
+
+
+def test_the_tilt_grows_with_the_displacement() -> None:
+    machine = SimToReal(base_position_error=0.003, base_tilt_error=math.radians(1.0))
+    far = displaced(machine, 6.0)
+    assert far.base_position_error == pytest.approx(0.006)
+    assert far.base_tilt_error == pytest.approx(math.radians(2.0))
+
+
+def test_training_draws_machines_unless_it_is_nominal(preset: Preset) -> None:
+    spread = {}
+    for track in ("uncertain", "uncertain_nominal"):
+        env = make_training_env(preset, cell("rainbow", track))
+        bases = []
+        for _ in range(3):
+            env.reset()
+            bases += [state["machine"]["base"].copy() for state in env.get_attr("state")]
+        spread[track] = np.ptp(bases, axis=0)
+        masks = env.get_attr("params")[0].task
+        assert (masks.visited, masks.refused, masks.mask_singularities) == (64, True, True)
+    assert spread["uncertain"].min() > 0.0
+    assert spread["uncertain_nominal"].max() == 0.0
+
+
+@pytest.mark.parametrize("method", ["rainbow", "recurrent_ppo"])
+def test_rows_say_under_which_error_they_were_played(method: str, preset: Preset) -> None:
+    mine = cell(method, "uncertain")
+    model = build_model(preset, mine, make_training_env(preset, mine))
+    told: list[float] = []
+    rows = evaluate_cell(preset, mine, told.append, model=model)
+    assert [(row["error"], row["episode"]) for row in rows] == [(0, 0), (0, 1), (3, 0), (3, 1)]
+    assert told == sorted(told)
+    assert 0.0 <= told[0] <= told[-1] <= 1.0
+
+
+def test_controls_and_planners_play_other_starts(preset: Preset) -> None:
+    for method, track in (("greedy", "safe"), ("optimum", "")):
+        one, two = (evaluate_cell(preset, cell(method, track), starts=n) for n in (None, 7))
+        assert not {row["start"] for row in one} & {row["start"] for row in two}
+
+
+def test_a_recurrent_policy_remembers_each_episode_by_itself(preset: Preset) -> None:
+    """Side by side, with some over before others, the moves are those of each one alone."""
+    mine = cell("recurrent_ppo", "uncertain")
+    model = build_model(preset, mine, make_training_env(preset, mine))
+    arguments: dict[str, Any] = {"sim_to_real": {"base_position_error": 0.003}, "max_moves": 40}
+
+    def courses(count: int, which: list[int]) -> list[dict[str, object]]:
+        episodes = [begin_episodes(arguments, 0, count)[i] for i in which]
+        episodes[0].env.step(0)  # so that one has fewer moves left than the others
+        play_together(recurrent_chooser(model, len(episodes)), episodes, 0.0, 0)
+        return [episode.row() for episode in episodes]
+
+    together = courses(3, [0, 1, 2])
+    assert together[0]["reward"] == pytest.approx(courses(3, [0])[0]["reward"])
+    assert together[0]["energy"] == pytest.approx(courses(3, [0])[0]["energy"])
+
+    seen: list[NDArray[Any]] = []
+    predict = model.predict
+
+    def watch(observations: Any, state: Any, **kwargs: Any) -> Any:
+        seen.append(state[0].copy())
+        return predict(observations, state, **kwargs)
+
+    model.predict = watch  # type: ignore
+    courses(1, [0])
+    assert np.all(seen[0] == 0.0)
+    assert all(np.any(state != 0.0) for state in seen[1:])
