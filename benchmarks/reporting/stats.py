@@ -235,7 +235,7 @@ def paired_t_test(ours: ArrayLike, theirs: ArrayLike) -> PairedTest:
     n = int(difference.size)
     mean = float(difference.mean()) if n else math.nan
     spread = float(difference.std(ddof=1)) if n > 1 else math.nan
-    if n < 2 or spread == 0.0:
+    if n < 2 or spread <= 1e-9 * abs(mean):  # equal but for rounding
         same = n > 1 and mean == 0.0
         return PairedTest(mean, 0.0 if same else math.nan, 1.0 if same else math.nan, math.nan, n)
     t, p = scipy.stats.ttest_1samp(difference, 0.0)
