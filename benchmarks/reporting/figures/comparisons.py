@@ -12,14 +12,15 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.protocol import labels, paper_values
+from benchmarks.protocol.plan import LEARNERS, PLANNERS
 from benchmarks.reporting.compared import SCORED
 from benchmarks.reporting.figures.curves import look
 from benchmarks.reporting.figures.style import Picture, canvas, finish, legend_below
 from benchmarks.reporting.results import MAIN, Group, Level, Results
-from benchmarks.reporting.rows import Row, complete, references, rows
+from benchmarks.reporting.rows import Row, complete, control_of, references, rows
 from benchmarks.reporting.stats import Value, profile_over_seeds
 from benchmarks.reporting.tables.compare import printed_spread
-from benchmarks.reporting.tables.paper import NOISY, noise_levels
+from benchmarks.reporting.tables.paper import NOISY, ablated, noise_levels
 from benchmarks.reporting.tables.statistics import N_HOLES
 from benchmarks.reporting.tables.uncertain import error_levels
 
@@ -55,18 +56,18 @@ def comparisons(results: Results) -> list[Picture]:
             _alt_of_errors(results),
             partial(_errors, results),
         ))  # fmt: skip
-    ablated = _ablation_rows(results)
-    if ablated:
+    components = _ablation_rows(results)
+    if components:
         texts = [
             f"{track} {title} {value.text(1)} %" + (f", the paper {paper}" if paper else "")
-            for track, title, value, paper in ablated
+            for track, title, value, paper in components
         ]
         found.append(Picture(
             "ablation_comparison", section,
             "Success rate with one component removed: ours with 95 % intervals, the paper's with "
             "its standard deviation.",
             f"Dot chart of success rates. {'; '.join(texts)}.",
-            partial(_ablation_comparison, ablated, references(results, SCORED)),
+            partial(_ablation_comparison, components, references(results, SCORED)),
         ))  # fmt: skip
     return found
 
@@ -83,9 +84,18 @@ def _speeds(group: Group, optimum: Group) -> list[NDArray[np.float64]]:
     return found
 
 
-def _drawn(results: Results, uncertain: bool = False) -> dict[str, Group]:
-    """The complete methods by name, each once."""
-    found = complete(rows(results, uncertain=uncertain))
+def _drawn(results: Results) -> dict[str, Group]:
+    """Learners, of the controls the best of each knowledge, and planners, by name."""
+    found = [row for row in complete(rows(results)) if row.level == MAIN]
+    learners = [row for row in found if row.method in LEARNERS]
+    controls = [control_of(results, row) for row in learners]
+    planners = [row for row in found if row.method in PLANNERS]
+    chosen = [*learners, *complete(row for row in controls if row), *planners]
+    return {row.name: row.group for row in chosen}
+
+
+def _on_uncertain(results: Results) -> dict[str, Group]:
+    found = complete(rows(results, uncertain=True))
     return {row.name: row.group for row in found if row.level == MAIN}
 
 
@@ -104,7 +114,7 @@ def _profile_scores(results: Results) -> list[tuple[str, Mapping[str, Scores]]]:
 
 
 def _profiles(results: Results) -> Figure:
-    figure, panels = canvas(1, 2, (9.0, 4.4))
+    figure, panels = canvas(1, 2, (9.0, 5.2))
     looks = {name: look(group) for name, group in _drawn(results).items()}
     for axes, (label, methods) in zip(panels, _profile_scores(results), strict=True):
         for name, scores in methods.items():
@@ -116,7 +126,7 @@ def _profiles(results: Results) -> Figure:
                               linewidth=0)  # fmt: skip
         finish(axes, "Share of test episodes above", label)
         axes.set_ylim(-0.02, 1.02)
-    legend_below(figure, panels, 4)
+    legend_below(figure, panels, 3)
     return figure
 
 
@@ -135,7 +145,7 @@ def _robustness_lines(results: Results) -> dict[str, Group]:
 
 
 def _robustness(results: Results) -> Figure:
-    figure, (axes,) = canvas(size=(6.0, 4.2))
+    figure, (axes,) = canvas(size=(7.0, 5.6))
     levels = noise_levels(results)
     for name, group in _robustness_lines(results).items():
         _error_bars(axes, levels, [group.success(Level(x)) for x in levels], name, look(group))
@@ -150,7 +160,7 @@ def _robustness(results: Results) -> Figure:
     if optimum.n:
         axes.axhline(optimum.mean, color="0.5", linewidth=0.9, label="Exact optimum (true state)")
     finish(axes, "Success rate (%)", "Observation noise (share of the normalized range)")
-    legend_below(figure, [axes])
+    legend_below(figure, [axes], 2)
     return figure
 
 
@@ -180,7 +190,7 @@ def _alt_of_robustness(results: Results) -> str:
 def _errors(results: Results) -> Figure:
     figure, (axes,) = canvas(size=(7.0, 5.2))
     levels = error_levels(results)
-    for name, group in _drawn(results, uncertain=True).items():
+    for name, group in _on_uncertain(results).items():
         values = [group.success(Level(error=level)) for level in levels]
         _error_bars(axes, levels, values, name, look(group))
     axes.set_ylim(-2, 102)
@@ -192,7 +202,7 @@ def _errors(results: Results) -> Figure:
 def _alt_of_errors(results: Results) -> str:
     levels = error_levels(results)
     parts = []
-    for name, group in _drawn(results, uncertain=True).items():
+    for name, group in _on_uncertain(results).items():
         values = [group.success(Level(error=level)) for level in (levels[0], levels[-1])]
         parts.append(f"{name} {values[0].text(1)} to {values[1].text(1)} %")
     ends = f"from {levels[0]:g} to {levels[-1]:g} mm"
@@ -201,7 +211,7 @@ def _alt_of_errors(results: Results) -> str:
 
 def _ablation_rows(results: Results) -> list[tuple[str, str, Value, str]]:
     found = []
-    for track in results.tracks():
+    for track in ablated(results):
         for key, title in labels.ABLATIONS.items():
             group = results.group("rainbow", track=track, ablation=key)
             if group.n:

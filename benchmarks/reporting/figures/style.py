@@ -56,6 +56,7 @@ STYLE: Final[Any] = {
     "hatch.linewidth": 0.5,
     "legend.fontsize": "small",
     "legend.frameon": False,
+    "legend.handlelength": 3.0,
     "pdf.fonttype": 42,
 }
 DPI: Final = 130

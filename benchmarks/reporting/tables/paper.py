@@ -123,7 +123,7 @@ def ablation(results: Results) -> Table:
             success.interval_text(1), steps, row.cell(row.excess(results)),
         ])  # fmt: skip
 
-    for track in _ablated(results):
+    for track in ablated(results):
         for key, title in labels.ABLATIONS.items():
             paper = paper_values.ABLATION.get(key, "")
             row = row_of(results, "rainbow", track, ablation=key)
@@ -141,7 +141,7 @@ def ablation(results: Results) -> Table:
     return Table("ablation", title, header, made, notes, left=(0, 1, 2))
 
 
-def _ablated(results: Results) -> list[str]:
+def ablated(results: Results) -> list[str]:
     """Tracks in which any ablation is planned or was run; the scored one where there is none."""
     found = []
     for track in results.tracks():
