@@ -82,8 +82,13 @@ def comparisons(results: Results) -> list[Comparison]:
         for kind, ours, theirs, metrics in _pairs(results)
         for made in _compare(kind, ours, theirs, metrics)
     ]
-    corrected = holm([each.test.p for each in found])
+    corrected = holm([_p(each.test) for each in found])
     return [replace(each, p=p) for each, p in zip(found, corrected, strict=True)]
+
+
+def _p(test: PairedTest) -> float:
+    """The test's p; where every pair differs by the same, t has no bound and p is 0."""
+    return 0.0 if math.isnan(test.p) and test.n > 1 and test.difference else test.p
 
 
 def _pairs(results: Results) -> Iterator[tuple[str, Row, Row | None, tuple[Metric, ...]]]:

@@ -120,7 +120,7 @@ def headline(results: Results, compared: list[Comparison], track: str) -> str:
 
 def _against(found: Comparison) -> str:
     """The other side's figure and the difference to it."""
-    p = "p not defined" if math.isnan(found.p) else f"p = {found.p:.2g}"
+    p = "p < 0.001" if found.p < 0.001 else f"p = {found.p:.2g}"
     name = labels.METHODS[found.theirs.method]
     return (
         f"{name[0].lower()}{name[1:]} in {_show(found.theirs.success())} "

@@ -184,7 +184,7 @@ def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...],
         elif episodes["reset_seed"].tolist() != seeds:
             problems.append(f"episodes.csv has rows at {where} of other than the test seeds")
         for seed, start in zip(episodes["reset_seed"], episodes["start"].astype(str), strict=True):
-            before = starts.setdefault((cell.geometry, error, seed), start)
+            before = starts.setdefault((cell.geometry, bool(result.error), error, seed), start)
             if before != start:
                 problems.append(
                     f"episodes.csv: the episode of seed {seed} began at {start}, in another run "

@@ -202,6 +202,12 @@ def test_what_is_paid_without_inserting_is_told(
     assert ("paid without inserting" in told) == unearned
 
 
+def test_a_difference_that_is_the_same_in_every_pair_counts(tell: Tell) -> None:
+    told = headline(tell, {"success": first(0)}, {"success": first(N)}, {"success": first(N)})
+    assert told.startswith("**A script does better**")
+    assert "(-100.0 points, p < 0.001)" in told
+
+
 def test_a_script_that_knows_something_else_is_no_measure(tell: Tell) -> None:
     told = tell({
         OURS: {"success": first(1900)},
