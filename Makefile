@@ -60,9 +60,8 @@ docs: $(STAMP) ## Regenerate every figure and number that the docs hold
 	@$(BIN)/python -m benchmarks design
 	@$(BIN)/python -m benchmarks media
 	@$(BIN)/python -m benchmarks audit
-	@$(BIN)/python -m benchmarks failures --preset paper --track tuned
-	@$(BIN)/python -m benchmarks failures --preset paper --track repaired
-	@$(BIN)/python -m benchmarks failures --preset attempts --track safe
+	@$(BIN)/python -m benchmarks failures --preset paper --track safe
+	@$(BIN)/python -m benchmarks failures --preset paper --track memory
 	@$(BIN)/python -m benchmarks readme
 
 clean: ## Remove the environment and caches; results/ stays

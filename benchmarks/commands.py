@@ -212,17 +212,19 @@ def readme(arguments: argparse.Namespace) -> int:
     """Rewrite the README's results section, and what the pages beside it include."""
     from benchmarks.reporting.pages.includes import rewrite_all
     from benchmarks.reporting.pages.readme import rewrite
+    from benchmarks.reporting.verify import presets_of
 
     if not arguments.readme.is_file():
         raise BenchmarkError(f"{arguments.readme} is missing; name another with --readme")
     if arguments.preset is None:  # the one that the page is about
-        from benchmarks.reporting.verify import presets_of
-
         named = presets_of(arguments.readme)
         arguments.preset = named[0] if named else DEFAULT_PRESET
     _, store = _open(arguments)
     changed = rewrite(arguments.readme, store)
     print(f"{arguments.readme}: {'rewritten' if changed else 'up to date'}")
+    for page in sorted((arguments.readme.parent / "docs").glob("*.md")):
+        if store.folder.name in presets_of(page):
+            print(f"{page}: {'rewritten' if rewrite(page, store) else 'up to date'}")
     for page in rewrite_all(arguments.readme.parent / "docs", arguments.results):
         print(f"{page}: its included tables are up to date")
     return 0

@@ -21,6 +21,10 @@ HYPERPARAMETERS: Final[dict[str, str]] = {
     "Total environment steps": "~1500000",
     "Curriculum switch": "75 % success over 20 episodes",
     "Hardware": "NVIDIA RTX 3090, ~4 h",
+    "Masks": "reach and joint limits (paper's)",
+    "Memory": "none",
+    "Learning rate's schedule": "a step per episode",
+    "Updates per environment step": "1",
 }
 
 # Table "results": metric key -> (initial, optimized) as printed

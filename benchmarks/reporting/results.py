@@ -3,23 +3,39 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
 import pandas as pd
 
-from benchmarks.protocol.metrics import SUCCESS, Metric
-from benchmarks.protocol.plan import DESIGN, LEARNERS, expand
-from benchmarks.protocol.presets import load_preset, preset_names
+from benchmarks.protocol.metrics import OWN_MASKS, SUCCESS, Metric
+from benchmarks.protocol.plan import DESIGN, METHODS, expand
+from benchmarks.protocol.presets import as_dict, load_preset, preset_names
 from benchmarks.reporting.stats import Value, mean_interval, measured, over_seeds, wilson
 from benchmarks.runs.store import RunFolder, Store
 
-TRACK_ORDER: Final = ("printed", "repaired", "tuned")
+TRACK_ORDER: Final = ("printed", "reward", "safe", "memory", "uncertain", "uncertain_nominal")
 Key = tuple[str, str, str, str]  # method, ablation, geometry, track
 
 
 @dataclass(frozen=True)
+class Level:
+    """Under what test episodes were played: noise, masks, and the error of the base in mm.
+
+    An ``error`` of None stands for the bound of the run's own track.
+    """
+
+    noise: float = 0.0
+    masks: str = OWN_MASKS
+    error: float | None = None
+
+
+MAIN: Final = Level()
+
+
+@dataclass(frozen=True, eq=False)
 class Result:
     """One complete run."""
 
@@ -29,19 +45,35 @@ class Result:
     folder: RunFolder
     episodes: pd.DataFrame
 
-    def test(self, noise: float = 0.0) -> pd.DataFrame:
-        """Test episodes at one level of observation noise, by episode; not to be written to."""
-        return self._by_noise.get(noise, self.episodes.iloc[:0])
+    @property
+    def error(self) -> float:
+        """The bound of the base's displacement on the run's track, mm."""
+        machine = self.config.get("track", {}).get("sim_to_real") or {}
+        return round(1000.0 * float(machine.get("base_position_error", 0.0)), 6)
+
+    def test(self, level: Level = MAIN) -> pd.DataFrame:
+        """Test episodes at one level, by episode; not to be written to."""
+        error = self.error if level.error is None else level.error
+        return self.levels.get((level.noise, level.masks, error), self.episodes.iloc[:0])
 
     @cached_property
-    def _by_noise(self) -> dict[float, pd.DataFrame]:
-        return {
-            float(str(noise)): rows.sort_values("episode").reset_index(drop=True)
-            for noise, rows in self.episodes.groupby("noise")
-        }
+    def levels(self) -> dict[tuple[float, str, float], pd.DataFrame]:
+        """(noise, masks, error) -> its episodes; rows of before the columns are the track's own."""
+        columns: dict[str, Any] = {"masks": OWN_MASKS, "error": self.error}
+        rows = self.episodes.assign(
+            **{
+                name: self.episodes[name].fillna(own) if name in self.episodes else own
+                for name, own in columns.items()
+            }
+        )
+        found = {}
+        for (noise, masks, error), part in rows.groupby(["noise", "masks", "error"]):
+            level = (float(str(noise)), str(masks), float(str(error)))
+            found[level] = part.sort_values("episode").reset_index(drop=True)
+        return found
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Group:
     """The runs of one configuration, one per seed; empty if there are none.
 
@@ -60,13 +92,13 @@ class Group:
         """What a cell says where no run is complete."""
         return "missing" if self.planned else "-"
 
-    def value(self, metric: Metric, noise: float = 0.0) -> Value:
+    def value(self, metric: Metric, level: Level = MAIN) -> Value:
         """A metric of each seed's test episodes, over seeds, with a 95 % interval.
 
         One seed: over its episodes, Wilson's interval of a proportion and else the bootstrap of a
         mean. Several: the stratified bootstrap over seeds.
         """
-        tests = [rows for rows in (run.test(noise) for run in self.runs) if len(rows)]
+        tests = [rows for rows in (run.test(level) for run in self.runs) if len(rows)]
 
         def alone() -> tuple[float, float]:
             (episodes,) = (x for x in (metric.values(rows) for rows in tests) if len(x))
@@ -76,16 +108,17 @@ class Group:
 
         return measured([metric.reduce(rows) for rows in tests], alone)
 
-    def success(self, noise: float = 0.0) -> Value:
+    def success(self, level: Level = MAIN) -> Value:
         """Success rate in %, with a 95 % interval."""
-        return self.value(SUCCESS, noise)
+        return self.value(SUCCESS, level)
 
     def change(self, noise: float) -> Value:
         """Change of the success rate, in points, from no noise to ``noise``, with an interval.
 
         One seed: over its episodes, which are the same at either level.
         """
-        pairs = [(run.test()["success"], run.test(noise)["success"]) for run in self.runs]
+        noisy = Level(noise)
+        pairs = [(run.test()["success"], run.test(noisy)["success"]) for run in self.runs]
         changes = [100.0 * (b - a).to_numpy(dtype=float) for a, b in pairs if len(a) == len(b)]
         return measured([each.mean() for each in changes], lambda: mean_interval(changes[0]))
 
@@ -107,9 +140,9 @@ class Group:
         numbers = [run.meta["training"].get(key) for run in self.runs]
         return over_seeds([math.nan if x is None else scale * float(x) for x in numbers])
 
-    def pooled(self, noise: float = 0.0) -> pd.DataFrame:
+    def pooled(self, level: Level = MAIN) -> pd.DataFrame:
         """All test episodes of all seeds, indexed by initial state for pairing."""
-        frames = [run.test(noise).assign(seed=run.seed) for run in self.runs]
+        frames = [run.test(level).assign(seed=run.seed) for run in self.runs]
         if not frames:
             return pd.DataFrame()
         return pd.concat(frames).set_index(["seed", "episode"])
@@ -130,13 +163,16 @@ class Results:
             key = (cell["method"], cell["ablation"], cell["geometry"], cell["track"])
             result = Result(cell["seed"], config, folder.meta(), folder, folder.rows("episodes"))
             found.setdefault(key, []).append(result)
-        self.planned = _planned(store)
+        self.planned, self._settings = _planned(store)
         self._groups = {
             key: Group(
                 tuple(sorted(found.get(key, []), key=lambda r: r.seed)), self.planned.get(key, 0)
             )
             for key in {**found, **self.planned}
         }
+        for run in self.all():  # what was run counts, not what the preset says today
+            if "track" in run.config:
+                self._settings[run.config["cell"]["track"]] = run.config["track"]
 
     def group(
         self, method: str, geometry: str = "optimized", track: str = "", ablation: str = "full"
@@ -145,40 +181,54 @@ class Results:
         return self._groups.get((method, ablation, geometry, track), Group())
 
     def tracks(self) -> list[str]:
-        """Tracks that are planned or were run, in the order printed, repaired, tuned, others."""
-        names = {key[3] for key in self._groups if key[3]}
-        known = [track for track in TRACK_ORDER if track in names]
-        return known + sorted(names - set(TRACK_ORDER))
+        """Tracks that are planned or were run, the usual ones in their order first."""
+        return in_order({key[3] for key in self._groups if key[3]})
 
-    def learners(self, track: str) -> list[tuple[str, Group]]:
-        """(method, runs) of the learners of a track that are planned or were run; DQN first."""
-        order = ("dqn", "rainbow", *(m for m in LEARNERS if m not in ("dqn", "rainbow")))
-        found = [(method, self.group(method, track=track)) for method in order]
+    def settings(self, track: str) -> dict[str, Any] | None:
+        """What a track's runs were given, or their preset; None where there is neither."""
+        return self._settings.get(track)
+
+    def uncertain(self, track: str) -> bool:
+        """Whether a track's machine stands where the model does not know."""
+        return bool((self.settings(track) or {}).get("sim_to_real"))
+
+    def methods(
+        self, track: str, among: Sequence[str] = METHODS, geometry: str = "optimized"
+    ) -> list[tuple[str, Group]]:
+        """(method, runs) of a track, or of none, that are planned or were run."""
+        found = [(method, self.group(method, geometry, track)) for method in among]
         return [(method, group) for method, group in found if group.n or group.planned]
 
-    def noise_levels(self) -> list[float]:
-        """Levels of observation noise that any run was tested at."""
-        levels: set[float] = set()
-        for group in self._groups.values():
-            for run in group.runs:
-                levels.update(float(x) for x in run.episodes["noise"].unique())
-        return sorted(levels)
+    def levels(self) -> list[tuple[float, str, float]]:
+        """(noise, masks, error) at which any run was tested, in order."""
+        return sorted({level for run in self.all() for level in run.levels})
 
     def all(self) -> list[Result]:
         """Every run but the geometric optimization."""
         return [run for group in self._groups.values() for run in group.runs]
 
 
-def _planned(store: Store) -> dict[Key, int]:
-    """How many runs of each configuration the store's preset holds; empty if it is not at hand."""
+def in_order(tracks: Iterable[str]) -> list[str]:
+    """Tracks in the usual order, others after them."""
+    names = set(tracks)
+    known = [track for track in TRACK_ORDER if track in names]
+    return known + sorted(names - set(TRACK_ORDER))
+
+
+def _planned(store: Store) -> tuple[dict[Key, int], dict[str, dict[str, Any]]]:
+    """How many runs of each configuration the store's preset holds, and its tracks.
+
+    Both are empty if the preset is not at hand.
+    """
     if store.folder.name not in preset_names():
-        return {}
+        return {}, {}
+    preset = load_preset(store.folder.name)
     planned: dict[Key, int] = {}
-    for cell in expand(load_preset(store.folder.name)):
+    for cell in expand(preset):
         if cell.method != DESIGN:
             key = (cell.method, cell.ablation, cell.geometry, cell.track)
             planned[key] = planned.get(key, 0) + 1
-    return planned
+    return planned, {name: as_dict(track) for name, track in preset.tracks.items()}
 
 
 def tail_mean(curve: pd.DataFrame, column: str, share: float = 0.1) -> float:
@@ -203,14 +253,14 @@ def tail_mean(curve: pd.DataFrame, column: str, share: float = 0.1) -> float:
     return float((curve.loc[late, column] * weights).sum() / weights.sum())
 
 
-def excess_over_optimum(ours: Group, optimum: Group) -> Value:
+def excess_over_optimum(ours: Group, optimum: Group, level: Level = MAIN) -> Value:
     """Moves to the first insertion above the optimum's, in %, on starts that both solved."""
     values = []
     best = {run.seed: run.test() for run in optimum.runs}
     for run in ours.runs:
         if run.seed not in best:
             continue
-        both = run.test().merge(best[run.seed], on="episode", suffixes=("", "_optimum"))
+        both = run.test(level).merge(best[run.seed], on="episode", suffixes=("", "_optimum"))
         both = both[(both["success"] == 1) & (both["success_optimum"] == 1)]
         if len(both):
             values.append(

@@ -235,7 +235,7 @@ def paired_t_test(ours: ArrayLike, theirs: ArrayLike) -> PairedTest:
     n = int(difference.size)
     mean = float(difference.mean()) if n else math.nan
     spread = float(difference.std(ddof=1)) if n > 1 else math.nan
-    if n < 2 or spread == 0.0:
+    if n < 2 or spread <= 1e-9 * abs(mean):  # equal but for rounding
         same = n > 1 and mean == 0.0
         return PairedTest(mean, 0.0 if same else math.nan, 1.0 if same else math.nan, math.nan, n)
     t, p = scipy.stats.ttest_1samp(difference, 0.0)
@@ -251,40 +251,6 @@ def holm(p_values: Sequence[float]) -> list[float]:
         running = max(running, min(1.0, (len(finite) - rank) * p_values[index]))
         adjusted[index] = running
     return adjusted
-
-
-def probability_of_improvement(ours: ArrayLike, theirs: ArrayLike) -> float:
-    """P(ours > theirs) over all pairs of runs, ties counted half (Mann-Whitney), mean over tasks.
-
-    Args:
-        ours: (n, tasks), or (n,) for one task.
-        theirs: (m, tasks), or (m,).
-    """
-    a, b = np.asarray(ours, dtype=np.float64), np.asarray(theirs, dtype=np.float64)
-    a, b = a.reshape(len(a), -1), b.reshape(len(b), -1)
-    return float(_improvements(a[None], b[None])[0])
-
-
-def _improvements(a: Array, b: Array) -> Array:
-    """Probability of improvement (k,) of k pairs of sets (k, n, tasks) and (k, m, tasks)."""
-    left, right = a[:, :, None, :], b[:, None, :, :]
-    return np.asarray(((left > right) + 0.5 * (left == right)).mean(axis=(1, 2, 3)))
-
-
-def improvement_interval(
-    ours: ArrayLike, theirs: ArrayLike, repetitions: int = 2_000, seed: int = 0
-) -> tuple[float, float]:
-    """95 % stratified bootstrap interval of :func:`probability_of_improvement`.
-
-    Both sides are resampled on their own. NaN where a side has fewer than two runs.
-    """
-    a, b = np.asarray(ours, dtype=np.float64), np.asarray(theirs, dtype=np.float64)
-    a, b = a.reshape(len(a), -1), b.reshape(len(b), -1)
-    if min(len(a), len(b)) < 2:
-        return math.nan, math.nan
-    rng = np.random.default_rng(seed)
-    draws = _improvements(_resamples(a, repetitions, rng), _resamples(b, repetitions, rng))
-    return _percentiles(draws, 0.95)
 
 
 def moving_average(values: ArrayLike, window: int, counts: ArrayLike | None = None) -> Array:

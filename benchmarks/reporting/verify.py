@@ -7,6 +7,7 @@ studies check their own data with what is here and add it to the same :class:`Re
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -18,6 +19,7 @@ from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.pages import includes
 from benchmarks.reporting.pages.readme import render
+from benchmarks.reporting.results import Result
 from benchmarks.reporting.tables.paper import build_tables
 from benchmarks.reporting.tables.table import Table
 from benchmarks.runs.store import RunFolder, Store
@@ -55,17 +57,19 @@ def verify_all(results: Path, presets: list[str], readme: Path, docs: Path) -> R
     names = presets or store_names(results)
     if not names:
         raise BenchmarkError(f"{results} has no results; run: python -m benchmarks run")
+    pages = [path for path in (readme, *sorted(docs.glob("*.md"))) if path.is_file()]
     blocks = presets_of(readme)
     for name in names:
         store = Store.open(results, name)
         found = check_runs(store)
         if not found:  # rows that cannot be trusted make no tables
-            found = verify(store, readme)
+            found = verify(store, pages)
         policies = sum(run.policy.is_file() for run in store.completed())
         what = f"{store.folder}: tables of {len(store.completed())} runs, {policies} policies"
         report.add(what, found)
-        if name in blocks:
-            report.checked.append(f"{readme}: its results, of preset {name}")
+        report.checked += [
+            f"{page}: its results, of preset {name}" for page in pages if name in presets_of(page)
+        ]
     if not any(name in names for name in blocks):
         report.checked.append(f"{readme}: shows none of these presets, not checked")
     report.problems += [
@@ -73,7 +77,6 @@ def verify_all(results: Path, presets: list[str], readme: Path, docs: Path) -> R
         for name in blocks
         if not presets and name not in names
     ]
-    pages = [path for path in (readme, *sorted(docs.glob("*.md"))) if path.is_file()]
     for path in pages:
         of = {Path(name).parts[1] for name in includes.included(path.read_text(encoding="utf-8"))}
         if of and (not presets or of.intersection(presets)):
@@ -86,18 +89,19 @@ def store_names(results: Path) -> list[str]:
     return sorted(path.parent.name for path in results.glob("*/store.json"))
 
 
-def verify(store: Store, readme: Path | None = None) -> list[str]:
+def verify(store: Store, pages: Sequence[Path] = ()) -> list[str]:
     """Recompute every table of one store; returns one sentence for each thing that disagrees.
 
     Args:
         store: the results to check.
-        readme: a README whose results block is checked too, if it was made from this store.
+        pages: README and others, whose block of results is checked if it is of this store.
     """
     tables = build_tables(store)
     problems = check_tables(store.tables, tables)
-    if readme is not None and store.folder.name in presets_of(readme):
-        wanted = render(readme.read_text(encoding="utf-8"), store, tables)
-        problems += check_file(readme, wanted, "the stored episodes")
+    for page in pages:
+        if store.folder.name in presets_of(page):
+            wanted = render(page.read_text(encoding="utf-8"), store, tables)
+            problems += check_file(page, wanted, "the stored episodes")
     return problems
 
 
@@ -122,7 +126,7 @@ def check_tables(folder: Path, tables: list[Table]) -> list[str]:
 
 
 def presets_of(readme: Path) -> list[str]:
-    """The presets whose results a README shows."""
+    """The presets whose results a page shows."""
     if not readme.is_file():
         return []
     return WRITTEN_BY.findall(readme.read_text(encoding="utf-8"))
@@ -131,7 +135,7 @@ def presets_of(readme: Path) -> list[str]:
 def check_runs(store: Store) -> list[str]:
     """Whether each complete run is what its settings say: rows, seeds, initial states, policy."""
     problems: list[str] = []
-    starts: dict[tuple[str, int], str] = {}
+    starts: dict[tuple[object, ...], str] = {}
     for run in [*store.completed(), *store.entered()]:
         try:
             problems += [f"{run.path}: {problem}" for problem in _check_run(run, starts)]
@@ -142,7 +146,7 @@ def check_runs(store: Store) -> list[str]:
     return problems
 
 
-def _check_run(run: RunFolder, starts: dict[tuple[str, int], str]) -> list[str]:
+def _check_run(run: RunFolder, starts: dict[tuple[object, ...], str]) -> list[str]:
     config, meta = run.config(), run.meta()
     cell = Cell(**config["cell"])
     if cell.id != run.id or meta["cell"] != run.id:
@@ -152,45 +156,52 @@ def _check_run(run: RunFolder, starts: dict[tuple[str, int], str]) -> list[str]:
         return []
     if cell.learns:
         run.rows("curve")
-    noisy = cell.learns or bool(config.get("entry", {}).get("sha256"))
-    evaluation = config["evaluation"]
-    levels = evaluation["noise"] if noisy else [0.0]  # planners see the true state
-    rows = run.rows("episodes")
-    problems = _check_episodes(cell, evaluation["episodes"], levels, rows, starts)
+    result = Result(cell.seed, config, meta, run, run.rows("episodes"))
+    problems = _check_episodes(result, cell, starts)
     if run.policy.is_file() and run.policy_digest() != meta["training"].get("policy_sha256"):
         problems.append("policy.zip is not the policy whose digest its meta.json has")
     return problems
 
 
-def _check_episodes(
-    cell: Cell,
-    episodes_per_seed: int,
-    levels: list[float],
-    rows: pd.DataFrame,
-    starts: dict[tuple[str, int], str],
-) -> list[str]:
+def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...], str]) -> list[str]:
+    """Whether each level holds the test episodes of the seed, and none of the levels is missing."""
     problems = []
-    seeds = episode_seeds(cell.seed, episodes_per_seed)
-    found = sorted(rows["noise"].astype(float).unique().tolist())
-    if found != sorted(levels):
-        problems.append(f"episodes.csv has noise {found}, not {levels}")
-    for noise, group in rows.groupby("noise"):
-        episodes = group.sort_values("episode")
+    evaluation, rows = result.config["evaluation"], result.episodes
+    stream = evaluation.get("stream", "test")
+    seeds = episode_seeds(cell.seed, evaluation["episodes"], stream)
+    for name, wanted in _levels(result, cell).items():
+        column = rows[name] if name in rows else pd.Series([], dtype=float)
+        found = sorted(column.astype(float).unique().tolist())
+        if found != sorted(wanted):
+            problems.append(f"episodes.csv has {name} {found}, not {wanted}")
+    for (noise, masks, error), episodes in result.levels.items():
+        where = f"noise {noise}, masks {masks}, error {error:g} mm"
         if episodes["episode"].tolist() != list(range(len(seeds))):
             problems.append(
-                f"episodes.csv has {len(episodes)} rows at noise {noise}, not one for each of the "
+                f"episodes.csv has {len(episodes)} rows at {where}, not one for each of the "
                 f"{len(seeds)} test episodes"
             )
         elif episodes["reset_seed"].tolist() != seeds:
-            problems.append(f"episodes.csv has rows at noise {noise} of other than the test seeds")
-    for seed, start in zip(rows["reset_seed"], rows["start"].astype(str), strict=True):
-        if starts.setdefault((cell.geometry, seed), start) != start:
-            problems.append(
-                f"episodes.csv: the episode of seed {seed} began at {start}, in another run at "
-                f"{starts[cell.geometry, seed]}"
-            )
-            break
+            problems.append(f"episodes.csv has rows at {where} of other than the test seeds")
+        for seed, start in zip(episodes["reset_seed"], episodes["start"].astype(str), strict=True):
+            before = starts.setdefault((cell.geometry, bool(result.error), error, seed), start)
+            if before != start:
+                problems.append(
+                    f"episodes.csv: the episode of seed {seed} began at {start}, in another run "
+                    f"at {before}"
+                )
+                return problems
     return problems
+
+
+def _levels(result: Result, cell: Cell) -> dict[str, list[float]]:
+    """Column of the episodes -> the levels that it must hold."""
+    evaluation = result.config["evaluation"]
+    if result.error:
+        return {"error": evaluation["errors"]}
+    brought = bool(result.config.get("entry", {}).get("sha256"))
+    observed = cell.learns or brought or cell.method.endswith("_observed")
+    return {"noise": evaluation["noise"] if observed else [0.0]}  # the others see the true state
 
 
 def check_includes(results: Path, path: Path) -> list[str]:

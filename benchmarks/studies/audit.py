@@ -34,7 +34,7 @@ from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.figures.style import canvas, save, style
-from benchmarks.reporting.results import TRACK_ORDER, Results, tail_mean
+from benchmarks.reporting.results import Results, in_order, tail_mean
 from benchmarks.reporting.verify import Report, check_file
 from benchmarks.runs import machine
 from benchmarks.runs.store import Store, write_csv, write_text
@@ -100,7 +100,7 @@ def learned(store: Store) -> pd.DataFrame:
 def ratios(rows: pd.DataFrame) -> pd.DataFrame:
     """Mean return of each script over that of inserting, by track; above 1 the reward is farmed."""
     means = rows.groupby(["track", "script"])["return"].mean().unstack()
-    tracks = [name for name in TRACK_ORDER if name in means.index]
+    tracks = in_order(str(name) for name in means.index)
     return means.div(means["insert"], axis=0).loc[tracks, list(SCRIPTS)]
 
 

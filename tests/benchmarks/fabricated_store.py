@@ -10,6 +10,7 @@ from unittest import mock
 
 from benchmarks.protocol.plan import Cell, expand, settings
 from benchmarks.protocol.presets import Preset, load_preset
+from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.runs.store import Store
 
 EPISODES = 10
@@ -17,9 +18,17 @@ SOLVED = {
     "rainbow": 9,
     "maskable_ppo": 9,
     "dqn": 6,
+    "recurrent_ppo": 4,
+    "random": 1,
+    "greedy": 7,
+    "lookahead": 8,
+    "greedy_observed": 7,
+    "lookahead_observed": 8,
     "rrt_connect": 5,
     "rrt_lattice": 8,
     "optimum": 10,
+    "nominal_plan": 5,
+    "plan_search": 8,
 }
 
 
@@ -60,19 +69,35 @@ def curve(cell: Cell) -> list[dict[str, object]]:
     ]  # fmt: skip
 
 
+def levels_of(preset: Preset, cell: Cell) -> list[dict[str, Any]]:
+    """What tells the levels of a cell's tests apart, the headline first."""
+    track = preset.tracks.get(cell.track)
+    if track is not None and track.sim_to_real:
+        return [{"noise": 0.0, "error": error} for error in preset.evaluation.errors]
+    if not cell.learns and not cell.method.endswith("_observed"):
+        return [{"noise": 0.0}]
+    levels = [{"noise": noise, "masks": "own"} for noise in preset.evaluation.noise]
+    papers = cell.learns and track is not None and track.mask_singularities
+    return [*levels, *([{"noise": 0.0, "masks": "paper"}] if papers else [])]
+
+
 def fill(store: Store, preset: Preset, cell: Cell, solved: int, moves: int) -> None:
-    """A complete run that solves the first ``solved`` episodes (one fewer with noise)."""
+    """A complete run that solves the first ``solved`` episodes.
+
+    One fewer with noise, two fewer under the paper's masks, one more without an error of the base.
+    """
     run = store.run(cell.id)
     run.begin(settings(preset, cell))
-    levels = preset.evaluation.noise if cell.learns else [0.0]
-    run.write_rows(
-        "episodes",
-        [
-            episode(i, noise, i < solved - (noise > 0), moves)
-            for noise in levels
-            for i in range(EPISODES)
-        ],
-    )
+    seeds = episode_seeds(cell.seed, EPISODES, preset.evaluation.stream)
+    rows = []
+    for level in levels_of(preset, cell):
+        fewer = (level["noise"] > 0) + 2 * (level.get("masks") == "paper")
+        fewer -= level.get("error") == 0.0
+        rows += [
+            {**episode(i, level["noise"], i < solved - fewer, moves), **level, "reset_seed": seed}
+            for i, seed in enumerate(seeds)
+        ]
+    run.write_rows("episodes", rows)
     training: dict[str, Any] = {}
     if cell.learns:
         run.write_rows("curve", curve(cell))
@@ -94,7 +119,9 @@ def make_store(
 
     A seed takes its number off what is solved, an ablation one more; ``keep`` leaves cells out.
     """
-    preset = dataclasses.replace(load_preset(preset_name), seeds=list(seeds))
+    shipped = load_preset(preset_name)
+    tests = dataclasses.replace(shipped.evaluation, episodes=EPISODES)
+    preset = dataclasses.replace(shipped, seeds=list(seeds), evaluation=tests)
     store = Store.open(root, preset_name, create=True)
     with mock.patch("os.fsync"):  # half of the time, and no test needs it
         for cell in expand(preset):

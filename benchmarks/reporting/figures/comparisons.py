@@ -12,12 +12,17 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.protocol import labels, paper_values
+from benchmarks.protocol.plan import LEARNERS, PLANNERS
+from benchmarks.reporting.compared import SCORED
 from benchmarks.reporting.figures.curves import look
 from benchmarks.reporting.figures.style import Picture, canvas, finish, legend_below
-from benchmarks.reporting.results import Group, Results
+from benchmarks.reporting.results import MAIN, Group, Level, Results
+from benchmarks.reporting.rows import Row, complete, control_of, references, rows
 from benchmarks.reporting.stats import Value, profile_over_seeds
 from benchmarks.reporting.tables.compare import printed_spread
-from benchmarks.reporting.tables.statistics import N_HOLES, configurations
+from benchmarks.reporting.tables.paper import NOISY, ablated, noise_levels
+from benchmarks.reporting.tables.statistics import N_HOLES
+from benchmarks.reporting.tables.uncertain import error_levels
 
 THRESHOLDS: Final = np.linspace(0.0, 1.0, 101)
 
@@ -43,18 +48,26 @@ def comparisons(results: Results) -> list[Picture]:
             partial(_robustness, results),
         ),
     ]  # fmt: skip
-    rows = _ablation_rows(results)
-    if rows:
+    if error_levels(results):
+        found.append(Picture(
+            "errors", section,
+            "Success rate on the uncertain machine over the bound of its base's displacement, the "
+            "tilt in proportion, with 95 % intervals.",
+            _alt_of_errors(results),
+            partial(_errors, results),
+        ))  # fmt: skip
+    components = _ablation_rows(results)
+    if components:
         texts = [
             f"{track} {title} {value.text(1)} %" + (f", the paper {paper}" if paper else "")
-            for track, title, value, paper in rows
+            for track, title, value, paper in components
         ]
         found.append(Picture(
             "ablation_comparison", section,
             "Success rate with one component removed: ours with 95 % intervals, the paper's with "
             "its standard deviation.",
             f"Dot chart of success rates. {'; '.join(texts)}.",
-            partial(_ablation_comparison, rows),
+            partial(_ablation_comparison, components, references(results, SCORED)),
         ))  # fmt: skip
     return found
 
@@ -71,14 +84,29 @@ def _speeds(group: Group, optimum: Group) -> list[NDArray[np.float64]]:
     return found
 
 
+def _drawn(results: Results) -> dict[str, Group]:
+    """Learners, of the controls the best of each knowledge, and planners, by name."""
+    found = [row for row in complete(rows(results)) if row.level == MAIN]
+    learners = [row for row in found if row.method in LEARNERS]
+    controls = [control_of(results, row) for row in learners]
+    planners = [row for row in found if row.method in PLANNERS]
+    chosen = [*learners, *complete(row for row in controls if row), *planners]
+    return {row.name: row.group for row in chosen}
+
+
+def _on_uncertain(results: Results) -> dict[str, Group]:
+    found = complete(rows(results, uncertain=True))
+    return {row.name: row.group for row in found if row.level == MAIN}
+
+
 def _profile_scores(results: Results) -> list[tuple[str, Mapping[str, Scores]]]:
     """(panel, method -> scores of each seed's test episodes) of both panels."""
-    optimum = results.group("optimum")
+    optimum, methods = results.group("optimum"), _drawn(results)
     holes = {
         name: [run.test()["holes"].to_numpy(float) / N_HOLES for run in group.runs]
-        for name, group in configurations(results)
+        for name, group in methods.items()
     }
-    speeds = {name: _speeds(group, optimum) for name, group in configurations(results)}
+    speeds = {name: _speeds(group, optimum) for name, group in methods.items()}
     return [
         ("Holes filled (of six)", holes),
         ("Optimum's moves over own, first insertion", {n: s for n, s in speeds.items() if s}),
@@ -86,8 +114,8 @@ def _profile_scores(results: Results) -> list[tuple[str, Mapping[str, Scores]]]:
 
 
 def _profiles(results: Results) -> Figure:
-    figure, panels = canvas(1, 2, (9.0, 4.4))
-    looks = {name: look(group) for name, group in configurations(results)}
+    figure, panels = canvas(1, 2, (9.0, 5.2))
+    looks = {name: look(group) for name, group in _drawn(results).items()}
     for axes, (label, methods) in zip(panels, _profile_scores(results), strict=True):
         for name, scores in methods.items():
             mean, low, high = profile_over_seeds(scores, THRESHOLDS)
@@ -98,7 +126,7 @@ def _profiles(results: Results) -> Figure:
                               linewidth=0)  # fmt: skip
         finish(axes, "Share of test episodes above", label)
         axes.set_ylim(-0.02, 1.02)
-    legend_below(figure, panels, 4)
+    legend_below(figure, panels, 3)
     return figure
 
 
@@ -112,19 +140,15 @@ def _alt_of_profiles(results: Results) -> str:
 
 
 def _robustness_lines(results: Results) -> dict[str, Group]:
-    found = {}
-    for track in results.tracks():
-        for method, group in results.learners(track):
-            if group.n:
-                found[f"{labels.METHODS[method]}, {labels.track(track)}"] = group
-    return found
+    found = complete(rows(results, NOISY))
+    return {row.name: row.group for row in found if row.level == MAIN}
 
 
 def _robustness(results: Results) -> Figure:
-    figure, (axes,) = canvas(size=(6.0, 4.2))
-    levels = results.noise_levels()
+    figure, (axes,) = canvas(size=(7.0, 5.6))
+    levels = noise_levels(results)
     for name, group in _robustness_lines(results).items():
-        _error_bars(axes, levels, [group.success(level) for level in levels], name, look(group))
+        _error_bars(axes, levels, [group.success(Level(x)) for x in levels], name, look(group))
     printed = paper_values.ROBUSTNESS
     axes.errorbar(
         list(printed),
@@ -136,7 +160,7 @@ def _robustness(results: Results) -> Figure:
     if optimum.n:
         axes.axhline(optimum.mean, color="0.5", linewidth=0.9, label="Exact optimum (true state)")
     finish(axes, "Success rate (%)", "Observation noise (share of the normalized range)")
-    legend_below(figure, [axes])
+    legend_below(figure, [axes], 2)
     return figure
 
 
@@ -155,31 +179,55 @@ def _error_bars(
 
 
 def _alt_of_robustness(results: Results) -> str:
-    levels = results.noise_levels()
+    levels = noise_levels(results)
     parts = [
-        f"{name} {', '.join(f'{group.success(x).text(1)} % at {x:g}' for x in levels)}"
+        f"{name} {', '.join(f'{group.success(Level(x)).text(1)} % at {x:g}' for x in levels)}"
         for name, group in _robustness_lines(results).items()
     ]
     return f"Line chart of the success rate over observation noise. {'; '.join(parts)}."
 
 
+def _errors(results: Results) -> Figure:
+    figure, (axes,) = canvas(size=(7.0, 5.2))
+    levels = error_levels(results)
+    for name, group in _on_uncertain(results).items():
+        values = [group.success(Level(error=level)) for level in levels]
+        _error_bars(axes, levels, values, name, look(group))
+    axes.set_ylim(-2, 102)
+    finish(axes, "Success rate (%)", "Bound of the base's displacement (mm)")
+    legend_below(figure, [axes], 2)
+    return figure
+
+
+def _alt_of_errors(results: Results) -> str:
+    levels = error_levels(results)
+    parts = []
+    for name, group in _on_uncertain(results).items():
+        values = [group.success(Level(error=level)) for level in (levels[0], levels[-1])]
+        parts.append(f"{name} {values[0].text(1)} to {values[1].text(1)} %")
+    ends = f"from {levels[0]:g} to {levels[-1]:g} mm"
+    return f"Line chart of the success rate over the base's error, {ends}: {'; '.join(parts)}."
+
+
 def _ablation_rows(results: Results) -> list[tuple[str, str, Value, str]]:
-    rows = []
-    for track in results.tracks():
+    found = []
+    for track in ablated(results):
         for key, title in labels.ABLATIONS.items():
             group = results.group("rainbow", track=track, ablation=key)
             if group.n:
                 paper = paper_values.ABLATION.get(key, "")
-                rows.append((labels.track(track), title, group.success(), paper))
-    return rows
+                found.append((labels.track(track), title, group.success(), paper))
+    return found
 
 
-def _ablation_comparison(rows: Sequence[tuple[str, str, Value, str]]) -> Figure:
+def _ablation_comparison(
+    found: Sequence[tuple[str, str, Value, str]], references: Sequence[Row]
+) -> Figure:
     figure, (axes,) = canvas(size=(6.0, 4.2))
-    titles = list(dict.fromkeys(title for _, title, _, _ in rows))
-    tracks = list(dict.fromkeys(track for track, _, _, _ in rows))
+    titles = list(dict.fromkeys(title for _, title, _, _ in found))
+    tracks = list(dict.fromkeys(track for track, _, _, _ in found))
     for i, track in enumerate(tracks):
-        mine = [(titles.index(title), value) for t, title, value, _ in rows if t == track]
+        mine = [(titles.index(title), value) for t, title, value, _ in found if t == track]
         values = [value for _, value in mine]
         mean = np.array([value.mean for value in values])
         error = np.array([mean - [v.low for v in values], [v.high for v in values] - mean])
@@ -187,13 +235,16 @@ def _ablation_comparison(rows: Sequence[tuple[str, str, Value, str]]) -> Figure:
             mean, [y + 0.14 * (i + 1) for y, _ in mine], xerr=np.maximum(error, 0.0),
             fmt="o", markersize=4, capsize=2, color=f"C{i}", label=f"ours, {track}",
         )  # fmt: skip
-    printed = {title: paper for _, title, _, paper in rows if paper}
+    printed = {title: paper for _, title, _, paper in found if paper}
     axes.errorbar(
         [paper_values.mean(text) for text in printed.values()],
         [titles.index(title) for title in printed],
         xerr=[printed_spread(text) for text in printed.values()],
         fmt="kD", markersize=4, capsize=2, label="paper",
     )  # fmt: skip
+    for i, row in enumerate(references):
+        axes.axvline(row.success().mean, color="0.4", linestyle=("--", ":")[i],
+                     linewidth=0.9, label=row.name)  # fmt: skip
     axes.set_yticks(range(len(titles)), titles)
     axes.invert_yaxis()
     finish(axes, "", "Success rate (%)")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -11,6 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.protocol import labels
+from benchmarks.protocol.metrics import HOLES, SUCCESS, Metric
+from benchmarks.protocol.plan import LEARNERS
 from benchmarks.reporting.figures.comparisons import comparisons
 from benchmarks.reporting.figures.curves import (
     EPISODES,
@@ -23,7 +26,8 @@ from benchmarks.reporting.figures.curves import (
 )
 from benchmarks.reporting.figures.style import METHOD_COLOURS, Picture, canvas, finish
 from benchmarks.reporting.results import Group, Results
-from benchmarks.reporting.tables.statistics import N_HOLES, configurations
+from benchmarks.reporting.rows import Row, complete, references, rows
+from benchmarks.reporting.tables.statistics import N_HOLES
 from benchmarks.runs.store import Store
 
 STAGE_0_HOLES: Final = 4
@@ -64,7 +68,7 @@ def pictures(results: Results) -> list[Picture]:
     for track in results.tracks():
         found += _learning(results, track)
         found += _variants(results, track)
-    if any(group.n for _, group in configurations(results)):
+    if complete([*rows(results), *rows(results, uncertain=True)]):
         found += comparisons(results)
     return found
 
@@ -76,17 +80,18 @@ def write_figures(store: Store) -> list[tuple[Picture, Path]]:
 
 def _learning(results: Results, track: str) -> list[Picture]:
     """The paper's seven learning figures of one track."""
-    groups = {labels.METHODS[method]: group for method, group in results.learners(track)}
+    groups = {labels.METHODS[method]: group for method, group in results.methods(track, LEARNERS)}
     if not any(curve_frames(group) for group in groups.values()):
         return []
     section = f"Learning, {labels.track(track)}"
+    bounds = references(results, track)
     found = [
         Picture(
             f"{track}_{name}",
             section,
             f"{caption}, {labels.track(track)}.",
             _alt_of_curves(groups, column, label),
-            partial(_curves, groups, column, label, log, name in RAW),
+            partial(_curves, groups, column, label, log, name in RAW, bounds=bounds),
         )
         for name, (column, label, log, caption) in CURVES.items()
     ]
@@ -100,7 +105,7 @@ def _learning(results: Results, track: str) -> list[Picture]:
         f"{track}_holes", section,
         f"Holes per episode by stage of the curriculum, {labels.track(track)}.",
         _alt_of_curves(groups, "holes", "Holes per episode"),
-        partial(_holes, groups),
+        partial(_holes, groups, bounds),
     ))  # fmt: skip
     return found
 
@@ -126,7 +131,7 @@ def _variants(results: Results, track: str) -> list[Picture]:
                 f"{caption}, {labels.track(track)}.",
                 _alt_of_curves(groups, "success", "Success rate"),
                 partial(_curves, groups, "success", "Success rate", window=WIDE,
-                        band=name == "geometry"),
+                        band=name == "geometry", bounds=references(results, track)),
             ))  # fmt: skip
     return found
 
@@ -162,11 +167,14 @@ def _curves(
     raw: bool = False,
     band: bool = True,
     window: int = EPISODES,
+    bounds: Sequence[Row] = (),
 ) -> Figure:
     figure, (axes,) = canvas()
     for name, group, colour in _coloured(groups):
         frames = curve_frames(group)
         draw_curve(axes, frames, column, name, colour, band=band, raw=raw, window=window)
+    if column == "success":
+        _mark_bounds(axes, bounds, SUCCESS, 100.0)
     if column == "mean_max_q":
         _mark_support(axes, groups)
     if band:
@@ -175,6 +183,13 @@ def _curves(
     if log and axes.get_lines():
         axes.set_yscale("log")
     return figure
+
+
+def _mark_bounds(axes: Axes, bounds: Sequence[Row], metric: Metric, full: float = 1.0) -> None:
+    """Where the best control of the track and the optimum are, on the test episodes."""
+    for row, line in zip(bounds, ("--", ":"), strict=False):
+        level = row.value(metric).mean / full
+        axes.axhline(level, color="0.4", linestyle=line, linewidth=0.9, label=row.name)
 
 
 def _mark_support(axes: Axes, groups: Groups) -> None:
@@ -212,10 +227,11 @@ def _quantity(group: Group) -> str:
     return "epsilon" if greedy else "noise magnitude"
 
 
-def _holes(groups: Groups) -> Figure:
+def _holes(groups: Groups, bounds: Sequence[Row]) -> Figure:
     figure, (axes,) = canvas()
     for name, group, colour in _coloured(groups):
         draw_stages(axes, curve_frames(group), name, colour)
+    _mark_bounds(axes, bounds, HOLES)
     for holes, stage in ((STAGE_0_HOLES, 0), (N_HOLES, 1)):
         axes.axhline(holes, color="0.6", linewidth=0.8)
         text = f"all of stage {stage}"

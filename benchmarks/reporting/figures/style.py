@@ -34,12 +34,18 @@ matplotlib.use("Agg")
 PALETTE: Final = (
     *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999"),
 )
-# one colour per method and one style per track, in every figure
+# one colour per method and one style per track, in every figure; controls from Tol's muted colours
 METHOD_COLOURS: Final = {
     "rainbow": PALETTE[0], "dqn": PALETTE[1], "maskable_ppo": PALETTE[2], "qrdqn": PALETTE[2],
     "rrt_connect": PALETTE[3], "rrt_lattice": PALETTE[4], "optimum": PALETTE[6],
+    "recurrent_ppo": PALETTE[5], "random": "#DDDDDD", "greedy": "#999933",
+    "greedy_observed": "#DDCC77", "lookahead": "#882255", "lookahead_observed": "#AA4499",
+    "nominal_plan": "#117733", "plan_search": "#44AA99",
 }  # fmt: skip
-TRACK_STYLES: Final = {"": "-", "tuned": "-", "repaired": "--", "printed": ":"}
+TRACK_STYLES: Final = {
+    "": "-", "safe": "-", "memory": "--", "reward": "-.", "printed": ":", "uncertain": "-",
+    "uncertain_nominal": "--",
+}  # fmt: skip
 STYLE: Final[Any] = {
     "axes.prop_cycle": cycler(color=PALETTE),
     "axes.spines.right": False,
@@ -50,6 +56,7 @@ STYLE: Final[Any] = {
     "hatch.linewidth": 0.5,
     "legend.fontsize": "small",
     "legend.frameon": False,
+    "legend.handlelength": 3.0,
     "pdf.fonttype": 42,
 }
 DPI: Final = 130

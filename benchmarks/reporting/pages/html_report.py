@@ -28,9 +28,10 @@ KINDS: Final = {".csv": ("CSV", "text/csv"), ".md": ("Markdown", "text/markdown"
 GROUPS: Final = {
     "The paper's tables": (
         *("hyperparameters", "design", "performance", "ablation", "geometry", "robustness"),
+        "uncertain",
     ),
     "Leaderboard": ("leaderboard",),
-    "Statistics": ("deviations", "significance", "aggregates", "improvement"),
+    "Statistics": ("deviations", "significance", "aggregates"),
 }
 # of the design study, if it was run: file, caption, what it shows
 DESIGN: Final = (

@@ -62,6 +62,7 @@ class Compared:
     row: str
     column: str
     number: Number
+    knows: tuple[str, str]
 
 
 def load_reasons(path: Path = REASONS) -> list[Reason]:
@@ -85,7 +86,9 @@ def compared_cells(tables: Sequence[Table]) -> Iterator[Compared]:
         for row in table.rows:
             for column, cell in zip(table.header, row, strict=True):
                 if isinstance(cell, Number) and cell.judged:
-                    yield Compared(table.name, str(row[0]), column, cell)
+                    named = dict(zip(table.header, row, strict=True))
+                    knows = (str(named.get("Masks", "-")), str(named.get("Memory", "-")))
+                    yield Compared(table.name, str(row[0]), column, cell, knows)
 
 
 def deviations(
@@ -101,14 +104,16 @@ def deviations(
         place = (cell.table, cell.row, cell.column)
         reason = next((r.reason for r in known if r.covers(preset, *place)), UNKNOWN)
         interval = cell.number.value.interval_text(cell.number.digits + 1)
-        rows.append([*place, cell.number.paper, cell.number.plain(), interval, reason])
+        ours = cell.number.plain()
+        rows.append([*place[:2], *cell.knows, place[2], cell.number.paper, ours, interval, reason])
     notes = [
         f"{len(cells)} cells of ours have an interval and a number of the paper beside them; in "
         f"{len(rows)} no number that rounds to the paper's lies in the interval."
     ]
-    header = ["Table", "Row", "Column", "Paper", "Ours", "95 % interval", "Reason"]
+    header = ["Table", "Row", "Masks", "Memory", "Column", "Paper", "Ours"]
+    header += ["95 % interval", "Reason"]
     title = "Where the paper's number lies outside our interval"
-    return Table("deviations", title, header, rows, notes, left=(0, 1, 2), prose=(6,))
+    return Table("deviations", title, header, rows, notes, left=(0, 1, 2, 3, 4), prose=(8,))
 
 
 def stale_reasons(

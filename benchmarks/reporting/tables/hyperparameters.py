@@ -2,37 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from benchmarks.protocol import labels, paper_values
-from benchmarks.reporting.results import Results
+from benchmarks.protocol.knowledge import knowledge
+from benchmarks.protocol.plan import LEARNERS
+from benchmarks.reporting.results import Result, Results
 from benchmarks.reporting.tables.table import Cell, Table
 
 
 def hyperparameters(results: Results) -> Table:
-    """Table "hparams": the paper's settings and each track's."""
+    """Table "hparams": the paper's settings and each track's, masks and memory among them."""
     tracks = results.tracks()
     columns = [_track_settings(results, track) for track in tracks]
+    names = dict.fromkeys([*paper_values.HYPERPARAMETERS, *(n for c in columns for n in c)])
     rows: list[list[Cell]] = [
-        [name, paper, *[column.get(name, "missing") for column in columns]]
-        for name, paper in paper_values.HYPERPARAMETERS.items()
+        [
+            name,
+            paper_values.HYPERPARAMETERS.get(name, "not given"),
+            *[column.get(name, "missing") for column in columns],
+        ]
+        for name in names
     ]
-    ours = max(columns, key=len, default={})
-    extra = [name for name in ours if name not in paper_values.HYPERPARAMETERS]
-    rows += [[name, "not given", *[c.get(name, "missing") for c in columns]] for name in extra]
     header = ["Parameter", "Paper", *[f"Ours, {labels.track(t)}" for t in tracks]]
     return Table("hyperparameters", "Training hyperparameters", header, rows)
 
 
 def _track_settings(results: Results, track: str) -> dict[str, str]:
-    run = next((run for run in results.all() if run.config["cell"]["track"] == track), None)
-    if run is None:
+    """What Rainbow of a track is given: of its runs, or where there is none of the preset."""
+    runs = [run for _, group in results.methods(track, LEARNERS) for run in group.runs]
+    settings = runs[0].config["track"] if runs else results.settings(track)
+    if settings is None or "hyperparameters" not in settings:
         return {}
-    settings = run.config["track"]
     h: dict[str, Any] = settings["hyperparameters"]
-    decay = "" if h["learning_rate_end"] == h["learning_rate"] else f" → {h['learning_rate_end']:g}"
+    constant = h["learning_rate_end"] == h["learning_rate"]
+    decay = "" if constant else f" → {h['learning_rate_end']:g}"
     curriculum = settings["curriculum"]
     kwargs = settings["reward_kwargs"]
+    knows = knowledge("rainbow", settings)
     return {
         "Optimizer": "Adam",
         "Learning rate": f"{h['learning_rate']:g}{decay}",
@@ -52,9 +60,13 @@ def _track_settings(results: Results, track: str) -> dict[str, str]:
             if curriculum["enabled"]
             else "none"
         ),
-        "Hardware": _hardware(results, track),
+        "Hardware": _hardware(runs),
         "Reward": settings["reward"]
         + "".join(f", {key} {value:g}" for key, value in kwargs.items()),
+        "Masks": knows.masks,
+        "Memory": knows.memory,
+        "Machine": _machine(settings),
+        "Learning rate's schedule": "constant" if constant else "linear in the steps",
         "Noisy layers' sigma0": f"{h['sigma0']:g}",
         "Environments": str(h["n_envs"]),
         "Updates per environment step": f"{h['updates_per_step']:g}",
@@ -63,8 +75,17 @@ def _track_settings(results: Results, track: str) -> dict[str, str]:
     }
 
 
-def _hardware(results: Results, track: str) -> str:
-    runs = [r for r in results.all() if r.config["cell"]["track"] == track]
+def _machine(settings: dict[str, Any]) -> str:
+    knobs = settings.get("sim_to_real")
+    if not knobs:
+        return "as the model"
+    trained = ", trained on the nominal one" if settings.get("train_nominal") else ""
+    return f"base displaced by up to {1000 * knobs['base_position_error']:g} mm{trained}"
+
+
+def _hardware(runs: Sequence[Result]) -> str:
+    if not runs:
+        return "missing"
     minutes = [run.meta["wall_seconds"] / 60.0 for run in runs]
     places = {str(run.meta["training"].get("device", "cpu")) for run in runs}
     place = "1 CPU core" if places == {"cpu"} else " and ".join(sorted(places))

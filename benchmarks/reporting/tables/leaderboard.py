@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from benchmarks.protocol.knowledge import Knowledge, knowledge
 from benchmarks.protocol.metrics import HOLES, METRICS
-from benchmarks.reporting.results import Group, Result, Results, excess_over_optimum
-from benchmarks.reporting.tables.statistics import configurations
+from benchmarks.protocol.plan import CONTROLS, LEARNERS
+from benchmarks.reporting.results import MAIN, Group, Level, Result, Results, excess_over_optimum
+from benchmarks.reporting.rows import KNOWS, complete, rows
 from benchmarks.reporting.tables.table import Cell, Number, Table
 from benchmarks.runs.store import Store
 
@@ -22,16 +24,20 @@ class Place:
 
     name: str
     kind: str
+    knows: Knowledge
     group: Group
-    models: int  # trained networks behind the seeds; 0 for a planner
+    models: int  # trained networks behind the seeds; 0 for a planner or a control
 
 
 def places(store: Store, results: Results) -> list[Place]:
-    """All methods, the best success rate first; the optimum above them all."""
+    """All methods on the nominal machine, the best success first; the optimum above them all."""
     found = []
-    for name, group in configurations(results):
-        learns = bool(group.runs[0].config["cell"]["track"])
-        found.append(Place(name, "learner" if learns else "planner", group, learns * group.n))
+    for row in complete(rows(results)):
+        if row.level != MAIN:
+            continue
+        learns = row.method in LEARNERS
+        kind = "learner" if learns else "control" if row.method in CONTROLS else "planner"
+        found.append(Place(row.name, kind, row.knows, row.group, learns * row.group.n))
     brought: dict[str, list[Result]] = {}
     for folder in store.entered():
         config = folder.config()
@@ -43,7 +49,8 @@ def places(store: Store, results: Results) -> list[Place]:
         entry = runs[0].config["entry"]
         models = len({run.config["entry"]["sha256"] for run in runs} - {""})
         group = Group(tuple(sorted(runs, key=lambda run: run.seed)))
-        found.append(Place(name, f"brought: {entry['algorithm']}", group, models))
+        knows = knowledge("", entry) if entry["sha256"] else knowledge("", None)
+        found.append(Place(name, f"brought: {entry['algorithm']}", knows, group, models))
     return sorted(found, key=_order)
 
 
@@ -67,19 +74,21 @@ def leaderboard(store: Store, results: Results) -> Table:
             "-" if ceiling else str(rank),
             place.name,
             "ceiling" if ceiling else place.kind,
+            place.knows.masks,
+            place.knows.memory,
             Number(success, 1),
             success.interval_text(1),
             Number(group.value(HOLES), HOLES.digits),
             Number(group.value(all_holes), all_holes.digits),
             Number(group.value(time_first), time_first.digits),
             Number(excess_over_optimum(group, optimum), 1),
-            Number(group.success(NOISE), 1),
+            Number(group.success(Level(NOISE)), 1),
             str(group.n),
             str(place.models) if place.models else "-",
         ])  # fmt: skip
     header = [
-        *("Rank", "Method", "Kind", "Success (%)", "95 % interval", "Holes (of 6)"),
-        *("All six (%)", "First insertion (s)", "Moves over the optimum (%)"),
+        *("Rank", "Method", "Kind", *KNOWS, "Success (%)", "95 % interval"),
+        *("Holes (of 6)", "All six (%)", "First insertion (s)", "Moves over the optimum (%)"),
         *(f"Success (%), noise {NOISE:g}", "Seeds", "Models"),
     ]
     notes = [
@@ -87,4 +96,4 @@ def leaderboard(store: Store, results: Results) -> Table:
         "behind the seeds; where there is one, the spread is that of the test episodes alone.",
         "Join with one command: python -m benchmarks evaluate --model FILE --name NAME",
     ]
-    return Table("leaderboard", "Leaderboard", header, rows, notes, left=(0, 1, 2))
+    return Table("leaderboard", "Leaderboard", header, rows, notes, left=(0, 1, 2, 3, 4))

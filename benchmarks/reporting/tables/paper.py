@@ -1,4 +1,4 @@
-"""The paper's tables from stored data alone: the paper's value beside ours and the optimum's.
+"""The paper's tables from stored data alone: its values beside ours, controls and ceiling in all.
 
 Nothing is trained or re-evaluated here, and torch is not imported.
 """
@@ -12,8 +12,11 @@ from pathlib import Path
 from typing import Final
 
 from benchmarks.protocol import labels, paper_values
-from benchmarks.protocol.metrics import EXTRA_METRICS, METRICS, PAPER_METRICS
-from benchmarks.reporting.results import Group, Results, excess_over_optimum
+from benchmarks.protocol.metrics import EXTRA_METRICS, METRICS, OWN_MASKS, PAPER_METRICS
+from benchmarks.protocol.plan import LEARNERS
+from benchmarks.reporting.compared import SCORED
+from benchmarks.reporting.results import Group, Level, Results
+from benchmarks.reporting.rows import KNOWS, Row, complete, control_of, row_of, rows
 from benchmarks.reporting.stats import (
     Value,
     interquartile_mean,
@@ -24,14 +27,18 @@ from benchmarks.reporting.tables.deviations import FLAG_NOTE, deviations
 from benchmarks.reporting.tables.geometric import design
 from benchmarks.reporting.tables.hyperparameters import hyperparameters
 from benchmarks.reporting.tables.leaderboard import leaderboard
-from benchmarks.reporting.tables.statistics import aggregates, improvement, signed, significance
+from benchmarks.reporting.tables.notes import failure_notes, interval_note, of_rows, seeds_notes
+from benchmarks.reporting.tables.statistics import aggregates, signed, significance
 from benchmarks.reporting.tables.table import Cell, Number, Table
+from benchmarks.reporting.tables.uncertain import uncertain
 from benchmarks.runs.store import Store
 
-# the five that a run prints; the others are written beside them
-PRINTED: Final = ("design", "performance", "ablation", "geometry", "robustness")
-BASELINES: Final = ("rrt_connect", "rrt_lattice")
+# those that a run prints; the others are written beside them
+PRINTED: Final = ("design", "performance", "ablation", "geometry", "robustness", "uncertain")
 NOISE: Final = 0.01  # the level of the paper's section "Robustness"
+NOISY: Final = (*LEARNERS, "greedy_observed", "lookahead_observed")  # what sees the observation
+ENDS: Final = ("initial", "optimized")
+IQM: Final = "Success rate, IQM over seeds [95 % interval]"
 
 
 def build_tables(store: Store) -> list[Table]:
@@ -49,8 +56,8 @@ def build_tables(store: Store) -> list[Table]:
         *compared[:2],
         significance(results),
         aggregates(results),
-        improvement(results),
         *compared[2:],
+        uncertain(results),
         leaderboard(store, results),
         deviations(compared, store.folder.name),
     ]
@@ -62,164 +69,90 @@ def write_tables(store: Store, tables: list[Table] | None = None) -> list[Path]:
     return [path for table in built for path in table.write(store.tables)]
 
 
-def _cell(group: Group, value: Value, digits: int, paper: str = "", suffix: str = "") -> Cell:
-    """A value of a group, or the word for its absence."""
-    return Number(value, digits, suffix, paper) if group.n else group.absent
-
-
-Layout = list[tuple[str, str, Group | None]]
-
-
-def _layout(results: Results) -> Layout:
-    """(header, method, runs) of the performance table's columns; the paper's own have no runs."""
-    ours = [("RRT-Connect", "rrt_connect", results.group("rrt_connect"))]
-    closed = results.group("rrt_lattice")
-    if closed.n or closed.planned:
-        ours.append((labels.METHODS["rrt_lattice"], "rrt_lattice", closed))
-    learners = [
-        (f"{labels.METHODS[method]}, {labels.track(track)}", method, group)
-        for track in results.tracks()
-        for method, group in results.learners(track)
-    ]
-    for name in dict.fromkeys(method for _, method, _ in learners):
-        ours += [column for column in learners if column[1] == name]
-    ours.append((labels.METHODS["optimum"], "optimum", results.group("optimum")))
-    found: Layout = []
-    for title, method, group in ours:
-        printed = method in paper_values.PERFORMANCE["success"]
-        if printed and all(method != before for _, before, _ in found):
-            found.append((f"{labels.METHODS[method]}, paper", method, None))
-        found.append((title, method, group))
-    return found
+def _paper_head(method: str) -> list[Cell]:
+    """The first cells of a row of the paper's own figures."""
+    masks = "paper's" if method == "rainbow" else "not given"
+    memory = "none" if method in LEARNERS else "its plan"
+    return [f"{labels.METHODS[method]}, paper", masks, memory]
 
 
 def performance(results: Results) -> Table:
-    """Table "performance": the paper's six metrics and ours beyond them, per method."""
-    layout = _layout(results)
-    rows: list[list[Cell]] = []
-    for metric in (*PAPER_METRICS, *EXTRA_METRICS):
-        printed = paper_values.PERFORMANCE.get(metric.key, {})
-        row: list[Cell] = [metric.label]
-        for _, method, group in layout:
-            if group is None:
-                row.append(printed.get(method, "-"))
-            else:
-                paper = printed.get(method, "")
-                row.append(_cell(group, group.value(metric), metric.digits, paper))
-        rows.append(row)
-    groups = {title: group for title, _, group in layout if group is not None}
-    rows.append(_excess_row(results, layout))
-    if any(group.n > 1 for group in groups.values()):
-        rows.append(_iqm_row(layout))
-    notes = [*_seeds_notes(groups), *_failure_notes(results), FLAG_NOTE]
-    header = ["Metric", *(title for title, _, _ in layout)]
-    return Table("performance", "Performance on the test episodes", header, rows, notes)
+    """Table "performance": the paper's six metrics and ours beyond them, a row per method."""
+    metrics = (*PAPER_METRICS, *EXTRA_METRICS)
+    header = ["Method", *KNOWS, *(metric.label for metric in metrics)]
+    header += ["Moves to first insertion over the optimum (%)", IQM]
+    made: list[list[Cell]] = []
+    for method in paper_values.PERFORMANCE["success"]:
+        printed = [paper_values.PERFORMANCE.get(metric.key, {}) for metric in metrics]
+        made.append([*_paper_head(method), *(each.get(method, "-") for each in printed), "-", "-"])
+    found = rows(results)
+    for row in found:
+        cells = [
+            row.cell(
+                row.value(metric),
+                metric.digits,
+                paper_values.PERFORMANCE.get(metric.key, {}).get(row.method, ""),
+            )
+            for metric in metrics
+        ]
+        made.append([*row.head, *cells, row.cell(row.excess(results)), _iqm(row)])
+    notes = [*seeds_notes(of_rows(found)), *failure_notes(results), FLAG_NOTE]
+    title = "Performance on the test episodes"
+    return Table("performance", title, header, made, notes, left=(0, 1, 2))
 
 
-def _excess_row(results: Results, layout: Layout) -> list[Cell]:
-    optimum = results.group("optimum")
-    row: list[Cell] = ["Moves to first insertion over the optimum (%)"]
-    for _, _, group in layout:
-        row.append("-" if group is None else _cell(group, excess_over_optimum(group, optimum), 1))
-    return row
-
-
-def _iqm_row(layout: Layout) -> list[Cell]:
-    row: list[Cell] = ["Success rate, IQM over seeds [95 % interval]"]
-    for _, _, group in layout:
-        if group is None or group.n < 2:
-            row.append("-")
-            continue
-        rates = [[100.0 * float(run.test()["success"].mean())] for run in group.runs]
-        low, high = stratified_bootstrap(rates)
-        row.append(f"{interquartile_mean(rates):.1f} [{low:.1f}, {high:.1f}]")
-    return row
-
-
-def _seeds_notes(groups: dict[str, Group]) -> list[str]:
-    """How many seeds and episodes are behind the numbers, and which groups are not complete."""
-    seeds = sorted({group.n for group in groups.values() if group.n})
-    lengths = sorted({len(run.test()) for group in groups.values() for run in group.runs})
-    if not seeds:
-        return ["No run of this preset is complete."]
-    episodes = "/".join(str(n) for n in lengths)
-    if seeds == [1]:
-        first = f"Ours: n = 1 seed x {episodes} test episodes, so no spread can be given."
-    else:
-        counts = "/".join(str(n) for n in seeds)
-        first = f"Ours: mean ± std over n = {counts} seeds x {episodes} test episodes."
-    partial = [
-        f"{name} {group.n} of {group.planned} seeds"
-        for name, group in groups.items()
-        if group.n < group.planned
-    ]
-    return [first, *([f"Not complete: {'; '.join(partial)}."] if partial else [])]
-
-
-def _failure_notes(results: Results) -> list[str]:
-    notes = []
-    for method in BASELINES:
-        rows = results.group(method).pooled()
-        if not len(rows) or "failure" not in rows:
-            continue
-        failed = rows[rows["success"] == 0]
-        causes = failed["failure"].value_counts()
-        text = ", ".join(f"{cause} {count}" for cause, count in sorted(causes.items()))
-        notes.append(
-            f"{labels.METHODS[method]}: {len(failed)} of {len(rows)} episodes without an insertion"
-            + (f" ({text})" if text else "")
-            + f"; median planning time {1000 * rows['plan_seconds'].median():.1f} ms."
-        )
-    return notes
+def _iqm(row: Row) -> str:
+    if row.group.n < 2:
+        return "-"
+    rates = [[100.0 * float(run.test(row.level)["success"].mean())] for run in row.group.runs]
+    low, high = stratified_bootstrap(rates)
+    return f"{interquartile_mean(rates):.1f} [{low:.1f}, {high:.1f}]"
 
 
 def ablation(results: Results) -> Table:
-    """Table "ablation": success rate with one component removed at a time."""
-    tracks = _tracks_with(results, [key for key in labels.ABLATIONS if key != "full"])
-    header = ["Configuration", "Success (%), paper"]
-    for track in tracks:
-        name = labels.track(track)
-        header += [f"Success (%), {name}", "95 % interval", f"Steps to 75 % (1e5), {name}"]
-        header.append(f"Moves over the optimum (%), {name}")
-    rows: list[list[Cell]] = []
+    """Table "ablation": success rate with one component removed at a time; control and optimum."""
+    header = ["Configuration", *KNOWS, "Success (%), paper", "Success (%)", "95 % interval"]
+    header += ["Steps to 75 % (1e5)", "Moves over the optimum (%)"]
+    made: list[list[Cell]] = []
     groups: dict[str, Group] = {}
-    optimum = results.group("optimum")
-    for key, title in labels.ABLATIONS.items():
-        paper = paper_values.ABLATION.get(key, "")
-        mine = [results.group("rainbow", track=track, ablation=key) for track in tracks]
-        if not paper and not any(group.n or group.planned for group in mine):
-            continue
-        row: list[Cell] = [title, paper or "-"]
-        for track, group in zip(tracks, mine, strict=True):
-            groups[f"{title}, {labels.track(track)}"] = group
-            success = group.success()
-            row += [_cell(group, success, 1, paper), success.interval_text(1), _steps_to_75(group)]
-            row.append(_cell(group, excess_over_optimum(group, optimum), 1))
-        rows.append(row)
-    best = optimum.success()
-    last: list[Cell] = [labels.METHODS["optimum"], "-"]
-    for _ in tracks:
-        last += [_cell(optimum, best, 1), best.interval_text(1), "-", "-"]
-    rows.append(last)
-    notes = [*_seeds_notes(groups), _interval_note(list(groups.values())), FLAG_NOTE]
-    return Table("ablation", "Rainbow with one component removed", header, rows, notes)
+
+    def add(name: str, row: Row, paper: str, steps: Cell) -> None:
+        success = row.success()
+        made.append([
+            name, *row.head[1:], paper or "-", row.cell(success, 1, paper),
+            success.interval_text(1), steps, row.cell(row.excess(results)),
+        ])  # fmt: skip
+
+    for track in ablated(results):
+        for key, title in labels.ABLATIONS.items():
+            paper = paper_values.ABLATION.get(key, "")
+            row = row_of(results, "rainbow", track, ablation=key)
+            if paper or row.group.n or row.group.planned:
+                name = f"{title}, {labels.track(track)}"
+                groups[name] = row.group
+                add(name, row, paper, _steps_to_75(row.group))
+        control = control_of(results, row_of(results, "rainbow", track))
+        if control is not None:
+            add(f"Best control: {control.name}", control, "", "-")
+    optimum = row_of(results, "optimum")
+    add(optimum.name, optimum, "", "-")
+    notes = [*seeds_notes(groups), interval_note(list(groups.values())), FLAG_NOTE]
+    title = "Rainbow with one component removed"
+    return Table("ablation", title, header, made, notes, left=(0, 1, 2))
 
 
-def _tracks_with(results: Results, ablations: list[str]) -> list[str]:
-    """Tracks in which any of these ablations is planned or was run; all where there is none."""
-    tracks = results.tracks() or ["tuned"]
+def ablated(results: Results) -> list[str]:
+    """Tracks in which any ablation is planned or was run; the scored one where there is none."""
     found = []
-    for track in tracks:
-        groups = [results.group("rainbow", track=track, ablation=key) for key in ablations]
+    for track in results.tracks():
+        groups = [
+            results.group("rainbow", track=track, ablation=key)
+            for key in labels.ABLATIONS
+            if key != "full"
+        ]
         if any(group.n or group.planned for group in groups):
             found.append(track)
-    return found or tracks
-
-
-def _interval_note(groups: list[Group]) -> str:
-    if max((group.n for group in groups), default=0) > 1:
-        return "Intervals: stratified bootstrap over seeds."
-    return "Intervals: Wilson's, over the test episodes of the one seed."
+    return found or [SCORED]
 
 
 def _steps_to_75(group: Group, paper: str = "") -> Cell:
@@ -240,78 +173,84 @@ def _steps_to_75(group: Group, paper: str = "") -> Cell:
 
 
 def geometry(results: Results) -> Table:
-    """Table "geo_ablation": the full Rainbow on the initial and on the optimized geometry."""
-    tracks = results.tracks() or ["tuned"]
-    names = ("initial", "optimized")
-    header = ["Metric"]
-    for name in names:
-        title = name.capitalize()
-        header += [f"{title}, paper", *[f"{title}, {labels.track(t)}" for t in tracks]]
-    groups = {name: [results.group("rainbow", name, track) for track in tracks] for name in names}
-
-    def row(label: str, key: str, cell: Callable[[Group, str], Cell]) -> list[Cell]:
-        made: list[Cell] = [label]
-        printed = paper_values.GEOMETRY_ABLATION.get(key, ("", ""))
-        for name, paper in zip(names, printed, strict=True):
-            made += [paper or "-", *[cell(group, paper) for group in groups[name]]]
-        return made
-
-    rows = [
-        row("Env. steps to 75 % success (1e5)", "steps_to_75", _steps_to_75),
-        row("Final success rate (%)", "success", lambda g, paper: _cell(g, g.success(), 1, paper)),
-        row(
-            "Singularity terminations / 1000 training ep.",
-            "singular_per_1000",
-            lambda g, paper: _cell(g, g.singular_per_1000(), 1, paper),
-        ),
-        row(
-            "Singularity terminations / 1000 test ep.",
-            "",
-            lambda g, paper: _cell(g, g.value(METRICS["singular"]), 1, paper),
-        ),
+    """Table "geo_ablation": Rainbow, the best control and the optimum on either geometry."""
+    quantities: list[tuple[str, str, Callable[[Row, str], Cell]]] = [
+        ("Steps to 75 % success (1e5)", "steps_to_75",
+         lambda row, paper: _steps_to_75(row.group, paper) if row.method in LEARNERS else "-"),
+        ("Success (%)", "success", lambda row, paper: row.cell(row.success(), 1, paper)),
+        ("Singularity terminations / 1000 training ep.", "singular_per_1000",
+         lambda row, paper: row.cell(row.group.singular_per_1000(), 1, paper)),
+        ("Singularity terminations / 1000 test ep.", "",
+         lambda row, paper: row.cell(row.value(METRICS["singular"]), 1, paper)),
+    ]  # fmt: skip
+    printed = paper_values.GEOMETRY_ABLATION
+    header = ["Method", *KNOWS, *(f"{name}, {end}" for name, _, _ in quantities for end in ENDS)]
+    papers: list[Cell] = [
+        text or "-" for _, key, _ in quantities for text in printed.get(key, ("", ""))
     ]
-    ceiling: list[Cell] = ["Exact optimum's success rate (%)"]
-    for name in names:
-        optimum = results.group("optimum", name)
-        ceiling += ["-", *[_cell(optimum, optimum.success(), 1) for _ in tracks]]
-    rows.append(ceiling)
+    made: list[list[Cell]] = [[*_paper_head("rainbow"), *papers]]
+    pairs = []
+    for track in [t for t in results.tracks() if not results.uncertain(t)] or [SCORED]:
+        ours = row_of(results, "rainbow", track)
+        control = control_of(results, ours)
+        if any(results.group("rainbow", end, track).planned for end in ENDS) or ours.group.n:
+            pairs.append(ours)
+        pairs += [control] if control else []
+    for row in dict.fromkeys((row.method, row.track) for row in [*pairs, _optimum(results)]):
+        method, track = row
+        both = [row_of(results, method, track, end) for end in ENDS]
+        cells = [
+            cell(each, paper if method == "rainbow" else "")
+            for _, key, cell in quantities
+            for each, paper in zip(both, printed.get(key, ("", "")), strict=True)
+        ]
+        made.append([*both[0].head, *cells])
     titled = {
-        f"{name} geometry, {labels.track(track)}": group
-        for name in names
-        for track, group in zip(tracks, groups[name], strict=True)
+        f"{row.name} on the {end} geometry": results.group(row.method, end, row.track)
+        for row in pairs
+        for end in ENDS
     }
-    notes = [*_seeds_notes(titled), FLAG_NOTE]
-    return Table("geometry", "Full Rainbow before and after the optimization", header, rows, notes)
+    notes = [*seeds_notes(titled), FLAG_NOTE]
+    title = "Before and after the optimization of the 3-RRS"
+    return Table("geometry", title, header, made, notes, left=(0, 1, 2))
+
+
+def _optimum(results: Results) -> Row:
+    return row_of(results, "optimum")
 
 
 def robustness(results: Results) -> Table:
     """Section "Robustness": success under Gaussian noise on the normalized observation."""
-    levels = results.noise_levels() or [0.0, NOISE]
+    levels = noise_levels(results) or [0.0, NOISE]
     paper = paper_values.ROBUSTNESS
     drop = paper_values.mean(paper[NOISE]) - paper_values.mean(paper[0.0])
-    header = ["Method", *[f"Noise {x:g}" for x in levels], f"Change at {NOISE:g} (points)"]
-    rows: list[list[Cell]] = [
-        ["Rainbow DQN, paper", *[paper.get(level, "-") for level in levels], signed(drop, 0)]
-    ]
-    groups = {}
-    for track in results.tracks():
-        for method, group in results.learners(track):
-            title = f"{labels.METHODS[method]}, {labels.track(track)}"
-            groups[title] = group
-            printed = paper if method == "rainbow" else {}
-            cells = [_cell(group, group.success(x), 1, printed.get(x, "")) for x in levels]
-            change = group.change(NOISE)
-            text = change.text(1)
-            shown = f"+{text}" if change.mean > 0.0 else text
-            printed_drop = signed(drop, 0) if method == "rainbow" else ""
-            last: Cell = Number(change, 1, paper=printed_drop, shown=shown)
-            rows.append([title, *cells, last if group.n else group.absent])
-    optimum = results.group("optimum")
-    best = _cell(optimum, optimum.success(), 1)
-    rows.append([f"{labels.METHODS['optimum']} (true state)", *[best] * len(levels), "-"])
+    header = ["Method", *KNOWS, *[f"Noise {x:g}" for x in levels]]
+    header.append(f"Change at {NOISE:g} (points)")
+    printed: list[Cell] = [paper.get(level, "-") for level in levels]
+    made: list[list[Cell]] = [[*_paper_head("rainbow"), *printed, signed(drop, 0)]]
+    found = [row for row in rows(results, NOISY) if row.level.masks == OWN_MASKS]
+    for row in found:
+        theirs = paper if row.method == "rainbow" else {}
+        cells = [row.cell(row.group.success(Level(x)), 1, theirs.get(x, "")) for x in levels]
+        change = row.group.change(NOISE)
+        text = change.text(1)
+        shown = f"+{text}" if change.mean > 0.0 else text
+        printed_drop = signed(drop, 0) if theirs else ""
+        last: Cell = Number(change, 1, paper=printed_drop, shown=shown)
+        made.append([*row.head, *cells, last if row.group.n else row.group.absent])
+    optimum = _optimum(results)
+    best = optimum.cell(optimum.success())
+    made.append([f"{optimum.name} (true state)", *optimum.head[1:], *[best] * len(levels), "-"])
     notes = [
-        *_seeds_notes(groups),
+        *seeds_notes(of_rows(found)),
         "Noise: standard deviation as a share of the normalized range.",
         FLAG_NOTE,
     ]
-    return Table("robustness", "Success rate (%) under observation noise", header, rows, notes)
+    title = "Success rate (%) under observation noise"
+    return Table("robustness", title, header, made, notes, left=(0, 1, 2))
+
+
+def noise_levels(results: Results) -> list[float]:
+    """Levels of observation noise that a run of a known machine was tested at."""
+    tested = [row.group for row in complete(rows(results, NOISY))]
+    return sorted({noise for group in tested for run in group.runs for noise, _, _ in run.levels})

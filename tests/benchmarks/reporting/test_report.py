@@ -97,7 +97,7 @@ def test_every_table_and_figure_is_on_the_page(report: Path) -> None:
         for row in table.texts():
             assert set(row) <= set(page.cells), table.name
     stored = {path.stem for path in store.figures.iterdir()}
-    assert {f"tuned_{name}" for name in PAPER_FIGURES} <= stored
+    assert {f"safe_{name}" for name in PAPER_FIGURES} <= stored
     assert {"robustness", "performance_profile", "ablation_comparison"} <= stored
     assert set(page.pictures) == stored | {f"design_{name}" for name, _, _ in DESIGN}
 
@@ -110,7 +110,7 @@ def test_the_page_needs_no_other_file_and_describes_its_pictures(report: Path) -
     alts = [picture["alt"] for picture in page.pictures.values()]
     assert all(len(alt) > 40 for alt in alts)
     assert len(set(alts)) == len(alts)
-    reward = page.pictures["tuned_cumulative_reward"]["alt"]
+    reward = page.pictures["safe_cumulative_reward"]["alt"]
     # the mean of all ten episodes, in five rows of two: 30, and 0, 1, 2 more by seed
     assert "Rainbow DQN (3 seeds) ends at 31" in reward
     assert "switches at 300 steps" in reward
@@ -230,7 +230,7 @@ def test_tables_figures_and_report_need_no_torch_and_little_time(tmp_path: Path)
     # of one core: what else the machine does is not ours
     assert after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime < 60
     page = Page(report_path(store).read_text(encoding="utf-8"))
-    assert {f"tuned_{name}" for name in PAPER_FIGURES} <= set(page.pictures)
+    assert {f"safe_{name}" for name in PAPER_FIGURES} <= set(page.pictures)
 
 
 def test_a_store_without_any_run_has_a_report_of_what_is_missing(tmp_path: Path) -> None:

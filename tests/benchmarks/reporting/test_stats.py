@@ -135,13 +135,6 @@ def test_the_moving_average_is_the_mean_of_the_last(values: list[float], window:
     assert ours == pytest.approx(theirs, abs=1e-6)
 
 
-def test_probability_of_improvement_is_mann_whitneys() -> None:
-    rng = np.random.default_rng(3)
-    a, b = rng.integers(0, 5, 12).astype(float), rng.integers(1, 6, 9).astype(float)
-    theirs = scipy.stats.mannwhitneyu(a, b).statistic / (12 * 9)
-    assert stats.probability_of_improvement(a, b) == pytest.approx(theirs)
-
-
 @pytest.fixture
 def rliable_library(monkeypatch: pytest.MonkeyPatch) -> Any:
     """rliable's library without arch, which does not import beside pandas 3.
@@ -166,14 +159,6 @@ def test_aggregates_are_rliables(scores: np.ndarray) -> None:
     assert gap == pytest.approx(rliable_metrics.aggregate_optimality_gap(scores))
 
 
-@given(MATRICES, st.integers(0, 99))
-def test_probability_of_improvement_over_tasks_is_rliables(scores: np.ndarray, seed: int) -> None:
-    shape = (4, scores.shape[1])
-    other = np.random.default_rng(seed).integers(0, 6, shape) / 4.0
-    theirs = float(rliable_metrics.probability_of_improvement(scores, other))
-    assert stats.probability_of_improvement(scores, other) == pytest.approx(theirs)
-
-
 def test_performance_profiles_are_rliables(rliable_library: Any) -> None:
     rng = np.random.default_rng(5)
     scores = rng.integers(0, 7, (5, 3)) / 6.0
@@ -192,18 +177,6 @@ def test_one_seed_has_a_profile_but_no_band() -> None:
     mean, low, _ = stats.profile_over_seeds([[0.0, 0.5, 1.0]], [0.0, 0.5, 1.0])
     assert mean == pytest.approx([2 / 3, 1 / 3, 0.0])
     assert np.isnan(low).all()
-
-
-def test_a_clear_improvement_is_certain_and_equals_are_even() -> None:
-    high, low = np.array([[3.0], [4.0], [5.0]]), np.array([[0.0], [1.0]])
-    assert stats.probability_of_improvement(high, low) == 1.0
-    assert stats.improvement_interval(high, low) == (1.0, 1.0)
-    assert stats.improvement_interval(low, high) == (0.0, 0.0)
-    rng = np.random.default_rng(6)
-    same = rng.normal(size=(30, 2))
-    low_end, high_end = stats.improvement_interval(same, same)
-    assert low_end < 0.5 < high_end
-    assert all(math.isnan(end) for end in stats.improvement_interval(high, low[:1]))
 
 
 def test_the_t_interval_is_scipys() -> None:

@@ -17,7 +17,7 @@ from benchmarks.protocol.paper_values import ABLATION
 from benchmarks.protocol.plan import Cell
 from benchmarks.reporting.figures.learning import pictures
 from benchmarks.reporting.pages.readme import BEGIN, END, rewrite
-from benchmarks.reporting.results import Results, excess_over_optimum
+from benchmarks.reporting.results import Level, Results, excess_over_optimum
 from benchmarks.reporting.stats import Value
 from benchmarks.reporting.tables.paper import PRINTED, build_tables, write_tables
 from benchmarks.reporting.tables.table import Number, Table
@@ -42,68 +42,161 @@ def column(table: Table, header: str) -> dict[str, str]:
     return {row[0]: row[index] for row in table.texts()}
 
 
+def cell(table: Table, row: str, header: str) -> str:
+    return column(table, header)[row]
+
+
 def test_performance_has_our_value_beside_the_papers(make_store: MakeStore) -> None:
     table = find(make_store([0]), "performance")
-    ours, paper = column(table, "Rainbow DQN, tuned"), column(table, "Rainbow DQN, paper")
-    assert (ours["Success rate (%)"], paper["Success rate (%)"]) == ("90.0", "95 ± 2")
-    assert ours["Avg. completion time (s)"] == "5.00 †"
-    assert ours["Moves to first insertion over the optimum (%)"] == "25.0"
-    assert column(table, "Exact optimum")["Success rate (%)"] == "100.0"
+    assert cell(table, "Rainbow DQN, safe", "Success rate (%)") == "90.0"
+    assert cell(table, "Rainbow DQN, paper", "Success rate (%)") == "95 ± 2"
+    assert cell(table, "Rainbow DQN, safe", "Avg. completion time (s)") == "5.00 †"
+    over = "Moves to first insertion over the optimum (%)"
+    assert cell(table, "Rainbow DQN, safe", over) == "25.0"
+    assert cell(table, "Exact optimum", "Success rate (%)") == "100.0"
     assert "n = 1" in table.notes[0]
-    assert "±" not in "".join(ours.values())
+    ours = next(row for row in table.texts() if row[0] == "Rainbow DQN, safe")
+    assert "±" not in "".join(ours)
     assert any("precision 5" in note for note in table.notes)
+
+
+def test_a_safe_policy_has_a_row_under_the_papers_own_masks(make_store: MakeStore) -> None:
+    table = find(make_store([0]), "performance")
+    row = "Rainbow DQN, safe, the paper's masks"
+    assert cell(table, row, "Masks") == "paper's"
+    assert cell(table, row, "Success rate (%)") == "70.0 †"
+    assert cell(table, "Rainbow DQN, safe", "Masks") == "safe"
+
+
+def test_every_row_says_which_masks_and_which_memory(tmp_path: Path) -> None:
+    store = fabricated_store.make_store(tmp_path, [0], "paper")
+    for table in build_tables(store):
+        if table.name not in ("hyperparameters", "design"):
+            at = [table.header.index(name) for name in ("Masks", "Memory")]
+            assert table.rows
+            assert all(row[i] for row in table.texts() for i in at), table.name
+    performance = find(store, "performance")
+    memory = "64 configurations"
+    assert cell(performance, "Greedy, memory", "Memory") == memory
+    assert cell(performance, "Greedy, safe", "Memory") == "none"
+    assert cell(performance, "Two-move lookahead, as printed", "Masks") == "paper's"
+    controls = {"Random", "Greedy", "Two-move lookahead"}
+    for name in ("performance", "leaderboard", "aggregates"):
+        rows = {text for row in find(store, name).texts() for text in row[:2]}
+        assert {
+            f"{control}, {track}" for control in controls for track in ("safe", "memory")
+        } <= rows
+        assert "Exact optimum" in rows
+    robust = column(find(store, "robustness"), "Noise 0.04")
+    assert robust["Greedy, from the observation, safe"] == "60.0"
+    assert robust["Two-move lookahead, from the observation, memory"] == "70.0"
+
+
+def test_the_uncertain_machine_has_a_table_of_its_own(tmp_path: Path) -> None:
+    store = fabricated_store.make_store(tmp_path, [0], "paper")
+    table = find(store, "uncertain")
+    row = next(row for row in table.texts() if row[0] == "Rainbow DQN, uncertain")
+    assert row[2] == "64 configurations, refused moves"
+    shown = dict(zip(table.header, row, strict=True))
+    assert shown["Success (%)"] == shown["Success (%) at 3 mm"] == "90.0"
+    assert shown["Success (%) at 0 mm"] == "100.0"
+    assert [row[0] for row in table.texts()][-1] == "Exact optimum, uncertain"
+    assert "up to 3 mm" in " ".join(table.notes)
+    shown_elsewhere = {row[0] for row in find(store, "performance").texts()}
+    assert not any("uncertain" in name for name in shown_elsewhere)
+
+
+def test_files_of_before_the_columns_are_the_tracks_own(tmp_path: Path) -> None:
+    store = fabricated_store.make_store(
+        tmp_path, [0], "paper", lambda c: c.method == "rainbow" and c.ablation == "full"
+    )
+    for run in store.completed():
+        rows = run.rows("episodes")
+        rows = rows[rows["masks"] == "own"] if "masks" in rows else rows
+        rows = rows[rows["error"] == 3.0] if "error" in rows else rows
+        rows.drop(columns=["masks", "error"], errors="ignore").to_csv(
+            run.path / "episodes.csv", index=False
+        )
+    results = Results(store)
+    assert results.group("rainbow", track="uncertain").success().mean == 90.0
+    assert results.group("rainbow", track="uncertain").success(Level(error=3.0)).mean == 90.0
+    assert results.group("rainbow", track="uncertain").success(Level(error=4.0)).n == 0
+    assert results.group("rainbow", track="safe").success(Level(0.01)).mean == 80.0
+    assert results.group("rainbow", track="safe").success(Level(masks="paper")).n == 0
 
 
 def test_seeds_give_mean_and_sample_standard_deviation(make_store: MakeStore) -> None:
     store = make_store([0, 1, 2])
     table = find(store, "performance")
-    ours = column(table, "Rainbow DQN, tuned")
-    assert ours["Success rate (%)"] == "80.0 ± 10.0 †"
-    assert ours["Success rate, IQM over seeds [95 % interval]"].startswith("80.0 [")
-    value = Results(store).group("rainbow", track="tuned").success()
+    assert cell(table, "Rainbow DQN, safe", "Success rate (%)") == "80.0 ± 10.0 †"
+    iqm = "Success rate, IQM over seeds [95 % interval]"
+    assert cell(table, "Rainbow DQN, safe", iqm).startswith("80.0 [")
+    value = Results(store).group("rainbow", track="safe").success()
     assert value.n == 3
     assert 70.0 <= value.low <= 80.0 <= value.high <= 90.0
 
 
-def test_the_ablation_has_a_row_for_each_component_and_the_optimum(make_store: MakeStore) -> None:
+def test_the_ablation_has_a_row_for_each_component_a_control_and_the_optimum(
+    make_store: MakeStore,
+) -> None:
     table = find(make_store([0]), "ablation")
-    assert [row[0] for row in table.rows[:7]] == [labels.ABLATIONS[key] for key in ABLATION]
-    assert table.rows[-1][0] == "Exact optimum"
-    success = column(table, "Success (%), tuned")
-    assert success["Full Rainbow"] == "90.0"
-    assert success["- Dueling head"] == "80.0"
+    names = [row[0] for row in table.rows]
+    assert names[:7] == [f"{labels.ABLATIONS[key]}, safe" for key in ABLATION]
+    assert names[-2:] == ["Best control: Two-move lookahead, safe", "Exact optimum"]
+    success = column(table, "Success (%)")
+    assert success["Full Rainbow, safe"] == "90.0"
+    assert success["- Dueling head, safe"] == "80.0"
     assert success["Exact optimum"] == "100.0"
-    assert column(table, "Success (%), paper")["- Dueling head"] == "85 ± 3"
+    assert column(table, "Success (%), paper")["- Dueling head, safe"] == "85 ± 3"
 
 
 def test_geometry_and_robustness_rows(make_store: MakeStore) -> None:
     store = make_store([0])
     geometry = find(store, "geometry")
-    steps = geometry.texts()[0]
-    assert steps == ["Env. steps to 75 % success (1e5)", "11.2 ± 1.1", "0.30", "7.6 ± 0.8", "0.30"]
+    steps = "Steps to 75 % success (1e5), initial"
+    assert cell(geometry, "Rainbow DQN, paper", steps) == "11.2 ± 1.1"
+    assert cell(geometry, "Rainbow DQN, safe", steps) == "0.30"
+    assert cell(geometry, "Exact optimum", "Success (%), initial") == "100.0"
     noise = column(find(store, "robustness"), "Change at 0.01 (points)")
-    assert noise["Rainbow DQN, tuned"] == "-10.0"
+    assert noise["Rainbow DQN, safe"] == "-10.0"
+    assert noise["Greedy, from the observation, safe"] == "-10.0"
+
+
+def test_the_hyperparameters_are_those_of_every_track(tmp_path: Path) -> None:
+    store = fabricated_store.make_store(tmp_path, [0], "paper", lambda c: c.track == "safe")
+    table = find(store, "hyperparameters")
+    tracks = ["printed", "reward", "safe", "memory", "uncertain", "uncertain_nominal"]
+    assert table.header[2:] == [f"Ours, {labels.track(track)}" for track in tracks]
+    rows = {row[0]: row[2:] for row in table.texts()}
+    assert rows["Masks"] == ["paper's"] * 2 + ["safe"] * 4
+    assert rows["Memory"][:4] == ["none", "none", "none", "64 configurations"]
+    for name in ("Reward", "Learning rate's schedule", "Updates per environment step",
+                 "Environments"):  # fmt: skip
+        assert "missing" not in rows[name]
+    assert [text == "missing" for text in rows["Hardware"]] == [True, True, False, *[True] * 3]
 
 
 def test_a_run_that_never_reached_the_threshold_says_so(make_store: MakeStore) -> None:
     store = make_store([0, 2])  # the second seed solves 7 of 10
-    steps = column(find(store, "ablation"), "Steps to 75 % (1e5), tuned")
-    assert steps["Full Rainbow"] == "0.30 (1 of 2 never)"
+    steps = column(find(store, "ablation"), "Steps to 75 % (1e5)")
+    assert steps["Full Rainbow, safe"] == "0.30 (1 of 2 never)"
 
 
 def test_pairs_are_made_by_initial_state(make_store: MakeStore) -> None:
     table = find(make_store([0]), "significance")
-    row = next(row for row in table.texts() if "RRT-Connect" in row[0] and "Success" in row[1])
+    rows = [dict(zip(table.header, row, strict=True)) for row in table.texts()]
+    success = next(row for row in rows if row["Against"] == "RRT-Connect")
     # 9 against 5 of the same 10 starts: differences 0.4 on average
-    assert row[2] == "+40.0"
-    assert row[6] == "10"
-    time = next(row for row in table.texts() if "RRT-Connect" in row[0] and "time" in row[1])
-    assert time[6] == "5"
+    assert success["Difference"] == "+40.0"
+    assert success["Pairs"] == "10"
+    time = next(row for row in rows if "time" in row["Metric"])
+    assert time["Against"] == "Two-move lookahead, safe"
+    assert time["Pairs"] == "8"
 
 
 def test_excess_counts_only_starts_that_both_solved(make_store: MakeStore) -> None:
     results = Results(make_store([0]))
-    value = excess_over_optimum(results.group("dqn", track="tuned"), results.group("optimum"))
+    value = excess_over_optimum(results.group("dqn", track="safe"), results.group("optimum"))
     assert value.mean == pytest.approx(25.0)
 
 
@@ -119,9 +212,9 @@ def test_tables_are_written_in_three_forms_that_agree_and_repeat(make_store: Mak
     assert r"85.0 $\pm$ 7.1" in text
     rows = list(csv.DictReader(io.StringIO((store.tables / "ablation.csv").read_text("utf-8"))))
     full = rows[0]
-    assert float(full["Success (%), tuned | mean"]) == pytest.approx(85.0)
-    assert float(full["Success (%), tuned | std"]) == pytest.approx(7.071068)
-    assert full["Success (%), tuned | n"] == "2"
+    assert float(full["Success (%) | mean"]) == pytest.approx(85.0)
+    assert float(full["Success (%) | std"]) == pytest.approx(7.071068)
+    assert full["Success (%) | n"] == "2"
 
 
 def test_an_empty_store_gives_tables_of_dashes(tmp_path: Path) -> None:
@@ -138,15 +231,15 @@ def test_verify_is_green_and_red_after_one_digit(make_store: MakeStore, tmp_path
     readme.write_text(f"# Title\n\n{BEGIN}\n{END}\n\nThe end.\n", encoding="utf-8")
     assert rewrite(readme, store)
     assert not rewrite(readme, store)
-    assert verify(store, readme) == []
+    assert verify(store, [readme]) == []
     path = store.tables / "ablation.md"
     path.write_text(path.read_text("utf-8").replace("90.0", "91.0", 1), encoding="utf-8")
-    (problem,) = verify(store, readme)
+    (problem,) = verify(store, [readme])
     assert "ablation.md" in problem
     assert "91.0" in problem
     write_tables(store)
     readme.write_text(readme.read_text("utf-8").replace("90.0", "91.0", 1), encoding="utf-8")
-    (problem,) = verify(store, readme)
+    (problem,) = verify(store, [readme])
     assert "README.md" in problem
 
 
@@ -164,13 +257,13 @@ def test_the_readme_keeps_what_is_outside_the_block(make_store: MakeStore, tmp_p
     assert text.startswith("above\n")
     assert text.endswith("\nbelow\n")
     assert "old" not in text
-    assert text.count("| Success rate (%)") == 1
+    assert text.count("| Rainbow DQN, safe") == 1
 
 
 def test_figures_are_drawn_and_repeat(make_store: MakeStore, tmp_path: Path) -> None:
     found = {picture.name: picture for picture in pictures(Results(make_store([0, 1])))}
-    assert {"tuned_cumulative_reward", "tuned_loss", "robustness"} <= set(found)
-    for name in ("tuned_cumulative_reward", "performance_profile"):
+    assert {"safe_cumulative_reward", "safe_loss", "robustness"} <= set(found)
+    for name in ("safe_cumulative_reward", "performance_profile"):
         data = found[name].write(tmp_path).read_bytes()
         assert data.startswith(b"\x89PNG")
         assert found[name].write(tmp_path).read_bytes() == data
@@ -200,44 +293,39 @@ def test_markup_of_tables_is_escaped() -> None:
 def test_a_partly_finished_preset_shows_what_is_missing(tmp_path: Path) -> None:
     def keep(cell: Cell) -> bool:
         if cell.method == "dqn":
-            return cell.seed < 2 and cell.track == "repaired"
+            return cell.seed < 2 and cell.track == "safe"
         if cell.method == "rainbow":
             return cell.track != "printed" and cell.ablation == "full"
-        return True
+        return cell.method != "greedy"
 
     store = fabricated_store.make_store(tmp_path, range(5), "paper", keep)
     table = find(store, "performance")
-    assert column(table, "Rainbow DQN, as printed")["Success rate (%)"] == "missing"
-    assert column(table, "Vanilla DQN, tuned")["Avg. energy proxy (J)"] == "missing"
-    assert column(table, "Vanilla DQN, repaired")["Success rate (%)"] == "55.0 ± 7.1 †"
-    assert column(table, "Rainbow DQN, repaired")["Success rate (%)"] == "70.0 ± 15.8 †"
+    success = column(table, "Success rate (%)")
+    assert success["Rainbow DQN, as printed"] == "missing"
+    assert success["Greedy, safe"] == "missing"
+    assert column(table, "Avg. energy proxy (J)")["Vanilla DQN, as printed"] == "missing"
+    assert success["Vanilla DQN, safe"] == "55.0 ± 7.1 †"
+    assert success["Rainbow DQN, safe"] == "70.0 ± 15.8 †"
     (note,) = (note for note in table.notes if note.startswith("Not complete"))
-    assert "Vanilla DQN, repaired 2 of 5 seeds" in note
+    assert "Vanilla DQN, safe 2 of 5 seeds" in note
     assert "Rainbow DQN, as printed 0 of 5 seeds" in note
-    assert "Rainbow DQN, repaired" not in note
-    headers = find(store, "hyperparameters").header
-    assert headers[2:] == ["Ours, as printed", "Ours, repaired", "Ours, tuned"]
+    assert "Rainbow DQN, safe" not in note
     write_tables(store)
     assert verify(store) == []
 
 
 def test_statistics_over_seeds(make_store: MakeStore) -> None:
     store = make_store([0, 1, 2])
-    # 90, 80, 70 against 50, 40, 30 %: each seed of ours beats each of theirs
-    improvement = find(store, "improvement")
-    row = next(row for row in improvement.texts() if row[0].endswith("over RRT-Connect"))
-    assert row[1] == "1.000 [1.000, 1.000]"
-    assert row[-1] == "3; 3"
     aggregates = find(store, "aggregates")
-    ours = next(row for row in aggregates.texts() if row[0] == "Rainbow DQN, tuned")
-    assert ours[1] == "Success rate"
-    assert ours[2].startswith("0.800 [0.7")
-    assert ours[4].startswith("0.200 [0.1")
+    ours = next(row for row in aggregates.texts() if row[0] == "Rainbow DQN, safe")
+    assert ours[3] == "Success rate"
+    assert ours[4].startswith("0.800 [0.7")
+    assert ours[6].startswith("0.200 [0.1")
     significance = find(store, "significance")
-    row = next(row for row in significance.texts() if "RRT" in row[0] and "Success" in row[1])
+    row = next(row for row in significance.texts() if row[3] == "RRT-Connect")
     # the difference is 40 points in each seed: no spread between seeds, no test over them
     assert row[-2:] == ["-", "3"]
-    assert row[6] == "30"
+    assert row[11] == "30"
 
 
 def test_episodes_that_began_elsewhere_are_no_pairs(make_store: MakeStore) -> None:

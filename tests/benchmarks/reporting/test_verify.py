@@ -17,29 +17,38 @@ from benchmarks.protocol.plan import expand
 from benchmarks.protocol.presets import load_preset
 from benchmarks.reporting.pages.includes import included, rewrite_all
 from benchmarks.reporting.pages.readme import BEGIN, END, rewrite
-from benchmarks.reporting.tables.paper import build_tables
+from benchmarks.reporting.tables.paper import build_tables, write_tables
 from benchmarks.reporting.verify import Report, check_runs, check_tables, verify, verify_all
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.design import docs as design_docs
 from benchmarks.studies.tuning.check import check_search
+from tests.benchmarks.fabricated_store import make_store
 
 ROOT = Path(__file__).resolve().parents[3]
 RESULTS = ROOT / "results"
 
 
+PAGES = {
+    "README.md": "# Title\n\n<!-- results:begin -->\n<!-- results:end -->\n\nThe end.\n",
+    "docs/results.md": "# Results\n\n<!-- science:begin -->\n<!-- science:end -->\n",
+}
+
+
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
-    """Committed results of preset long, README about them, and docs; no pictures or policies."""
-    unneeded = shutil.ignore_patterns("*.zip", "figures", "checkpoint", "tensorboard", "*.lock")
-    for name in ("long", "design"):
-        shutil.copytree(RESULTS / name, tmp_path / "results" / name, ignore=unneeded)
-    shutil.copytree(ROOT / "docs", tmp_path / "docs")
-    shutil.copy(ROOT / "README.md", tmp_path)
-    for page in (tmp_path / "README.md", *(tmp_path / "docs").iterdir()):
+    """Results of preset quick, two pages about them, the committed design and docs."""
+    unneeded = shutil.ignore_patterns("figures", "results.md")
+    shutil.copytree(RESULTS / "design", tmp_path / "results" / "design", ignore=unneeded)
+    shutil.copytree(ROOT / "docs", tmp_path / "docs", ignore=unneeded)
+    for page in (tmp_path / "docs").iterdir():
         for name in included(page.read_text(encoding="utf-8")):
             (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, tmp_path / name)
-    rewrite(tmp_path / "README.md", Store.open(tmp_path / "results", "long"))
+    store = make_store(tmp_path / "results", [0])
+    write_tables(store)
+    for name, text in PAGES.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        rewrite(tmp_path / name, store)
     return tmp_path
 
 
@@ -78,7 +87,7 @@ def test_the_committed_results_are_what_their_episodes_say(
 
 
 def test_one_digit_of_any_table_is_seen(copy: Path) -> None:
-    store = Store.open(copy / "results", "long")
+    store = Store.open(copy / "results", "quick")
     rng = random.Random(0)
     tables = sorted(store.tables.iterdir())
     assert len(tables) >= 21
@@ -92,17 +101,21 @@ def test_one_digit_of_any_table_is_seen(copy: Path) -> None:
     assert verify(store) == []
 
 
-def test_one_digit_of_the_readme_is_seen(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    readme = copy / "README.md"
+@pytest.mark.parametrize(("page", "end"), [("README.md", END), ("docs/results.md", "")])
+def test_one_digit_of_a_page_is_seen(
+    page: str, end: str, copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = copy / page
     rng = random.Random(1)
-    for _ in range(4):
-        kept = readme.read_bytes()
-        line = change_digit(readme, rng, BEGIN, END)
+    begin = next(mark for mark in (BEGIN, "<!-- science:begin -->") if mark in path.read_text())
+    for _ in range(3):
+        kept = path.read_bytes()
+        line = change_digit(path, rng, begin, end)
         assert main(words(copy)) == 1
         err = capsys.readouterr().err
-        assert f"{readme} differs from the stored episodes (line {line}: stored " in err
+        assert f"{path} differs from the stored episodes (line {line}: stored " in err
         assert "1 difference found" in err
-        readme.write_bytes(kept)
+        path.write_bytes(kept)
     assert main(words(copy)) == 0
 
 
@@ -153,7 +166,7 @@ def test_the_designs_table_must_follow_from_its_runs(copy: Path) -> None:
 
 
 def test_an_episode_that_changed_makes_the_tables_disagree(copy: Path) -> None:
-    store = Store.open(copy / "results", "long")
+    store = Store.open(copy / "results", "quick")
     run = learners(store)[0]
     rows = run.rows("episodes")
     rows["success"] = [1 - rows["success"][0], *rows["success"][1:]]
@@ -164,7 +177,7 @@ def test_an_episode_that_changed_makes_the_tables_disagree(copy: Path) -> None:
 
 
 def test_rows_that_are_not_the_test_episodes_are_named(copy: Path) -> None:
-    store = Store.open(copy / "results", "long")
+    store = Store.open(copy / "results", "quick")
     assert check_runs(store) == []
     path = store.completed()[-1].path / "episodes.csv"
     text = path.read_text(encoding="utf-8")
@@ -176,7 +189,9 @@ def test_rows_that_are_not_the_test_episodes_are_named(copy: Path) -> None:
         path.write_text(text, encoding="utf-8")
         return found
 
-    assert "rows at noise 0.0, not one for each" in problem("".join(lines[:5] + lines[6:]))
+    assert "rows at noise 0.0, masks own, error 0 mm, not one for each" in problem(
+        "".join(lines[:5] + lines[6:])
+    )
     number, seed, start, rest = lines[1].split(",", 3)
     assert "other than the test seeds" in problem(
         "".join([lines[0], f"{number},{int(seed) + 1},{start},{rest}", *lines[2:]])
@@ -191,22 +206,23 @@ def test_rows_that_are_not_the_test_episodes_are_named(copy: Path) -> None:
     assert "episodes.csv has noise [0.0], not [0.0, " in found
 
 
-def test_a_policy_that_is_not_its_runs_is_named(tmp_path: Path) -> None:
-    shutil.copytree(RESULTS / "attempts", tmp_path / "attempts")
-    store = Store.open(tmp_path, "attempts")
+def test_a_policy_that_is_not_its_runs_is_named(copy: Path) -> None:
+    store = Store.open(copy / "results", "quick")
+    first, second = learners(store)[:2]
+    for run, data in ((first, b"one"), (second, b"two")):
+        run.policy.write_bytes(data)
+        meta = run.meta()
+        meta["training"]["policy_sha256"] = run.policy_digest()
+        run.write_meta(meta)
     assert check_runs(store) == []
-    first, second = [run for run in store.completed() if run.policy.is_file()][:2]
-    kept = first.policy.read_bytes()
-    first.policy.write_bytes(second.policy.read_bytes())
-    second.policy.write_bytes(kept)
+    first.policy.write_bytes(b"two")
+    second.policy.write_bytes(b"one")
     wanted = "policy.zip is not the policy whose digest its meta.json has"
     assert check_runs(store) == [f"{run.path}: {wanted}" for run in (first, second)]
-    second.policy.unlink()
-    assert check_runs(store) == [f"{first.path}: {wanted}"]
 
 
 def test_a_damaged_or_foreign_run_is_named(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    store = Store.open(copy / "results", "long")
+    store = Store.open(copy / "results", "quick")
     run = learners(store)[0].path
     for name, text, message in (
         ("meta.json", '{"schema": 99}', "has results schema 99, this version reads 1"),
@@ -229,7 +245,7 @@ def test_a_damaged_or_foreign_run_is_named(copy: Path, capsys: pytest.CaptureFix
 
 
 def test_a_table_that_nothing_makes_is_named(copy: Path) -> None:
-    store = Store.open(copy / "results", "long")
+    store = Store.open(copy / "results", "quick")
     (store.tables / "old.md").write_text("95", encoding="utf-8")
     (store.tables / "ablation.csv").unlink()
     missing, old = verify(store)
@@ -248,9 +264,9 @@ def test_the_readme_is_rewritten_for_the_preset_that_it_shows(copy: Path) -> Non
 
 
 def test_a_readme_without_its_results_is_named(copy: Path) -> None:
-    shutil.move(copy / "results" / "long", copy / "results" / "slow")
+    shutil.move(copy / "results" / "quick", copy / "results" / "slow")
     report = verify_all(copy / "results", [], copy / "README.md", copy / "docs")
-    assert any("shows preset 'long', but" in problem for problem in report.problems)
+    assert any("shows preset 'quick', but" in problem for problem in report.problems)
 
 
 def test_nothing_to_verify_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -337,7 +353,7 @@ def test_the_policies_in_git_are_few(tmp_path: Path) -> None:
     # a renewed run of a preset whose results are tracked adds no file, and quick is not tracked
     assert git("check-ignore", "--no-index", "--stdin", given="\n".join(names)) == []
     made = ["results/quick/tables/performance.md", "results/paper/report.html"]
-    for preset in ("paper", "attempts", "long"):
+    for preset in ("paper",):
         cells = [f"results/{preset}/runs/{c.id}/policy.zip" for c in expand(load_preset(preset))]
         made += [cell for cell in cells if str(ROOT / cell) not in names]
     assert git("check-ignore", "--no-index", "--stdin", given="\n".join(made)) == made
