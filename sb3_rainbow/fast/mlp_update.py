@@ -201,8 +201,8 @@ class MlpUpdate:
         returns = batch.rewards.numpy()
         if advantage_learning > 0.0:
             advantages = np.empty(n, np.float32)
-            mean, vector = self._effective_mean, self._vectors[1].numpy()
-            kernels.effective_weights(vector, self._no_noise, table, mean)
+            mean = self._effective_mean
+            kernels.effective_weights(self._vectors[1].numpy(), self._no_noise, table, mean)
             units_before = kernels.hidden_units(mean, table, obs, self._hidden_next)
             masks = _array(batch.action_masks)
             self._best_actions(mean, units_before, masks, self._actions, advantages)
