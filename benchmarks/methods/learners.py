@@ -34,6 +34,7 @@ DQN_NAMES: Final = (
 )
 RAINBOW_NAMES: Final = (
     *("n_steps", "n_atoms", "v_min", "v_max", "sigma0", "alpha", "beta_start", "beta_end"),
+    "advantage_learning",
 )
 
 
@@ -78,7 +79,8 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu"
         # SB3 moves the target once per round of collection, not once per update: tau is compounded
         common["tau"] = 1.0 - (1.0 - h.tau) ** h.gradient_steps
         return DQN("MlpPolicy", env, target_update_interval=h.n_envs, **common)
-    rainbow = {name: getattr(h, name) for name in RAINBOW_NAMES} | ABLATIONS[cell.ablation]
+    rainbow: dict[str, Any] = {name: getattr(h, name) for name in RAINBOW_NAMES}
+    rainbow |= dict.fromkeys(h.without, False) | ABLATIONS[cell.ablation]
     return Rainbow("MlpPolicy", env, **common, **rainbow)
 
 

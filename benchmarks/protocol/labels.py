@@ -29,6 +29,11 @@ ABLATIONS: Final = {
     "no_distributional": "- Distributional head",
     "no_double_q": "- Double Q-learning",
     "none": "All six off (masked DQN)",
+    "with_prioritized": "+ Prioritized replay",
+    "with_n_steps": "+ Multi-step returns",
+    "with_noisy": "+ NoisyNets",
+    "with_distributional": "+ Distributional head",
+    "no_advantage": "- Advantage learning",
 }
 TRACKS: Final = {
     "printed": "as printed",

@@ -24,6 +24,9 @@ METHODS: Final = (*LEARNERS, *CONTROLS, *PLANNERS)
 TRANSITION_BYTES: Final = 200
 GEOMETRIES: Final = ("initial", "optimized")
 
+# hyperparameters that are left out of a run's settings where they are 0 or empty
+_LATER: Final = ("advantage_learning", "without")
+
 # ablation -> the Rainbow constructor arguments that switch one component off
 ABLATIONS: Final[dict[str, dict[str, Any]]] = {
     "full": {},
@@ -41,6 +44,12 @@ ABLATIONS: Final[dict[str, dict[str, Any]]] = {
         "distributional": False,
         "double_q": False,
     },
+    # what a track does without, put back
+    "with_prioritized": {"prioritized": True},
+    "with_n_steps": {"n_steps": 3},
+    "with_noisy": {"noisy": True},
+    "with_distributional": {"distributional": True},
+    "no_advantage": {"advantage_learning": 0.0},
 }
 
 
@@ -158,6 +167,8 @@ def _track(track: Track, method: str) -> dict[str, Any]:
     if method not in LEARNERS:
         unused += ["description", "timesteps", "hyperparameters", "curriculum", "train_nominal"]
     unused += [key for key in ("sim_to_real", "train_nominal", "mask_refused") if not config[key]]
+    h = config["hyperparameters"]
+    config["hyperparameters"] = {k: v for k, v in h.items() if v or k not in _LATER}
     return {key: value for key, value in config.items() if key not in unused}
 
 
