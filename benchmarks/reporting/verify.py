@@ -156,8 +156,7 @@ def _check_run(run: RunFolder, starts: dict[tuple[object, ...], str]) -> list[st
         return []
     if cell.learns:
         run.rows("curve")
-    result = Result(cell.seed, config, meta, run, run.rows("episodes"))
-    problems = _check_episodes(result, cell, starts)
+    problems = _check_episodes(Result.read(run), cell, starts)
     if run.policy.is_file() and run.policy_digest() != meta["training"].get("policy_sha256"):
         problems.append("policy.zip is not the policy whose digest its meta.json has")
     return problems
