@@ -162,12 +162,13 @@ class Results:
         self.design: RunFolder | None = None
         found: dict[Key, list[Result]] = {}
         for folder in store.completed():
-            cell = folder.config()["cell"]
-            if cell["method"] == DESIGN:
+            if folder.id == DESIGN:
                 self.design = folder
                 continue
+            run = Result.read(folder)
+            cell = run.config["cell"]
             key = (cell["method"], cell["ablation"], cell["geometry"], cell["track"])
-            found.setdefault(key, []).append(Result.read(folder))
+            found.setdefault(key, []).append(run)
         self.planned, self._settings = _planned(store)
         self._groups = {
             key: Group(

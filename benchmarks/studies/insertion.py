@@ -125,7 +125,7 @@ class Insertion(Experiment[Cell]):
         built = build_tables(store)
         write_tables(store, built)
         for table in built:
-            if table.name in PRINTED:
+            if table.name in PRINTED and table.rows:
                 console.print(table.markdown(), markup=False, highlight=False)
         console.print(f"Tables (CSV, Markdown, LaTeX): {store.tables}")
         return built
