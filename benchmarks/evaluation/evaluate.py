@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from benchmarks.methods.base import Plan
 from benchmarks.methods.episodes import Episode, env_arguments
-from benchmarks.protocol.knowledge import UNMASKED
+from benchmarks.protocol.knowledge import plays_bare
 from benchmarks.protocol.metrics import OWN_MASKS, PAPER_MASKS
 from benchmarks.protocol.plan import CONTROLS, Cell
-from benchmarks.protocol.presets import Preset
+from benchmarks.protocol.presets import Preset, as_dict
 from benchmarks.protocol.seeding import derive, episode_seeds
 from coop_env.env import CoopInsertionEnv
 from coop_env.simulation.sim_to_real import SimToReal
@@ -73,8 +73,7 @@ def levels(preset: Preset, cell: Cell) -> list[Level]:
     if cell.plans or cell.method in SEES_THE_STATE:
         return [Level(arguments)]
     noise = preset.evaluation.noise
-    masked = cell.learns and cell.method not in UNMASKED
-    if track is None or not (masked and track.mask_singularities):
+    if track is None or not plays_bare(cell.method, as_dict(track)):
         return [Level(arguments, level) for level in noise]
     bare = {"mask_singularities": False, "mask_visited": 0, "mask_refused": False}
     return [

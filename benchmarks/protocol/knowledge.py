@@ -46,3 +46,15 @@ def knowledge(method: str, track: Mapping[str, Any] | None) -> Knowledge:
     if method == "recurrent_ppo":
         remembered.append("recurrent")
     return Knowledge(masks, ", ".join(remembered) or "none")
+
+
+def plays_bare(method: str, track: Mapping[str, Any] | None) -> bool:
+    """Whether a learner is tested once more under the paper's own masks, as it has better ones.
+
+    Args:
+        method: of :data:`benchmarks.protocol.plan.METHODS`.
+        track: as for :func:`knowledge`.
+    """
+    if track is None or method not in LEARNERS or method in UNMASKED:
+        return False
+    return bool(track.get("mask_singularities")) and not track.get("sim_to_real")

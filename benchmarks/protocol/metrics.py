@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -61,25 +60,8 @@ EXTRA_METRICS: Final = (
     Metric("singular", "Singularity terminations / 1000 ep.", "singular", 0, 1000.0, True),
 )
 
+N_HOLES: Final = 6
 OWN_MASKS: Final = "own"  # of the track, in column "masks"
 PAPER_MASKS: Final = "paper"  # the same policy under what the paper masks
 HOLES: Final = EXTRA_METRICS[0]
 METRICS: Final = {metric.key: metric for metric in (*PAPER_METRICS, *EXTRA_METRICS)}
-
-
-def main_rows(episodes: pd.DataFrame, track: Mapping[str, Any] | None) -> pd.DataFrame:
-    """The rows of a run's headline: no noise, its own masks, its track's own machine.
-
-    Args:
-        episodes: rows of episodes.csv. Files of learners that act under ``mask_singularities`` have
-            a column ``masks``, ``own`` or ``paper``; those of tracks with ``sim_to_real`` a column
-            ``error``, the bound of the base's displacement, mm.
-        track: ``config["track"]`` of the run, or None.
-    """
-    chosen = episodes["noise"] == 0.0
-    if "masks" in episodes:
-        chosen &= episodes["masks"] == OWN_MASKS
-    if "error" in episodes and track is not None:
-        bound = 1000.0 * float(track["sim_to_real"]["base_position_error"])
-        chosen &= np.isclose(episodes["error"], bound)
-    return episodes[chosen]

@@ -21,9 +21,11 @@ HYPERPARAMETERS: Final[dict[str, str]] = {
     "Total environment steps": "~1500000",
     "Curriculum switch": "75 % success over 20 episodes",
     "Hardware": "NVIDIA RTX 3090, ~4 h",
+    "Reward": "its equation",
     "Masks": "reach and joint limits (paper's)",
     "Memory": "none",
     "Learning rate's schedule": "a step per episode",
+    "Environments": "1",
     "Updates per environment step": "1",
 }
 

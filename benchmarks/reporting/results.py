@@ -45,6 +45,13 @@ class Result:
     folder: RunFolder
     episodes: pd.DataFrame
 
+    @classmethod
+    def read(cls, folder: RunFolder, meta: dict[str, Any] | None = None) -> Result:
+        """A run from its folder; without a meta.json of its own, it has the one that is given."""
+        config = folder.config()
+        told = folder.meta() if meta is None else meta
+        return cls(config["cell"]["seed"], config, told, folder, folder.rows("episodes"))
+
     @property
     def error(self) -> float:
         """The bound of the base's displacement on the run's track, mm."""
@@ -155,14 +162,13 @@ class Results:
         self.design: RunFolder | None = None
         found: dict[Key, list[Result]] = {}
         for folder in store.completed():
-            config = folder.config()
-            cell = config["cell"]
-            if cell["method"] == DESIGN:
+            if folder.id == DESIGN:
                 self.design = folder
                 continue
+            run = Result.read(folder)
+            cell = run.config["cell"]
             key = (cell["method"], cell["ablation"], cell["geometry"], cell["track"])
-            result = Result(cell["seed"], config, folder.meta(), folder, folder.rows("episodes"))
-            found.setdefault(key, []).append(result)
+            found.setdefault(key, []).append(run)
         self.planned, self._settings = _planned(store)
         self._groups = {
             key: Group(

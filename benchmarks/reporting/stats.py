@@ -92,11 +92,6 @@ def means(scores: Array) -> Array:
     return np.asarray(scores.reshape(scores.shape[0], -1).mean(axis=1), dtype=np.float64)
 
 
-def optimality_gaps(scores: Array) -> Array:
-    """What scores lack to 1, those above 1 counted as 1, of each of k sets (k, ...)."""
-    return 1.0 - means(np.minimum(scores, 1.0))
-
-
 def _resamples(scores: Array, repetitions: int, rng: np.random.Generator) -> Array:
     """Stratified resamples (k, runs, tasks): each task's runs are drawn apart, with replacement."""
     runs, tasks = scores.shape

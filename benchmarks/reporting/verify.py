@@ -15,6 +15,8 @@ from typing import Final
 import pandas as pd
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.knowledge import plays_bare
+from benchmarks.protocol.metrics import OWN_MASKS, PAPER_MASKS
 from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.pages import includes
@@ -156,8 +158,7 @@ def _check_run(run: RunFolder, starts: dict[tuple[object, ...], str]) -> list[st
         return []
     if cell.learns:
         run.rows("curve")
-    result = Result(cell.seed, config, meta, run, run.rows("episodes"))
-    problems = _check_episodes(result, cell, starts)
+    problems = _check_episodes(Result.read(run), cell, starts)
     if run.policy.is_file() and run.policy_digest() != meta["training"].get("policy_sha256"):
         problems.append("policy.zip is not the policy whose digest its meta.json has")
     return problems
@@ -174,6 +175,11 @@ def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...],
         found = sorted(column.astype(float).unique().tolist())
         if found != sorted(wanted):
             problems.append(f"episodes.csv has {name} {found}, not {wanted}")
+    bare = plays_bare(cell.method, result.config.get("track"))
+    wanted_masks = {OWN_MASKS, PAPER_MASKS} if bare else {OWN_MASKS}
+    masks_found = {masks for _, masks, _ in result.levels}
+    if masks_found != wanted_masks:
+        problems.append(f"episodes.csv has masks {sorted(masks_found)}, not {sorted(wanted_masks)}")
     for (noise, masks, error), episodes in result.levels.items():
         where = f"noise {noise}, masks {masks}, error {error:g} mm"
         if episodes["episode"].tolist() != list(range(len(seeds))):

@@ -2,11 +2,11 @@
 
     python -m benchmarks audit
 
-Scripted policies play the same validation starts under each track's reward. *Insert* follows the
-exact optimum hole after hole, *insert one* stops at the first. *Farm* looks on the optimum's way to
-the first hole, and two moves off it, for the place where a move and its reversal pay most, goes
-there and repeats the two until the time is up; *oscillate* does so where the episode starts.
-*Random* takes any unmasked move.
+Scripted policies play the same validation starts under each reward, on the first track of the
+preset that has it. *Insert* follows the exact optimum hole after hole, *insert one* stops at the
+first. *Farm* looks on the optimum's way to the first hole, and two moves off it, for the place
+where a move and its reversal pay most, goes there and repeats the two until the time is up;
+*oscillate* does so where the episode starts. *Random* takes any unmasked move.
 Beside them stands what the trained policies of a preset came to. Written to ``results/audit/``:
 ``scripted.csv``, ``scripted.md``, ``learned.csv``, ``audit.png``, ``meta.json``.
 """
@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -43,6 +44,14 @@ from coop_env.env import CoopInsertionEnv
 CELL: Final = ("track", "method", "ablation", "geometry", "seed")
 LEARNED: Final = (*CELL, "return", "holes")
 MARKS: Final = {"rainbow": "o", "dqn": "s", "maskable_ppo": "^"}
+
+
+def of_each_reward(preset: Preset) -> Preset:
+    """The preset with the first of its tracks that has a reward for each reward there is."""
+    found: dict[str, str] = {}
+    for name, track in preset.tracks.items():
+        found.setdefault(f"{track.reward} {sorted(track.reward_kwargs.items())}", name)
+    return replace(preset, tracks={name: preset.tracks[name] for name in found.values()})
 
 
 def scripted(preset: Preset, starts: int, tell: Callable[[], None] = lambda: None) -> pd.DataFrame:
@@ -163,7 +172,7 @@ def main(words: Sequence[str]) -> int:
     arguments = parser.parse_args(list(words))
     if arguments.starts < 1:
         raise BenchmarkError(f"--starts {arguments.starts}: must be 1 or above")
-    preset = load_preset(arguments.preset)
+    preset = of_each_reward(load_preset(arguments.preset))
     console = Console(soft_wrap=True)
     with Progress(console=console) as bar:
         job = bar.add_task("scripted policies", total=len(preset.tracks) * arguments.starts)

@@ -41,6 +41,8 @@ from benchmarks.reporting.verify import Report, check_file
 from benchmarks.runs.store import Store, write_csv, write_text
 from coop_env.kinematics.rotations import tilt_azimuth
 
+# learners whose next action follows from the observation and the masks alone
+FORGETFUL: Final = tuple(method for method in LEARNERS if method != "recurrent_ppo")
 CAUSES: Final = ("infeasible", "singular", "cycle", "wandering")
 RECENT: Final = 40  # moves at the end of an episode ...
 FEW: Final = 4  # ... among which a cycle has at most so many configurations
@@ -220,7 +222,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--preset", default="paper")
     parser.add_argument("--results", type=Path, default=Path("results"))
     parser.add_argument("--track", default="safe")
-    parser.add_argument("--method", default="rainbow", choices=LEARNERS)
+    parser.add_argument("--method", default="rainbow", choices=FORGETFUL)
     parser.add_argument("--geometry", default="optimized")
     arguments = parser.parse_args(list(words))
     preset = load_preset(arguments.preset)
@@ -234,7 +236,7 @@ def main(words: Sequence[str]) -> int:
             f"geometry {arguments.geometry}; run: python -m benchmarks run --preset {preset.name}"
         )
     console = Console(soft_wrap=True)
-    oracle = LatticeOracle()
+    oracle = LatticeOracle(real=preset.tracks[arguments.track].sim_to_real is not None)
     rows: list[dict[str, object]] = []
     with Progress(console=console) as bar:
         job = bar.add_task("test episodes", total=len(cells) * preset.evaluation.episodes)

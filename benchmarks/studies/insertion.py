@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from benchmarks.protocol import plan
-from benchmarks.protocol.metrics import main_rows
 from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.presets import Preset, absolute, load_preset
 from benchmarks.protocol.seeding import derive
@@ -114,7 +113,9 @@ class Insertion(Experiment[Cell]):
     def verdict(self, folder: RunFolder) -> str:
         if not folder.has_rows("episodes"):
             return ""
-        clean = main_rows(folder.rows("episodes"), folder.config().get("track"))
+        from benchmarks.reporting.results import Result
+
+        clean = Result.read(folder, {}).test()
         return f", success {100 * clean['success'].mean():.0f} % of {len(clean)} test episodes"
 
     def write_tables(self, store: Store, console: Console) -> list[Table]:
@@ -124,7 +125,7 @@ class Insertion(Experiment[Cell]):
         built = build_tables(store)
         write_tables(store, built)
         for table in built:
-            if table.name in PRINTED:
+            if table.name in PRINTED and table.rows:
                 console.print(table.markdown(), markup=False, highlight=False)
         console.print(f"Tables (CSV, Markdown, LaTeX): {store.tables}")
         return built

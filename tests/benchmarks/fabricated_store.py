@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+from benchmarks.protocol.knowledge import plays_bare
 from benchmarks.protocol.plan import Cell, expand, settings
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.protocol.seeding import episode_seeds
@@ -77,8 +78,9 @@ def levels_of(preset: Preset, cell: Cell) -> list[dict[str, Any]]:
     if not cell.learns and not cell.method.endswith("_observed"):
         return [{"noise": 0.0}]
     levels = [{"noise": noise, "masks": "own"} for noise in preset.evaluation.noise]
-    papers = cell.learns and track is not None and track.mask_singularities
-    return [*levels, *([{"noise": 0.0, "masks": "paper"}] if papers else [])]
+    if track is not None and plays_bare(cell.method, dataclasses.asdict(track)):
+        levels.append({"noise": 0.0, "masks": "paper"})
+    return levels
 
 
 def fill(store: Store, preset: Preset, cell: Cell, solved: int, moves: int) -> None:

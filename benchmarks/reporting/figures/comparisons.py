@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.protocol import labels, paper_values
+from benchmarks.protocol.metrics import N_HOLES
 from benchmarks.protocol.plan import LEARNERS, PLANNERS
 from benchmarks.reporting.compared import SCORED
 from benchmarks.reporting.figures.curves import look
@@ -21,7 +22,6 @@ from benchmarks.reporting.rows import Row, complete, control_of, references, row
 from benchmarks.reporting.stats import Value, profile_over_seeds
 from benchmarks.reporting.tables.compare import printed_spread
 from benchmarks.reporting.tables.paper import NOISY, ablated, noise_levels
-from benchmarks.reporting.tables.statistics import N_HOLES
 from benchmarks.reporting.tables.uncertain import error_levels
 
 THRESHOLDS: Final = np.linspace(0.0, 1.0, 101)

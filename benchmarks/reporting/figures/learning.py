@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.protocol import labels
-from benchmarks.protocol.metrics import HOLES, SUCCESS, Metric
+from benchmarks.protocol.metrics import HOLES, N_HOLES, SUCCESS, Metric
 from benchmarks.protocol.plan import LEARNERS
 from benchmarks.reporting.figures.comparisons import comparisons
 from benchmarks.reporting.figures.curves import (
@@ -27,7 +27,6 @@ from benchmarks.reporting.figures.curves import (
 from benchmarks.reporting.figures.style import METHOD_COLOURS, Picture, canvas, finish
 from benchmarks.reporting.results import Group, Results
 from benchmarks.reporting.rows import Row, complete, references, rows
-from benchmarks.reporting.tables.statistics import N_HOLES
 from benchmarks.runs.store import Store
 
 STAGE_0_HOLES: Final = 4

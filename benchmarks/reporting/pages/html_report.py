@@ -31,7 +31,7 @@ GROUPS: Final = {
         "uncertain",
     ),
     "Leaderboard": ("leaderboard",),
-    "Statistics": ("deviations", "significance", "aggregates"),
+    "Statistics": ("deviations", "significance"),
 }
 # of the design study, if it was run: file, caption, what it shows
 DESIGN: Final = (

@@ -40,11 +40,8 @@ def places(store: Store, results: Results) -> list[Place]:
         found.append(Place(row.name, kind, row.knows, row.group, learns * row.group.n))
     brought: dict[str, list[Result]] = {}
     for folder in store.entered():
-        config = folder.config()
-        result = Result(
-            config["cell"]["seed"], config, folder.meta(), folder, folder.rows("episodes")
-        )
-        brought.setdefault(config["cell"]["method"], []).append(result)
+        result = Result.read(folder)
+        brought.setdefault(result.config["cell"]["method"], []).append(result)
     for name, runs in brought.items():
         entry = runs[0].config["entry"]
         models = len({run.config["entry"]["sha256"] for run in runs} - {""})

@@ -28,7 +28,7 @@ from benchmarks.reporting.tables.geometric import design
 from benchmarks.reporting.tables.hyperparameters import hyperparameters
 from benchmarks.reporting.tables.leaderboard import leaderboard
 from benchmarks.reporting.tables.notes import failure_notes, interval_note, of_rows, seeds_notes
-from benchmarks.reporting.tables.statistics import aggregates, signed, significance
+from benchmarks.reporting.tables.significance import signed, significance
 from benchmarks.reporting.tables.table import Cell, Number, Table
 from benchmarks.reporting.tables.uncertain import uncertain
 from benchmarks.runs.store import Store
@@ -55,7 +55,6 @@ def build_tables(store: Store) -> list[Table]:
         hyperparameters(results),
         *compared[:2],
         significance(results),
-        aggregates(results),
         *compared[2:],
         uncertain(results),
         leaderboard(store, results),

@@ -21,9 +21,10 @@ import pandas as pd
 from rich.console import Console
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS, main_rows
+from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS
 from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.presets import Preset
+from benchmarks.reporting.results import Result
 from benchmarks.runs.backends import default_jobs
 from benchmarks.runs.cell import Teller
 from benchmarks.runs.experiment import StopRequested
@@ -119,8 +120,7 @@ class Replay(Insertion):
         return 0
 
     def verdict(self, folder: RunFolder) -> str:
-        rows = main_rows(folder.rows("episodes"), folder.config().get("track"))
-        return "; " + next(in_words(rows, "now"))
+        return "; " + next(in_words(Result.read(folder, {}).test(), "now"))
 
     def fresh_store(self) -> Store:
         """A store beside the first, with the settings and the training of what is to play."""

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import pandas as pd
 import pytest
 
 from benchmarks.protocol.knowledge import knowledge
-from benchmarks.protocol.metrics import main_rows
 from benchmarks.protocol.plan import METHODS, expand, settings
 from benchmarks.protocol.presets import load_preset
 
@@ -48,14 +46,3 @@ def test_only_what_remembers_nothing_claims_so() -> None:
         memory = knowledge(cell.method, settings(preset, cell).get("track")).memory
         forgetful = cell.track in ("printed", "reward", "safe") or cell.method == "dqn"
         assert (memory == "none") == forgetful, cell.id
-
-
-def test_the_headline_rows_have_no_noise_own_masks_and_the_tracks_own_machine() -> None:
-    rows = pd.DataFrame(
-        {"noise": [0.0, 0.01, 0.0, 0.0], "masks": ["own", "own", "paper", "own"],
-         "error": [3.0, 3.0, 3.0, 8.0]}
-    )  # fmt: skip
-    track = {"sim_to_real": {"base_position_error": 0.003}}
-    assert main_rows(rows, track).index.tolist() == [0]
-    assert main_rows(rows.drop(columns=["error"]), None).index.tolist() == [0, 3]
-    assert main_rows(rows[["noise"]], None).index.tolist() == [0, 2, 3]

@@ -67,6 +67,10 @@ def test_scripts_return_what_the_environment_pays() -> None:
     assert "| as printed | farm |" in audit.markdown(rows)
 
 
+def test_each_reward_is_played_once() -> None:
+    assert list(audit.of_each_reward(load_preset("paper")).tracks) == ["printed", "reward", "safe"]
+
+
 def test_both_commands_write_what_they_say(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

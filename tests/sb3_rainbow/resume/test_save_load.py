@@ -1,9 +1,9 @@
 """What a file of a model brings back, and what it must agree with."""
 
+import base64
 import io
 import json
 import zipfile
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,6 @@ from stable_baselines3.common.utils import set_random_seed
 from sb3_rainbow import PrioritizedReplayBuffer, Rainbow
 from sb3_rainbow.policies import MlpPolicy
 from tests.sb3_rainbow.resume.runs import FAST
-
-ROOT = Path(__file__).resolve().parents[3]
 
 
 def test_predictions_parameters_and_settings_survive(tmp_path: Any) -> None:
@@ -166,15 +164,23 @@ def test_a_new_target_interval_brings_its_tau(
     assert Rainbow.load(tmp_path / "again").tau == tau
 
 
-def test_a_model_saved_before_the_modules_had_rooms() -> None:
-    # Its file names the buffer's class sb3_rainbow.buffers.PrioritizedReplayBuffer.
-    saved = ROOT / "results/paper/runs/rainbow-optimized-tuned-s0/policy.zip"
-    data = json.loads(zipfile.ZipFile(saved).read("data"))
-    assert "sb3_rainbow.buffers" in data["replay_buffer_class"]["__module__"]
-    model = Rainbow.load(saved, buffer_size=1)
-    assert model.replay_buffer_class is PrioritizedReplayBuffer
-    obs = np.zeros(model.observation_space.shape or (), np.float32)
-    assert model.action_space.contains(model.predict(obs, deterministic=True)[0])
+def test_a_model_saved_before_the_modules_had_rooms(tmp_path: Any) -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
+    model.save(tmp_path / "now.zip")
+    # The buffer's class was sb3_rainbow.buffers.PrioritizedReplayBuffer.
+    old = b"csb3_rainbow.buffers\nPrioritizedReplayBuffer\n."
+    with zipfile.ZipFile(tmp_path / "now.zip") as now, zipfile.ZipFile(tmp_path / "m", "w") as then:
+        for name in now.namelist():
+            content = now.read(name)
+            if name == "data":
+                data = json.loads(content)
+                data["replay_buffer_class"][":serialized:"] = base64.b64encode(old).decode()
+                content = json.dumps(data).encode()
+            then.writestr(name, content)
+    loaded = Rainbow.load(tmp_path / "m", buffer_size=1)
+    assert loaded.replay_buffer_class is PrioritizedReplayBuffer
+    obs = np.zeros(4, np.float32)
+    assert loaded.predict(obs, deterministic=True)[0] == model.predict(obs, deterministic=True)[0]
 
 
 def test_a_model_of_another_algorithm(tmp_path: Any) -> None:

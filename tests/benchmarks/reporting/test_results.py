@@ -1,0 +1,40 @@
+"""Which rows of episodes.csv a headline rests on, by the columns that the file has."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from benchmarks.reporting.results import Level, Result
+from benchmarks.runs.store import RunFolder
+
+ROWS = pd.DataFrame({
+    "episode": [0, 1, 2, 3],
+    "noise": [0.0, 0.01, 0.0, 0.0],
+    "masks": ["own", "own", "paper", "own"],
+    "error": [3.0, 3.0, 3.0, 8.0],
+})  # fmt: skip
+MACHINE = {"sim_to_real": {"base_position_error": 0.003}}
+
+
+@pytest.mark.parametrize(
+    ("columns", "track", "level", "found"),
+    [
+        (["noise", "masks", "error"], MACHINE, Level(), [0]),
+        (["noise", "masks", "error"], MACHINE, Level(error=8.0), [3]),
+        (["noise", "masks"], {}, Level(), [0, 3]),
+        (["noise", "masks"], {}, Level(masks="paper"), [2]),
+        (["noise"], {}, Level(), [0, 2, 3]),
+        (["noise"], {}, Level(noise=0.01), [1]),
+        (["noise"], {}, Level(noise=0.02), []),
+    ],
+)
+def test_a_level_has_the_rows_that_were_played_at_it(
+    columns: list[str], track: dict[str, Any], level: Level, found: list[int]
+) -> None:
+    rows = ROWS[["episode", *columns]]
+    result = Result(0, {"track": track}, {}, RunFolder(Path("nowhere")), rows)
+    assert result.test(level)["episode"].tolist() == found
