@@ -44,7 +44,9 @@ ABLATIONS: Final[dict[str, dict[str, Any]]] = {
         "distributional": False,
         "double_q": False,
     },
-    # what a track does without, put back
+}
+# and what puts back what a track does without
+ADDITIONS: Final[dict[str, dict[str, Any]]] = {
     "with_prioritized": {"prioritized": True},
     "with_n_steps": {"n_steps": 3},
     "with_noisy": {"noisy": True},
@@ -145,7 +147,7 @@ def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
     if track is not None:
         config["track"] = _track(track, cell.method)
     if cell.learns:
-        config["switches"] = dict(ABLATIONS[cell.ablation])
+        config["switches"] = dict({**ABLATIONS, **ADDITIONS}[cell.ablation])
     elif cell.method in PLANNERS:
         config["planner"] = as_dict(preset.planner)
     return config
@@ -177,7 +179,7 @@ def _check_group(preset: Preset, group: RunGroup) -> None:
     geometries = (*GEOMETRIES, *preset.geometries)
     for kind, names, allowed in (
         ("method", group.methods, METHODS),
-        ("ablation", group.ablations, tuple(ABLATIONS)),
+        ("ablation", group.ablations, (*ABLATIONS, *ADDITIONS)),
         ("geometry", group.geometries, geometries),
         ("track", group.tracks, tuple(preset.tracks)),
     ):

@@ -13,7 +13,7 @@ import pandas as pd
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol import labels
 from benchmarks.protocol.metrics import HOLES, METRICS, SUCCESS, Metric
-from benchmarks.protocol.plan import ABLATIONS, LEARNERS, METHODS
+from benchmarks.protocol.plan import LEARNERS, METHODS
 from benchmarks.reporting.results import Results
 from benchmarks.reporting.rows import Row, best, complete, control_of, row_of, rows
 from benchmarks.reporting.stats import PairedTest, holm, paired_t_test
@@ -98,7 +98,7 @@ def _pairs(results: Results) -> Iterator[tuple[str, Row, Row | None, tuple[Metri
     for method in ("rrt_connect", "dqn"):  # the paper's own comparisons, on the scored track
         rival = row_of(results, method, SCORED if method in LEARNERS else "")
         yield PAPER, full, rival, (SUCCESS,)
-    for ablation in ABLATIONS:
+    for ablation in labels.ABLATIONS:
         if ablation != "full":
             without = row_of(results, "rainbow", SCORED, ablation=ablation)
             yield ABLATION, without, full, (SUCCESS,)

@@ -13,7 +13,7 @@ from typing import Final
 from benchmarks.protocol import labels
 from benchmarks.protocol.metrics import HOLES, METRICS, SUCCESS, Metric
 from benchmarks.protocol.paper_values import PERFORMANCE
-from benchmarks.protocol.plan import ABLATIONS, LEARNERS
+from benchmarks.protocol.plan import LEARNERS
 from benchmarks.reporting.compared import (
     ABLATION,
     CONTROL,
@@ -167,28 +167,36 @@ def _last_episodes(group: Group, column: str) -> Value:
 
 def _ablation(results: Results, compared: list[Comparison]) -> str:
     found = {}
-    for name in ABLATIONS:
-        without = row_of(results, "rainbow", SCORED, ablation=name)
-        comparison = _find(compared, ABLATION, without, SUCCESS)
-        if comparison is not None and name != "none":
-            found[name] = comparison
+    for name in labels.ABLATIONS:
+        other = row_of(results, "rainbow", SCORED, ablation=name)
+        if name in ("full", "none") or not (other.group.planned or other.group.n):
+            continue
+        comparison = _find(compared, ABLATION, other, SUCCESS)
+        if comparison is None:
+            return ""
+        found[name] = comparison
     full = row_of(results, "rainbow", SCORED)
-    if len(found) < len(ABLATIONS) - 2:  # all but "full" and "none"
+    if not found:
         return ""
-    parts = [f"all six {_show(full.success())} %"]
+    parts = [f"as it is {_show(full.success())} %"]
     counts = {}
     for word, result in (("less", WORSE), ("more", BETTER), ("no clear difference", SAME)):
         texts = [
-            f"{labels.ABLATIONS[name].removeprefix('- ').lower()} {_show(each.ours.success())}"
+            f"{_in_words(name)} {_show(each.ours.success())}"
             for name, each in found.items()
             if outcome(each) == result
         ]
         counts[result] = len(texts)
-        parts += [f"{word} without {', '.join(texts)}"] if texts else []
+        parts += [f"{word} {', '.join(texts)}"] if texts else []
     verdict = "does not reproduce"
     if counts[WORSE]:
         verdict = "reproduces" if counts[WORSE] == len(found) else "reproduces in part"
     return f"**The ablation {verdict}** ({labels.track(SCORED)}): {'; '.join(parts)}."
+
+
+def _in_words(ablation: str) -> str:
+    sign, _, component = labels.ABLATIONS[ablation].partition(" ")
+    return f"{'with' if sign == '+' else 'without'} {component.lower()}"
 
 
 def _geometry(results: Results, compared: list[Comparison]) -> str:
