@@ -60,7 +60,7 @@ def control(method: str, weights: Controls, seed: int) -> Callable[[Sequence[Epi
     if method == "random":
         return lambda episodes: _random(episodes, seed)
     ahead = method.startswith("lookahead")
-    weight = weights.lookahead_angle if ahead else weights.greedy_angle
+    weight = getattr(weights, f"{method}_angle")
     play = _observed if method.endswith("_observed") else _informed
     return lambda episodes: play(episodes, weight, ahead)
 
