@@ -80,6 +80,10 @@ def main_rows(episodes: pd.DataFrame, track: Mapping[str, Any] | None) -> pd.Dat
     if "masks" in episodes:
         chosen &= episodes["masks"] == OWN_MASKS
     if "error" in episodes and track is not None:
-        bound = 1000.0 * float(track["sim_to_real"]["base_position_error"])
-        chosen &= np.isclose(episodes["error"], bound)
+        chosen &= is_own_error(episodes["error"], track["sim_to_real"])
     return episodes[chosen]
+
+
+def is_own_error(error: Any, machine: Mapping[str, Any]) -> Any:
+    """Whether bounds of the displacement, mm, are that of a track's ``sim_to_real``."""
+    return np.isclose(error, 1000.0 * float(machine["base_position_error"]))
