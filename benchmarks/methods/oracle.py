@@ -86,7 +86,7 @@ class LatticeOracle:
         if len(to_delta):
             # Untouched pages of a large zeroed array cost nothing.
             came_by = np.zeros(lattice.delta_free.size * lattice.rrs_free.size, np.uint8)
-            length, point, detail["expanded"] = search.a_star(
+            length, point, detail["expanded"], _ = search.a_star(
                 lattice, source, to_delta, to_rrs, came_by, self.node_limit
             )
             detail["bound"] = bound
