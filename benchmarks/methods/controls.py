@@ -169,9 +169,9 @@ def _look_ahead(
                 pairs[first, second] = potential(c, s.target, weight, p)
             s.offset[axis] -= sign
             floor[first] = pairs[first].min()
-    best, between, choice = math.inf, math.inf, after.argmin()
+    best, between, choice = math.inf, math.inf, int(after.argmin())
     while True:
-        first = floor.argmin()
+        first = int(floor.argmin())
         if not floor[first] < math.inf or floor[first] > best:
             return choice
         floor[first] = math.inf
