@@ -176,7 +176,8 @@ def _add_entry(model: argparse.ArgumentParser) -> None:
         type=at_least(0),
         default=None,
         metavar="NUMBER",
-        help="stored policies: begin where this number says, not at the test episodes' starts",
+        help="stored policies: begin where this number says, not at the test episodes' starts; 20 "
+        "episodes per seed unless --episodes says else, at the headline's levels alone",
     )
 
 

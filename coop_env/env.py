@@ -223,7 +223,10 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
     @property
     def state(self) -> np.void:
         """A copy of the kernels' row, :func:`~coop_env.simulation.state.state_dtype`."""
-        return self._row.copy()
+        copy = np.empty(1, self._states.dtype)
+        copy[0] = self._row  # row.copy() would go field by field
+        row: np.void = copy[0]
+        return row
 
     @property
     def _row(self) -> np.void:

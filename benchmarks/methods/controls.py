@@ -3,14 +3,16 @@
 *Random* draws from the allowed moves. *Greedy* makes the allowed move after which the potential
 ``500 d + w a`` is least, with the distance d (m) of the tip from the target's mouth, the angle a
 (rad) between the peg and its normal, and a weight w that is chosen on validation starts.
-*Lookahead* looks for the least over two allowed moves and makes the first of them. Both take an
-insertion for the least there is.
+*Lookahead* makes the first of the two allowed moves after which it is least; of equal pairs, such
+as the same two moves in either order, the one with the least potential in between. An insertion is
+the least there is, and none is put off.
 
 The plain ones see the state, as far as the controller's model knows it: on an imperfect machine
 distance, angle and masks are the nominal model's. Those from the *observation* have its 12 numbers,
 noise included: they take the configuration as given, and the hole whose mouth and normal come
-nearest to what is observed for the target. Masks are a memory where their track's are. Ties go to
-the lower action, so that nothing depends on chance but *random*, which draws per episode.
+nearest to what is observed for the target. Masks are a memory where their track's are. What is
+still equal goes to the lower action: nothing depends on chance but *random*, which draws per
+episode.
 """
 
 from __future__ import annotations
@@ -41,7 +43,6 @@ drop_stale_kernels(Path(__file__).parent, Path(coop_env.__file__).parent)
 
 DISTANCE_WEIGHT: Final = 500.0  # per m
 INSERTED: Final = -1.0  # below any potential
-AT_ONCE: Final = -2.0  # before what may insert with the move after: it would be put off for ever
 
 Choose = Callable[[NDArray[np.float32], NDArray[np.bool_], Sequence[int]], NDArray[Any]]
 
@@ -59,7 +60,7 @@ def control(method: str, weights: Controls, seed: int) -> Callable[[Sequence[Epi
     if method == "random":
         return lambda episodes: _random(episodes, seed)
     ahead = method.startswith("lookahead")
-    weight = weights.lookahead_angle if ahead else weights.greedy_angle
+    weight = getattr(weights, f"{method}_angle")
     play = _observed if method.endswith("_observed") else _informed
     return lambda episodes: play(episodes, weight, ahead)
 
@@ -81,7 +82,7 @@ def _informed(episodes: Sequence[Episode], weight: float, ahead: bool) -> Choose
         states = np.empty(len(running), episodes[0].env.state.dtype)
         for row, i in enumerate(running):
             states[row] = episodes[i].env.state
-        return costs(states, weight, ahead, packed).argmin(axis=1)
+        return choices(states, weight, ahead, packed)
 
     return choose
 
@@ -96,7 +97,10 @@ def _observed(episodes: Sequence[Episode], weight: float, ahead: bool) -> Choose
         observations: NDArray[np.float32], masks: NDArray[np.bool_], _: Sequence[int]
     ) -> NDArray[Any]:
         seen = observations[:, : len(PAPER_FIELDS)].astype(np.float64)
-        return observed_costs(seen, masks, transform, weight, ahead, packed).argmin(axis=1)
+        states = np.zeros(len(seen), env.state.dtype)
+        states["mask"] = masks
+        believe(states, seen, transform, packed)
+        return choices(states, weight, ahead, packed)
 
     return choose
 
@@ -127,31 +131,72 @@ def imagine(s: state.Record, action: int, p: EnvParams) -> None:
 
 
 @njit(cache=True)
-def costs(states: np.ndarray, weight: float, ahead: bool, packed: np.ndarray) -> np.ndarray:
-    """The potential (n, 12) that each allowed move of states (n,) leads to, others inf.
-
-    With ``ahead`` the least of it and those after one more allowed move.
-    """
+def choices(states: np.ndarray, weight: float, ahead: bool, packed: np.ndarray) -> np.ndarray:
+    """What *greedy*, or with ``ahead`` *lookahead*, does in states (n,)."""
     p = task.unpack(packed)
-    out = np.full((states.shape[0], N_ACTIONS), np.inf)
-    later = states[:1].copy()
+    out = np.empty(states.shape[0], np.int64)
+    spare = states[:1].copy()
+    after = np.empty(N_ACTIONS)
     for i in range(states.shape[0]):
         s = states[i]
         for action in range(N_ACTIONS):
-            if s.mask[action] == 0:
-                continue
-            out[i, action] = potential(state.neighbour(s, action, p), s.target, weight, p)
-            if out[i, action] == INSERTED:
-                out[i, action] = AT_ONCE
-            if not ahead or out[i, action] == AT_ONCE:
-                continue
-            later[0] = s
-            imagine(later[0], action, p)
-            for second in range(N_ACTIONS):
-                if later[0].mask[second] == 1:
-                    c = state.neighbour(later[0], second, p)
-                    out[i, action] = min(out[i, action], potential(c, s.target, weight, p))
+            after[action] = math.inf
+            if s.mask[action] == 1:
+                after[action] = potential(state.neighbour(s, action, p), s.target, weight, p)
+        out[i] = after.argmin()
+        if ahead and after[out[i]] != INSERTED:
+            out[i] = _look_ahead(s, spare, after, weight, p)
     return out
+
+
+@njit(cache=True)
+def _look_ahead(
+    s: state.Record, spare: np.ndarray, after: np.ndarray, weight: float, p: EnvParams
+) -> int:
+    """The first of the best two moves; ``after`` (12,) is the potential after one, inf if barred.
+
+    Masks cost most. So the first moves come in the order of what any second would make of them, up
+    to where none of those left can be as good as the best found.
+    """
+    pairs = np.full((N_ACTIONS, N_ACTIONS), math.inf)
+    floor = np.full(N_ACTIONS, math.inf)
+    for first in range(N_ACTIONS):
+        if s.mask[first] == 1:
+            axis, sign = first // 2, 1 - 2 * (first % 2)
+            s.offset[axis] += sign
+            for second in range(N_ACTIONS):
+                c = state.neighbour(s, second, p)
+                pairs[first, second] = potential(c, s.target, weight, p)
+            s.offset[axis] -= sign
+            floor[first] = pairs[first].min()
+    best, between, choice = math.inf, math.inf, int(after.argmin())
+    while True:
+        first = int(floor.argmin())
+        if not floor[first] < math.inf or floor[first] > best:
+            return choice
+        floor[first] = math.inf
+        spare[0] = s
+        imagine(spare[0], first, p)
+        least = math.inf
+        for second in range(N_ACTIONS):
+            if spare[0].mask[second] == 1:
+                least = min(least, pairs[first, second])
+        if (least, after[first], first) < (best, between, choice):
+            best, between, choice = least, after[first], first
+
+
+@njit(cache=True)
+def believe(states: np.ndarray, rows: np.ndarray, o: np.ndarray, packed: np.ndarray) -> None:
+    """Write to states (n,) what observations (n, 12) tell: the configuration and the target.
+
+    ``o`` is the observation's transform. The states know of nothing that was before.
+    """
+    p = task.unpack(packed)
+    for i in range(states.shape[0]):
+        s, si = states[i], rows[i] / o[1, :12] + o[0, :12]
+        s.start[:] = si[:N_AXES]
+        c = (si[0], si[1], si[2], si[3], si[4], si[5])
+        s.target = likeliest_hole(c, rows[i], o, p)
 
 
 @njit(cache=True)
@@ -170,51 +215,3 @@ def likeliest_hole(c: Configuration, row: np.ndarray, o: np.ndarray, p: EnvParam
         if miss < least:
             best, least = index, miss
     return best
-
-
-@njit(cache=True)
-def _moved(c: Configuration, action: int, p: EnvParams) -> Configuration:
-    offset = np.zeros(N_AXES, np.int64)
-    offset[action // 2] = 1 - 2 * (action % 2)
-    start = np.array([c[0], c[1], c[2], c[3], c[4], c[5]])
-    return state.lattice_configuration(start, offset, p)
-
-
-@njit(cache=True)
-def _allowed(c: Configuration, p: EnvParams) -> bool:
-    """Whether masks without a memory allow a move to a configuration."""
-    if p.task.mask_singularities:
-        return state.configuration_status(c, p) == state.VALID
-    return state.delta_valid(c, p) and state.rrs_valid(c, p)
-
-
-@njit(cache=True)
-def observed_costs(
-    rows: np.ndarray, masks: np.ndarray, o: np.ndarray, weight: float, ahead: bool,
-    packed: np.ndarray,
-) -> np.ndarray:  # fmt: skip
-    """As :func:`costs`, from observations (n, 12) and masks (n, 12) of the first move.
-
-    ``o`` is the observation's transform. Of the second moves those are allowed that lead to what
-    the track's masks take for a valid configuration, and do not undo the first.
-    """
-    p = task.unpack(packed)
-    out = np.full((rows.shape[0], N_ACTIONS), np.inf)
-    for i in range(rows.shape[0]):
-        si = rows[i] / o[1, :12] + o[0, :12]
-        here = (si[0], si[1], si[2], si[3], si[4], si[5])
-        target = likeliest_hole(here, rows[i], o, p)
-        for action in range(N_ACTIONS):
-            if not masks[i, action]:
-                continue
-            there = _moved(here, action, p)
-            out[i, action] = potential(there, target, weight, p)
-            if out[i, action] == INSERTED:
-                out[i, action] = AT_ONCE
-            if not ahead or out[i, action] == AT_ONCE:
-                continue
-            for second in range(N_ACTIONS):
-                c = _moved(there, second, p)
-                if second != action ^ 1 and _allowed(c, p):
-                    out[i, action] = min(out[i, action], potential(c, target, weight, p))
-    return out

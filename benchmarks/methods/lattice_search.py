@@ -88,7 +88,15 @@ def point_at(lattice: Lattice, offset: NDArray[np.int64]) -> int:
 @njit(cache=True)
 def configuration_at(lattice: Lattice, point: int) -> Configuration:
     """The configuration of a lattice point, to the bit as the environment has it."""
-    offset = point // lattice.strides % lattice.shape + lattice.low
+    strides, shape, low = lattice.strides, lattice.shape, lattice.low
+    offset = (
+        point // strides[0] % shape[0] + low[0],
+        point // strides[1] % shape[1] + low[1],
+        point // strides[2] % shape[2] + low[2],
+        point // strides[3] % shape[3] + low[3],
+        point // strides[4] % shape[4] + low[4],
+        point // strides[5] % shape[5] + low[5],
+    )  # no array: it would be the most of the work
     return state.lattice_configuration(lattice.start, offset, lattice.p)
 
 
@@ -170,7 +178,7 @@ def goals(lattice: Lattice, target: int) -> NDArray[np.int64]:
     n_rrs, step = lattice.rrs_free.size, p.layout.step
     some_delta = point_at(lattice, np.zeros(6, np.int64)) // n_rrs
     reach = int(p.task.tolerance / step[0]) + 1
-    nearest, at = np.empty(3, np.int64), np.empty(3, np.int64)
+    nearest, shape, strides = np.empty(3, np.int64), lattice.shape, lattice.strides
     for rrs_node in range(n_rrs):
         if not lattice.rrs_free[rrs_node]:
             continue
@@ -187,13 +195,12 @@ def goals(lattice: Lattice, target: int) -> NDArray[np.int64]:
         above = mouth[2] - p.delta.base_height + p.delta.peg_length
         for k, wanted in enumerate((mouth[0], mouth[1], above)):
             nearest[k] = round((wanted - start[k]) / step[k]) - lattice.low[k]
-        for shift in np.ndindex(2 * reach + 1, 2 * reach + 1, 2 * reach + 1):
-            for k in range(3):
-                at[k] = nearest[k] + shift[k] - reach
-            if np.all((at >= 0) & (at < lattice.shape[:3])):
-                point = (at * lattice.strides[:3]).sum() + rrs_node
-                if _meets(lattice, point, mouth) and not _point_collides(lattice, point):
-                    found.append(point)
+        for x in range(max(nearest[0] - reach, 0), min(nearest[0] + reach + 1, shape[0])):
+            for y in range(max(nearest[1] - reach, 0), min(nearest[1] + reach + 1, shape[1])):
+                for z in range(max(nearest[2] - reach, 0), min(nearest[2] + reach + 1, shape[2])):
+                    point = x * strides[0] + y * strides[1] + z * strides[2] + rrs_node
+                    if _meets(lattice, point, mouth) and not _point_collides(lattice, point):
+                        found.append(point)
     return np.array(found, np.int64)
 
 
@@ -241,7 +248,7 @@ def lower_bound(point: int, to_delta: NDArray[np.int32], to_rrs: NDArray[np.int3
 def a_star(
     lattice: Lattice, source: int, to_delta: NDArray[np.int32], to_rrs: NDArray[np.int32],
     came_by: NDArray[np.uint8], node_limit: int,
-) -> tuple[int, int, int]:  # fmt: skip
+) -> tuple[int, int, int, NDArray[np.int64]]:  # fmt: skip
     """Shortest collision-free path from a lattice point to the nearest goal.
 
     The bound is exact in each sub-lattice, so it is consistent and a point's first expansion is
@@ -252,27 +259,29 @@ def a_star(
         came_by: zeros, one for each lattice point; becomes 1 + the move that led there.
 
     Returns:
-        Length (or INFEASIBLE or NODE_LIMIT), the goal's point, and points expanded.
+        Length (or INFEASIBLE or NODE_LIMIT), the goal's point, points expanded, and the points
+        written in ``came_by``.
     """
     n_rrs = lattice.rrs_free.size
     bound = lower_bound(source, to_delta, to_rrs)
     if bound >= UNREACHED:
-        return INFEASIBLE, -1, 0
+        return INFEASIBLE, -1, 0, np.array([source])
     entries = [(bound, 0, source, 0, 13)]  # total length, -entry, point, moves so far, 1 + move
-    pushed, expanded = 0, 0
+    pushed, expanded, written = 0, 0, [source]
     while len(entries) > 0:
         total, _, point, g, by = heapq.heappop(entries)
         if came_by[point] != 0:
             continue
+        written.append(point)
         if g > 0 and _point_collides(lattice, point):
             came_by[point] = BARRED
             continue
         came_by[point] = by
         if total == g and g > 0:
-            return g, point, expanded
+            return g, point, expanded, np.array(written)
         expanded += 1
         if expanded > node_limit:
-            return NODE_LIMIT, -1, expanded
+            return NODE_LIMIT, -1, expanded, np.array(written)
         for move in range(12):
             other = point + (1 - 2 * (move % 2)) * lattice.strides[move // 2]
             free = lattice.delta_free[other // n_rrs] and lattice.rrs_free[other % n_rrs]
@@ -282,7 +291,7 @@ def a_star(
             if total < UNREACHED:
                 pushed += 1
                 heapq.heappush(entries, (total, -pushed, other, g + 1, move + 1))
-    return INFEASIBLE, -1, expanded
+    return INFEASIBLE, -1, expanded, np.array(written)
 
 
 def trace_back(

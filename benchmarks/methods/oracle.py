@@ -86,7 +86,7 @@ class LatticeOracle:
         if len(to_delta):
             # Untouched pages of a large zeroed array cost nothing.
             came_by = np.zeros(lattice.delta_free.size * lattice.rrs_free.size, np.uint8)
-            length, point, detail["expanded"] = search.a_star(
+            length, point, detail["expanded"], _ = search.a_star(
                 lattice, source, to_delta, to_rrs, came_by, self.node_limit
             )
             detail["bound"] = bound
@@ -128,7 +128,7 @@ def _distances(
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], int]:
     """Distances (goals, nodes) to the goals that both robots can reach, and the lower bound."""
     n_rrs = lattice.rrs_free.size
-    maps: list[NDArray[np.int32]] = []
+    maps: list[tuple[NDArray[np.int32], NDArray[np.int64]]] = []
     for numbers, free, strides in (
         (goals // n_rrs, lattice.delta_free, lattice.strides[:3] // n_rrs),
         (goals % n_rrs, lattice.rrs_free, lattice.strides[3:]),
@@ -137,10 +137,10 @@ def _distances(
         table = np.empty((len(nodes), free.size), np.int32)
         for row, node in enumerate(nodes):
             search.distances(free, strides, int(node), table[row])
-        maps.append(table[inverse])
-    to_delta, to_rrs = maps
-    near = to_delta[:, source // n_rrs] + to_rrs[:, source % n_rrs] < search.UNREACHED
-    to_delta, to_rrs = to_delta[near], to_rrs[near]
+        maps.append((table, inverse))
+    (delta, delta_row), (rrs, rrs_row) = maps
+    near = delta[delta_row, source // n_rrs] + rrs[rrs_row, source % n_rrs] < search.UNREACHED
+    to_delta, to_rrs = delta[delta_row[near]], rrs[rrs_row[near]]
     bound = search.lower_bound(source, to_delta, to_rrs) if near.any() else -1
     return to_delta, to_rrs, int(bound)
 

@@ -49,25 +49,27 @@ class Replanner:
         p = episode.env.params
         model = p._replace(task=p.task._replace(imperfect=False))
         lattice = search.make_lattice(np.array(episode.env.state["start"]), model)
-        barred: set[int] = set()
+        paths = Paths(lattice, self.node_limit)
         while not episode.over:
             began = time.perf_counter()
             target = int(episode.env.state["target"])
             points, rings = solutions(lattice, target, WIDEST if self.searches else 1.0)
             if not episode.insertions:
                 episode.plan_seconds = time.perf_counter() - began
-            if not self._fill(episode, lattice, points, rings, barred):
+            if not self._fill(episode, paths, points, rings):
                 episode.failure = "nowhere to go"
                 return
 
-    def _fill(
-        self, episode: Episode, lattice: Lattice, points: Points, rings: Points, barred: set[int]
-    ) -> bool:
+    def _fill(self, episode: Episode, paths: Paths, points: Points, rings: Points) -> bool:
         """Visit one point after another until a hole is filled; False if none can be reached."""
-        filled, tried, forgot_at = len(episode.insertions), np.zeros(len(points), bool), -1
+        filled, forgot_at = len(episode.insertions), -1
+        lattice, barred = paths.lattice, paths.barred
+        number = {point: i for i, point in enumerate(points.tolist())}
+        tried = np.zeros(len(points), bool)
         while not episode.over and len(episode.insertions) == filled:
             here = int(search.point_at(lattice, episode.env.state["offset"].astype(np.int64)))
-            out = tried | (points == here) | np.isin(points, [*barred])
+            out = tried.copy()
+            out[[number[point] for point in (here, *barred) if point in number]] = True
             if out.all():  # once more from the beginning, unless that has just led nowhere
                 if episode.moves == forgot_at:
                     return False
@@ -76,28 +78,54 @@ class Replanner:
                 tried[:] = False
                 continue
             best = np.lexsort((_moves_between(lattice, points, here), rings, out))[0]
-            moves = self._path(lattice, here, int(points[best]), barred)
+            moves = paths.between(here, int(points[best]))
             if moves is None:
                 tried[best] = True
                 continue
             visited = _follow(episode, lattice, here, moves, barred)
             if self.searches:
-                tried |= np.isin(points, visited)
+                tried[[number[point] for point in visited if point in number]] = True
         return True
 
-    def _path(
-        self, lattice: Lattice, here: int, goal: int, barred: set[int]
-    ) -> NDArray[np.int64] | None:
-        """A shortest path on the model that keeps off what is barred, or None."""
-        n_rrs, strides = lattice.rrs_free.size, lattice.strides
-        to_delta = np.empty((1, lattice.delta_free.size), np.int32)
-        to_rrs = np.empty((1, n_rrs), np.int32)
-        search.distances(lattice.delta_free, strides[:3] // n_rrs, goal // n_rrs, to_delta[0])
-        search.distances(lattice.rrs_free, strides[3:], goal % n_rrs, to_rrs[0])
-        came_by = np.zeros(lattice.delta_free.size * n_rrs, np.uint8)
-        came_by[[*barred]] = search.BARRED
-        length, point, _ = search.a_star(lattice, here, to_delta, to_rrs, came_by, self.node_limit)
-        return search.trace_back(lattice, point, length, came_by) if length > 0 else None
+
+class Paths:
+    """Shortest paths on a lattice that keep off its ``barred`` points; what they share is kept.
+
+    Args:
+        lattice: of the nominal model.
+        node_limit: of one search for a path.
+    """
+
+    def __init__(self, lattice: Lattice, node_limit: int) -> None:
+        self.lattice, self.node_limit = lattice, node_limit
+        self.barred: set[int] = set()
+        self._maps: dict[tuple[bool, int], NDArray[np.int32]] = {}
+        # clean between searches: a fresh one would cost more than most of them
+        self._came_by = np.zeros(lattice.delta_free.size * lattice.rrs_free.size, np.uint8)
+
+    def between(self, here: int, goal: int) -> NDArray[np.int64] | None:
+        """A shortest path on the model from one point to another, or None."""
+        lattice, came_by, barred = self.lattice, self._came_by, [*self.barred]
+        n_rrs = lattice.rrs_free.size
+        to_delta = self._distances(lattice.delta_free, lattice.strides[:3] // n_rrs, goal // n_rrs)
+        to_rrs = self._distances(lattice.rrs_free, lattice.strides[3:], goal % n_rrs)
+        came_by[barred] = search.BARRED
+        length, point, _, written = search.a_star(
+            lattice, here, to_delta, to_rrs, came_by, self.node_limit
+        )
+        moves = search.trace_back(lattice, point, length, came_by) if length > 0 else None
+        came_by[barred] = came_by[written] = 0
+        return moves
+
+    def _distances(
+        self, free: NDArray[np.bool_], strides: NDArray[np.int64], node: int
+    ) -> NDArray[np.int32]:
+        """Moves (1, nodes) of one robot to a node."""
+        key = (free is self.lattice.rrs_free, node)
+        if key not in self._maps:
+            self._maps[key] = np.empty((1, free.size), np.int32)
+            search.distances(free, strides, node, self._maps[key][0])
+        return self._maps[key]
 
 
 def _follow(

@@ -130,6 +130,8 @@ class Controls:
 
     greedy_angle: Number = 150.0
     lookahead_angle: Number = 150.0
+    greedy_observed_angle: Number = 150.0
+    lookahead_observed_angle: Number = 150.0
 
 
 @with_config(STRICT)

@@ -12,7 +12,7 @@ import yaml
 
 from benchmarks.__main__ import main
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol.plan import ABLATIONS, GEOMETRIES, expand, settings
+from benchmarks.protocol.plan import ABLATIONS, CONTROLS, GEOMETRIES, expand, settings
 from benchmarks.protocol.presets import PRESETS, load_preset, parse_preset, preset_names
 from benchmarks.studies.insertion import Insertion
 
@@ -173,9 +173,10 @@ def test_each_ablation_switches_one_component_and_no_other() -> None:
 def test_a_track_may_vary_another_and_that_one_a_third() -> None:
     tracks = load_preset("paper").tracks
     safe, memory, uncertain = (tracks[name] for name in ("safe", "memory", "uncertain"))
-    said: dict[str, Any] = {"description": "", "mask_visited": 64}
+    said: dict[str, Any] = {"description": "", "mask_visited": 64, "controls": memory.controls}
     assert dataclasses.replace(safe, **said) == dataclasses.replace(memory, **said)
     said |= {"mask_refused": True, "sim_to_real": uncertain.sim_to_real}
+    said |= {"controls": uncertain.controls}
     assert dataclasses.replace(memory, **said) == dataclasses.replace(uncertain, **said)
     data = smoke()
     data["tracks"] = {"mine": {"base": "sfae"}}
@@ -222,7 +223,7 @@ def test_what_has_no_bearing_on_a_control_is_not_among_its_settings() -> None:
     by_id = {cell.id: settings(preset, cell) for cell in expand(preset)}
     track = by_id["greedy-optimized-uncertain-s0"]["track"]
     assert "hyperparameters" not in track
-    assert track["controls"] == {"greedy_angle": 150.0, "lookahead_angle": 150.0}
+    assert set(track["controls"]) == {f"{method}_angle" for method in CONTROLS[1:]}
     assert "controls" not in by_id["rainbow-optimized-uncertain-s0"]["track"]
     assert "errors" not in by_id["greedy-optimized-safe-s0"]["evaluation"]
     assert 3.0 in by_id["optimum-optimized-uncertain-s0"]["evaluation"]["errors"]
