@@ -40,8 +40,9 @@ def uncertain(results: Results) -> Table:
     bounds = sorted({run.error for row in found for run in row.group.runs})
     notes = seeds_notes(of_rows(found))
     notes += [
-        f"The base of the 3-RRS is displaced by up to {bound:g} mm along each axis and tilted in proportion, "
-        "drawn anew each episode; masks, observations and plans are the nominal model's."
+        f"The base of the 3-RRS is displaced by up to {bound:g} mm along each axis and tilted "
+        "in proportion, anew in each episode; masks, observations and plans are the nominal "
+        "model's."
         for bound in bounds
     ]
     title = "Success on the uncertain machine"

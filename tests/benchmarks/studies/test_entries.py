@@ -95,7 +95,7 @@ def test_a_model_joins_the_leaderboard_with_one_command(
     assert entry.config()["entry"]["observation"] == "paper"
     rows = entry.rows("episodes")
     # the protocol: test seeds, all levels of noise, six holes to the end, the model's own actions
-    assert rows["reset_seed"].unique().tolist() == episode_seeds(0, 2)
+    assert rows["reset_seed"].unique().tolist() == episode_seeds(0, 2, "validate")
     assert rows["noise"].unique().tolist() == [0.0, 0.01]
     model = CLASSES[name].load(path, device="cpu")
     expected = run_policy(
