@@ -202,7 +202,8 @@ def load_function(name: str) -> Callable[[Any], Any]:
     module_name, colon, function_name = name.partition(":")
     if not colon:
         raise BenchmarkError(
-            f"unknown planner '{name}'; known: {known(PERFECT_PLANNERS)}, or module:function of your own"
+            f"unknown planner '{name}'; known: {known(PERFECT_PLANNERS)}, or module:function of "
+            "your own"
         )
     if "" not in sys.path:
         sys.path.insert(0, "")  # the console script does not look into the current folder

@@ -99,7 +99,10 @@ def test_a_model_joins_the_leaderboard_with_one_command(
     assert rows["noise"].unique().tolist() == [0.0, 0.01]
     model = CLASSES[name].load(path, device="cpu")
     expected = run_policy(
-        model_policy(model), begin_episodes({"reward": "progress"}, 0, 2), 0.01, derive("noise", 0)
+        model_policy(model),
+        begin_episodes({"reward": "progress"}, 0, 2, "validate"),
+        0.01,
+        derive("noise", 0),
     )
     noisy = rows[rows["noise"] == 0.01]
     assert noisy["moves"].tolist() == [row["moves"] for row in expected]
