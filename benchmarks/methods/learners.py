@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.methods.episodes import env_arguments
-from benchmarks.protocol.plan import ABLATIONS, ADDITIONS, Cell
+from benchmarks.protocol.plan import ABLATIONS, Cell
 from benchmarks.protocol.presets import Preset, Track
 from benchmarks.protocol.seeding import derive
 from coop_env.vec_env import CoopInsertionVecEnv
@@ -79,8 +79,7 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu"
         # SB3 moves the target once per round of collection, not once per update: tau is compounded
         common["tau"] = 1.0 - (1.0 - h.tau) ** h.gradient_steps
         return DQN("MlpPolicy", env, target_update_interval=h.n_envs, **common)
-    rainbow: dict[str, Any] = {name: getattr(h, name) for name in RAINBOW_NAMES}
-    rainbow |= dict.fromkeys(h.without, False) | {**ABLATIONS, **ADDITIONS}[cell.ablation]
+    rainbow = {name: getattr(h, name) for name in RAINBOW_NAMES} | ABLATIONS[cell.ablation]
     return Rainbow("MlpPolicy", env, **common, **rainbow)
 
 

@@ -28,12 +28,8 @@ ABLATIONS: Final = {
     "no_noisy": "- NoisyNets",
     "no_distributional": "- Distributional head",
     "no_double_q": "- Double Q-learning",
+    "double_dueling": "Double Q-learning and dueling head alone",
     "none": "All six off (masked DQN)",
-    "with_prioritized": "+ Prioritized replay",
-    "with_n_steps": "+ Multi-step returns",
-    "with_noisy": "+ NoisyNets",
-    "with_distributional": "+ Distributional head",
-    "no_advantage": "- Advantage learning",
 }
 TRACKS: Final = {
     "printed": "as printed",

@@ -24,10 +24,10 @@ METHODS: Final = (*LEARNERS, *CONTROLS, *PLANNERS)
 TRANSITION_BYTES: Final = 200
 GEOMETRIES: Final = ("initial", "optimized")
 
-# hyperparameters that are left out of a run's settings where they are 0 or empty
-_LATER: Final = ("advantage_learning", "without")
+# hyperparameters that are left out of a run's settings where they are 0
+_LATER: Final = ("advantage_learning",)
 
-# ablation -> the Rainbow constructor arguments that switch one component off
+# ablation -> the Rainbow constructor arguments that switch components off
 ABLATIONS: Final[dict[str, dict[str, Any]]] = {
     "full": {},
     "no_prioritized": {"prioritized": False},
@@ -44,14 +44,12 @@ ABLATIONS: Final[dict[str, dict[str, Any]]] = {
         "distributional": False,
         "double_q": False,
     },
-}
-# and what puts back what a track does without
-ADDITIONS: Final[dict[str, dict[str, Any]]] = {
-    "with_prioritized": {"prioritized": True},
-    "with_n_steps": {"n_steps": 3},
-    "with_noisy": {"noisy": True},
-    "with_distributional": {"distributional": True},
-    "no_advantage": {"advantage_learning": 0.0},
+    "double_dueling": {
+        "prioritized": False,
+        "n_steps": 1,
+        "noisy": False,
+        "distributional": False,
+    },
 }
 
 
@@ -147,7 +145,7 @@ def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
     if track is not None:
         config["track"] = _track(track, cell.method)
     if cell.learns:
-        config["switches"] = dict({**ABLATIONS, **ADDITIONS}[cell.ablation])
+        config["switches"] = dict(ABLATIONS[cell.ablation])
     elif cell.method in PLANNERS:
         config["planner"] = as_dict(preset.planner)
     return config
@@ -179,7 +177,7 @@ def _check_group(preset: Preset, group: RunGroup) -> None:
     geometries = (*GEOMETRIES, *preset.geometries)
     for kind, names, allowed in (
         ("method", group.methods, METHODS),
-        ("ablation", group.ablations, (*ABLATIONS, *ADDITIONS)),
+        ("ablation", group.ablations, tuple(ABLATIONS)),
         ("geometry", group.geometries, geometries),
         ("track", group.tracks, tuple(preset.tracks)),
     ):

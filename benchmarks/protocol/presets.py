@@ -26,9 +26,6 @@ PRESETS = Path(__file__).parent / "presets"
 DEFAULT_PRESET = "quick"
 
 
-Component = Literal["double_q", "dueling", "prioritized", "noisy", "distributional"]
-
-
 def _levels(noise: list[float]) -> list[float]:
     if 0.0 not in noise or min(noise) < 0.0:
         raise ValueError("must hold 0.0 and no negative level")
@@ -91,8 +88,6 @@ class Hyperparameters:
     epsilon_end: Number = 0.05
     epsilon_steps: int = 10_000
     advantage_learning: Number = 0.0
-    # Rainbow's components that a track does without: constructor arguments that are false
-    without: list[Component] = field(default_factory=list)
 
     @property
     def gradient_steps(self) -> int:

@@ -169,7 +169,7 @@ def _ablation(results: Results, compared: list[Comparison]) -> str:
     found = {}
     for name in labels.ABLATIONS:
         other = row_of(results, "rainbow", SCORED, ablation=name)
-        if name in ("full", "none") or not (other.group.planned or other.group.n):
+        if not name.startswith("no_") or not (other.group.planned or other.group.n):
             continue
         comparison = _find(compared, ABLATION, other, SUCCESS)
         if comparison is None:
@@ -178,25 +178,20 @@ def _ablation(results: Results, compared: list[Comparison]) -> str:
     full = row_of(results, "rainbow", SCORED)
     if not found:
         return ""
-    parts = [f"as it is {_show(full.success())} %"]
+    parts = [f"all six {_show(full.success())} %"]
     counts = {}
     for word, result in (("less", WORSE), ("more", BETTER), ("no clear difference", SAME)):
         texts = [
-            f"{_in_words(name)} {_show(each.ours.success())}"
+            f"{labels.ABLATIONS[name].removeprefix('- ').lower()} {_show(each.ours.success())}"
             for name, each in found.items()
             if outcome(each) == result
         ]
         counts[result] = len(texts)
-        parts += [f"{word} {', '.join(texts)}"] if texts else []
+        parts += [f"{word} without {', '.join(texts)}"] if texts else []
     verdict = "does not reproduce"
     if counts[WORSE]:
         verdict = "reproduces" if counts[WORSE] == len(found) else "reproduces in part"
     return f"**The ablation {verdict}** ({labels.track(SCORED)}): {'; '.join(parts)}."
-
-
-def _in_words(ablation: str) -> str:
-    sign, _, component = labels.ABLATIONS[ablation].partition(" ")
-    return f"{'with' if sign == '+' else 'without'} {component.lower()}"
 
 
 def _geometry(results: Results, compared: list[Comparison]) -> str:

@@ -40,7 +40,7 @@ from benchmarks.evaluation.model_files import detect_algorithm, fitting_observat
 from benchmarks.methods.base import Plan
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.protocol import labels
-from benchmarks.protocol.plan import DESIGN, METHODS, PLANNERS, Cell
+from benchmarks.protocol.plan import DESIGN, METHODS, PERFECT_PLANNERS, Cell
 from benchmarks.protocol.presets import Preset, as_dict
 from benchmarks.runs.cell import run_once
 from benchmarks.runs.store import RunFolder, Store
@@ -188,7 +188,7 @@ def _check(preset: Preset, entry: Entry) -> None:
 
 
 def _planner(preset: Preset, entry: Entry, seed: int) -> Callable[[Episode], None]:
-    if entry.planner in PLANNERS:
+    if entry.planner in PERFECT_PLANNERS:
         return planner_runner(preset, Cell(entry.planner, "full", GEOMETRY, "", seed))
     return plan_and_follow(load_function(entry.planner), entry.planner)
 
@@ -202,7 +202,8 @@ def load_function(name: str) -> Callable[[Any], Any]:
     module_name, colon, function_name = name.partition(":")
     if not colon:
         raise BenchmarkError(
-            f"unknown planner '{name}'; known: {known(PLANNERS)}, or module:function of your own"
+            f"unknown planner '{name}'; known: {known(PERFECT_PLANNERS)}, or module:function of "
+            "your own"
         )
     if "" not in sys.path:
         sys.path.insert(0, "")  # the console script does not look into the current folder

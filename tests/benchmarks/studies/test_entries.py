@@ -95,11 +95,14 @@ def test_a_model_joins_the_leaderboard_with_one_command(
     assert entry.config()["entry"]["observation"] == "paper"
     rows = entry.rows("episodes")
     # the protocol: test seeds, all levels of noise, six holes to the end, the model's own actions
-    assert rows["reset_seed"].unique().tolist() == episode_seeds(0, 2)
+    assert rows["reset_seed"].unique().tolist() == episode_seeds(0, 2, "validate")
     assert rows["noise"].unique().tolist() == [0.0, 0.01]
     model = CLASSES[name].load(path, device="cpu")
     expected = run_policy(
-        model_policy(model), begin_episodes({"reward": "progress"}, 0, 2), 0.01, derive("noise", 0)
+        model_policy(model),
+        begin_episodes({"reward": "progress"}, 0, 2, "validate"),
+        0.01,
+        derive("noise", 0),
     )
     noisy = rows[rows["noise"] == 0.01]
     assert noisy["moves"].tolist() == [row["moves"] for row in expected]
