@@ -167,7 +167,9 @@ def test_each_ablation_switches_one_component_and_no_other() -> None:
     for cell in expand(preset):
         if cell.method == "rainbow":
             switches = settings(preset, cell)["switches"]
-            assert len(switches) == {"full": 0, "double_dueling": 4, "none": 6}.get(cell.ablation, 1)
+            assert len(switches) == {"full": 0, "double_dueling": 4, "none": 6}.get(
+                cell.ablation, 1
+            )
 
 
 def test_a_track_may_vary_another_and_that_one_a_third() -> None:
