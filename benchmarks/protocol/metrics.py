@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -66,8 +65,3 @@ OWN_MASKS: Final = "own"  # of the track, in column "masks"
 PAPER_MASKS: Final = "paper"  # the same policy under what the paper masks
 HOLES: Final = EXTRA_METRICS[0]
 METRICS: Final = {metric.key: metric for metric in (*PAPER_METRICS, *EXTRA_METRICS)}
-
-
-def is_own_error(error: Any, machine: Mapping[str, Any]) -> Any:
-    """Whether bounds of the displacement, mm, are that of a track's ``sim_to_real``."""
-    return np.isclose(error, 1000.0 * float(machine["base_position_error"]))

@@ -8,6 +8,7 @@ is one cell of its own.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
@@ -195,10 +196,15 @@ def _check_group(preset: Preset, group: RunGroup) -> None:
             raise BenchmarkError(f"{where}: only rainbow has ablations, not '{method}'")
 
 
+def own_error(machine: Mapping[str, Any]) -> float:
+    """Bound of the base's displacement of a track's ``sim_to_real``, mm."""
+    return round(1000.0 * float(machine["base_position_error"]), 6)
+
+
 def _check_errors(preset: Preset, track: str) -> None:
     machine = preset.tracks[track].sim_to_real
     if machine is not None:
-        own = 1000.0 * machine["base_position_error"]
+        own = own_error(machine)
         if not any(math.isclose(own, level) for level in preset.evaluation.errors):
             raise BenchmarkError(
                 f"preset '{preset.name}': evaluation: errors lack {own:g} mm, track '{track}'s own"

@@ -11,7 +11,7 @@ from typing import Any, Final
 import pandas as pd
 
 from benchmarks.protocol.metrics import OWN_MASKS, SUCCESS, Metric
-from benchmarks.protocol.plan import DESIGN, METHODS, expand
+from benchmarks.protocol.plan import DESIGN, METHODS, expand, own_error
 from benchmarks.protocol.presets import as_dict, load_preset, preset_names
 from benchmarks.reporting.stats import Value, mean_interval, measured, over_seeds, wilson
 from benchmarks.runs.store import RunFolder, Store
@@ -55,8 +55,8 @@ class Result:
     @property
     def error(self) -> float:
         """The bound of the base's displacement on the run's track, mm."""
-        machine = self.config.get("track", {}).get("sim_to_real") or {}
-        return round(1000.0 * float(machine.get("base_position_error", 0.0)), 6)
+        machine = self.config.get("track", {}).get("sim_to_real")
+        return own_error(machine) if machine else 0.0
 
     def test(self, level: Level = MAIN) -> pd.DataFrame:
         """Test episodes at one level, by episode; not to be written to."""

@@ -22,8 +22,8 @@ import pandas as pd
 from rich.console import Console
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS, is_own_error
-from benchmarks.protocol.plan import DESIGN, Cell
+from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS
+from benchmarks.protocol.plan import DESIGN, Cell, own_error
 from benchmarks.protocol.presets import Preset
 from benchmarks.reporting.results import Result
 from benchmarks.runs.backends import default_jobs
@@ -121,8 +121,8 @@ class Replay(Insertion):
             if self.episodes is None:
                 number = min(number, FRESH_EPISODES)
             machine = self.preset.tracks[cell.track].sim_to_real if cell.track else None
-            own = [e for e in tests.errors if machine is not None and is_own_error(e, machine)]
-            tests = dataclasses.replace(tests, noise=[0.0], errors=own or tests.errors)
+            own = [own_error(machine)] if machine else tests.errors
+            tests = dataclasses.replace(tests, noise=[0.0], errors=own)
         tests = dataclasses.replace(tests, episodes=number)
         return dataclasses.replace(self.preset, evaluation=tests)
 
