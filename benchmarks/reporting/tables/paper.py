@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from benchmarks.protocol import labels, paper_values
-from benchmarks.protocol.metrics import EXTRA_METRICS, METRICS, OWN_MASKS, PAPER_METRICS
+from benchmarks.protocol.metrics import EXTRA_METRICS, HOLES, METRICS, OWN_MASKS, PAPER_METRICS
 from benchmarks.protocol.plan import LEARNERS
 from benchmarks.reporting.compared import SCORED
 from benchmarks.reporting.results import Group, Level, Results
@@ -111,7 +111,7 @@ def _iqm(row: Row) -> str:
 def ablation(results: Results) -> Table:
     """Table "ablation": success rate with one component removed at a time; control and optimum."""
     header = ["Configuration", *KNOWS, "Success (%), paper", "Success (%)", "95 % interval"]
-    header += ["Steps to 75 % (1e5)", "Moves over the optimum (%)"]
+    header += [HOLES.label, "Steps to 75 % (1e5)", "Moves over the optimum (%)"]
     made: list[list[Cell]] = []
     groups: dict[str, Group] = {}
 
@@ -119,17 +119,20 @@ def ablation(results: Results) -> Table:
         success = row.success()
         made.append([
             name, *row.head[1:], paper or "-", row.cell(success, 1, paper),
-            success.interval_text(1), steps, row.cell(row.excess(results)),
+            success.interval_text(1), row.cell(row.value(HOLES), HOLES.digits), steps,
+            row.cell(row.excess(results)),
         ])  # fmt: skip
 
     for track in ablated(results):
+        found = {k: row_of(results, "rainbow", track, ablation=k) for k in labels.ABLATIONS}
+        present = [k for k, row in found.items() if row.group.n or row.group.planned]
+        if not set(present) - {"full"} or set(present) & paper_values.ABLATION.keys() - {"full"}:
+            present += paper_values.ABLATION  # the paper's own study, whole
         for key, title in labels.ABLATIONS.items():
-            paper = paper_values.ABLATION.get(key, "")
-            row = row_of(results, "rainbow", track, ablation=key)
-            if paper or row.group.n or row.group.planned:
-                name = f"{title}, {labels.track(track)}"
-                groups[name] = row.group
-                add(name, row, paper, _steps_to_75(row.group))
+            if key in present:
+                name, paper = f"{title}, {labels.track(track)}", paper_values.ABLATION.get(key, "")
+                groups[name] = found[key].group
+                add(name, found[key], paper, _steps_to_75(found[key].group))
         control = control_of(results, row_of(results, "rainbow", track))
         if control is not None:
             add(f"Best control: {control.name}", control, "", "-")
