@@ -31,8 +31,9 @@ from sb3_rainbow.settings import (
     check_support_of_file,
     default_tau,
     served_by,
+    support_of,
 )
-from sb3_rainbow.type_aliases import ObsArray, UseMasking
+from sb3_rainbow.type_aliases import Distributional, ObsArray, UseMasking
 
 SelfRainbow = TypeVar("SelfRainbow", bound="Rainbow")
 
@@ -85,8 +86,10 @@ class Rainbow(ResumableAlgorithm):
     :param prioritized: draw transitions in proportion to their losses; uniformly if False.
         ``None`` (default) is True, or with a buffer that keeps no priorities False, with a warning
     :param noisy: explore by noisy layers
-    :param distributional: learn the distribution of returns over ``n_atoms`` values
-    :param n_atoms: atoms of the support
+    :param distributional: learn the distribution of returns: True or ``"categorical"`` over
+        ``n_atoms`` values from ``v_min`` to ``v_max``, ``"quantile"`` as ``n_atoms`` quantiles,
+        which need no support (QR-DQN's), False not at all
+    :param n_atoms: atoms of the support, or quantiles
     :param v_min: lowest return of the support; the default fits rewards in [-1, 1], gamma 0.99
     :param v_max: highest return of the support
     :param sigma0: initial scale of the noisy layers
@@ -147,7 +150,7 @@ class Rainbow(ResumableAlgorithm):
         dueling: bool = True,
         prioritized: bool | None = None,
         noisy: bool = True,
-        distributional: bool = True,
+        distributional: Distributional = True,
         n_atoms: int = 51,
         v_min: float = -100.0,
         v_max: float = 100.0,
@@ -218,7 +221,7 @@ class Rainbow(ResumableAlgorithm):
 
         self._n_calls = 0
         # Saved with the model: what its weights were trained for
-        self._support: tuple[float, float] | None = None
+        self._support: tuple[float, ...] | None = None
         if _init_setup_model:
             # Not when a model is loaded: who only predicts needs no room for training.
             check_buffer_size(buffer_size, self.n_envs, n_steps)
@@ -230,7 +233,7 @@ class Rainbow(ResumableAlgorithm):
             self.prioritized, self.n_steps = served_by(self.replay_buffer_class, *asked)
         check_settings(self)
         self._needs_masks_at_t = self.advantage_learning > 0.0
-        self._support = (self.v_min, self.v_max)
+        self._support = support_of(self.distributional, self.v_min, self.v_max)
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
         self.exploration_schedule = LinearSchedule(
@@ -461,8 +464,8 @@ class Rainbow(ResumableAlgorithm):
         parameters: Any = load_path_or_dict
         if not isinstance(parameters, dict):
             data, parameters, _ = load_from_zip_file(parameters, device=device)
-            if self.distributional:
-                check_support_of_file((data or {}).get("_support"), self.v_min, self.v_max)
+            own = support_of(self.distributional, self.v_min, self.v_max)
+            check_support_of_file((data or {}).get("_support"), own)
         if "policy.optimizer" in parameters:
             saved = per_parameter(parameters["policy.optimizer"], self.policy.optimizer)
             parameters = {**parameters, "policy.optimizer": saved}

@@ -131,6 +131,47 @@ def huber_slopes(
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
+def quantile_slopes(
+    quantiles: Matrix,
+    target_quantiles: Matrix,
+    returns: Matrix,
+    discounts: Matrix,
+    dones: Matrix,
+    weights: Vector,
+    losses: Vector,
+    priorities: Vector,
+    slope: Matrix,
+) -> None:
+    """
+    As :func:`~sb3_rainbow.network.losses.quantile_losses`; the priorities are the losses.
+
+    :param slope: result, of the losses' weighted mean in the quantiles, ``(B, N)``
+    """
+    batch, n = quantiles.shape
+    one, share = np.float32(1.0), np.float32(1.0 / n)
+    target = np.empty(n, np.float32)
+    for b in range(batch):
+        discount = discounts[b, 0] * (one - dones[b, 0])
+        for j in range(n):
+            target[j] = returns[b, 0] + discount * target_quantiles[b, j]
+        scale = share * weights[b] / np.float32(batch)
+        loss = np.float32(0.0)
+        for i in range(n):
+            above = (np.float32(i) + np.float32(0.5)) * share
+            value, part, rise = quantiles[b, i], np.float32(0.0), np.float32(0.0)
+            for j in range(n):
+                error = target[j] - value
+                tilt = above if error >= np.float32(0.0) else one - above
+                cut = min(max(error, -one), one)
+                part += tilt * cut * (error - np.float32(0.5) * cut)
+                rise += tilt * cut
+            loss += part
+            slope[b, i] = -rise * scale
+        losses[b] = loss * share
+        priorities[b] = losses[b]
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def backward(
     effective: Vector,
     table: Table,

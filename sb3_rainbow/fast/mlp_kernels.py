@@ -69,10 +69,11 @@ def hidden_units(effective: Vector, table: Table, inputs: Matrix, hidden: Vector
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def all_logits(
-    effective: Vector, table: Table, units: Matrix, dueling: bool, value: Matrix, logits: Matrix
-) -> None:
+    effective: Vector, table: Table, units: Matrix, dueling: bool, value: Matrix, logits: Matrix,
+    shifted: bool,
+) -> None:  # fmt: skip
     """
-    The head's logits for every action, each action's shifted to a maximum of zero.
+    The head's logits for every action; ``shifted``, each action's have a maximum of zero.
 
     :param value: scratch for the value stream, ``(B, n_atoms)``
     :param logits: result, ``(B, n_actions * n_atoms)``
@@ -105,7 +106,7 @@ def all_logits(
             for j in range(n_atoms):
                 part[j] += shift[j]
                 top = max(top, part[j])
-            if n_atoms > 1:
+            if shifted:
                 for j in range(n_atoms):
                     part[j] -= top
 
@@ -118,12 +119,13 @@ def best_actions(
     actions: NDArray[np.int64],
     taken: NDArray[np.int64],
     advantages: Vector,
+    categorical: bool,
 ) -> None:
     """
     The allowed action of the highest expectation, and how far another one's is below it.
 
-    :param masses: proportional to the atoms' probabilities, ``(B, n_actions * n_atoms)``; with one
-        atom, the values themselves
+    :param masses: proportional to the atoms' probabilities, ``(B, n_actions * n_atoms)``; if not
+        ``categorical``, values themselves, all as likely
     :param masks: ``(B, n_actions)``, or ``(0, 0)`` to allow everything
     :param actions: result, ``(B,)``
     :param taken: actions to compare with the best, ``(B,)``, or ``(0,)`` for none
@@ -143,8 +145,8 @@ def best_actions(
             if n_atoms > 1:
                 total, moment = np.float32(0.0), np.float32(0.0)
                 for j in range(n_atoms):
-                    total += part[j]
-                    moment += part[j] * support[j]
+                    total += part[j] if categorical else np.float32(1.0)
+                    moment += part[j] * (support[j] if categorical else np.float32(1.0))
                 expectation = moment / total
             if compared:
                 advantages[b] = expectation

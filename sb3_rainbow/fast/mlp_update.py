@@ -215,7 +215,7 @@ class MlpUpdate:
         slope, losses = np.empty_like(logits), np.empty(n, np.float32)
         discounts, dones = batch.discounts.numpy(), batch.dones.numpy()
         priorities = np.empty(n, np.float32)
-        if net.distributional:
+        if net.head == "categorical":
             target = np.empty_like(logits)
             learning_kernels.projected_target(
                 _exponential(target_logits),
@@ -229,7 +229,9 @@ class MlpUpdate:
                 logits, masses, target, log_target, weights, losses, priorities, slope
             )
         else:
-            learning_kernels.huber_slopes(
+            quantile = net.head == "quantile"
+            slopes = learning_kernels.quantile_slopes if quantile else learning_kernels.huber_slopes
+            slopes(
                 logits, target_logits, returns, discounts, dones, weights, losses, priorities, slope
             )
         return slope, losses, priorities
@@ -244,13 +246,15 @@ class MlpUpdate:
     ) -> NDArray[np.int64]:
         net, n = self.q_net, units.shape[0]
         logits = self._logits[:n]
-        kernels.all_logits(effective, self.table, units, net.dueling, self._value[:n], logits)
-        if net.distributional:
+        categorical = net.head == "categorical"
+        value = self._value[:n]
+        kernels.all_logits(effective, self.table, units, net.dueling, value, logits, categorical)
+        if categorical:
             th.from_numpy(logits).exp_()
         actions = np.empty(n, np.int64)
         kernels.best_actions(
             *(logits, net.support.numpy(), _NO_MASKS if masks is None else masks, actions),
-            *(taken, advantages),
+            *(taken, advantages, categorical),
         )
         return actions
 

@@ -1,5 +1,7 @@
 """Which networks the kernels know, and where a network's numbers lie for them."""
 
+from typing import Any
+
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
@@ -21,6 +23,8 @@ def is_perceptron(net: RainbowNetwork) -> bool:
     if type(net) is not RainbowNetwork or type(net.activation) is not nn.ReLU:
         return False
     layers = list(net.layers)
+    if "advantage_layers" in net._modules:
+        return False
     own = all(type(layer) in (nn.Linear, NoisyLinear) for layer in layers)
     stateless = all(type(module) in _STATELESS for module in net.features_extractor.modules())
     if not (own and stateless and are_untouched(net.modules())):
@@ -40,9 +44,9 @@ def is_perceptron(net: RainbowNetwork) -> bool:
     )
 
 
-def constants_of(net: RainbowNetwork) -> tuple[float, ...]:
+def constants_of(net: RainbowNetwork) -> tuple[Any, ...]:
     """What two networks must have in common besides their tables."""
-    return (net.n_actions, net.n_atoms, net.dueling, net.v_min, net.v_max)
+    return (net.n_actions, net.n_atoms, net.head, net.dueling, net.v_min, net.v_max)
 
 
 def parameters_of(net: RainbowNetwork) -> list[nn.Parameter]:

@@ -74,6 +74,17 @@ def test_each_component_off_and_on(off: tuple[str, ...], n_envs: int) -> None:
     assert np.isfinite(after.detach().numpy()).all()
 
 
+@pytest.mark.parametrize("net_arch", [[16], {"shared": [16], "streams": [8]}, {"streams": [8, 8]}])
+def test_quantiles_need_no_support(net_arch: Any) -> None:
+    env = make_vec_env("CartPole-v1", n_envs=2)
+    kwargs = {**FAST, "policy_kwargs": {"net_arch": net_arch}}
+    model = Rainbow("MlpPolicy", env, distributional="quantile", v_min=0.0, v_max=0.0, **kwargs)
+    logged = record(model, 600)
+    assert "train/clipped_support" not in logged
+    assert np.isfinite(logged["train/loss"]).all()
+    assert model.replay_buffer.tree.leaves.std() > 0  # type: ignore[union-attr]
+
+
 def test_the_constructor_begins_with_dqns_arguments_in_their_order() -> None:
     dqn = list(inspect.signature(DQN.__init__).parameters)
     ours = list(inspect.signature(Rainbow.__init__).parameters)
