@@ -160,9 +160,13 @@ class RainbowPolicy(BasePolicy):
         net_args = self._update_features_extractor(self.net_args, features_extractor=None)
         return RainbowNetwork(**net_args).to(self.device)
 
-    def reset_noise(self) -> None:
-        """Draw new noise for the online network, as before acting."""
-        self.q_net.reset_noise()
+    def reset_noise(self, n_envs: int = 1) -> None:
+        """
+        Draw new noise for the online network, as before acting.
+
+        :param n_envs: number of environments, each with noise of its own
+        """
+        self.q_net.reset_noise(n_envs)
 
     def forward(self, obs: PyTorchObs, deterministic: bool = True) -> th.Tensor:
         """Greedy actions, shape ``(B,)``."""
@@ -202,11 +206,9 @@ class RainbowPolicy(BasePolicy):
                 "pass the observation alone"
             )
         obs_tensor, vectorized = self.obs_to_tensor(observation)
-        masks = None
+        rows = next(iter(obs_tensor.values())) if isinstance(obs_tensor, dict) else obs_tensor
+        n_obs, masks = len(rows), None
         if action_masks is not None:
-            n_obs = len(
-                next(iter(obs_tensor.values())) if isinstance(obs_tensor, dict) else obs_tensor
-            )
             n_actions = int(self.q_net.action_space.n)
             given = np.asarray(action_masks)
             if given.ndim == 1:
@@ -216,7 +218,7 @@ class RainbowPolicy(BasePolicy):
             masks = th.as_tensor(checked, device=self.device)
         with th.no_grad():
             if not deterministic:
-                self.reset_noise()
+                self.reset_noise(n_obs)
             actions = self._predict(obs_tensor, deterministic, masks).cpu().numpy()
         return (actions if vectorized else actions.squeeze(axis=0)), state
 

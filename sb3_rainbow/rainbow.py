@@ -300,9 +300,9 @@ class Rainbow(ResumableAlgorithm):
         """
         Actions for one observation or a batch.
 
-        Unless ``deterministic``, the policy explores: with fresh noise in its noisy layers, or,
-        with ``noisy=False``, by a random allowed action with probability ``exploration_rate``, each
-        env for itself.
+        Unless ``deterministic``, the policy explores, each env for itself: with fresh noise in its
+        noisy layers, or, with ``noisy=False``, by a random allowed action with probability
+        ``exploration_rate``.
 
         :param observation: one observation or a batch
         :param state: passed through (for recurrent policies)

@@ -68,43 +68,78 @@ def hidden_units(effective: Vector, table: Table, inputs: Matrix, hidden: Vector
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def all_logits(
-    effective: Vector, table: Table, units: Matrix, dueling: bool, value: Matrix, logits: Matrix,
-    shifted: bool,
-) -> None:  # fmt: skip
+def noisy_streams(parameters: Vector, noise: Matrix, table: Table, inputs: Matrix) -> Matrix:
     """
-    The head's logits for every action; ``shifted``, each action's have a maximum of zero.
+    The head's outputs, each row under noise of its own: no effective weights are formed.
 
-    :param value: scratch for the value stream, ``(B, n_atoms)``
-    :param logits: result, ``(B, n_actions * n_atoms)``
+    :param noise: ``(B, n)``, as many rows as ``inputs``
+    :return: shape ``(B, n_streams * n_atoms)``
     """
+    n_layers = table.shape[0]
+    current = inputs
+    for layer in range(n_layers):
+        n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
+        size, p = n_in * n_out, table[layer, PARAMETERS]
+        outputs = np.dot(current, parameters[p : p + size].reshape((n_out, n_in)).T)
+        first = table[layer, NOISE]
+        if table[layer, NOISY] == 1:
+            turned = current * noise[:, first : first + n_in]
+            sigma = parameters[p + size : p + 2 * size].reshape((n_out, n_in))
+            spread = np.dot(turned, sigma.T)
+            bias = p + 2 * size
+            for b in range(inputs.shape[0]):
+                for j in range(n_out):
+                    moved = spread[b, j] + parameters[bias + n_out + j]
+                    outputs[b, j] += parameters[bias + j] + noise[b, first + n_in + j] * moved
+        else:
+            for b in range(inputs.shape[0]):
+                for j in range(n_out):
+                    outputs[b, j] += parameters[p + size + j]
+        if layer < n_layers - 1:
+            outputs = np.maximum(outputs, np.float32(0.0))
+        current = outputs
+    return current
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def all_streams(effective: Vector, table: Table, units: Matrix, streams: Matrix) -> None:
+    """The head's outputs, value first where there is one, to ``streams`` ``(B, outputs)``."""
     head = table[table.shape[0] - 1]
     n_in, n_out, e = head[INPUTS], head[OUTPUTS], head[EFFECTIVE]
-    n_atoms, n_logits = value.shape[1], logits.shape[1]
-    skipped = n_atoms if dueling else 0
-    weight = effective[e : e + n_in * n_out].reshape((n_out, n_in))
+    np.dot(units, effective[e : e + n_in * n_out].reshape((n_out, n_in)).T, streams)
     bias = effective[e + n_in * n_out : e + n_in * n_out + n_out]
-    np.dot(units, weight[skipped:].T, logits)
-    if dueling:
-        np.dot(units, weight[:n_atoms].T, value)
+    for b in range(units.shape[0]):
+        for j in range(n_out):
+            streams[b, j] += bias[j]
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def join(streams: Matrix, n_atoms: int, dueling: bool, shifted: bool, logits: Matrix) -> None:
+    """
+    Value and advantages to the logits of every action; ``shifted``, each action's have a maximum of
+    zero.
+
+    :param logits: result, ``(B, n_actions * n_atoms)``
+    """
+    n_logits = logits.shape[1]
+    skipped = n_atoms if dueling else 0
     share = np.float32(n_atoms / n_logits)
     shift = np.empty(n_atoms, np.float32)
-    for b in range(units.shape[0]):
-        row = logits[b]
-        for j in range(n_logits):
-            row[j] += bias[skipped + j]
+    for b in range(streams.shape[0]):
+        stream, row = streams[b], logits[b]
         shift[:] = 0.0
         if dueling:
-            for first in range(0, n_logits, n_atoms):
+            for first in range(skipped, skipped + n_logits, n_atoms):
                 for j in range(n_atoms):
-                    shift[j] += row[first + j]
+                    shift[j] += stream[first + j]
             for j in range(n_atoms):
-                shift[j] = value[b, j] + bias[j] - share * shift[j]
+                shift[j] = stream[j] - share * shift[j]
         for first in range(0, n_logits, n_atoms):
             part = row[first : first + n_atoms]
-            top = part[0] + shift[0]
+            given = stream[skipped + first : skipped + first + n_atoms]
+            top = given[0] + shift[0]
             for j in range(n_atoms):
-                part[j] += shift[j]
+                part[j] = given[j] + shift[j]
                 top = max(top, part[j])
             if shifted:
                 for j in range(n_atoms):

@@ -80,7 +80,8 @@ class MlpUpdate:
         )
         n_logits = self.q_net.n_actions * self.q_net.n_atoms
         self._logits = np.empty((batch_size, n_logits), np.float32)
-        self._value = np.empty((batch_size, self.q_net.n_atoms), np.float32)
+        n_streams = int(self.table[-1, kernels.OUTPUTS])
+        self._streams = np.empty((batch_size, n_streams), np.float32)
 
     @staticmethod
     def is_possible(
@@ -146,17 +147,25 @@ class MlpUpdate:
 
     def act(self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None) -> NDArray[np.int64]:
         """
-        Greedy actions of the online network under fresh noise.
+        Greedy actions of the online network under fresh noise, each environment's its own.
 
         :param obs: observations, ``(n_envs, ...)``
         :param action_masks: True where allowed, ``(n_envs, n_actions)``
         :return: shape ``(n_envs,)``
         """
-        scale_noise_(self._noises[0].normal_())
         features = self._features(obs)
-        self._reserve(features.shape[0])
+        n, noise = features.shape[0], self._noises[0]
+        self._reserve(n)
+        if n > 1 and len(noise) > 0:
+            noise = noise.new_empty(n, len(noise))
+            parameters = self._vectors[0].numpy()
+            streams = kernels.noisy_streams(
+                parameters, scale_noise_(noise.normal_()).numpy(), self.table, features
+            )
+            return self._best_of_streams(streams, action_masks)
+        scale_noise_(noise.normal_())
         kernels.effective_weights(
-            self._vectors[0].numpy(), self._noises[0].numpy(), self.table, self._effective
+            self._vectors[0].numpy(), noise.numpy(), self.table, self._effective
         )
         units = kernels.hidden_units(self._effective, self.table, features, self._hidden)
         return self._best_actions(self._effective, units, action_masks)
@@ -244,11 +253,22 @@ class MlpUpdate:
         taken: NDArray[np.int64] = _NO_ACTIONS,
         advantages: NDArray[np.float32] = _NO_VALUES,
     ) -> NDArray[np.int64]:
-        net, n = self.q_net, units.shape[0]
-        logits = self._logits[:n]
+        n = units.shape[0]
+        streams = self._streams[:n]
+        kernels.all_streams(effective, self.table, units, streams)
+        return self._best_of_streams(streams, masks, taken, advantages)
+
+    def _best_of_streams(
+        self,
+        streams: NDArray[np.float32],
+        masks: NDArray[np.bool_] | None,
+        taken: NDArray[np.int64] = _NO_ACTIONS,
+        advantages: NDArray[np.float32] = _NO_VALUES,
+    ) -> NDArray[np.int64]:
+        net, n = self.q_net, streams.shape[0]
         categorical = net.head == "categorical"
-        value = self._value[:n]
-        kernels.all_logits(effective, self.table, units, net.dueling, value, logits, categorical)
+        logits = self._logits[:n]
+        kernels.join(streams, net.n_atoms, net.dueling, categorical, logits)
         if categorical:
             th.from_numpy(logits).exp_()
         actions = np.empty(n, np.int64)

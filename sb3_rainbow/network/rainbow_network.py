@@ -64,6 +64,7 @@ class RainbowNetwork(BasePolicy):
     support: th.Tensor
     noise: th.Tensor
     _noise_addresses: list[int] | None = None
+    _noise_sizes: list[int]
 
     def __init__(
         self,
@@ -169,6 +170,7 @@ class RainbowNetwork(BasePolicy):
         if [e.data_ptr() for e in epsilons] != self._noise_addresses:
             self.noise = th.cat(epsilons) if epsilons else self.support.new_zeros(0)
             self._noise_addresses = share(epsilons, self.noise)
+            self._noise_sizes = [e.numel() for e in epsilons]
         return epsilons
 
     def _layers_called_by_others(self) -> Iterator[NoisyLinear]:
@@ -189,12 +191,22 @@ class RainbowNetwork(BasePolicy):
         return {**self.__dict__, "_noise_addresses": None}
 
     @th.no_grad()
-    def reset_noise(self) -> None:
-        """Draw new noise for every noisy layer."""
+    def reset_noise(self, n_envs: int = 1) -> None:
+        """
+        Draw new noise for every noisy layer.
+
+        :param n_envs: 1 for noise that all rows of a batch have in common, as an update's have; or
+            the number of environments to act in, each of which explores by noise of its own
+        """
         if self.tie_noise():
-            scale_noise_(self.noise.normal_())
+            drawn = self.noise if n_envs == 1 else self.noise.new_empty(n_envs, len(self.noise))
+            parts = iter(scale_noise_(drawn.normal_()).split(self._noise_sizes, dim=-1))
         for layer in self._own_layers():
-            if isinstance(layer, NoisyLinear) and not _draws_plainly(layer):
+            if not isinstance(layer, NoisyLinear):
+                continue
+            if _draws_plainly(layer):
+                layer.epsilon_rows = None if n_envs == 1 else (next(parts), next(parts))
+            else:
                 layer.reset_noise()
         for layer in self._layers_called_by_others():
             layer.reset_noise()

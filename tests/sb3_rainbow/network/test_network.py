@@ -109,6 +109,25 @@ def test_online_and_target_noise_are_independent() -> None:
     assert th.equal(policy.q_net_target.noise, before)
 
 
+def test_each_environment_explores_by_noise_of_its_own() -> None:
+    net = make_net(sigma0=2.0)
+    obs = OBSERVATIONS[:1].expand(5, -1).contiguous()
+    net.reset_noise(n_envs=5)
+    together = net(obs, noisy=True)
+    assert len({row.detach().numpy().tobytes() for row in together}) == 5
+    rows = [layer.epsilon_rows for layer in net._own_layers() if isinstance(layer, NoisyLinear)]
+    for i in range(5):  # as a network that has this row's noise alone
+        alone = copy.deepcopy(net)
+        alone.reset_noise()
+        layers = [layer for layer in alone._own_layers() if isinstance(layer, NoisyLinear)]
+        for layer, (epsilon_in, epsilon_out) in zip(layers, rows, strict=True):  # type: ignore[misc]
+            layer.epsilon_in.copy_(epsilon_in[i])
+            layer.epsilon_out.copy_(epsilon_out[i])
+        th.testing.assert_close(alone(obs[:1], noisy=True)[0], together[i])
+    net.reset_noise()  # as for an update: one noise for the whole batch, whatever its size
+    th.testing.assert_close(net(obs, noisy=True), net(obs[:1], noisy=True).expand(5, -1))
+
+
 def test_noise_survives_copies_and_moves() -> None:
     for net in (copy.deepcopy(make_net()), make_net().to(th.float64).to(th.float32)):
         obs = th.zeros(1, 4)
