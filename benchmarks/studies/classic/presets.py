@@ -4,17 +4,38 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal
 
-from benchmarks.errors import BenchmarkError
+from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol import presets
 from benchmarks.protocol.presets import preset_file, read_yaml
 from benchmarks.protocol.strict import STRICT, Count, Number, Seeds, build, merge, with_config
 
 PRESETS: Final = Path(__file__).parent / "presets"
 DEFAULT_PRESET: Final = "quick"
-Method = Literal["rainbow", "dqn", "qrdqn"]
-METHODS: Final[tuple[Method, ...]] = get_args(Method)
+#: learning algorithms; a method is one of them, or with settings of its own ``<one>_<variant>``
+ALGORITHMS: Final = {"rainbow": "Rainbow", "dqn": "DQN", "qrdqn": "QR-DQN"}
+
+
+def algorithm_of(method: str) -> str:
+    """The algorithm of a method.
+
+    Raises:
+        BenchmarkError: there is none of this name.
+    """
+    algorithm = method.partition("_")[0]
+    if algorithm not in ALGORITHMS:
+        raise BenchmarkError(
+            f"methods: unknown method '{method}'; known: {known(ALGORITHMS)}, and <one>_<variant>"
+        )
+    return algorithm
+
+
+def label(method: str) -> str:
+    """How tables and figures call a method."""
+    variant = method.partition("_")[2].replace("_", " ")
+    name = ALGORITHMS[algorithm_of(method)]
+    return f"{name}, {variant}" if variant else name
 
 
 @with_config(STRICT)
@@ -61,7 +82,7 @@ class Preset:
     final_episodes: Count
     tasks: dict[str, Task]
     cliff: dict[str, CliffVariant] = field(default_factory=dict)
-    methods: list[Method] = field(default_factory=lambda: list(METHODS))
+    methods: list[str] = field(default_factory=lambda: list(ALGORITHMS))
     checkpoint_seconds: Number = 60.0
 
 
@@ -87,6 +108,8 @@ def load_preset(name: str) -> Preset:
             for key, override in chosen.items()
         }
     preset = build(Preset, {**data, "name": path.stem}, path.name)
+    for method in preset.methods:
+        algorithm_of(method)
     for key, task in preset.tasks.items():
         for method in preset.methods:
             if method not in task.methods:

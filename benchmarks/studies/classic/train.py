@@ -28,10 +28,10 @@ from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.envs import make
 from benchmarks.studies.classic.features import SmallCnn
 from benchmarks.studies.classic.plan import Cell
-from benchmarks.studies.classic.presets import Preset, Task
+from benchmarks.studies.classic.presets import Preset, Task, algorithm_of
 from sb3_rainbow import Rainbow
 
-ALGORITHMS: Final[dict[str, type[OffPolicyAlgorithm]]] = {
+CLASSES: Final[dict[str, type[OffPolicyAlgorithm]]] = {
     "rainbow": Rainbow,
     "dqn": DQN,
     "qrdqn": QRDQN,
@@ -52,7 +52,7 @@ def build_model(task: Task, method: str, seed: int) -> OffPolicyAlgorithm:
         BenchmarkError: a setting is unknown to the method's constructor.
     """
     arguments = copy.deepcopy(task.methods[method])  # SB3 writes into policy_kwargs
-    algorithm = ALGORITHMS[method]
+    algorithm = CLASSES[algorithm_of(method)]
     accepted = inspect.signature(algorithm).parameters
     for name in arguments:
         if name not in accepted:
@@ -206,7 +206,7 @@ def run_learner(
 
     seconds = preset.checkpoint_seconds
     watch = Watch(folder, kept, seconds, task.timesteps, stop_requested, note)
-    logger, algorithm = configure(None, []), ALGORITHMS[cell.method]
+    logger, algorithm = configure(None, []), CLASSES[algorithm_of(cell.method)]
     model = learn(watch, algorithm, envs.env, lambda: fresh, [tester], logger)
     if model is None:
         return None
