@@ -182,9 +182,12 @@ def backward(
     common: Matrix,
     slope: Matrix,
     gradient: Vector,
+    input_gradient: Matrix,
 ) -> None:
     """
     Gradient of the effective weights from that of the taken logits, ``slope`` ``(B, n_atoms)``.
+
+    :param input_gradient: result, of the inputs; ``(0, 0)`` where nobody asks
     """
     batch, n_atoms = slope.shape
     n_layers = table.shape[0]
@@ -242,8 +245,10 @@ def backward(
             start = table[layer - 1, HIDDEN] * batch
             below = hidden[start : start + batch * n_in].reshape((batch, n_in))
         np.dot(delta.T, below, gradient[e : e + n_in * n_out].reshape((n_out, n_in)))
-        if layer > 0:
+        if layer > 0 or input_gradient.shape[0] > 0:
             delta = np.dot(delta, effective[e : e + n_in * n_out].reshape((n_out, n_in)))
+    if input_gradient.shape[0] > 0:
+        input_gradient[:] = delta
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -5,6 +5,18 @@ from gymnasium import spaces
 from stable_baselines3.common.torch_layers import NatureCNN
 
 
+def put_channels_last(module: th.nn.Module) -> None:
+    """
+    Keep the weights of convolutions with their channels last, as their images then are.
+
+    The values stay. Convolutions of images as large as Atari's take three quarters of the time on
+    a CPU (``python -m benchmarks speed rainbow``); on small ones there is nothing to win.
+    """
+    for parameter in module.parameters():
+        if parameter.ndim == 4:
+            parameter.data = parameter.data.contiguous(memory_format=th.channels_last)
+
+
 class NatureConvolutions(NatureCNN):
     """
     The three convolutions of SB3's ``NatureCNN`` (Mnih et al. 2015), flattened.

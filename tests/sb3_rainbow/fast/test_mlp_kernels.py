@@ -216,7 +216,7 @@ def test_extractors_with_a_state_are_left_to_torch() -> None:
     assert uses_kernels(MlpPolicy, box)
     assert uses_kernels(MultiInputPolicy, spaces.Dict(a=box, b=spaces.Discrete(3)))
     assert not uses_kernels(MlpPolicy, box, features_extractor_class=StandardizedExtractor)
-    assert not uses_kernels(MultiInputPolicy, spaces.Dict(a=box, b=image))
+    assert uses_kernels(MultiInputPolicy, spaces.Dict(a=box, b=image))
 
 
 @pytest.mark.parametrize("network", ["q_net", "q_net_target"])
