@@ -2,6 +2,7 @@
 
 import io
 import pathlib
+import warnings
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -37,6 +38,9 @@ from sb3_rainbow.type_aliases import Distributional, ObsArray, UseMasking
 
 SelfRainbow = TypeVar("SelfRainbow", bound="Rainbow")
 
+# Share of the targets' mass beyond the support from which on a warning is due. Before anything is
+# learned a tenth may lie there
+_CLIPPED_TO_WARN = 0.3
 # Updates between two looks at what only the logs need
 _DIAGNOSTICS_INTERVAL = 100
 
@@ -220,6 +224,7 @@ class Rainbow(ResumableAlgorithm):
         self.cpu_kernels = cpu_kernels
 
         self._n_calls = 0
+        self._warned_of_support = False
         # Saved with the model: what its weights were trained for
         self._support: tuple[float, ...] | None = None
         if _init_setup_model:
@@ -387,8 +392,20 @@ class Rainbow(ResumableAlgorithm):
         if self.prioritized:
             self.logger.record("train/beta", self.beta)
         if logs_due:
-            for name, value in learner.diagnostics(batch, priorities).items():
+            values = learner.diagnostics(batch, priorities)
+            for name, value in values.items():
                 self.logger.record(f"train/{name}", value)
+            self._warn_of_support(values.get("clipped_support", 0.0))
+
+    def _warn_of_support(self, clipped: float) -> None:
+        if clipped > _CLIPPED_TO_WARN and not self._warned_of_support:
+            self._warned_of_support = True
+            warnings.warn(
+                f"{100 * clipped:.0f} % of the returns lie outside of the support [{self.v_min}, "
+                f'{self.v_max}]: pass a wider v_min and v_max, or distributional="quantile", which '
+                "needs none",
+                stacklevel=3,
+            )
 
     def learn(  # type: ignore[override]
         self: SelfRainbow,
