@@ -26,7 +26,7 @@ from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.runs.checkpoint import Kept, Watch, learn
 from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.envs import make
-from benchmarks.studies.classic.features import SmallCnn
+from benchmarks.studies.classic.features import extractor_of
 from benchmarks.studies.classic.plan import Cell
 from benchmarks.studies.classic.presets import Preset, Task, algorithm_of
 from sb3_rainbow import Rainbow
@@ -40,9 +40,9 @@ LINEAR: Final = "lin_"  # rl-baselines3-zoo's word for a rate that falls to 0
 PARALLEL: Final = 50  # episodes that a test plays side by side
 
 
-def make_env(task: Task) -> gym.Env[Any, Any]:
-    """One environment of a task."""
-    return make(task.env, **task.env_kwargs)
+def make_env(task: Task, training: bool = False) -> gym.Env[Any, Any]:
+    """One environment of a task, to be tested in or to learn in."""
+    return make(task.env, training, **task.env_kwargs)
 
 
 def build_model(task: Task, method: str, seed: int) -> OffPolicyAlgorithm:
@@ -69,9 +69,9 @@ def build_model(task: Task, method: str, seed: int) -> OffPolicyAlgorithm:
         arguments["learning_rate"] = LinearSchedule(float(rate.removeprefix(LINEAR)), 0.0, 1.0)
     if task.policy == "CnnPolicy":
         kwargs = dict(arguments.get("policy_kwargs", {}))
-        kwargs.setdefault("features_extractor_class", SmallCnn)
+        kwargs.setdefault("features_extractor_class", extractor_of(task.env))
         arguments["policy_kwargs"] = kwargs
-    env = DummyVecEnv([lambda: Monitor(make_env(task)) for _ in range(task.n_envs)])
+    env = DummyVecEnv([lambda: Monitor(make_env(task, training=True)) for _ in range(task.n_envs)])
     return algorithm(
         task.policy,
         env,
