@@ -17,7 +17,7 @@ from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from torch import nn
 
 from sb3_rainbow.masking.conventions import as_action_masks
-from sb3_rainbow.network.convolutions import NatureConvolutions, put_channels_last
+from sb3_rainbow.network.convolutions import NatureConvolutions
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.network.shared_memory import separate
 from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers, ObsArray
@@ -158,10 +158,7 @@ class RainbowPolicy(BasePolicy):
     def make_q_net(self) -> RainbowNetwork:
         """A network with its own features extractor."""
         net_args = self._update_features_extractor(self.net_args, features_extractor=None)
-        net = RainbowNetwork(**net_args)
-        if isinstance(net.features_extractor, NatureCNN):
-            put_channels_last(net.features_extractor)
-        return net.to(self.device)
+        return RainbowNetwork(**net_args).to(self.device)
 
     def reset_noise(self, n_envs: int = 1) -> None:
         """

@@ -4,17 +4,27 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import NatureCNN
 
+_LARGE = 36  # pixels
+
 
 def put_channels_last(module: th.nn.Module) -> None:
     """
     Keep the weights of convolutions with their channels last, as their images then are.
 
-    The values stay. Convolutions of images as large as Atari's take three quarters of the time on
-    a CPU (``python -m benchmarks speed rainbow``); on small ones there is nothing to win.
+    The values stay, and on a CPU they take far less time for images as large as Atari's
+    (``python -m benchmarks speed rainbow``); on small ones there is nothing to win.
     """
     for parameter in module.parameters():
         if parameter.ndim == 4:
             parameter.data = parameter.data.contiguous(memory_format=th.channels_last)
+
+
+def has_large_images(space: spaces.Space) -> bool:
+    """Whether there are images in a space that SB3's ``NatureCNN`` would take."""
+    if isinstance(space, spaces.Dict):
+        return any(map(has_large_images, space.values()))
+    shape = space.shape or ()
+    return len(shape) == 3 and min(shape[1:]) >= _LARGE
 
 
 class NatureConvolutions(NatureCNN):

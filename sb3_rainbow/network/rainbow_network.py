@@ -14,6 +14,7 @@ from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 from torch.nn import functional as F
 
+from sb3_rainbow.network.convolutions import has_large_images, put_channels_last
 from sb3_rainbow.network.losses import mask_q_values
 from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_, silenced
 from sb3_rainbow.network.shared_memory import separate, share
@@ -114,6 +115,9 @@ class RainbowNetwork(BasePolicy):
         # A constant, not a weight: what loads or randomizes the weights must not change it.
         self.register_buffer("support", th.linspace(v_min, v_max, self.n_atoms), persistent=False)
         self.register_buffer("noise", th.zeros(0), persistent=False)
+        self._channels_last = has_large_images(observation_space)
+        if self._channels_last:
+            put_channels_last(features_extractor)
         self._build_layers()
         self.reset_noise()
 
@@ -147,6 +151,14 @@ class RainbowNetwork(BasePolicy):
             NoisyLinear(n_in, n_out, self.sigma0) if i >= first_noisy else nn.Linear(n_in, n_out)
             for i, (n_in, n_out) in enumerate(pairwise(sizes), start=depth)
         )
+
+    def extract_features(
+        self, obs: PyTorchObs, features_extractor: BaseFeaturesExtractor
+    ) -> th.Tensor:
+        """As SB3's; large images are handed over with their channels last."""
+        if self._channels_last and isinstance(obs, th.Tensor):
+            obs = obs.contiguous(memory_format=th.channels_last)
+        return super().extract_features(obs, features_extractor)
 
     def _own_layers(self) -> list[nn.Module]:
         """The layers that :meth:`streams` calls; none where a subclass does without."""

@@ -340,4 +340,7 @@ def test_images_have_the_published_network_by_default() -> None:
         (3136, 512), (512, 51), (3136, 512), (512, 153),
     ]  # fmt: skip
     assert all(isinstance(m, NoisyLinear) for m in linear)
-    assert [m.out_channels for m in net.modules() if isinstance(m, nn.Conv2d)] == [32, 64, 64]
+    convolutions = [m for m in net.modules() if isinstance(m, nn.Conv2d)]
+    assert [m.out_channels for m in convolutions] == [32, 64, 64]
+    last = th.channels_last
+    assert all(m.weight.is_contiguous(memory_format=last) for m in convolutions)
