@@ -98,7 +98,9 @@ def load_preset(name: str) -> Preset:
         BenchmarkError: there is no such preset, or the file has an unknown or impossible key.
     """
     path = preset_file(name, PRESETS, "known presets of classic")
-    data, library = read_yaml(path), read_yaml(PRESETS / "_library.yaml")
+    library = read_yaml(PRESETS / "_library.yaml")
+    # keys that begin with x- hold what others refer to
+    data = {key: value for key, value in read_yaml(path).items() if not str(key).startswith("x-")}
     for section in ("tasks", "cliff"):
         chosen = data.get(section) or {}
         if not isinstance(chosen, dict):
