@@ -11,7 +11,7 @@ from benchmarks.protocol.presets import absolute
 from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.classic import plan
-from benchmarks.studies.classic.atari import PREFIX
+from benchmarks.studies.classic.environments.atari import PREFIX
 from benchmarks.studies.classic.plan import CLIFF, Cell
 from benchmarks.studies.classic.presets import Preset, load_preset
 

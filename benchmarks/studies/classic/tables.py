@@ -11,7 +11,7 @@ from benchmarks.reporting.stats import (
     stratified_bootstrap,
 )
 from benchmarks.reporting.tables.table import Cell, Number, Table
-from benchmarks.studies.classic.envs import MASKED_IDENTITY
+from benchmarks.studies.classic.environments.named import MASKED_IDENTITY
 from benchmarks.studies.classic.presets import Preset, label
 from benchmarks.studies.classic.results import Ratio, Results
 

@@ -25,8 +25,8 @@ from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.runs.checkpoint import Kept, Watch, learn
 from benchmarks.runs.store import RunFolder
-from benchmarks.studies.classic.envs import make
-from benchmarks.studies.classic.features import extractor_of
+from benchmarks.studies.classic.environments.features import extractor_of
+from benchmarks.studies.classic.environments.named import make
 from benchmarks.studies.classic.plan import Cell
 from benchmarks.studies.classic.presets import Preset, Task, algorithm_of
 from sb3_rainbow import Rainbow

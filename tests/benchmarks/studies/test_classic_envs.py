@@ -16,7 +16,12 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.studies.classic.cliff import transitions
-from benchmarks.studies.classic.envs import BlindCliffWalkEnv, MaskedIdentityEnv, MinAtarEnv, make
+from benchmarks.studies.classic.environments.named import (
+    BlindCliffWalkEnv,
+    MaskedIdentityEnv,
+    MinAtarEnv,
+    make,
+)
 
 GAMES = ("breakout", "freeway", "space_invaders")
 
@@ -77,7 +82,7 @@ def test_minatar_is_truncated_at_its_limit() -> None:
 
 
 def test_the_small_cnn_is_a_convolution() -> None:
-    from benchmarks.studies.classic.features import SmallCnn
+    from benchmarks.studies.classic.environments.features import SmallCnn
 
     space = gym.spaces.Box(0, 255, (2, 10, 10), np.uint8)
     extractor = SmallCnn(space)

@@ -7,7 +7,7 @@ from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
-from benchmarks.studies.classic.atari import PREFIX
+from benchmarks.studies.classic.environments.atari import PREFIX
 
 
 class SmallCnn(BaseFeaturesExtractor):

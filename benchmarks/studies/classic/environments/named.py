@@ -12,7 +12,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.studies.classic import atari
+from benchmarks.studies.classic.environments import atari
 
 MINATAR: Final = "MinAtar/"
 MASKED_IDENTITY: Final = "MaskedIdentity"
