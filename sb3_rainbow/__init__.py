@@ -2,12 +2,12 @@
 
 import sys
 
-from sb3_rainbow.callbacks import PrioritizedReplayCallback
 from sb3_rainbow.masking.conventions import TerminalActionMask
 from sb3_rainbow.network.noisy_linear import NoisyLinear
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy
 from sb3_rainbow.rainbow import Rainbow
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
+from sb3_rainbow.replay.callbacks import PrioritizedReplayCallback
 from sb3_rainbow.replay.sum_tree import SumTree
 
 # Models saved by version 0.1 name the buffer's class by the place it had then.

@@ -17,9 +17,10 @@ from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from torch import nn
 
 from sb3_rainbow.masking.conventions import as_action_masks
+from sb3_rainbow.network.convolutions import NatureConvolutions
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.network.shared_memory import separate
-from sb3_rainbow.type_aliases import NoisyLayers, ObsArray
+from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers, ObsArray
 
 # Optimizers that have one kernel for all parameters: a quarter of the time of one per parameter
 _WITH_FUSED_KERNEL = (th.optim.Adam, th.optim.AdamW)
@@ -36,7 +37,8 @@ class RainbowPolicy(BasePolicy):
     :param observation_space: Observation space
     :param action_space: Action space
     :param lr_schedule: learning rate schedule; ``lr_schedule(1)`` is the initial rate
-    :param net_arch: sizes of the hidden layers; [64, 64], or none after ``NatureCNN``
+    :param net_arch: sizes of the hidden layers, or ``dict(shared=[...], streams=[...])``; [64, 64],
+        none after ``NatureCNN``, streams of 512 after :class:`NatureConvolutions`
     :param activation_fn: activation function
     :param features_extractor_class: features extractor to use
     :param features_extractor_kwargs: its keyword arguments
@@ -55,7 +57,7 @@ class RainbowPolicy(BasePolicy):
         observation_space: spaces.Space,
         action_space: spaces.Discrete,
         lr_schedule: Schedule,
-        net_arch: list[int] | None = None,
+        net_arch: NetArch | None = None,
         activation_fn: type[nn.Module] = nn.ReLU,
         features_extractor_class: type[BaseFeaturesExtractor] = FlattenExtractor,
         features_extractor_kwargs: dict[str, Any] | None = None,
@@ -66,7 +68,7 @@ class RainbowPolicy(BasePolicy):
         dueling: bool = True,
         noisy: bool = True,
         sigma0: float = 0.5,
-        distributional: bool = True,
+        distributional: Distributional = True,
         n_atoms: int = 51,
         v_min: float = -100.0,
         v_max: float = 100.0,
@@ -81,7 +83,7 @@ class RainbowPolicy(BasePolicy):
             normalize_images=normalize_images,
         )
         if net_arch is None:
-            net_arch = [] if features_extractor_class == NatureCNN else [64, 64]
+            net_arch = _default_arch(features_extractor_class)
         self.net_args: dict[str, Any] = {
             "observation_space": observation_space,
             "action_space": action_space,
@@ -158,9 +160,13 @@ class RainbowPolicy(BasePolicy):
         net_args = self._update_features_extractor(self.net_args, features_extractor=None)
         return RainbowNetwork(**net_args).to(self.device)
 
-    def reset_noise(self) -> None:
-        """Draw new noise for the online network, as before acting."""
-        self.q_net.reset_noise()
+    def reset_noise(self, n_envs: int = 1) -> None:
+        """
+        Draw new noise for the online network, as before acting.
+
+        :param n_envs: number of environments, each with noise of its own
+        """
+        self.q_net.reset_noise(n_envs)
 
     def forward(self, obs: PyTorchObs, deterministic: bool = True) -> th.Tensor:
         """Greedy actions, shape ``(B,)``."""
@@ -200,11 +206,9 @@ class RainbowPolicy(BasePolicy):
                 "pass the observation alone"
             )
         obs_tensor, vectorized = self.obs_to_tensor(observation)
-        masks = None
+        rows = next(iter(obs_tensor.values())) if isinstance(obs_tensor, dict) else obs_tensor
+        n_obs, masks = len(rows), None
         if action_masks is not None:
-            n_obs = len(
-                next(iter(obs_tensor.values())) if isinstance(obs_tensor, dict) else obs_tensor
-            )
             n_actions = int(self.q_net.action_space.n)
             given = np.asarray(action_masks)
             if given.ndim == 1:
@@ -214,7 +218,7 @@ class RainbowPolicy(BasePolicy):
             masks = th.as_tensor(checked, device=self.device)
         with th.no_grad():
             if not deterministic:
-                self.reset_noise()
+                self.reset_noise(n_obs)
             actions = self._predict(obs_tensor, deterministic, masks).cpu().numpy()
         return (actions if vectorized else actions.squeeze(axis=0)), state
 
@@ -241,7 +245,10 @@ class RainbowPolicy(BasePolicy):
 
 
 class CnnPolicy(RainbowPolicy):
-    """:class:`RainbowPolicy` for images: ``NatureCNN`` unless another extractor is given."""
+    """
+    :class:`RainbowPolicy` for images: by default the network of Hessel et al. (2018), 512 noisy
+    units for the value and as many for the advantages, after the convolutions of ``NatureCNN``.
+    """
 
     def __init__(
         self,
@@ -252,7 +259,7 @@ class CnnPolicy(RainbowPolicy):
         **kwargs: Any,
     ) -> None:
         if len(args) < 3:
-            kwargs.setdefault("features_extractor_class", NatureCNN)
+            kwargs.setdefault("features_extractor_class", NatureConvolutions)
         super().__init__(observation_space, action_space, lr_schedule, *args, **kwargs)
 
 
@@ -270,6 +277,12 @@ class MultiInputPolicy(RainbowPolicy):
         if len(args) < 3:
             kwargs.setdefault("features_extractor_class", CombinedExtractor)
         super().__init__(observation_space, action_space, lr_schedule, *args, **kwargs)
+
+
+def _default_arch(features_extractor_class: type[BaseFeaturesExtractor]) -> NetArch:
+    if features_extractor_class == NatureConvolutions:
+        return {"shared": [], "streams": [512]}
+    return [] if features_extractor_class == NatureCNN else [64, 64]
 
 
 MlpPolicy = RainbowPolicy

@@ -2,6 +2,7 @@
 
 import io
 import pathlib
+import warnings
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -31,11 +32,15 @@ from sb3_rainbow.settings import (
     check_support_of_file,
     default_tau,
     served_by,
+    support_of,
 )
-from sb3_rainbow.type_aliases import ObsArray, UseMasking
+from sb3_rainbow.type_aliases import Distributional, ObsArray, UseMasking
 
 SelfRainbow = TypeVar("SelfRainbow", bound="Rainbow")
 
+# Share of the targets' mass beyond the support from which on a warning is due. Before anything is
+# learned a tenth may lie there
+_CLIPPED_TO_WARN = 0.3
 # Updates between two looks at what only the logs need
 _DIAGNOSTICS_INTERVAL = 100
 
@@ -85,8 +90,10 @@ class Rainbow(ResumableAlgorithm):
     :param prioritized: draw transitions in proportion to their losses; uniformly if False.
         ``None`` (default) is True, or with a buffer that keeps no priorities False, with a warning
     :param noisy: explore by noisy layers
-    :param distributional: learn the distribution of returns over ``n_atoms`` values
-    :param n_atoms: atoms of the support
+    :param distributional: learn the distribution of returns: True or ``"categorical"`` over
+        ``n_atoms`` values from ``v_min`` to ``v_max``, ``"quantile"`` as ``n_atoms`` quantiles,
+        which need no support (QR-DQN's), False not at all
+    :param n_atoms: atoms of the support, or quantiles
     :param v_min: lowest return of the support; the default fits rewards in [-1, 1], gamma 0.99
     :param v_max: highest return of the support
     :param sigma0: initial scale of the noisy layers
@@ -147,7 +154,7 @@ class Rainbow(ResumableAlgorithm):
         dueling: bool = True,
         prioritized: bool | None = None,
         noisy: bool = True,
-        distributional: bool = True,
+        distributional: Distributional = True,
         n_atoms: int = 51,
         v_min: float = -100.0,
         v_max: float = 100.0,
@@ -217,8 +224,9 @@ class Rainbow(ResumableAlgorithm):
         self.cpu_kernels = cpu_kernels
 
         self._n_calls = 0
+        self._warned_of_support = False
         # Saved with the model: what its weights were trained for
-        self._support: tuple[float, float] | None = None
+        self._support: tuple[float, ...] | None = None
         if _init_setup_model:
             # Not when a model is loaded: who only predicts needs no room for training.
             check_buffer_size(buffer_size, self.n_envs, n_steps)
@@ -230,7 +238,7 @@ class Rainbow(ResumableAlgorithm):
             self.prioritized, self.n_steps = served_by(self.replay_buffer_class, *asked)
         check_settings(self)
         self._needs_masks_at_t = self.advantage_learning > 0.0
-        self._support = (self.v_min, self.v_max)
+        self._support = support_of(self.distributional, self.v_min, self.v_max)
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
         self.exploration_schedule = LinearSchedule(
@@ -297,9 +305,9 @@ class Rainbow(ResumableAlgorithm):
         """
         Actions for one observation or a batch.
 
-        Unless ``deterministic``, the policy explores: with fresh noise in its noisy layers, or,
-        with ``noisy=False``, by a random allowed action with probability ``exploration_rate``, each
-        env for itself.
+        Unless ``deterministic``, the policy explores, each env for itself: with fresh noise in its
+        noisy layers, or, with ``noisy=False``, by a random allowed action with probability
+        ``exploration_rate``.
 
         :param observation: one observation or a batch
         :param state: passed through (for recurrent policies)
@@ -384,8 +392,20 @@ class Rainbow(ResumableAlgorithm):
         if self.prioritized:
             self.logger.record("train/beta", self.beta)
         if logs_due:
-            for name, value in learner.diagnostics(batch, priorities).items():
+            values = learner.diagnostics(batch, priorities)
+            for name, value in values.items():
                 self.logger.record(f"train/{name}", value)
+            self._warn_of_support(values.get("clipped_support", 0.0))
+
+    def _warn_of_support(self, clipped: float) -> None:
+        if clipped > _CLIPPED_TO_WARN and not self._warned_of_support:
+            self._warned_of_support = True
+            warnings.warn(
+                f"{100 * clipped:.0f} % of the returns lie outside of the support [{self.v_min}, "
+                f'{self.v_max}]: pass a wider v_min and v_max, or distributional="quantile", which '
+                "needs none",
+                stacklevel=3,
+            )
 
     def learn(  # type: ignore[override]
         self: SelfRainbow,
@@ -461,8 +481,8 @@ class Rainbow(ResumableAlgorithm):
         parameters: Any = load_path_or_dict
         if not isinstance(parameters, dict):
             data, parameters, _ = load_from_zip_file(parameters, device=device)
-            if self.distributional:
-                check_support_of_file((data or {}).get("_support"), self.v_min, self.v_max)
+            own = support_of(self.distributional, self.v_min, self.v_max)
+            check_support_of_file((data or {}).get("_support"), own)
         if "policy.optimizer" in parameters:
             saved = per_parameter(parameters["policy.optimizer"], self.policy.optimizer)
             parameters = {**parameters, "policy.optimizer": saved}

@@ -8,10 +8,11 @@ from gymnasium import spaces
 from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
 from stable_baselines3.common.policies import BasePolicy
 
+from sb3_rainbow.network.rainbow_network import head_of
 from sb3_rainbow.policies import RainbowPolicy
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.replay.parameters import check_replay_parameters
-from sb3_rainbow.type_aliases import UseMasking
+from sb3_rainbow.type_aliases import Distributional, UseMasking
 
 # Constructor arguments that Rainbow hands to its policy
 NETWORK_ARGUMENTS = frozenset(
@@ -74,14 +75,26 @@ def default_tau(target_update_interval: int | None) -> float:
     return 1e-3 if target_update_interval is None else 1.0
 
 
-def check_support_of_file(found: tuple[float, float] | None, v_min: float, v_max: float) -> None:
+def support_of(
+    distributional: Distributional, v_min: float, v_max: float
+) -> tuple[float, ...] | None:
+    """Ends of the support of a distribution's head; quantiles have none, scalars need none."""
+    head = head_of(distributional)
+    return None if head == "scalar" else (v_min, v_max) if head == "categorical" else ()
+
+
+def check_support_of_file(
+    found: tuple[float, ...] | None, support: tuple[float, ...] | None
+) -> None:
     """
-    :param found: ends of the support that the loaded weights were trained for, if known
-    :raises SettingsMismatchError: if they are not the model's
+    :param found: the :func:`support_of` the head that the loaded weights were trained for, if known
+    :param support: the model's
+    :raises SettingsMismatchError: if they differ, but where there are only values
     """
-    if found is not None and tuple(found) != (v_min, v_max):
+    if found is not None and support is not None and tuple(found) != support:
         raise SettingsMismatchError(
-            f"The checkpoint's support is {list(found)}, the model's [{v_min}, {v_max}]"
+            f"The checkpoint's support is {list(found) or 'none'}, "
+            f"the model's {list(support) or 'none'}"
         )
 
 
@@ -95,7 +108,7 @@ class Settings(Protocol):
     beta_end: float
     beta_start: float
     device: th.device
-    distributional: bool
+    distributional: Distributional
     gamma: float
     mixed_precision: bool
     n_envs: int
@@ -108,7 +121,7 @@ class Settings(Protocol):
     use_masking: UseMasking
     v_max: float
     v_min: float
-    _support: tuple[float, float] | None
+    _support: tuple[float, ...] | None
 
 
 def check_settings(model: Settings) -> None:
@@ -134,8 +147,9 @@ def check_settings(model: Settings) -> None:
             f"to env.step(), which are {model.n_envs} steps",
             stacklevel=4,
         )
-    if model.distributional:
-        check_support_of_file(model._support, model.v_min, model.v_max)
+    check_support_of_file(
+        model._support, support_of(model.distributional, model.v_min, model.v_max)
+    )
     if not model.sigma0 >= 0.0:
         raise ValueError(f"sigma0 must not be negative, got {model.sigma0}")
     if model.use_masking not in ("auto", True, False):

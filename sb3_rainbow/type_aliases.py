@@ -9,6 +9,10 @@ from stable_baselines3.common.type_aliases import TensorDict
 
 ObsArray: TypeAlias = NDArray | dict[str, NDArray]
 NoisyLayers = Literal["last_two", "head", "all"]
+# what the head of a network predicts: True is "categorical", False the Q-values themselves
+Distributional = bool | Literal["categorical", "quantile"]
+# sizes of the hidden layers, or of those that all streams share and those of each stream
+NetArch = list[int] | dict[str, list[int]]
 UseMasking = Literal["auto"] | bool
 
 

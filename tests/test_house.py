@@ -57,8 +57,8 @@ FLOORS = {
         "sb3_rainbow.learner",
         "sb3_rainbow.settings",
         "sb3_rainbow.resume",
-        "sb3_rainbow.callbacks",
         "sb3_rainbow.rainbow",
+        "sb3_rainbow.export",
     ),
 }
 

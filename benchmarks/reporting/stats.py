@@ -142,6 +142,44 @@ def stratified_bootstrap(
     return _percentiles(statistic(_resamples(data, repetitions, rng)), confidence)
 
 
+def probability_of_improvement(
+    ours: ArrayLike,
+    theirs: ArrayLike,
+    repetitions: int = 2_000,
+    confidence: float = 0.95,
+    seed: int = 0,
+) -> Value:
+    """How likely a run of ours is better than one of theirs, on a task drawn at random.
+
+    Mean over tasks of P(X > Y) + P(X = Y) / 2 (Agarwal et al. 2021, section 4.3), with the
+    percentile interval of :func:`stratified_bootstrap`, which draws the runs of both.
+
+    Args:
+        ours: scores (runs, tasks), more is better.
+        theirs: scores (runs, tasks) on the same tasks.
+        repetitions: bootstrap samples.
+        confidence: coverage of the interval.
+        seed: makes the interval repeat.
+    """
+    x, y = _matrix(ours), _matrix(theirs)
+    if x.shape[1] != y.shape[1]:
+        raise ValueError(f"ours have {x.shape[1]} tasks, theirs {y.shape[1]}")
+    if not len(x) or not len(y):
+        return Value(math.nan, n=0)
+    point = float(_improvements(x[None], y[None])[0])
+    if len(x) < 2 or len(y) < 2:
+        return Value(point, n=len(x))
+    rng = np.random.default_rng(seed)
+    draws = _improvements(_resamples(x, repetitions, rng), _resamples(y, repetitions, rng))
+    return Value(point, math.nan, len(x), *_percentiles(draws, confidence))
+
+
+def _improvements(x: Array, y: Array) -> Array:
+    """Probabilities (k,) of k pairs of (runs, tasks)."""
+    signs = np.sign(x[:, :, None] - y[:, None])
+    return np.asarray(0.5 + 0.5 * signs.mean(axis=(1, 2, 3)), dtype=np.float64)
+
+
 def mean_interval(values: ArrayLike) -> tuple[float, float]:
     """95 % bootstrap interval of the mean of a sample; NaNs are left out, NaN below two values."""
     data = np.asarray(values, dtype=np.float64)

@@ -8,7 +8,7 @@ import torch as th
 from torch.optim import optimizer as torch_optimizer
 
 from sb3_rainbow.fast import learning_kernels as kernels
-from sb3_rainbow.network.shared_memory import share
+from sb3_rainbow.network.shared_memory import join, parts
 
 # Options of torch's Adam that the kernel does not know
 _UNKNOWN = ("amsgrad", "maximize", "decoupled_weight_decay", "differentiable")
@@ -83,8 +83,9 @@ class AdamOnVector:
             vectors = []
             for i in range(3):
                 each = tensors[i::3]
-                vectors.append(th.cat([t.reshape(-1) for t in each]))
-                share(each, vectors[-1])
+                vectors.append(join(each, like := self.parameters if i < 2 else each))
+                for tensor, part in zip(each, parts(vectors[-1], like), strict=True):
+                    tensor.data = part
             self._tensors, self._address = tensors, tensors[0].data_ptr()
             self._first, self._second, self._steps = (v.numpy() for v in vectors)
         steps = self._steps.tolist()
@@ -113,12 +114,12 @@ class AdamOnVector:
         on_vector = th.optim.Adam([{**group, "params": [self.vector]}])
         on_vector.step()
         made = on_vector.state[self.vector]
-        sizes = [p.numel() for p in self.parameters]
-        for i, p in enumerate(self.parameters):
-            optimizer.state[p] = {
-                name: value.clone() if value.ndim == 0 else value.split(sizes)[i].view_as(p)
-                for name, value in made.items()
-            }
+        for name, value in made.items():
+            each = [value.clone() for _ in self.parameters]
+            if value.ndim > 0:
+                each = parts(value, self.parameters)
+            for p, own in zip(self.parameters, each, strict=True):
+                optimizer.state[p][name] = own
 
 
 def _has_hooks(optimizer: th.optim.Optimizer) -> bool:

@@ -131,6 +131,47 @@ def huber_slopes(
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
+def quantile_slopes(
+    quantiles: Matrix,
+    target_quantiles: Matrix,
+    returns: Matrix,
+    discounts: Matrix,
+    dones: Matrix,
+    weights: Vector,
+    losses: Vector,
+    priorities: Vector,
+    slope: Matrix,
+) -> None:
+    """
+    As :func:`~sb3_rainbow.network.losses.quantile_losses`; the priorities are the losses.
+
+    :param slope: result, of the losses' weighted mean in the quantiles, ``(B, N)``
+    """
+    batch, n = quantiles.shape
+    one, share = np.float32(1.0), np.float32(1.0 / n)
+    target = np.empty(n, np.float32)
+    for b in range(batch):
+        discount = discounts[b, 0] * (one - dones[b, 0])
+        for j in range(n):
+            target[j] = returns[b, 0] + discount * target_quantiles[b, j]
+        scale = share * weights[b] / np.float32(batch)
+        loss = np.float32(0.0)
+        for i in range(n):
+            above = (np.float32(i) + np.float32(0.5)) * share
+            value, part, rise = quantiles[b, i], np.float32(0.0), np.float32(0.0)
+            for j in range(n):
+                error = target[j] - value
+                tilt = above if error >= np.float32(0.0) else one - above
+                cut = min(max(error, -one), one)
+                part += tilt * cut * (error - np.float32(0.5) * cut)
+                rise += tilt * cut
+            loss += part
+            slope[b, i] = -rise * scale
+        losses[b] = loss * share
+        priorities[b] = losses[b]
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def backward(
     effective: Vector,
     table: Table,
@@ -141,9 +182,12 @@ def backward(
     common: Matrix,
     slope: Matrix,
     gradient: Vector,
+    input_gradient: Matrix,
 ) -> None:
     """
     Gradient of the effective weights from that of the taken logits, ``slope`` ``(B, n_atoms)``.
+
+    :param input_gradient: result, of the inputs; ``(0, 0)`` where nobody asks
     """
     batch, n_atoms = slope.shape
     n_layers = table.shape[0]
@@ -201,8 +245,10 @@ def backward(
             start = table[layer - 1, HIDDEN] * batch
             below = hidden[start : start + batch * n_in].reshape((batch, n_in))
         np.dot(delta.T, below, gradient[e : e + n_in * n_out].reshape((n_out, n_in)))
-        if layer > 0:
+        if layer > 0 or input_gradient.shape[0] > 0:
             delta = np.dot(delta, effective[e : e + n_in * n_out].reshape((n_out, n_in)))
+    if input_gradient.shape[0] > 0:
+        input_gradient[:] = delta
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -68,44 +68,80 @@ def hidden_units(effective: Vector, table: Table, inputs: Matrix, hidden: Vector
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def all_logits(
-    effective: Vector, table: Table, units: Matrix, dueling: bool, value: Matrix, logits: Matrix
-) -> None:
+def noisy_streams(parameters: Vector, noise: Matrix, table: Table, inputs: Matrix) -> Matrix:
     """
-    The head's logits for every action, each action's shifted to a maximum of zero.
+    The head's outputs, each row under noise of its own: no effective weights are formed.
 
-    :param value: scratch for the value stream, ``(B, n_atoms)``
-    :param logits: result, ``(B, n_actions * n_atoms)``
+    :param noise: ``(B, n)``, as many rows as ``inputs``
+    :return: shape ``(B, n_streams * n_atoms)``
     """
+    n_layers = table.shape[0]
+    current = inputs
+    for layer in range(n_layers):
+        n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
+        size, p = n_in * n_out, table[layer, PARAMETERS]
+        outputs = np.dot(current, parameters[p : p + size].reshape((n_out, n_in)).T)
+        first = table[layer, NOISE]
+        if table[layer, NOISY] == 1:
+            turned = current * noise[:, first : first + n_in]
+            sigma = parameters[p + size : p + 2 * size].reshape((n_out, n_in))
+            spread = np.dot(turned, sigma.T)
+            bias = p + 2 * size
+            for b in range(inputs.shape[0]):
+                for j in range(n_out):
+                    moved = spread[b, j] + parameters[bias + n_out + j]
+                    outputs[b, j] += parameters[bias + j] + noise[b, first + n_in + j] * moved
+        else:
+            for b in range(inputs.shape[0]):
+                for j in range(n_out):
+                    outputs[b, j] += parameters[p + size + j]
+        if layer < n_layers - 1:
+            outputs = np.maximum(outputs, np.float32(0.0))
+        current = outputs
+    return current
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def all_streams(effective: Vector, table: Table, units: Matrix, streams: Matrix) -> None:
+    """The head's outputs, value first where there is one, to ``streams`` ``(B, outputs)``."""
     head = table[table.shape[0] - 1]
     n_in, n_out, e = head[INPUTS], head[OUTPUTS], head[EFFECTIVE]
-    n_atoms, n_logits = value.shape[1], logits.shape[1]
-    skipped = n_atoms if dueling else 0
-    weight = effective[e : e + n_in * n_out].reshape((n_out, n_in))
+    np.dot(units, effective[e : e + n_in * n_out].reshape((n_out, n_in)).T, streams)
     bias = effective[e + n_in * n_out : e + n_in * n_out + n_out]
-    np.dot(units, weight[skipped:].T, logits)
-    if dueling:
-        np.dot(units, weight[:n_atoms].T, value)
+    for b in range(units.shape[0]):
+        for j in range(n_out):
+            streams[b, j] += bias[j]
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def join(streams: Matrix, n_atoms: int, dueling: bool, shifted: bool, logits: Matrix) -> None:
+    """
+    Value and advantages to the logits of every action; ``shifted``, each action's have a maximum of
+    zero.
+
+    :param logits: result, ``(B, n_actions * n_atoms)``
+    """
+    n_logits = logits.shape[1]
+    skipped = n_atoms if dueling else 0
     share = np.float32(n_atoms / n_logits)
     shift = np.empty(n_atoms, np.float32)
-    for b in range(units.shape[0]):
-        row = logits[b]
-        for j in range(n_logits):
-            row[j] += bias[skipped + j]
+    for b in range(streams.shape[0]):
+        stream, row = streams[b], logits[b]
         shift[:] = 0.0
         if dueling:
-            for first in range(0, n_logits, n_atoms):
+            for first in range(skipped, skipped + n_logits, n_atoms):
                 for j in range(n_atoms):
-                    shift[j] += row[first + j]
+                    shift[j] += stream[first + j]
             for j in range(n_atoms):
-                shift[j] = value[b, j] + bias[j] - share * shift[j]
+                shift[j] = stream[j] - share * shift[j]
         for first in range(0, n_logits, n_atoms):
             part = row[first : first + n_atoms]
-            top = part[0] + shift[0]
+            given = stream[skipped + first : skipped + first + n_atoms]
+            top = given[0] + shift[0]
             for j in range(n_atoms):
-                part[j] += shift[j]
+                part[j] = given[j] + shift[j]
                 top = max(top, part[j])
-            if n_atoms > 1:
+            if shifted:
                 for j in range(n_atoms):
                     part[j] -= top
 
@@ -118,12 +154,13 @@ def best_actions(
     actions: NDArray[np.int64],
     taken: NDArray[np.int64],
     advantages: Vector,
+    categorical: bool,
 ) -> None:
     """
     The allowed action of the highest expectation, and how far another one's is below it.
 
-    :param masses: proportional to the atoms' probabilities, ``(B, n_actions * n_atoms)``; with one
-        atom, the values themselves
+    :param masses: proportional to the atoms' probabilities, ``(B, n_actions * n_atoms)``; if not
+        ``categorical``, values themselves, all as likely
     :param masks: ``(B, n_actions)``, or ``(0, 0)`` to allow everything
     :param actions: result, ``(B,)``
     :param taken: actions to compare with the best, ``(B,)``, or ``(0,)`` for none
@@ -143,8 +180,8 @@ def best_actions(
             if n_atoms > 1:
                 total, moment = np.float32(0.0), np.float32(0.0)
                 for j in range(n_atoms):
-                    total += part[j]
-                    moment += part[j] * support[j]
+                    total += part[j] if categorical else np.float32(1.0)
+                    moment += part[j] * (support[j] if categorical else np.float32(1.0))
                 expectation = moment / total
             if compared:
                 advantages[b] = expectation

@@ -10,10 +10,16 @@ from torch import nn
 from sb3_rainbow.fast import learning_kernels
 from sb3_rainbow.fast import mlp_kernels as kernels
 from sb3_rainbow.fast.adam import AdamOnVector
-from sb3_rainbow.fast.perceptron import constants_of, is_perceptron, parameters_of, table_of
+from sb3_rainbow.fast.perceptron import (
+    constants_of,
+    is_perceptron,
+    is_stateless,
+    parameters_of,
+    table_of,
+)
 from sb3_rainbow.network.noisy_linear import scale_noise_
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
-from sb3_rainbow.network.shared_memory import share
+from sb3_rainbow.network.shared_memory import join, parts, share
 from sb3_rainbow.type_aliases import Batch
 
 # Below any probability that float32 holds as a normal number
@@ -22,6 +28,7 @@ _GRAD = attrgetter("grad")
 _NO_MASKS = np.zeros((0, 0), dtype=np.bool_)
 _NO_ACTIONS = np.zeros(0, dtype=np.int64)
 _NO_VALUES = np.zeros(0, dtype=np.float32)
+_NO_GRADIENT = np.zeros((0, 0), dtype=np.float32)
 
 
 class MlpUpdate:
@@ -31,7 +38,8 @@ class MlpUpdate:
     An update of a small network is mostly overhead: some hundred tensor operations, each with its
     allocation and its autograd node. Here it is a few compiled calls on the memory of torch's own
     tensors, which stay the one place where parameters, noise and Adam's moments live. The head is
-    evaluated for the action that counts, where torch would compute all.
+    evaluated for the action that counts, where torch would compute all. What an extractor learns,
+    such as convolutions, torch differentiates.
 
     Each network's parameters become parts of one vector, and so do their gradients.
 
@@ -44,10 +52,10 @@ class MlpUpdate:
         self._online, self._target = parameters_of(q_net), parameters_of(q_net_target)
         vectors = [_join(parameters) for parameters in (self._online, self._target)]
         gradient = th.zeros_like(vectors[0])
-        sizes = [p.numel() for p in self._online]
-        self._gradients = [
-            part.view_as(p) for p, part in zip(self._online, gradient.split(sizes), strict=True)
-        ]
+        self._gradients = parts(gradient, self._online)
+        self._one_extractor = is_stateless(q_net)
+        learnt = sum(p.numel() for p in q_net.features_extractor.parameters())
+        self._learnt_gradient = gradient[len(gradient) - learnt :]
         epsilons = [*q_net.tie_noise(), *q_net_target.tie_noise()]
         self._vectors, self._noises = vectors, (q_net.noise, q_net_target.noise)
         self._gradient_vector = gradient.numpy()
@@ -80,7 +88,8 @@ class MlpUpdate:
         )
         n_logits = self.q_net.n_actions * self.q_net.n_atoms
         self._logits = np.empty((batch_size, n_logits), np.float32)
-        self._value = np.empty((batch_size, self.q_net.n_atoms), np.float32)
+        n_streams = int(self.table[-1, kernels.OUTPUTS])
+        self._streams = np.empty((batch_size, n_streams), np.float32)
 
     @staticmethod
     def is_possible(
@@ -118,12 +127,12 @@ class MlpUpdate:
         """As ``Learner.update``."""
         for noise in self._noises:
             scale_noise_(noise.normal_())
-        obs, next_obs = self._features(batch.observations), self._features(batch.next_observations)
-        n = obs.shape[0]
+        n = batch.actions.shape[0]
         weights = np.ones(n, np.float32) if batch.weights is None else batch.weights.numpy()
-        slope, losses, priorities = self._slopes(
-            batch, obs, next_obs, weights, double_q, advantage_learning
-        )
+        slope, losses, priorities = self._slopes(batch, weights, double_q, advantage_learning)
+        obs = self._obs
+        learns = self._obs_features.requires_grad
+        input_gradient = np.empty_like(obs) if learns else _NO_GRADIENT
         learning_kernels.backward(
             self._effective,
             self.table,
@@ -134,6 +143,7 @@ class MlpUpdate:
             self._common,
             slope,
             self._gradient,
+            input_gradient,
         )
         learning_kernels.parameter_gradients(
             self._gradient, self._noises[0].numpy(), self.table, self._gradient_vector
@@ -141,22 +151,34 @@ class MlpUpdate:
         if not all(map(is_, map(_GRAD, self._online), self._gradients)):
             for p, gradient in zip(self._online, self._gradients, strict=True):
                 p.grad = gradient
+        if learns:
+            self._learnt_gradient.zero_()
+            self._obs_features.backward(th.from_numpy(input_gradient))
+        del self._obs_features
         self._adam.step(optimizer, max_grad_norm)
         return th.tensor(float(losses @ weights) / n), th.from_numpy(priorities)
 
     def act(self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None) -> NDArray[np.int64]:
         """
-        Greedy actions of the online network under fresh noise.
+        Greedy actions of the online network under fresh noise, each environment's its own.
 
         :param obs: observations, ``(n_envs, ...)``
         :param action_masks: True where allowed, ``(n_envs, n_actions)``
         :return: shape ``(n_envs,)``
         """
-        scale_noise_(self._noises[0].normal_())
-        features = self._features(obs)
-        self._reserve(features.shape[0])
+        features = self._features(self.q_net, obs)
+        n, noise = features.shape[0], self._noises[0]
+        self._reserve(n)
+        if n > 1 and len(noise) > 0:
+            noise = noise.new_empty(n, len(noise))
+            parameters = self._vectors[0].numpy()
+            streams = kernels.noisy_streams(
+                parameters, scale_noise_(noise.normal_()).numpy(), self.table, features
+            )
+            return self._best_of_streams(streams, action_masks)
+        scale_noise_(noise.normal_())
         kernels.effective_weights(
-            self._vectors[0].numpy(), self._noises[0].numpy(), self.table, self._effective
+            self._vectors[0].numpy(), noise.numpy(), self.table, self._effective
         )
         units = kernels.hidden_units(self._effective, self.table, features, self._hidden)
         return self._best_actions(self._effective, units, action_masks)
@@ -166,29 +188,39 @@ class MlpUpdate:
         online, target = self._vectors
         target.lerp_(online, tau)
 
-    def _features(self, obs: th.Tensor | dict[str, th.Tensor]) -> NDArray[np.float32]:
+    def _features(
+        self, net: RainbowNetwork, obs: th.Tensor | dict[str, th.Tensor]
+    ) -> NDArray[np.float32]:
         with th.no_grad():
-            features = self.q_net.extract_features(obs, self.q_net.features_extractor)
+            features = net.extract_features(obs, net.features_extractor)
         return features.contiguous().numpy()
 
     def _slopes(
         self,
         batch: Batch,
-        obs: NDArray[np.float32],
-        next_obs: NDArray[np.float32],
         weights: NDArray[np.float32],
         double_q: bool,
         advantage_learning: float,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         """Slope of the weighted mean loss in the taken logits, losses and priorities."""
-        net, table, n = self.q_net, self.table, obs.shape[0]
+        net, table, n = self.q_net, self.table, batch.actions.shape[0]
         self._reserve(n)
+        # Each network sees through its own extractor, unless all of them show the same.
+        apart = not self._one_extractor
+        if double_q or not apart:
+            next_obs = next_obs_target = self._features(net, batch.next_observations)
+        if apart:
+            next_obs_target = self._features(self.q_net_target, batch.next_observations)
+        if advantage_learning > 0.0 and apart:
+            obs_target = self._features(self.q_net_target, batch.observations)
+        self._obs_features = net.extract_features(batch.observations, net.features_extractor)
+        self._obs = obs = self._obs_features.detach().contiguous().numpy()
         online, target = self._effective, self._effective_target
         for vector, noise, effective in zip(
             self._vectors, self._noises, (online, target), strict=True
         ):
             kernels.effective_weights(vector.numpy(), noise.numpy(), table, effective)
-        units_target = kernels.hidden_units(target, table, next_obs, self._hidden_target)
+        units_target = kernels.hidden_units(target, table, next_obs_target, self._hidden_target)
         if double_q:
             chooser, units_next = (
                 online,
@@ -203,7 +235,8 @@ class MlpUpdate:
             advantages = np.empty(n, np.float32)
             mean = self._effective_mean
             kernels.effective_weights(self._vectors[1].numpy(), self._no_noise, table, mean)
-            units_before = kernels.hidden_units(mean, table, obs, self._hidden_next)
+            before = obs_target if apart else obs
+            units_before = kernels.hidden_units(mean, table, before, self._hidden_next)
             masks = _array(batch.action_masks)
             self._best_actions(mean, units_before, masks, self._actions, advantages)
             returns = returns + np.float32(advantage_learning) * advantages[:, None]
@@ -215,7 +248,7 @@ class MlpUpdate:
         slope, losses = np.empty_like(logits), np.empty(n, np.float32)
         discounts, dones = batch.discounts.numpy(), batch.dones.numpy()
         priorities = np.empty(n, np.float32)
-        if net.distributional:
+        if net.head == "categorical":
             target = np.empty_like(logits)
             learning_kernels.projected_target(
                 _exponential(target_logits),
@@ -229,7 +262,9 @@ class MlpUpdate:
                 logits, masses, target, log_target, weights, losses, priorities, slope
             )
         else:
-            learning_kernels.huber_slopes(
+            quantile = net.head == "quantile"
+            slopes = learning_kernels.quantile_slopes if quantile else learning_kernels.huber_slopes
+            slopes(
                 logits, target_logits, returns, discounts, dones, weights, losses, priorities, slope
             )
         return slope, losses, priorities
@@ -242,15 +277,28 @@ class MlpUpdate:
         taken: NDArray[np.int64] = _NO_ACTIONS,
         advantages: NDArray[np.float32] = _NO_VALUES,
     ) -> NDArray[np.int64]:
-        net, n = self.q_net, units.shape[0]
+        n = units.shape[0]
+        streams = self._streams[:n]
+        kernels.all_streams(effective, self.table, units, streams)
+        return self._best_of_streams(streams, masks, taken, advantages)
+
+    def _best_of_streams(
+        self,
+        streams: NDArray[np.float32],
+        masks: NDArray[np.bool_] | None,
+        taken: NDArray[np.int64] = _NO_ACTIONS,
+        advantages: NDArray[np.float32] = _NO_VALUES,
+    ) -> NDArray[np.int64]:
+        net, n = self.q_net, streams.shape[0]
+        categorical = net.head == "categorical"
         logits = self._logits[:n]
-        kernels.all_logits(effective, self.table, units, net.dueling, self._value[:n], logits)
-        if net.distributional:
+        kernels.join(streams, net.n_atoms, net.dueling, categorical, logits)
+        if categorical:
             th.from_numpy(logits).exp_()
         actions = np.empty(n, np.int64)
         kernels.best_actions(
             *(logits, net.support.numpy(), _NO_MASKS if masks is None else masks, actions),
-            *(taken, advantages),
+            *(taken, advantages, categorical),
         )
         return actions
 
@@ -273,7 +321,7 @@ class MlpUpdate:
 
 def _join(parameters: list[nn.Parameter]) -> th.Tensor:
     """A vector of which the parameters become parts."""
-    vector = th.cat([p.detach().reshape(-1) for p in parameters])
+    vector = join(parameters, parameters)
     share(parameters, vector)
     return vector
 

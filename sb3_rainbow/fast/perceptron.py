@@ -1,5 +1,7 @@
 """Which networks the kernels know, and where a network's numbers lie for them."""
 
+from typing import Any
+
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
@@ -10,48 +12,70 @@ from sb3_rainbow.fast import mlp_kernels as kernels
 from sb3_rainbow.fast.originals import are_untouched
 from sb3_rainbow.network.noisy_linear import NoisyLinear
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
+from sb3_rainbow.network.shared_memory import is_dense
 
-# What an extractor may consist of. The kernels let the online network's serve the target too, and
-# call it as often as suits them: nothing in it may change, learn or draw random numbers.
+# An extractor of these parts alone has the same features for the target network, and however often
+# it is called: nothing in it changes, learns or draws random numbers.
 _STATELESS = (FlattenExtractor, CombinedExtractor, nn.ModuleDict, nn.Flatten)
+# Weights behind an extractor that learns up to which the kernels pay: beyond, the products of
+# matrices are what costs, and torch has more threads for them
+_MOST_WEIGHTS = 500_000
 
 
 def is_perceptron(net: RainbowNetwork) -> bool:
-    """Of the package's own parts alone, each in its place once."""
+    """Of the package's own parts alone, each in its place once, behind any extractor."""
     if type(net) is not RainbowNetwork or type(net.activation) is not nn.ReLU:
         return False
     layers = list(net.layers)
+    if "advantage_layers" in net._modules:
+        return False
     own = all(type(layer) in (nn.Linear, NoisyLinear) for layer in layers)
-    stateless = all(type(module) in _STATELESS for module in net.features_extractor.modules())
-    if not (own and stateless and are_untouched(net.modules())):
+    if not (own and _extracts_plainly(net) and are_untouched(net.modules())):
         return False
     parameters, table = parameters_of(net), table_of(net)
     n_parameters = int(((1 + table[:, kernels.NOISY]) * _sizes(table)).sum())
+    learns = list(net.features_extractor.parameters())
+    if learns and n_parameters > _MOST_WEIGHTS:
+        return False
     return (
         len(parameters) == len(set(map(id, parameters))) == len(list(net.parameters()))
         and all(
-            p is not None and (p.dtype, p.device.type) == (th.float32, "cpu") and p.is_contiguous()
+            p is not None and (p.dtype, p.device.type) == (th.float32, "cpu") and is_dense(p)
             for p in parameters
         )
-        and sum(p.numel() for p in parameters) == n_parameters
+        and sum(p.numel() for p in parameters) - sum(p.numel() for p in learns) == n_parameters
         and table[0, kernels.INPUTS] == net.features_dim
         and table[-1, kernels.OUTPUTS] == (net.n_actions + net.dueling) * net.n_atoms
         and bool((table[1:, kernels.INPUTS] == table[:-1, kernels.OUTPUTS]).all())
     )
 
 
-def constants_of(net: RainbowNetwork) -> tuple[float, ...]:
+def is_stateless(net: RainbowNetwork) -> bool:
+    """Whether the features of one network's extractor are those of any other's."""
+    return all(type(module) in _STATELESS for module in net.features_extractor.modules())
+
+
+def _extracts_plainly(net: RainbowNetwork) -> bool:
+    # Buffers would have to follow to the target network, and noise be drawn.
+    extractor = net.features_extractor
+    return not (
+        list(extractor.buffers()) or any(isinstance(m, NoisyLinear) for m in extractor.modules())
+    )
+
+
+def constants_of(net: RainbowNetwork) -> tuple[Any, ...]:
     """What two networks must have in common besides their tables."""
-    return (net.n_actions, net.n_atoms, net.dueling, net.v_min, net.v_max)
+    return (net.n_actions, net.n_atoms, net.head, net.dueling, net.v_min, net.v_max)
 
 
 def parameters_of(net: RainbowNetwork) -> list[nn.Parameter]:
-    """In the order in which the kernels want them."""
+    """In the order in which the kernels want them, then what the extractor learns."""
     names = {
         NoisyLinear: ("weight_mu", "weight_sigma", "bias_mu", "bias_sigma"),
         nn.Linear: ("weight", "bias"),
     }
-    return [getattr(layer, name) for layer in net.layers for name in names[type(layer)]]
+    own = [getattr(layer, name) for layer in net.layers for name in names[type(layer)]]
+    return [*own, *net.features_extractor.parameters()]
 
 
 def table_of(net: RainbowNetwork) -> NDArray[np.int64]:

@@ -139,12 +139,12 @@ class Learner:
         batch's priorities, and the noise magnitudes.
         """
         values = {"max_q": float(self.q_net(batch.observations).amax(dim=1).mean())}
-        if self.q_net.distributional:
+        if self.q_net.head == "categorical":
             target = td_target(
                 self.q_net, self.q_net_target, batch, self.double_q, self.advantage_learning
             )
             share = clipped_share(
-                target.next_probabilities,
+                target.next_values,
                 target.rewards,
                 batch.discounts * (1.0 - batch.dones),
                 self.q_net.support,

@@ -10,6 +10,7 @@ from sb3_rainbow.network.losses import (
     huber_losses,
     mask_q_values,
     project_distribution,
+    quantile_losses,
     target_entropies,
 )
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
@@ -20,11 +21,11 @@ class Target(NamedTuple):
     """What the online network should predict, and what the logs tell about it. B: batch size."""
 
     values: th.Tensor
-    """Distribution over the atoms ``(B, N)``, or scalar ``(B, 1)``."""
+    """Distribution over the atoms, or quantiles, ``(B, N)``, or scalar ``(B, 1)``."""
     next_actions: th.Tensor
     """Actions chosen at t + k, ``(B, 1)``."""
-    next_probabilities: th.Tensor
-    """Distribution at t + k before discounting, ``(B, N)``."""
+    next_values: th.Tensor
+    """The same at t + k, before discounting."""
     rewards: th.Tensor
     """Returns of the k steps, with what advantage learning adds, ``(B, 1)``."""
 
@@ -57,11 +58,10 @@ def td_target(
             q_values = q_net_target(batch.observations, noisy=False)
             best = mask_q_values(q_values, batch.action_masks).amax(dim=1, keepdim=True)
             rewards = rewards + advantage_learning * (q_values.gather(1, batch.actions) - best)
-        if not q_net.distributional:
-            next_values = q_net_target(batch.next_observations, noisy=True).gather(1, actions)
-            return Target(rewards + discounts * next_values, actions, next_values, rewards)
-        logits = q_net_target.logits(batch.next_observations, noisy=True)
-        probabilities = F.softmax(of_actions(logits, actions), dim=1)
+        logits = of_actions(q_net_target.logits(batch.next_observations, noisy=True), actions)
+        if q_net.head != "categorical":  # values themselves, be it one or the quantiles
+            return Target(rewards + discounts * logits, actions, logits, rewards)
+        probabilities = F.softmax(logits, dim=1)
         values = project_distribution(
             probabilities, rewards, discounts, q_net.support, q_net.v_min, q_net.v_max
         )
@@ -74,22 +74,25 @@ def td_losses(
     """
     Losses and priorities of the batch, before importance weights.
 
-    Distributional: the cross-entropy, and the Kullback-Leibler divergence (Hessel et al. 2018,
+    Categorical: the cross-entropy, and the Kullback-Leibler divergence (Hessel et al. 2018,
     section "Multi-step learning"), whose gradients are the same. They differ by the target's
     entropy, which says how uncertain the return is and not what is left to learn: as priorities,
-    cross-entropies are all but uniform. Scalar: the Huber loss, and the absolute error.
+    cross-entropies are all but uniform. Quantiles: their Huber loss. Scalar: the Huber loss, and
+    the absolute error.
 
     :param target: the ``values`` of a :class:`Target`
     :return: losses ``(B,)`` with gradient, priorities ``(B,)`` without
     """
-    if q_net.distributional:
-        logits = q_net.logits(batch.observations, noisy=True)
-        losses = categorical_losses(of_actions(logits, batch.actions), target)
+    taken = of_actions(q_net.logits(batch.observations, noisy=True), batch.actions)
+    if q_net.head == "categorical":
+        losses = categorical_losses(taken, target)
         divergences = losses.detach() - target_entropies(target)
         return losses, divergences.clamp(min=0.0)
-    q_values = q_net(batch.observations, noisy=True).gather(1, batch.actions)
-    losses = huber_losses(q_values[:, 0], target[:, 0])
-    return losses, (q_values - target)[:, 0].detach().abs()
+    if q_net.head == "quantile":
+        losses = quantile_losses(taken, target)
+        return losses, losses.detach()
+    losses = huber_losses(taken[:, 0], target[:, 0])
+    return losses, (taken - target)[:, 0].detach().abs()
 
 
 def mean_loss(

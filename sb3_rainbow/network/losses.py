@@ -98,6 +98,24 @@ def target_entropies(target: th.Tensor) -> th.Tensor:
     return -th.special.xlogy(target, target).sum(dim=1)
 
 
+def quantile_losses(quantiles: th.Tensor, target: th.Tensor) -> th.Tensor:
+    """
+    Quantile Huber loss with threshold 1 (Dabney et al. 2018, equation 10), one value per sample:
+    the sum over the predicted quantiles of the mean over the target's samples.
+
+    :param quantiles: of the action taken, at the midpoints ``(i + 1/2) / N``, shape ``(B, N)``
+    :param target: samples of the target's distribution, shape ``(B, M)``
+    :return: shape ``(B,)``
+    """
+    n = quantiles.shape[1]
+    midpoints = (th.arange(n, device=quantiles.device, dtype=quantiles.dtype) + 0.5) / n
+    predicted = quantiles.unsqueeze(2).expand(-1, -1, target.shape[1])
+    wanted = target.unsqueeze(1).expand_as(predicted)
+    huber = F.smooth_l1_loss(predicted, wanted, reduction="none")
+    tilt = (midpoints[:, None] - (wanted < predicted.detach()).to(quantiles.dtype)).abs()
+    return (tilt * huber).mean(dim=2).sum(dim=1)
+
+
 def huber_losses(q_values: th.Tensor, target: th.Tensor) -> th.Tensor:
     """
     Huber loss of scalar Q-values with threshold 1, one value per sample.

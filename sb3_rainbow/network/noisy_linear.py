@@ -36,6 +36,8 @@ class NoisyLinear(nn.Module):
 
     epsilon_in: th.Tensor
     epsilon_out: th.Tensor
+    #: noise of each row of a batch of as many rows, ``(n, in)`` and ``(n, out)``, instead of one
+    epsilon_rows: tuple[th.Tensor, th.Tensor] | None = None
     silent: bool = False
 
     def __init__(self, in_features: int, out_features: int, sigma0: float = 0.5) -> None:
@@ -62,7 +64,8 @@ class NoisyLinear(nn.Module):
 
     @th.no_grad()
     def reset_noise(self) -> None:
-        """Draw new noise from torch's global generator."""
+        """Draw new noise from torch's global generator, the same for all rows of a batch."""
+        self.epsilon_rows = None
         scale_noise_(self.epsilon_in.normal_())
         scale_noise_(self.epsilon_out.normal_())
 
@@ -79,14 +82,22 @@ class NoisyLinear(nn.Module):
         """
         if not noisy or self.silent:
             return F.linear(inputs, self.weight_mu, self.bias_mu)
+        rows = self.epsilon_rows
+        if rows is not None and inputs.shape == rows[0].shape:
+            return self._without_a_matrix(inputs, *rows)
         if inputs[..., 0].numel() <= _FEW_INPUTS:
-            # (sigma * e_out e_in^T) x = e_out * sigma (e_in * x): no noise matrix is formed.
-            outputs = F.linear(inputs, self.weight_mu, self.bias_mu)
-            noise = F.linear(inputs * self.epsilon_in, self.weight_sigma, self.bias_sigma)
-            return th.addcmul(outputs, noise, self.epsilon_out)
+            return self._without_a_matrix(inputs, self.epsilon_in, self.epsilon_out)
         epsilon = th.outer(self.epsilon_out, self.epsilon_in)
         weight = th.addcmul(self.weight_mu, self.weight_sigma, epsilon)
         return F.linear(inputs, weight, th.addcmul(self.bias_mu, self.bias_sigma, self.epsilon_out))
+
+    def _without_a_matrix(
+        self, inputs: th.Tensor, epsilon_in: th.Tensor, epsilon_out: th.Tensor
+    ) -> th.Tensor:
+        # (sigma * e_out e_in^T) x = e_out * sigma (e_in * x): no noise matrix is formed.
+        outputs = F.linear(inputs, self.weight_mu, self.bias_mu)
+        noise = F.linear(inputs * epsilon_in, self.weight_sigma, self.bias_sigma)
+        return th.addcmul(outputs, noise, epsilon_out)
 
     def extra_repr(self) -> str:
         """What ``print`` shows of the layer."""

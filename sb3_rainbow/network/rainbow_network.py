@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import nullcontext
 from itertools import pairwise
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch as th
@@ -14,10 +14,11 @@ from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 from torch.nn import functional as F
 
+from sb3_rainbow.network.convolutions import has_large_images, put_channels_last
 from sb3_rainbow.network.losses import mask_q_values
 from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_, silenced
 from sb3_rainbow.network.shared_memory import separate, share
-from sb3_rainbow.type_aliases import NoisyLayers
+from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers
 
 # Modules that hold no noisy layer and do not mind whether they are trained
 _NOTHING_INSIDE = {
@@ -26,36 +27,45 @@ _NOTHING_INSIDE = {
 }
 
 
+# Where the layers are that a network calls by itself
+_LAYERS = ("layers", "value_layers", "advantage_layers")
+
+
 class RainbowNetwork(BasePolicy):
     """
     Q-network with a dueling, distributional head and noisy layers, each of which can be off.
 
-    The head is one linear layer with ``n_atoms`` outputs for the state value (dueling only) and
-    ``n_atoms`` for each action's advantage. Without ``distributional`` there is one atom, which is
-    the Q-value itself.
+    Its outputs are ``n_atoms`` for the state value (dueling only) and ``n_atoms`` for each action's
+    advantage: logits over the atoms of a support, or as many quantiles of the return, or, without
+    ``distributional``, one, which is the Q-value itself.
 
     :param observation_space: Observation space
     :param action_space: Action space
     :param features_extractor: extractor, whose layers are never noisy
     :param features_dim: its number of outputs
-    :param net_arch: sizes of the hidden layers
+    :param net_arch: sizes of the hidden layers, which value and advantages share up to the head; or
+        ``dict(shared=[...], streams=[...])``, where each of the two then has layers of its own
     :param activation_fn: activation between them
     :param normalize_images: whether to divide images by 255
     :param dueling: separate streams for value and advantages (Wang et al. 2016)
     :param noisy: noisy linear layers (Fortunato et al. 2018)
-    :param noisy_layers: ``"last_two"`` (last hidden layer and head), ``"head"`` or ``"all"``
+    :param noisy_layers: ``"last_two"`` (last hidden layer and head), ``"head"`` or ``"all"``; of
+        streams, the last of each
     :param sigma0: initial noise scale
-    :param distributional: categorical distribution over returns (Bellemare et al. 2017)
-    :param n_atoms: atoms of the support
-    :param v_min: lowest atom
-    :param v_max: highest atom
-    :raises ValueError: for an unknown ``noisy_layers``, ``n_atoms`` < 2 or ``v_min >= v_max``
+    :param distributional: distribution over returns: ``"categorical"`` or True (Bellemare et al.
+        2017), ``"quantile"`` (Dabney et al. 2018), or False for none
+    :param n_atoms: atoms of the support, or quantiles
+    :param v_min: lowest atom (categorical only)
+    :param v_max: highest atom (categorical only)
+    :raises ValueError: for an unknown ``noisy_layers`` or ``distributional``, a ``net_arch`` with
+        other keys, too few atoms or ``v_min >= v_max``
     """
 
     action_space: spaces.Discrete
     support: th.Tensor
     noise: th.Tensor
     _noise_addresses: list[int] | None = None
+    _noise_sizes: list[int]
 
     def __init__(
         self,
@@ -63,14 +73,14 @@ class RainbowNetwork(BasePolicy):
         action_space: spaces.Discrete,
         features_extractor: BaseFeaturesExtractor,
         features_dim: int,
-        net_arch: list[int] | None = None,
+        net_arch: NetArch | None = None,
         activation_fn: type[nn.Module] = nn.ReLU,
         normalize_images: bool = True,
         dueling: bool = True,
         noisy: bool = True,
         noisy_layers: NoisyLayers = "last_two",
         sigma0: float = 0.5,
-        distributional: bool = True,
+        distributional: Distributional = True,
         n_atoms: int = 51,
         v_min: float = -100.0,
         v_max: float = 100.0,
@@ -81,8 +91,11 @@ class RainbowNetwork(BasePolicy):
             features_extractor=features_extractor,
             normalize_images=normalize_images,
         )
-        if distributional:
+        self.head = head_of(distributional)
+        if self.head == "categorical":
             check_support(n_atoms, v_min, v_max)
+        elif self.head == "quantile" and (n_atoms < 1 or n_atoms != int(n_atoms)):
+            raise ValueError(f"n_atoms must be a whole number, at least 1, got {n_atoms}")
         if noisy_layers not in get_args(NoisyLayers):
             raise ValueError(
                 f"noisy_layers must be one of {get_args(NoisyLayers)}, got {noisy_layers!r}"
@@ -102,6 +115,9 @@ class RainbowNetwork(BasePolicy):
         # A constant, not a weight: what loads or randomizes the weights must not change it.
         self.register_buffer("support", th.linspace(v_min, v_max, self.n_atoms), persistent=False)
         self.register_buffer("noise", th.zeros(0), persistent=False)
+        self._channels_last = has_large_images(observation_space)
+        if self._channels_last:
+            put_channels_last(features_extractor)
         self._build_layers()
         self.reset_noise()
 
@@ -111,23 +127,43 @@ class RainbowNetwork(BasePolicy):
         return self.support.device
 
     def _build_layers(self) -> None:
-        n_streams = self.n_actions + (1 if self.dueling else 0)
-        sizes = [self.features_dim, *self.net_arch, n_streams * self.n_atoms]
-        n_layers = len(sizes) - 1
-        n_noisy = {"last_two": 2, "head": 1, "all": n_layers}[self.noisy_layers]
-        first_noisy = n_layers - n_noisy if self.noisy else n_layers
-        self.layers = nn.ModuleList()
-        for i, (n_in, n_out) in enumerate(pairwise(sizes)):
-            is_noisy = i >= first_noisy
-            self.layers.append(
-                NoisyLinear(n_in, n_out, self.sigma0) if is_noisy else nn.Linear(n_in, n_out)
-            )
+        shared, streams = split_arch(self.net_arch)
+        depth = len(shared) + len(streams) + 1
+        n_noisy = {"last_two": 2, "head": 1, "all": depth}[self.noisy_layers] if self.noisy else 0
+        first_noisy = depth - n_noisy
+        n_out = self.n_actions * self.n_atoms
+        if streams:
+            self.layers = self._make_layers([self.features_dim, *shared], 0, first_noisy)
+            sizes = [[self.features_dim, *shared][-1], *streams]
+            if self.dueling:
+                self.value_layers = self._make_layers(
+                    [*sizes, self.n_atoms], len(shared), first_noisy
+                )
+            self.advantage_layers = self._make_layers([*sizes, n_out], len(shared), first_noisy)
+        else:
+            n_out += self.n_atoms if self.dueling else 0
+            self.layers = self._make_layers([self.features_dim, *shared, n_out], 0, first_noisy)
         self.activation = self.activation_fn()
+
+    def _make_layers(self, sizes: list[int], depth: int, first_noisy: int) -> nn.ModuleList:
+        """Layers between these sizes; the first of them lies ``depth`` layers deep."""
+        return nn.ModuleList(
+            NoisyLinear(n_in, n_out, self.sigma0) if i >= first_noisy else nn.Linear(n_in, n_out)
+            for i, (n_in, n_out) in enumerate(pairwise(sizes), start=depth)
+        )
+
+    def extract_features(
+        self, obs: PyTorchObs, features_extractor: BaseFeaturesExtractor
+    ) -> th.Tensor:
+        """As SB3's; large images are handed over with their channels last."""
+        if self._channels_last and isinstance(obs, th.Tensor):
+            obs = obs.contiguous(memory_format=th.channels_last)
+        return super().extract_features(obs, features_extractor)
 
     def _own_layers(self) -> list[nn.Module]:
         """The layers that :meth:`streams` calls; none where a subclass does without."""
-        layers = self._modules.get("layers")
-        return [] if layers is None else list(layers.children())
+        lists = [self._modules.get(name) for name in _LAYERS]
+        return [layer for layers in lists if layers is not None for layer in layers.children()]
 
     def _epsilons(self) -> list[th.Tensor]:
         """The noise of the layers that draw it as the package's own do, in their order."""
@@ -146,6 +182,7 @@ class RainbowNetwork(BasePolicy):
         if [e.data_ptr() for e in epsilons] != self._noise_addresses:
             self.noise = th.cat(epsilons) if epsilons else self.support.new_zeros(0)
             self._noise_addresses = share(epsilons, self.noise)
+            self._noise_sizes = [e.numel() for e in epsilons]
         return epsilons
 
     def _layers_called_by_others(self) -> Iterator[NoisyLinear]:
@@ -157,7 +194,7 @@ class RainbowNetwork(BasePolicy):
                 yield from (m for m in inside if not any(m is layer for layer in own))
 
     def _parts(self) -> list[nn.Module]:
-        others = [part for name, part in self._modules.items() if name != "layers" and part]
+        others = [part for name, part in self._modules.items() if name not in _LAYERS and part]
         return [*others, *self._own_layers()]
 
     def __getstate__(self) -> dict[str, Any]:
@@ -166,12 +203,22 @@ class RainbowNetwork(BasePolicy):
         return {**self.__dict__, "_noise_addresses": None}
 
     @th.no_grad()
-    def reset_noise(self) -> None:
-        """Draw new noise for every noisy layer."""
+    def reset_noise(self, n_envs: int = 1) -> None:
+        """
+        Draw new noise for every noisy layer.
+
+        :param n_envs: 1 for noise that all rows of a batch have in common, as an update's have; or
+            the number of environments to act in, each of which explores by noise of its own
+        """
         if self.tie_noise():
-            scale_noise_(self.noise.normal_())
+            drawn = self.noise if n_envs == 1 else self.noise.new_empty(n_envs, len(self.noise))
+            parts = iter(scale_noise_(drawn.normal_()).split(self._noise_sizes, dim=-1))
         for layer in self._own_layers():
-            if isinstance(layer, NoisyLinear) and not _draws_plainly(layer):
+            if not isinstance(layer, NoisyLinear):
+                continue
+            if _draws_plainly(layer):
+                layer.epsilon_rows = None if n_envs == 1 else (next(parts), next(parts))
+            else:
                 layer.reset_noise()
         for layer in self._layers_called_by_others():
             layer.reset_noise()
@@ -192,13 +239,27 @@ class RainbowNetwork(BasePolicy):
         :return: shape ``(B, n_streams, n_atoms)``, the value first where there is one
         """
         with nullcontext() if noisy else silenced(self._layers_called_by_others()):
-            hidden = self.extract_features(obs, self.features_extractor)
-            last = len(self.layers) - 1
-            for i, layer in enumerate(self.layers):
-                hidden = layer(hidden, noisy) if isinstance(layer, NoisyLinear) else layer(hidden)
-                if i < last:
-                    hidden = self.activation(hidden)
-        return hidden.view(hidden.shape[0], -1, self.n_atoms)
+            features = self.extract_features(obs, self.features_extractor)
+            if "advantage_layers" not in self._modules:
+                outputs = self._run(self.layers, features, noisy)
+            else:
+                shared = features
+                if self.layers:
+                    shared = self.activation(self._run(self.layers, features, noisy))
+                outputs = self._run(self.advantage_layers, shared, noisy)
+                if self.dueling:
+                    value = self._run(self.value_layers, shared, noisy)
+                    outputs = th.cat([value, outputs], dim=1)
+        return outputs.view(outputs.shape[0], -1, self.n_atoms)
+
+    def _run(self, layers: nn.ModuleList, hidden: th.Tensor, noisy: bool) -> th.Tensor:
+        """Outputs of layers in a row, with activations between them."""
+        last = len(layers) - 1
+        for i, layer in enumerate(layers):
+            hidden = layer(hidden, noisy) if isinstance(layer, NoisyLinear) else layer(hidden)
+            if i < last:
+                hidden = self.activation(hidden)
+        return hidden
 
     def join(self, streams: th.Tensor) -> th.Tensor:
         """
@@ -218,13 +279,16 @@ class RainbowNetwork(BasePolicy):
         :param logits: shape ``(B, A, N)``
         :return: Q-values, shape ``(B, A)``
         """
-        if not self.distributional:
+        if self.head == "scalar":
             return logits.squeeze(-1)
+        if self.head == "quantile":
+            return logits.mean(dim=-1)
         return F.softmax(logits, dim=-1) @ self.support
 
     def logits(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
         """
-        Logits over the atoms for each action (without ``distributional``, the Q-values).
+        Logits over the atoms, or quantiles, for each action (without ``distributional``, the
+        Q-values).
 
         :return: shape ``(B, A, N)``
         """
@@ -242,11 +306,15 @@ class RainbowNetwork(BasePolicy):
 
     def distribution(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
         """
-        Probabilities of the atoms for each action (all 1 without ``distributional``).
+        Probabilities of the atoms for each action; of quantiles, which :meth:`logits` returns, all
+        the same.
 
         :return: shape ``(B, A, N)``
         """
-        return F.softmax(self.logits(obs, noisy), dim=-1)
+        logits = self.logits(obs, noisy)
+        if self.head == "categorical":
+            return F.softmax(logits, dim=-1)
+        return th.full_like(logits, 1.0 / self.n_atoms)
 
     def set_training_mode(self, mode: bool) -> None:
         """
@@ -281,6 +349,39 @@ def _draws_plainly(layer: nn.Module) -> bool:
     if not isinstance(layer, NoisyLinear) or "reset_noise" in vars(layer):
         return False
     return type(layer).reset_noise is NoisyLinear.reset_noise
+
+
+def head_of(distributional: Distributional) -> Literal["scalar", "categorical", "quantile"]:
+    """
+    What a head predicts.
+
+    :raises ValueError: for anything but True, False, ``"categorical"`` and ``"quantile"``
+    """
+    if isinstance(distributional, bool):
+        return "categorical" if distributional else "scalar"
+    if distributional == "categorical":
+        return "categorical"
+    if distributional == "quantile":
+        return "quantile"
+    raise ValueError(
+        f"distributional must be True, False, 'categorical' or 'quantile', got {distributional!r}"
+    )
+
+
+def split_arch(net_arch: NetArch) -> tuple[list[int], list[int]]:
+    """
+    Sizes of the hidden layers that all streams share, and of those of each.
+
+    :raises ValueError: for a dict with keys other than ``shared`` and ``streams``
+    """
+    if not isinstance(net_arch, dict):
+        return list(net_arch), []
+    if unknown := sorted(map(str, net_arch.keys() - {"shared", "streams"})):
+        raise ValueError(
+            f"net_arch has unknown keys {unknown}: must be a list of sizes or "
+            "dict(shared=[...], streams=[...])"
+        )
+    return list(net_arch.get("shared", [])), list(net_arch.get("streams", []))
 
 
 def check_support(n_atoms: int, v_min: float, v_max: float) -> None:

@@ -5,16 +5,50 @@ from collections.abc import Iterable, Sequence
 import torch as th
 
 
+def is_dense(tensor: th.Tensor) -> bool:
+    """Whether a tensor fills its memory without gaps: in order, or with channels last."""
+    return tensor.is_contiguous() or (
+        tensor.ndim == 4 and tensor.is_contiguous(memory_format=th.channels_last)
+    )
+
+
+def parts(vector: th.Tensor, tensors: Sequence[th.Tensor]) -> list[th.Tensor]:
+    """
+    Parts of a vector, one after another.
+
+    :param vector: as many numbers as the tensors have together
+    :param tensors: dense, whose shapes and memory formats the parts have
+    """
+    sizes = [t.numel() for t in tensors]
+    return [
+        part.as_strided(t.shape, t.stride(), part.storage_offset())
+        for part, t in zip(vector.split(sizes), tensors, strict=True)
+    ]
+
+
+@th.no_grad()
+def join(tensors: Sequence[th.Tensor], like: Sequence[th.Tensor]) -> th.Tensor:
+    """
+    A vector whose :func:`parts` like some tensors have the values of others.
+
+    :param tensors: of the shapes of ``like``
+    """
+    vector = tensors[0].new_empty(sum(t.numel() for t in tensors))
+    for part, tensor in zip(parts(vector, like), tensors, strict=True):
+        part.copy_(tensor)
+    return vector
+
+
 def share(tensors: Sequence[th.Tensor], vector: th.Tensor) -> list[int]:
     """
     Make tensors parts of a vector, one after another; their values are the vector's from then on.
 
-    :param tensors: of any shapes, in the vector's dtype and on its device
+    :param tensors: dense, in the vector's dtype and on its device
     :param vector: as many numbers as the tensors have together
     :return: the tensors' addresses: while those stay, they are parts
     """
-    for tensor, part in zip(tensors, vector.split([t.numel() for t in tensors]), strict=True):
-        tensor.data = part.view(tensor.shape)
+    for tensor, part in zip(tensors, parts(vector, tensors), strict=True):
+        tensor.data = part
     return [tensor.data_ptr() for tensor in tensors]
 
 

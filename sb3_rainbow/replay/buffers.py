@@ -36,7 +36,7 @@ class PrioritizedReplayBuffer(NStepRing):
             replay_buffer_kwargs={"n_steps": 3, "gamma": 0.99})
 
     SB3's ``DQN`` reports no losses to its buffer: add
-    :class:`~sb3_rainbow.callbacks.PrioritizedReplayCallback` to feed the priorities.
+    :class:`~sb3_rainbow.replay.callbacks.PrioritizedReplayCallback` to feed the priorities.
 
     :param buffer_size: transitions to keep, over all envs
     :param observation_space: any space that SB3 supports, dicts included

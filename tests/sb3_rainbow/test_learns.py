@@ -32,11 +32,18 @@ IDENTITY: dict[str, Any] = {
 
 
 @pytest.mark.parametrize(
-    "off", [(), ("noisy",), ("distributional",), ("prioritized", "double_q", "dueling")]
+    "switches",
+    [
+        {},
+        {"noisy": False},
+        {"distributional": False},
+        {"distributional": "quantile"},
+        {"prioritized": False, "double_q": False, "dueling": False},
+    ],
+    ids=str,
 )
-def test_identity(off: tuple[str, ...]) -> None:
+def test_identity(switches: dict[str, Any]) -> None:
     env = DummyVecEnv([lambda: IdentityEnv(4)])
-    switches: dict[str, Any] = dict.fromkeys(off, False)
     model = Rainbow("MlpPolicy", env, **switches, **IDENTITY)
     model.learn(1200)
     mean, _ = evaluate_policy(model, env, n_eval_episodes=10, warn=False)

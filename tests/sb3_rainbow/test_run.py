@@ -1,6 +1,7 @@
 """Rainbow runs in every combination that SB3's users expect of an off-policy algorithm."""
 
 import inspect
+import warnings
 from typing import Any
 
 import gymnasium as gym
@@ -72,6 +73,27 @@ def test_each_component_off_and_on(off: tuple[str, ...], n_envs: int) -> None:
     assert not th.equal(weights, after)
     assert before._n_updates > 0
     assert np.isfinite(after.detach().numpy()).all()
+
+
+def test_returns_beyond_the_support_are_told_once() -> None:
+    narrow = Rainbow("MlpPolicy", "CartPole-v1", v_min=0.0, v_max=1.5, **FAST)
+    with pytest.warns(UserWarning, match=r"outside of the support \[0.0, 1.5\].*quantile") as told:
+        narrow.learn(900)
+    assert len(told) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Rainbow("MlpPolicy", "CartPole-v1", **FAST).learn(100)
+
+
+@pytest.mark.parametrize("net_arch", [[16], {"shared": [16], "streams": [8]}, {"streams": [8, 8]}])
+def test_quantiles_need_no_support(net_arch: Any) -> None:
+    env = make_vec_env("CartPole-v1", n_envs=2)
+    kwargs = {**FAST, "policy_kwargs": {"net_arch": net_arch}}
+    model = Rainbow("MlpPolicy", env, distributional="quantile", v_min=0.0, v_max=0.0, **kwargs)
+    logged = record(model, 600)
+    assert "train/clipped_support" not in logged
+    assert np.isfinite(logged["train/loss"]).all()
+    assert model.replay_buffer.tree.leaves.std() > 0  # type: ignore[union-attr]
 
 
 def test_the_constructor_begins_with_dqns_arguments_in_their_order() -> None:

@@ -18,7 +18,7 @@ from stable_baselines3.common.logger import configure
 
 from benchmarks.protocol.seeding import derive
 from benchmarks.runs.store import RunFolder
-from benchmarks.studies.classic.envs import BlindCliffWalkEnv
+from benchmarks.studies.classic.environments.named import BlindCliffWalkEnv
 from benchmarks.studies.classic.plan import Cell
 from benchmarks.studies.classic.presets import CliffVariant, Preset
 from sb3_rainbow import Rainbow

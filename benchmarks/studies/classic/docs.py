@@ -13,7 +13,11 @@ from benchmarks.studies.classic.presets import load_preset
 from benchmarks.studies.classic.results import Results
 from benchmarks.studies.classic.tables import build_tables
 
-SHOWN: Final = {"scores": "curves", "cliff": "cliff"}  # tables of the page, each with its figure
+SHOWN: Final = {
+    "scores": "curves",
+    "together": "",
+    "cliff": "cliff",
+}  # tables of the page, each with its figure
 
 
 def begin(preset: str) -> str:
@@ -40,7 +44,8 @@ def rewrite(page: str, results: Results, root: str) -> str:
     for table, figure in SHOWN.items():
         if table in tables:
             parts.append(tables[table].markdown().rstrip())
-            parts.append(f"![{tables[table].title}]({root}/figures/{figure}.png)")
+            if figure:
+                parts.append(f"![{tables[table].title}]({root}/figures/{figure}.png)")
     others = [f"[{table}]({root}/tables/{table}.md)" for table in tables if table not in SHOWN]
     if others:
         parts.append("More: " + ", ".join(others) + ".")

@@ -11,10 +11,13 @@ from benchmarks.protocol.presets import absolute
 from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.classic import plan
+from benchmarks.studies.classic.environments.atari import PREFIX
 from benchmarks.studies.classic.plan import CLIFF, Cell
 from benchmarks.studies.classic.presets import Preset, load_preset
 
-TRANSITION_BYTES: Final = 1_600  # of a checkpointed replay buffer: two images of 10 x 10 x 7
+# of a transition in a checkpointed replay buffer: two images of 10 x 10 x 7; a stack of frames
+TRANSITION_BYTES: Final = 1_600
+ATARI_BYTES: Final = 60_000
 
 
 class Classic(Experiment[Cell]):
@@ -52,8 +55,9 @@ class Classic(Experiment[Cell]):
     def checkpoint_bytes(self, cell: Cell) -> int:
         if cell.kind == CLIFF:
             return 0
-        arguments = self.preset.tasks[cell.task].methods[cell.method]
-        return TRANSITION_BYTES * int(arguments.get("buffer_size", 1_000_000))
+        task = self.preset.tasks[cell.task]
+        size = int(task.methods[cell.method].get("buffer_size", 1_000_000))
+        return (ATARI_BYTES if task.env.startswith(PREFIX) else TRANSITION_BYTES) * size
 
     def run(
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str

@@ -20,8 +20,8 @@ from benchmarks.reporting.figures.style import (
 )
 from benchmarks.runs.store import Store
 from benchmarks.studies.classic.plan import REPLAYS
+from benchmarks.studies.classic.presets import label
 from benchmarks.studies.classic.results import Results
-from benchmarks.studies.classic.tables import NAMES
 
 REPLAY_COLOURS: Final = {"prioritized": PALETTE[0], "uniform": PALETTE[1]}
 
@@ -45,13 +45,13 @@ def _curves(results: Results) -> Figure:
     for axes in grid[len(tasks) :]:
         axes.set_visible(False)
     for axes, (key, task) in zip(grid, tasks.items(), strict=False):
-        for method in results.preset.methods:
+        for number, method in enumerate(results.preset.methods):
             curve = results.curve(key, method)
             if curve is None:
                 continue
             steps, mean, low, high = curve
-            colour = METHOD_COLOURS[method]
-            axes.plot(steps / 1e3, mean, color=colour, label=NAMES[method], linewidth=1.3)
+            colour = METHOD_COLOURS.get(method, PALETTE[(3 + number) % len(PALETTE)])
+            axes.plot(steps / 1e3, mean, color=colour, label=label(method), linewidth=1.3)
             axes.fill_between(steps / 1e3, low, high, color=colour, alpha=0.2, linewidth=0)
         if task.goal is not None:
             axes.axhline(task.goal, color="0.5", linestyle=":", linewidth=1.0)

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from benchmarks.protocol.presets import as_dict
-from benchmarks.studies.classic.presets import Preset
+from benchmarks.studies.classic.presets import Preset, algorithm_of
 
 CLIFF: Final = "cliff"
 REPLAYS: Final = ("prioritized", "uniform")
@@ -54,7 +54,7 @@ def units_of(config: dict[str, Any]) -> int:
     if cell["kind"] == CLIFF:
         variant = config["variant"]
         return max(1, round(variant["seeds"] * min(variant["limit"], 2.0 ** cell["number"]) / 10))
-    return max(1, round(config["task"]["timesteps"] * STEP_COST[cell["method"]]))
+    return max(1, round(config["task"]["timesteps"] * STEP_COST[algorithm_of(cell["method"])]))
 
 
 def settings(preset: Preset, cell: Cell) -> dict[str, Any]:

@@ -4,17 +4,38 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal
 
-from benchmarks.errors import BenchmarkError
+from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol import presets
 from benchmarks.protocol.presets import preset_file, read_yaml
 from benchmarks.protocol.strict import STRICT, Count, Number, Seeds, build, merge, with_config
 
 PRESETS: Final = Path(__file__).parent / "presets"
 DEFAULT_PRESET: Final = "quick"
-Method = Literal["rainbow", "dqn", "qrdqn"]
-METHODS: Final[tuple[Method, ...]] = get_args(Method)
+#: learning algorithms; a method is one of them, or with settings of its own ``<one>_<variant>``
+ALGORITHMS: Final = {"rainbow": "Rainbow", "dqn": "DQN", "qrdqn": "QR-DQN"}
+
+
+def algorithm_of(method: str) -> str:
+    """The algorithm of a method.
+
+    Raises:
+        BenchmarkError: there is none of this name.
+    """
+    algorithm = method.partition("_")[0]
+    if algorithm not in ALGORITHMS:
+        raise BenchmarkError(
+            f"methods: unknown method '{method}'; known: {known(ALGORITHMS)}, and <one>_<variant>"
+        )
+    return algorithm
+
+
+def label(method: str) -> str:
+    """How tables and figures call a method."""
+    variant = method.partition("_")[2].replace("_", " ")
+    name = ALGORITHMS[algorithm_of(method)]
+    return f"{name}, {variant}" if variant else name
 
 
 @with_config(STRICT)
@@ -61,7 +82,7 @@ class Preset:
     final_episodes: Count
     tasks: dict[str, Task]
     cliff: dict[str, CliffVariant] = field(default_factory=dict)
-    methods: list[Method] = field(default_factory=lambda: list(METHODS))
+    methods: list[str] = field(default_factory=lambda: list(ALGORITHMS))
     checkpoint_seconds: Number = 60.0
 
 
@@ -77,7 +98,9 @@ def load_preset(name: str) -> Preset:
         BenchmarkError: there is no such preset, or the file has an unknown or impossible key.
     """
     path = preset_file(name, PRESETS, "known presets of classic")
-    data, library = read_yaml(path), read_yaml(PRESETS / "_library.yaml")
+    library = read_yaml(PRESETS / "_library.yaml")
+    # keys that begin with x- hold what others refer to
+    data = {key: value for key, value in read_yaml(path).items() if not str(key).startswith("x-")}
     for section in ("tasks", "cliff"):
         chosen = data.get(section) or {}
         if not isinstance(chosen, dict):
@@ -87,6 +110,8 @@ def load_preset(name: str) -> Preset:
             for key, override in chosen.items()
         }
     preset = build(Preset, {**data, "name": path.stem}, path.name)
+    for method in preset.methods:
+        algorithm_of(method)
     for key, task in preset.tasks.items():
         for method in preset.methods:
             if method not in task.methods:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,6 +90,21 @@ class Results:
             return value
         low, high = stratified_bootstrap([[score] for score in scores], means)
         return Value(value.mean, value.std, value.n, low, high)
+
+    def scores(self, method: str, tasks: Sequence[str]) -> Array:
+        """Final tests (seeds, tasks) of a method, as many seeds as it has on all of the tasks.
+
+        Scaled so that on each task the worst run of any method is 0 and the best is 1: tasks count
+        alike, and no published constant decides how much.
+        """
+        columns = []
+        for task in tasks:
+            everyone = [run.score for name in self.preset.methods for run in self.runs(task, name)]
+            low, high = min(everyone, default=0.0), max(everyone, default=0.0)
+            scale = high - low if high > low else 1.0
+            columns.append([(run.score - low) / scale for run in self.runs(task, method)])
+        complete = min(map(len, columns), default=0)
+        return np.array([column[:complete] for column in columns], dtype=np.float64).T
 
     def curve(self, task: str, method: str) -> tuple[Array, Array, Array, Array] | None:
         """Steps, mean return over seeds, and both ends of its 95 % bootstrap interval."""

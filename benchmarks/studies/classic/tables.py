@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 
-from benchmarks.reporting.stats import over_seeds
+from benchmarks.reporting.stats import (
+    interquartile_mean,
+    over_seeds,
+    probability_of_improvement,
+    stratified_bootstrap,
+)
 from benchmarks.reporting.tables.table import Cell, Number, Table
-from benchmarks.studies.classic.presets import Preset
+from benchmarks.studies.classic.environments.named import MASKED_IDENTITY
+from benchmarks.studies.classic.presets import Preset, label
 from benchmarks.studies.classic.results import Ratio, Results
-
-NAMES = {"rainbow": "Rainbow", "dqn": "DQN", "qrdqn": "QR-DQN"}
 
 
 def build_tables(results: Results) -> list[Table]:
     """All tables that the stored runs can fill."""
     tables = []
     if results.preset.tasks:
-        tables += [_scores(results), _speed(results), _settings(results.preset)]
+        tables += [_scores(results), _together(results), _speed(results), _settings(results.preset)]
     if results.preset.cliff:
         tables.append(_cliff(results))
     return tables
@@ -34,7 +38,7 @@ def _scores(results: Results) -> Table:
     return Table(
         "scores",
         f"Return of the last greedy policy, {preset.final_episodes} test episodes per seed",
-        ["Task", "Steps", "Goal", "Seeds", *(NAMES[m] for m in preset.methods)],
+        ["Task", "Steps", "Goal", "Seeds", *(label(m) for m in preset.methods)],
         rows,
         [
             "Mean over seeds [95 % bootstrap interval over seeds]; test episodes begin from seeds "
@@ -45,10 +49,41 @@ def _scores(results: Results) -> Table:
     )
 
 
-def _with_interval(mean: float, low: float, high: float) -> str:
+def _together(results: Results) -> Table:
+    """All tasks at once, and how likely a run of the first method is better than another."""
+    preset = results.preset
+    # who reads masks beside who does not is no comparison of learners
+    tasks = [key for key, task in preset.tasks.items() if task.env != MASKED_IDENTITY]
+    scores = {method: results.scores(method, tasks) for method in preset.methods}
+    ours = preset.methods[0]
+    rows: list[list[Cell]] = []
+    for method, theirs in scores.items():
+        low, high = stratified_bootstrap(theirs) if len(theirs) else (math.nan, math.nan)
+        mean = interquartile_mean(theirs) if len(theirs) else math.nan
+        better = "-"
+        if method != ours:
+            value = probability_of_improvement(scores[ours], theirs)
+            better = _with_interval(value.mean, value.low, value.high, 2)
+        row: list[Cell] = [label(method), str(len(theirs)), _with_interval(mean, low, high, 2)]
+        rows.append([*row, better])
+    return Table(
+        "together",
+        f"All {len(tasks)} tasks together",
+        ["Method", "Seeds", "Interquartile mean", f"P({label(ours)} is better)"],
+        rows,
+        [
+            "Scores are scaled so that on each task the worst run of any method is 0 and the best "
+            "is 1. Interquartile mean and probability of improvement as Agarwal et al. 2021 define "
+            "them, [95 % stratified bootstrap interval over seeds].",
+        ],
+    )
+
+
+def _with_interval(mean: float, low: float, high: float, digits: int | None = None) -> str:
     if math.isnan(mean):
         return "-"
-    digits = 0 if abs(mean) >= 100 else 1
+    if digits is None:
+        digits = 0 if abs(mean) >= 100 else 1
     text = f"{mean:.{digits}f}"
     return text if math.isnan(low) else f"{text} [{low:.{digits}f}, {high:.{digits}f}]"
 
@@ -65,7 +100,7 @@ def _speed(results: Results) -> Table:
             trained = [run.meta["training"] for run in runs]
             updates = Number(over_seeds([training["updates"] for training in trained]), 0)
             minutes = over_seeds([training["cpu_seconds"] / 60.0 for training in trained])
-            rows.append([task.title, NAMES[method], *there, updates, Number(minutes, 1)])
+            rows.append([task.title, label(method), *there, updates, Number(minutes, 1)])
     return Table(
         "steps",
         "Environment steps to the goal, updates and time",
@@ -86,7 +121,7 @@ def _settings(preset: Preset) -> Table:
             words = [f"{key}={_value(value)}" for key, value in sorted(arguments.items())]
             if task.n_envs > 1:
                 words.append(f"(n_envs={task.n_envs})")
-            rows.append([task.title, NAMES[method], ", ".join(words)])
+            rows.append([task.title, label(method), ", ".join(words)])
     return Table(
         "settings",
         "Settings: what differs from each constructor's defaults",

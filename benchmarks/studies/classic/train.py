@@ -25,13 +25,13 @@ from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.runs.checkpoint import Kept, Watch, learn
 from benchmarks.runs.store import RunFolder
-from benchmarks.studies.classic.envs import make
-from benchmarks.studies.classic.features import SmallCnn
+from benchmarks.studies.classic.environments.features import extractor_of
+from benchmarks.studies.classic.environments.named import make
 from benchmarks.studies.classic.plan import Cell
-from benchmarks.studies.classic.presets import Preset, Task
+from benchmarks.studies.classic.presets import Preset, Task, algorithm_of
 from sb3_rainbow import Rainbow
 
-ALGORITHMS: Final[dict[str, type[OffPolicyAlgorithm]]] = {
+CLASSES: Final[dict[str, type[OffPolicyAlgorithm]]] = {
     "rainbow": Rainbow,
     "dqn": DQN,
     "qrdqn": QRDQN,
@@ -40,9 +40,9 @@ LINEAR: Final = "lin_"  # rl-baselines3-zoo's word for a rate that falls to 0
 PARALLEL: Final = 50  # episodes that a test plays side by side
 
 
-def make_env(task: Task) -> gym.Env[Any, Any]:
-    """One environment of a task."""
-    return make(task.env, **task.env_kwargs)
+def make_env(task: Task, training: bool = False) -> gym.Env[Any, Any]:
+    """One environment of a task, to be tested in or to learn in."""
+    return make(task.env, training, **task.env_kwargs)
 
 
 def build_model(task: Task, method: str, seed: int) -> OffPolicyAlgorithm:
@@ -52,7 +52,7 @@ def build_model(task: Task, method: str, seed: int) -> OffPolicyAlgorithm:
         BenchmarkError: a setting is unknown to the method's constructor.
     """
     arguments = copy.deepcopy(task.methods[method])  # SB3 writes into policy_kwargs
-    algorithm = ALGORITHMS[method]
+    algorithm = CLASSES[algorithm_of(method)]
     accepted = inspect.signature(algorithm).parameters
     for name in arguments:
         if name not in accepted:
@@ -69,9 +69,9 @@ def build_model(task: Task, method: str, seed: int) -> OffPolicyAlgorithm:
         arguments["learning_rate"] = LinearSchedule(float(rate.removeprefix(LINEAR)), 0.0, 1.0)
     if task.policy == "CnnPolicy":
         kwargs = dict(arguments.get("policy_kwargs", {}))
-        kwargs.setdefault("features_extractor_class", SmallCnn)
+        kwargs.setdefault("features_extractor_class", extractor_of(task.env))
         arguments["policy_kwargs"] = kwargs
-    env = DummyVecEnv([lambda: Monitor(make_env(task)) for _ in range(task.n_envs)])
+    env = DummyVecEnv([lambda: Monitor(make_env(task, training=True)) for _ in range(task.n_envs)])
     return algorithm(
         task.policy,
         env,
@@ -206,7 +206,7 @@ def run_learner(
 
     seconds = preset.checkpoint_seconds
     watch = Watch(folder, kept, seconds, task.timesteps, stop_requested, note)
-    logger, algorithm = configure(None, []), ALGORITHMS[cell.method]
+    logger, algorithm = configure(None, []), CLASSES[algorithm_of(cell.method)]
     model = learn(watch, algorithm, envs.env, lambda: fresh, [tester], logger)
     if model is None:
         return None

@@ -158,6 +158,20 @@ def test_means_are_rliables(scores: np.ndarray) -> None:
     assert mean == pytest.approx(rliable_metrics.aggregate_mean(scores))
 
 
+def test_the_probability_of_improvement_is_rliables() -> None:
+    rng = np.random.default_rng(3)
+    for n, m in ((3, 5), (4, 4)):  # with ties
+        ours, theirs = rng.integers(0, 6, (n, 3)), rng.integers(0, 6, (m, 3))
+        value = stats.probability_of_improvement(ours, theirs)
+        expected = float(rliable_metrics.probability_of_improvement(ours, theirs))
+        assert value.mean == pytest.approx(expected)
+        assert 0.0 <= value.low <= value.mean <= value.high <= 1.0
+    assert stats.probability_of_improvement([[2.0], [3.0]], [[0.0], [1.0]]).low == 1.0
+    assert math.isnan(stats.probability_of_improvement([[2.0]], [[1.0], [0.0]]).low)
+    with pytest.raises(ValueError, match="3 tasks, theirs 2"):
+        stats.probability_of_improvement(np.zeros((2, 3)), np.zeros((2, 2)))
+
+
 def test_performance_profiles_are_rliables(rliable_library: Any) -> None:
     rng = np.random.default_rng(5)
     scores = rng.integers(0, 7, (5, 3)) / 6.0

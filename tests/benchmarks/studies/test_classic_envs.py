@@ -16,7 +16,12 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.studies.classic.cliff import transitions
-from benchmarks.studies.classic.envs import BlindCliffWalkEnv, MaskedIdentityEnv, MinAtarEnv, make
+from benchmarks.studies.classic.environments.named import (
+    BlindCliffWalkEnv,
+    MaskedIdentityEnv,
+    MinAtarEnv,
+    make,
+)
 
 GAMES = ("breakout", "freeway", "space_invaders")
 
@@ -77,7 +82,7 @@ def test_minatar_is_truncated_at_its_limit() -> None:
 
 
 def test_the_small_cnn_is_a_convolution() -> None:
-    from benchmarks.studies.classic.features import SmallCnn
+    from benchmarks.studies.classic.environments.features import SmallCnn
 
     space = gym.spaces.Box(0, 255, (2, 10, 10), np.uint8)
     extractor = SmallCnn(space)
@@ -172,3 +177,41 @@ def test_lunar_lander_is_at_hand_or_says_what_it_lacks(monkeypatch: pytest.Monke
     env = make("LunarLander-v3")
     assert env.reset(seed=0)[0].shape == (8,)
     env.close()
+
+
+def test_atari_is_scored_as_played_and_learned_in_by_signs_and_lives() -> None:
+    pytest.importorskip("ale_py")
+    results = {}
+    for training in (False, True):
+        env = make("ALE/Breakout-v5", training)
+        assert env.observation_space.shape == (4, 84, 84)
+        first, _ = env.reset(seed=3)
+        assert (first == first[:1]).all()
+        rng, rewards, lengths = np.random.default_rng(0), [], []
+        for _ in range(6):
+            over, steps = False, 0
+            while not over:
+                image, reward, terminated, truncated, _ = env.step(rng.integers(4))
+                over, steps = terminated or truncated, steps + 1
+                rewards.append(reward)
+            assert env.observation_space.contains(image)
+            lengths.append(steps)
+            env.reset()
+        results[training] = (rewards, lengths)
+        env.close()
+    assert set(results[True][0]) <= {-1.0, 0.0, 1.0}
+    assert np.mean(results[True][1]) < np.mean(results[False][1])  # a life, not all five
+
+
+def test_a_game_depends_on_its_seed_alone_and_stacks_its_frames() -> None:
+    pytest.importorskip("ale_py")
+    played = []
+    for _ in range(2):
+        env = make("ALE/Pong-v5")
+        images = [env.reset(seed=5)[0], *(env.step(a % 6)[0] for a in range(30))]
+        np.testing.assert_array_equal(images[-1][:-1], images[-2][1:])
+        played.append(np.stack(images))
+        env.close()
+    np.testing.assert_array_equal(played[0], played[1])
+    with pytest.raises(BenchmarkError, match="unknown environment 'ALE/NoSuch-v5'"):
+        make("ALE/NoSuch-v5")

@@ -77,6 +77,8 @@ class Frozen(BaseFeaturesExtractor):
     [
         {},
         {"distributional": False, "dueling": False, "double_q": False, "noisy": False},
+        {"distributional": "quantile", "cpu_kernels": False},
+        {"policy_kwargs": {"net_arch": {"shared": [16], "streams": [8]}}},
         {"policy_kwargs": {"net_arch": [16], "optimizer_class": th.optim.RMSprop}},
         {"policy_kwargs": {"net_arch": [16], "features_extractor_class": Normalized}},
         {"policy_kwargs": {"net_arch": [16], "features_extractor_class": Frozen}},

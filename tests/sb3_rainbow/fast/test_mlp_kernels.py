@@ -73,6 +73,9 @@ def make_batch(seed: int, masked: bool) -> Batch:
         {"noisy_layers": "all"},
         {"distributional": False},
         {"distributional": False, "dueling": False, "noisy": False, "double_q": False},
+        {"distributional": "quantile"},
+        {"distributional": "quantile", "dueling": False, "double_q": False, "n_atoms": 1},
+        {"distributional": "quantile", "advantage_learning": 0.7, "n_atoms": 8},
         {"net_arch": []},
         {"net_arch": [10]},
         {"advantage_learning": 0.7},
@@ -213,7 +216,7 @@ def test_extractors_with_a_state_are_left_to_torch() -> None:
     assert uses_kernels(MlpPolicy, box)
     assert uses_kernels(MultiInputPolicy, spaces.Dict(a=box, b=spaces.Discrete(3)))
     assert not uses_kernels(MlpPolicy, box, features_extractor_class=StandardizedExtractor)
-    assert not uses_kernels(MultiInputPolicy, spaces.Dict(a=box, b=image))
+    assert uses_kernels(MultiInputPolicy, spaces.Dict(a=box, b=image))
 
 
 @pytest.mark.parametrize("network", ["q_net", "q_net_target"])

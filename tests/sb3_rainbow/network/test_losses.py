@@ -5,6 +5,7 @@ import pytest
 import torch as th
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sb3_contrib.common.utils import quantile_huber_loss
 
 from sb3_rainbow.network.losses import (
     categorical_losses,
@@ -12,6 +13,7 @@ from sb3_rainbow.network.losses import (
     huber_losses,
     mask_q_values,
     project_distribution,
+    quantile_losses,
 )
 
 
@@ -119,3 +121,29 @@ def test_masks_act_on_values() -> None:
     masks = th.tensor([[False, True, True], [True, True, False]])
     assert mask_q_values(q_values, masks).argmax(dim=1).tolist() == [1, 1]
     assert mask_q_values(q_values, None) is q_values
+
+
+def test_quantile_losses_are_sb3_contribs() -> None:
+    generator = th.Generator().manual_seed(0)
+    # wide enough that both branches of the Huber loss are taken
+    quantiles = (3 * th.randn(16, 7, generator=generator)).requires_grad_()
+    target = 3 * th.randn(16, 7, generator=generator)
+    expected = quantile_huber_loss(quantiles, target, sum_over_quantiles=True)
+    (gradient,) = th.autograd.grad(expected, quantiles)
+    losses = quantile_losses(quantiles, target)
+    assert losses.shape == (16,)
+    th.testing.assert_close(losses.mean(), expected)
+    th.testing.assert_close(th.autograd.grad(losses.mean(), quantiles)[0], gradient)
+
+
+def test_quantile_regression_finds_the_quantiles() -> None:
+    """Of a known distribution, against its inverse at the midpoints."""
+    generator = th.Generator().manual_seed(0)
+    quantiles = th.zeros(1, 5, requires_grad=True)
+    optimizer = th.optim.Adam([quantiles], lr=0.1)
+    for _ in range(1000):
+        target = 40.0 * th.rand(1, 256, generator=generator)  # wide: the Huber threshold is 1
+        optimizer.zero_grad()
+        quantile_losses(quantiles, target).sum().backward()
+        optimizer.step()
+    np.testing.assert_allclose(quantiles.detach()[0], 40.0 * (np.arange(5) + 0.5) / 5, atol=1.0)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
+from stable_baselines3.common.torch_layers import NatureCNN
 from torch import nn
 
 from sb3_rainbow import NoisyLinear
@@ -108,6 +109,25 @@ def test_online_and_target_noise_are_independent() -> None:
     assert th.equal(policy.q_net_target.noise, before)
 
 
+def test_each_environment_explores_by_noise_of_its_own() -> None:
+    net = make_net(sigma0=2.0)
+    obs = OBSERVATIONS[:1].expand(5, -1).contiguous()
+    net.reset_noise(n_envs=5)
+    together = net(obs, noisy=True)
+    assert len({row.detach().numpy().tobytes() for row in together}) == 5
+    rows = [layer.epsilon_rows for layer in net._own_layers() if isinstance(layer, NoisyLinear)]
+    for i in range(5):  # as a network that has this row's noise alone
+        alone = copy.deepcopy(net)
+        alone.reset_noise()
+        layers = [layer for layer in alone._own_layers() if isinstance(layer, NoisyLinear)]
+        for layer, (epsilon_in, epsilon_out) in zip(layers, rows, strict=True):  # type: ignore[misc]
+            layer.epsilon_in.copy_(epsilon_in[i])
+            layer.epsilon_out.copy_(epsilon_out[i])
+        th.testing.assert_close(alone(obs[:1], noisy=True)[0], together[i])
+    net.reset_noise()  # as for an update: one noise for the whole batch, whatever its size
+    th.testing.assert_close(net(obs, noisy=True), net(obs[:1], noisy=True).expand(5, -1))
+
+
 def test_noise_survives_copies_and_moves() -> None:
     for net in (copy.deepcopy(make_net()), make_net().to(th.float64).to(th.float32)):
         obs = th.zeros(1, 4)
@@ -177,8 +197,9 @@ def test_which_layers_are_noisy(noisy_layers: Any, expected: list[bool]) -> None
     assert not any(isinstance(layer, NoisyLinear) for layer in make_net(noisy=False).layers)
 
 
-def test_a_cnn_has_its_head_noisy() -> None:
-    policy = CnnPolicy(spaces.Box(0, 255, (3, 36, 36), np.uint8), ACTIONS, lambda _: 1e-3)
+def test_after_nature_cnn_there_is_a_noisy_head_alone() -> None:
+    space = spaces.Box(0, 255, (3, 36, 36), np.uint8)
+    policy = CnnPolicy(space, ACTIONS, lambda _: 1e-3, features_extractor_class=NatureCNN)
     assert [isinstance(layer, NoisyLinear) for layer in policy.q_net.layers] == [True]
 
 
@@ -242,3 +263,84 @@ def test_the_papers_net() -> None:
 def test_bad_arguments(kwargs: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make_policy(**kwargs)
+
+
+STREAMS = {"shared": [20], "streams": [12, 8]}
+
+
+def test_streams_have_layers_of_their_own() -> None:
+    net = make_net(net_arch=STREAMS, n_atoms=5, noisy_layers="last_two")
+    sizes = {
+        name: [(layer.in_features, layer.out_features, type(layer)) for layer in layers]
+        for name, layers in net.named_children()
+        if isinstance(layers, nn.ModuleList)
+    }
+    hidden = [(20, 12, nn.Linear), (12, 8, NoisyLinear)]
+    assert sizes == {
+        "layers": [(4, 20, nn.Linear)],
+        "value_layers": [*hidden, (8, 5, NoisyLinear)],
+        "advantage_layers": [*hidden, (8, 15, NoisyLinear)],
+    }
+    by_hand = th.relu(net.layers[0](OBSERVATIONS))
+    outputs = []
+    for layers in (net.value_layers, net.advantage_layers):
+        x = th.relu(layers[0](by_hand))
+        x = th.relu(layers[1](x, noisy=False))
+        outputs.append(layers[2](x, noisy=False).view(6, -1, 5))
+    value, advantages = outputs
+    logits = value + advantages - advantages.mean(dim=1, keepdim=True)
+    th.testing.assert_close(net.logits(OBSERVATIONS), logits)
+    net.reset_noise()
+    epsilons = [x for layer in net._own_layers() for x in layer.buffers()]
+    assert sum(e.numel() for e in epsilons) == net.noise.numel() == 20 + 20 + 13 + 23
+    assert all(e.abs().min() > 0 for e in epsilons)
+
+
+def test_streams_without_dueling_are_one() -> None:
+    net = make_net(net_arch=STREAMS, dueling=False, noisy=False)
+    assert not any(isinstance(m, NoisyLinear) for m in net.modules())
+    assert net.streams(OBSERVATIONS, noisy=True).shape == (6, 3, 51)
+    assert not any(name.startswith("value") for name, _ in net.named_parameters())
+
+
+@pytest.mark.parametrize("net_arch", [{}, {"shared": []}, {"streams": []}])
+def test_a_dict_without_streams_is_a_list(net_arch: dict[str, list[int]]) -> None:
+    assert (
+        make_net(net_arch=net_arch).state_dict().keys() == make_net(net_arch=[]).state_dict().keys()
+    )
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"net_arch": {"pi": [4], "shared": [4]}}, r"unknown keys \['pi'\].*shared=.*streams="),
+        ({"distributional": "quantiles"}, "'categorical' or 'quantile', got 'quantiles'"),
+        ({"distributional": None}, "got None"),
+        ({"distributional": "quantile", "n_atoms": 0}, "n_atoms must be.*at least 1, got 0"),
+    ],
+    ids=str,
+)
+def test_heads_that_cannot_be_built(kwargs: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_net(**kwargs)
+
+
+def test_quantiles_are_values_and_their_mean_is_the_q_value() -> None:
+    net = make_net(distributional="quantile", n_atoms=4)
+    th.testing.assert_close(net(OBSERVATIONS), net.logits(OBSERVATIONS).mean(dim=2))
+    th.testing.assert_close(net.distribution(OBSERVATIONS), th.full((6, 3, 4), 0.25))
+
+
+def test_images_have_the_published_network_by_default() -> None:
+    """Hessel et al. 2018: after the convolutions, two streams of 512 noisy units, and no more."""
+    policy = CnnPolicy(spaces.Box(0, 255, (4, 84, 84), np.uint8), ACTIONS, lambda _: 1e-3)
+    net = policy.q_net
+    linear = [m for m in net.modules() if isinstance(m, nn.Linear | NoisyLinear)]
+    assert [(m.in_features, m.out_features) for m in linear] == [
+        (3136, 512), (512, 51), (3136, 512), (512, 153),
+    ]  # fmt: skip
+    assert all(isinstance(m, NoisyLinear) for m in linear)
+    convolutions = [m for m in net.modules() if isinstance(m, nn.Conv2d)]
+    assert [m.out_channels for m in convolutions] == [32, 64, 64]
+    last = th.channels_last
+    assert all(m.weight.is_contiguous(memory_format=last) for m in convolutions)

@@ -61,6 +61,7 @@ def test_loading_for_prediction_leaves_the_random_generators_alone() -> None:
         ({"dueling": False}, "saved with other settings"),
         ({"noisy": False}, "saved with other settings"),
         ({"v_max": 50.0}, r"support is \[-100.0, 100.0\], the model's \[-100.0, 50.0\]"),
+        ({"distributional": "quantile"}, r"support is \[-100.0, 100.0\], the model's none"),
     ],
 )
 def test_a_model_of_other_settings(tmp_path: Any, other: dict[str, Any], message: str) -> None:
@@ -87,6 +88,16 @@ def test_a_replay_buffer_of_other_settings(
     with pytest.raises(ValueError, match=message):
         model.load_replay_buffer(tmp_path / "b.pkl")
     assert model.replay_buffer is present
+
+
+def test_quantiles_are_no_support(tmp_path: Any) -> None:
+    Rainbow("MlpPolicy", "CartPole-v1", distributional="quantile", **FAST).save(tmp_path / "m")
+    loaded = Rainbow.load(tmp_path / "m", v_max=50.0)  # which quantiles do without
+    assert loaded.q_net.head == "quantile"
+    with pytest.raises(ValueError, match=r"support is none, the model's \[-100.0, 100.0\]"):
+        Rainbow.load(tmp_path / "m", distributional=True)
+    with pytest.raises(ValueError, match=r"support is none, the model's \[-100.0, 100.0\]"):
+        Rainbow("MlpPolicy", "CartPole-v1", **FAST).set_parameters(str(tmp_path / "m"))
 
 
 def test_parameters_of_other_settings(tmp_path: Any) -> None:

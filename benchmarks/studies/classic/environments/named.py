@@ -1,4 +1,4 @@
-"""The tasks that Gymnasium does not have: MinAtar's games, a masked identity, the cliff walk."""
+"""The tasks by name, and what Gymnasium does not have: MinAtar, masked identity, cliff walk."""
 
 from __future__ import annotations
 
@@ -12,20 +12,28 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.studies.classic.environments import atari
 
 MINATAR: Final = "MinAtar/"
 MASKED_IDENTITY: Final = "MaskedIdentity"
 NO_ACTION: Final = 0  # "n", of MinAtar's six
 
 
-def make(name: str, **kwargs: Any) -> gym.Env[Any, Any]:
+def make(name: str, training: bool = False, **kwargs: Any) -> gym.Env[Any, Any]:
     """An environment by name: a Gymnasium id, ``MinAtar/<game>`` or ``MaskedIdentity``.
+
+    Args:
+        name: the name.
+        training: to learn in, which on Atari differs from what is scored.
+        kwargs: of the environment.
 
     Raises:
         BenchmarkError: the name is unknown, or its package is not installed.
     """
     if name.startswith(MINATAR):
         return MinAtarEnv(name.removeprefix(MINATAR), **kwargs)
+    if name.startswith(atari.PREFIX):
+        return atari.make_atari(name, training, **kwargs)
     if name == MASKED_IDENTITY:
         return MaskedIdentityEnv(**kwargs)
     if name.startswith("LunarLander"):

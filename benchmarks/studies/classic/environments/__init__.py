@@ -1,0 +1,1 @@
+"""What is learned in: the environments by name, and feature extractors for their images."""

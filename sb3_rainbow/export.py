@@ -1,0 +1,157 @@
+"""
+A trained model's greedy policy for programs without Python: ONNX, or torch's exported program.
+
+Inputs and outputs have the same names in both:
+
+- ``observations``: ``(B, ...)``, as the model's environment gives them, images as ``uint8`` with
+  their channels first. Of a dict each entry is an input of its own, ``observations_<key>``. The
+  statistics of a ``VecNormalize`` are not part of the policy.
+- ``action_masks``: ``(B, n_actions)``, bool, True where allowed. In ONNX it may be left out, which
+  allows everything.
+- ``actions``: ``(B,)``, int64; ``q_values``: ``(B, n_actions)``, of the mean weights, unmasked.
+"""
+
+import copy
+import logging
+import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from torch import nn
+
+from sb3_rainbow.network.losses import mask_q_values
+from sb3_rainbow.network.rainbow_network import RainbowNetwork
+from sb3_rainbow.policies import RainbowPolicy
+from sb3_rainbow.rainbow import Rainbow
+
+_MASKS, _OBSERVATIONS, _OUTPUTS = "action_masks", "observations", ("actions", "q_values")
+
+
+class ExportError(ValueError):
+    """A policy that cannot be exported."""
+
+
+class GreedyPolicy(nn.Module):
+    """
+    What is exported: greedy actions and Q-values of a network's mean weights.
+
+    :param q_net: the network
+    :param keys: of a dict of observations, in the order of their tensors
+    """
+
+    def __init__(self, q_net: RainbowNetwork, keys: tuple[str, ...] = ()) -> None:
+        super().__init__()
+        self.q_net = q_net
+        self.keys = keys
+
+    def forward(self, *inputs: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
+        """
+        :param inputs: the observations, then the masks
+        :return: actions and Q-values
+        """
+        *tensors, action_masks = inputs
+        observations: Any = dict(zip(self.keys, tensors, strict=True)) if self.keys else tensors[0]
+        q_values = self.q_net(observations)
+        return mask_q_values(q_values, action_masks).argmax(dim=1), q_values
+
+
+def to_onnx(model: Rainbow, path: str | os.PathLike[str]) -> None:
+    """
+    Write the greedy policy as an ONNX file, with any number of rows per call.
+
+    :param model: a trained model
+    :param path: of the file
+    :raises ExportError: if the extra ``export`` is missing, or the network cannot be exported
+    """
+    try:
+        import onnx
+        import onnxscript  # noqa: F401  which torch's exporter needs
+    except ImportError as error:
+        raise ExportError(f"{error.name} is missing: pip install 'sb3-rainbow[export]'") from error
+    program = to_program(model)
+    with warnings.catch_warnings(), _quiet("torch.onnx"):
+        warnings.simplefilter("ignore")  # of torch about itself
+        exported = th.onnx.export(
+            program,
+            input_names=_names(model.policy),
+            output_names=list(_OUTPUTS),
+            verbose=False,
+        )
+    assert exported is not None
+    proto = exported.model_proto
+    # An input that has an initializer of its name has a default: here one row for all rows.
+    everything = np.ones((1, model.q_net.n_actions), dtype=np.bool_)
+    proto.graph.initializer.append(onnx.numpy_helper.from_array(everything, _MASKS))
+    for value in (*proto.graph.input, *proto.graph.output):
+        rows = "mask_rows" if value.name == _MASKS else "rows"
+        value.type.tensor_type.shape.dim[0].dim_param = rows
+    onnx.checker.check_model(proto)
+    onnx.save(proto, os.fspath(path))
+
+
+def to_program(model: Rainbow) -> th.export.ExportedProgram:
+    """
+    The greedy policy by ``torch.export``, for ``torch.export.save`` or AOTInductor.
+
+    :param model: a trained model
+    :raises ExportError: if it is no Rainbow, or its network cannot be exported
+    """
+    if not isinstance(model, Rainbow):
+        raise ExportError(f"expected a Rainbow model, got {type(model).__name__}")
+    policy = model.policy
+    ours = ((policy, RainbowPolicy), (policy.q_net, RainbowNetwork))
+    if any(type(part)._predict is not own._predict for part, own in ours):
+        raise ExportError(
+            f"{type(policy).__name__} chooses actions by a _predict of its own, which would be lost"
+        )
+    examples = _examples(policy)
+    rows = th.export.Dim("rows", min=1)
+    shapes = {"inputs": tuple({0: rows} for _ in examples)}
+    greedy = GreedyPolicy(copy.deepcopy(policy.q_net).to("cpu"), _keys(policy)).eval()
+    try:
+        return th.export.export(greedy, examples, dynamic_shapes=shapes)
+    except Exception as error:  # whatever a layer of one's own does in torch's tracer
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else repr(error)
+        raise ExportError(
+            f"the network of {type(policy).__name__} cannot be exported: {reason}"
+        ) from error
+
+
+def _keys(policy: RainbowPolicy) -> tuple[str, ...]:
+    space = policy.observation_space
+    return tuple(space.spaces) if isinstance(space, spaces.Dict) else ()
+
+
+def _names(policy: RainbowPolicy) -> list[str]:
+    """Names of the inputs, in order."""
+    observations = [f"{_OBSERVATIONS}_{key}" for key in _keys(policy)] or [_OBSERVATIONS]
+    return [*observations, _MASKS]
+
+
+def _examples(policy: RainbowPolicy) -> tuple[th.Tensor, ...]:
+    """Two rows of every input."""
+    space = policy.observation_space
+    each = list(space.spaces.values()) if isinstance(space, spaces.Dict) else [space]
+    masks = th.ones(2, policy.q_net.n_actions, dtype=th.bool)
+    return (*(th.as_tensor(np.stack([x.sample()] * 2)) for x in each), masks)
+
+
+@contextmanager
+def _quiet(name: str) -> Iterator[None]:
+    """Errors alone from a logger and those below it."""
+    level = logging.getLogger(name).level
+    below = [logging.getLogger(x) for x in logging.root.manager.loggerDict if x.startswith(name)]
+    levels = [logger.level for logger in below]
+    for logger in (logging.getLogger(name), *below):
+        logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logging.getLogger(name).setLevel(level)
+        for logger, before in zip(below, levels, strict=True):
+            logger.setLevel(before)

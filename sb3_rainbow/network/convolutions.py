@@ -1,0 +1,54 @@
+"""Convolutions for images, without the layer after them."""
+
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import NatureCNN
+
+_LARGE = 36  # pixels
+
+
+def put_channels_last(module: th.nn.Module) -> None:
+    """
+    Keep the weights of convolutions with their channels last, as their images then are.
+
+    The values stay, and on a CPU they take far less time for images as large as Atari's
+    (``python -m benchmarks speed rainbow``); on small ones there is nothing to win.
+    """
+    for parameter in module.parameters():
+        if parameter.ndim == 4:
+            parameter.data = parameter.data.contiguous(memory_format=th.channels_last)
+
+
+def has_large_images(space: spaces.Space) -> bool:
+    """Whether there are images in a space that SB3's ``NatureCNN`` would take."""
+    if isinstance(space, spaces.Dict):
+        return any(map(has_large_images, space.values()))
+    shape = space.shape or ()
+    return len(shape) == 3 and min(shape[1:]) >= _LARGE
+
+
+class NatureConvolutions(NatureCNN):
+    """
+    The three convolutions of SB3's ``NatureCNN`` (Mnih et al. 2015), flattened.
+
+    What Rainbow has after them are the streams of its network, 512 noisy units for the value and as
+    many for the advantages (Hessel et al. 2018): no layer in between that would be without noise.
+
+    :param observation_space: of images, channels first, at least 36 by 36 pixels
+    :param normalized_image: whether the images are scaled to [0, 1] already
+    """
+
+    def __init__(self, observation_space: spaces.Box, normalized_image: bool = False) -> None:
+        super().__init__(observation_space, 1, normalized_image)
+        first = self.linear[0]
+        assert isinstance(first, th.nn.Linear)
+        self._features_dim = first.in_features
+        del self.linear
+
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        """
+        :param observations: shape ``(B, C, H, W)``
+        :return: shape ``(B, features_dim)``
+        """
+        features: th.Tensor = self.cnn(observations)
+        return features

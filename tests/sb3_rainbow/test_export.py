@@ -1,0 +1,135 @@
+"""Exported policies act as the model does, in ONNX Runtime and as a program of torch's."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch as th
+from gymnasium import spaces
+from stable_baselines3 import DQN
+from stable_baselines3.common.envs import FakeImageEnv, SimpleMultiObsEnv
+from torch import nn
+
+from sb3_rainbow import MlpPolicy, Rainbow
+from sb3_rainbow.export import ExportError, to_onnx, to_program
+
+onnxruntime = pytest.importorskip("onnxruntime")
+SMALL: dict[str, Any] = {"buffer_size": 200, "device": "cpu", "seed": 0}
+
+
+def session(model: Rainbow, path: Path) -> Any:
+    to_onnx(model, path)
+    return onnxruntime.InferenceSession(path)
+
+
+def drawn(space: spaces.Space, n: int) -> Any:
+    space.seed(0)
+    if isinstance(space, spaces.Dict):
+        return {key: drawn(part, n) for key, part in space.items()}
+    return np.stack([space.sample() for _ in range(n)])
+
+
+def masks(n: int, n_actions: int) -> np.ndarray:
+    found = np.random.default_rng(0).random((n, n_actions)) < 0.5
+    found[:, 0] |= ~found.any(axis=1)
+    return found
+
+
+def images() -> FakeImageEnv:
+    return FakeImageEnv(screen_height=40, screen_width=40, n_channels=2)
+
+
+@pytest.mark.parametrize(
+    ("policy", "env", "kwargs"),
+    [
+        ("MlpPolicy", "Acrobot-v1", {}),
+        ("MlpPolicy", "Acrobot-v1", {"distributional": False, "dueling": False, "noisy": False}),
+        (
+            "MlpPolicy",
+            "Acrobot-v1",
+            {"distributional": "quantile", "policy_kwargs": {"net_arch": {"streams": [8]}}},
+        ),
+        ("CnnPolicy", images, {}),
+        ("MultiInputPolicy", SimpleMultiObsEnv, {}),
+    ],
+)
+def test_a_thousand_actions_in_onnx(
+    policy: str, env: Any, kwargs: dict[str, Any], tmp_path: Path
+) -> None:
+    model = Rainbow(policy, env if isinstance(env, str) else env(), **SMALL, **kwargs)
+    runtime = session(model, tmp_path / "policy.onnx")
+    observations = drawn(model.observation_space, 1000)
+    feed = {"observations": observations}
+    if isinstance(observations, dict):
+        feed = {f"observations_{key}": value for key, value in observations.items()}
+    actions, q_values = runtime.run(None, feed)
+    np.testing.assert_array_equal(actions, model.predict(observations, deterministic=True)[0])
+    with th.no_grad():
+        tensors, _ = model.policy.obs_to_tensor(observations)
+        np.testing.assert_allclose(q_values, model.q_net(tensors), rtol=1e-4, atol=1e-4)
+    allowed = masks(1000, model.q_net.n_actions)
+    masked, _ = runtime.run(None, {**feed, "action_masks": allowed})
+    expected, _ = model.predict(observations, deterministic=True, action_masks=allowed)
+    np.testing.assert_array_equal(masked, expected)
+    assert (masked != actions).any()
+    one = {name: value[:1] for name, value in feed.items()}
+    assert runtime.run(["actions"], one)[0] == actions[:1]
+
+
+def test_masks_may_be_left_out_and_rows_are_any_number(tmp_path: Path) -> None:
+    runtime = session(Rainbow("MlpPolicy", "Acrobot-v1", **SMALL), tmp_path / "policy.onnx")
+    assert [(i.name, i.shape, i.type) for i in runtime.get_inputs()] == [
+        ("observations", ["rows", 6], "tensor(float)")
+    ]
+    assert [(i.name, i.shape) for i in runtime.get_overridable_initializers()] == [
+        ("action_masks", ["mask_rows", 3])
+    ]
+    assert [(o.name, o.shape) for o in runtime.get_outputs()] == [
+        ("actions", ["rows"]),
+        ("q_values", ["rows", 3]),
+    ]
+    with pytest.raises(Exception, match="action_masks"):  # ONNX Runtime's own, of another shape
+        runtime.run(None, {
+            "observations": np.zeros((2, 6), np.float32),
+            "action_masks": np.ones((2, 4), np.bool_),
+        })  # fmt: skip
+
+
+def test_a_program_of_torchs_acts_alike_once_it_is_loaded(tmp_path: Path) -> None:
+    model = Rainbow("MlpPolicy", "Acrobot-v1", **SMALL)
+    th.export.save(to_program(model), tmp_path / "policy.pt2")
+    program = th.export.load(tmp_path / "policy.pt2").module()
+    observations = drawn(model.observation_space, 50)
+    allowed = masks(50, 3)
+    actions, _ = program(th.as_tensor(observations), th.as_tensor(allowed))
+    expected, _ = model.predict(observations, deterministic=True, action_masks=allowed)
+    np.testing.assert_array_equal(actions, expected)
+
+
+class Branching(nn.Module):
+    """What no tracer can follow: a decision that depends on the numbers."""
+
+    def forward(self, x: th.Tensor) -> th.Tensor:
+        return th.relu(x) if float(x.sum()) > 0 else th.tanh(x)
+
+
+class Stubborn(MlpPolicy):
+    """Acts by a rule of its own."""
+
+    def _predict(self, observation: Any, *args: Any, **kwargs: Any) -> Any:
+        return th.zeros(len(observation), dtype=th.int64)
+
+
+def test_what_cannot_be_exported_is_one_clear_error(tmp_path: Path) -> None:
+    path = tmp_path / "policy.onnx"
+    branching = Rainbow(
+        "MlpPolicy", "Acrobot-v1", policy_kwargs={"activation_fn": Branching}, **SMALL
+    )
+    with pytest.raises(ExportError, match=r"network of RainbowPolicy cannot be exported: .+"):
+        to_onnx(branching, path)
+    with pytest.raises(ExportError, match=r"Stubborn chooses actions by a _predict of its own"):
+        to_onnx(Rainbow(Stubborn, "Acrobot-v1", **SMALL), path)
+    with pytest.raises(ExportError, match="expected a Rainbow model, got DQN"):
+        to_onnx(DQN("MlpPolicy", "CartPole-v1", **SMALL), path)  # type: ignore[arg-type]
+    assert not path.exists()
