@@ -24,7 +24,7 @@ from benchmarks.reporting.figures.curves import (
     seed_curves,
     switches,
 )
-from benchmarks.reporting.figures.style import METHOD_COLOURS, Picture, canvas, finish
+from benchmarks.reporting.figures.style import METHOD_COLOURS, PALETTE, Picture, canvas, finish
 from benchmarks.reporting.results import Group, Results
 from benchmarks.reporting.rows import Row, complete, references, rows
 from benchmarks.runs.store import Store
@@ -169,9 +169,9 @@ def _curves(
     bounds: Sequence[Row] = (),
 ) -> Figure:
     figure, (axes,) = canvas()
-    for name, group, colour in _coloured(groups):
-        frames = curve_frames(group)
-        draw_curve(axes, frames, column, name, colour, band=band, raw=raw, window=window)
+    for number, (name, group, colour) in enumerate(_coloured(groups)):
+        frames, line = curve_frames(group), "-" if number < len(PALETTE) else "--"
+        draw_curve(axes, frames, column, name, colour, line, band, raw, window)
     if column == "success":
         _mark_bounds(axes, bounds, SUCCESS, 100.0)
     if column == "mean_max_q":
