@@ -133,9 +133,9 @@ def ablation(results: Results) -> Table:
                 name, paper = f"{title}, {labels.track(track)}", paper_values.ABLATION.get(key, "")
                 groups[name] = found[key].group
                 add(name, found[key], paper, _steps_to_75(found[key].group))
-        control = control_of(results, row_of(results, "rainbow", track))
-        if control is not None:
-            add(f"Best control: {control.name}", control, "", "-")
+    controls = [control_of(results, row_of(results, "rainbow", t)) for t in ablated(results)]
+    for name, control in {row.name: row for row in controls if row is not None}.items():
+        add(f"Best control: {name}", control, "", "-")
     optimum = row_of(results, "optimum")
     add(optimum.name, optimum, "", "-")
     notes = [*seeds_notes(groups), interval_note(list(groups.values())), FLAG_NOTE]
