@@ -11,8 +11,7 @@ def put_channels_last(module: th.nn.Module) -> None:
     """
     Keep the weights of convolutions with their channels last, as their images then are.
 
-    The values stay, and on a CPU they take far less time for images as large as Atari's
-    (``python -m benchmarks speed rainbow``); on small ones there is nothing to win.
+    The values stay. Convolutions on a CPU are faster so where images are as large as Atari's.
     """
     for parameter in module.parameters():
         if parameter.ndim == 4:
