@@ -74,7 +74,7 @@ def to_onnx(model: Rainbow, path: str | os.PathLike[str]) -> None:
     except ImportError as error:
         raise ExportError(f"{error.name} is missing: pip install 'sb3-rainbow[export]'") from error
     program = to_program(model)
-    with warnings.catch_warnings(), _quiet("torch.onnx"):
+    with warnings.catch_warnings(), _errors_alone():
         warnings.simplefilter("ignore")  # of torch about itself
         exported = th.onnx.export(
             program,
@@ -135,23 +135,17 @@ def _names(policy: RainbowPolicy) -> list[str]:
 
 def _examples(policy: RainbowPolicy) -> tuple[th.Tensor, ...]:
     """Two rows of every input."""
-    space = policy.observation_space
+    space = copy.deepcopy(policy.observation_space)  # drawing would move its generator
     each = list(space.spaces.values()) if isinstance(space, spaces.Dict) else [space]
     masks = th.ones(2, policy.q_net.n_actions, dtype=th.bool)
     return (*(th.as_tensor(np.stack([x.sample()] * 2)) for x in each), masks)
 
 
 @contextmanager
-def _quiet(name: str) -> Iterator[None]:
-    """Errors alone from a logger and those below it."""
-    level = logging.getLogger(name).level
-    below = [logging.getLogger(x) for x in logging.root.manager.loggerDict if x.startswith(name)]
-    levels = [logger.level for logger in below]
-    for logger in (logging.getLogger(name), *below):
-        logger.setLevel(logging.ERROR)
+def _errors_alone() -> Iterator[None]:
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
     try:
         yield
     finally:
-        logging.getLogger(name).setLevel(level)
-        for logger, before in zip(below, levels, strict=True):
-            logger.setLevel(before)
+        logging.disable(before)

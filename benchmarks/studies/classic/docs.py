@@ -13,11 +13,8 @@ from benchmarks.studies.classic.presets import load_preset
 from benchmarks.studies.classic.results import Results
 from benchmarks.studies.classic.tables import build_tables
 
-SHOWN: Final = {
-    "scores": "curves",
-    "together": "",
-    "cliff": "cliff",
-}  # tables of the page, each with its figure
+# tables of the page, each with its figure
+SHOWN: Final = {"scores": "curves", "together": "", "cliff": "cliff"}
 
 
 def begin(preset: str) -> str:

@@ -20,7 +20,12 @@ def build_tables(results: Results) -> list[Table]:
     """All tables that the stored runs can fill."""
     tables = []
     if results.preset.tasks:
-        tables += [_scores(results), _together(results), _speed(results), _settings(results.preset)]
+        tables.append(_scores(results))
+        # who reads masks beside who does not is no comparison of learners
+        tasks = [k for k, task in results.preset.tasks.items() if task.env != MASKED_IDENTITY]
+        if len(tasks) > 1 and len(results.preset.methods) > 1:
+            tables.append(_together(results, tasks))
+        tables += [_speed(results), _settings(results.preset)]
     if results.preset.cliff:
         tables.append(_cliff(results))
     return tables
@@ -49,11 +54,9 @@ def _scores(results: Results) -> Table:
     )
 
 
-def _together(results: Results) -> Table:
+def _together(results: Results, tasks: list[str]) -> Table:
     """All tasks at once, and how likely a run of the first method is better than another."""
     preset = results.preset
-    # who reads masks beside who does not is no comparison of learners
-    tasks = [key for key, task in preset.tasks.items() if task.env != MASKED_IDENTITY]
     scores = {method: results.scores(method, tasks) for method in preset.methods}
     ours = preset.methods[0]
     rows: list[list[Cell]] = []

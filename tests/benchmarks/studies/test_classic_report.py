@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -131,3 +132,15 @@ def test_the_page_shows_the_stored_runs() -> None:
     page = (ROOT / "docs" / "rainbow.md").read_text(encoding="utf-8")
     results = Results(load_preset(shown[0]), Store.open(root, shown[0]))
     assert docs.rewrite(page, results, f"../results/classic/{shown[0]}") == page
+
+
+def test_one_task_is_not_compared_with_itself(preset: Preset, store: Store) -> None:
+    for tasks in ({"masked_identity"}, {"cartpole"}):
+        alone = dataclasses.replace(
+            preset, tasks={key: preset.tasks[key] for key in tasks}, cliff={}
+        )
+        assert [table.name for table in build_tables(Results(alone, store))] == [
+            "scores",
+            "steps",
+            "settings",
+        ]

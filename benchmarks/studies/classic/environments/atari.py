@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
+from gymnasium.wrappers import FrameStackObservation, ReshapeObservation
 from numpy.typing import NDArray
 
 from benchmarks.errors import BenchmarkError
@@ -17,33 +17,10 @@ FRAMES: Final = 4  # stacked
 EPISODE_STEPS: Final = 27_000  # half an hour of play at 60 frames a second, 4 of them a step
 
 
-class Stacked(gym.Wrapper[NDArray[np.uint8], Any, NDArray[np.uint8], Any]):
-    """The last grey frames (84, 84, 1) as one image with channels first, (4, 84, 84).
-
-    At the start of an episode all of them are its first.
-    """
-
-    def __init__(self, env: gym.Env[NDArray[np.uint8], Any]) -> None:
-        super().__init__(env)
-        self.observation_space = spaces.Box(0, 255, (FRAMES, 84, 84), np.uint8)
-        self._frames = np.zeros((FRAMES, 84, 84), np.uint8)
-
-    def reset(self, **kwargs: Any) -> tuple[NDArray[np.uint8], dict[str, Any]]:
-        """Begin an episode."""
-        frame, info = self.env.reset(**kwargs)
-        self._frames[:] = frame[:, :, 0]
-        return self._frames.copy(), info
-
-    def step(self, action: Any) -> tuple[NDArray[np.uint8], Any, bool, bool, dict[str, Any]]:
-        """Four frames of the game."""
-        frame, reward, terminated, truncated, info = self.env.step(action)
-        self._frames = np.roll(self._frames, -1, axis=0)
-        self._frames[-1] = frame[:, :, 0]
-        return self._frames.copy(), float(reward), terminated, truncated, info
-
-
 def make_atari(name: str, training: bool = False) -> gym.Env[NDArray[np.uint8], Any]:
     """A game of Atari, ``ALE/<Game>-v5``: no sticky actions, four frames a step, up to 30 no-ops.
+
+    Observations are the last four grey frames, (4, 84, 84), uint8; at first all are the first.
 
     Args:
         name: Gymnasium's id.
@@ -74,4 +51,5 @@ def make_atari(name: str, training: bool = False) -> gym.Env[NDArray[np.uint8], 
         except gym.error.Error as error:
             raise BenchmarkError(f"unknown environment '{name}': {error}") from error
     wrapped = AtariWrapper(env, terminal_on_life_loss=training, clip_reward=training)
-    return Stacked(wrapped)
+    stacked = FrameStackObservation(wrapped, FRAMES)
+    return ReshapeObservation(stacked, (FRAMES, *wrapped.observation_space.shape[:2]))  # type: ignore[index]
