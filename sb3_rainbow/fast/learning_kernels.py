@@ -177,6 +177,7 @@ def backward(
     table: Table,
     inputs: Matrix,
     hidden: Vector,
+    n_seen: int,
     actions: NDArray[np.int64],
     dueling: bool,
     common: Matrix,
@@ -187,6 +188,8 @@ def backward(
     """
     Gradient of the effective weights from that of the taken logits, ``slope`` ``(B, n_atoms)``.
 
+    :param hidden: as ``hidden_units`` left it
+    :param n_seen: rows that it was given, of which the batch's are the first
     :param input_gradient: result, of the inputs; ``(0, 0)`` where nobody asks
     """
     batch, n_atoms = slope.shape
@@ -195,7 +198,7 @@ def backward(
     n_in, n_out, e = head[INPUTS], head[OUTPUTS], head[EFFECTIVE]
     units = inputs
     if n_layers > 1:
-        start = table[n_layers - 2, HIDDEN] * batch
+        start = table[n_layers - 2, HIDDEN] * n_seen
         units = hidden[start : start + batch * n_in].reshape((batch, n_in))
     size = n_atoms * n_in
     n_streams = n_out // n_atoms
@@ -231,7 +234,7 @@ def backward(
             bias[first + j] += s
     for layer in range(n_layers - 2, -1, -1):
         n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
-        e, h = table[layer, EFFECTIVE], table[layer, HIDDEN] * batch
+        e, h = table[layer, EFFECTIVE], table[layer, HIDDEN] * n_seen
         outputs = hidden[h : h + batch * n_out].reshape((batch, n_out))
         layer_bias = gradient[e + n_in * n_out : e + n_in * n_out + n_out]
         layer_bias[:] = 0.0
@@ -242,7 +245,7 @@ def backward(
                 layer_bias[j] += delta[b, j]
         below = inputs
         if layer > 0:
-            start = table[layer - 1, HIDDEN] * batch
+            start = table[layer - 1, HIDDEN] * n_seen
             below = hidden[start : start + batch * n_in].reshape((batch, n_in))
         np.dot(delta.T, below, gradient[e : e + n_in * n_out].reshape((n_out, n_in)))
         if layer > 0 or input_gradient.shape[0] > 0:

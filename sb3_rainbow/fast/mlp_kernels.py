@@ -114,6 +114,39 @@ def all_streams(effective: Vector, table: Table, units: Matrix, streams: Matrix)
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
+def mean_advantages(
+    effective: Vector, table: Table, units: Matrix, n_atoms: int, dueling: bool
+) -> Matrix:
+    """
+    Each action's outputs of the head, the mean over its atoms, ``(B, A)``.
+
+    Without a support a mean is the expectation, but for what all actions have in common, and that
+    of the weights comes first: one product in the place of ``n_atoms``.
+    """
+    head = table[table.shape[0] - 1]
+    n_in, n_out, e = head[INPUTS], head[OUTPUTS], head[EFFECTIVE]
+    first = 1 if dueling else 0
+    n_actions = n_out // n_atoms - first
+    weight, bias = np.zeros((n_actions, n_in), np.float32), np.zeros(n_actions, np.float32)
+    share = np.float32(1.0 / n_atoms)
+    for a in range(n_actions):
+        row = weight[a]
+        for j in range((first + a) * n_atoms, (first + a + 1) * n_atoms):
+            given = effective[e + j * n_in : e + (j + 1) * n_in]
+            for i in range(n_in):
+                row[i] += given[i]
+            bias[a] += effective[e + n_in * n_out + j]
+        for i in range(n_in):
+            row[i] *= share
+        bias[a] *= share
+    means = np.dot(units, weight.T)
+    for b in range(units.shape[0]):
+        for a in range(n_actions):
+            means[b, a] += bias[a]
+    return means
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def join(streams: Matrix, n_atoms: int, dueling: bool, shifted: bool, logits: Matrix) -> None:
     """
     Value and advantages to the logits of every action; ``shifted``, each action's have a maximum of

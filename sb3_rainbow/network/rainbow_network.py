@@ -31,6 +31,18 @@ _NOTHING_INSIDE = {
 _LAYERS = ("layers", "value_layers", "advantage_layers")
 
 
+def _train(module: nn.Module, mode: bool) -> None:
+    """``module.train(mode)`` at a tenth of its time, which SB3 takes twice a step."""
+    kind = type(module)
+    if kind.train is nn.Module.train and kind.__setattr__ is nn.Module.__setattr__:
+        vars(module)["training"] = mode
+        for child in module._modules.values():
+            if child is not None:
+                _train(child, mode)
+    else:
+        module.train(mode)
+
+
 class RainbowNetwork(BasePolicy):
     """
     Q-network with a dueling, distributional head and noisy layers, each of which can be off.
@@ -322,8 +334,7 @@ class RainbowNetwork(BasePolicy):
 
         :param mode: True for training, False for evaluation
         """
-        if mode != self.training or not _NOTHING_INSIDE.issuperset(map(type, self._parts())):
-            self.train(mode)
+        _train(self, mode)
 
     def _predict(
         self,
