@@ -46,6 +46,15 @@ class PrioritizedReplayBufferSamples(NamedTuple):
     action_masks: th.Tensor | None = None
 
 
+class Prepared(NamedTuple):
+    """Observations as a features extractor wants them: scaled, one-hot, ``(B, ...)``."""
+
+    values: th.Tensor | TensorDict
+
+
+Obs = th.Tensor | TensorDict | Prepared
+
+
 class Batch(NamedTuple):
     """
     What an update needs of a sample, from whatever replay buffer it came.
@@ -53,9 +62,9 @@ class Batch(NamedTuple):
     Shapes as in :class:`PrioritizedReplayBufferSamples`.
     """
 
-    observations: th.Tensor | TensorDict
+    observations: Obs
     actions: th.Tensor
-    next_observations: th.Tensor | TensorDict
+    next_observations: Obs
     dones: th.Tensor
     rewards: th.Tensor
     discounts: th.Tensor

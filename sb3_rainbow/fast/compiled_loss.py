@@ -1,16 +1,12 @@
 """Loss and clipped gradient of one batch as one graph by ``torch.compile``."""
 
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 import torch as th
-from stable_baselines3.common.preprocessing import preprocess_obs
-from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 
-from sb3_rainbow.fast.originals import inherits
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.type_aliases import Batch
 
@@ -43,9 +39,8 @@ class CompiledLoss:
     """
     Leaves a batch's clipped gradient in the online parameters' ``grad``.
 
-    Loss, gradient and clipping are one graph without autograd's engine; observations are prepared
-    outside of it (scaled, one-hot). It is a pure function: where it fails, at whatever call,
-    nothing has happened yet.
+    Loss, gradient and clipping are one graph without autograd's engine. It is a pure function:
+    where it fails, at whatever call, nothing has happened yet.
 
     :param q_net: online network
     :param q_net_target: target network
@@ -60,16 +55,12 @@ class CompiledLoss:
         loss: Callable[[RainbowNetwork, RainbowNetwork, Batch], LossAndPriorities],
         max_grad_norm: float | None,
     ) -> None:
-        self._networks = (q_net, q_net_target)
         self._loss = _Loss(q_net, q_net_target, loss)
         self.max_grad_norm = max_grad_norm
         trained = {n: p for n, p in self._loss.named_parameters() if p.requires_grad}
         self._names, self.parameters = list(trained), list(trained.values())
         # What does not train must not keep a gradient of former times.
         q_net.zero_grad()
-        self._prepares = all(
-            inherits(net, RainbowNetwork, "streams", "extract_features") for net in self._networks
-        )
         buffers = {name.rpartition(".")[2] for name, _ in self._loss.named_buffers()}
         self._is_pure = buffers <= _CONSTANT_BUFFERS
         self._on_gpu = q_net.device.type == "cuda"
@@ -84,24 +75,13 @@ class CompiledLoss:
     def __call__(self, batch: Batch) -> LossAndPriorities | None:
         """Mean loss, scalar, and priorities ``(B,)``, both on the device; None if it failed."""
         try:
-            if not self._prepares:
-                return self._run(batch)
-            prepared = batch._replace(
-                observations=self._prepare(batch.observations),
-                next_observations=self._prepare(batch.next_observations),
-            )
-            with _prepared_observations(*self._networks):
-                return self._run(prepared)
+            return self._run(batch)
         except Exception as error:  # whatever the compiler's back end raises
             reason = str(error).strip().splitlines()[0] if str(error).strip() else repr(error)
             warnings.warn(
                 f"compile=True has no effect, torch.compile failed: {reason}", stacklevel=2
             )
             return None
-
-    def _prepare(self, obs: PyTorchObs) -> PyTorchObs:
-        net = self._networks[0]
-        return preprocess_obs(obs, net.observation_space, normalize_images=net.normalize_images)
 
     def _run(self, batch: Batch) -> LossAndPriorities:
         if not self._is_pure:
@@ -135,19 +115,3 @@ class CompiledLoss:
             scale = (self.max_grad_norm / (norm + 1e-6)).clamp(max=1.0)
             found = [g * scale for g in found]
         return loss, priorities, list(found)
-
-
-def _extract_prepared(obs: Any, features_extractor: Any) -> Any:
-    return features_extractor(obs)
-
-
-@contextmanager
-def _prepared_observations(*networks: RainbowNetwork) -> Iterator[None]:
-    """Networks that take their observations as the features extractor wants them."""
-    for net in networks:
-        net.extract_features = _extract_prepared  # type: ignore[method-assign]
-    try:
-        yield
-    finally:
-        for net in networks:
-            del net.extract_features

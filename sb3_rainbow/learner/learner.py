@@ -7,7 +7,7 @@ import torch as th
 from numpy.typing import NDArray
 from torch import nn
 
-from sb3_rainbow.learner.update import mean_loss, td_target
+from sb3_rainbow.learner.update import mean_loss, prepared, td_target
 from sb3_rainbow.network.losses import clipped_share
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.policies import RainbowPolicy
@@ -75,6 +75,7 @@ class Learner:
 
         :return: mean loss, scalar, and priorities ``(B,)``; both stay on the device
         """
+        batch = prepared(self.q_net, batch)
         found = None if self.shortcuts is None else self.shortcuts.update(batch)
         if found is not None:
             return found
@@ -90,6 +91,7 @@ class Learner:
 
         :return: mean loss, scalar, and priorities ``(B,)``; both stay on the device
         """
+        batch = prepared(self.q_net, batch)
         found = None if self.shortcuts is None else self.shortcuts.gradient(batch)
         if found is not None:
             return found

@@ -9,6 +9,7 @@ import numpy as np
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.preprocessing import is_image_space, preprocess_obs
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, FlattenExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
@@ -18,7 +19,7 @@ from sb3_rainbow.network.convolutions import has_large_images, put_channels_last
 from sb3_rainbow.network.losses import mask_q_values
 from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_, silenced
 from sb3_rainbow.network.shared_memory import separate, share
-from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers
+from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers, Obs, Prepared
 
 # Modules that hold no noisy layer and do not mind whether they are trained
 _NOTHING_INSIDE = {
@@ -128,6 +129,7 @@ class RainbowNetwork(BasePolicy):
         self.register_buffer("support", th.linspace(v_min, v_max, self.n_atoms), persistent=False)
         self.register_buffer("noise", th.zeros(0), persistent=False)
         self._channels_last = has_large_images(observation_space)
+        self._scales = normalize_images and is_image_space(observation_space)
         if self._channels_last:
             put_channels_last(features_extractor)
         self._build_layers()
@@ -164,13 +166,34 @@ class RainbowNetwork(BasePolicy):
             for i, (n_in, n_out) in enumerate(pairwise(sizes), start=depth)
         )
 
-    def extract_features(
-        self, obs: PyTorchObs, features_extractor: BaseFeaturesExtractor
-    ) -> th.Tensor:
-        """As SB3's; large images are handed over with their channels last."""
+    def prepare(self, obs: Obs) -> Obs:
+        """
+        Observations scaled or one-hot, once for all passes of an update.
+
+        As they are where a subclass has an eye on them itself.
+        """
+        own = type(self)
+        inherited = (
+            own.extract_features is RainbowNetwork.extract_features
+            and own.streams is RainbowNetwork.streams
+            and vars(self).keys().isdisjoint(("extract_features", "streams"))
+        )
+        if isinstance(obs, Prepared) or not inherited:
+            return obs
+        return Prepared(self._preprocess(obs))
+
+    def _preprocess(self, obs: PyTorchObs) -> PyTorchObs:
         if self._channels_last and isinstance(obs, th.Tensor):
             obs = obs.contiguous(memory_format=th.channels_last)
-        return super().extract_features(obs, features_extractor)
+            if self._scales and obs.dtype == th.uint8:
+                return obs / 255.0  # SB3's two passes over the memory in one
+        return preprocess_obs(obs, self.observation_space, normalize_images=self.normalize_images)
+
+    def extract_features(self, obs: Obs, features_extractor: BaseFeaturesExtractor) -> th.Tensor:
+        """As SB3's; large images are handed over with their channels last."""
+        values = obs.values if isinstance(obs, Prepared) else self._preprocess(obs)
+        features: th.Tensor = features_extractor(values)
+        return features
 
     def _own_layers(self) -> list[nn.Module]:
         """The layers that :meth:`streams` calls; none where a subclass does without."""
@@ -243,7 +266,7 @@ class RainbowNetwork(BasePolicy):
             if isinstance(layer, NoisyLinear)
         }
 
-    def streams(self, obs: PyTorchObs, noisy: bool) -> th.Tensor:
+    def streams(self, obs: Obs, noisy: bool) -> th.Tensor:
         """
         Outputs of the head before value and advantages are joined. Acting, target and loss all go
         through here.
@@ -297,7 +320,7 @@ class RainbowNetwork(BasePolicy):
             return logits.mean(dim=-1)
         return F.softmax(logits, dim=-1) @ self.support
 
-    def logits(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
+    def logits(self, obs: Obs, noisy: bool = False) -> th.Tensor:
         """
         Logits over the atoms, or quantiles, for each action (without ``distributional``, the
         Q-values).
@@ -306,7 +329,7 @@ class RainbowNetwork(BasePolicy):
         """
         return self.join(self.streams(obs, noisy))
 
-    def forward(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
+    def forward(self, obs: Obs, noisy: bool = False) -> th.Tensor:
         """
         Q-values, by default without noise.
 
@@ -316,7 +339,7 @@ class RainbowNetwork(BasePolicy):
         """
         return self.expected_values(self.logits(obs, noisy))
 
-    def distribution(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
+    def distribution(self, obs: Obs, noisy: bool = False) -> th.Tensor:
         """
         Probabilities of the atoms for each action; of quantiles, which :meth:`logits` returns, all
         the same.
