@@ -19,9 +19,13 @@ SHOWN: Final = {"scores": "curves", "together": "", "cliff": "cliff"}
 
 def begin(preset: str) -> str:
     """The line before the block, which names the preset that it shows."""
-    return (
-        f"<!-- classic:begin (written by: python -m benchmarks classic docs --preset {preset}) -->"
-    )
+    command = f"python -m benchmarks classic docs --preset {preset}"
+    return f"<!-- {block_of(preset)}:begin (written by: {command}) -->"
+
+
+def block_of(preset: str) -> str:
+    """The name of a preset's block."""
+    return f"classic-{preset}"
 
 
 def rewrite(page: str, results: Results, root: str) -> str:
@@ -46,7 +50,7 @@ def rewrite(page: str, results: Results, root: str) -> str:
     others = [f"[{table}]({root}/tables/{table}.md)" for table in tables if table not in SHOWN]
     if others:
         parts.append("More: " + ", ".join(others) + ".")
-    return blocks.refill(page, "classic", lambda _: "\n\n".join(parts), begin(name))
+    return blocks.refill(page, block_of(name), lambda _: "\n\n".join(parts), begin(name))
 
 
 def write(path: Path, results: Results, root: str) -> bool:

@@ -313,7 +313,7 @@ def test_the_classic_tables_must_follow_from_their_runs(tmp_path: Path) -> None:
         table.write(store.tables)
     page = tmp_path / "docs" / "rainbow.md"
     page.parent.mkdir()
-    page.write_text(f"{block.begin('quick')}\n<!-- classic:end -->\n", encoding="utf-8")
+    page.write_text(f"{block.begin('quick')}\n<!-- classic-quick:end -->\n", encoding="utf-8")
     (problem,) = block.check_store(store.folder, page.parent)
     assert problem.startswith(f"{page} differs from the runs in")
     block.write(page, classic, "../results/classic/quick")

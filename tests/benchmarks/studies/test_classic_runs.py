@@ -219,7 +219,7 @@ def test_the_command_from_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixtur
     assert sum(p.stat().st_size for p in (folder / "runs").rglob("*.*")) < 20_000
 
     page = tmp_path / "page.md"
-    page.write_text("before\n<!-- classic:begin -->\n<!-- classic:end -->\nafter\n")
+    page.write_text("before\n<!-- classic-few:begin -->\n<!-- classic-few:end -->\nafter\n")
     assert main(["classic", "docs", *words, "--page", str(page)]) == 0
     text = page.read_text(encoding="utf-8")
     assert text.startswith("before\n")
