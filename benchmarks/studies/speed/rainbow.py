@@ -7,7 +7,8 @@ the same update, eager and compiled; tianshou and AgileRL run in an environment 
 Net 256-128-64, 51 atoms, 12 observations, 12 actions, batch 64, a full replay buffer of 1e6, one
 update per step of an env that costs next to nothing. The methods take turns, so that whatever else
 the machine does falls on all of them; CPU seconds of the process are reported beside wall seconds.
-With `--device cuda`: SB3's DQN and Rainbow on the GPU, eager and compiled, at several batch sizes.
+On images, sb3-contrib's QR-DQN stands beside them. With `--device cuda`: SB3's DQN and Rainbow on
+the GPU, eager and compiled, at several batch sizes.
 """
 
 from __future__ import annotations
@@ -27,21 +28,24 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.studies.speed import contest, report
+from benchmarks.studies.speed import contest, images, report
 from benchmarks.studies.speed import setting as at
 from benchmarks.studies.speed.contest import RIVALS, measure_updates, ours
 from benchmarks.studies.speed.parts import measure_parts
 from benchmarks.studies.speed.setting import BATCH_SIZE, CAPACITY, StubEnv
 
-BASELINE: Final = "SB3 DQN"
-CUDA_BATCH_SIZES: Final = (64, 512, 4096)
+BASELINE: Final = images.BASELINE
+CUDA_BATCH_SIZES: Final = (32, 256, 2048)
 # Least ratio of the first to the second that the project asks for
 TARGETS: Final = {
-    ("Rainbow", BASELINE): 1.1,
+    ("Rainbow", BASELINE): 1.5,
     ("Rainbow, torch eager", BASELINE): 0.75,
     ("Rainbow, torch.compile", BASELINE): 1.1,
     **{("Rainbow", rival): 4.0 for rival in RIVALS},
 }
+
+_KINDS: Final = ("learn_cpu", "learn_wall", "train_cpu")
+_HEADER: Final = "method | per CPU second, steps included | ratio | per wall second | update alone"
 
 
 def fill(buffer: Any) -> None:
@@ -76,7 +80,10 @@ def make_models(
         "device": device,
         "seed": 0,
     }
-    variants: dict[str, dict[str, Any]] = {"Rainbow": {}}
+    variants: dict[str, dict[str, Any]] = {
+        "Rainbow": {},
+        "Rainbow, quantiles": {"distributional": "quantile"},
+    }
     if with_compiled:
         if device == "cpu":
             variants["Rainbow, torch eager"] = {"cpu_kernels": False}
@@ -136,16 +143,25 @@ def _buffer_mb(n_envs: int = 1000) -> float:
 def tell(found: dict[str, Any]) -> str:
     """The measurements on the CPU as Markdown."""
     updates, parts, replay = found["updates"], found["parts"], found["replay"]
+    of_images = [
+        f"On images, {images.SETTINGS[setting]}:\n\n"
+        + report.table("Updates per second", _HEADER, _rates(rates, *_KINDS))
+        for setting, rates in found["images"].items()
+    ]
     goals = []
-    for (one, other), goal in TARGETS.items():
-        if one in updates and other in updates:
-            rates = (updates[one][k] / updates[other][k] for k in ("learn_cpu", "train_cpu"))
-            goals.append([one, other, *(f"{rate:.2f}" for rate in rates), f"{goal:g}"])
-    header = "method | per CPU second, one env step each | ratio | per wall second | update alone"
-    shown = _rates(updates, "learn_cpu", "learn_wall", "train_cpu")
+    compared = [(updates, "", pair, goal) for pair, goal in TARGETS.items()] + [
+        (found["images"].get(setting, {}), f" on {setting}", ("Rainbow", BASELINE), goal)
+        for setting, goal in images.TARGETS.items()
+    ]
+    for rates, where, (one, other), goal in compared:
+        if one in rates and other in rates:
+            ratios = (rates[one][k] / rates[other][k] for k in ("learn_cpu", "train_cpu"))
+            goals.append([one + where, other, *(f"{r:.2f}" for r in ratios), f"{goal:g}"])
+    shown = _rates(updates, *_KINDS)
     texts = [
-        report.table("Updates per second", header, shown),
+        report.table("Updates per second", _HEADER, shown),
         report.table("Ratios", "of | to | per step | update alone | target", goals),
+        *of_images,
     ]
     for name, rival in found["rivals"].items():
         texts += [f"{name} {rival['version']}: {rival['net']}, {rival['parameters']} parameters."]
@@ -204,6 +220,7 @@ def measure_cpu(arguments: argparse.Namespace, capacity: int = CAPACITY) -> dict
         "rivals": {name: rival.about for name, rival in rivals.items()},
         "replay": measured("replay", measure_replay, size[1]),
         "memory_mb": measured("memory", measure_memory),
+        "images": measured("images", images.measure, *size),
     }
 
 

@@ -14,6 +14,7 @@ from stable_baselines3 import DQN
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.runs.machine import REPOSITORY
+from benchmarks.studies.speed import images
 from benchmarks.studies.speed import rainbow as speed_rainbow
 from benchmarks.studies.speed.contest import RIVALS, RIVALS_PYTHON, measure_updates, start_rival
 from benchmarks.studies.speed.parts import measure_parts
@@ -103,6 +104,7 @@ def test_without_rivals_one_line_says_so_and_the_rest_is_measured(
 ) -> None:
     monkeypatch.setattr(speed_rainbow, "measure_replay", lambda _: {"sample_and_update_us": 1.0})
     monkeypatch.setattr(speed_rainbow, "measure_memory", lambda: 140.0)
+    monkeypatch.setattr(images, "measure", lambda n, rounds: {})
     arguments = argparse.Namespace(
         rivals=tmp_path / "python", no_compile=True, steps=5, rounds=1, results=tmp_path
     )
@@ -110,7 +112,7 @@ def test_without_rivals_one_line_says_so_and_the_rest_is_measured(
     said = capsys.readouterr().err
     assert said.count("make rivals") == 1
     assert "tianshou and AgileRL are not measured" in said
-    assert set(found["updates"]) == {"SB3 DQN", "Rainbow"}
+    assert set(found["updates"]) == {"SB3 DQN", "Rainbow", "Rainbow, quantiles"}
     assert found["rivals"] == found["parts"] == {}
 
 
@@ -146,11 +148,14 @@ def test_the_report_gives_the_ratios_of_the_rates() -> None:
         "parts": {"SB3 DQN": {"whole update": 9.0}, "x": {"whole update": 8.0, "noise": 1.4}},
         "replay": {"sample_and_update_us": 10.0, "sample_transitions_us": 20.0},
         "memory_mb": 140.4,
+        "images": {"MinAtar": {name: dict.fromkeys(kinds, rate) for name, rate in rates.items()}},
     }
     text = " ".join(speed_rainbow.tell(json.loads(json.dumps(found))).split())
     assert "| Rainbow | 600 | 1.20 |" in text
-    assert "| Rainbow | SB3 DQN | 1.20 | 1.20 | 1.1 |" in text
+    assert "| Rainbow | SB3 DQN | 1.20 | 1.20 | 1.5 |" in text
     assert "| Rainbow | tianshou | 5.00 | 5.00 | 4 |" in text
+    assert "| Rainbow on MinAtar | SB3 DQN | 1.20 | 1.20 | 0.91 |" in text
+    assert "On images, Breakout by preset `minatar`" in text
     assert "AgileRL" not in text
     assert "| whole update | 9 | 8 |" in text
     assert "| noise | | 1 |" in text
@@ -167,6 +172,13 @@ def test_the_gpu_table_at_its_batch_sizes(monkeypatch: pytest.MonkeyPatch) -> No
     whole = {"command": "c", "load": 0.0, "rounds": 1, "steps": 5, "machine": machine, **found}
     text = " ".join(speed_rainbow.tell_cuda(whole).split())
     assert text.count("| SB3 DQN |") == text.count("| Rainbow |") == 2
+
+
+def test_the_image_rows_have_the_three_methods() -> None:
+    found = images.measure(n_steps=8, rounds=1)
+    assert set(found["MinAtar"]) == {"SB3 DQN", "sb3-contrib QR-DQN", "Rainbow"}
+    assert set(found["NatureCNN"]) == set(found["MinAtar"]) | {"Rainbow, two streams of 512"}
+    assert all(rates["train_cpu"] > 0.0 for of in found.values() for rates in of.values())
 
 
 def test_no_gpu_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
