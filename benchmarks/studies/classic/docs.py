@@ -14,7 +14,7 @@ from benchmarks.studies.classic.results import Results
 from benchmarks.studies.classic.tables import build_tables
 
 # tables of the page, each with its figure
-SHOWN: Final = {"scores": "curves", "together": "", "cliff": "cliff"}
+SHOWN: Final = {"scores": "curves", "normalized": "", "together": "", "cliff": "cliff"}
 
 
 def begin(preset: str) -> str:

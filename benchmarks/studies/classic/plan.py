@@ -6,12 +6,14 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from benchmarks.protocol.presets import as_dict
+from benchmarks.studies.classic.environments.atari import PREFIX
 from benchmarks.studies.classic.presets import Preset, algorithm_of
 
 CLIFF: Final = "cliff"
 REPLAYS: Final = ("prioritized", "uniform")
 # roughly the seconds of an environment step with its share of updates, for progress bars alone
 STEP_COST: Final = {"rainbow": 1.0, "dqn": 1.0, "qrdqn": 2.0}
+ATARI_COST: Final = 10.0  # times as much
 
 
 @dataclass(frozen=True, order=True)
@@ -54,7 +56,10 @@ def units_of(config: dict[str, Any]) -> int:
     if cell["kind"] == CLIFF:
         variant = config["variant"]
         return max(1, round(variant["seeds"] * min(variant["limit"], 2.0 ** cell["number"]) / 10))
-    return max(1, round(config["task"]["timesteps"] * STEP_COST[algorithm_of(cell["method"])]))
+    cost = STEP_COST[algorithm_of(cell["method"])]
+    if config["task"]["env"].startswith(PREFIX):
+        cost *= ATARI_COST
+    return max(1, round(config["task"]["timesteps"] * cost))
 
 
 def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
@@ -66,7 +71,7 @@ def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
         return {"cell": asdict(cell), "variant": variant}
     task = as_dict(preset.tasks[cell.task])
     arguments = task.pop("methods")[cell.method]
-    for words in ("seeds", "title", "goal"):
+    for words in ("seeds", "title", "goal", "published", "random", "human"):
         del task[words]
     return {
         "cell": asdict(cell),

@@ -54,6 +54,9 @@ class Task:
     n_envs: Count = 1
     goal: Number | None = None  # the mean return at which the task counts as solved
     seeds: Seeds | None = None  # instead of the preset's
+    published: dict[str, Number] = field(default_factory=dict)  # others' means, by whose they are
+    random: Number | None = None  # mean returns of a random player and of a human one
+    human: Number | None = None
 
 
 @with_config(STRICT)

@@ -15,12 +15,19 @@ from benchmarks.studies.classic.environments.named import MASKED_IDENTITY
 from benchmarks.studies.classic.presets import Preset, label
 from benchmarks.studies.classic.results import Ratio, Results
 
+_MASKS = (
+    "The masked identity task: only Rainbow reads masks; to DQN and QR-DQN an action that is not "
+    "allowed is one more wrong answer."
+)
+
 
 def build_tables(results: Results) -> list[Table]:
     """All tables that the stored runs can fill."""
     tables = []
     if results.preset.tasks:
         tables.append(_scores(results))
+        if any(task.human is not None for task in results.preset.tasks.values()):
+            tables.append(_normalized(results))
         # who reads masks beside who does not is no comparison of learners
         tasks = [k for k, task in results.preset.tasks.items() if task.env != MASKED_IDENTITY]
         if len(tasks) > 1 and len(results.preset.methods) > 1:
@@ -33,24 +40,53 @@ def build_tables(results: Results) -> list[Table]:
 
 def _scores(results: Results) -> Table:
     preset = results.preset
+    published = ["Published"] if any(task.published for task in preset.tasks.values()) else []
     rows: list[list[Cell]] = []
     for key, task in preset.tasks.items():
         values = [results.score(key, method) for method in preset.methods]
         counts = dict.fromkeys(str(len(results.runs(key, method))) for method in preset.methods)
         goal = "-" if task.goal is None else f"{task.goal:g}"
         row: list[Cell] = [task.title, f"{task.timesteps:,}", goal, "/".join(counts)]
-        rows.append([*row, *(_with_interval(v.mean, v.low, v.high) for v in values)])
+        row += [_with_interval(v.mean, v.low, v.high) for v in values]
+        if published:
+            row.append(", ".join(f"{task.published[who]:g}" for who in task.published) or "-")
+        rows.append(row)
+    marks = dict.fromkeys(who for task in preset.tasks.values() for who in task.published)
+    notes = [f"Published, in this order and by protocols of their own: {'; '.join(marks)}."]
     return Table(
         "scores",
         f"Return of the last greedy policy, {preset.final_episodes} test episodes per seed",
-        ["Task", "Steps", "Goal", "Seeds", *(label(m) for m in preset.methods)],
+        ["Task", "Steps", "Goal", "Seeds", *(label(m) for m in preset.methods), *published],
         rows,
         [
             "Mean over seeds [95 % bootstrap interval over seeds]; test episodes begin from seeds "
             "that neither training nor the evaluations during training use.",
-            "The masked identity task: only Rainbow reads masks; to DQN and QR-DQN an action that "
-            "is not allowed is one more wrong answer.",
+            *(notes if published else []),
+            *([_MASKS] if any(t.env == MASKED_IDENTITY for t in preset.tasks.values()) else []),
         ],
+    )
+
+
+def _normalized(results: Results) -> Table:
+    """Scores in which a random player has 0 and a human one 1."""
+    rows: list[list[Cell]] = []
+    for key, task in results.preset.tasks.items():
+        if task.human is None or task.random is None:
+            continue
+        base, scale = task.random, task.human - task.random
+        row: list[Cell] = [task.title, f"{task.random:g}", f"{task.human:g}"]
+        for method in results.preset.methods:
+            v = results.score(key, method)
+            mean, low, high = ((value - base) / scale for value in (v.mean, v.low, v.high))
+            row.append(_with_interval(mean, low, high, 3))
+        marks = ((value - base) / scale for value in task.published.values())
+        rows.append([*row, ", ".join(f"{mark:.3f}" for mark in marks) or "-"])
+    methods = [label(method) for method in results.preset.methods]
+    return Table(
+        "normalized",
+        "Human-normalized: a random player has 0, a human 1",
+        ["Task", "Random", "Human", *methods, "Published"],
+        rows,
     )
 
 
