@@ -47,12 +47,14 @@ class PrioritizedReplayBufferSamples(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """Observations as a features extractor wants them: scaled, one-hot, ``(B, ...)``."""
+    """
+    Observations as a features extractor wants them: scaled, one-hot, ``(B, ...)``.
+
+    They stand where observations do, and no signature mentions them: only a network that leaves the
+    preparation to the package's own ever meets them.
+    """
 
     values: th.Tensor | TensorDict
-
-
-Obs = th.Tensor | TensorDict | Prepared
 
 
 class Batch(NamedTuple):
@@ -62,9 +64,9 @@ class Batch(NamedTuple):
     Shapes as in :class:`PrioritizedReplayBufferSamples`.
     """
 
-    observations: Obs
+    observations: th.Tensor | TensorDict
     actions: th.Tensor
-    next_observations: Obs
+    next_observations: th.Tensor | TensorDict
     dones: th.Tensor
     rewards: th.Tensor
     discounts: th.Tensor

@@ -20,7 +20,7 @@ from sb3_rainbow.fast.perceptron import (
 from sb3_rainbow.network.noisy_linear import scale_noise_
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.network.shared_memory import join, parts, share
-from sb3_rainbow.type_aliases import Batch, Obs
+from sb3_rainbow.type_aliases import Batch
 
 # Below any probability that float32 holds as a normal number
 _TINY = float(np.finfo(np.float32).tiny)
@@ -189,7 +189,9 @@ class MlpUpdate:
         online, target = self._vectors
         target.lerp_(online, tau)
 
-    def _features(self, net: RainbowNetwork, obs: Obs) -> NDArray[np.float32]:
+    def _features(
+        self, net: RainbowNetwork, obs: th.Tensor | dict[str, th.Tensor]
+    ) -> NDArray[np.float32]:
         with th.no_grad():
             features = net.extract_features(obs, net.features_extractor)
         return features.contiguous().numpy()

@@ -19,7 +19,7 @@ from sb3_rainbow.network.convolutions import has_large_images, put_channels_last
 from sb3_rainbow.network.losses import mask_q_values
 from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_, silenced
 from sb3_rainbow.network.shared_memory import separate, share
-from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers, Obs, Prepared
+from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers, Prepared
 
 # Modules that hold no noisy layer and do not mind whether they are trained
 _NOTHING_INSIDE = {
@@ -166,7 +166,7 @@ class RainbowNetwork(BasePolicy):
             for i, (n_in, n_out) in enumerate(pairwise(sizes), start=depth)
         )
 
-    def prepare(self, obs: Obs) -> Obs:
+    def prepare(self, obs: PyTorchObs) -> PyTorchObs:
         """
         Observations scaled or one-hot, once for all passes of an update.
 
@@ -180,7 +180,7 @@ class RainbowNetwork(BasePolicy):
         )
         if isinstance(obs, Prepared) or not inherited:
             return obs
-        return Prepared(self._preprocess(obs))
+        return Prepared(self._preprocess(obs))  # type: ignore[return-value]
 
     def _preprocess(self, obs: PyTorchObs) -> PyTorchObs:
         if self._channels_last and isinstance(obs, th.Tensor):
@@ -189,7 +189,9 @@ class RainbowNetwork(BasePolicy):
                 return obs / 255.0  # SB3's two passes over the memory in one
         return preprocess_obs(obs, self.observation_space, normalize_images=self.normalize_images)
 
-    def extract_features(self, obs: Obs, features_extractor: BaseFeaturesExtractor) -> th.Tensor:
+    def extract_features(
+        self, obs: PyTorchObs, features_extractor: BaseFeaturesExtractor
+    ) -> th.Tensor:
         """As SB3's; large images are handed over with their channels last."""
         values = obs.values if isinstance(obs, Prepared) else self._preprocess(obs)
         features: th.Tensor = features_extractor(values)
@@ -266,7 +268,7 @@ class RainbowNetwork(BasePolicy):
             if isinstance(layer, NoisyLinear)
         }
 
-    def streams(self, obs: Obs, noisy: bool) -> th.Tensor:
+    def streams(self, obs: PyTorchObs, noisy: bool) -> th.Tensor:
         """
         Outputs of the head before value and advantages are joined. Acting, target and loss all go
         through here.
@@ -320,7 +322,7 @@ class RainbowNetwork(BasePolicy):
             return logits.mean(dim=-1)
         return F.softmax(logits, dim=-1) @ self.support
 
-    def logits(self, obs: Obs, noisy: bool = False) -> th.Tensor:
+    def logits(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
         """
         Logits over the atoms, or quantiles, for each action (without ``distributional``, the
         Q-values).
@@ -329,7 +331,7 @@ class RainbowNetwork(BasePolicy):
         """
         return self.join(self.streams(obs, noisy))
 
-    def forward(self, obs: Obs, noisy: bool = False) -> th.Tensor:
+    def forward(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
         """
         Q-values, by default without noise.
 
@@ -339,7 +341,7 @@ class RainbowNetwork(BasePolicy):
         """
         return self.expected_values(self.logits(obs, noisy))
 
-    def distribution(self, obs: Obs, noisy: bool = False) -> th.Tensor:
+    def distribution(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
         """
         Probabilities of the atoms for each action; of quantiles, which :meth:`logits` returns, all
         the same.

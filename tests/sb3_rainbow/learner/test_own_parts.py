@@ -11,6 +11,7 @@ from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 
 from sb3_rainbow import MlpPolicy, NoisyLinear, Rainbow
+from sb3_rainbow.learner.learner import as_batch
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 
 
@@ -124,6 +125,45 @@ def test_dropout_put_into_the_target_is_off() -> None:
     model.policy.q_net_target.requires_grad_(False)
     model.learn(40)
     assert not model.policy.q_net_target.layers[1].training
+
+
+class Frozen(nn.BatchNorm1d):
+    """Keeps its statistics, as SB3's users freeze what was trained before."""
+
+    def train(self, mode: bool = True) -> Frozen:
+        super().train(False)
+        return self
+
+
+def test_modules_that_have_their_own_mode_keep_it() -> None:
+    model = make()
+    for net in (model.policy.q_net_target, model.policy.q_net):
+        parts = [nn.Linear(64, 64), Frozen(64), nn.Dropout(0.5)]
+        net.layers[1] = nn.Sequential(*parts)
+    for mode in (True, False, True):
+        model.policy.set_training_mode(mode)
+        assert [part.training for part in parts] == [mode, False, mode]
+        assert net.training == mode
+    model.learn(40)
+
+
+def test_an_update_prepares_its_observations_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+    preprocess = RainbowNetwork._preprocess
+
+    def counted(net: RainbowNetwork, obs: Any) -> Any:
+        seen.append(len(obs))
+        return preprocess(net, obs)
+
+    for settings in ({}, {"cpu_kernels": False}):
+        model = make(**settings)
+        model.learn(40)
+        monkeypatch.setattr(RainbowNetwork, "_preprocess", counted)
+        seen.clear()
+        assert model.replay_buffer is not None
+        model._learner.update(as_batch(model.replay_buffer.sample(32), 0.99, False))
+        assert seen == [32, 32]
+        monkeypatch.undo()
 
 
 def test_no_update_is_no_error() -> None:
