@@ -88,6 +88,11 @@ class Preset:
     methods: list[str] = field(default_factory=lambda: list(ALGORITHMS))
     checkpoint_seconds: Number = 60.0
 
+    @property
+    def is_search(self) -> bool:
+        """Whether it compares settings of one algorithm rather than algorithms."""
+        return len(self.methods) > len(ALGORITHMS)
+
 
 def preset_names() -> list[str]:
     """The presets that come with the package."""

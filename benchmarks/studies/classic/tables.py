@@ -23,6 +23,8 @@ _MASKS = (
 
 def build_tables(results: Results) -> list[Table]:
     """All tables that the stored runs can fill."""
+    if results.preset.is_search:
+        return [_search(results), _settings(results.preset)]
     tables = []
     if results.preset.tasks:
         tables.append(_scores(results))
@@ -64,6 +66,26 @@ def _scores(results: Results) -> Table:
             *(notes if published else []),
             *([_MASKS] if any(t.env == MASKED_IDENTITY for t in preset.tasks.values()) else []),
         ],
+    )
+
+
+def _search(results: Results) -> Table:
+    """Variants by row: what each scored, and how many seeds of it were run."""
+    preset = results.preset
+    rows: list[list[Cell]] = []
+    for method in preset.methods:
+        row: list[Cell] = [label(method)]
+        for key in preset.tasks:
+            value = results.score(key, method)
+            row += [str(value.n), _with_interval(value.mean, value.low, value.high)]
+        rows.append(row)
+    header = [word for task in preset.tasks.values() for word in ("Seeds", task.title)]
+    return Table(
+        "scores",
+        f"Return of the last greedy policy, {preset.final_episodes} episodes per seed",
+        ["Variant", *header],
+        rows,
+        ["Mean over seeds [95 % bootstrap interval over seeds]; of one seed it is a lead."],
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -112,7 +113,9 @@ def test_every_panel_is_drawn_and_the_same_data_gives_the_same_file(
 
 def test_docs_say_which_runs_they_show(preset: Preset, store: Store) -> None:
     results = Results(preset, store)
-    page = docs.rewrite("a\n<!-- classic:begin x -->\nold\n<!-- classic:end -->\nb\n", results, "r")
+    page = docs.rewrite(
+        "a\n<!-- classic-quick:begin x -->\nold\n<!-- classic-quick:end -->\nb\n", results, "r"
+    )
     assert page.startswith("a\n")
     assert page.endswith("\nb\n")
     assert "old" not in page
@@ -126,12 +129,38 @@ def test_docs_say_which_runs_they_show(preset: Preset, store: Store) -> None:
 
 def test_the_page_shows_the_stored_runs() -> None:
     root = ROOT / "results" / "classic"
-    shown = [p for p in ("full", "quick") if (root / p / "store.json").is_file()]
-    if not shown:
-        pytest.skip("no committed results of classic")
     page = (ROOT / "docs" / "rainbow.md").read_text(encoding="utf-8")
-    results = Results(load_preset(shown[0]), Store.open(root, shown[0]))
-    assert docs.rewrite(page, results, f"../results/classic/{shown[0]}") == page
+    shown = re.findall(r"<!-- classic-(\w+):begin", page)
+    assert "basics" in shown
+    for name in shown:
+        results = Results(load_preset(name), Store.open(root, name))
+        assert docs.rewrite(page, results, f"../results/classic/{name}") == page
+
+
+def test_a_preset_leaves_the_blocks_of_others_alone(preset: Preset, store: Store) -> None:
+    other = "<!-- classic-control:begin x -->\nkept\n<!-- classic-control:end -->\n"
+    mine = "<!-- classic-quick:begin -->\n<!-- classic-quick:end -->\n"
+    page = docs.rewrite(other + mine, Results(preset, store), "r")
+    assert page.startswith(other)
+    assert "100 test episodes per seed" in page
+
+
+def test_published_marks_stand_beside_the_scores(tmp_path: Path) -> None:
+    atari = load_preset("atari100k")
+    store = Store.open(tmp_path, "atari100k", create=True)
+    for cell in expand(atari):
+        run = store.run(cell.id)
+        run.write_rows("episodes", [{"episode": 0, "return": 5.0 + cell.number}])
+        run.write_rows("curve", [{"timesteps": t, "return_mean": 1.0} for t in (0, 500)])
+        run.write_meta({"training": {"updates": 7, "cpu_seconds": 60.0}})
+    tables = {table.name: table for table in build_tables(Results(atari, store))}
+    boxing = next(row for row in tables["scores"].rows if row[0] == "Boxing")
+    assert boxing[-1] == "0.2"
+    assert "data-efficient Rainbow" in tables["scores"].notes[1]
+    assert "together" not in tables
+    # (6 - 0.1) / 12, its interval of seeds, and the published (0.2 - 0.1) / 12
+    boxing = next(row for row in tables["normalized"].rows if row[0] == "Boxing")
+    assert boxing[1:] == ["0.1", "12.1", "0.492 [0.408, 0.575]", "0.008"]
 
 
 def test_one_task_is_not_compared_with_itself(preset: Preset, store: Store) -> None:

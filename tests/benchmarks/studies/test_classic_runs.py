@@ -101,7 +101,7 @@ def test_how_often_a_policy_is_tested_changes_nothing(preset: Preset, tmp_path: 
 
 
 def test_no_test_episode_is_one_of_training_or_validation() -> None:
-    for name in ("quick", "full"):
+    for name in ("quick", "control", "minatar"):
         preset = load_preset(name)
         for cell in expand(preset):
             if cell.kind != "learn":
@@ -286,7 +286,7 @@ def test_bad_settings_of_a_learner_are_refused(
 
 def test_a_check_before_the_start_leaves_the_settings_as_they_are() -> None:
     """SB3 writes the optimizer's class into policy_kwargs, which no config.yaml can hold."""
-    preset = load_preset("full")
+    preset = load_preset("quick")
     before = repr(preset)
     for name in ("cartpole", "breakout"):
         for method in preset.methods:
