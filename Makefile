@@ -14,7 +14,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FL
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= Agg
 
-.PHONY: help env rivals results test pytest lint type format docs clean
+.PHONY: help env rivals results test pytest lint type format docs dist clean
 .DEFAULT_GOAL := help
 
 help: ## Say what there is
@@ -63,6 +63,17 @@ docs: $(STAMP) ## Regenerate every figure and number that the docs hold
 	@$(BIN)/python -m benchmarks failures --preset paper --track safe
 	@$(BIN)/python -m benchmarks failures --preset paper --track memory
 	@$(BIN)/python -m benchmarks readme
+
+dist: $(STAMP) ## Wheel and sdist in dist/, each installed into an empty environment and tried
+	@rm -rf dist build/dist && mkdir -p build/dist
+	@$(BIN)/python -m build --no-isolation --outdir dist . > build/dist/log || { cat build/dist/log; exit 1; }
+	@for file in dist/*.whl dist/*.tar.gz; do \
+	  echo "Installing $$file into an empty environment"; rm -rf build/dist/venv; \
+	  $(BIN)/python -m venv build/dist/venv && \
+	  build/dist/venv/bin/python -I -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt setuptools wheel && \
+	  build/dist/venv/bin/python -I -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt --no-build-isolation $$file && \
+	  (cd build/dist && venv/bin/python -I -c 'import coop_env, gymnasium, sb3_rainbow; print(sb3_rainbow.Rainbow("MlpPolicy", gymnasium.make("CoopInsertion-v0", reward="progress"), learning_starts=100).learn(300).num_timesteps, "steps with", sb3_rainbow.__file__)') || exit 1; \
+	done; rm -rf build/dist; ls -l dist
 
 clean: ## Remove the environment and caches; results/ stays
 	rm -rf $(VENV) $(RIVALS) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage htmlcov

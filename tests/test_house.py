@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import configparser
 import re
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("sb3_rainbow", "coop_env", "benchmarks")
@@ -207,3 +209,10 @@ def test_no_path_of_one_machine() -> None:
         if (ROOT / name).exists() and pattern.search((ROOT / name).read_text(encoding="utf-8"))
     ]
     assert wrong == []
+
+
+def test_the_version_is_the_same_wherever_it_stands() -> None:
+    setup = configparser.ConfigParser()
+    setup.read(ROOT / "setup.cfg")
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert cited["version"] == setup["metadata"]["version"]
