@@ -31,6 +31,7 @@ from sb3_rainbow.settings import (
     check_settings,
     check_support_of_file,
     default_tau,
+    head_and_support,
     served_by,
     support_of,
 )
@@ -90,12 +91,14 @@ class Rainbow(ResumableAlgorithm):
     :param prioritized: draw transitions in proportion to their losses; uniformly if False.
         ``None`` (default) is True, or with a buffer that keeps no priorities False, with a warning
     :param noisy: explore by noisy layers
-    :param distributional: learn the distribution of returns: True or ``"categorical"`` over
-        ``n_atoms`` values from ``v_min`` to ``v_max``, ``"quantile"`` as ``n_atoms`` quantiles,
-        which need no support (QR-DQN's), False not at all
+    :param distributional: learn the distribution of returns: ``"quantile"`` as ``n_atoms``
+        quantiles, which need no support (QR-DQN's), ``"categorical"`` or True over ``n_atoms``
+        values from ``v_min`` to ``v_max`` (Hessel et al.'s), False not at all. ``None`` (default)
+        is ``"categorical"`` where ``v_min`` or ``v_max`` is given, ``"quantile"`` elsewhere
     :param n_atoms: atoms of the support, or quantiles
-    :param v_min: lowest return of the support; the default fits rewards in [-1, 1], gamma 0.99
-    :param v_max: highest return of the support
+    :param v_min: lowest return of the support; ``None`` (default) is -100 for the categorical head,
+        which fits rewards in [-1, 1] and gamma 0.99
+    :param v_max: highest return of the support; ``None`` is 100
     :param sigma0: initial scale of the noisy layers
     :param alpha: exponent of the priorities
     :param beta_start: importance-sampling exponent at the start of training
@@ -154,10 +157,10 @@ class Rainbow(ResumableAlgorithm):
         dueling: bool = True,
         prioritized: bool | None = None,
         noisy: bool = True,
-        distributional: Distributional = True,
+        distributional: Distributional | None = None,
         n_atoms: int = 51,
-        v_min: float = -100.0,
-        v_max: float = 100.0,
+        v_min: float | None = None,
+        v_max: float | None = None,
         sigma0: float = 0.5,
         alpha: float = 0.6,
         beta_start: float = 0.4,
@@ -209,10 +212,8 @@ class Rainbow(ResumableAlgorithm):
         self.dueling = dueling
         self.prioritized = prioritized
         self.noisy = noisy
-        self.distributional = distributional
+        self.distributional, self.v_min, self.v_max = head_and_support(distributional, v_min, v_max)
         self.n_atoms = n_atoms
-        self.v_min = v_min
-        self.v_max = v_max
         self.sigma0 = sigma0
         self.alpha = alpha
         self.beta_start = beta_start
@@ -236,6 +237,9 @@ class Rainbow(ResumableAlgorithm):
         asked: tuple[bool | None, int | None] = (self.prioritized, self.n_steps)
         if None in asked:  # given to load, it means what it means to the constructor
             self.prioritized, self.n_steps = served_by(self.replay_buffer_class, *asked)
+        self.distributional, self.v_min, self.v_max = head_and_support(
+            self.distributional, self.v_min, self.v_max
+        )
         check_settings(self)
         self._needs_masks_at_t = self.advantage_learning > 0.0
         self._support = support_of(self.distributional, self.v_min, self.v_max)

@@ -20,6 +20,7 @@ NETWORK_ARGUMENTS = frozenset(
 )
 
 DEFAULT_N_STEPS = 3
+DEFAULT_SUPPORT = (-100.0, 100.0)
 
 
 class SettingsMismatchError(ValueError, RuntimeError):
@@ -73,6 +74,16 @@ def served_by(
 def default_tau(target_update_interval: int | None) -> float:
     """A small step after every update, or SB3's whole copy at every interval."""
     return 1e-3 if target_update_interval is None else 1.0
+
+
+def head_and_support(
+    distributional: Distributional | None, v_min: float | None, v_max: float | None
+) -> tuple[Distributional, float, float]:
+    """The head where nobody asked for one, and the support's ends where nobody gave them."""
+    if distributional is None:
+        distributional = "quantile" if v_min is None and v_max is None else "categorical"
+    low, high = DEFAULT_SUPPORT
+    return distributional, low if v_min is None else v_min, high if v_max is None else v_max
 
 
 def support_of(

@@ -220,9 +220,10 @@ def test_callbacks(tmp_path: Any) -> None:
 
 
 def test_what_is_logged() -> None:
-    logged = record(
-        Rainbow("MlpPolicy", "CartPole-v1", learning_rate=lambda p: 1e-3 * p, **FAST), 300
+    model = Rainbow(
+        "MlpPolicy", "CartPole-v1", learning_rate=lambda p: 1e-3 * p, distributional=True, **FAST
     )
+    logged = record(model, 300)
     expected = {
         "rollout/ep_rew_mean",
         "rollout/ep_len_mean",
@@ -345,7 +346,7 @@ def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
         ({"n_steps": 2.5}, "n_steps must be a whole number, got 2.5"),
         ({"advantage_learning": 1.0}, r"advantage_learning must lie in \[0, 1\), got 1.0"),
         ({"batch_size": 0}, "batch_size must be at least 1, got 0"),
-        ({"n_atoms": 20.5}, "n_atoms must be a whole number, at least 2, got 20.5"),
+        ({"n_atoms": 20.5}, "n_atoms must be a whole number, at least 1, got 20.5"),
         ({"tau": 1.5}, "tau must lie in .0, 1., got 1.5"),
         ({"target_update_interval": 0}, "target_update_interval must be at least 1"),
         ({"sigma0": -0.1}, "sigma0 must not be negative, got -0.1"),

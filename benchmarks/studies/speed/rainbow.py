@@ -82,7 +82,7 @@ def make_models(
     }
     variants: dict[str, dict[str, Any]] = {
         "Rainbow": {},
-        "Rainbow, quantiles": {"distributional": "quantile"},
+        "Rainbow, categorical": {"distributional": "categorical"},
     }
     if with_compiled:
         if device == "cpu":

@@ -112,7 +112,7 @@ def test_without_rivals_one_line_says_so_and_the_rest_is_measured(
     said = capsys.readouterr().err
     assert said.count("make rivals") == 1
     assert "tianshou and AgileRL are not measured" in said
-    assert set(found["updates"]) == {"SB3 DQN", "Rainbow", "Rainbow, quantiles"}
+    assert set(found["updates"]) == {"SB3 DQN", "Rainbow", "Rainbow, categorical"}
     assert found["rivals"] == found["parts"] == {}
 
 

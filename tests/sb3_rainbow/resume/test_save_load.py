@@ -65,7 +65,7 @@ def test_loading_for_prediction_leaves_the_random_generators_alone() -> None:
     ],
 )
 def test_a_model_of_other_settings(tmp_path: Any, other: dict[str, Any], message: str) -> None:
-    Rainbow("MlpPolicy", "CartPole-v1", **FAST).save(tmp_path / "m")
+    Rainbow("MlpPolicy", "CartPole-v1", distributional=True, **FAST).save(tmp_path / "m")
     with pytest.raises(ValueError, match=f"(?s){message}"):
         Rainbow.load(tmp_path / "m", **other)
 
@@ -91,17 +91,40 @@ def test_a_replay_buffer_of_other_settings(
 
 
 def test_quantiles_are_no_support(tmp_path: Any) -> None:
-    Rainbow("MlpPolicy", "CartPole-v1", distributional="quantile", **FAST).save(tmp_path / "m")
+    Rainbow("MlpPolicy", "CartPole-v1", **FAST).save(tmp_path / "m")
     loaded = Rainbow.load(tmp_path / "m", v_max=50.0)  # which quantiles do without
     assert loaded.q_net.head == "quantile"
     with pytest.raises(ValueError, match=r"support is none, the model's \[-100.0, 100.0\]"):
         Rainbow.load(tmp_path / "m", distributional=True)
+    other = Rainbow("MlpPolicy", "CartPole-v1", distributional=True, **FAST)
     with pytest.raises(ValueError, match=r"support is none, the model's \[-100.0, 100.0\]"):
-        Rainbow("MlpPolicy", "CartPole-v1", **FAST).set_parameters(str(tmp_path / "m"))
+        other.set_parameters(str(tmp_path / "m"))
+
+
+@pytest.mark.parametrize(
+    ("given", "head"),
+    [
+        ({}, ("quantile", -100.0, 100.0)),
+        ({"v_max": 50.0}, ("categorical", -100.0, 50.0)),
+        ({"v_min": 0.0}, ("categorical", 0.0, 100.0)),
+        ({"distributional": True}, (True, -100.0, 100.0)),
+        ({"distributional": False, "v_max": 50.0}, (False, -100.0, 50.0)),
+        ({"distributional": "quantile", "v_min": 0.0}, ("quantile", 0.0, 100.0)),
+    ],
+)
+def test_a_support_asks_for_the_categorical_head(
+    tmp_path: Any, given: dict[str, Any], head: tuple[Any, ...]
+) -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST, **given)
+    assert (model.distributional, model.v_min, model.v_max) == head
+    assert model.q_net.distributional == head[0]
+    model.save(tmp_path / "m")
+    loaded = Rainbow.load(tmp_path / "m")
+    assert (loaded.distributional, loaded.v_min, loaded.v_max) == head
 
 
 def test_parameters_of_other_settings(tmp_path: Any) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
+    model = Rainbow("MlpPolicy", "CartPole-v1", v_max=100.0, **FAST)
     Rainbow("MlpPolicy", "CartPole-v1", v_max=50.0, **FAST).save(tmp_path / "m")
     with pytest.raises(ValueError, match=r"support is \[-100.0, 50.0\]"):
         model.set_parameters(str(tmp_path / "m"))
