@@ -13,7 +13,7 @@ from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule, TensorDict
-from stable_baselines3.common.utils import LinearSchedule
+from stable_baselines3.common.utils import ConstantSchedule, LinearSchedule
 from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
 
 from sb3_rainbow.compilation import report_compilation
@@ -27,6 +27,7 @@ from sb3_rainbow.replay.transfer import from_device
 from sb3_rainbow.resume.optimizer_state import per_parameter
 from sb3_rainbow.resume.resumable import ResumableAlgorithm
 from sb3_rainbow.settings import (
+    DEFAULT_EXPLORATION,
     NETWORK_ARGUMENTS,
     check_settings,
     check_support_of_file,
@@ -75,9 +76,10 @@ class Rainbow(ResumableAlgorithm):
         n-step returns 1, with a warning
     :param target_update_interval: ``None`` (default) moves the target network by ``tau`` after
         every update; a number does so every that many steps of the env, as SB3's DQN
-    :param exploration_fraction: with ``noisy=False``, fraction of training over which epsilon falls
-    :param exploration_initial_eps: with ``noisy=False``, epsilon at the start
-    :param exploration_final_eps: with ``noisy=False``, epsilon at the end
+    :param exploration_fraction: fraction of training over which epsilon falls; ``None`` (default)
+        is 0.1. Where none of these three is given, there is no epsilon beside the noise
+    :param exploration_initial_eps: epsilon at the start; ``None`` is 1.0
+    :param exploration_final_eps: epsilon at the end; ``None`` is 0.05
     :param max_grad_norm: gradient norm to clip to, None for no clipping
     :param stats_window_size: episodes to average the logged statistics over
     :param tensorboard_log: folder of the TensorBoard log
@@ -122,6 +124,7 @@ class Rainbow(ResumableAlgorithm):
         "MultiInputPolicy": MultiInputPolicy,
     }
     exploration_schedule: Schedule
+    _epsilon_was_asked_for: bool = False  # as in files from before it could be
     q_net: RainbowNetwork
     q_net_target: RainbowNetwork
     policy: RainbowPolicy
@@ -143,9 +146,9 @@ class Rainbow(ResumableAlgorithm):
         optimize_memory_usage: bool = False,
         n_steps: int | None = None,
         target_update_interval: int | None = None,
-        exploration_fraction: float = 0.1,
-        exploration_initial_eps: float = 1.0,
-        exploration_final_eps: float = 0.05,
+        exploration_fraction: float | None = None,
+        exploration_initial_eps: float | None = None,
+        exploration_final_eps: float | None = None,
         max_grad_norm: float | None = 10.0,
         stats_window_size: int = 100,
         tensorboard_log: str | None = None,
@@ -202,6 +205,8 @@ class Rainbow(ResumableAlgorithm):
             supported_action_spaces=(spaces.Discrete,),
             support_multi_env=True,
         )
+        given = (exploration_initial_eps, exploration_final_eps, exploration_fraction)
+        self._epsilon_was_asked_for = any(value is not None for value in given)
         self.exploration_initial_eps = exploration_initial_eps
         self.exploration_final_eps = exploration_final_eps
         self.exploration_fraction = exploration_fraction
@@ -245,9 +250,7 @@ class Rainbow(ResumableAlgorithm):
         self._support = support_of(self.distributional, self.v_min, self.v_max)
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
-        self.exploration_schedule = LinearSchedule(
-            self.exploration_initial_eps, self.exploration_final_eps, self.exploration_fraction
-        )
+        self.exploration_schedule = self._make_exploration_schedule()
         if self.replay_buffer is None:
             self.replay_buffer = self._make_replay_buffer()
         self.policy = self.policy_class(  # type: ignore[assignment]
@@ -259,6 +262,14 @@ class Rainbow(ResumableAlgorithm):
         ).to(self.device)
         self._convert_train_freq()
         self._create_aliases()
+
+    def _make_exploration_schedule(self) -> Schedule:
+        for name, default in DEFAULT_EXPLORATION.items():
+            if getattr(self, name) is None:
+                setattr(self, name, default)
+        if self.noisy and not self._epsilon_was_asked_for:
+            return ConstantSchedule(0.0)
+        return LinearSchedule(*(getattr(self, name) for name in DEFAULT_EXPLORATION))
 
     def _make_replay_buffer(self) -> ReplayBuffer:
         if self.replay_buffer_class is None:
@@ -310,8 +321,7 @@ class Rainbow(ResumableAlgorithm):
         Actions for one observation or a batch.
 
         Unless ``deterministic``, the policy explores, each env for itself: with fresh noise in its
-        noisy layers, or, with ``noisy=False``, by a random allowed action with probability
-        ``exploration_rate``.
+        noisy layers, and by a random allowed action with probability ``exploration_rate``.
 
         :param observation: one observation or a batch
         :param state: passed through (for recurrent policies)
@@ -324,19 +334,19 @@ class Rainbow(ResumableAlgorithm):
         actions, state = self.policy.predict(
             observation, state, episode_start, deterministic, action_masks
         )
-        if not (self.noisy or deterministic):
+        if self.exploration_rate > 0.0 and not deterministic:
             actions = self._epsilon_greedy(actions, self.exploration_rate, action_masks)
         return actions, state
 
     def _explore(self, obs: ObsArray, action_masks: NDArray[np.bool_] | None) -> NDArray:
-        # Without noise the actions are epsilon-greedy, which is predict's business.
         own = type(self).predict is Rainbow.predict and "predict" not in vars(self)
         if own and self.noisy and isinstance(obs, np.ndarray):
             obs_tensor, _ = self.policy.obs_to_tensor(obs)
             assert isinstance(obs_tensor, th.Tensor)
             actions = self._learner.act(obs_tensor, action_masks)
             if actions is not None:
-                return actions
+                epsilon = self.exploration_rate
+                return self._epsilon_greedy(actions, epsilon, action_masks) if epsilon else actions
         return super()._explore(obs, action_masks)
 
     def _on_step(self) -> None:
@@ -344,8 +354,7 @@ class Rainbow(ResumableAlgorithm):
         interval = self.target_update_interval
         if interval is not None and self._n_calls % max(interval // self.n_envs, 1) == 0:
             self._learner.move_target(self.tau)
-        if not self.noisy:
-            self.exploration_rate = self.exploration_schedule(self._current_progress_remaining)
+        self.exploration_rate = self.exploration_schedule(self._current_progress_remaining)
         self.logger.record("rollout/exploration_rate", self.exploration_rate)
 
     @property
@@ -459,6 +468,8 @@ class Rainbow(ResumableAlgorithm):
         ``buffer_size`` that is too small to learn with (1, by who only predicts) becomes the
         smallest that is not.
         """
+        if not kwargs.keys().isdisjoint(DEFAULT_EXPLORATION):
+            kwargs["_epsilon_was_asked_for"] = True
         if "tau" in kwargs:
             kwargs["_tau_was_chosen"] = kwargs["tau"] is not None
         if kwargs.get("tau", 0.0) is None:

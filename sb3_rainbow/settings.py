@@ -20,6 +20,12 @@ NETWORK_ARGUMENTS = frozenset(
 )
 
 DEFAULT_N_STEPS = 3
+# SB3's DQN's
+DEFAULT_EXPLORATION = {
+    "exploration_initial_eps": 1.0,
+    "exploration_final_eps": 0.05,
+    "exploration_fraction": 0.1,
+}
 DEFAULT_SUPPORT = (-100.0, 100.0)
 
 

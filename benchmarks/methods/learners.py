@@ -65,9 +65,6 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu"
         **{name: getattr(h, name) for name in DQN_NAMES},
         "learning_rate": LinearSchedule(h.learning_rate, h.learning_rate_end, 1.0),
         "train_freq": 1,
-        "exploration_initial_eps": h.epsilon_start,
-        "exploration_final_eps": h.epsilon_end,
-        "exploration_fraction": min(1.0, h.epsilon_steps / track.timesteps),
         "policy_kwargs": {
             "net_arch": list(h.net_arch),
             "optimizer_kwargs": {"weight_decay": h.weight_decay},
@@ -75,11 +72,18 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu"
         "seed": derive("learner", cell.seed),
         "device": device,
     }
+    epsilon: dict[str, Any] = {
+        "exploration_initial_eps": h.epsilon_start,
+        "exploration_final_eps": h.epsilon_end,
+        "exploration_fraction": min(1.0, h.epsilon_steps / track.timesteps),
+    }
     if cell.method == "dqn":
         # SB3 moves the target once per round of collection, not once per update: tau is compounded
         common["tau"] = 1.0 - (1.0 - h.tau) ** h.gradient_steps
-        return DQN("MlpPolicy", env, target_update_interval=h.n_envs, **common)
+        return DQN("MlpPolicy", env, target_update_interval=h.n_envs, **common, **epsilon)
     rainbow = {name: getattr(h, name) for name in RAINBOW_NAMES} | ABLATIONS[cell.ablation]
+    if not rainbow.get("noisy", True):
+        rainbow |= epsilon
     return Rainbow("MlpPolicy", env, **common, **rainbow)
 
 

@@ -268,6 +268,27 @@ def test_epsilon_greedy_follows_sb3s_schedule_only_without_noise() -> None:
     assert set(noisy["rollout/exploration_rate"]) == {0.0}
 
 
+def test_epsilon_beside_the_noise_is_there_for_who_asks(tmp_path: Any) -> None:
+    settings: dict[str, Any] = {**FAST, "exploration_final_eps": 0.25}
+    logged = record(Rainbow("MlpPolicy", "CartPole-v1", **settings), 300)
+    rates = logged["rollout/exploration_rate"]
+    assert rates[0] > rates[-1] == 0.25
+    assert logged["train/noise_magnitude"][-1] > 0.0
+    always = {**settings, "exploration_initial_eps": 1.0, "exploration_final_eps": 1.0}
+    model = Rainbow("MlpPolicy", "CartPole-v1", **always)
+    model.learn(40)
+    obs = np.tile(np.zeros(4, np.float32), (400, 1))
+    actions, _ = model.predict(obs)  # all by chance
+    assert 120 < actions.sum() < 280
+    assert len(set(model.predict(obs, deterministic=True)[0])) == 1
+    Rainbow("MlpPolicy", "CartPole-v1", **FAST).save(tmp_path / "m")
+    files: list[tuple[dict[str, Any], float]] = [({}, 0.0), ({"exploration_final_eps": 0.5}, 0.5)]
+    for given, rate in files:
+        loaded = Rainbow.load(tmp_path / "m", gym.make("CartPole-v1"), **given)
+        loaded.learn(40)
+        assert loaded.exploration_rate == rate
+
+
 def test_noise_explores_and_deterministic_predictions_do_not() -> None:
     model = Rainbow("MlpPolicy", IdentityEnv(6), sigma0=3.0, **FAST)
     obs = np.array([2])
