@@ -40,6 +40,7 @@ FLOORS = {
         "coop_env.rendering.scene",
         "coop_env.env",
         "coop_env.vectorized",
+        "coop_env.physics",
         "coop_env.rendering",
     ),
     "sb3_rainbow": (
