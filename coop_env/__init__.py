@@ -1,6 +1,8 @@
 """Cooperative peg-in-hole with a Delta robot and a 3-RRS, with exact kinematics.
 
-Importing the package registers ``CoopInsertion-v0``; kernels compile when they are first used.
+Importing the package registers ``CoopInsertion-v0``, ``CoopInsertionContact-v0`` and
+``CoopInsertionContactDiscrete-v0``; kernels compile when they are first used, and the contact tasks
+need the extra ``physics``.
 """
 
 from __future__ import annotations
@@ -53,6 +55,15 @@ gymnasium.register(
     max_episode_steps=300,  # whoever gives more max_moves gives this too
     vector_entry_point="coop_env.vectorized.vector_env:CoopInsertionVectorEnv",
 )
+for _form in ("", "Discrete"):
+    gymnasium.register(
+        id=f"CoopInsertionContact{_form}-v0",
+        entry_point=f"coop_env.physics.contact_env:CoopInsertionContact{_form}Env",
+        max_episode_steps=80,  # whoever gives more max_steps gives this too
+        vector_entry_point=(
+            f"coop_env.physics.contact_vector_env:CoopInsertionContact{_form}VectorEnv"
+        ),
+    )
 
 
 def __getattr__(name: str) -> Any:

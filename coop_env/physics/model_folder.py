@@ -41,8 +41,9 @@ def describe(machine: Machine) -> str:
         "",
         "The platform hangs on the 3-RRS's limb 0 by a ball joint and on the other two by "
         "`connect` equalities between sites; the Delta's effector moves on three slides, tied to "
-        "its three rods, each on a universal joint: 21 degrees of freedom, six of them actuated by position "
-        "servos. The dome is convex in parts: eight staves around each bore, prisms elsewhere.",
+        "its three rods, each on a universal joint: 21 degrees of freedom, six of them actuated "
+        "by position servos. The dome is convex in parts: eight staves around each bore, prisms "
+        "elsewhere.",
         "",
         "| number | value | origin |",
         "|---|---|---|",

@@ -1,0 +1,232 @@
+"""n episodes of the contact task side by side: what the single and the vectorised form share."""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coop_env.kinematics import rrs
+from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
+from coop_env.physics.contact_task import (
+    ContactOptions,
+    ContactTask,
+    start_configurations,
+    valid_commands,
+)
+from coop_env.physics.joints import Floats
+from coop_env.physics.model import Machine
+from coop_env.physics.twin import Readings, Twin, last
+from coop_env.simulation.collision import peg_tip
+from coop_env.simulation.task import N_AXES
+
+Bools = NDArray[np.bool_]
+
+N_OBSERVED: Final = 29
+LIMIT: Final = 5.0
+"""Observations are clipped to this much of their unit."""
+_LENGTH, _ANGLE, _FORCE, _MOMENT = 0.01, 0.05, 10.0, 0.05  # units of the observation
+UNITS: Final[Floats] = np.array(
+    [*[_LENGTH] * 3, *[_ANGLE] * 2, *[_ANGLE] * 6, *[_FORCE] * 3, *[_MOMENT] * 3,
+     *[_LENGTH] * 3, *[_ANGLE] * 2, _LENGTH, *[1.0] * 6]
+)  # fmt: skip
+"""What 1 means in each of the 29 fields: m, rad, N, N m."""
+FAILURES: Final = ("", "force", "snap", "diverged", "time")
+"""Causes, by the number under ``failure`` of an :class:`Outcome`; the last one truncates."""
+
+
+class Outcome(NamedTuple):
+    """What a control step came to, a row for each episode."""
+
+    observation: NDArray[np.float32]  # (n, 29)
+    reward: Floats
+    terminated: Bools
+    truncated: Bools
+    success: Bools
+    failure: NDArray[np.int64]  # an index of FAILURES
+    info: dict[str, Any]  # columns (n, ...)
+
+
+def _length(vectors: Floats) -> Floats:
+    """Norms (...) of vectors (..., 3); half the time of numpy's own on few of them."""
+    found: Floats = np.sqrt(np.einsum("...i,...i", vectors, vectors))
+    return found
+
+
+class ContactBatch:
+    """Episodes of one task on one kind of machine.
+
+    Args:
+        task: the task.
+        machine: robots, dome and servos; its peg is the task's.
+        n: how many.
+        threads: of the simulation.
+        limit: control steps until truncation; None takes the task's.
+
+    Raises:
+        GeometryError: a robot cannot be assembled, or no hole can be turned upright.
+        ArgumentError: the servos cannot hold the machine, or the holes do not fit the dome.
+    """
+
+    def __init__(
+        self, task: ContactTask, machine: Machine, n: int = 1, threads: int = 1,
+        limit: int | None = None,
+    ) -> None:  # fmt: skip
+        self.task, self.n = task, n
+        self._limit = task.max_steps if limit is None else limit
+        self.twin = Twin(machine, n, threads)
+        self.starts = start_configurations(machine, task.start_height)
+        holes = machine.task
+        self._open = np.flatnonzero(np.isfinite(self.starts[:, 0]))
+        self._normals, self._dome = np.array(holes.hole_normals), holes.dome_radius
+        peg = machine.peg
+        self._mouth_radius = machine.delta.peg_radius + peg.clearance + peg.chamfer
+        self._to_tip = np.array(peg_tip(0.0, 0.0, 0.0, machine.kernel_params().delta))
+        self.steps = np.zeros(n, np.int64)
+        self.hole = np.zeros(n, np.int64)
+        self.command, self.first = np.zeros((n, N_AXES)), np.zeros((n, N_AXES))
+        self.error, self.friction = np.zeros((n, 4)), np.zeros(n)
+        self._joints, self._tare = np.zeros((n, N_AXES)), np.zeros((n, N_AXES))
+        self._believed, self._action = np.zeros((n, N_AXES)), np.zeros((n, N_AXES))
+        self._depth, self.peak_force = np.zeros(n), np.zeros(n)
+        self.observation = np.zeros((n, N_OBSERVED), np.float32)
+
+    def reset(self, row: int, options: ContactOptions, rng: np.random.Generator) -> dict[str, Any]:
+        """Start an episode in one row: writes its observation, returns its info."""
+        task = self.task
+        radius, bearing, lean, side = rng.random(4)  # drawn whether or not an option sets them
+        hole, friction = int(rng.choice(self._open)), float(rng.uniform(*task.friction))
+        bearing, side = 2.0 * np.pi * bearing, 2.0 * np.pi * side
+        offset = task.position_error * np.sqrt(radius)  # uniform over the disc
+        tilt = task.tilt_error * lean
+        error = np.array([offset * np.cos(bearing), offset * np.sin(bearing),
+                          tilt * np.cos(side), tilt * np.sin(side)])  # fmt: skip
+        self.hole[row] = hole if options.hole is None else options.hole
+        self.error[row] = error if options.error is None else options.error
+        self.friction[row] = friction if options.friction is None else options.friction
+        start = self.starts[self.hole[row]]
+        mouth = self._mouths(start[None], self.hole[row : row + 1])[0][0]
+        turn = roll_pitch_yaw_matrix([*self.error[row, 2:], 0.0])
+        shift = [*self.error[row, :2], 0.0]
+        # the base stands where it puts the hole: tilted about the mouth, then moved aside
+        base = [*(mouth + shift - turn @ mouth), *self.error[row, 2:]]
+        readings = self.twin.place(row, start, base, self.friction[row])
+        self.command[row] = self.first[row] = self._believed[row] = start
+        self._joints[row] = readings.joints
+        self._tare[row] = readings.wrench
+        self._action[row], self.steps[row], self.peak_force[row] = 0.0, 0, 0.0
+        alone = Readings(*(part[None] for part in readings))
+        depth, lateral, angle = self._insertion(alone, self.hole[row : row + 1])
+        self._depth[row] = depth[0]
+        force = rng.normal(size=N_AXES) * self._noise()
+        self.observation[row] = self._observe(slice(row, row + 1), readings.joints[None], force)[0]
+        return {
+            "depth": float(depth[0]), "lateral_error": float(lateral[0]),
+            "alignment_error": float(angle[0]), **self.episode(row),
+        }  # fmt: skip
+
+    def episode(self, row: int) -> dict[str, Any]:
+        """What was drawn, or set, for the episode in a row."""
+        return {"hole": int(self.hole[row]), "friction": float(self.friction[row]),
+                "error": self.error[row].copy()}  # fmt: skip
+
+    def step(self, actions: Floats, rngs: list[np.random.Generator]) -> Outcome:
+        """Move all episodes by increments (n, 6) in [-1, 1]."""
+        task, twin = self.task, self.twin
+        wanted = self.command + actions * task.increments
+        allowed = valid_commands(twin.machine, wanted)
+        self.command = np.where(allowed[:, None], wanted, self.command)
+        self._action = np.array(actions, np.float64)
+        self.steps += 1
+        readings = twin.advance(twin.servo_targets(self.command), task.substeps)
+        sensed = readings.wrench - self._tare[:, None]
+        peaks = _length(sensed[..., :3]).max(axis=1)
+        wrench, now = sensed.mean(axis=1), last(readings)
+        force = _length(wrench[:, :3])
+        depth, lateral, angle = self._insertion(now, self.hole)
+        success = (depth >= task.insertion_depth) & ~twin.diverged
+        snapped = twin.platform_error(now, self.command) > task.snap_angle
+        failure = np.where(snapped, 2, 0)
+        failure[force > task.force_limit] = 1
+        failure[twin.diverged] = 3
+        success &= failure == 0
+        terminated = success | (failure > 0)
+        truncated = ~terminated & (self.steps >= self._limit)
+        failure[truncated] = FAILURES.index("time")
+        terms = {
+            "depth": task.depth_scale * (depth - self._depth),
+            "step": np.full(self.n, -task.step_cost),
+            "force": -task.force_cost * np.maximum(force - task.free_force, 0.0),
+            "insertion": task.insertion_bonus * success,
+            "failure": -task.failure_cost * (terminated & ~success),
+        }
+        self._depth = depth
+        self.peak_force = np.maximum(self.peak_force, peaks)
+        noise = np.array([rng.normal(size=N_AXES) for rng in rngs]) * self._noise()
+        self.observation = self._observe(slice(None), now.joints, wrench + noise)
+        info = {
+            "depth": depth,
+            "lateral_error": lateral,
+            "alignment_error": angle,
+            "force": wrench[:, :3],
+            "moment": wrench[:, 3:],
+            "peak_force": self.peak_force.copy(),
+            "violation": ~allowed,
+            "time": self.steps * task.dt,
+            "reward_terms": terms,
+        }
+        reward = np.sum(list(terms.values()), axis=0)
+        return Outcome(
+            self.observation.copy(), reward, terminated, truncated, success, failure, info
+        )
+
+    def _noise(self) -> Floats:
+        return np.array([self.task.force_noise] * 3 + [self.task.moment_noise] * 3)
+
+    def _mouths(self, configurations: Floats, holes: NDArray[np.int64]) -> tuple[Floats, Floats]:
+        """Mouths and normals (n, 3) of holes where the nominal model has them, world frame."""
+        at = rrs.platform_pose(configurations[:, 3:], self.twin.machine.rrs)
+        return self._on_dome(at.position, at.rotation, holes)
+
+    def _on_dome(
+        self, centre: Floats, rotation: Floats, holes: NDArray[np.int64]
+    ) -> tuple[Floats, Floats]:
+        normals = (rotation @ self._normals[holes][:, :, None])[:, :, 0]
+        return centre + self._dome * normals, normals
+
+    def _insertion(
+        self, readings: Readings, holes: NDArray[np.int64]
+    ) -> tuple[Floats, Floats, Floats]:
+        """Depth of the tip below the real mouth, distance from the axis, m; misalignment, rad.
+
+        Beside the hole depth stops at zero, however far down the dome's side the tip may be.
+        """
+        mouths, normals = self._on_dome(readings.platform, readings.rotation, holes)
+        tip = readings.tip - mouths
+        depth = -np.sum(tip * normals, axis=1)
+        lateral = _length(tip + depth[:, None] * normals)
+        inside = lateral <= self._mouth_radius
+        lean = np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), normals[:, 2])
+        return np.where(inside, depth, np.minimum(depth, 0.0)), lateral, lean
+
+    def _observe(self, rows: slice, joints: Floats, wrench: Floats) -> NDArray[np.float32]:
+        """Observations of rows: the nominal model's view of measured joints, and forces."""
+        believed = self.twin.believed(joints, self._believed[rows])
+        # a machine that has snapped may have no pose on its old branch: keep the last one
+        believed = np.where(np.isfinite(believed), believed, self._believed[rows])
+        self._believed[rows] = believed
+        mouths, normals = self._mouths(believed, self.hole[rows])
+        tip = believed[:, :3] + self._to_tip
+        fields = np.concatenate(
+            [
+                tip - mouths,
+                normals[:, :2],
+                joints - self._joints[rows],
+                np.broadcast_to(wrench, (len(joints), N_AXES)),
+                self.command[rows] - self.first[rows],
+                self._action[rows],
+            ],
+            axis=1,
+        )
+        return np.clip(fields / UNITS, -LIMIT, LIMIT).astype(np.float32)
