@@ -7,19 +7,18 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coop_env.kinematics import rrs
 from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
+from coop_env.physics import contact_kernels
 from coop_env.physics.contact_task import (
     ContactOptions,
     ContactTask,
     start_configurations,
-    valid_commands,
 )
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Machine
 from coop_env.physics.twin import Readings, Twin, last
 from coop_env.simulation.collision import peg_tip
-from coop_env.simulation.task import N_AXES
+from coop_env.simulation.task import N_AXES, pack
 
 Bools = NDArray[np.bool_]
 
@@ -77,15 +76,17 @@ class ContactBatch:
         self._limit = task.max_steps if limit is None else limit
         self.twin = Twin(machine, n, threads)
         self.starts = start_configurations(machine, task.start_height)
-        holes = machine.task
         self._open = np.flatnonzero(np.isfinite(self.starts[:, 0]))
-        self._normals, self._dome = np.array(holes.hole_normals), holes.dome_radius
+        self._noise = np.array([task.force_noise] * 3 + [task.moment_noise] * 3)
         peg = machine.peg
         self._mouth_radius = machine.delta.peg_radius + peg.clearance + peg.chamfer
-        self._to_tip = np.array(peg_tip(0.0, 0.0, 0.0, machine.kernel_params().delta))
+        params = machine.kernel_params()
+        self._packed = pack(params)
+        self._to_tip = np.array(peg_tip(0.0, 0.0, 0.0, params.delta))
         self.steps = np.zeros(n, np.int64)
         self.hole = np.zeros(n, np.int64)
         self.command, self.first = np.zeros((n, N_AXES)), np.zeros((n, N_AXES))
+        self._targets = np.zeros((n, N_AXES))
         self.error, self.friction = np.zeros((n, 4)), np.zeros(n)
         self._joints, self._tare = np.zeros((n, N_AXES)), np.zeros((n, N_AXES))
         self._believed, self._action = np.zeros((n, N_AXES)), np.zeros((n, N_AXES))
@@ -106,7 +107,9 @@ class ContactBatch:
         self.error[row] = error if options.error is None else options.error
         self.friction[row] = friction if options.friction is None else options.friction
         start = self.starts[self.hole[row]]
-        mouth = self._mouths(start[None], self.hole[row : row + 1])[0][0]
+        only = slice(row, row + 1)
+        tip = start[:3] + self._to_tip
+        mouth = tip - [0.0, 0.0, task.start_height]
         turn = roll_pitch_yaw_matrix([*self.error[row, 2:], 0.0])
         shift = [*self.error[row, :2], 0.0]
         # the base stands where it puts the hole: tilted about the mouth, then moved aside
@@ -117,13 +120,13 @@ class ContactBatch:
         self._tare[row] = readings.wrench
         self._action[row], self.steps[row], self.peak_force[row] = 0.0, 0, 0.0
         alone = Readings(*(part[None] for part in readings))
-        depth, lateral, angle = self._insertion(alone, self.hole[row : row + 1])
-        self._depth[row] = depth[0]
-        force = rng.normal(size=N_AXES) * self._noise()
-        self.observation[row] = self._observe(slice(row, row + 1), readings.joints[None], force)[0]
+        depth, lateral, angle = self._insertion(alone, only)[0].tolist()
+        self._depth[row] = depth
+        noise = rng.normal(size=(1, N_AXES)) * self._noise
+        self.observation[row] = self._observe(only, alone.joints, noise)[0]
         return {
-            "depth": float(depth[0]), "lateral_error": float(lateral[0]),
-            "alignment_error": float(angle[0]), **self.episode(row),
+            "depth": depth, "lateral_error": lateral, "alignment_error": angle,
+            **self.episode(row),
         }  # fmt: skip
 
     def episode(self, row: int) -> dict[str, Any]:
@@ -135,16 +138,15 @@ class ContactBatch:
         """Move all episodes by increments (n, 6) in [-1, 1]."""
         task, twin = self.task, self.twin
         wanted = self.command + actions * task.increments
-        allowed = valid_commands(twin.machine, wanted)
-        self.command = np.where(allowed[:, None], wanted, self.command)
+        taken = contact_kernels.take_commands(self.command, wanted, self._packed, self._targets)
         self._action = np.array(actions, np.float64)
         self.steps += 1
-        readings = twin.advance(twin.servo_targets(self.command), task.substeps)
+        readings = twin.advance(self._targets, task.substeps)
         sensed = readings.wrench - self._tare[:, None]
         peaks = _length(sensed[..., :3]).max(axis=1)
         wrench, now = sensed.mean(axis=1), last(readings)
         force = _length(wrench[:, :3])
-        depth, lateral, angle = self._insertion(now, self.hole)
+        depth, lateral, angle = self._insertion(now, slice(None)).T
         success = (depth >= task.insertion_depth) & ~twin.diverged
         snapped = twin.platform_error(now, self.command) > task.snap_angle
         failure = np.where(snapped, 2, 0)
@@ -163,7 +165,7 @@ class ContactBatch:
         }
         self._depth = depth
         self.peak_force = np.maximum(self.peak_force, peaks)
-        noise = np.array([rng.normal(size=N_AXES) for rng in rngs]) * self._noise()
+        noise = np.array([rng.normal(size=N_AXES) for rng in rngs]) * self._noise
         self.observation = self._observe(slice(None), now.joints, wrench + noise)
         info = {
             "depth": depth,
@@ -172,58 +174,36 @@ class ContactBatch:
             "force": wrench[:, :3],
             "moment": wrench[:, 3:],
             "peak_force": self.peak_force.copy(),
-            "violation": ~allowed,
+            "violation": ~taken,
             "time": self.steps * task.dt,
             "reward_terms": terms,
         }
-        reward = np.sum(list(terms.values()), axis=0)
+        reward = sum(terms.values(), np.zeros(self.n))
         return Outcome(
             self.observation.copy(), reward, terminated, truncated, success, failure, info
         )
 
-    def _noise(self) -> Floats:
-        return np.array([self.task.force_noise] * 3 + [self.task.moment_noise] * 3)
-
-    def _mouths(self, configurations: Floats, holes: NDArray[np.int64]) -> tuple[Floats, Floats]:
-        """Mouths and normals (n, 3) of holes where the nominal model has them, world frame."""
-        at = rrs.platform_pose(configurations[:, 3:], self.twin.machine.rrs)
-        return self._on_dome(at.position, at.rotation, holes)
-
-    def _on_dome(
-        self, centre: Floats, rotation: Floats, holes: NDArray[np.int64]
-    ) -> tuple[Floats, Floats]:
-        normals = (rotation @ self._normals[holes][:, :, None])[:, :, 0]
-        return centre + self._dome * normals, normals
-
-    def _insertion(
-        self, readings: Readings, holes: NDArray[np.int64]
-    ) -> tuple[Floats, Floats, Floats]:
-        """Depth of the tip below the real mouth, distance from the axis, m; misalignment, rad.
-
-        Beside the hole depth stops at zero, however far down the dome's side the tip may be.
-        """
-        mouths, normals = self._on_dome(readings.platform, readings.rotation, holes)
-        tip = readings.tip - mouths
-        depth = -np.sum(tip * normals, axis=1)
-        lateral = _length(tip + depth[:, None] * normals)
-        inside = lateral <= self._mouth_radius
-        lean = np.arctan2(np.hypot(normals[:, 0], normals[:, 1]), normals[:, 2])
-        return np.where(inside, depth, np.minimum(depth, 0.0)), lateral, lean
+    def _insertion(self, readings: Readings, rows: slice) -> Floats:
+        """Depth, distance from the axis, misalignment (n, 3) of where things really are."""
+        tip, platform, rotation = (
+            np.ascontiguousarray(part)
+            for part in (readings.tip, readings.platform, readings.rotation)
+        )
+        found: Floats = contact_kernels.insertion(
+            tip, platform, rotation, self.hole[rows], self._mouth_radius, self._packed
+        )
+        return found
 
     def _observe(self, rows: slice, joints: Floats, wrench: Floats) -> NDArray[np.float32]:
         """Observations of rows: the nominal model's view of measured joints, and forces."""
-        believed = self.twin.believed(joints, self._believed[rows])
-        # a machine that has snapped may have no pose on its old branch: keep the last one
-        believed = np.where(np.isfinite(believed), believed, self._believed[rows])
-        self._believed[rows] = believed
-        mouths, normals = self._mouths(believed, self.hole[rows])
-        tip = believed[:, :3] + self._to_tip
+        view = contact_kernels.perceive(
+            np.ascontiguousarray(joints), self._believed[rows], self.hole[rows], self._packed
+        )
         fields = np.concatenate(
             [
-                tip - mouths,
-                normals[:, :2],
+                view,
                 joints - self._joints[rows],
-                np.broadcast_to(wrench, (len(joints), N_AXES)),
+                wrench,
                 self.command[rows] - self.first[rows],
                 self._action[rows],
             ],

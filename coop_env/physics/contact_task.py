@@ -18,7 +18,6 @@ from coop_env.kinematics.rotations import roll_pitch
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import TIMESTEP, Machine, Peg
 from coop_env.simulation.insertion_task import InsertionTask
-from coop_env.simulation.task import N_AXES
 
 STANDARD_PEG: Final = Peg()
 HEAVE_ROOM: Final = 0.005
@@ -231,11 +230,3 @@ def _check_error(value: Any) -> tuple[float, float, float, float]:
         check_number(f"error[{i}]", number, -most, most, error=ResetOptionError)
     x, y, roll, pitch = numbers
     return x, y, roll, pitch
-
-
-def valid_commands(machine: Machine, commands: Floats) -> Any:
-    """Whether both robots' kinematics take commands (n, 6); True or False (n,)."""
-    assert commands.shape[-1] == N_AXES
-    return delta.is_valid(commands[:, :3], machine.delta) & rrs.is_valid(
-        commands[:, 3:], machine.rrs
-    )
