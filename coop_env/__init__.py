@@ -58,10 +58,10 @@ gymnasium.register(
 for _form in ("", "Discrete"):
     gymnasium.register(
         id=f"CoopInsertionContact{_form}-v0",
-        entry_point=f"coop_env.physics.contact_env:CoopInsertionContact{_form}Env",
+        entry_point=f"coop_env.physics.contact.env:CoopInsertionContact{_form}Env",
         max_episode_steps=80,  # whoever gives more max_steps gives this too
         vector_entry_point=(
-            f"coop_env.physics.contact_vector_env:CoopInsertionContact{_form}VectorEnv"
+            f"coop_env.physics.contact.vector_env:CoopInsertionContact{_form}VectorEnv"
         ),
     )
 

@@ -25,8 +25,8 @@ from benchmarks.studies.speed import report
 from coop_env.geometry import GEOMETRIES
 
 if TYPE_CHECKING:
-    from coop_env.physics.contact_env import CoopInsertionContactEnv
-    from coop_env.physics.contact_vector_env import CoopInsertionContactVectorEnv
+    from coop_env.physics.contact.env import CoopInsertionContactEnv
+    from coop_env.physics.contact.vector_env import CoopInsertionContactVectorEnv
 
 BLOCK: Final = "physics"
 PAGE: Final = "physics.md"
@@ -100,8 +100,8 @@ def _batch_loop(env: CoopInsertionContactVectorEnv, steps: int) -> Callable[[], 
 
 def measure_speed(steps: int, rounds: int) -> dict[str, float]:
     """Control steps a CPU second: the single form, batches, and the engine alone above a hole."""
-    from coop_env.physics.contact_env import CoopInsertionContactEnv
-    from coop_env.physics.contact_vector_env import CoopInsertionContactVectorEnv
+    from coop_env.physics.contact.env import CoopInsertionContactEnv
+    from coop_env.physics.contact.vector_env import CoopInsertionContactVectorEnv
     from coop_env.physics.twin import Twin
 
     twin = Twin()
@@ -126,7 +126,7 @@ def measure_speed(steps: int, rounds: int) -> dict[str, float]:
 
 def measure_memory(steps: int) -> float:
     """Megabytes that the process grows by over so many control steps after a tenth as many."""
-    from coop_env.physics.contact_env import CoopInsertionContactEnv
+    from coop_env.physics.contact.env import CoopInsertionContactEnv
 
     env = CoopInsertionContactEnv()
     chunk = max(1, steps // 10)

@@ -177,7 +177,8 @@ def build_mjcf(machine: Machine) -> ET.Element:
         root, "option", timestep=TIMESTEP, integrator="implicitfast", solver="Newton",
         cone="elliptic", impratio=5,
     )  # fmt: skip
-    _add(option, "flag", autoreset="disable")  # a simulation that diverges is to be seen as such
+    # a simulation that diverges is to be seen as such; islands cost more than they save here
+    _add(option, "flag", autoreset="disable", island="disable")
     default = _add(root, "default")
     _add(
         default, "geom", solref=[2.5 * TIMESTEP, 1.0], solimp=[0.95, 0.99, 0.0002], condim=3,

@@ -18,11 +18,12 @@ from coop_env.checks import check_integer
 from coop_env.errors import ArgumentError
 from coop_env.kinematics import delta, rrs
 from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
+from coop_env.physics import kernels
 from coop_env.physics.engine import mujoco
 from coop_env.physics.joints import Floats, platform_mount, tree_angles
 from coop_env.physics.model import TIMESTEP, Machine, build_mjcf, to_xml
 from coop_env.simulation.collision import peg_tip
-from coop_env.simulation.task import N_AXES
+from coop_env.simulation.task import N_AXES, pack
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _SETTLING = 500  # timesteps in which servos have to show that they hold home: 1 s
@@ -83,6 +84,7 @@ class Twin:
     def __init__(self, machine: Machine | None = None, n: int = 1, threads: int = 1) -> None:
         self.machine = Machine() if machine is None else machine
         self.n = check_integer("n", n, 1)
+        self.packed = pack(self.machine.kernel_params())
         first = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(self.machine)))
         self.models: list[Any] = [first, *(copy.copy(first) for _ in range(n - 1))]
         threads = check_integer("threads", threads, 1)
@@ -210,12 +212,11 @@ class Twin:
             )  # fmt: skip
         # A rollout that meets a warning of the engine's stands still from there on.
         elapsed = states[:, -1, 0] - self.states[:, 0]
-        whole = np.isfinite(states).all(axis=(1, 2)) & np.isfinite(sensors).all(axis=(1, 2))
-        self.diverged = ~(whole & (elapsed > (steps - 0.5) * TIMESTEP))
-        gone = self.diverged[:, None]
-        sensors = np.where(gone[..., None], self._sensors[:, None], sensors)
-        self.states = np.where(gone, self.states, states[:, -1])
-        self._sensors = sensors[:, -1]
+        whole = np.isfinite(states[:, -1]).all(axis=1) & np.isfinite(sensors).all(axis=(1, 2))
+        self.diverged = gone = ~(whole & (elapsed > (steps - 0.5) * TIMESTEP))
+        if gone.any():
+            sensors[gone], states[gone, -1] = self._sensors[gone][:, None], self.states[gone]
+        self.states, self._sensors = states[:, -1].copy(), sensors[:, -1]
         return _readings(sensors)
 
     def platform_error(self, readings: Readings, configurations: Floats) -> Floats:
@@ -223,8 +224,11 @@ class Twin:
 
         Beyond a few degrees it hangs in another assembly mode: see :attr:`ContactTask.snap_angle`.
         """
-        wanted = rrs.platform_pose(configurations[:, 3:], self.machine.rrs).rotation
-        return rotation_angle(readings.rotation, self._turns @ wanted)
+        rotation = np.ascontiguousarray(readings.rotation)
+        found: Floats = kernels.platform_error(
+            rotation, self._turns, np.ascontiguousarray(configurations), self.packed
+        )
+        return found
 
     def close(self) -> None:
         """End the threads."""

@@ -18,8 +18,8 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 from coop_env.errors import ActionError, ArgumentError, ResetOptionError
 from coop_env.geometry import GeometryError
 from coop_env.kinematics import delta, rrs
-from coop_env.physics.contact_env import CoopInsertionContactEnv
-from coop_env.physics.contact_task import LEVELS, ContactTask
+from coop_env.physics.contact.env import CoopInsertionContactEnv
+from coop_env.physics.contact.task import LEVELS, ContactTask
 from coop_env.physics.model import Servos
 from coop_env.physics.twin import last
 

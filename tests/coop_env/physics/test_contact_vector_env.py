@@ -10,8 +10,8 @@ from gymnasium.error import ResetNeeded
 pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
 
 from coop_env.errors import ActionError, ArgumentError
-from coop_env.physics.contact_env import CoopInsertionContactEnv
-from coop_env.physics.contact_vector_env import (
+from coop_env.physics.contact.env import CoopInsertionContactEnv
+from coop_env.physics.contact.vector_env import (
     CoopInsertionContactDiscreteVectorEnv,
     CoopInsertionContactVectorEnv,
 )

@@ -15,8 +15,8 @@ from coop_env.checks import as_dataclass
 from coop_env.env import check_action
 from coop_env.errors import ActionError
 from coop_env.geometry import DeltaGeometry, RRSGeometry, resolve_delta, resolve_rrs
-from coop_env.physics.contact_batch import FAILURES, LIMIT, N_OBSERVED, ContactBatch, Outcome
-from coop_env.physics.contact_task import ContactTask, check_options, resolve_task
+from coop_env.physics.contact.batch import FAILURES, LIMIT, N_OBSERVED, ContactBatch, Outcome
+from coop_env.physics.contact.task import ContactTask, check_options, resolve_task
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Machine, Servos
 from coop_env.simulation.insertion_task import PAPER_TASK, InsertionTask
@@ -103,7 +103,7 @@ class CoopInsertionContactEnv(gym.Env[Any, Any]):
 
     Args:
         level: ``"easy"`` (round tip), ``"standard"``, ``"hard"`` (less clearance and chamfer), or a
-            :class:`~coop_env.physics.contact_task.ContactTask`.
+            :class:`~coop_env.physics.contact.task.ContactTask`.
         geometry: ``"optimized"``, ``"initial"`` or an :class:`~coop_env.geometry.RRSGeometry`.
         delta: None, the standard robot, or a :class:`~coop_env.geometry.DeltaGeometry`.
         holes: None, the paper's dome, or a

@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from coop_env.checks import check_integer
 from coop_env.errors import ActionError, ArgumentError
-from coop_env.physics.contact_batch import FAILURES, ContactBatch
-from coop_env.physics.contact_env import (
+from coop_env.physics.contact.batch import FAILURES, ContactBatch
+from coop_env.physics.contact.env import (
     CoopInsertionContactEnv,
     check_increments,
     make_machine,
     make_spaces,
     move,
 )
-from coop_env.physics.contact_task import ContactOptions, check_options, resolve_task
+from coop_env.physics.contact.task import ContactOptions, check_options, resolve_task
 from coop_env.simulation.task import N_ACTIONS, N_AXES
 
 Bools = NDArray[np.bool_]
@@ -41,7 +41,7 @@ class CoopInsertionContactVectorEnv(VectorEnv[Any, Any, Any]):
         threads: of the simulation, at most as many as there are cores.
         max_episode_steps: Gymnasium's limit, which ``make_vec`` gives; the smaller of it and the
             task's ``max_steps`` holds.
-        level: as for :class:`~coop_env.physics.contact_env.CoopInsertionContactEnv`.
+        level: as for :class:`~coop_env.physics.contact.env.CoopInsertionContactEnv`.
         machine: the others of its arguments.
 
     Raises:

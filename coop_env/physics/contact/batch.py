@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
-from coop_env.physics import contact_kernels
-from coop_env.physics.contact_task import (
+from coop_env.physics import kernels
+from coop_env.physics.contact.task import (
     ContactOptions,
     ContactTask,
     start_configurations,
@@ -18,7 +18,7 @@ from coop_env.physics.joints import Floats
 from coop_env.physics.model import Machine
 from coop_env.physics.twin import Readings, Twin, last
 from coop_env.simulation.collision import peg_tip
-from coop_env.simulation.task import N_AXES, pack
+from coop_env.simulation.task import N_AXES
 
 Bools = NDArray[np.bool_]
 
@@ -80,9 +80,8 @@ class ContactBatch:
         self._noise = np.array([task.force_noise] * 3 + [task.moment_noise] * 3)
         peg = machine.peg
         self._mouth_radius = machine.delta.peg_radius + peg.clearance + peg.chamfer
-        params = machine.kernel_params()
-        self._packed = pack(params)
-        self._to_tip = np.array(peg_tip(0.0, 0.0, 0.0, params.delta))
+        self._packed = self.twin.packed
+        self._to_tip = np.array(peg_tip(0.0, 0.0, 0.0, machine.kernel_params().delta))
         self.steps = np.zeros(n, np.int64)
         self.hole = np.zeros(n, np.int64)
         self.command, self.first = np.zeros((n, N_AXES)), np.zeros((n, N_AXES))
@@ -138,7 +137,7 @@ class ContactBatch:
         """Move all episodes by increments (n, 6) in [-1, 1]."""
         task, twin = self.task, self.twin
         wanted = self.command + actions * task.increments
-        taken = contact_kernels.take_commands(self.command, wanted, self._packed, self._targets)
+        taken = kernels.take_commands(self.command, wanted, self._packed, self._targets)
         self._action = np.array(actions, np.float64)
         self.steps += 1
         readings = twin.advance(self._targets, task.substeps)
@@ -189,14 +188,14 @@ class ContactBatch:
             np.ascontiguousarray(part)
             for part in (readings.tip, readings.platform, readings.rotation)
         )
-        found: Floats = contact_kernels.insertion(
+        found: Floats = kernels.insertion(
             tip, platform, rotation, self.hole[rows], self._mouth_radius, self._packed
         )
         return found
 
     def _observe(self, rows: slice, joints: Floats, wrench: Floats) -> NDArray[np.float32]:
         """Observations of rows: the nominal model's view of measured joints, and forces."""
-        view = contact_kernels.perceive(
+        view = kernels.perceive(
             np.ascontiguousarray(joints), self._believed[rows], self.hole[rows], self._packed
         )
         fields = np.concatenate(

@@ -1,4 +1,4 @@
-"""What the contact task computes of each row between two runs of the engine, compiled.
+"""What is computed of each row between two runs of the engine, compiled.
 
 The formulas are the kinematic kernels'; ``packed`` holds the machine as
 :func:`coop_env.simulation.task.pack` gives it.
@@ -108,4 +108,30 @@ def insertion(
         found[i, 0] = depth if lateral <= mouth_radius else min(depth, 0.0)
         found[i, 1] = lateral
         found[i, 2] = math.atan2(math.hypot(n[0], n[1]), n[2])
+    return found
+
+
+@njit(cache=True)
+def platform_error(
+    rotation: np.ndarray, base: np.ndarray, command: np.ndarray, packed: np.ndarray
+) -> np.ndarray:
+    """Angles (n,) between platforms and what configurations command of them, rad.
+
+    Args:
+        rotation: (n, 3, 3), of the platforms, world frame.
+        base: (n, 3, 3), of the bases they stand on.
+        command: (n, 6).
+        packed: the machine.
+    """
+    p = unpack(packed)
+    found = np.empty(command.shape[0])
+    for i in range(command.shape[0]):
+        w = rrs_kernels.platform_pose(command[i, 3], command[i, 4], command[i, 5], p.rrs)
+        wanted = (w.r00, w.r01, w.r02), (w.r10, w.r11, w.r12), (w.r20, w.r21, w.r22)
+        trace = 0.0  # of rotation^T base wanted: 1 + 2 cos(angle)
+        for j in range(3):
+            for k in range(3):
+                for m in range(3):
+                    trace += rotation[i, j, k] * base[i, j, m] * wanted[m][k]
+        found[i] = math.acos(min(max(0.5 * (trace - 1.0), -1.0), 1.0))
     return found
