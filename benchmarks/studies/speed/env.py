@@ -23,8 +23,8 @@ from coop_env import design
 from coop_env.env import CoopInsertionEnv
 from coop_env.geometry import OPTIMIZED
 from coop_env.simulation import batch as kernels
-from coop_env.vectorized.env_batch import EnvBatch
-from coop_env.vectorized.vec_env import CoopInsertionVecEnv
+from coop_env.vector.env_batch import EnvBatch
+from coop_env.vector.vec_env import CoopInsertionVecEnv
 
 SINGLE: Final = "single, gymnasium.make, Python loop"
 BARE: Final = "single, without Gymnasium's wrappers"

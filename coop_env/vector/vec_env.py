@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env.base_vec_env import (
 
 from coop_env.env import CoopInsertionEnv, check_snapshot
 from coop_env.simulation import batch
-from coop_env.vectorized.env_batch import EnvBatch, check_seed
+from coop_env.vector.env_batch import EnvBatch, check_seed
 
 StepReturn = tuple[
     NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]

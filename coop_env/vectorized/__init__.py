@@ -1,1 +1,0 @@
-"""Many environments moved by one kernel call, in Gymnasium's form and in SB3's."""
