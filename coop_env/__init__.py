@@ -1,6 +1,8 @@
 """Cooperative peg-in-hole with a Delta robot and a 3-RRS, with exact kinematics.
 
-Importing the package registers ``CoopInsertion-v0``; kernels compile when they are first used.
+Importing the package registers ``CoopInsertion-v0``, ``CoopInsertionContact-v0`` and
+``CoopInsertionContactDiscrete-v0``; kernels compile when they are first used, and the contact tasks
+need the extra ``physics``.
 """
 
 from __future__ import annotations
@@ -17,13 +19,13 @@ if TYPE_CHECKING:
     from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, DeltaGeometry, RRSGeometry
     from coop_env.simulation.insertion_task import InsertionTask
     from coop_env.simulation.sim_to_real import SimToReal
-    from coop_env.vec_env import CoopInsertionVecEnv
-    from coop_env.vector_env import CoopInsertionVectorEnv
+    from coop_env.vector.vec_env import CoopInsertionVecEnv
+    from coop_env.vector.vector_env import CoopInsertionVectorEnv
 
 _HOMES = {
     "CoopInsertionEnv": "coop_env.env",
-    "CoopInsertionVecEnv": "coop_env.vec_env",
-    "CoopInsertionVectorEnv": "coop_env.vector_env",
+    "CoopInsertionVecEnv": "coop_env.vector.vec_env",
+    "CoopInsertionVectorEnv": "coop_env.vector.vector_env",
     "DeltaGeometry": "coop_env.geometry",
     "RRSGeometry": "coop_env.geometry",
     "GEOMETRIES": "coop_env.geometry",
@@ -51,8 +53,17 @@ gymnasium.register(
     id="CoopInsertion-v0",
     entry_point="coop_env.env:CoopInsertionEnv",
     max_episode_steps=300,  # whoever gives more max_moves gives this too
-    vector_entry_point="coop_env.vector_env:CoopInsertionVectorEnv",
+    vector_entry_point="coop_env.vector.vector_env:CoopInsertionVectorEnv",
 )
+for _form in ("", "Discrete"):
+    gymnasium.register(
+        id=f"CoopInsertionContact{_form}-v0",
+        entry_point=f"coop_env.physics.contact.env:CoopInsertionContact{_form}Env",
+        max_episode_steps=80,  # whoever gives more max_steps gives this too
+        vector_entry_point=(
+            f"coop_env.physics.contact.vector_env:CoopInsertionContact{_form}VectorEnv"
+        ),
+    )
 
 
 def __getattr__(name: str) -> Any:

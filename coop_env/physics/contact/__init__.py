@@ -1,0 +1,1 @@
+"""Insertion of one peg by feel: the task, its episodes, and its two environments."""

@@ -1,0 +1,232 @@
+"""The numbers of the contact task, with its three levels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+
+from coop_env.checks import as_dataclass, check_integer, check_number
+from coop_env.errors import ArgumentError, ResetOptionError
+from coop_env.geometry import GeometryError
+from coop_env.kinematics import delta, rrs
+from coop_env.kinematics.rotations import roll_pitch
+from coop_env.physics.joints import Floats
+from coop_env.physics.model import TIMESTEP, Machine, Peg
+from coop_env.simulation.insertion_task import InsertionTask
+
+STANDARD_PEG: Final = Peg()
+HEAVE_ROOM: Final = 0.005
+"""By which heave can go up and down from every start, m."""
+_LARGEST_ERROR: Final = (0.02, 0.02, 0.1, 0.1)  # that a reset option may set: m, m, rad, rad
+
+
+@dataclass(frozen=True, slots=True)
+class ContactTask:
+    """Insertion of one peg with an uncertain machine. SI units; numbers of section 11's prototype.
+
+    Attributes:
+        peg: fit of the peg and shape of its tip.
+        position_error: radius of the disc from which the hole's displacement is drawn, m.
+        tilt_error: bound of the hole's tilt about its mouth, to any side, rad.
+        friction: least and largest coefficient, drawn per episode.
+        force_noise: standard deviation of each observed force, N, after averaging.
+        moment_noise: the same of each moment, N m.
+        start_height: of the tip above the mouth where it is believed to be, m.
+        insertion_depth: of the tip below the real mouth, inside the bore, that is a success, m.
+        linear_step: one increment along x and y, m.
+        depth_step: one increment along z, m.
+        angular_step: one increment of roll or pitch, rad.
+        heave_step: one increment of heave, m.
+        dt: control period, s; whole timesteps of the simulation.
+        max_steps: control steps until truncation.
+        force_limit: a mean force beyond this ends the episode as a failure, N.
+        free_force: a mean force up to this costs nothing, N.
+        snap_angle: a platform this far off its command has left its assembly mode, rad.
+        step_cost: of each control step.
+        depth_scale: reward per m of depth gained.
+        force_cost: per N above ``free_force``, of each control step.
+        insertion_bonus: reward of a success.
+        failure_cost: of an episode that ends by force, by a snap or by diverging.
+
+    Raises:
+        ArgumentError: a value is of the wrong kind, not finite or out of range.
+    """
+
+    peg: Peg = STANDARD_PEG
+    position_error: float = 0.003
+    tilt_error: float = math.radians(1.0)
+    friction: tuple[float, float] = (0.1, 0.4)
+    force_noise: float = 0.02
+    moment_noise: float = 0.0005
+    start_height: float = 0.010
+    insertion_depth: float = 0.010
+    linear_step: float = 0.0005
+    depth_step: float = 0.001
+    angular_step: float = 0.002
+    heave_step: float = 0.0005
+    dt: float = 0.05
+    max_steps: int = 80
+    force_limit: float = 40.0
+    free_force: float = 5.0
+    snap_angle: float = math.radians(5.0)
+    step_cost: float = 0.05
+    depth_scale: float = 1000.0
+    force_cost: float = 0.02
+    insertion_bonus: float = 20.0
+    failure_cost: float = 5.0
+
+    def __post_init__(self) -> None:
+        peg = as_dataclass("ContactTask.peg", self.peg, Peg)  # from YAML it is a mapping
+        object.__setattr__(self, "peg", peg)
+        check_integer("ContactTask.max_steps", self.max_steps, 1)
+        may_be_zero = {"position_error", "tilt_error", "force_noise", "moment_noise", "step_cost",
+                       "depth_scale", "force_cost", "insertion_bonus", "failure_cost"}  # fmt: skip
+        for name in (field.name for field in fields(self)):
+            if name not in ("peg", "max_steps", "friction"):
+                above = name not in may_be_zero
+                check_number(f"ContactTask.{name}", getattr(self, name), 0.0, 1e4, above=above)
+        if not isinstance(self.friction, (tuple, list)) or len(self.friction) != 2:
+            raise ArgumentError(f"ContactTask.friction = {self.friction!r}: must be two numbers")
+        low = check_number("ContactTask.friction[0]", self.friction[0], 0.0, 2.0, above=True)
+        high = check_number("ContactTask.friction[1]", self.friction[1], low, 2.0)
+        object.__setattr__(self, "friction", (low, high))
+        if abs(self.substeps * TIMESTEP - self.dt) > 1e-9:
+            raise ArgumentError(
+                f"ContactTask.dt = {self.dt!r}: must be a whole number of timesteps of {TIMESTEP} s"
+            )
+        if self.insertion_depth > peg.depth:
+            raise ArgumentError(
+                f"ContactTask.insertion_depth = {self.insertion_depth!r}: must be at most the "
+                f"bore's depth, {peg.depth:g} m"
+            )
+
+    @property
+    def substeps(self) -> int:
+        """Timesteps of the simulation in a control step."""
+        return max(1, round(self.dt / TIMESTEP))
+
+    @property
+    def increments(self) -> Floats:
+        """One increment along x, y, z of the effector, roll, pitch and heave (6,)."""
+        x, tilt = self.linear_step, self.angular_step
+        return np.array([x, x, self.depth_step, tilt, tilt, self.heave_step])
+
+
+LEVELS: Final = MappingProxyType(
+    {
+        "easy": ContactTask(peg=Peg(tip="capsule")),
+        "standard": ContactTask(),
+        "hard": ContactTask(peg=Peg(clearance=0.0003, chamfer=0.0005)),
+    }
+)
+
+
+def resolve_task(value: Any) -> ContactTask:
+    """A task from what a user gives: a level's name, a task, or a mapping of its fields.
+
+    Raises:
+        ArgumentError: it is none of these.
+    """
+    if isinstance(value, str):
+        if value not in LEVELS:
+            raise ArgumentError(f"level = {value!r}: must be one of {list(LEVELS)}")
+        return LEVELS[value]
+    return as_dataclass("level", value, ContactTask)
+
+
+def alignment(holes: InsertionTask) -> Floats:
+    """Roll and pitch (holes, 2) that turn each hole's normal straight up, where the peg points.
+
+    The third row of a 3-RRS's rotation is (-nx, -ny, nz), so ``R h = z`` has n = (-hx, -hy, hz).
+    """
+    return roll_pitch(np.array(holes.hole_normals) * [-1.0, -1.0, 1.0])
+
+
+def start_configurations(machine: Machine, height: float) -> Floats:
+    """For each hole the configuration (holes, 6) with the tip ``height`` above its mouth, aligned.
+
+    Heave is where sigma_min is largest, so where the platform gives way least, among heights that
+    leave :data:`HEAVE_ROOM` to both sides. NaN for a hole that this machine cannot present with
+    sigma_min of at least ``start_sigma``, as at the starts of the kinematic task.
+
+    Raises:
+        GeometryError: it can present none.
+    """
+    g, robot = machine.rrs, machine.delta
+    tilts = alignment(machine.task)
+    low, high = g.heave_min + HEAVE_ROOM, g.heave_max - HEAVE_ROOM
+    heaves = np.linspace(low, max(low, high), 7)[:, None, None]
+    shape = (*heaves.shape[:1], *tilts.shape)
+    poses = np.concatenate(
+        [np.broadcast_to(tilts, shape), np.broadcast_to(heaves, (*shape[:2], 1))], axis=-1
+    )
+    effector = rrs.platform_pose(poses, g).position.copy()
+    effector[..., 2] += machine.task.dome_radius + height + robot.peg_length - robot.base_height
+    valid = delta.is_valid(effector, robot)
+    for room in (-HEAVE_ROOM, 0.0, HEAVE_ROOM):
+        valid &= rrs.is_valid(poses + np.array([0.0, 0.0, room]), g)
+    sigma = np.where(valid, rrs.signed_sigma_min(poses, g), -np.inf)
+    best = np.argmax(sigma, axis=0), np.arange(len(tilts))
+    good = sigma[best] >= machine.task.start_sigma
+    if not good.any():
+        raise GeometryError(
+            "the 3-RRS can turn no hole upright with sigma_min of at least "
+            f"{machine.task.start_sigma:g}: choose another geometry or other holes"
+        )
+    found = np.concatenate([effector[best], poses[best]], axis=1)
+    return np.where(good[:, None], found, np.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class ContactOptions:
+    """What a reset leaves to chance where it is None: hole, its error, friction.
+
+    ``error`` is the hole's displacement along x and y, m, and its tilt about x and y, rad.
+    """
+
+    hole: int | None = None
+    error: tuple[float, float, float, float] | None = None
+    friction: float | None = None
+
+
+def check_options(options: Mapping[str, Any] | None, starts: Floats) -> ContactOptions:
+    """Reset options, checked against the holes that can be presented.
+
+    Raises:
+        ResetOptionError: one is unknown, malformed or out of range.
+    """
+    if options is not None and not isinstance(options, Mapping):
+        raise ResetOptionError(f"options = {options!r}: must be a mapping")
+    given = dict(options or {})
+    known = [field.name for field in fields(ContactOptions)]
+    if unknown := sorted(str(name) for name in given if name not in known):
+        raise ResetOptionError(f"options has unknown keys {unknown}; known: {known}")
+    hole, error, friction = (given.get(name) for name in known)
+    if hole is not None:
+        open_holes = np.flatnonzero(np.isfinite(starts[:, 0])).tolist()
+        if isinstance(hole, bool) or hole not in open_holes:
+            raise ResetOptionError(f"hole = {hole!r}: must be one of {open_holes}")
+        hole = int(hole)
+    if error is not None:
+        error = _check_error(error)
+    if friction is not None:
+        friction = check_number("friction", friction, 0.0, 2.0, above=True, error=ResetOptionError)
+    return ContactOptions(hole, error, friction)
+
+
+def _check_error(value: Any) -> tuple[float, float, float, float]:
+    try:
+        numbers = [float(v) for v in value]
+    except (TypeError, ValueError) as error:
+        raise ResetOptionError(f"error = {value!r}: must be four numbers") from error
+    if len(numbers) != 4:
+        raise ResetOptionError(f"error = {value!r}: must be x, y, m, and two tilts, rad")
+    for i, (number, most) in enumerate(zip(numbers, _LARGEST_ERROR, strict=True)):
+        check_number(f"error[{i}]", number, -most, most, error=ResetOptionError)
+    x, y, roll, pitch = numbers
+    return x, y, roll, pitch

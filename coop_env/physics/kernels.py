@@ -1,0 +1,137 @@
+"""What is computed of each row between two runs of the engine, compiled.
+
+The formulas are the kinematic kernels'; ``packed`` holds the machine as
+:func:`coop_env.simulation.task.pack` gives it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from coop_env.compilation import njit
+from coop_env.kinematics import delta_kernels, rrs_forward_kernels, rrs_kernels
+from coop_env.kinematics.rrs_kernels import Pose
+from coop_env.simulation.collision import hole, peg_tip
+from coop_env.simulation.task import unpack
+
+
+@njit(cache=True)
+def take_commands(
+    command: np.ndarray, wanted: np.ndarray, packed: np.ndarray, targets: np.ndarray
+) -> np.ndarray:
+    """Take over the wanted configurations (n, 6) that both robots can take, and aim the servos.
+
+    Writes ``command`` (n, 6) and the joint commands ``targets`` (n, 6), theta and q, rad; returns
+    which rows were taken (n,).
+    """
+    p = unpack(packed)
+    taken = np.zeros(command.shape[0], np.bool_)
+    for i in range(command.shape[0]):
+        w = wanted[i]
+        taken[i] = delta_kernels.is_valid(w[0], w[1], w[2], p.delta) and rrs_kernels.is_valid(
+            w[3], w[4], w[5], p.rrs
+        )
+        if taken[i]:
+            command[i] = w
+        c = command[i]
+        _, theta = delta_kernels.inverse(c[0], c[1], c[2], p.delta)
+        _, q = rrs_kernels.inverse(rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs), p.rrs)
+        for k in range(3):
+            targets[i, k], targets[i, 3 + k] = theta[k], q[k]
+    return taken
+
+
+@njit(cache=True)
+def perceive(
+    joints: np.ndarray, believed: np.ndarray, holes: np.ndarray, packed: np.ndarray
+) -> np.ndarray:
+    """(n, 5): tip - mouth, m, and x, y of the hole's normal, as measured joints (n, 6) have them.
+
+    ``believed`` (n, 6) are the configurations before, from which the 3-RRS's branch is followed,
+    and those now. A machine that has snapped may have no pose on its old branch: it keeps the last.
+    """
+    p = unpack(packed)
+    found = np.empty((joints.shape[0], 5))
+    for i in range(joints.shape[0]):
+        a, b = joints[i], believed[i]
+        ok_delta, position = delta_kernels.forward((a[0], a[1], a[2]), p.delta)
+        ok_rrs, tilt, _ = rrs_forward_kernels.forward((a[3], a[4], a[5]), b[3], b[4], b[5], p.rrs)
+        for k in range(3):
+            if ok_delta:
+                b[k] = position[k]
+            if ok_rrs:
+                b[3 + k] = tilt[k]
+        tip = peg_tip(b[0], b[1], b[2], p.delta)
+        mouth, normal = hole(rrs_kernels.platform_pose(b[3], b[4], b[5], p.rrs), holes[i], p)
+        for k in range(3):
+            found[i, k] = tip[k] - mouth[k]
+        found[i, 3], found[i, 4] = normal[0], normal[1]
+    return found
+
+
+@njit(cache=True)
+def insertion(
+    tip: np.ndarray,
+    platform: np.ndarray,
+    rotation: np.ndarray,
+    holes: np.ndarray,
+    mouth_radius: float,
+    packed: np.ndarray,
+) -> np.ndarray:
+    """(n, 3): depth of the tip below the real mouth, distance from the axis, m; misalignment, rad.
+
+    Beside the mouth depth stops at zero, however far down the dome's side the tip may be.
+
+    Args:
+        tip: (n, 3), where it really is, world frame, m.
+        platform: (n, 3), its centre likewise.
+        rotation: (n, 3, 3), its axes.
+        holes: (n,).
+        mouth_radius: of the chamfer's flats, m.
+        packed: the machine.
+    """
+    p = unpack(packed)
+    found = np.empty((tip.shape[0], 3))
+    for i in range(tip.shape[0]):
+        c, r = platform[i], rotation[i]
+        pose = Pose(
+            c[0], c[1], c[2], r[0, 0], r[0, 1], r[0, 2], r[1, 0], r[1, 1], r[1, 2],
+            r[2, 0], r[2, 1], r[2, 2],
+        )  # fmt: skip
+        mouth, n = hole(pose, holes[i], p)
+        x, y, z = tip[i, 0] - mouth[0], tip[i, 1] - mouth[1], tip[i, 2] - mouth[2]
+        depth = -(x * n[0] + y * n[1] + z * n[2])
+        x, y, z = x + depth * n[0], y + depth * n[1], z + depth * n[2]
+        lateral = math.sqrt(x * x + y * y + z * z)
+        found[i, 0] = depth if lateral <= mouth_radius else min(depth, 0.0)
+        found[i, 1] = lateral
+        found[i, 2] = math.atan2(math.hypot(n[0], n[1]), n[2])
+    return found
+
+
+@njit(cache=True)
+def platform_error(
+    rotation: np.ndarray, base: np.ndarray, command: np.ndarray, packed: np.ndarray
+) -> np.ndarray:
+    """Angles (n,) between platforms and what configurations command of them, rad.
+
+    Args:
+        rotation: (n, 3, 3), of the platforms, world frame.
+        base: (n, 3, 3), of the bases they stand on.
+        command: (n, 6).
+        packed: the machine.
+    """
+    p = unpack(packed)
+    found = np.empty(command.shape[0])
+    for i in range(command.shape[0]):
+        w = rrs_kernels.platform_pose(command[i, 3], command[i, 4], command[i, 5], p.rrs)
+        wanted = (w.r00, w.r01, w.r02), (w.r10, w.r11, w.r12), (w.r20, w.r21, w.r22)
+        trace = 0.0  # of rotation^T base wanted: 1 + 2 cos(angle)
+        for j in range(3):
+            for k in range(3):
+                for m in range(3):
+                    trace += rotation[i, j, k] * base[i, j, m] * wanted[m][k]
+        found[i] = math.acos(min(max(0.5 * (trace - 1.0), -1.0), 1.0))
+    return found

@@ -1,0 +1,338 @@
+"""The MJCF of both robots, the dome and the peg, written from the same geometry as the kinematics.
+
+World frame: where the 3-RRS's base is believed to stand, z up. Every hinge has the analytic angle
+as its coordinate, because the bodies are drawn at home and ``ref`` says which angle that is.
+Numbers without another source are of the prototype in section 11 of the specification;
+:mod:`~coop_env.physics.model_folder` writes them, with their origin, beside the file.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from typing import Final
+
+import numpy as np
+
+from coop_env.checks import check_flag, check_number
+from coop_env.errors import ArgumentError
+from coop_env.geometry import DELTA, OPTIMIZED, DeltaGeometry, GeometryError, RRSGeometry
+from coop_env.kinematics import delta as delta_kinematics
+from coop_env.physics.dome import Bore, dome_solids
+from coop_env.physics.joints import (
+    RADIAL,
+    TANGENTIAL,
+    UP,
+    Floats,
+    TreeAngles,
+    platform_mount,
+    tree_angles,
+)
+from coop_env.simulation import rewards
+from coop_env.simulation.insertion_task import PAPER_TASK, InsertionTask
+from coop_env.simulation.task import EnvParams, make_params
+
+TIP_SHAPES: Final = ("flat", "capsule")
+TIMESTEP: Final = 0.002
+"""s; a contact's time constant is 2.5 of them, an equality's 2."""
+_DELTA_BITS: Final = {"contype": 1, "conaffinity": 0}  # the Delta's bodies touch the 3-RRS's alone
+_RRS_BITS: Final = {"contype": 0, "conaffinity": 1}
+
+
+@dataclass(frozen=True, slots=True)
+class Servos:
+    """Position servos and masses; SI units.
+
+    Attributes:
+        rrs_stiffness: kp of the 3-RRS's three servos, N m/rad. A soft 3-RRS jumps its assembly
+            mode near singular poses.
+        delta_stiffness: kp of the Delta's three, N m/rad: it is the compliant one.
+        damping_time: kv = 2 sqrt(damping_time kp), kg m^2: the inertia that is critically damped.
+        torque_limit: of each servo, N m.
+        armature: rotor inertia at each actuated joint, kg m^2.
+        gravity_compensation: whether the links' weight is carried for the servos.
+        rrs_masses: proximal link, distal link, platform with its dome, kg.
+        delta_masses: proximal link, rod, effector, peg, kg.
+
+    Raises:
+        ArgumentError: a value is not finite, not above zero, or of the wrong kind.
+    """
+
+    rrs_stiffness: float = 1000.0
+    delta_stiffness: float = 50.0
+    damping_time: float = 0.02
+    torque_limit: float = 10.0
+    armature: float = 0.01
+    gravity_compensation: bool = True
+    rrs_masses: tuple[float, float, float] = (0.15, 0.12, 0.6)
+    delta_masses: tuple[float, float, float, float] = (0.15, 0.08, 0.2, 0.03)
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            name, value = f"Servos.{field.name}", getattr(self, field.name)
+            if field.name == "gravity_compensation":
+                check_flag(name, value)
+            elif isinstance(field.default, tuple):
+                if not isinstance(value, tuple) or len(value) != len(field.default):
+                    raise ArgumentError(f"{name} = {value!r}: must be {len(field.default)} masses")
+                for i, mass in enumerate(value):
+                    check_number(f"{name}[{i}]", mass, 0.0, 1e3, above=True)
+            else:
+                check_number(name, value, 0.0, 1e6, above=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Peg:
+    """Fit of the peg in its holes; lengths in m.
+
+    Attributes:
+        clearance: radius of a bore, to its flats, minus the peg's.
+        chamfer: width and depth of a bore's lead-in.
+        depth: of a bore, the thickness of the dome's shell.
+        tip: ``"flat"``, a cylinder's end, or ``"capsule"``, the kinematic task's round one, which
+            finds a hole by itself.
+        friction: Coulomb coefficient of the peg on the dome.
+
+    Raises:
+        ArgumentError: a value is out of its range.
+    """
+
+    clearance: float = 0.0005
+    chamfer: float = 0.001
+    depth: float = 0.02
+    tip: str = "flat"
+    friction: float = 0.2
+
+    def __post_init__(self) -> None:
+        check_number("Peg.clearance", self.clearance, 0.0, 0.01, above=True)
+        check_number("Peg.depth", self.depth, 0.0, 0.1, above=True)
+        check_number("Peg.chamfer", self.chamfer, 0.0, self.depth / 2.0, above=True)
+        check_number("Peg.friction", self.friction, 0.0, 2.0, above=True)
+        if self.tip not in TIP_SHAPES:
+            raise ArgumentError(f"Peg.tip = {self.tip!r}: must be one of {list(TIP_SHAPES)}")
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """All that the model is written from."""
+
+    rrs: RRSGeometry = OPTIMIZED
+    delta: DeltaGeometry = DELTA
+    task: InsertionTask = PAPER_TASK
+    servos: Servos = Servos()
+    peg: Peg = Peg()
+
+    def kernel_params(self) -> EnvParams:
+        """The same machine as the kinematic kernels take it.
+
+        Raises:
+            GeometryError: the 3-RRS cannot take its home pose.
+        """
+        reward = rewards.make_reward("progress", None)
+        return make_params(self.rrs, reward, delta=self.delta, task=self.task)
+
+    def home(self) -> Floats:
+        """(6,): both robots upright, the peg's tip at its mean start height above the dome.
+
+        Raises:
+            GeometryError: a robot cannot be assembled there.
+        """
+        self.kernel_params()  # says what is wrong with the 3-RRS
+        height = (
+            self.rrs.home_heave + self.task.dome_radius + float(np.mean(self.task.start_clearance))
+        )
+        z = height + self.delta.peg_length - self.delta.base_height
+        if not delta_kinematics.is_valid([0.0, 0.0, z], self.delta):
+            raise GeometryError(
+                f"the Delta cannot hold the peg {height:.3g} m above the 3-RRS's base: choose "
+                "other lengths or another base_height"
+            )
+        return np.array([0.0, 0.0, z, 0.0, 0.0, self.rrs.home_heave])
+
+
+def _add(parent: ET.Element, tag: str, **attributes: object) -> ET.Element:
+    words = {}
+    for name, value in attributes.items():
+        if isinstance(value, (list, tuple, np.ndarray)):
+            value = " ".join(f"{v:.12g}" for v in np.ravel(np.asarray(value, np.float64)))
+        elif isinstance(value, float):
+            value = f"{value:.12g}"
+        words[name] = str(value)
+    return ET.SubElement(parent, tag, words)
+
+
+def build_mjcf(machine: Machine) -> ET.Element:
+    """The model as MJCF.
+
+    Raises:
+        GeometryError: a robot cannot be assembled at home.
+        ArgumentError: the holes do not fit the dome.
+    """
+    home = machine.home()
+    angles = tree_angles(home, machine.rrs, machine.delta)
+    root = ET.Element("mujoco", model="coop_insertion")
+    _add(root, "compiler", angle="radian", autolimits="true")
+    option = _add(
+        root, "option", timestep=TIMESTEP, integrator="implicitfast", solver="Newton",
+        cone="elliptic", impratio=5,
+    )  # fmt: skip
+    # a simulation that diverges is to be seen as such; islands cost more than they save here
+    _add(option, "flag", autoreset="disable", island="disable")
+    default = _add(root, "default")
+    _add(
+        default, "geom", solref=[2.5 * TIMESTEP, 1.0], solimp=[0.95, 0.99, 0.0002], condim=3,
+        friction=[machine.peg.friction, 0.005, 0.0001], contype=0, conaffinity=0,
+    )  # fmt: skip
+    _add(default, "equality", solref=[2.0 * TIMESTEP, 1.0], solimp=[0.99, 0.999, 0.0001])
+    asset, world = _add(root, "asset"), _add(root, "worldbody")
+    _add(world, "light", pos=[0.5, -0.8, 1.6], dir=[-0.3, 0.5, -1.0])
+    _add_rrs(world, asset, machine, angles)
+    _add_delta(world, machine, angles, home)
+    equality, actuator = _add(root, "equality"), _add(root, "actuator")
+    for robot, n in (("rrs", 2), ("delta", 3)):
+        for i in range(3 - n, 3):
+            _add(equality, "connect", site1=f"{robot}_end{i}", site2=f"{robot}_socket{i}")
+    servos = machine.servos
+    for robot, kp in (("delta", servos.delta_stiffness), ("rrs", servos.rrs_stiffness)):
+        for i in range(3):
+            _add(
+                actuator, "position", name=f"{robot}_servo{i}", joint=f"{robot}_joint{i}", kp=kp,
+                kv=2.0 * (servos.damping_time * kp) ** 0.5,
+                forcerange=[-servos.torque_limit, servos.torque_limit],
+            )  # fmt: skip
+    _add_sensors(root)
+    return root
+
+
+def _add_sensors(root: ET.Element) -> None:
+    sensor = _add(root, "sensor")
+    _add(sensor, "force", name="force", site="tip")
+    _add(sensor, "torque", name="moment", site="tip")
+    for robot in ("delta", "rrs"):
+        for i in range(3):
+            _add(sensor, "jointpos", name=f"{robot}_angle{i}", joint=f"{robot}_joint{i}")
+    for name, kind, body in (
+        ("tip", "site", "tip"), ("platform", "xbody", "platform"),
+    ):  # fmt: skip
+        _add(sensor, "framepos", name=f"{name}_position", objtype=kind, objname=body)
+    for axis in "xyz":
+        _add(
+            sensor, f"frame{axis}axis", name=f"platform_{axis}", objtype="xbody",
+            objname="platform",
+        )  # fmt: skip
+
+
+def _body(parent: ET.Element, name: str, machine: Machine, **attributes: object) -> ET.Element:
+    carried = int(machine.servos.gravity_compensation)
+    return _add(parent, "body", name=name, gravcomp=carried, **attributes)
+
+
+def _link(body: ET.Element, length: float, radius: float, mass: float, **bits: object) -> None:
+    """A rod along the body's x axis."""
+    _add(body, "geom", type="capsule", fromto=[0.0, 0.0, 0.0, length, 0.0, 0.0], size=radius,
+         mass=mass, **bits)  # fmt: skip
+
+
+def _hinge(
+    body: ET.Element, name: str, axis: Iterable[float], at_home: float, **more: object
+) -> None:
+    _add(body, "joint", name=name, type="hinge", axis=list(axis), ref=float(at_home), **more)
+
+
+def _add_rrs(world: ET.Element, asset: ET.Element, m: Machine, angles: TreeAngles) -> None:
+    g, radius, (proximal, distal, platform) = m.rrs, m.task.limb_radius, m.servos.rrs_masses
+    base = _body(world, "rrs_base", m)
+    _add(base, "geom", type="cylinder", size=[g.base_radius, 0.004], pos=[0.0, 0.0, -0.02])
+    for i in range(3):
+        c, s = np.cos(angles.q[i]), np.sin(angles.q[i])
+        link = _body(
+            base, f"rrs_proximal{i}", m, pos=g.base_radius * RADIAL[i],
+            xyaxes=[*(c * RADIAL[i] + s * UP), *TANGENTIAL[i]],
+        )  # fmt: skip
+        _hinge(link, f"rrs_joint{i}", (0, -1, 0), angles.q[i], armature=m.servos.armature)
+        _link(link, g.proximal_length, radius, proximal, **_RRS_BITS)
+        c, s = np.cos(angles.elbow[i]), np.sin(angles.elbow[i])
+        end = _body(
+            link, f"rrs_distal{i}", m, pos=[g.proximal_length, 0.0, 0.0],
+            xyaxes=[c, 0.0, s, 0.0, 1.0, 0.0],
+        )  # fmt: skip
+        _hinge(end, f"rrs_elbow{i}", (0, -1, 0), angles.elbow[i])
+        _link(end, g.distal_length, radius, distal, **_RRS_BITS)
+        if i:
+            _add(end, "site", name=f"rrs_end{i}", pos=[g.distal_length, 0.0, 0.0])
+        else:
+            _add_platform(end, asset, m, platform, platform_mount(angles).T)
+
+
+def _add_platform(
+    limb: ET.Element, asset: ET.Element, m: Machine, mass: float, turn: Floats
+) -> None:
+    """Platform and dome on the end of limb 0; ``turn`` is their rotation in its frame at home."""
+    g = m.rrs
+    ball = [g.platform_radius, 0.0, 0.0]
+    body = _body(
+        limb, "platform", m, pos=[g.distal_length, 0.0, 0.0] - turn @ ball,
+        xyaxes=[*turn[:, 0], *turn[:, 1]],
+    )  # fmt: skip
+    _add(body, "joint", name="platform_ball", type="ball", pos=ball)
+    _add(body, "geom", name="platform_disc", type="cylinder", mass=mass,
+         size=[g.platform_radius, m.task.spoke_radius])  # fmt: skip
+    for i in range(1, 3):
+        _add(body, "site", name=f"rrs_socket{i}", pos=g.platform_radius * RADIAL[i])
+    bore = Bore(m.delta.peg_radius + m.peg.clearance, m.peg.chamfer, m.peg.depth)
+    for name, vertices in dome_solids(m.task, bore):
+        _add(asset, "mesh", name=name, vertex=vertices)
+        _add(body, "geom", name=name, type="mesh", mesh=name, mass=0, **_RRS_BITS)
+
+
+def _add_delta(world: ET.Element, m: Machine, angles: TreeAngles, home: Floats) -> None:
+    d, radius, (proximal, rod, effector, peg) = (
+        m.delta,
+        m.task.forearm_radius,
+        m.servos.delta_masses,
+    )
+    base = _body(world, "delta_base", m, pos=d.base_height * UP)
+    _add(base, "geom", type="cylinder", size=[d.base_radius, 0.004], pos=[0.0, 0.0, 0.02])
+    for i in range(3):
+        c, s = np.cos(angles.theta[i]), np.sin(angles.theta[i])
+        link = _body(
+            base, f"delta_proximal{i}", m, pos=d.base_radius * RADIAL[i],
+            xyaxes=[*(c * RADIAL[i] - s * UP), *TANGENTIAL[i]],
+        )  # fmt: skip
+        _hinge(link, f"delta_joint{i}", (0, 1, 0), angles.theta[i], armature=m.servos.armature)
+        _link(link, d.proximal_length, radius, proximal)
+        c, s = np.cos(angles.swing[i]), np.sin(angles.swing[i])
+        end = _body(
+            link, f"delta_rod{i}", m, pos=[d.proximal_length, 0.0, 0.0],
+            xyaxes=[c, 0.0, -s, 0.0, 1.0, 0.0],
+        )  # fmt: skip
+        _hinge(end, f"delta_swing{i}", (0, 1, 0), angles.swing[i])
+        _hinge(end, f"delta_sway{i}", (0, 0, 1), angles.sway[i])
+        _link(end, d.distal_length, radius, rod, **_DELTA_BITS)
+        _add(end, "site", name=f"delta_end{i}", pos=[d.distal_length, 0.0, 0.0])
+    body = _body(base, "effector", m, pos=home[:3])
+    for axis, name, at_home in zip(np.eye(3), "xyz", home[:3], strict=True):
+        _add(body, "joint", name=f"effector_{name}", type="slide", axis=axis, ref=float(at_home))
+    _add(body, "geom", type="sphere", size=m.task.effector_radius, mass=effector, **_DELTA_BITS)
+    for i in range(3):
+        _add(body, "site", name=f"delta_socket{i}", pos=d.effector_radius * RADIAL[i])
+    _add_peg(body, m, peg)
+
+
+def _add_peg(effector: ET.Element, m: Machine, mass: float) -> None:
+    """A body of its own, though it never moves on the effector: between them forces are sensed."""
+    length, radius = m.delta.peg_length, m.delta.peg_radius
+    body = _body(effector, "peg", m)
+    end = radius if m.peg.tip == "capsule" else 0.0
+    _add(
+        body, "geom", name="peg", type="capsule" if end else "cylinder", size=radius, mass=mass,
+        fromto=[0.0, 0.0, 0.0, 0.0, 0.0, end - length], priority=1, **_DELTA_BITS,
+    )  # fmt: skip
+    _add(body, "site", name="tip", pos=[0.0, 0.0, -length], size=0.001)
+
+
+def to_xml(root: ET.Element) -> str:
+    """The model as text."""
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"

@@ -1,0 +1,95 @@
+"""A model folder as MuJoCo's Menagerie has them: the MJCF, and a README that says what is in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from coop_env.physics.dome import SPOT_WIDTH
+from coop_env.physics.model import TIMESTEP, Machine, build_mjcf, to_xml
+
+MODEL: Final = "coop_insertion.xml"
+README: Final = "README.md"
+PROTOTYPE: Final = "chosen with a prototype, see docs/physics.md"
+DRAWN: Final = "drawn so; touches nothing"
+
+Row = tuple[str, str, str]
+
+
+def save_model(machine: Machine, folder: Path) -> None:
+    """Write the MJCF and its README into a folder, which is made if it is missing.
+
+    Raises:
+        GeometryError: a robot cannot be assembled at home.
+        ArgumentError: the holes do not fit the dome.
+    """
+    xml, readme = to_xml(build_mjcf(machine)), describe(machine)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / MODEL).write_text(xml, encoding="utf-8")
+    (folder / README).write_text(readme, encoding="utf-8")
+
+
+def describe(machine: Machine) -> str:
+    """The README of a machine's model folder, Markdown."""
+    lines = [
+        "# Delta robot and 3-RRS with a dome of holes",
+        "",
+        f"`{MODEL}` is a MuJoCo model of both robots, written by `coop_env.physics.model` from the "
+        "same dimensions as the kinematics. Units: m, kg, s, rad. World frame: the 3-RRS's base, z "
+        "up. Each hinge's coordinate is the analytic joint angle; the model opens at home.",
+        "",
+        "The platform hangs on the 3-RRS's limb 0 by a ball joint and on the other two by "
+        "`connect` equalities between sites; the Delta's effector moves on three slides, tied to "
+        "its three rods, each on a universal joint: 21 degrees of freedom, six of them actuated "
+        "by position servos. The dome is convex in parts: eight staves around each bore, prisms "
+        "elsewhere.",
+        "",
+        "| number | value | origin |",
+        "|---|---|---|",
+        *(f"| {name} | {value} | {origin} |" for name, value, origin in rows(machine)),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def rows(m: Machine) -> Iterator[Row]:
+    """Every number of the model: its name, its value and where it comes from."""
+    for owner, geometry, names in (
+        ("3-RRS", m.rrs, ("base_radius", "proximal_length", "platform_radius", "distal_length")),
+        ("Delta", m.delta, ("base_radius", "effector_radius", "proximal_length", "distal_length",
+                            "base_height", "peg_length", "peg_radius")),
+    ):  # fmt: skip
+        for name in names:
+            value = f"{getattr(geometry, name):g} m"
+            yield f"{owner}, {name}", value, f"`coop_env.geometry.{type(geometry).__name__}`"
+    for name in ("dome_radius", "effector_radius", "forearm_radius", "limb_radius"):
+        yield name, f"{getattr(m.task, name):g} m", "`coop_env.InsertionTask`: collision bodies"
+    holes = ", ".join(f"({polar:.4g}, {azimuth:.4g})" for polar, azimuth in m.task.holes)
+    yield "holes: polar angle, azimuth", f"{holes} rad", "`coop_env.InsertionTask`"
+    yield (
+        "bore: flats from the axis",
+        f"{m.delta.peg_radius + m.peg.clearance:g} m",
+        ("peg radius and clearance"),
+    )
+    yield "bore: chamfer, depth", f"{m.peg.chamfer:g}, {m.peg.depth:g} m", PROTOTYPE
+    yield "bore: width of the spot face", f"{SPOT_WIDTH:g} m", "a flat peg that misses slides on it"
+    yield "peg: tip, friction", f"{m.peg.tip}, {m.peg.friction:g}", PROTOTYPE
+    s = m.servos
+    yield "3-RRS: proximal, distal link, platform", _numbers(s.rrs_masses, "kg"), PROTOTYPE
+    yield "Delta: proximal link, rod, effector, peg", _numbers(s.delta_masses, "kg"), PROTOTYPE
+    yield "inertia of the links", "of solid capsules, a disc, a sphere", "the bodies drawn"
+    yield "3-RRS: servo stiffness kp", f"{s.rrs_stiffness:g} N m/rad", PROTOTYPE
+    yield "Delta: servo stiffness kp", f"{s.delta_stiffness:g} N m/rad", PROTOTYPE
+    yield "servo damping kv", f"2 sqrt({s.damping_time:g} kp) N m s/rad", PROTOTYPE
+    yield "torque limit, armature", f"{s.torque_limit:g} N m, {s.armature:g} kg m^2", PROTOTYPE
+    yield "gravity compensation", "on" if s.gravity_compensation else "off", PROTOTYPE
+    yield "timestep", f"{TIMESTEP:g} s, implicitfast, Newton", PROTOTYPE
+    yield "friction cone", "elliptic, impratio 5", f"{PROTOTYPE}: a pyramid falsifies contact"
+    yield "contact solref, solimp", "2.5 timesteps, 1; .95 .99 .0002", PROTOTYPE
+    yield "equality solref, solimp", "2 timesteps, 1; .99 .999 .0001", PROTOTYPE
+    yield "base plates", "discs 8 mm thick", DRAWN
+
+
+def _numbers(values: tuple[float, ...], unit: str) -> str:
+    return ", ".join(f"{value:g}" for value in values) + f" {unit}"

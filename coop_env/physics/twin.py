@@ -1,0 +1,258 @@
+"""The compiled model, moved: n machines side by side, stepped by MuJoCo's own threads.
+
+One machine is a batch of one, so the single environment and the vectorised one run the same code
+and come to the same last bit.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coop_env.checks import check_integer
+from coop_env.errors import ArgumentError
+from coop_env.kinematics import delta, rrs
+from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
+from coop_env.physics import kernels
+from coop_env.physics.engine import mujoco
+from coop_env.physics.joints import Floats, platform_mount, tree_angles
+from coop_env.physics.model import TIMESTEP, Machine, build_mjcf, to_xml
+from coop_env.simulation.collision import peg_tip
+from coop_env.simulation.task import N_AXES, pack
+
+_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_SETTLING = 500  # timesteps in which servos have to show that they hold home: 1 s
+
+
+class Readings(NamedTuple):
+    """What the sensors say, with any leading axes; N, N m, rad, m, world frame.
+
+    ``wrench`` is what the peg does to the effector, force and moment about the tip: contact and
+    the peg's own weight. ``joints`` are theta and q. ``tip``, ``platform`` (its centre) and
+    ``rotation`` are where things really are. A reading is of the beginning of its timestep.
+    """
+
+    wrench: Floats  # (..., 6)
+    joints: Floats  # (..., 6)
+    tip: Floats  # (..., 3)
+    platform: Floats  # (..., 3)
+    rotation: Floats  # (..., 3, 3)
+
+
+def _readings(sensors: Floats) -> Readings:
+    """Sensor data (..., 27) by name, in the order in which the model has them."""
+    rotation = np.swapaxes(sensors[..., 18:].reshape(*sensors.shape[:-1], 3, 3), -1, -2)
+    # the engine's own wrench is what the effector does to the peg
+    parts = -sensors[..., :6], sensors[..., 6:12], sensors[..., 12:15], sensors[..., 15:18]
+    return Readings(*parts, rotation)
+
+
+def last(readings: Readings) -> Readings:
+    """The last of (n, steps) readings, (n, ...)."""
+    return Readings(*(part[:, -1] for part in readings))
+
+
+@contextmanager
+def _unlogged() -> Iterator[None]:
+    """MuJoCo writes its warnings to a file in the working directory; here they are looked for."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+class Twin:
+    """So many machines of one kind, each with its own state, base and friction.
+
+    Args:
+        machine: what they are.
+        n: how many.
+        threads: of MuJoCo's pool; 1 steps in the caller's thread.
+
+    Raises:
+        GeometryError: a robot cannot be assembled at home.
+        ArgumentError: the holes do not fit the dome, or the servos cannot hold home.
+    """
+
+    def __init__(self, machine: Machine | None = None, n: int = 1, threads: int = 1) -> None:
+        self.machine = Machine() if machine is None else machine
+        self.n = check_integer("n", n, 1)
+        self.packed = pack(self.machine.kernel_params())
+        first = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(self.machine)))
+        self.models: list[Any] = [first, *(copy.copy(first) for _ in range(n - 1))]
+        threads = check_integer("threads", threads, 1)
+        self._data = [mujoco.MjData(first) for _ in range(threads)]
+        self._pool = mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0)
+        self._addresses = {
+            name: int(first.joint(name).qposadr[0])
+            for name in (first.joint(i).name for i in range(first.njnt))
+        }
+        self._base, self._peg = first.body("rrs_base").id, first.geom("peg").id
+        self.states: Floats = np.zeros((n, mujoco.mj_stateSize(first, _STATE)))
+        self._sensors: Floats = np.zeros((n, first.nsensordata))
+        self.base: Floats = np.zeros((n, 5))
+        self._turns: Floats = np.zeros((n, 3, 3))
+        self.diverged: NDArray[np.bool_] = np.zeros(n, bool)
+        home = self.machine.home()
+        for row in range(n):
+            self.place(row, home)
+        self._check_hold(home)
+
+    def joint_positions(self, configuration: ArrayLike) -> Floats:
+        """Generalized coordinates (22,) at (x, y, z, roll, pitch, heave), from the kinematics.
+
+        Raises:
+            ArgumentError: it is not six numbers that both robots can reach.
+        """
+        c = np.asarray(configuration, np.float64)
+        m = self.machine
+        angles = tree_angles(c, m.rrs, m.delta) if c.shape == (N_AXES,) else None
+        if angles is None or not all(np.isfinite(part).all() for part in angles):
+            raise ArgumentError(f"configuration = {configuration!r}: out of the robots' reach")
+        at_home = platform_mount(tree_angles(m.home(), m.rrs, m.delta))
+        turn = at_home @ platform_mount(angles).T @ angles.rotation
+        q: Floats = np.empty(self.models[0].nq)
+        groups = {"rrs_joint": angles.q, "rrs_elbow": angles.elbow, "delta_joint": angles.theta,
+                  "delta_swing": angles.swing, "delta_sway": angles.sway}  # fmt: skip
+        for name, values in groups.items():
+            for i in range(3):
+                q[self._addresses[f"{name}{i}"]] = values[i]
+        for axis, value in zip("xyz", c[:3], strict=True):
+            q[self._addresses[f"effector_{axis}"]] = value
+        ball = self._addresses["platform_ball"]
+        mujoco.mju_mat2Quat(q[ball : ball + 4], turn.ravel())
+        return q
+
+    def servo_targets(self, configurations: ArrayLike) -> Floats:
+        """Joint commands (..., 6), theta then q, rad; NaN where a robot cannot reach."""
+        c = np.asarray(configurations, np.float64)
+        theta = delta.inverse(c[..., :3], self.machine.delta).theta
+        return np.concatenate([theta, rrs.inverse(c[..., 3:], self.machine.rrs).q], axis=-1)
+
+    def believed(self, joints: ArrayLike, previous: ArrayLike) -> Floats:
+        """Configurations (..., 6) of measured joints, NaN where the links cannot close.
+
+        Args:
+            joints: theta and q (..., 6), rad.
+            previous: configurations (..., 6) from which the 3-RRS's branch is followed.
+        """
+        angles, before = np.asarray(joints, np.float64), np.asarray(previous, np.float64)
+        position = delta.forward(angles[..., :3], self.machine.delta).position
+        pose = rrs.forward(angles[..., 3:], before[..., 3:], self.machine.rrs).pose
+        return np.concatenate([position, pose], axis=-1)
+
+    def place(
+        self, row: int, configuration: ArrayLike, base: ArrayLike | None = None,
+        friction: float | None = None,
+    ) -> Readings:  # fmt: skip
+        """Set one machine down at rest, and read its sensors.
+
+        Args:
+            row: which machine.
+            configuration: (6,), as the robots believe it.
+            base: where the 3-RRS's base really stands (5,): x, y, z, m; roll, pitch, rad.
+            friction: of the peg; None leaves it.
+
+        Raises:
+            ArgumentError: the configuration is out of reach.
+        """
+        model = self.models[row]
+        self.base[row] = 0.0 if base is None else base
+        model.body_pos[self._base] = self.base[row, :3]
+        self._turns[row] = roll_pitch_yaw_matrix([*self.base[row, 3:], 0.0])
+        mujoco.mju_mat2Quat(model.body_quat[self._base], self._turns[row].ravel())
+        if friction is not None:
+            model.geom_friction[self._peg, 0] = friction
+        q = self.joint_positions(configuration)
+        self.states[row] = 0.0
+        self.states[row, 1 : 1 + q.size] = q
+        self.diverged[row] = False
+        self._data[0].ctrl[:] = self.servo_targets(configuration)
+        self._sensors[row] = self.inspect(row)[1].sensordata
+        return _readings(self._sensors[row].copy())
+
+    def inspect(self, row: int) -> tuple[Any, Any]:
+        """MuJoCo's own model and data of one machine now, all quantities computed.
+
+        The data serve whatever moves next, so what is to stay has to be copied.
+        """
+        model, data = self.models[row], self._data[0]
+        mujoco.mj_setState(model, data, self.states[row], _STATE)
+        mujoco.mj_forward(model, data)
+        return model, data
+
+    def advance(self, targets: ArrayLike, steps: int) -> Readings:
+        """Move all machines for so many timesteps; :attr:`diverged` says which of them blew up.
+
+        Those stay where they were, with the sensors' last good readings.
+
+        Args:
+            targets: joint commands (n, 6), held, or (n, steps, 6), rad.
+            steps: timesteps of :data:`~coop_env.physics.model.TIMESTEP`.
+
+        Returns:
+            The readings, with leading axes (n, steps).
+        """
+        held = np.asarray(targets, np.float64)
+        held = held[:, None] if held.ndim == 2 else held
+        controls = np.ascontiguousarray(np.broadcast_to(held, (self.n, steps, N_AXES)))
+        states = np.empty((self.n, steps, self.states.shape[1]))
+        sensors = np.empty((self.n, steps, self._sensors.shape[1]))
+        with _unlogged():
+            self._pool.rollout(
+                self.models, self._data, self.states, controls, nstep=steps, state=states,
+                sensordata=sensors, skip_checks=True,
+            )  # fmt: skip
+        # A rollout that meets a warning of the engine's stands still from there on.
+        elapsed = states[:, -1, 0] - self.states[:, 0]
+        whole = np.isfinite(states[:, -1]).all(axis=1) & np.isfinite(sensors).all(axis=(1, 2))
+        self.diverged = gone = ~(whole & (elapsed > (steps - 0.5) * TIMESTEP))
+        if gone.any():
+            sensors[gone], states[gone, -1] = self._sensors[gone][:, None], self.states[gone]
+        self.states, self._sensors = states[:, -1].copy(), sensors[:, -1]
+        return _readings(sensors)
+
+    def platform_error(self, readings: Readings, configurations: Floats) -> Floats:
+        """Angle (n,) between the platform and what (n, 6) command of it, rad.
+
+        Beyond a few degrees it hangs in another assembly mode: see :attr:`ContactTask.snap_angle`.
+        """
+        rotation = np.ascontiguousarray(readings.rotation)
+        found: Floats = kernels.platform_error(
+            rotation, self._turns, np.ascontiguousarray(configurations), self.packed
+        )
+        return found
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.close()
+
+    def _check_hold(self, home: Floats) -> None:
+        """Whether the servos hold home within what the task calls inserted."""
+        targets = np.broadcast_to(self.servo_targets(home), (self.n, N_AXES))
+        start = self.states.copy()
+        found = last(self.advance(targets, _SETTLING))
+        tip = peg_tip(*home[:3].tolist(), self.machine.kernel_params().delta)
+        sag = float(np.linalg.norm(found.tip[0] - tip))
+        lean = float(self.platform_error(found, np.broadcast_to(home, (self.n, N_AXES)))[0])
+        task = self.machine.task
+        if self.diverged[0] or not (sag < task.tolerance and lean < task.angle_tolerance):
+            raise ArgumentError(
+                f"these servos cannot hold the machine at home: within 1 s the tip is "
+                f"{1e3 * sag:.3g} mm and the platform {np.degrees(lean):.3g} degrees off; raise "
+                "the stiffness or torque_limit, or turn gravity_compensation on"
+            )
+        self.states = start
+
+
+def rotation_angle(a: Floats, b: Floats) -> Floats:
+    """Angle (...) of the rotation between matrices (..., 3, 3), exact also near zero; rad."""
+    chord = np.linalg.norm(a - b, axis=(-2, -1))  # sqrt(8) sin(angle / 2)
+    return 2.0 * np.arcsin(np.minimum(chord / np.sqrt(8.0), 1.0))

@@ -1,0 +1,100 @@
+"""The twin held against the analytic kinematics: drive it to poses and see where it comes to rest.
+
+Poses are start states of the kinematic task: valid, free of collision, off every singularity. The
+servos are led there from home in a straight line of configurations, so the twin has to find each
+pose by closing its loops, not by being put there.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from coop_env.env import CoopInsertionEnv
+from coop_env.kinematics import rrs
+from coop_env.physics.joints import Floats
+from coop_env.physics.twin import Readings, Twin, last, rotation_angle
+from coop_env.simulation.collision import peg_tip
+
+RAMP_STEPS = 250
+"""Timesteps of the way from home, 0.5 s, and as many again to come to rest."""
+
+
+class Validation(NamedTuple):
+    """Errors of each pose (n,): what is measured on the twin minus what the kinematics say.
+
+    ``tip`` and ``loop`` (the farthest that a tied joint is apart) in m; ``platform`` (angle of the
+    rotation between both) and ``joints`` (the worst of six actuated angles) in rad; ``centre``, the
+    platform's, in m. ``steps`` is the number of timesteps simulated, for all poses together.
+    """
+
+    tip: Floats
+    centre: Floats
+    platform: Floats
+    joints: Floats
+    loop: Floats
+    steps: int
+
+
+def draw_poses(twin: Twin, n: int, seed: int) -> Floats:
+    """Start states (n, 6) of the kinematic task on the twin's machine.
+
+    Raises:
+        ResetOptionError: the machine has hardly any workspace.
+    """
+    m = twin.machine
+    env = CoopInsertionEnv(geometry=m.rrs, delta=m.delta, task=m.task)
+    env.reset(seed=seed)
+    poses = []
+    for _ in range(n):
+        env.reset()
+        poses.append(env.configuration)
+    return np.array(poses)
+
+
+def validate(twin: Twin, poses: Floats) -> Validation:
+    """Drive each machine of the twin to poses (n, 6), as many at a time as the twin has machines.
+
+    Raises:
+        ArgumentError: a pose is out of reach.
+    """
+    home = twin.machine.home()
+    fraction = np.clip(np.arange(1, 2 * RAMP_STEPS + 1) / RAMP_STEPS, 0.0, 1.0)[:, None]
+    found = []
+    for first in range(0, len(poses), twin.n):
+        batch = poses[first : first + twin.n]
+        goals = np.concatenate([batch, np.broadcast_to(home, (twin.n - len(batch), 6))])
+        for row in range(twin.n):
+            twin.joint_positions(goals[row])  # says what is out of reach
+            twin.place(row, home)
+        way = home + fraction * (goals[:, None] - home)
+        readings = last(twin.advance(twin.servo_targets(way), len(fraction)))
+        errors = _errors(twin, readings, goals)
+        found.append(np.where(twin.diverged, np.inf, errors)[:, : len(batch)])
+    tip, centre, platform, joints, loop = np.concatenate(found, axis=1)
+    return Validation(tip, centre, platform, joints, loop, len(fraction) * len(poses))
+
+
+def _errors(twin: Twin, readings: Readings, goals: Floats) -> Floats:
+    """The fields of :class:`Validation` but the last, (5, n)."""
+    delta = twin.machine.kernel_params().delta
+    tips = np.array([peg_tip(*goal[:3].tolist(), delta) for goal in goals])
+    pose = rrs.platform_pose(goals[:, 3:], twin.machine.rrs)
+    return np.array(
+        [
+            np.linalg.norm(readings.tip - tips, axis=1),
+            np.linalg.norm(readings.platform - pose.position, axis=1),
+            rotation_angle(readings.rotation, pose.rotation),
+            np.abs(readings.joints - twin.servo_targets(goals)).max(axis=1),
+            [loop_residual(twin, row) for row in range(twin.n)],
+        ]
+    )
+
+
+def loop_residual(twin: Twin, row: int) -> float:
+    """The farthest that two ends tied by a loop are apart now, m."""
+    model, data = twin.inspect(row)
+    ends = [data.site_xpos[model.equality(i).obj1id[0]] for i in range(model.neq)]
+    sockets = [data.site_xpos[model.equality(i).obj2id[0]] for i in range(model.neq)]
+    return float(np.linalg.norm(np.array(ends) - np.array(sockets), axis=1).max())

@@ -1,0 +1,52 @@
+"""``python -m benchmarks physics`` measures, stores, prints, and its tables can be checked."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks.__main__ import main as command
+from benchmarks.reporting.verify import Report
+from benchmarks.studies import physics
+
+SMALL = ["--poses", "4", "--steps", "16", "--rounds", "1", "--memory-steps", "20"]
+
+
+def test_the_command_writes_what_it_prints(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
+    docs, results = tmp_path / "docs", tmp_path / "results"
+    docs.mkdir()
+    page = docs / physics.PAGE
+    page.write_text("# Page\n\n<!-- physics:begin -->\n<!-- physics:end -->\n", encoding="utf-8")
+    places = ["--results", str(results), "--docs", str(docs)]
+    assert physics.main([*places, *SMALL]) == 0
+    folder = results / "physics"
+    text = (folder / "physics.md").read_text("utf-8")
+    assert capsys.readouterr().out.startswith(text.strip())
+    assert text.strip() in page.read_text("utf-8")
+    assert (folder / "model" / "coop_insertion.xml").is_file()
+    found = json.loads((folder / "physics.json").read_text("utf-8"))
+    for errors in found["errors"].values():
+        assert 0.0 < errors["tip"]["largest"] < 5e-5
+    assert min(found["steps_per_second"].values()) > 0.0
+    report = Report()
+    physics.check(report, results, [], docs)
+    assert report.problems == []
+    page.write_text(page.read_text("utf-8").replace("tip of the peg", "tip"), encoding="utf-8")
+    report = Report()
+    physics.check(report, results, [], docs)
+    assert report.problems
+
+
+def test_without_mujoco_the_extra_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    monkeypatch.delitem(sys.modules, "coop_env.physics.engine", raising=False)
+    assert command(["physics"]) == 2
+    assert "sb3-rainbow-coop[physics]" in capsys.readouterr().err

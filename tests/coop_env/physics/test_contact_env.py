@@ -1,0 +1,348 @@
+"""The contact task: checkers, episodes and their ends, forces, what is drawn, bad input."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.utils.env_checker import check_env
+
+pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
+
+from scipy.optimize import least_squares
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+from coop_env.errors import ActionError, ArgumentError, ResetOptionError
+from coop_env.geometry import GeometryError
+from coop_env.kinematics import delta, rrs
+from coop_env.physics.contact.env import CoopInsertionContactEnv
+from coop_env.physics.contact.task import LEVELS, ContactTask
+from coop_env.physics.model import Servos
+from coop_env.physics.twin import last
+
+IDS = ("CoopInsertionContact-v0", "CoopInsertionContactDiscrete-v0")
+DOWN = np.array([0.0, 0.0, -0.5, 0.0, 0.0, 0.0])
+
+
+def make(**kwargs: Any) -> CoopInsertionContactEnv:
+    return CoopInsertionContactEnv(**kwargs)
+
+
+def play(env: CoopInsertionContactEnv, action: Any = DOWN, most: int = 200) -> dict[str, Any]:
+    """Repeat an action, or ask for it, to the end of the episode; the last info."""
+    total = 0.0
+    for _ in range(most):
+        chosen = action(env) if callable(action) else action
+        observation, reward, terminated, truncated, info = env.step(chosen)
+        assert np.isfinite(observation).all()
+        assert env.observation_space.contains(observation)
+        assert reward == pytest.approx(sum(info["reward_terms"].values()))
+        total += reward
+        if terminated or truncated:
+            assert terminated != truncated
+            return {**info, "return": total, "terminated": terminated}
+    raise AssertionError("the episode does not end")
+
+
+def push(env: CoopInsertionContactEnv) -> np.ndarray:
+    """Downwards as long as less than 8 N is felt."""
+    return DOWN if 10.0 * env.batch.observation[0, 13] < 8.0 else np.zeros(6)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_checkers(name: str) -> None:
+    check_env(gym.make(name).unwrapped, skip_render_check=True)
+    sb3_check_env(gym.make(name).unwrapped)
+
+
+def test_a_hole_where_it_is_believed_takes_the_peg() -> None:
+    env = make()
+    _, info = env.reset(seed=0, options={"error": [0.0, 0.0, 0.0, 0.0]})
+    assert info["depth"] == pytest.approx(-0.01, abs=1e-9)
+    assert info["lateral_error"] < 1e-9
+    end = play(env)
+    assert end["is_success"]
+    assert end["failure"] == ""
+    assert end["depth"] >= 0.01
+    assert end["peak_force"] < 1.0
+    # 20 mm of depth, the bonus, 0.05 a step
+    assert end["return"] == pytest.approx(1000 * (end["depth"] + 0.01) + 20 - end["time"], abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("level", "error", "expected"),
+    [
+        ("easy", 0.003, 1.0),  # a round tip finds the hole by itself
+        ("standard", 0.001, 1.0),  # within clearance and chamfer
+        ("standard", 0.0025, 0.0),
+        ("hard", 0.0006, 1.0),
+        ("hard", 0.0015, 0.0),
+    ],
+)
+def test_a_compliant_push_succeeds_as_far_as_clearance_and_chamfer_reach(
+    level: str, error: float, expected: float
+) -> None:
+    env = make(level=level)
+    ends = []
+    for k in range(6):
+        side = 2.0 * np.pi * k / 6
+        where = [error * np.cos(side), error * np.sin(side), 0.005, -0.005]
+        env.reset(seed=k, options={"error": where, "hole": k})
+        ends.append(play(env, push))
+    assert np.mean([end["success"] for end in ends]) == expected
+    if expected == 0.0:
+        assert {end["failure"] for end in ends} == {"time"}
+        assert max(end["depth"] for end in ends) < 2e-4  # nothing leaks
+
+
+def test_nothing_leaks_beside_a_hole() -> None:
+    """A stiff Delta presses the peg on the rim, all around, to 20 N: it sinks in by 0.1 mm."""
+    env = make(level={"force_limit": 20.0}, servos=Servos(delta_stiffness=1000.0))
+    for k in range(24):
+        side, off = 2.0 * np.pi * k / 24, 0.0018 + 0.0002 * k  # over chamfer and spot face
+        where = [off * np.cos(side), off * np.sin(side), 0.0, 0.0]
+        env.reset(seed=k, options={"error": where, "hole": k % 6, "friction": 0.4})
+        end = play(env, 0.4 * DOWN)
+        assert end["failure"] == "force"
+        data = env.batch.twin.inspect(0)[1]
+        platform = data.body("platform")
+        tip = platform.xmat.reshape(3, 3).T @ (data.site("tip").xpos - platform.xpos)
+        height = tip @ env.batch.twin.machine.task.hole_normals[k % 6]
+        assert height - 0.1 > -3e-4
+        assert min(data.contact.dist) > -1.5e-4
+
+
+def test_force_is_measured_noticed_and_ends_the_episode() -> None:
+    env = make()
+    observation, _ = env.reset(seed=3, options={"error": [0.0025, 0.0, 0.0, 0.0], "hole": 4})
+    end = play(env)
+    assert end["failure"] == "force"
+    assert end["terminated"]
+    assert end["reward_terms"]["failure"] == -5.0
+    assert end["force"][2] > 39.0
+    assert end["peak_force"] >= np.linalg.norm(end["force"])
+    # the hole is at +x, so the rim carries the peg at -x: a moment about +y
+    assert end["moment"][1] > 0.02
+    observation = env.batch.observation[0]
+    assert 10.0 * observation[13] == pytest.approx(end["force"][2], abs=0.2)
+    assert 0.05 * observation[15] == pytest.approx(end["moment"][1], abs=0.005)
+    with pytest.raises(ResetNeeded):
+        env.step(DOWN)
+
+
+def test_a_force_balances_the_servos() -> None:
+    """What the peg feels is what the Delta's servos push with, by its Jacobian."""
+    env = make()
+    env.reset(seed=3, options={"error": [0.0025, 0.0, 0.0, 0.0], "hole": 4})
+    for _ in range(27):
+        *_, info = env.step(DOWN)
+    for _ in range(20):
+        *_, info = env.step(np.zeros(6))
+    twin = env.batch.twin
+    torques = twin.inspect(0)[1].actuator_force[:3].copy()
+    position = env.batch.command[0, :3]
+    turned = delta.jacobian(position) / twin.machine.delta.proximal_length
+    assert info["force"][2] > 5.0
+    assert turned.T @ torques == pytest.approx(-info["force"], rel=0.02, abs=0.1)
+
+
+def other_assemblies(pose: np.ndarray) -> list[np.ndarray]:
+    """Poses that close the 3-RRS's limbs at the same joint angles, by Newton from many starts."""
+    q = rrs.inverse(pose).q
+
+    def gap(other: np.ndarray) -> np.ndarray:
+        return np.nan_to_num(rrs.inverse(other).q - q, nan=10.0)
+
+    found: list[np.ndarray] = []
+    starts = np.random.default_rng(0).uniform([-1.2, -1.2, 0.1], [1.2, 1.2, 0.3], (100, 3))
+    for start in starts:
+        solved: Any = least_squares(gap, start)
+        apart = min(np.abs(solved.x - known).max() for known in [pose, *found])
+        if np.abs(solved.fun).max() < 1e-9 and apart > 0.01:
+            found.append(solved.x)
+    return found
+
+
+def test_another_assembly_mode_is_seen_within_a_control_step() -> None:
+    """The same servo commands hold the platform elsewhere: where a jump would leave it."""
+    env = make()
+    env.reset(seed=0, options={"hole": 0})
+    start = env.batch.command[0].copy()
+    elsewhere = other_assemblies(start[3:])
+    assert len(elsewhere) >= 2
+    for pose in elsewhere:
+        env.reset(seed=0, options={"hole": 0})
+        twin = env.batch.twin
+        position = twin.joint_positions([*start[:3], *pose])
+        twin.states[0, 1 : 1 + position.size] = position
+        *_, terminated, _, info = env.step(np.zeros(6))
+        assert terminated
+        assert info["failure"] == "snap"
+        assert last(twin.advance(twin.servo_targets(start)[None], 500)).joints[0, 3:] == (
+            pytest.approx(twin.servo_targets(start)[3:], abs=1e-3)
+        )  # it stays there, and no joint tells
+
+
+def test_a_soft_3rrs_pushed_hard_snaps() -> None:
+    """Soft servos near the parallel singularity lose their assembly mode; the episode says so."""
+    soft = Servos(rrs_stiffness=2.0, delta_stiffness=400.0)
+    env = make(servos=soft)
+    env.reset(seed=0, options={"hole": 0, "error": [0.0025, 0.0, 0.0, 0.0]})
+    assert play(env, 2.0 * DOWN)["failure"] == "snap"
+
+
+def test_time_runs_out() -> None:
+    env = make()
+    env.reset(seed=0)
+    end = play(env, np.zeros(6))
+    assert end["failure"] == "time"
+    assert not end["terminated"]
+    assert end["time"] == pytest.approx(4.0)
+    assert gym.spec(IDS[0]).max_episode_steps == 80
+
+
+def test_a_simulation_that_diverges_ends_with_a_cause() -> None:
+    env = make()
+    env.reset(seed=0)
+    env.batch.twin.states[0, -21:] = 1e12
+    observation, reward, terminated, _, info = env.step(np.zeros(6))
+    assert terminated
+    assert info["failure"] == "diverged"
+    assert np.isfinite(observation).all()
+    assert np.isfinite([reward, *info["force"], info["depth"], info["lateral_error"]]).all()
+    assert np.isfinite(env.reset(seed=0)[0]).all()
+
+
+def test_a_seed_fixes_the_episode_to_the_last_bit() -> None:
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (30, 6))
+    runs = []
+    for _ in range(2):
+        env = make()
+        rows = [env.reset(seed=5)[0]]
+        rows += [env.step(action)[0] for action in actions]
+        runs.append(np.array(rows))
+    assert runs[0].tobytes() == runs[1].tobytes()
+    assert make().reset(seed=6)[0].tobytes() != runs[0][0].tobytes()
+
+
+def test_what_is_drawn_stays_within_the_task() -> None:
+    env = make()
+    env.reset(seed=0)
+    infos = [env.reset()[1] for _ in range(100)]
+    errors = np.array([info["error"] for info in infos])
+    offset = np.hypot(errors[:, 0], errors[:, 1])
+    assert offset.max() <= 0.003
+    assert np.mean(offset > 0.003 * np.sqrt(0.5)) == pytest.approx(0.5, abs=0.17)  # over a disc
+    assert np.degrees(np.hypot(errors[:, 2], errors[:, 3])).max() <= 1.0
+    friction = np.array([info["friction"] for info in infos])
+    assert 0.1 <= friction.min() < 0.15 < 0.35 < friction.max() <= 0.4
+    assert {info["hole"] for info in infos} == set(range(6))
+    # the drawn error is where the hole really is
+    lateral = np.array([info["lateral_error"] for info in infos])
+    assert lateral == pytest.approx(offset, abs=3e-4)  # the tip stands 10 mm up a tilted axis
+
+
+def test_the_same_draws_whatever_options_fix() -> None:
+    env = make()
+    _, free = env.reset(seed=4)
+    _, fixed = env.reset(seed=4, options={"error": [0.0] * 4})
+    assert (free["hole"], free["friction"]) == (fixed["hole"], fixed["friction"])
+    assert np.all(fixed["error"] == 0.0)
+
+
+def test_moves_are_increments() -> None:
+    discrete: Any = gym.make(IDS[1]).unwrapped
+    continuous = make()
+    increments = continuous.task.increments
+    discrete.reset(seed=2)
+    continuous.reset(seed=2)
+    for action in range(12):
+        before = discrete.batch.command[0].copy()
+        observation = discrete.step(action)[0]
+        moved = np.zeros(6)
+        moved[action // 2] = 1.0 if action % 2 == 0 else -1.0
+        assert discrete.batch.command[0] - before == pytest.approx(moved * increments, abs=1e-15)
+        assert observation.tobytes() == continuous.step(moved)[0].tobytes()
+
+
+def test_a_command_beyond_the_limits_is_not_taken() -> None:
+    env = make()
+    env.reset(seed=0)
+    end = play(env, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0]))
+    assert end["violation"]
+    assert env.batch.command[0, 5] <= 0.25
+
+
+@pytest.mark.parametrize(
+    "action",
+    [np.full(6, np.nan), np.full(6, 1.01), np.zeros(5), "down", None, np.inf * np.ones(6)],
+)
+def test_actions_that_are_none(action: Any) -> None:
+    env = make()
+    env.reset(seed=0)
+    state = env.batch.twin.states.copy()
+    with pytest.raises(ActionError, match="action"):
+        env.step(action)
+    assert np.array_equal(env.batch.twin.states, state)
+
+
+@pytest.mark.parametrize("action", [12, -1, 0.0, True, "0"])
+def test_moves_that_are_none(action: Any) -> None:
+    env = gym.make(IDS[1]).unwrapped
+    env.reset(seed=0)
+    with pytest.raises(ActionError, match="action"):
+        env.step(action)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"hole": 6}, {"hole": True}, {"error": [0.0, 0.0]}, {"error": [np.nan] * 4},
+        {"error": [0.1, 0, 0, 0]}, {"friction": 0.0}, {"force": 1}, 7,
+    ],
+)  # fmt: skip
+def test_reset_options_that_cannot_be(options: Any) -> None:
+    env = make()
+    with pytest.raises(ResetOptionError):
+        env.reset(options=options)
+    with pytest.raises(ResetNeeded):
+        env.step(DOWN)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"level": "harder"},
+        {"level": {"dt": 0.001}},
+        {"level": {"peg": {"tip": "round"}}},
+        {"level": {"friction": [0.4, 0.1]}},
+        {"level": {"insertion_depth": 0.03}},
+        {"level": {"max_steps": 0}},
+        {"level": {"clearence": 1}},
+        {"geometry": "best"},
+        {"servos": {"rrs_stiffness": -1.0}},
+        {"servos": {"torque_limit": 0.2, "gravity_compensation": False}},
+    ],
+)
+def test_arguments_that_cannot_be(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ArgumentError):
+        make(**wrong)
+
+
+def test_a_geometry_that_turns_no_hole_upright() -> None:
+    with pytest.raises(GeometryError, match="upright"):
+        make(holes={"holes": [[1.2, 0.0]]})
+
+
+def test_levels_are_the_task_with_other_pegs() -> None:
+    names = [name for name in LEVELS if name != "standard"]
+    for name in names:
+        assert LEVELS[name].peg != ContactTask().peg
+        assert LEVELS[name].increments.tolist() == ContactTask().increments.tolist()
+    initial = make(geometry="initial")  # whose 30-degree holes lie at its singularity
+    assert 4 in np.flatnonzero(np.isfinite(initial.batch.starts[:, 0]))
+    assert not np.isfinite(initial.batch.starts[0]).any()

@@ -1,0 +1,93 @@
+"""The contact task in batches: each row is a single environment, whatever the threads."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+
+pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
+
+from coop_env.errors import ActionError, ArgumentError
+from coop_env.physics.contact.env import CoopInsertionContactEnv
+from coop_env.physics.contact.vector_env import (
+    CoopInsertionContactDiscreteVectorEnv,
+    CoopInsertionContactVectorEnv,
+)
+
+ID = "CoopInsertionContact-v0"
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_rows_are_single_environments(threads: int) -> None:
+    """Through ends of episodes: a fast descent, half of them against the rim until it is 40 N."""
+    n = 3
+    env = CoopInsertionContactVectorEnv(n, threads=threads)
+    singles = [CoopInsertionContactEnv() for _ in range(n)]
+    observations, infos = env.reset(seed=7)
+    for row, single in enumerate(singles):
+        observation, info = single.reset(seed=7 + row)
+        assert observation.tobytes() == observations[row].tobytes()
+        assert infos["hole"][row] == info["hole"]
+    rng = np.random.default_rng(0)
+    ended = 0
+    for _ in range(60):
+        actions = rng.uniform(-0.3, 0.3, (n, 6))
+        actions[:, 2] -= 0.7
+        observations, rewards, terminated, truncated, infos = env.step(actions)
+        for row, single in enumerate(singles):
+            observation, reward, *ends, info = single.step(actions[row])
+            assert ends == [terminated[row], truncated[row]]
+            if any(ends):
+                ended += 1
+                assert infos["final_obs"][row].tobytes() == observation.tobytes()
+                assert infos["final_info"]["failure"][row] == info["failure"]
+                assert infos["final_info"]["reward_terms"]["depth"][row] == pytest.approx(
+                    info["reward_terms"]["depth"]
+                )
+                observation, info = single.reset()
+            else:
+                assert infos["force"][row] == pytest.approx(info["force"])
+            assert observation.tobytes() == observations[row].tobytes()
+            assert reward == pytest.approx(rewards[row], abs=1e-12)
+    assert ended >= n
+    env.close()
+
+
+def test_make_vec_makes_it_and_knows_the_limit() -> None:
+    env = gym.make_vec(ID, num_envs=2, level="hard", max_episode_steps=4)
+    assert isinstance(env, CoopInsertionContactVectorEnv)
+    env.reset(seed=0)
+    for _ in range(4):
+        *_, truncated, infos = env.step(np.zeros((2, 6)))
+    assert truncated.all()
+    assert infos["final_info"]["failure"].tolist() == ["time", "time"]
+    moves = gym.make_vec("CoopInsertionContactDiscrete-v0", num_envs=2)
+    assert isinstance(moves, CoopInsertionContactDiscreteVectorEnv)
+    assert moves.action_space.shape == (2,)
+    moves.reset(seed=0)
+    observations, *_ = moves.step(np.array([5, 0]))
+    assert observations[:, 23:].tolist() == [[0, 0, -1, 0, 0, 0], [1, 0, 0, 0, 0, 0]]
+
+
+def test_bad_input() -> None:
+    env = CoopInsertionContactVectorEnv(2)
+    with pytest.raises(ResetNeeded):
+        env.step(np.zeros((2, 6)))
+    with pytest.raises(ArgumentError, match="seeds"):
+        env.reset(seed=[1, 2, 3])
+    env.reset(seed=[1, None])
+    for wrong in (np.zeros((3, 6)), np.full((2, 6), np.nan), np.full((2, 6), 2.0)):
+        with pytest.raises(ActionError, match="action"):
+            env.step(wrong)
+    moves = CoopInsertionContactDiscreteVectorEnv(2)
+    moves.reset(seed=0)
+    for moved in ([0, 12], [0.0, 0.0], [0, 0, 0]):
+        with pytest.raises(ActionError, match="actions"):
+            moves.step(np.array(moved))
+    for number in (0, 1.5, True):
+        with pytest.raises(ArgumentError, match="num_envs"):
+            CoopInsertionContactVectorEnv(number)  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match="threads"):
+        CoopInsertionContactVectorEnv(2, threads=0)

@@ -1,0 +1,119 @@
+"""The MJCF: what is in it, its folder, and machines that cannot be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
+
+import mujoco
+from scipy.spatial import ConvexHull
+
+from coop_env import InsertionTask
+from coop_env.errors import ArgumentError
+from coop_env.geometry import DeltaGeometry, GeometryError, RRSGeometry
+from coop_env.physics.dome import Bore, dome_solids, staves
+from coop_env.physics.model import Machine, Peg, Servos
+from coop_env.physics.model_folder import MODEL, README, rows, save_model
+from coop_env.physics.twin import Twin
+from coop_env.simulation.insertion_task import PAPER_TASK
+
+BORE = Bore(radius=0.0045, chamfer=0.001, depth=0.02)
+
+
+def test_the_folder_opens_assembled_at_home(tmp_path: Path) -> None:
+    machine = Machine()
+    save_model(machine, tmp_path / "model")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "model" / MODEL))
+    assert (model.nv, model.nu, model.neq) == (21, 6, 5)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert np.abs(data.efc_pos[: data.ne]).max() < 1e-9
+    assert data.qpos == pytest.approx(Twin(machine).joint_positions(machine.home()), abs=1e-9)
+    text = (tmp_path / "model" / README).read_text("utf-8")
+    for name, value, origin in rows(machine):
+        assert f"| {name} | {value} | {origin} |" in text
+
+
+def inside(points: np.ndarray) -> np.ndarray:
+    """Whether points (n, 3) lie in any of the dome's solids."""
+    found = np.zeros(len(points), bool)
+    for _, vertices in dome_solids(PAPER_TASK, BORE):
+        planes = ConvexHull(vertices).equations
+        found |= (points @ planes[:, :3].T + planes[:, 3] < 1e-9).all(axis=1)
+    return found
+
+
+def test_the_dome_is_closed_but_for_its_bores() -> None:
+    """Random points in the middle of the shell are in a solid, or in a bore; none in both."""
+    rng = np.random.default_rng(0)
+    n = rng.normal(size=(20_000, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    n = n[n[:, 2] > 0.1]
+    normals = np.array(PAPER_TASK.hole_normals)
+    points = 0.088 * n
+    off_axis = np.linalg.norm(np.cross(points[:, None], normals), axis=2).min(axis=1)
+    solid = inside(points)
+    assert solid[off_axis > BORE.radius / np.cos(np.pi / 8) + 1e-6].all()
+    assert not solid[off_axis < BORE.radius - 1e-6].any()
+    assert (off_axis < BORE.radius).sum() > 50
+
+
+def test_staves_are_convex_and_have_the_chamfer() -> None:
+    for stave in staves(BORE):
+        assert len(ConvexHull(stave).vertices) == len(stave)
+        radii = np.hypot(stave[:, 0], stave[:, 1]) * np.cos(np.pi / 8)
+        assert radii.min() == pytest.approx(BORE.radius)
+        assert radii[stave[:, 2] == 0.0].min() == pytest.approx(BORE.radius + BORE.chamfer)
+
+
+@pytest.mark.parametrize(
+    ("servos", "word"),
+    [
+        (Servos(rrs_stiffness=5.0, delta_stiffness=1.0, gravity_compensation=False), "cannot hold"),
+        (Servos(torque_limit=0.3, gravity_compensation=False), "cannot hold"),
+    ],
+)
+def test_servos_that_cannot_hold_gravity(servos: Servos, word: str) -> None:
+    with pytest.raises(ArgumentError, match=word):
+        Twin(Machine(servos=servos))
+
+
+def test_geometry_without_an_assembled_home() -> None:
+    with pytest.raises(GeometryError, match="home_heave"):
+        Twin(Machine(rrs=RRSGeometry(0.1778, 0.1024, 0.1114, distal_length=0.1)))
+    with pytest.raises(GeometryError, match="base_height"):
+        Twin(Machine(delta=DeltaGeometry(base_height=2.0)))
+
+
+@pytest.mark.parametrize(
+    "holes",
+    [
+        ((0.3, 0.0), (0.3, 0.1)),  # one runs into the other
+        ((np.pi / 2, 0.0),),  # on the rim
+    ],
+)
+def test_holes_that_do_not_fit(holes: tuple[tuple[float, float], ...]) -> None:
+    with pytest.raises(ArgumentError, match="too near"):
+        Twin(Machine(task=InsertionTask(holes=holes)))
+    with pytest.raises(ArgumentError, match="dome_radius"):
+        list(dome_solids(InsertionTask(dome_radius=0.01), BORE))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"clearance": 0.0}, {"clearance": float("nan")}, {"chamfer": 0.02}, {"tip": "round"},
+        {"friction": -1.0},
+    ],
+)  # fmt: skip
+def test_pegs_that_make_no_sense(wrong: dict[str, float]) -> None:
+    with pytest.raises(ArgumentError, match=f"Peg.{next(iter(wrong))}"):
+        Peg(**wrong)  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match=r"Servos\.rrs_masses"):
+        Servos(rrs_masses=(1.0, 2.0))  # type: ignore[arg-type]
+    with pytest.raises(ArgumentError, match=r"Servos\.torque_limit"):
+        Servos(torque_limit=0.0)

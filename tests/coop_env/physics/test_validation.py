@@ -1,0 +1,119 @@
+"""The twin against the analytic kinematics: poses, loops, torques, energy, speed of mass."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
+
+import mujoco
+
+from coop_env.geometry import INITIAL, DeltaGeometry, RRSGeometry
+from coop_env.kinematics import delta, rrs
+from coop_env.physics.model import Machine, Servos
+from coop_env.physics.twin import Twin, last
+from coop_env.physics.validation import draw_poses, loop_residual, validate
+
+OTHER = Machine(
+    rrs=RRSGeometry(base_radius=0.19, proximal_length=0.1, platform_radius=0.11),
+    delta=DeltaGeometry(proximal_length=0.22, distal_length=0.5, base_height=0.9),
+)
+
+
+@pytest.mark.parametrize("machine", [Machine(), Machine(rrs=INITIAL), OTHER])
+def test_it_comes_to_rest_where_the_kinematics_say(machine: Machine) -> None:
+    twin = Twin(machine, n=20)
+    found = validate(twin, draw_poses(twin, 100 if machine is not OTHER else 20, seed=0))
+    assert found.tip.max() < 5e-5
+    assert np.degrees(found.platform.max()) < 0.05
+    assert found.loop.max() < 1e-6
+    assert np.degrees(found.joints.max()) < 0.01
+
+
+def test_a_placed_machine_is_assembled_and_its_forward_kinematics_agree() -> None:
+    twin = Twin()
+    for pose in draw_poses(twin, 10, seed=1):
+        readings = twin.place(0, pose)
+        assert loop_residual(twin, 0) < 1e-9
+        assert twin.believed(readings.joints, twin.machine.home()) == pytest.approx(pose, abs=1e-9)
+
+
+def test_under_its_own_weight_it_sags_along_its_kinematics() -> None:
+    """No compensation: joints give way, and the tip is where the joints measured say it is."""
+    twin = Twin(Machine(servos=Servos(gravity_compensation=False)))
+    home = twin.machine.home()
+    readings = last(twin.advance(twin.servo_targets(home)[None], 1500))
+    believed = twin.believed(readings.joints, home[None])[0]
+    assert 1e-4 < home[2] - believed[2] < 5e-3
+    height = twin.machine.delta.base_height - twin.machine.delta.peg_length
+    assert np.linalg.norm(readings.tip[0] - believed[:3] - [0, 0, height]) < 5e-5
+    pose = rrs.platform_pose(believed[3:])
+    assert np.linalg.norm(readings.platform[0] - pose.position) < 5e-5
+
+
+def potential_energy(twin: Twin, configuration: np.ndarray) -> float:
+    twin.place(0, configuration)
+    model, data = twin.inspect(0)
+    return float(9.81 * np.sum(model.body_mass * data.xipos[:, 2]))
+
+
+def test_servo_torques_are_the_gradient_of_the_potential_energy() -> None:
+    """Virtual work, from energies at neighbouring poses of the kinematics alone."""
+    twin = Twin(Machine(servos=Servos(gravity_compensation=False, delta_stiffness=500.0)))
+    pose = np.array([0.03, -0.02, -0.38, 0.2, -0.1, 0.22])
+    twin.place(0, pose)
+    readings = last(twin.advance(twin.servo_targets(pose)[None], 1500))
+    held = twin.inspect(0)[1].actuator_force.copy()
+    rest = twin.believed(readings.joints, pose[None])[0]
+    slope = np.empty(6)
+    for axis in range(6):
+        step = np.zeros(6)
+        step[axis] = 1e-5
+        ends = [potential_energy(twin, rest + sign * step) for sign in (1.0, -1.0)]
+        slope[axis] = (ends[0] - ends[1]) / 2e-5
+    moved = rrs.jacobian(rest[3:]) @ rrs.twist_matrix(rest[3:])  # qdot per (roll, pitch, heave)dot
+    turned = delta.jacobian(rest[:3]) / twin.machine.delta.proximal_length
+    expected = np.concatenate(
+        [np.linalg.solve(turned.T, slope[:3]), np.linalg.solve(moved.T, slope[3:])]
+    )
+    assert held == pytest.approx(expected, rel=2e-3, abs=2e-3)
+
+
+def test_energy_only_changes_hands_when_nothing_drives_it() -> None:
+    """Servos off, loops closed, falling for a tenth of a second: kinetic and potential energy."""
+    twin = Twin(Machine(servos=Servos(gravity_compensation=False)))
+    twin.place(0, [0.02, 0.0, -0.36, 0.2, 0.1, 0.23])
+    model, data = twin.inspect(0)
+    model.actuator_gainprm[:] = 0.0
+    model.actuator_biasprm[:] = 0.0
+    model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    mujoco.mj_forward(model, data)
+    before = data.energy.copy()
+    mujoco.mj_step(model, data, nstep=50)
+    mujoco.mj_forward(model, data)
+    exchanged = abs(data.energy[0] - before[0])
+    assert exchanged > 0.05
+    assert abs(data.energy.sum() - before.sum()) < 0.02 * exchanged
+
+
+def test_a_push_does_its_work_on_all_that_moves() -> None:
+    """Servos off and weightless: the work of a force on the effector is the kinetic energy."""
+    twin = Twin()
+    twin.place(0, twin.machine.home())
+    model, data = twin.inspect(0)
+    model.actuator_gainprm[:] = 0.0
+    model.actuator_biasprm[:] = 0.0
+    push = np.array([2.0, 1.0, 3.0])
+    data.xfrc_applied[model.body("effector").id, :3] = push
+    slides = [model.joint(f"effector_{axis}").dofadr[0] for axis in "xyz"]
+    work = 0.0
+    for _ in range(20):
+        before = data.qvel[slides].copy()
+        mujoco.mj_step(model, data)
+        work += 0.5 * model.opt.timestep * float(push @ (before + data.qvel[slides]))
+    mujoco.mj_forward(model, data)
+    momentum = np.empty(model.nv)
+    mujoco.mj_mulM(model, data, momentum, data.qvel)
+    assert work > 0.01
+    assert 0.5 * data.qvel @ momentum == pytest.approx(work, rel=0.02)
