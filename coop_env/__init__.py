@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, DeltaGeometry, RRSGeometry
     from coop_env.simulation.insertion_task import InsertionTask
     from coop_env.simulation.sim_to_real import SimToReal
-    from coop_env.vec_env import CoopInsertionVecEnv
-    from coop_env.vector_env import CoopInsertionVectorEnv
+    from coop_env.vector.vec_env import CoopInsertionVecEnv
+    from coop_env.vector.vector_env import CoopInsertionVectorEnv
 
 _HOMES = {
     "CoopInsertionEnv": "coop_env.env",
-    "CoopInsertionVecEnv": "coop_env.vec_env",
-    "CoopInsertionVectorEnv": "coop_env.vector_env",
+    "CoopInsertionVecEnv": "coop_env.vector.vec_env",
+    "CoopInsertionVectorEnv": "coop_env.vector.vector_env",
     "DeltaGeometry": "coop_env.geometry",
     "RRSGeometry": "coop_env.geometry",
     "GEOMETRIES": "coop_env.geometry",
@@ -51,7 +51,7 @@ gymnasium.register(
     id="CoopInsertion-v0",
     entry_point="coop_env.env:CoopInsertionEnv",
     max_episode_steps=300,  # whoever gives more max_moves gives this too
-    vector_entry_point="coop_env.vector_env:CoopInsertionVectorEnv",
+    vector_entry_point="coop_env.vector.vector_env:CoopInsertionVectorEnv",
 )
 
 

@@ -39,9 +39,7 @@ FLOORS = {
         "coop_env.simulation",
         "coop_env.rendering.scene",
         "coop_env.env",
-        "coop_env.env_batch",
-        "coop_env.vec_env",
-        "coop_env.vector_env",
+        "coop_env.vector",
         "coop_env.rendering",
     ),
     "sb3_rainbow": (
@@ -178,7 +176,7 @@ def test_only_the_batched_env_touches_sb3() -> None:
     wrong = [
         f"{name} imports {target}"
         for name, path in SOURCES.items()
-        if _is_within(name, "coop_env") and name != "coop_env.vec_env"
+        if _is_within(name, "coop_env") and name != "coop_env.vector.vec_env"
         for target in _imports(path)
         if _is_within(target, "torch") or _is_within(target, "stable_baselines3")
     ]

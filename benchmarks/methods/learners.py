@@ -17,7 +17,7 @@ from benchmarks.methods.episodes import env_arguments
 from benchmarks.protocol.plan import ABLATIONS, Cell
 from benchmarks.protocol.presets import Preset, Track
 from benchmarks.protocol.seeding import derive
-from coop_env.vec_env import CoopInsertionVecEnv
+from coop_env.vector.vec_env import CoopInsertionVecEnv
 from sb3_rainbow import Rainbow
 
 CHECKED_BUFFER = 10_000

@@ -20,7 +20,7 @@ from benchmarks.protocol.presets import Preset
 from benchmarks.runs.callbacks import CurriculumCallback, CurveRecorder
 from benchmarks.runs.checkpoint import Kept, Watch, learn
 from benchmarks.runs.store import RunFolder
-from coop_env.vec_env import CoopInsertionVecEnv
+from coop_env.vector.vec_env import CoopInsertionVecEnv
 from sb3_rainbow.learner.denormals import flush_denormals
 
 

@@ -21,10 +21,10 @@ from benchmarks.studies.speed import report
 from benchmarks.studies.speed.setting import seconds_of
 from coop_env import design
 from coop_env.env import CoopInsertionEnv
-from coop_env.env_batch import EnvBatch
 from coop_env.geometry import OPTIMIZED
 from coop_env.simulation import batch as kernels
-from coop_env.vec_env import CoopInsertionVecEnv
+from coop_env.vector.env_batch import EnvBatch
+from coop_env.vector.vec_env import CoopInsertionVecEnv
 
 SINGLE: Final = "single, gymnasium.make, Python loop"
 BARE: Final = "single, without Gymnasium's wrappers"

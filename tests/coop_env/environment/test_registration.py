@@ -84,7 +84,7 @@ def test_make_vec_knows_gymnasiums_name_of_the_limit() -> None:
 def test_the_registry_names_both_entries() -> None:
     spec = gym.spec(ID)
     assert spec.max_episode_steps == 300
-    assert spec.vector_entry_point == "coop_env.vector_env:CoopInsertionVectorEnv"
+    assert spec.vector_entry_point == "coop_env.vector.vector_env:CoopInsertionVectorEnv"
     assert gym.make(ID, render_mode="ansi").unwrapped.render_mode == "ansi"
     for name in coop_env.__all__:
         assert getattr(coop_env, name) is not None

@@ -1,4 +1,4 @@
-"""The batched environment as SB3's ``VecEnv``; see :mod:`coop_env.env_batch` for what it moves."""
+"""The batched environment as SB3's ``VecEnv``; :mod:`coop_env.vector.env_batch` moves it."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from stable_baselines3.common.vec_env.base_vec_env import (
 )
 
 from coop_env.env import CoopInsertionEnv, check_snapshot
-from coop_env.env_batch import EnvBatch, check_seed
 from coop_env.simulation import batch
+from coop_env.vector.env_batch import EnvBatch, check_seed
 
 StepReturn = tuple[
     NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]

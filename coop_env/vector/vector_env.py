@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from coop_env.checks import check_integer
 from coop_env.env import CoopInsertionEnv
-from coop_env.env_batch import EnvBatch, check_seed
 from coop_env.errors import ArgumentError
 from coop_env.simulation import batch
+from coop_env.vector.env_batch import EnvBatch, check_seed
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
