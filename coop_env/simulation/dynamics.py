@@ -7,7 +7,6 @@ row of a batch is bit-identical to an environment of its own.
 from __future__ import annotations
 
 import math
-from typing import Final
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from coop_env.simulation import machine, rewards
 from coop_env.simulation.collision import below_ceiling, collides, peg_tip
 from coop_env.simulation.state import (
     COLLISION,
+    HOLD,
     INVALID,
     SINGULAR,
     VALID,
@@ -28,7 +28,6 @@ from coop_env.simulation.state import (
     hole_distance,
     is_singular,
     joint_angles,
-    lattice_configuration,
     leave,
     nearest_open_hole,
     neighbour,
@@ -52,9 +51,6 @@ __all__ = [
     "step",
     "tick",
 ]
-
-HOLD: Final = -1
-"""In place of a robot's move: none."""
 
 
 @njit(cache=True)
@@ -121,7 +117,7 @@ def _move(s: Record, delta: int, rrs: int, p: EnvParams) -> tuple[int, int]:
     Returns:
         The status of the Delta's move and of the 3-RRS's: VALID and SINGULAR ones are executed.
     """
-    c = lattice_configuration(s.start, s.offset, p)
+    c = neighbour(s, HOLD, p)
     theta, q = (s.theta[0], s.theta[1], s.theta[2]), (s.q[0], s.q[1], s.q[2])
     delta_status, rrs_status = VALID, VALID
     if delta != HOLD:
