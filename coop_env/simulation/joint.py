@@ -38,6 +38,19 @@ def move_of(agent: int, choice: int) -> int:
     return HOLD if choice == HOLD_CHOICE else 6 * agent + choice
 
 
+def as_joint(action: int) -> int:
+    """The joint action of a single agent's action, while the other robot holds."""
+    rrs, choice = divmod(action, 6)
+    return N_CHOICES * HOLD_CHOICE + choice if rrs else N_CHOICES * choice + HOLD_CHOICE
+
+
+@njit(cache=True)
+def step(s: Record, action: int, p: EnvParams, out: Record) -> None:
+    """:func:`coop_env.simulation.dynamics.step` with a joint action, 0 to 48."""
+    delta = move_of(DELTA, action // N_CHOICES)
+    dynamics.tick(s, delta, move_of(RRS, action % N_CHOICES), p, out)
+
+
 @njit(cache=True)
 def step_batch(
     states: np.ndarray,
@@ -50,9 +63,7 @@ def step_batch(
     """:func:`coop_env.simulation.batch.step_batch` with joint actions (n,), 0 to 48."""
     p = unpack(packed)
     for i in range(states.shape[0]):
-        delta = move_of(DELTA, actions[i] // N_CHOICES)
-        rrs = move_of(RRS, actions[i] % N_CHOICES)
-        dynamics.tick(states[i], delta, rrs, p, outcomes[i])
+        step(states[i], actions[i], p, outcomes[i])
         observation.observe(states[i], p, o, rows[i])
 
 
