@@ -1,8 +1,8 @@
 """Cooperative peg-in-hole with a Delta robot and a 3-RRS, with exact kinematics.
 
-Importing the package registers ``CoopInsertion-v0``, ``CoopInsertionContact-v0`` and
-``CoopInsertionContactDiscrete-v0``; kernels compile when they are first used, and the contact tasks
-need the extra ``physics``.
+Importing the package registers ``CoopInsertion-v0``, ``CoopInsertionJoint-v0``,
+``CoopInsertionContact-v0`` and ``CoopInsertionContactDiscrete-v0``; kernels compile when they are
+first used, and the contact tasks need the extra ``physics``.
 """
 
 from __future__ import annotations
@@ -19,11 +19,17 @@ if TYPE_CHECKING:
     from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, DeltaGeometry, RRSGeometry
     from coop_env.simulation.insertion_task import InsertionTask
     from coop_env.simulation.sim_to_real import SimToReal
+    from coop_env.team.joint_env import CoopInsertionJointEnv
+    from coop_env.team.parallel_env import CoopInsertionParallelEnv
+    from coop_env.team.vec_env import CoopInsertionJointVecEnv, CoopInsertionTeamVecEnv
     from coop_env.vector.vec_env import CoopInsertionVecEnv
     from coop_env.vector.vector_env import CoopInsertionVectorEnv
 
 _HOMES = {
     "CoopInsertionEnv": "coop_env.env",
+    "CoopInsertionJointEnv": "coop_env.team.joint_env",
+    "CoopInsertionJointVecEnv": "coop_env.team.vec_env",
+    "CoopInsertionTeamVecEnv": "coop_env.team.vec_env",
     "CoopInsertionVecEnv": "coop_env.vector.vec_env",
     "CoopInsertionVectorEnv": "coop_env.vector.vector_env",
     "DeltaGeometry": "coop_env.geometry",
@@ -40,12 +46,16 @@ __all__ = [
     "INITIAL",
     "OPTIMIZED",
     "CoopInsertionEnv",
+    "CoopInsertionJointEnv",
+    "CoopInsertionJointVecEnv",
+    "CoopInsertionTeamVecEnv",
     "CoopInsertionVecEnv",
     "CoopInsertionVectorEnv",
     "DeltaGeometry",
     "InsertionTask",
     "RRSGeometry",
     "SimToReal",
+    "parallel_env",
 ]
 
 drop_stale_kernels(Path(__file__).parent, Path(__file__).parent)
@@ -64,6 +74,28 @@ for _form in ("", "Discrete"):
             f"coop_env.physics.contact.vector_env:CoopInsertionContact{_form}VectorEnv"
         ),
     )
+gymnasium.register(
+    id="CoopInsertionJoint-v0",
+    entry_point="coop_env.team.joint_env:CoopInsertionJointEnv",
+    max_episode_steps=300,
+    vector_entry_point="coop_env.team.joint_env:CoopInsertionJointVectorEnv",
+)
+
+
+def parallel_env(sight: bool = False, **arguments: Any) -> CoopInsertionParallelEnv:
+    """The task for two agents at once, a PettingZoo ``ParallelEnv`` (extra ``team``).
+
+    Args:
+        sight: each agent sees the other's configuration.
+        arguments: as for :class:`~coop_env.team.joint_env.CoopInsertionJointEnv`.
+
+    Raises:
+        DependencyNotInstalled: PettingZoo is not installed.
+        ArgumentError: an argument is wrong.
+    """
+    from coop_env.team.parallel_env import CoopInsertionParallelEnv
+
+    return CoopInsertionParallelEnv(sight, **arguments)
 
 
 def __getattr__(name: str) -> Any:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -138,6 +138,8 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
     render_kwargs: Mapping[str, Any] = MappingProxyType({})
     """``size``, ``camera``, ``panel``, ``samples`` of :func:`coop_env.rendering.render_frame` for
     the modes ``"rgb_array"`` and ``"human"``; set it on the instance, for a window before reset."""
+    step_batch: ClassVar[Callable[..., None]] = staticmethod(batch.step_batch)
+    """What moves a batch's rows: arguments as :func:`coop_env.simulation.batch.step_batch`."""
 
     def __init__(
         self,
@@ -181,7 +183,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         self._observation, self.observation_space = make_observation(
             observation, normalize, self._params, self._task.error_bound
         )
-        self.action_space = spaces.Discrete(N_ACTIONS)
+        self.action_space: spaces.Discrete = spaces.Discrete(N_ACTIONS)
         if self._task.dt != PAPER_TASK.dt:
             self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self._task.dt))}
         self._states = np.zeros(1, state.state_dtype(len(self._task.holes)))
@@ -230,10 +232,18 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
 
     @property
     def _row(self) -> np.void:
+        row: np.void = self._started_rows()[0]
+        return row
+
+    def _started_rows(self) -> NDArray[np.void]:
         if not self._started:
             raise ResetNeeded("call reset() first: there is no state yet")
-        row: np.void = self._states[0]
-        return row
+        return self._states
+
+    def observe(self) -> Observation:
+        """The present observation (size,), as the last reset or step gave it."""
+        self._started_rows()
+        return self._rows[0].copy()
 
     def configuration_status(self, configuration: Any) -> int:
         """0 valid, 1 invalid (workspace, joint limits, NaN), 2 collision, 3 singular.
@@ -246,7 +256,11 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
 
     def action_masks(self) -> NDArray[np.bool_]:
         """(12,): True where the move leads to a valid configuration; all True if none does."""
-        return self._row["mask"].astype(bool)
+        return self._masks_of(self._started_rows())[0]
+
+    def _masks_of(self, states: NDArray[np.void]) -> NDArray[np.bool_]:
+        """Action masks (n, actions) of rows of state (n,)."""
+        return states["mask"].astype(bool)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -291,13 +305,14 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         """Make a move.
 
         Raises:
-            ActionError: ``action`` is not an integer 0 to 11. The environment is left as it was.
+            ActionError: ``action`` is not one of the action space. The environment is left as it
+                was.
             ResetNeeded: the episode is over, or none was started.
         """
         if not self._started or self._states["over"][0]:
             raise ResetNeeded("call reset() first: there is no running episode")
-        self._actions[0] = check_action(action)
-        batch.step_batch(
+        self._actions[0] = check_action(action, int(self.action_space.n))
+        self.step_batch(
             self._states, self._actions, self._packed, self._observation, self._outcomes, self._rows
         )
         report_compilation()
@@ -395,20 +410,20 @@ def _rendering(name: str) -> Any:
         ) from error
 
 
-def check_action(action: Any) -> int:
+def check_action(action: Any, n_actions: int = N_ACTIONS, name: str = "action") -> int:
     """The action as an int.
 
     Raises:
-        ActionError: it is not an integer 0 to 11.
+        ActionError: it is not an integer from 0 to ``n_actions - 1``.
     """
     if isinstance(action, np.ndarray) and action.ndim == 0:
         action = action[()]
     if (
         not isinstance(action, (int, np.integer))
         or isinstance(action, bool)
-        or not 0 <= action < N_ACTIONS
+        or not 0 <= action < n_actions
     ):
-        raise ActionError(f"action = {action!r}: must be an integer 0 to {N_ACTIONS - 1}")
+        raise ActionError(f"{name} = {action!r}: must be an integer 0 to {n_actions - 1}")
     return int(action)
 
 

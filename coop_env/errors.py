@@ -12,7 +12,7 @@ class RewardError(ArgumentError):
 
 
 class ActionError(ValueError):
-    """An action that is not one of the integers 0 to 11."""
+    """An action that is not one of the action space, or of no agent, or of one that is done."""
 
 
 class ResetOptionError(ValueError):

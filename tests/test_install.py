@@ -25,14 +25,16 @@ SHIPPED = ("setup.cfg", "pyproject.toml", "README.md", "LICENSE")
 PACKAGES = ("sb3_rainbow", "coop_env", "benchmarks")
 STEPS = 300  # of the README's trainings: past their first updates
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-# all but what draws (extra `render`) and what needs MuJoCo (extra `physics`)
+# all but what needs an extra: pictures (`render`), MuJoCo (`physics`), PettingZoo (`team`)
 EVERY_MODULE = """
 import importlib, importlib.util, pkgutil, sys
 import coop_env, sb3_rainbow
 for package in (sb3_rainbow, coop_env):
     assert package.__file__.startswith(sys.prefix), package.__file__
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-        if not module.name.startswith(("coop_env.rendering.", "coop_env.physics.")):
+        if not module.name.startswith(
+            ("coop_env.rendering.", "coop_env.physics.", "coop_env.team.parallel_env")
+        ):
             importlib.import_module(module.name)
 assert importlib.util.find_spec("benchmarks") is None
 """

@@ -234,20 +234,37 @@ def _point_collides(lattice: Lattice, point: int) -> bool:
     return not closed or collides(at[0], at[1], at[2], theta, pose, q, real)
 
 
+def single_jumps(lattice: Lattice) -> NDArray[np.int64]:
+    """What each of the 12 moves of one robot adds to a point's number."""
+    return (lattice.strides[:, None] * np.array([1, -1])).ravel()
+
+
+def joint_jumps(lattice: Lattice) -> NDArray[np.int64]:
+    """What each of the 49 joint actions adds: both robots move, or one or both hold."""
+    choices = np.append(single_jumps(lattice).reshape(2, 6), np.zeros((2, 1), np.int64), axis=1)
+    return (choices[0][:, None] + choices[1]).ravel()
+
+
 @njit(cache=True)
-def lower_bound(point: int, to_delta: NDArray[np.int32], to_rrs: NDArray[np.int32]) -> int:
-    """Least moves to a goal if nothing collided, or UNREACHED; ``to_*`` (goals, nodes) by robot."""
+def lower_bound(
+    point: int, to_delta: NDArray[np.int32], to_rrs: NDArray[np.int32], at_once: bool
+) -> int:
+    """Least moves to a goal if nothing collided, or UNREACHED; ``to_*`` (goals, nodes) by robot.
+
+    The robots' moves add up, unless both move ``at_once``: then the longer of two paths counts.
+    """
     delta_node, rrs_node = point // to_rrs.shape[1], point % to_rrs.shape[1]
     least = UNREACHED
     for g in range(to_delta.shape[0]):
-        least = min(least, to_delta[g, delta_node] + to_rrs[g, rrs_node])
+        a, b = to_delta[g, delta_node], to_rrs[g, rrs_node]
+        least = min(least, max(a, b) if at_once else a + b)
     return least
 
 
 @njit(cache=True)
 def a_star(
     lattice: Lattice, source: int, to_delta: NDArray[np.int32], to_rrs: NDArray[np.int32],
-    came_by: NDArray[np.uint8], node_limit: int,
+    came_by: NDArray[np.uint8], node_limit: int, jumps: NDArray[np.int64],
 ) -> tuple[int, int, int, NDArray[np.int64]]:  # fmt: skip
     """Shortest collision-free path from a lattice point to the nearest goal.
 
@@ -257,16 +274,19 @@ def a_star(
 
     Args:
         came_by: zeros, one for each lattice point; becomes 1 + the move that led there.
+        jumps: of :func:`single_jumps`, or of :func:`joint_jumps` where both robots move at once.
 
     Returns:
         Length (or INFEASIBLE or NODE_LIMIT), the goal's point, points expanded, and the points
         written in ``came_by``.
     """
-    n_rrs = lattice.rrs_free.size
-    bound = lower_bound(source, to_delta, to_rrs)
+    n_rrs, at_once = lattice.rrs_free.size, len(jumps) > 12
+    bound = lower_bound(source, to_delta, to_rrs, at_once)
     if bound >= UNREACHED:
         return INFEASIBLE, -1, 0, np.array([source])
-    entries = [(bound, 0, source, 0, 13)]  # total length, -entry, point, moves so far, 1 + move
+    entries = [
+        (bound, 0, source, 0, len(jumps) + 1)
+    ]  # total length, -entry, point, moves so far, 1 + move
     pushed, expanded, written = 0, 0, [source]
     while len(entries) > 0:
         total, _, point, g, by = heapq.heappop(entries)
@@ -282,12 +302,12 @@ def a_star(
         expanded += 1
         if expanded > node_limit:
             return NODE_LIMIT, -1, expanded, np.array(written)
-        for move in range(12):
-            other = point + (1 - 2 * (move % 2)) * lattice.strides[move // 2]
+        for move in range(len(jumps)):
+            other = point + jumps[move]
             free = lattice.delta_free[other // n_rrs] and lattice.rrs_free[other % n_rrs]
             if not free or came_by[other] != 0:
                 continue
-            total = g + 1 + lower_bound(other, to_delta, to_rrs)
+            total = g + 1 + lower_bound(other, to_delta, to_rrs, at_once)
             if total < UNREACHED:
                 pushed += 1
                 heapq.heappush(entries, (total, -pushed, other, g + 1, move + 1))
@@ -295,11 +315,11 @@ def a_star(
 
 
 def trace_back(
-    lattice: Lattice, point: int, length: int, came_by: NDArray[np.uint8]
+    point: int, length: int, came_by: NDArray[np.uint8], jumps: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """The moves (length,) that led to a lattice point, in order."""
     moves = np.empty(length, np.int64)
     for i in reversed(range(length)):
         moves[i] = move = int(came_by[point]) - 1
-        point -= (1 - 2 * (move % 2)) * int(lattice.strides[move // 2])
+        point -= int(jumps[move])
     return moves

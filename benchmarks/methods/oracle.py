@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from benchmarks.methods import lattice_search as search
 from benchmarks.methods.base import Plan
 from benchmarks.methods.lattice_search import Lattice
-from coop_env.simulation import dynamics
+from coop_env.simulation import dynamics, joint
 from coop_env.simulation.state import OUTCOME, aim
 from coop_env.simulation.task import N_ACTIONS, EnvParams
 
@@ -30,12 +30,17 @@ class LatticeOracle:
         real: with sim-to-real knobs, plan on the real machine, which nobody else knows, and not on
             its model. Exact where the base is displaced and the joints are coarse, without
             backlash, latency and luck.
+        at_once: both robots move in each tick, as in ``CoopInsertionJoint-v0``: the fewest ticks
+            instead of the fewest moves, and a plan of joint actions. Never longer than the
+            sequence of single moves, which is one of the plans that it has to choose from.
     """
 
-    def __init__(self, node_limit: int = DEFAULT_NODE_LIMIT, real: bool = False) -> None:
+    def __init__(
+        self, node_limit: int = DEFAULT_NODE_LIMIT, real: bool = False, at_once: bool = False
+    ) -> None:
         if node_limit < 1:
             raise ValueError(f"node_limit = {node_limit!r}: must be at least 1")
-        self.node_limit, self.real = node_limit, real
+        self.node_limit, self.real, self.at_once = node_limit, real, at_once
         self._lattice: Lattice | None = None
 
     def plan(self, env: Any) -> Plan:
@@ -67,7 +72,7 @@ class LatticeOracle:
             plans.append(plan)
             if plan.moves is None:
                 break
-            _execute(state, plan.moves, p)
+            self._execute(state, plan.moves, p)
         return plans
 
     def _known(self, env: Any) -> tuple[Any, EnvParams]:
@@ -80,26 +85,27 @@ class LatticeOracle:
         source = int(search.point_at(lattice, state["offset"].astype(np.int64)))
         target = int(state["target"])
         goals = search.goals(lattice, target)
-        to_delta, to_rrs, bound = _distances(lattice, goals, source)
+        to_delta, to_rrs, bound = _distances(lattice, goals, source, self.at_once)
         detail: dict[str, Any] = {"goals": len(goals), "expanded": 0}
         length = search.INFEASIBLE
         if len(to_delta):
             # Untouched pages of a large zeroed array cost nothing.
             came_by = np.zeros(lattice.delta_free.size * lattice.rrs_free.size, np.uint8)
+            jumps = search.joint_jumps(lattice) if self.at_once else search.single_jumps(lattice)
             length, point, detail["expanded"], _ = search.a_star(
-                lattice, source, to_delta, to_rrs, came_by, self.node_limit
+                lattice, source, to_delta, to_rrs, came_by, self.node_limit, jumps
             )
             detail["bound"] = bound
         if bound == 0 and not 0 < length <= 2:
             # Already in the hole, but only a move can insert: one there and one back.
-            moves, length = _there_and_back(state, p)
+            moves, length = self._there_and_back(state, p)
         elif length > 0:
-            moves = search.trace_back(lattice, point, length, came_by)
+            moves = search.trace_back(point, length, came_by, jumps)
         if length < 0:
             status = "node_limit" if length == search.NODE_LIMIT else "infeasible"
             return Plan(status, None, time.perf_counter() - began, detail)
         detail["length"] = int(length)
-        if not _execute(state.copy(), moves, p):
+        if not self._execute(state.copy(), moves, p):
             if p.task.imperfect:
                 return Plan("inexact", None, time.perf_counter() - began, detail)
             raise RuntimeError(
@@ -122,9 +128,37 @@ class LatticeOracle:
             known = self._lattice = search.make_lattice(np.array(start), p, real)
         return known
 
+    def _there_and_back(self, state: Any, p: EnvParams) -> tuple[NDArray[np.int64], int]:
+        for action in range(N_ACTIONS):
+            there, back = action, action ^ 1
+            if self.at_once:
+                there, back = joint.as_joint(there), joint.as_joint(back)
+            moves = np.array([there, back])
+            if self._execute(state.copy(), moves, p):
+                return moves, 2
+        return moves, search.INFEASIBLE
+
+    def _execute(self, state: Any, moves: NDArray[np.int64], p: EnvParams) -> bool:
+        """Run moves through the step kernel on ``state``; True if exactly the last one inserts.
+
+        The kernel does not look at ``over``, so a plan longer than the moves left is run to its
+        end.
+        """
+        step = joint.step if self.at_once else dynamics.step
+        outcome = np.zeros(1, OUTCOME)
+        inserted = False
+        for move in moves:
+            if inserted:
+                return False
+            step(state, int(move), p, outcome[0])
+            if outcome["violation"][0]:
+                return False
+            inserted = bool(outcome["inserted"][0])
+        return inserted
+
 
 def _distances(
-    lattice: Lattice, goals: NDArray[np.int64], source: int
+    lattice: Lattice, goals: NDArray[np.int64], source: int, at_once: bool
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], int]:
     """Distances (goals, nodes) to the goals that both robots can reach, and the lower bound."""
     n_rrs = lattice.rrs_free.size
@@ -141,7 +175,7 @@ def _distances(
     (delta, delta_row), (rrs, rrs_row) = maps
     near = delta[delta_row, source // n_rrs] + rrs[rrs_row, source % n_rrs] < search.UNREACHED
     to_delta, to_rrs = delta[delta_row[near]], rrs[rrs_row[near]]
-    bound = search.lower_bound(source, to_delta, to_rrs) if near.any() else -1
+    bound = search.lower_bound(source, to_delta, to_rrs, at_once) if near.any() else -1
     return to_delta, to_rrs, int(bound)
 
 
@@ -158,28 +192,3 @@ def _nominal(state: Any, p: EnvParams) -> tuple[Any, EnvParams]:
     aim(twin, int(state["target"]))
     twin["moves"] = state["moves"]
     return twin, p
-
-
-def _there_and_back(state: Any, p: EnvParams) -> tuple[NDArray[np.int64], int]:
-    for action in range(N_ACTIONS):
-        moves = np.array([action, action ^ 1])
-        if _execute(state.copy(), moves, p):
-            return moves, 2
-    return moves, search.INFEASIBLE
-
-
-def _execute(state: Any, moves: NDArray[np.int64], p: EnvParams) -> bool:
-    """Run moves through the step kernel on ``state``; True if exactly the last one inserts.
-
-    The kernel does not look at ``over``, so a plan longer than the moves left is run to its end.
-    """
-    outcome = np.zeros(1, OUTCOME)
-    inserted = False
-    for move in moves:
-        if inserted:
-            return False
-        dynamics.step(state, int(move), p, outcome[0])
-        if outcome["violation"][0]:
-            return False
-        inserted = bool(outcome["inserted"][0])
-    return inserted

@@ -99,6 +99,7 @@ class Paths:
     def __init__(self, lattice: Lattice, node_limit: int) -> None:
         self.lattice, self.node_limit = lattice, node_limit
         self.barred: set[int] = set()
+        self._jumps = search.single_jumps(lattice)
         self._maps: dict[tuple[bool, int], NDArray[np.int32]] = {}
         # clean between searches: a fresh one would cost more than most of them
         self._came_by = np.zeros(lattice.delta_free.size * lattice.rrs_free.size, np.uint8)
@@ -111,9 +112,9 @@ class Paths:
         to_rrs = self._distances(lattice.rrs_free, lattice.strides[3:], goal % n_rrs)
         came_by[barred] = search.BARRED
         length, point, _, written = search.a_star(
-            lattice, here, to_delta, to_rrs, came_by, self.node_limit
+            lattice, here, to_delta, to_rrs, came_by, self.node_limit, self._jumps
         )
-        moves = search.trace_back(lattice, point, length, came_by) if length > 0 else None
+        moves = search.trace_back(point, length, came_by, self._jumps) if length > 0 else None
         came_by[barred] = came_by[written] = 0
         return moves
 

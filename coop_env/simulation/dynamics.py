@@ -16,6 +16,7 @@ from coop_env.simulation import machine, rewards
 from coop_env.simulation.collision import below_ceiling, collides, peg_tip
 from coop_env.simulation.state import (
     COLLISION,
+    HOLD,
     INVALID,
     SINGULAR,
     VALID,
@@ -40,6 +41,7 @@ from coop_env.simulation.task import N_AXES, EnvParams
 
 __all__ = [
     "COLLISION",
+    "HOLD",
     "INVALID",
     "SINGULAR",
     "VALID",
@@ -47,6 +49,7 @@ __all__ = [
     "configuration_status",
     "settle",
     "step",
+    "tick",
 ]
 
 
@@ -105,42 +108,57 @@ def settle(s: Record, p: EnvParams) -> int:
 
 
 @njit(cache=True)
-def _move_delta(s: Record, action: int, p: EnvParams) -> int:
-    """Try a move of the Delta, with what the state holds of the 3-RRS."""
-    c = neighbour(s, action, p)
-    if not delta_kernels.within_limits(c[0], c[1], c[2], p.delta):
-        return INVALID
-    real, theta = delta_kernels.inverse(c[0], c[1], c[2], p.delta)
-    if not real:
-        return INVALID
+def _move(s: Record, delta: int, rrs: int, p: EnvParams) -> tuple[int, int]:
+    """Try a move of the Delta (0 to 5), of the 3-RRS (6 to 11), or both at once; HOLD is no move.
+
+    A robot whose own limits forbid its move stays, and the other's is tried alone. If the robots
+    would touch where they arrive, neither moves.
+
+    Returns:
+        The status of the Delta's move and of the 3-RRS's: VALID and SINGULAR ones are executed.
+    """
+    c = neighbour(s, HOLD, p)
+    theta, q = (s.theta[0], s.theta[1], s.theta[2]), (s.q[0], s.q[1], s.q[2])
+    delta_status, rrs_status = VALID, VALID
+    if delta != HOLD:
+        to = neighbour(s, delta, p)
+        real, angles = False, theta
+        if delta_kernels.within_limits(to[0], to[1], to[2], p.delta):
+            real, angles = delta_kernels.inverse(to[0], to[1], to[2], p.delta)
+        if real:
+            c, theta = (to[0], to[1], to[2], c[3], c[4], c[5]), angles
+        else:
+            delta, delta_status = HOLD, INVALID
+    if rrs != HOLD:
+        to = neighbour(s, rrs, p)
+        real, angles = False, q
+        if rrs_kernels.within_limits(to[3], to[4], to[5], p.rrs):
+            pose = rrs_kernels.platform_pose(to[3], to[4], to[5], p.rrs)
+            real, angles = rrs_kernels.inverse(pose, p.rrs)
+        if real and rrs_kernels.joints_within_limits(angles, p.rrs):
+            c, q = (c[0], c[1], c[2], to[3], to[4], to[5]), angles
+        else:
+            rrs, rrs_status = HOLD, INVALID
+    if delta == HOLD and rrs == HOLD:
+        return delta_status, rrs_status
     if below_ceiling(c, p):
-        pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
-        if collides(c[0], c[1], c[2], theta, pose, (s.q[0], s.q[1], s.q[2]), p):
-            return COLLISION
-    for k in range(3):
-        s.energy += abs(theta[k] - s.theta[k])
-    place_delta(s, c, theta, peg_tip(c[0], c[1], c[2], p.delta))
-    return VALID
-
-
-@njit(cache=True)
-def _move_rrs(s: Record, action: int, p: EnvParams) -> int:
-    """Try a move of the 3-RRS, with what the state holds of the Delta."""
-    c = neighbour(s, action, p)
-    if not rrs_kernels.within_limits(c[3], c[4], c[5], p.rrs):
-        return INVALID
-    pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
-    real, q = rrs_kernels.inverse(pose, p.rrs)
-    if not (real and rrs_kernels.joints_within_limits(q, p.rrs)):
-        return INVALID
-    theta = (s.theta[0], s.theta[1], s.theta[2])
-    if below_ceiling(c, p) and collides(c[0], c[1], c[2], theta, pose, q, p):
-        return COLLISION
-    for k in range(3):
-        s.energy += abs(q[k] - s.q[k])
-    place_rrs(s, c, pose, q, p)
-    s.sigma = rrs_kernels.signed_sigma_min(pose, q, p.rrs)
-    return SINGULAR if is_singular(s.sigma, p) else VALID
+        if rrs == HOLD:
+            pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
+        if collides(c[0], c[1], c[2], theta, pose, q, p):
+            delta_status = delta_status if delta == HOLD else COLLISION
+            return delta_status, rrs_status if rrs == HOLD else COLLISION
+    if delta != HOLD:
+        for k in range(3):
+            s.energy += abs(theta[k] - s.theta[k])
+        place_delta(s, c, theta, peg_tip(c[0], c[1], c[2], p.delta))
+    if rrs != HOLD:
+        for k in range(3):
+            s.energy += abs(q[k] - s.q[k])
+        place_rrs(s, c, pose, q, p)
+        s.sigma = rrs_kernels.signed_sigma_min(pose, q, p.rrs)
+        if is_singular(s.sigma, p):
+            rrs_status = SINGULAR
+    return delta_status, rrs_status
 
 
 @njit(cache=True)
@@ -176,33 +194,47 @@ def _follow(s: Record, c: Configuration, p: EnvParams) -> int:
 
 
 @njit(cache=True)
-def _attempt(s: Record, action: int, p: EnvParams) -> int:
-    """Try a move: VALID and SINGULAR ones are executed, INVALID and COLLISION ones are not."""
-    rrs = action >= 6
-    if p.task.imperfect:
-        status = _follow(s, neighbour(s, action, p), p)
-    elif rrs:
-        status = _move_rrs(s, action, p)
+def _attempt(s: Record, delta: int, rrs: int, p: EnvParams) -> tuple[int, int]:
+    """Try a move of one robot or of both, and write what follows from what was executed.
+
+    Returns:
+        The status of the Delta's move and of the 3-RRS's; VALID of one that holds.
+    """
+    if delta == HOLD and rrs == HOLD:
+        return VALID, VALID
+    if p.task.imperfect:  # one robot at a time
+        status = _follow(s, neighbour(s, max(delta, rrs), p), p)
+        delta_status, rrs_status = (VALID, status) if delta == HOLD else (status, VALID)
     else:
-        status = _move_delta(s, action, p)
-    if status in (INVALID, COLLISION):
+        delta_status, rrs_status = _move(s, delta, rrs, p)
+    delta_moved = delta != HOLD and _is_executed(delta_status)
+    rrs_moved = rrs != HOLD and _is_executed(rrs_status)
+    if not (delta_moved or rrs_moved):
         if p.task.refused:
-            s.refused[action] = 1
+            s.refused[max(delta, rrs)] = 1
             update_mask(s, True, True, p)
-        return status
+        return delta_status, rrs_status
     s.refused[:] = 0
     if p.task.visited > 0:
         leave(s)
-    s.offset[action // 2] += 1 - 2 * (action % 2)
+    if delta_moved:
+        s.offset[delta // 2] += 1 - 2 * (delta % 2)
+    if rrs_moved:
+        s.offset[rrs // 2] += 1 - 2 * (rrs % 2)
     if not p.task.imperfect:
         update_inside(s, p.task.tolerance, p)
-    update_mask(s, not rrs, rrs, p)
-    return status
+    update_mask(s, delta_moved, rrs_moved, p)
+    return delta_status, rrs_status
+
+
+@njit(cache=True)
+def _is_executed(status: int) -> bool:
+    return status in (VALID, SINGULAR)
 
 
 @njit(cache=True)
 def _due(s: Record, action: int, p: EnvParams) -> int:
-    """The action that is executed now: with latency the last one, -1 at first."""
+    """The action that is executed now: with latency the last one, HOLD at first."""
     if not (p.task.imperfect and s.machine.latency):
         return action
     late = s.machine.pending
@@ -230,23 +262,37 @@ def _in_filled_holes(s: Record) -> int:
 
 @njit(cache=True)
 def step(s: Record, action: int, p: EnvParams, out: Record) -> None:
-    """One move of one environment: writes the next state to ``s`` and what happened to ``out``."""
+    """One move of one robot, while the other holds; see :func:`tick`."""
+    due = _due(s, action, p)
+    tick(s, due if due < 6 else HOLD, due if due >= 6 else HOLD, p, out)
+
+
+@njit(cache=True)
+def tick(s: Record, delta: int, rrs: int, p: EnvParams, out: Record) -> None:
+    """One time step, in which the Delta moves (0 to 5), the 3-RRS (6 to 11), both, or none (HOLD).
+
+    Writes the next state to ``s`` and what happened to ``out``. A hole is filled by what was
+    executed, also where the other robot's own limits refused its move. With ``p.task.imperfect``
+    one of them must hold, and ``mask_refused`` is of single moves.
+    """
     before = _in_filled_holes(s)
     distance, angle = s.distance, s.angle
-    due = _due(s, action, p)
-    status = _attempt(s, due, p) if due >= 0 else VALID
+    delta_status, rrs_status = _attempt(s, delta, rrs, p)
     s.moves += 1
-    v, target = status != VALID, s.target
+    singular = delta_status == SINGULAR or rrs_status == SINGULAR
+    arrived = (delta != HOLD and delta_status == VALID) or (rrs != HOLD and rrs_status == VALID)
+    arrived = arrived and not singular
+    v, target = delta_status != VALID or rrs_status != VALID, s.target
     s.distance, s.angle = hole_distance(s, target), hole_angle(s, target)
-    u = not v and _in_filled_holes(s) & ~before != 0
-    z = not v and due >= 0 and _inserts(s, p)
+    u = arrived and _in_filled_holes(s) & ~before != 0
+    z = arrived and _inserts(s, p)
     if z:
         s.filled[target] = 1
         s.insertions += 1
     out.alignment_error, out.distance = s.angle, s.distance
     after = (s.distance, s.angle)
     n_open = open_holes(s)
-    terminated = status == SINGULAR or n_open == 0
+    terminated = singular or n_open == 0
     if z and n_open > 0:
         aim(s, nearest_open_hole(s))
         if p.task.visited > 0:  # the way to the next hole may lead back
@@ -255,10 +301,10 @@ def step(s: Record, action: int, p: EnvParams, out: Record) -> None:
     _reward(s, (v, z, u, terminated), (distance, angle), after, p, out)
     out.inserted = z
     out.inserted_hole = target if z else -1
-    out.collision = status == COLLISION
+    out.collision = delta_status == COLLISION or rrs_status == COLLISION
     out.violation = v
     out.duplicate = u
-    out.singular = status == SINGULAR
+    out.singular = singular
     _report(s, p, out)
     out.terminated = terminated
     out.truncated = not terminated and s.moves >= p.task.max_moves

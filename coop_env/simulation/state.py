@@ -27,6 +27,9 @@ INVALID: Final = 1
 COLLISION: Final = 2
 SINGULAR: Final = 3
 
+HOLD: Final = -1
+"""In place of a robot's move: none."""
+
 Configuration = tuple[float, float, float, float, float, float]
 Record = Any  # a row of STATE or OUTCOME, whose fields numba reads as attributes
 
@@ -242,8 +245,8 @@ def nearest_open_hole(s: Record) -> int:
 
 @njit(cache=True)
 def neighbour(s: Record, action: int, p: EnvParams) -> Configuration:
-    """The configuration that an action leads to, valid or not."""
-    axis, sign = action // 2, 1 - 2 * (action % 2)
+    """The configuration that an action leads to, valid or not; HOLD leads to the present one."""
+    axis, sign = max(action, 0) // 2, 0 if action == HOLD else 1 - 2 * (action % 2)
     s.offset[axis] += sign
     c = lattice_configuration(s.start, s.offset, p)
     s.offset[axis] -= sign
@@ -251,7 +254,7 @@ def neighbour(s: Record, action: int, p: EnvParams) -> Configuration:
 
 
 @njit(cache=True)
-def _is_safe(s: Record, action: int, p: EnvParams) -> bool:
+def is_safe(s: Record, action: int, p: EnvParams) -> bool:
     """Whether a move leads to a configuration of status VALID; most are settled without a test."""
     c = neighbour(s, action, p)
     if action < 6 and not p.task.imperfect and not below_ceiling(c, p):
@@ -327,7 +330,7 @@ def update_mask(s: Record, delta: bool, rrs: bool, p: EnvParams) -> None:
     afresh = p.task.visited > 0 or p.task.refused or s.mask.sum() == N_ACTIONS
     for action in range(N_ACTIONS):
         if couple:
-            s.mask[action] = _is_safe(s, action, p)
+            s.mask[action] = is_safe(s, action, p)
         elif action < 6:
             if delta or afresh:
                 s.mask[action] = delta_valid(neighbour(s, action, p), p)

@@ -18,8 +18,6 @@ from coop_env.checks import check_integer
 from coop_env.compilation import report_compilation
 from coop_env.env import CoopInsertionEnv, check_snapshot
 from coop_env.errors import ActionError, ArgumentError, ResetOptionError
-from coop_env.simulation import batch
-from coop_env.simulation.task import N_ACTIONS
 
 Seeds = Sequence[int | None]
 LARGEST_SEED = 2**63 - 1
@@ -33,14 +31,17 @@ class EnvBatch:
 
     Args:
         n_envs: number of environments.
-        kwargs: as for :class:`~coop_env.env.CoopInsertionEnv`.
+        kind: their class, :class:`~coop_env.env.CoopInsertionEnv` or one of its own.
+        kwargs: as for that class.
 
     Raises:
         ArgumentError: ``n_envs`` is no positive integer, or a keyword is wrong.
     """
 
-    def __init__(self, n_envs: int, **kwargs: Any) -> None:
-        self.envs = [CoopInsertionEnv(**kwargs) for _ in range(check_integer("n_envs", n_envs, 1))]
+    def __init__(
+        self, n_envs: int, kind: type[CoopInsertionEnv] = CoopInsertionEnv, **kwargs: Any
+    ) -> None:
+        self.envs = [kind(**kwargs) for _ in range(check_integer("n_envs", n_envs, 1))]
         self.actions = np.zeros(n_envs, np.int64)
         self.pending = False
         self._share_rows()
@@ -108,18 +109,11 @@ class EnvBatch:
 
         Raises:
             ResetNeeded: an environment was never reset.
-            ActionError: the shape is wrong, or an entry is no integer 0 to 11.
+            ActionError: the shape is wrong, or an entry is no integer of the action space.
         """
         self._require_start()
-        actions = np.asarray(actions)
-        if actions.shape != self.actions.shape or actions.dtype.kind not in "iu":
-            raise ActionError(
-                f"actions have shape {actions.shape} and type {actions.dtype}: "
-                f"must be {self.actions.size} integers"
-            )
-        if actions.min() < 0 or actions.max() >= N_ACTIONS:
-            raise ActionError(f"actions = {actions!r}: must lie within 0 to {N_ACTIONS - 1}")
-        self.actions[:] = actions
+        n_actions = int(self.envs[0].action_space.n)
+        self.actions[:] = check_actions(actions, self.actions.size, n_actions)
         self.pending = True
 
     def move(self) -> NDArray[np.int64]:
@@ -133,20 +127,20 @@ class EnvBatch:
             self._require_start()
             raise NoAsyncCallError("step_wait() without step_async(): no actions", "step")
         self.pending = False
-        batch.step_batch(
+        self.envs[0].step_batch(
             self.states, self.actions, self.packed, self.observation, self.outcomes, self.rows
         )
         report_compilation()
         return np.flatnonzero(self.outcomes["terminated"] | self.outcomes["truncated"])
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Action masks of all environments, (n, 12).
+        """Action masks of all environments, (n, actions).
 
         Raises:
             ResetNeeded: an environment was never reset.
         """
         self._require_start()
-        return self.states["mask"].astype(bool)
+        return self.envs[0]._masks_of(self.states)
 
     def set_attr(self, env: CoopInsertionEnv, name: str, value: Any) -> None:
         """Set an attribute (``stage``, say) of one of the environments.
@@ -203,6 +197,22 @@ class EnvBatch:
                     "rng": rng,
                 }
             )
+
+
+def check_actions(actions: Any, n: int, n_actions: int) -> NDArray[Any]:
+    """The actions (n,) of a batch, integers from 0 to ``n_actions - 1``.
+
+    Raises:
+        ActionError: the shape is wrong, or an entry is something else.
+    """
+    actions = np.asarray(actions)
+    if actions.shape != (n,) or actions.dtype.kind not in "iu":
+        raise ActionError(
+            f"actions have shape {actions.shape} and type {actions.dtype}: must be {n} integers"
+        )
+    if actions.min() < 0 or actions.max() >= n_actions:
+        raise ActionError(f"actions = {actions!r}: must lie within 0 to {n_actions - 1}")
+    return actions
 
 
 def check_seed(seed: Any) -> int | None:

@@ -1,9 +1,9 @@
-"""The batched environment as SB3's ``VecEnv``; :mod:`.env_batch` moves it."""
+"""The batched environment as SB3's ``VecEnv``; :mod:`coop_env.vector.env_batch` moves it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import Wrapper
@@ -38,8 +38,10 @@ class CoopInsertionVecEnv(VecEnv):
         ArgumentError: ``n_envs`` is no positive integer, or a keyword is wrong.
     """
 
+    env_class: ClassVar[type[CoopInsertionEnv]] = CoopInsertionEnv
+
     def __init__(self, n_envs: int, seed: int | None = None, **kwargs: Any) -> None:
-        self._batch = EnvBatch(n_envs, **kwargs)
+        self._batch = EnvBatch(n_envs, self.env_class, **kwargs)
         first = self.envs[0]
         self.render_mode = first.render_mode
         self.metadata = first.metadata
@@ -82,7 +84,7 @@ class CoopInsertionVecEnv(VecEnv):
 
         Raises:
             ResetNeeded: :meth:`reset` was never called.
-            ActionError: the shape is wrong, or an entry is no integer 0 to 11.
+            ActionError: the shape is wrong, or an entry is no integer of the action space.
         """
         self._batch.take(actions)
 
@@ -111,11 +113,11 @@ class CoopInsertionVecEnv(VecEnv):
     def _restart(self, i: int, info: dict[str, Any], truncated: bool) -> None:
         info["TimeLimit.truncated"] = truncated
         info["terminal_observation"] = self._batch.rows[i].copy()
-        info["terminal_action_mask"] = self._batch.states["mask"][i].astype(bool)
+        info["terminal_action_mask"] = self.envs[i].action_masks()
         _, self.reset_infos[i] = self.envs[i].reset()
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Action masks of all environments, (n_envs, 12)."""
+        """Action masks of all environments, (n_envs, actions)."""
         return self._batch.action_masks()
 
     def env_method(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
@@ -26,7 +26,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
 
     Autoreset is ``SAME_STEP``: the step that ends an episode returns the next one's first
     observation and ``info``, and ``infos`` has the last ones in ``final_obs`` and ``final_info``,
-    and ``final_action_mask`` (num_envs, 12), each with its ``_`` mask of the rows that ended.
+    and ``final_action_mask`` (num_envs, actions), each with its ``_`` mask of the rows that ended.
 
     Args:
         num_envs: number of environments.
@@ -43,6 +43,8 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
 
+    env_class: ClassVar[type[CoopInsertionEnv]] = CoopInsertionEnv
+
     def __init__(
         self, num_envs: int = 1, max_episode_steps: int | None = None, **kwargs: Any
     ) -> None:
@@ -50,7 +52,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
             limit = check_integer("max_episode_steps", max_episode_steps, 1)
             moves = check_integer("max_moves", kwargs.get("max_moves", limit), 1)
             kwargs["max_moves"] = min(moves, limit)
-        self._batch = EnvBatch(num_envs, **kwargs)
+        self._batch = EnvBatch(num_envs, self.env_class, **kwargs)
         first = self.envs[0]
         self.num_envs = int(num_envs)
         self.render_mode = first.render_mode
@@ -102,7 +104,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
 
         Raises:
             ResetNeeded: :meth:`reset` was never called.
-            ActionError: the shape is wrong, or an entry is no integer 0 to 11.
+            ActionError: the shape is wrong, or an entry is no integer of the action space.
         """
         self._batch.take(actions)
         ended = self._batch.move()
@@ -132,7 +134,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         return infos | {f"_{key}": these.copy() for key in infos}
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Action masks of all environments, (num_envs, 12)."""
+        """Action masks of all environments, (num_envs, actions)."""
         return self._batch.action_masks()
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:

@@ -1,0 +1,1 @@
+"""The same task with both robots moving at once: by two agents, or by one that commands both."""

@@ -1,0 +1,218 @@
+"""Both robots in one tick, by one agent: equality with the single agent, refusals, registration."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as check_env_of_sb3
+
+from benchmarks.methods.oracle import LatticeOracle
+from coop_env import CoopInsertionEnv, CoopInsertionJointEnv, CoopInsertionJointVecEnv
+from coop_env.errors import ActionError, ArgumentError
+from coop_env.simulation.insertion_task import PAPER_TASK
+from coop_env.simulation.state import COLLISION, INVALID, SINGULAR, VALID
+from tests.coop_env.team.walks import HOLD, LOW, joint_action, low_walk, single_action
+
+ID = "CoopInsertionJoint-v0"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {},
+        {"mask_singularities": True, "reward": "progress", "observation": "markov"},
+        {"geometry": "initial", "pose_model": "paper", "normalize": False, "max_moves": 25},
+    ],
+)
+def test_with_the_other_on_hold_all_is_the_single_agents(arguments: dict[str, Any]) -> None:
+    single, joint = CoopInsertionEnv(**arguments), CoopInsertionJointEnv(**arguments)
+    rng = np.random.default_rng(0)
+    (a, info), (b, twin) = single.reset(seed=3), joint.reset(seed=3)
+    for _ in range(1500):
+        assert a.tobytes() == b.tobytes()
+        assert info == twin
+        assert single.state.tobytes() == joint.state.tobytes()
+        if single.state["over"]:
+            (a, info), (b, twin) = single.reset(), joint.reset()
+            continue
+        choice = int(rng.integers(6))
+        delta, rrs = (choice, HOLD) if rng.random() < 0.5 else (HOLD, choice)
+        a, *rest, info = single.step(single_action(delta, rrs))
+        b, *others, twin = joint.step(joint_action(delta, rrs))
+        assert rest == others
+
+
+def expected(env: CoopInsertionJointEnv, delta: int, rrs: int) -> tuple[np.ndarray, list[int]]:
+    """Where a tick should lead and the status of each move, from ``configuration_status`` alone."""
+    start, offset = env.state["start"], env.state["offset"].copy()
+
+    def lattice_point(*moves: int) -> np.ndarray:
+        to = offset.copy()
+        for move in moves:
+            to[move // 2] += 1 - 2 * (move % 2)
+        return start + to * np.array(PAPER_TASK.steps)
+
+    moves = {0: delta, 1: 6 + rrs} if rrs != HOLD else {0: delta}
+    if delta == HOLD:
+        del moves[0]
+    status = [VALID, VALID]
+    for robot, move in list(moves.items()):
+        if env.configuration_status(lattice_point(move)) == INVALID:
+            status[robot] = INVALID
+            del moves[robot]
+    where = lattice_point(*moves.values())
+    found = env.configuration_status(where)
+    if found == COLLISION:
+        for robot in moves:
+            status[robot] = COLLISION
+        return lattice_point(), status
+    if found == SINGULAR:
+        status[1] = SINGULAR
+    return where, status
+
+
+def test_ticks_against_a_slow_reference() -> None:
+    """Status and arrival from single configurations; what is left of the state from a fresh one."""
+    env, fresh = CoopInsertionJointEnv(), CoopInsertionEnv()
+    seen: Counter[tuple[int, int]] = Counter()
+    for delta, rrs in low_walk(env, 0, 3000):
+        where, status = expected(env, delta, rrs)
+        before = env.state
+        *_, info = env.step(joint_action(delta, rrs))
+        seen[status[0], status[1]] += delta != HOLD and rrs != HOLD
+        np.testing.assert_array_equal(env.configuration, where)
+        assert info["collision"] == (COLLISION in status)
+        assert info["singular"] == (SINGULAR in status)
+        assert info["violation"] == (status != [VALID, VALID])
+        after = env.state
+        assert after["moves"] == before["moves"] + 1
+        turned = np.abs(after["theta"] - before["theta"]).sum()
+        turned += np.abs(after["q"] - before["q"]).sum()
+        assert after["energy"] - before["energy"] == pytest.approx(turned, abs=1e-12)
+        if SINGULAR not in status:
+            fresh.reset(options={"configuration": where, "target": int(before["target"])})
+            for name in ("theta", "q", "sigma", "tip", "mouths", "normals", "inside"):
+                np.testing.assert_array_equal(after[name], fresh.state[name])
+    both = {
+        (VALID, VALID), (COLLISION, COLLISION), (INVALID, VALID), (VALID, INVALID),
+        (INVALID, COLLISION), (COLLISION, INVALID), (VALID, SINGULAR),
+    }  # fmt: skip
+    assert both - {(INVALID, COLLISION), (VALID, SINGULAR)} <= set(seen), seen
+
+
+def test_moves_that_are_free_alone_may_collide_together_and_then_neither_is_made() -> None:
+    env, found = CoopInsertionJointEnv(), 0
+    for delta, rrs in low_walk(env, 1, 4000):
+        snapshot = env.get_state()
+        alone = []
+        for choices in ((delta, HOLD), (HOLD, rrs)):
+            alone.append(env.step(joint_action(*choices))[4]["violation"])
+            env.set_state(snapshot)
+        before = env.state
+        *_, info = env.step(joint_action(delta, rrs))
+        if info["collision"] and not any(alone):
+            found += 1
+            assert delta != HOLD
+            assert rrs != HOLD
+            for name in ("configuration", "offset", "theta", "q", "tip", "energy"):
+                np.testing.assert_array_equal(env.state[name], before[name])
+            assert info["reward_terms"]["violation"] == -3.0
+    assert found > 0
+
+
+def test_a_refused_robot_does_not_stop_the_other_from_inserting() -> None:
+    env = CoopInsertionJointEnv()
+    for seed in range(10):
+        env.reset(seed=seed)
+        plan = LatticeOracle().plan(env)
+        if plan.moves is None or plan.moves[-1] >= 6:
+            continue
+        for move in plan.moves[:-1].tolist():
+            env.step(joint_action(move, HOLD) if move < 6 else joint_action(HOLD, move - 6))
+        down = env.configuration - np.array([0, 0, 0, 0, 0, PAPER_TASK.heave_step])
+        heave = 5 if env.configuration_status(down) == INVALID else 4
+        platform = env.configuration[3:]
+        *_, info = env.step(joint_action(int(plan.moves[-1]), heave))
+        assert info["inserted"]
+        assert info["violation"]
+        assert not info["collision"]
+        assert info["reward_terms"]["violation"] == -3.0
+        assert info["reward_terms"]["insertion"] > 0.0
+        np.testing.assert_array_equal(env.configuration[3:], platform)
+        return
+    pytest.fail("no plan ended with a move of the Delta")
+
+
+def test_when_both_hold_only_time_passes() -> None:
+    env = CoopInsertionJointEnv(max_moves=2)
+    env.reset(seed=0)
+    before = env.state
+    _, _, terminated, truncated, info = env.step(48)
+    assert [terminated, truncated, info["violation"], info["inserted"]] == [False] * 4
+    changed = [n for n in before.dtype.names or () if before[n].tobytes() != env.state[n].tobytes()]
+    assert changed == ["moves"]
+    assert env.step(48)[3]
+
+
+def test_checkers_of_gymnasium_and_sb3() -> None:
+    both: list[dict[str, Any]] = [{}, {"observation": "markov", "mask_singularities": True}]
+    for arguments in both:
+        env = gym.make(ID, **arguments).unwrapped
+        check_env(env, skip_render_check=True)
+        check_env_of_sb3(env)
+        assert env.action_space == gym.spaces.Discrete(49)
+
+
+def test_both_batches_are_single_environments_in_rows() -> None:
+    arguments: dict[str, Any] = {"max_moves": 12, "mask_singularities": True}
+    singles = [CoopInsertionJointEnv(**arguments) for _ in range(3)]
+    vec = CoopInsertionJointVecEnv(3, seed=5, **arguments)
+    vector: Any = gym.make_vec(ID, num_envs=3, **arguments)
+    rows = vec.reset()
+    assert vector.reset(seed=5)[0].tobytes() == rows.tobytes()
+    for i, env in enumerate(singles):
+        assert env.reset(seed=5 + i)[0].tobytes() == rows[i].tobytes()
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        actions = rng.integers(49, size=3)
+        rows, rewards, dones, infos = vec.step(actions)
+        assert vector.step(actions)[0].tobytes() == rows.tobytes()
+        for i, env in enumerate(singles):
+            row, reward, terminated, truncated, _ = env.step(actions[i])
+            assert dones[i] == (terminated or truncated)
+            assert rewards[i] == np.float32(reward)
+            if dones[i]:
+                assert infos[i]["terminal_observation"].tobytes() == row.tobytes()
+                np.testing.assert_array_equal(infos[i]["terminal_action_mask"], env.action_masks())
+                row, _ = env.reset()
+            assert rows[i].tobytes() == row.tobytes()
+            np.testing.assert_array_equal(vec.action_masks()[i], env.action_masks())
+        np.testing.assert_array_equal(vec.action_masks(), vector.action_masks())
+
+
+@pytest.mark.parametrize("action", [-1, 49, 1.0, float("nan"), None, True, "hold", [0, 1]])
+def test_other_actions_are_named(action: Any) -> None:
+    env = CoopInsertionJointEnv()
+    env.reset(seed=0, options={"configuration": LOW})
+    before = env.state.tobytes()
+    with pytest.raises(ActionError, match="must be an integer 0 to 48"):
+        env.step(action)
+    assert env.state.tobytes() == before
+
+
+@pytest.mark.parametrize(
+    "arguments", [{"mask_visited": 2}, {"mask_refused": True}, {"sim_to_real": "randomized"}]
+)
+def test_arguments_of_one_move_at_a_time_are_named(arguments: dict[str, Any]) -> None:
+    with pytest.raises(ArgumentError, match=next(iter(arguments))):
+        CoopInsertionJointEnv(**arguments)
+
+
+def test_unknown_arguments_are_named() -> None:
+    with pytest.raises(TypeError, match="colour"):
+        CoopInsertionJointEnv(colour=1)
