@@ -46,7 +46,6 @@ FLOORS = {
     ),
     "sb3_rainbow": (
         "sb3_rainbow.type_aliases",
-        "sb3_rainbow.compilation",
         "sb3_rainbow.network",
         "sb3_rainbow.masking.conventions",
         "sb3_rainbow.masking.transitions",
@@ -59,6 +58,7 @@ FLOORS = {
         "sb3_rainbow.resume",
         "sb3_rainbow.rainbow",
         "sb3_rainbow.export",
+        "sb3_rainbow.zoo",
     ),
 }
 
