@@ -4,6 +4,7 @@ import argparse
 import importlib
 import runpy
 import sys
+from importlib import metadata
 
 from sb3_rainbow.masking.conventions import ActionMaskError
 
@@ -73,6 +74,10 @@ def _with_known_env(command: str, arguments: list[str]) -> list[str]:
     try:
         for package in known.gym_packages:
             importlib.import_module(package)
+        if known.env not in gym.registry:
+            # Since 1.0 Gymnasium does not ask them any more.
+            for plugin in metadata.entry_points(group="gymnasium.envs"):
+                plugin.load()()
         gym.spec(known.env)
     except (ModuleNotFoundError, gym.error.Error) as error:
         raise ZooError(f"no environment {known.env}: {error}") from error
