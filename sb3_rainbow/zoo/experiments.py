@@ -91,7 +91,7 @@ class RainbowExperimentManager(ExperimentManager):
 
     def create_callbacks(self) -> None:
         """The zoo's, and :class:`SaveCheckpoint`."""
-        if self._eval_env_kwargs_args is None:
+        if self.algo == ALGO and self._eval_env_kwargs_args is None:
             # The zoo gives those of the hyperparameters to the training's env alone.
             self.eval_env_kwargs = self.env_kwargs
         super().create_callbacks()

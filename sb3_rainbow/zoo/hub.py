@@ -224,7 +224,7 @@ def load(path: str | os.PathLike[str], trusted: Collection[str] = (), **kwargs: 
     with loading(path):
         # What is checked is what is loaded, whatever happens to the file in between.
         content = pathlib.Path(path).read_bytes()
-        left_out = {**dict.fromkeys(_OF_THE_RUN), **kwargs.pop("custom_objects", {})}
+        left_out = {**dict.fromkeys(_OF_THE_RUN), **(kwargs.pop("custom_objects", None) or {})}
         check_model(io.BytesIO(content), trusted, left_out)
         return Rainbow.load(io.BytesIO(content), custom_objects=left_out, **kwargs)
 
