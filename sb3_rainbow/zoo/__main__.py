@@ -75,8 +75,9 @@ def _with_known_env(command: str, arguments: list[str]) -> list[str]:
         for package in known.gym_packages:
             importlib.import_module(package)
         if known.env not in gym.registry:
-            # Since 1.0 Gymnasium does not ask them any more.
-            for plugin in metadata.entry_points(group="gymnasium.envs"):
+            # Since 1.0 Gymnasium does not ask the package that a namespace is of any more.
+            namespace = known.env.partition("/")[0]
+            for plugin in metadata.entry_points(group="gymnasium.envs", name=namespace):
                 plugin.load()()
         gym.spec(known.env)
     except (ModuleNotFoundError, gym.error.Error) as error:

@@ -46,6 +46,12 @@ def test_an_environment_without_an_entry_needs_no_support() -> None:
     assert trained(1, "Balance-v7").distributional == "quantile"
 
 
+def test_a_package_that_announces_its_environments_needs_no_flag() -> None:
+    pytest.importorskip("minatar", reason="needs the extra classic")
+    zoo("train --env MinAtar/Breakout-v1 -n 20 --eval-freq -1 --device cpu --verbose 0")
+    assert trained(1, "MinAtar-Breakout-v1").num_timesteps == 20
+
+
 MASKED = f"--env MaskedZoo-v0 --gym-packages {ENVS}"
 
 
