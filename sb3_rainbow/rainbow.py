@@ -16,12 +16,12 @@ from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedul
 from stable_baselines3.common.utils import ConstantSchedule, LinearSchedule
 from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
 
-from sb3_rainbow.compilation import report_compilation
 from sb3_rainbow.learner.denormals import flush_denormals
 from sb3_rainbow.learner.learner import Learner, as_batch
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy, RainbowPolicy
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
+from sb3_rainbow.replay.compilation import report_compilation
 from sb3_rainbow.replay.parameters import check_buffer_size, smallest_buffer
 from sb3_rainbow.replay.transfer import from_device
 from sb3_rainbow.resume.optimizer_state import per_parameter

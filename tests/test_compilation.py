@@ -16,14 +16,16 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # Every kernel of the package is declared, and a few compile.
 LEARN = """
-from sb3_rainbow import Rainbow, compilation
+from sb3_rainbow import Rainbow
+from sb3_rainbow.replay import compilation
 compilation._NOTICED = 0.1
 settings = {"learning_starts": 20, "buffer_size": 100, "cpu_kernels": False}
 Rainbow("MlpPolicy", "CartPole-v1", device="cpu", **settings).learn(60)
 """
 TREE = """
 import numpy as np
-from sb3_rainbow import SumTree, compilation
+from sb3_rainbow import SumTree
+from sb3_rainbow.replay import compilation
 compilation._NOTICED = 0.1
 tree = SumTree(4)
 tree.set(np.arange(4), np.ones(4))
@@ -91,9 +93,9 @@ def test_where_nothing_can_be_written(
     assert told.endswith("set NUMBA_CACHE_DIR to one that can")
 
 
-@pytest.mark.parametrize("package", ["sb3_rainbow", "coop_env"])
-def test_other_errors_stay(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    compilation = importlib.import_module(f"{package}.compilation")
+@pytest.mark.parametrize("module", ["sb3_rainbow.replay.compilation", "coop_env.compilation"])
+def test_other_errors_stay(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    compilation = importlib.import_module(module)
 
     def fail(self: object) -> None:
         raise RuntimeError("something else")

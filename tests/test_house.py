@@ -48,7 +48,6 @@ FLOORS = {
     ),
     "sb3_rainbow": (
         "sb3_rainbow.type_aliases",
-        "sb3_rainbow.compilation",
         "sb3_rainbow.network",
         "sb3_rainbow.masking.conventions",
         "sb3_rainbow.masking.transitions",
@@ -61,6 +60,7 @@ FLOORS = {
         "sb3_rainbow.resume",
         "sb3_rainbow.rainbow",
         "sb3_rainbow.export",
+        "sb3_rainbow.zoo",
     ),
 }
 

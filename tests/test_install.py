@@ -25,16 +25,15 @@ SHIPPED = ("setup.cfg", "pyproject.toml", "README.md", "LICENSE")
 PACKAGES = ("sb3_rainbow", "coop_env", "benchmarks")
 STEPS = 300  # of the README's trainings: past their first updates
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-# all but what needs an extra: pictures (`render`), MuJoCo (`physics`), PettingZoo (`team`)
+# all but what needs an extra: pictures (`render`), MuJoCo (`physics`), PettingZoo (`team`), `zoo`
 EVERY_MODULE = """
 import importlib, importlib.util, pkgutil, sys
 import coop_env, sb3_rainbow
 for package in (sb3_rainbow, coop_env):
     assert package.__file__.startswith(sys.prefix), package.__file__
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-        if not module.name.startswith(
-            ("coop_env.rendering.", "coop_env.physics.", "coop_env.team.parallel_env")
-        ):
+        extras = ("coop_env.rendering.", "coop_env.physics.", "coop_env.team.parallel_env")
+        if not module.name.startswith((*extras, "sb3_rainbow.zoo.")):
             importlib.import_module(module.name)
 assert importlib.util.find_spec("benchmarks") is None
 """
@@ -119,7 +118,7 @@ def test_the_wheel_holds_the_two_packages(wheel: Path) -> None:
         str(path.relative_to(ROOT))
         for package in ("sb3_rainbow", "coop_env")
         for path in (ROOT / package).rglob("*")
-        if path.suffix == ".py" or path.name == "py.typed"
+        if path.suffix in (".py", ".yml") or path.name == "py.typed"
     }
     assert sources == {name for name in names if ".dist-info" not in name}
 

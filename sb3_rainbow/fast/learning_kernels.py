@@ -5,7 +5,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sb3_rainbow.compilation import njit
 from sb3_rainbow.fast.mlp_kernels import (
     EFFECTIVE,
     FAST,
@@ -19,6 +18,7 @@ from sb3_rainbow.fast.mlp_kernels import (
     Table,
     Vector,
 )
+from sb3_rainbow.replay.compilation import njit
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -13,7 +13,7 @@ sigmas, then those of the bias. Its effective weight and bias include the noise 
 import numpy as np
 from numpy.typing import NDArray
 
-from sb3_rainbow.compilation import njit
+from sb3_rainbow.replay.compilation import njit
 
 INPUTS, OUTPUTS, NOISY, PARAMETERS, NOISE, EFFECTIVE, HIDDEN = range(7)
 

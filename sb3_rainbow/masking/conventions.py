@@ -11,6 +11,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
 TERMINAL_MASK_KEY = "terminal_action_mask"
 
 
+class ActionMaskError(ValueError):
+    """Masks that an environment should not have given."""
+
+
 class TerminalActionMask(gym.Wrapper):
     """
     Put the mask of an episode's last state into ``info["terminal_action_mask"]``.
@@ -78,24 +82,24 @@ def as_action_masks(masks: ArrayLike, n_envs: int, n_actions: int) -> NDArray[np
     :param masks: one row per env, shape ``(n_envs, n_actions)``
     :param n_envs: expected rows
     :param n_actions: expected columns
-    :raises ValueError: for another shape, for entries other than False and True (0 and 1), or for
-        a row that allows no action
+    :raises ActionMaskError: for another shape, for entries other than False and True (0 and 1), or
+        for a row that allows no action
     """
     given = np.asarray(masks)
     checked = given.astype(bool, copy=False)
     if given.dtype != np.bool_ and not np.array_equal(given, checked):
-        raise ValueError(
+        raise ActionMaskError(
             "An action mask holds True or False (1 or 0) for each action, not "
             f"{given[given != checked].flat[0]}: is it a list of actions?"
         )
     if checked.shape != (n_envs, n_actions):
-        raise ValueError(
+        raise ActionMaskError(
             f"Action masks must have shape {(n_envs, n_actions)} (envs, actions), "
             f"got {checked.shape}"
         )
     allowed = checked.any(axis=1)
     if not allowed.all():
-        raise ValueError(
+        raise ActionMaskError(
             f"The action mask of env {int(np.argmin(allowed))} allows no action; at least one must "
             "be True (if nothing is valid, let action_masks() return all True)"
         )

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecNormalize
 
-from sb3_rainbow.masking.conventions import TERMINAL_MASK_KEY, as_action_masks
+from sb3_rainbow.masking.conventions import TERMINAL_MASK_KEY, ActionMaskError, as_action_masks
 from sb3_rainbow.type_aliases import ObsArray
 
 LOST_MASK_WARNING = (
@@ -52,7 +52,7 @@ def with_terminal_masks(
     :param dones: which episodes ended, ``(n_envs,)``
     :param infos: hold ``"terminal_action_mask"``
     :return: a copy, and whether a truncated episode came without its mask
-    :raises ValueError: for a mask of another shape, or one that allows nothing
+    :raises ActionMaskError: for a mask of another shape, or one that allows nothing
     """
     if not dones.any():
         return masks, False
@@ -68,7 +68,7 @@ def with_terminal_masks(
                 continue
             given = np.reshape(mask, (1, -1))
             if not given.any():
-                raise ValueError(
+                raise ActionMaskError(
                     f"An episode of env {env} was truncated in a state whose action mask allows no "
                     "action, so its return cannot go on from there: report the state as "
                     "terminated, or let action_masks() return all True"

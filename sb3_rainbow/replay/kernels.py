@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sb3_rainbow.compilation import njit
+from sb3_rainbow.replay.compilation import njit
 
 RUNNING, TERMINATED, TRUNCATED = 0, 1, 2
 

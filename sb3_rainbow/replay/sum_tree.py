@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sb3_rainbow.compilation import njit
+from sb3_rainbow.replay.compilation import njit
 
 FAN_OUT = 8
 _SHIFT = 3

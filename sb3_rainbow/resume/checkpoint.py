@@ -55,6 +55,14 @@ def save_checkpoint(model: OffPolicyAlgorithm, path: str | pathlib.Path) -> None
     os.replace(partial, target)
 
 
+def is_checkpoint(path: str | pathlib.Path) -> bool:
+    """Whether :func:`save_checkpoint` wrote a file."""
+    if not zipfile.is_zipfile(path):
+        return False
+    with zipfile.ZipFile(path) as archive:
+        return set(archive.namelist()) == {_MODEL, _REPLAY, _ENV}
+
+
 def load_checkpoint(
     cls: type[SelfAlgorithm], path: str | pathlib.Path, env: GymEnv, **kwargs: Any
 ) -> SelfAlgorithm:

@@ -9,6 +9,7 @@ from typing import Any
 import numba
 from numba.core import event
 
+_PACKAGE = __name__.partition(".")[0]
 # Nobody wonders about less, in seconds.
 _NOTICED = 1.5
 
@@ -22,7 +23,7 @@ class _Stopwatch(event.Listener):
     _started = 0.0
 
     def notify(self, event: Any) -> None:
-        if event.data["dispatcher"].py_func.__module__.startswith(f"{__package__}."):
+        if event.data["dispatcher"].py_func.__module__.startswith(f"{_PACKAGE}."):
             super().notify(event)
 
     def on_start(self, event: Any) -> None:
@@ -71,4 +72,4 @@ def report_compilation() -> None:
         "NUMBA_CACHE_DIR to one that can"
     )
     seconds, _stopwatch.seconds = _stopwatch.seconds, 0.0
-    print(f"{__package__}: compiled kernels in {seconds:.1f} s, {again}", file=sys.stderr)
+    print(f"{_PACKAGE}: compiled kernels in {seconds:.1f} s, {again}", file=sys.stderr)

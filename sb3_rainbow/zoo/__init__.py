@@ -1,0 +1,1 @@
+"""Rainbow in rl-baselines3-zoo and on the Hugging Face hub; needs the extra ``zoo``."""

@@ -1,0 +1,42 @@
+"""What goes wrong when a file is loaded, in one line."""
+
+import os
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import stable_baselines3 as sb3
+
+ALGO = "rainbow"  # its name in the zoo, and in the names of files
+
+
+class ZooError(ValueError):
+    """What was asked of the zoo cannot be done, and the message says all there is to say."""
+
+
+@contextmanager
+def loading(path: str | os.PathLike[str]) -> Iterator[None]:
+    """
+    Whatever the loading of a model raises, as a :class:`ZooError` that names the file.
+
+    :param path: the file that is loaded inside
+    :raises ZooError: for a file of another algorithm, of other settings, or damaged
+    """
+    try:
+        yield
+    except Exception as error:  # what pickle, zipfile and torch raise is anybody's guess
+        reason = str(error).strip() or repr(error)
+        raise ZooError(
+            f"{os.fspath(path)} cannot be loaded as Rainbow: {reason}{_other_version(path)}"
+        ) from error
+
+
+def _other_version(path: str | os.PathLike[str]) -> str:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            saved = archive.read("_stable_baselines3_version").decode().strip()
+    except (OSError, KeyError, zipfile.BadZipFile):
+        return ""
+    if saved == sb3.__version__:
+        return ""
+    return f" (saved by Stable-Baselines3 {saved}, this is {sb3.__version__})"

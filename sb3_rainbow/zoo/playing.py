@@ -1,0 +1,84 @@
+"""Rainbow as the zoo's scripts play a trained model: without a replay buffer, under masks."""
+
+import functools
+import io
+import pathlib
+from typing import Any, ClassVar, TypeVar
+
+import rl_zoo3.utils
+from numpy.typing import NDArray
+from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
+from stable_baselines3.common.vec_env import VecEnv
+
+from sb3_rainbow.rainbow import Rainbow
+from sb3_rainbow.type_aliases import ObsArray
+from sb3_rainbow.zoo.files import loading
+
+SelfPlayed = TypeVar("SelfPlayed", bound="PlayedRainbow")
+
+
+class PlayedRainbow(Rainbow):
+    """
+    A trained model under the masks of the environment that :func:`create_test_env` made last.
+
+    The zoo's ``enjoy`` loads a model without its environment and asks it for actions by the
+    observations alone, as ``record_video`` does: masks have no other way to it.
+    """
+
+    played: ClassVar[VecEnv | None] = None
+
+    @classmethod
+    def load(
+        cls: type[SelfPlayed],
+        path: str | pathlib.Path | io.BufferedIOBase,
+        *args: Any,
+        **kwargs: Any,
+    ) -> SelfPlayed:
+        """
+        As ``Rainbow.load``, with the smallest replay buffer unless one is asked for.
+
+        :param path: of the model
+        :param args: of ``Rainbow.load``
+        :param kwargs: of ``Rainbow.load``
+        :raises ZooError: if it cannot be loaded
+        """
+        with loading(str(path)):
+            return super().load(path, *args, **{"buffer_size": 1, **kwargs})
+
+    def predict(
+        self,
+        observation: ObsArray,
+        state: tuple[NDArray, ...] | None = None,
+        episode_start: NDArray | None = None,
+        deterministic: bool = False,
+        action_masks: NDArray | None = None,
+    ) -> tuple[NDArray, tuple[NDArray, ...] | None]:
+        """As ``Rainbow.predict``; without masks, under those of the environment that is played."""
+        env = self.played
+        if action_masks is None and env is not None and masks_apply(self, env):
+            action_masks = get_action_masks(env)
+        return super().predict(observation, state, episode_start, deterministic, action_masks)
+
+
+def masks_apply(model: object, env: VecEnv) -> bool:
+    """Whether a model is to act under the masks of an environment."""
+    return (
+        isinstance(model, Rainbow) and model.use_masking is not False and is_masking_supported(env)
+    )
+
+
+_create_test_env = rl_zoo3.utils.create_test_env
+
+
+@functools.wraps(_create_test_env)
+def create_test_env(env_id: str, *args: Any, **kwargs: Any) -> VecEnv:
+    """
+    The zoo's, which tells :class:`PlayedRainbow` what it made.
+
+    It takes an environment's arguments from the hyperparameters where the script did not:
+    ``record_video`` leaves them out.
+    """
+    saved = (kwargs.get("hyperparams") or {}).get("env_kwargs") or {}
+    kwargs["env_kwargs"] = {**saved, **(kwargs.get("env_kwargs") or {})}
+    PlayedRainbow.played = _create_test_env(env_id, *args, **kwargs)
+    return PlayedRainbow.played

@@ -1,0 +1,156 @@
+"""The zoo's -i with --save-replay-buffer: a run goes on where it stopped."""
+
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from sb3_rainbow import Rainbow
+from tests.sb3_rainbow.resume.runs import assert_same
+from tests.sb3_rainbow.zoo.runs import train, trained, workplace
+
+__all__ = ["workplace"]
+ROOT = Path(__file__).resolve().parents[3]
+RUN = Path("logs/rainbow/CartPole-v1_1")
+
+
+class Stateful(DummyVecEnv):
+    """CartPoles that can tell and take their exact state."""
+
+    def get_state(self) -> bytes:
+        return pickle.dumps(([[_kept(x) for x in _layers(e)] for e in self.envs], self.buf_obs))
+
+    def set_state(self, state: bytes) -> None:
+        envs, self.buf_obs = pickle.loads(state)
+        for env, layers in zip(self.envs, envs, strict=True):
+            for layer, kept in zip(_layers(env), layers, strict=True):
+                vars(layer).update(kept)
+
+
+def _layers(env: gym.Env) -> Iterator[gym.Env]:
+    while isinstance(env, gym.Wrapper):
+        yield env
+        env = env.env
+    yield env
+
+
+def _kept(layer: gym.Env) -> dict[str, object]:
+    """All but the layer below, and the file that a monitor writes."""
+    return {k: v for k, v in vars(layer).items() if k not in ("env", "results_writer")}
+
+
+class Interrupt(BaseCallback):
+    """Ctrl-C at the 300th step."""
+
+    def _on_step(self) -> bool:
+        if self.n_calls == 300:
+            raise KeyboardInterrupt
+        return True
+
+
+@pytest.mark.parametrize("noisy", [True, False])
+def test_bit_by_bit_where_the_environment_can_be_restored(
+    monkeypatch: pytest.MonkeyPatch, noisy: bool
+) -> None:
+    from sb3_rainbow.zoo.experiments import RainbowExperimentManager
+
+    monkeypatch.setattr(RainbowExperimentManager, "default_vec_env_cls", Stateful)
+    settings = f"--save-replay-buffer --hyperparams noisy:{noisy} n_envs:2"
+    train(f"{settings} --save-freq 250")
+    # Written at 500 of the 600 steps: as if the run had been killed afterwards
+    checkpoint = shutil.move(RUN / "checkpoint.zip", "checkpoint.zip")
+    train(f"{settings} -i {checkpoint}")
+    assert_same(trained(1), trained(2))
+    assert trained(2).num_timesteps == 600
+    assert 490 <= trained(2)._num_timesteps_at_start <= 510
+
+
+def test_after_ctrl_c_counters_schedules_and_replay_go_on() -> None:
+    train(f"--save-replay-buffer --hyperparams callback:'{__name__}.Interrupt'")
+    first = trained(1)
+    assert 298 <= first.num_timesteps <= 300
+    train(f"--save-replay-buffer -i {RUN}/CartPole-v1.zip")
+    second = trained(2)
+    assert second.num_timesteps == second._total_timesteps == 600
+    # One update every two steps, from the 40th on: nothing was random a second time.
+    assert second._n_updates == pytest.approx(280, abs=3)
+    assert second.policy.optimizer.param_groups[0]["lr"] < 1e-5
+    old, new = first.replay_buffer, second.replay_buffer
+    assert old is not None
+    assert new is not None
+    n = old.size() - 5
+    np.testing.assert_array_equal(old.observations[:n], new.observations[:n])
+    assert new.size() == pytest.approx(600, abs=2)
+
+
+def test_a_new_seed_is_no_second_beginning() -> None:
+    """The first episodes after a resume are not those of the run's beginning."""
+    train("--save-replay-buffer -n 300")
+    train(f"--save-replay-buffer -i {RUN}/CartPole-v1.zip -n 400")
+    buffer = trained(2).replay_buffer
+    assert buffer is not None
+    assert not (buffer.observations[300:305] == buffer.observations[0]).all(axis=-1).any()
+
+
+def test_a_finished_run_takes_as_many_steps_again() -> None:
+    train("--save-replay-buffer -n 100")
+    train(f"-i {RUN}/CartPole-v1.zip -n 100")
+    assert trained(2).num_timesteps == 200
+
+
+def test_without_its_replay_a_model_is_where_a_new_run_begins() -> None:
+    train("-n 100")
+    train(f"-i {RUN}/CartPole-v1.zip -n 50")
+    assert trained(2).num_timesteps == 50
+
+
+def test_the_runs_own_settings_win_unless_the_command_line_speaks() -> None:
+    train("--save-replay-buffer -n 100 --hyperparams gamma:0.9 max_grad_norm:3.0")
+    train(f"--save-replay-buffer -i {RUN}/CartPole-v1.zip -n 200 --hyperparams max_grad_norm:2.0")
+    assert (trained(2).gamma, trained(2).max_grad_norm) == (0.9, 2.0)
+
+
+def test_statistics_of_observations_go_on() -> None:
+    settings = "--save-replay-buffer --hyperparams normalize:True"
+    train(f"{settings} -n 300 --save-freq 200")
+    train(f"{settings} -i {RUN}/checkpoint.zip -n 600")
+    counts = []
+    for number in (1, 2):
+        folder = Path(f"logs/rainbow/CartPole-v1_{number}/CartPole-v1")
+        counts.append(pickle.loads((folder / "vecnormalize.pkl").read_bytes()).obs_rms.count)
+    assert counts == [pytest.approx(301, abs=1), pytest.approx(602, abs=2)]
+
+
+def test_a_checkpoint_of_other_settings_is_named() -> None:
+    train("--save-replay-buffer --save-freq 50 -n 100 --hyperparams n_steps:2")
+    for file in ("checkpoint.zip", "CartPole-v1.zip"):
+        with pytest.raises(SystemExit, match=f"{file} cannot be loaded as Rainbow: .*n_steps=2"):
+            train(f"-i {RUN}/{file} --hyperparams n_steps:4")
+
+
+def test_a_run_that_was_killed_goes_on() -> None:
+    command = (
+        f"{sys.executable} -m sb3_rainbow.zoo train --conf-file small.yml --eval-freq -1 --seed 3 "
+        "--device cpu --verbose 0 -n 1000000 --save-freq 200 --save-replay-buffer"
+    )
+    with subprocess.Popen(command.split(), env={**os.environ, "PYTHONPATH": str(ROOT)}) as process:
+        deadline = time.monotonic() + 200
+        while not (RUN / "checkpoint.zip").exists() and time.monotonic() < deadline:
+            time.sleep(0.1)
+        process.send_signal(signal.SIGKILL)
+    stopped = Rainbow.load_checkpoint(RUN / "checkpoint.zip", gym.make("CartPole-v1"))
+    train(f"--save-replay-buffer -i {RUN}/checkpoint.zip -n {stopped.num_timesteps + 100}")
+    model = trained(2)
+    assert model.num_timesteps == pytest.approx(stopped.num_timesteps + 100, abs=2)
+    assert model._n_updates > stopped._n_updates > 50

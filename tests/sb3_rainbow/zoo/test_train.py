@@ -1,0 +1,152 @@
+"""Rainbow by the zoo's train, enjoy and record: its hyperparameters, its masks, its search."""
+
+from importlib import resources
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from stable_baselines3 import DQN
+from stable_baselines3.common.buffers import ReplayBuffer
+
+from sb3_rainbow import Rainbow
+from tests.sb3_rainbow.zoo import environments
+from tests.sb3_rainbow.zoo.runs import ENVS, SMALL, train, trained, workplace, zoo
+
+__all__ = ["workplace"]
+HYPERPARAMS = resources.files("sb3_rainbow.zoo") / "hyperparams.yml"
+OURS = yaml.safe_load(HYPERPARAMS.read_text(encoding="utf-8"))
+
+
+def test_train_evaluates_and_enjoy_plays(capsys: pytest.CaptureFixture[str]) -> None:
+    train("--eval-freq 200 --eval-episodes 2")
+    assert trained(1).num_timesteps == 600
+    evaluations = np.load("logs/rainbow/CartPole-v1_1/evaluations.npz")
+    assert evaluations["timesteps"].tolist() == [200, 400, 600]
+    zoo("enjoy --env CartPole-v1 --no-render -n 60 --load-best")
+    assert "Mean reward" in capsys.readouterr().out
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # Box2D's, as it is imported
+@pytest.mark.parametrize("env_id", [name for name in OURS if "-v" in name])
+def test_the_hyperparameters_of_the_package(env_id: str) -> None:
+    packages = "--gym-packages coop_env" if env_id.startswith("Coop") else ""
+    zoo(f"train --env {env_id} {packages} -n 64 --eval-freq -1 --seed 1 --device cpu --verbose 0")
+    model = trained(1, env_id)
+    for name in ("v_min", "v_max", "gamma", "tau", "batch_size", "sigma0"):
+        assert getattr(model, name) == OURS[env_id][name]
+    assert model.num_timesteps == 64
+
+
+def test_an_environment_without_an_entry_needs_no_support() -> None:
+    gym.register("Balance-v7", "gymnasium.envs.classic_control.cartpole:CartPoleEnv")
+    zoo("train --env Balance-v7 -n 20 --eval-freq -1 --device cpu --verbose 0")
+    assert trained(1, "Balance-v7").distributional == "quantile"
+
+
+def test_a_package_that_announces_its_environments_needs_no_flag() -> None:
+    pytest.importorskip("minatar", reason="needs the extra classic")
+    zoo("train --env MinAtar/Breakout-v1 -n 20 --eval-freq -1 --device cpu --verbose 0")
+    assert trained(1, "MinAtar-Breakout-v1").num_timesteps == 20
+
+
+MASKED = f"--env MaskedZoo-v0 --gym-packages {ENVS}"
+
+
+def test_all_is_played_under_masks() -> None:
+    """The environment raises where it is not."""
+    train(f"{MASKED} --eval-freq 200 --eval-episodes 2 -n 400")
+    zoo(f"enjoy {MASKED} --no-render -n 60")
+    zoo(f"enjoy {MASKED} --no-render -n 60 --stochastic")
+    zoo(f"record {MASKED} -n 20")
+    assert len([*Path("logs/rainbow/MaskedZoo-v0_1/videos").glob("*.mp4")]) == 1
+    train(f"{MASKED} -n 200 -optimize --n-trials 2 --n-evaluations 1 --no-optim-plots")
+    with pytest.raises(RuntimeError, match="not under masks"):
+        train(f"{MASKED} -n 400 --hyperparams use_masking:False")
+
+
+def test_arguments_of_the_environment_reach_evaluation_and_video(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The zoo keeps those of the hyperparameters to the training."""
+    monkeypatch.setattr(environments.Masked, "tags", [])
+    entry = {"MaskedZoo-v0": {**SMALL, "env_kwargs": {"tag": "given"}}}
+    Path("small.yml").write_text(yaml.safe_dump(entry), encoding="utf-8")
+    train(f"{MASKED} --eval-freq 100 --eval-episodes 1 -n 100")
+    zoo(f"record {MASKED} -n 5")
+    assert environments.Masked.tags == ["given"] * 3
+    train(f"{MASKED} --eval-freq 100 --eval-env-kwargs tag:'other' -n 100")
+    assert sorted(environments.Masked.tags[3:]) == ["given", "other"]
+
+
+def test_a_search_prunes() -> None:
+    search = "-optimize --n-trials 2 --n-startup-trials 1 --n-evaluations 2 --eval-episodes 1"
+    packages = f"--env WorseningZoo-v0 --gym-packages {ENVS}"
+    train(f"{packages} {search} -n 200 --no-optim-plots")
+    (report,) = Path("logs/rainbow").glob("report_*.csv")
+    trials = pd.read_csv(report)
+    assert trials["state"].tolist() == ["COMPLETE", "PRUNED"]
+    for name in ("tau", "n_steps", "sigma0", "alpha", "distributional"):
+        assert trials[f"params_{name}"].nunique() > 0
+
+
+def test_the_zoos_own_algorithms_stay_as_they_are() -> None:
+    zoo(
+        "train --algo dqn -n 100 --eval-freq 50 --eval-episodes 1 --seed 0 --device cpu --verbose 0"
+    )
+    assert DQN.load("logs/dqn/CartPole-v1_1/CartPole-v1.zip").num_timesteps >= 100
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("train --env CartPol-v1", "no environment CartPol-v1: .*Did you mean: `CartPole`?"),
+        ("enjoy --env CartPol-v1", "no environment CartPol-v1"),
+        ("train --gym-packages no_such", "No module named 'no_such'"),
+        (
+            f"train {MASKED} --env-kwargs n_masks:3 --conf-file small.yml --eval-freq -1",
+            r"shape \(1, 4\) \(envs, actions\), got \(1, 3\)",
+        ),
+        (
+            f"train {MASKED} --env-kwargs n_masks:3 --conf-file small.yml -optimize --n-trials 2",
+            r"shape \(1, 4\) \(envs, actions\), got \(1, 3\)",
+        ),
+        ("train -i other.zip --conf-file small.yml", "other.zip .* saved by another algorithm"),
+        ("train -i text.zip --conf-file small.yml", "text.zip .* wasn't a zip-file"),
+    ],
+)
+def test_bad_input_is_one_clear_error(command: str, said: str) -> None:
+    DQN("MlpPolicy", "CartPole-v1", buffer_size=10, device="cpu").save("other")
+    Path("text.zip").write_text("no archive")
+    with pytest.raises(SystemExit, match=rf"python -m sb3_rainbow.zoo \w+: error: .*{said}"):
+        zoo(command)
+
+
+def test_an_unknown_algorithm_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        zoo("train --algo rainbo")
+    assert "invalid choice: 'rainbo'" in capsys.readouterr().err
+
+
+def test_enjoy_refuses_a_file_of_another_algorithm() -> None:
+    train("-n 50")
+    model = DQN("MlpPolicy", "CartPole-v1", buffer_size=10, device="cpu")
+    model.save("logs/rainbow/CartPole-v1_1/CartPole-v1.zip")
+    with pytest.raises(SystemExit, match=r"cannot be loaded as Rainbow: .* another algorithm"):
+        zoo("enjoy --env CartPole-v1 --no-render")
+
+
+def test_enjoy_needs_no_room_for_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    train("-n 50")
+    sizes: list[int] = []
+    make = Rainbow._make_replay_buffer
+
+    def make_and_tell(self: Rainbow) -> ReplayBuffer:
+        sizes.append(self.buffer_size)
+        return make(self)
+
+    monkeypatch.setattr(Rainbow, "_make_replay_buffer", make_and_tell)
+    zoo("enjoy --env CartPole-v1 --no-render -n 5")
+    assert sizes == [1]
