@@ -35,7 +35,7 @@ def test_the_hyperparameters_of_the_package(env_id: str) -> None:
     packages = "--gym-packages coop_env" if env_id.startswith("Coop") else ""
     zoo(f"train --env {env_id} {packages} -n 64 --eval-freq -1 --seed 1 --device cpu --verbose 0")
     model = trained(1, env_id)
-    for name in ("v_min", "v_max", "gamma", "tau", "batch_size", "sigma0"):
+    for name in {"v_min", "v_max", "gamma", "tau", "batch_size", "n_atoms"} & OURS[env_id].keys():
         assert getattr(model, name) == OURS[env_id][name]
     assert model.num_timesteps == 64
 

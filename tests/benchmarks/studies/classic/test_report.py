@@ -19,7 +19,7 @@ from benchmarks.studies.classic.presets import Preset, load_preset
 from benchmarks.studies.classic.results import Results, bootstrap_ratio
 from benchmarks.studies.classic.tables import build_tables
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[4]
 SCORES = {"rainbow": 30.0, "dqn": 20.0, "qrdqn": 10.0}
 
 
