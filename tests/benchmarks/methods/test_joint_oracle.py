@@ -111,7 +111,7 @@ def test_no_fewer_ticks_insert_near_the_goal() -> None:
 
 
 def test_a_peg_beside_the_dome_is_led_around_it() -> None:
-    """Where the straight way collides, the joint plan is exact too: brute force from half way."""
+    """Where the straight way collides, the joint plan goes around, and inserts."""
     env, oracle = CoopInsertionJointEnv(), LatticeOracle(at_once=True)
     env.reset(options={"configuration": (0.0, 0.15, -0.53, 0.0, 0.0, 0.22), "target": 4})
     plan = oracle.plan(env)
