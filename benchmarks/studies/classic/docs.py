@@ -45,7 +45,7 @@ def rewrite(page: str, results: Results, root: str) -> str:
     for table, figure in SHOWN.items():
         if table in tables:
             parts.append(tables[table].markdown().rstrip())
-            if figure:
+            if figure and not results.preset.search:
                 parts.append(f"![{tables[table].title}]({root}/figures/{figure}.png)")
     others = [f"[{table}]({root}/tables/{table}.md)" for table in tables if table not in SHOWN]
     if others:

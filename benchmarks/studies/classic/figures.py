@@ -30,7 +30,8 @@ def write_figures(results: Results, store: Store) -> list[Path]:
     """Draw what the stored runs can show; returns the paths."""
     paths = []
     with style():
-        if results.preset.tasks:
+        # of a search the curves would be more than can be told apart
+        if results.preset.tasks and not results.preset.search:
             paths.append(save(_curves(results), store.figures / "curves.png"))
         if results.preset.cliff:
             paths.append(save(_cliff(results), store.figures / "cliff.png"))

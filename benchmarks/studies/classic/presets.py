@@ -87,11 +87,7 @@ class Preset:
     cliff: dict[str, CliffVariant] = field(default_factory=dict)
     methods: list[str] = field(default_factory=lambda: list(ALGORITHMS))
     checkpoint_seconds: Number = 60.0
-
-    @property
-    def is_search(self) -> bool:
-        """Whether it compares settings of one algorithm rather than algorithms."""
-        return len(self.methods) > len(ALGORITHMS)
+    search: bool = False  # compares settings of an algorithm rather than algorithms
 
 
 def preset_names() -> list[str]:

@@ -23,7 +23,7 @@ _MASKS = (
 
 def build_tables(results: Results) -> list[Table]:
     """All tables that the stored runs can fill."""
-    if results.preset.is_search:
+    if results.preset.search:
         return [_search(results), _settings(results.preset)]
     tables = []
     if results.preset.tasks:
