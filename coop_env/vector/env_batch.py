@@ -222,3 +222,17 @@ def check_seed(seed: Any) -> int | None:
         ArgumentError: it is no integer, or negative.
     """
     return None if seed is None else check_integer("seed", seed, 0, LARGEST_SEED)
+
+
+def seeds_of(seed: int | Sequence[int | None] | None, n: int) -> list[int | None]:
+    """The seeds of n environments: ``seed + i``, entry i of a list, or None.
+
+    Raises:
+        ArgumentError: a seed is no integer, is negative, or the list has another length.
+    """
+    if isinstance(seed, Sequence):
+        if len(seed) != n:
+            raise ArgumentError(f"seed = {seed!r}: {len(seed)} seeds for {n} environments")
+        return [check_seed(each) for each in seed]
+    first = check_seed(seed)
+    return [None if first is None else first + i for i in range(n)]

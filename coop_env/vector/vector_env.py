@@ -14,7 +14,7 @@ from coop_env.checks import check_integer
 from coop_env.env import CoopInsertionEnv
 from coop_env.errors import ArgumentError
 from coop_env.simulation import batch
-from coop_env.vector.env_batch import EnvBatch, check_seed
+from coop_env.vector.env_batch import EnvBatch, seeds_of
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -84,15 +84,9 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
             ArgumentError: a seed is no integer, is negative, or the list has another length.
         """
         given = self._batch.check_options(options)
-        if seed is None:
-            seeds: list[int | None] = [None] * self.num_envs
-        elif isinstance(seed, Sequence) and len(seed) == self.num_envs:
-            seeds = [check_seed(each) for each in seed]
-        else:
-            first = check_seed(seed)
-            assert first is not None
-            super().reset(seed=first)
-            seeds = [first + i for i in range(self.num_envs)]
+        seeds = seeds_of(seed, self.num_envs)
+        if seed is not None and not isinstance(seed, Sequence):
+            super().reset(seed=seeds[0])
         self._batch.reset(seeds, given)
         return self._batch.rows.copy(), batch.make_columns(self._batch.outcomes)
 

@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from coop_env.checks import check_integer
-from coop_env.errors import ActionError, ArgumentError
+from coop_env.errors import ActionError
 from coop_env.physics.contact.batch import FAILURES, ContactBatch
 from coop_env.physics.contact.env import (
     CoopInsertionContactEnv,
@@ -24,6 +24,7 @@ from coop_env.physics.contact.env import (
 )
 from coop_env.physics.contact.task import ContactOptions, check_options, resolve_task
 from coop_env.simulation.task import N_ACTIONS, N_AXES
+from coop_env.vector.env_batch import seeds_of
 
 Bools = NDArray[np.bool_]
 Step = tuple[NDArray[np.float32], NDArray[np.float64], Bools, Bools, dict[str, Any]]
@@ -89,17 +90,11 @@ class CoopInsertionContactVectorEnv(VectorEnv[Any, Any, Any]):
 
         Raises:
             ResetOptionError: an option is malformed.
-            ArgumentError: the list of seeds has another length.
+            ArgumentError: a seed is no integer, is negative, or the list has another length.
         """
         given = check_options(options, self.batch.starts)
         if seed is not None or not self._rngs:
-            if isinstance(seed, Sequence):
-                if len(seed) != self.num_envs:
-                    raise ArgumentError(f"{len(seed)} seeds for {self.num_envs} environments")
-                seeds = list(seed)
-            else:
-                seeds = [None if seed is None else seed + i for i in range(self.num_envs)]
-            self._rngs = [seeding.np_random(each)[0] for each in seeds]
+            self._rngs = [seeding.np_random(each)[0] for each in seeds_of(seed, self.num_envs)]
         for row, rng in enumerate(self._rngs):
             self.batch.reset(row, given, rng)
         return self.batch.observation.copy(), self._episodes()

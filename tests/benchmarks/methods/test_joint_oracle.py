@@ -10,19 +10,9 @@ import pytest
 from benchmarks.methods.oracle import LatticeOracle
 from coop_env import CoopInsertionJointEnv
 from coop_env.simulation.state import INVALID, VALID
+from tests.benchmarks.methods.test_oracle import executes
 
 Offset = tuple[int, ...]
-
-
-def executes(env: CoopInsertionJointEnv, actions: np.ndarray) -> bool:
-    """Whether the joint actions insert at the last of them and violate nothing."""
-    for i, action in enumerate(actions):
-        *_, info = env.step(action)
-        if info["violation"]:
-            return False
-        if info["inserted"]:
-            return i == len(actions) - 1
-    return False
 
 
 @pytest.mark.parametrize("geometry", ["initial", "optimized"])

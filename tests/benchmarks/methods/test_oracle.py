@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
+from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ from coop_env import CoopInsertionEnv
 from coop_env.simulation.insertion_task import PAPER_TASK
 
 
-def executes(env: CoopInsertionEnv, moves: np.ndarray) -> bool:
+def executes(env: gymnasium.Env[Any, Any], moves: np.ndarray) -> bool:
     """Whether the moves insert at the last of them and violate nothing."""
     for i, move in enumerate(moves):
         _, _, _, _, info = env.step(move)
