@@ -11,7 +11,7 @@ import yaml
 from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import ReplayBuffer
 
-from sb3_rainbow import Rainbow
+from sb3_rainbow import PrioritizedReplayBuffer, Rainbow
 from tests.sb3_rainbow.zoo import environments
 from tests.sb3_rainbow.zoo.runs import ENVS, SMALL, train, trained, workplace, zoo
 
@@ -65,6 +65,19 @@ def test_all_is_played_under_masks() -> None:
     train(f"{MASKED} -n 200 -optimize --n-trials 2 --n-evaluations 1 --no-optim-plots")
     with pytest.raises(RuntimeError, match="not under masks"):
         train(f"{MASKED} -n 400 --hyperparams use_masking:False")
+
+
+def test_masks_of_environments_in_other_processes() -> None:
+    entry = {**SMALL, "n_envs": 2, "env_wrapper": "sb3_rainbow.TerminalActionMask"}
+    Path("small.yml").write_text(yaml.safe_dump({"MaskedZoo-v0": entry}), encoding="utf-8")
+    words = "--save-replay-buffer --eval-freq 100 --eval-episodes 1 -n 200"
+    train(f"{MASKED} --vec-env subproc {words}")
+    replay = trained(1, "MaskedZoo-v0").replay_buffer
+    assert isinstance(replay, PrioritizedReplayBuffer)
+    samples = replay.sample(200)
+    assert replay.timeouts.sum() == 10
+    # the observation is the mask, at the end of an episode too
+    np.testing.assert_array_equal(samples.next_action_masks, samples.next_observations)
 
 
 def test_arguments_of_the_environment_reach_evaluation_and_video(
