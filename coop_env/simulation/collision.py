@@ -160,23 +160,39 @@ def below_ceiling(c: tuple[float, float, float, float, float, float], p: EnvPara
 def collides(x: float, y: float, z: float, theta: Row, pose: Pose, q: Row, p: EnvParams) -> bool:
     """Whether the two robots touch; ``theta`` and ``q`` must be the joint angles of the poses."""
     tip = peg_tip(x, y, z, p.delta)
-    effector = (x, y, z + p.delta.base_height)
-    top = ceiling(pose.z, p)
-    if tip[2] >= top:
+    if tip[2] >= ceiling(pose.z, p):
         return False
-    centre = (pose.x, pose.y, pose.z)
-    peg_radius = p.delta.peg_radius
     # The bore takes the peg, and the chamfer is as much wider all round as its width.
-    opening = p.task.chamfer + peg_radius
-    peg_end = (tip[0], tip[1], tip[2] + peg_radius)  # the capsule's cap ends at the tip
-    near_dome = p.layout.dome_radius + peg_radius
-    if point_segment_distance(centre, peg_end, effector) < near_dome and not in_opening(
-        tip, pose, opening, p
-    ):
+    opening = p.task.chamfer + p.delta.peg_radius
+    if peg_meets_dome(x, y, z, pose, p) and not in_opening(tip, pose, opening, p):
         return True
-    if _capsule_hits_limbs(peg_end, effector, peg_radius, pose, q, p):
+    return collides_elsewhere(x, y, z, theta, pose, q, p)
+
+
+@njit(cache=True)
+def _peg(x: float, y: float, z: float, p: EnvParams) -> tuple[Row, Row]:
+    """Ends of the peg's capsule, m: the cap about the lower one ends at the tip."""
+    tip = peg_tip(x, y, z, p.delta)
+    return (tip[0], tip[1], tip[2] + p.delta.peg_radius), (x, y, z + p.delta.base_height)
+
+
+@njit(cache=True)
+def peg_meets_dome(x: float, y: float, z: float, pose: Pose, p: EnvParams) -> bool:
+    """Whether the peg reaches into the dome, through a hole or not."""
+    end, effector = _peg(x, y, z, p)
+    near = p.layout.dome_radius + p.delta.peg_radius
+    return point_segment_distance((pose.x, pose.y, pose.z), end, effector) < near
+
+
+@njit(cache=True)
+def collides_elsewhere(
+    x: float, y: float, z: float, theta: Row, pose: Pose, q: Row, p: EnvParams
+) -> bool:
+    """Whether the robots touch otherwise than with the peg on the dome."""
+    end, effector = _peg(x, y, z, p)
+    if _capsule_hits_limbs(end, effector, p.delta.peg_radius, pose, q, p):
         return True
-    if effector[2] - p.layout.effector_radius >= top:
+    if effector[2] - p.layout.effector_radius >= ceiling(pose.z, p):
         return False
     return _arms_collide(x, y, z, theta, pose, q, p)
 

@@ -20,7 +20,7 @@ from coop_env.physics.contact.task import ContactTask, check_options, resolve_ta
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Machine, Servos
 from coop_env.simulation.insertion_task import PAPER_TASK, InsertionTask
-from coop_env.simulation.task import N_ACTIONS, N_AXES
+from coop_env.simulation.task import N_ACTIONS, N_AXES, EnvParams
 
 Observation = NDArray[np.float32]
 _SLACK: Final = 1e-6  # a float32 policy may miss the bound by its rounding
@@ -138,6 +138,16 @@ class CoopInsertionContactEnv(gym.Env[Any, Any]):
         self.observation_space, self.action_space = make_spaces(self.discrete)
         self._running = False
 
+    @property
+    def params(self) -> EnvParams:
+        """The nominal machine as the kinematic kernels take it."""
+        return self.batch.twin.machine.kernel_params()
+
+    @property
+    def configuration(self) -> Floats:
+        """The commanded (x, y, z, roll, pitch, heave), (6,); m and rad."""
+        return self.batch.command[0].copy()
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -161,13 +171,18 @@ class CoopInsertionContactEnv(gym.Env[Any, Any]):
         """
         if not self._running:
             raise ResetNeeded("call reset() first: there is no running episode")
-        outcome = self.batch.step(self._increments(action)[None], [self.np_random])
+        outcome = self.batch.step(self.increments_of(action)[None], [self.np_random])
         ended = bool(outcome.terminated[0]), bool(outcome.truncated[0])
         self._running = not any(ended)
         reward = float(outcome.reward[0])
         return outcome.observation[0], reward, *ended, row_info(self.batch, outcome, 0)
 
-    def _increments(self, action: Any) -> Floats:
+    def increments_of(self, action: Any) -> Floats:
+        """An action as increments (6,), each of -1 to 1.
+
+        Raises:
+            ActionError: it is not in the action space.
+        """
         return move(check_action(action)) if self.discrete else check_increments(action, (N_AXES,))
 
 

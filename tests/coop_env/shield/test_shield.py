@@ -1,0 +1,234 @@
+"""What the shield certifies keeps its margins, and it takes away no more than it must."""
+
+import pickle
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3.common.env_checker import check_env
+
+from coop_env import CoopInsertionEnv, SimToReal
+from coop_env.errors import ActionError, ArgumentError
+from coop_env.geometry import OPTIMIZED
+from coop_env.kinematics import rrs
+from coop_env.shield import KinematicShield, ShieldMargin, ShieldWrapper
+
+COLLISION = 2
+
+
+def make_env(**arguments: Any) -> CoopInsertionEnv:
+    return CoopInsertionEnv(reward="progress", **arguments)
+
+
+@pytest.fixture(scope="module")
+def env() -> CoopInsertionEnv:
+    return make_env()
+
+
+@pytest.fixture(scope="module")
+def shield(env: CoopInsertionEnv) -> KinematicShield:
+    return KinematicShield(env)
+
+
+@pytest.fixture(scope="module")
+def near(env: CoopInsertionEnv, shield: KinematicShield) -> np.ndarray:
+    """Certified configurations (n, 6), most of them near the dome or near a limit."""
+    rng = np.random.default_rng(1)
+    found: list[np.ndarray] = []
+    low = np.array([-0.12, -0.12, -0.60, -0.7, -0.7, 0.21])
+    high = np.array([0.12, 0.12, -0.45, 0.7, 0.7, 0.25])
+    while len(found) < 400:
+        c = rng.uniform(low, high)
+        if shield.is_certified(c):
+            found.append(c)
+    return np.array(found)
+
+
+def test_another_body_a_clearance_away_touches_nothing(
+    env: CoopInsertionEnv, shield: KinematicShield, near: np.ndarray
+) -> None:
+    """The Delta moved by less than the clearance in any direction is still free."""
+    rng = np.random.default_rng(2)
+    touched_without = 0
+    bold = KinematicShield(env, ShieldMargin(clearance=0.0))
+    for c in near:
+        to = rng.normal(size=3)
+        shift = np.append(0.999 * shield.margin.clearance * to / np.linalg.norm(to), np.zeros(3))
+        assert env.configuration_status(c + shift) != COLLISION
+    low, high = near.min(axis=0), near.max(axis=0)
+    for c in rng.uniform(low, high, (20_000, 6)):
+        if bold.is_certified(c):
+            to = rng.normal(size=3)
+            shift = np.append(shield.margin.clearance * to / np.linalg.norm(to), np.zeros(3))
+            touched_without += env.configuration_status(c + shift) == COLLISION
+    assert touched_without > 0  # so that the first half could fail
+
+
+def test_increments_keep_to_the_way_and_to_the_margins(
+    env: CoopInsertionEnv, shield: KinematicShield, near: np.ndarray
+) -> None:
+    rng = np.random.default_rng(3)
+    changes = 0
+    for c in near[:150]:
+        a = rng.uniform(-1.0, 1.0, 6) * [0.05, 0.05, 0.05, 0.2, 0.2, 0.03]
+        found, changed = shield.certify(c, a)
+        changes += changed
+        assert changed == bool((found != a).any())
+        assert (found * np.sign(a) >= 0.0).all()
+        assert (np.abs(found) <= np.abs(a)).all()
+        for t in np.linspace(0.0, 1.0, 101):
+            assert env.configuration_status(c + t * found) == 0
+            assert rrs.signed_sigma_min((c + t * found)[3:], OPTIMIZED) > 0.069
+        assert shield.is_certified(c + found)
+    assert 30 < changes < 150
+
+
+def test_where_one_robot_is_stopped_the_other_moves_on(shield: KinematicShield) -> None:
+    c = np.array([0.0, 0.0, -0.45, 0.0, 0.0, 0.21])
+    a = np.array([0.01, 0.0, 0.0, 0.0, 0.0, -0.02])  # the platform stands at its lowest
+    found, changed = shield.certify(c, a)
+    assert changed
+    np.testing.assert_allclose(found, [0.01, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-12)
+
+
+def test_moves_are_increments_that_need_no_change(
+    env: CoopInsertionEnv, shield: KinematicShield, near: np.ndarray
+) -> None:
+    steps = np.array(env.task.steps)
+    for c in near[:60]:
+        moves = np.repeat(np.diag(steps), 2, axis=0) * np.tile([1.0, -1.0], 6)[:, None]
+        expected = [not shield.certify(c, move)[1] for move in moves]
+        np.testing.assert_array_equal(shield.allowed_moves(c), expected)
+
+
+def test_no_random_agent_does_harm_and_the_way_back_stays_open() -> None:
+    wrapped = ShieldWrapper(make_env())
+    rng = np.random.default_rng(4)
+    interventions = 0
+    _, info = wrapped.reset(seed=1000)
+    inside = False
+    for _ in range(1500):
+        inside |= wrapped.shield.is_certified(wrapped._configuration())
+        assert not inside or wrapped.shield.allowed_moves(wrapped._configuration()).any()
+        _, _, terminated, truncated, info = wrapped.step(int(rng.integers(12)))
+        assert not info["singular"]
+        assert not inside or not info["violation"]
+        if terminated or truncated:
+            interventions += info["interventions"]
+            inside = False
+            wrapped.reset()
+    assert interventions > 50
+
+
+@pytest.mark.parametrize("seed", [1000, 1001])
+def test_an_imperfect_machine_is_kept_safe_within_the_margins(seed: int) -> None:
+    """An adversary takes the allowed move with the least sigma."""
+    real = SimToReal(base_position_error=0.001, base_tilt_error=0.002, link_length_error=0.0003)
+    wrapped = ShieldWrapper(make_env(sim_to_real=real))
+    wrapped.reset(seed=seed)
+    for _ in range(300):
+        masks, state = wrapped.action_masks(), wrapped._configuration()
+        sigma = np.where(masks, wrapped.shield.sigma_after(state), np.inf)
+        least = np.flatnonzero(sigma <= np.nanmin(sigma) + 1e-9)
+        _, _, terminated, truncated, info = wrapped.step(int(least[-1]))
+        assert not info["collision"]
+        assert not info["singular"]
+        if terminated or truncated:
+            wrapped.reset()
+
+
+def test_masks_are_those_of_the_environment_and_of_the_shield() -> None:
+    wrapped = ShieldWrapper(gym.make("CoopInsertion-v0", mask_visited=8))
+    wrapped.reset(seed=3)
+    wrapped.step(4)
+    own = wrapped.env.unwrapped.action_masks()  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(
+        wrapped.action_masks(), own & wrapped.shield.allowed_moves(wrapped._configuration())
+    )
+    assert not wrapped.action_masks()[5]  # back to where it came from
+    _, _, _, _, info = wrapped.step(5)
+    assert info["shielded"]
+    assert info["interventions"] == 1
+
+
+def test_a_start_nearer_to_a_limit_than_the_margin_is_left_by_the_environments_own_masks() -> None:
+    wrapped = ShieldWrapper(make_env(), {"joint": 0.5})  # 9 of 66 degrees are left
+    wrapped.reset(seed=0)
+    own = wrapped.env.unwrapped.action_masks()  # type: ignore[attr-defined]
+    assert not wrapped.shield.allowed_moves(wrapped._configuration()).any()
+    np.testing.assert_array_equal(wrapped.action_masks(), own)
+
+
+def test_the_wrapper_is_an_environment_of_its_own() -> None:
+    wrapped = ShieldWrapper(make_env())
+    check_env(wrapped)
+    wrapped.reset(seed=5)
+    twin = pickle.loads(pickle.dumps(wrapped))
+    for action in (3, 4, 11, 0):
+        one, two = wrapped.step(action), twin.step(action)
+        np.testing.assert_array_equal(one[0], two[0])
+        assert one[4]["interventions"] == two[4]["interventions"]
+
+
+class TestContact:
+    @pytest.fixture(autouse=True)
+    def needs_mujoco(self) -> None:
+        pytest.importorskip("mujoco", reason="needs the extra physics")
+
+    def test_commands_stay_within_the_margins(self) -> None:
+        env = gym.make("CoopInsertionContact-v0")
+        wrapped = ShieldWrapper(env, ShieldMargin(sigma=0.2))
+        wrapped.reset(seed=0, options={"hole": 0})
+        state = env.unwrapped.configuration  # type: ignore[attr-defined]
+        tilting = np.zeros(6, np.float32)
+        tilting[3:5] = np.sign(state[3:5])  # on towards the singularity
+        for _ in range(60):
+            *_, terminated, truncated, info = wrapped.step(tilting)
+            assert not info["violation"]
+            if terminated or truncated:
+                break
+        assert info["interventions"] > 0
+        assert rrs.signed_sigma_min(wrapped._configuration()[3:], OPTIMIZED) >= 0.2 - 1e-6
+
+    def test_an_action_within_the_margins_passes_to_the_last_bit(self) -> None:
+        plain, wrapped = (gym.make("CoopInsertionContact-v0") for _ in range(2))
+        wrapped = ShieldWrapper(wrapped)
+        plain.reset(seed=7)
+        wrapped.reset(seed=7)
+        for _ in range(3):
+            action = plain.action_space.sample()
+            one, two = plain.step(action), wrapped.step(action)
+            np.testing.assert_array_equal(one[0], two[0])
+            assert not two[4]["shielded"]
+
+    def test_moves_have_masks(self) -> None:
+        wrapped = ShieldWrapper(gym.make("CoopInsertionContactDiscrete-v0"))
+        wrapped.reset(seed=0)
+        assert wrapped.action_masks().all()
+
+
+@pytest.mark.parametrize(
+    ("margin", "said"),
+    [
+        ({"sigma": -0.1}, r"ShieldMargin.sigma = -0.1"),
+        ({"joint": 0.5, "sigma": "much"}, "ShieldMargin.sigma = 'much'"),
+        ({"clearance": 0.05}, "closes the holes"),
+        ({"slack": 1.0}, "slack"),
+        (3.0, "margin = 3.0"),
+    ],
+)
+def test_margins_that_make_no_sense(env: CoopInsertionEnv, margin: Any, said: str) -> None:
+    with pytest.raises(ArgumentError, match=said):
+        KinematicShield(env, margin)
+
+
+def test_other_environments_and_numbers_are_refused(shield: KinematicShield) -> None:
+    with pytest.raises(ArgumentError, match="CoopInsertion-v0"):
+        KinematicShield(gym.make("CartPole-v1"))
+    with pytest.raises(ArgumentError, match="twelve moves"):
+        ShieldWrapper(gym.make("CoopInsertionJoint-v0"))
+    with pytest.raises(ArgumentError, match="state = "):
+        shield.certify([0.0] * 5, [0.0] * 6)
+    with pytest.raises(ActionError, match="action = "):
+        shield.certify([0.0] * 6, [np.nan] * 6)
