@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
+from zipfile import BadZipFile
 
 import numpy as np
 from rich.console import Console
@@ -77,7 +78,7 @@ def evaluations(run: Path) -> tuple[list[int], list[float]]:
     try:
         with np.load(run / "evaluations.npz") as stored:
             return stored["timesteps"].tolist(), stored["results"].mean(axis=1).tolist()
-    except (OSError, ValueError, EOFError):  # not there yet, or being written
+    except (OSError, ValueError, EOFError, BadZipFile):  # not there yet, or being written
         return [], []
 
 
@@ -107,14 +108,16 @@ def train_and_kill(recipe: Recipe, folder: Path, seed: int, tick: Tick) -> Path:
 
 def _watch(words: list[str], run: Path, recipe: Recipe, tick: Tick, kill: bool = False) -> int:
     with subprocess.Popen(words, stdout=subprocess.DEVNULL) as process:
-        while process.poll() is None:
-            steps, _ = evaluations(run)
-            share = steps[-1] / recipe.timesteps if steps else 0.0
-            tick(share)
-            if kill and share > 0.5 and (run / "checkpoint.zip").exists():
-                process.kill()
-                break
-            time.sleep(POLL)
+        try:
+            while process.poll() is None:
+                steps, _ = evaluations(run)
+                share = steps[-1] / recipe.timesteps if steps else 0.0
+                tick(share)
+                if kill and share > 0.5 and (run / "checkpoint.zip").exists():
+                    break
+                time.sleep(POLL)
+        finally:  # a study that is interrupted does not wait for its run
+            process.kill()
     return process.returncode
 
 
