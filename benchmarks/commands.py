@@ -32,10 +32,13 @@ CLASSIC: Final = {
     "train": "one run in this process",
 }
 DELEGATED: Final = (
-    *("speed", "design", "audit", "failures", "physics", "tune", "media", "watch", "resume"),
+    *("speed", "design", "audit", "failures", "physics", "shield", "tune"),
+    *("media", "watch", "resume"),
 )
 # the studies that keep tables: each has a `check` of what it stored
-CHECKED: Final = ("design.docs", "audit", "failures", "physics", "classic.docs", "tuning.check")
+CHECKED: Final = (
+    *("design.docs", "audit", "failures", "physics", "shield", "classic.docs", "tuning.check"),
+)
 SPEED: Final = {
     "env": "benchmarks.studies.speed.env",
     "rainbow": "benchmarks.studies.speed.rainbow",
@@ -259,7 +262,7 @@ def delegate(word: str, rest: Sequence[str]) -> int:
         except ImportError as error:
             raise BenchmarkError(f"tune needs pip install '.[tune]': {error}") from error
         return _main_of("benchmarks.studies.tuning.tune", rest)
-    if word in ("audit", "failures", "physics", "media", "watch", "resume"):
+    if word in ("audit", "failures", "physics", "shield", "media", "watch", "resume"):
         return _main_of(f"benchmarks.studies.{word}", rest)
     if word == "design":
         return _main_of("benchmarks.studies.design.command", rest)

@@ -43,6 +43,7 @@ FLOORS = {
         "coop_env.env",
         "coop_env.vector",
         "coop_env.team",
+        "coop_env.shield",
         "coop_env.physics",
         "coop_env.rendering",
     ),

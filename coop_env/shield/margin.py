@@ -25,7 +25,7 @@ class ShieldMargin:
         ArgumentError: a value is of the wrong kind or out of range.
     """
 
-    sigma: float = 0.07
+    sigma: float = 0.1
     joint: float = math.radians(0.5)
     reach: float = 0.002
     clearance: float = 0.003

@@ -49,13 +49,13 @@ class KinematicShield:
             )
         contact = not isinstance(inner, CoopInsertionEnv)
         self.steps = np.array(inner.task.increments if contact else inner.task.steps)
-        self._keeps = self.margin.reach, -1.0 if contact else self.margin.clearance
-        self._packed = pack(self.margin.tighten(inner.params))
+        self.keeps = self.margin.reach, -1.0 if contact else self.margin.clearance
+        self.packed = pack(self.margin.tighten(inner.params))
 
     def is_certified(self, configuration: ArrayLike) -> bool:
         """Whether a configuration (6,) keeps all margins."""
         c = _six("configuration", configuration)
-        return bool(kernels.certified(c, self._packed, *self._keeps))
+        return bool(kernels.certified(c, self.packed, *self.keeps))
 
     def certify(self, state: ArrayLike, action: ArrayLike) -> tuple[Floats, bool]:
         """The part of an increment that keeps all margins.
@@ -79,7 +79,7 @@ class KinematicShield:
         except ArgumentError as error:
             raise ActionError(str(error)) from error
         found = np.empty(N_AXES)
-        changed = kernels.project(c, a, self._packed, *self._keeps, found)
+        changed = kernels.project(c, a, self.packed, *self.keeps, found)
         return found, bool(changed)
 
     def allowed_moves(self, state: ArrayLike) -> NDArray[np.bool_]:
@@ -89,13 +89,13 @@ class KinematicShield:
         """
         mask = np.empty(N_ACTIONS, np.bool_)
         c = _six("state", state)
-        kernels.allowed_moves(c, self.steps, self._packed, *self._keeps, mask)
+        kernels.allowed_moves(c, self.steps, self.packed, *self.keeps, mask)
         return mask
 
     def sigma_after(self, state: ArrayLike) -> Floats:
         """(12,): the signed sigma_min to which each of the environment's moves leads."""
         sigma = np.empty(N_ACTIONS)
-        kernels.sigma_after(_six("state", state), self.steps, self._packed, sigma)
+        kernels.sigma_after(_six("state", state), self.steps, self.packed, sigma)
         return sigma
 
 

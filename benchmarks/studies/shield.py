@@ -1,0 +1,336 @@
+"""What the shield is worth: a certificate over the lattice, an adversary, and its price.
+
+    python -m benchmarks shield
+
+The lattice through one start state is looked at in full, and so many others in a sample: no move
+that the shield allows may harm the nominal machine, on its way or at its end. Then the machine errs
+(`SimToReal`), and an adversary takes of the allowed moves one with the least margins left. Last,
+random, adversarial and learned policies play validation starts with and without the shield: its
+interventions, and what it costs. Written to ``results/shield/`` and to ``docs/shield.md``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn
+from rich.progress import TimeElapsedColumn as Elapsed
+from rich.progress import TimeRemainingColumn as Remaining
+
+from benchmarks.errors import at_least
+from benchmarks.evaluation.evaluate import model_policy
+from benchmarks.evaluation.model_files import load_model
+from benchmarks.protocol.seeding import derive, episode_seeds
+from benchmarks.reporting.pages import blocks
+from benchmarks.reporting.verify import Report, check_file
+from benchmarks.runs.machine import describe
+from benchmarks.runs.store import write_text
+from benchmarks.studies.speed.report import table
+from coop_env import CoopInsertionEnv, SimToReal
+from coop_env.shield import KinematicShield, ShieldMargin, ShieldWrapper
+from coop_env.shield.certificate import NOTHING, certify_lattice, check_product, lattice
+
+BLOCK: Final = "shield"
+PAGE: Final = "shield.md"
+TASK: Final[dict[str, Any]] = {"reward": "progress"}
+SAMPLE: Final = 30  # points of each robot, of a sampled lattice
+LADDER: Final = (1.3, 1.7, 2.2, 3.0, 4.0)  # the adversary measures what is left in margins
+ERRORS: Final = {
+    "1 mm, 0.1 degrees, links 0.02 %": SimToReal(
+        base_position_error=0.001, base_tilt_error=math.radians(0.1), link_length_error=0.0002
+    ),
+    "2 mm, 0.2 degrees, links 0.05 %, play 0.05 degrees": SimToReal(
+        base_position_error=0.002, base_tilt_error=math.radians(0.2), link_length_error=0.0005,
+        backlash=math.radians(0.05),
+    ),
+}  # fmt: skip
+"""Bounds of what the machine does not know of itself: base, its tilt, lengths, joints."""
+N_PARTS: Final = 2 + 2 * len(ERRORS)
+RAINBOW: Final = "rainbow-optimized-safe"
+
+Masks = NDArray[np.bool_]
+Choice = Callable[[NDArray[Any], Masks, Any], int]
+Tick = Callable[[float], None]
+
+
+class Adversary:
+    """Takes, of the moves it may, one after which the least of the margins is left."""
+
+    def __init__(self, env: CoopInsertionEnv, rng: np.random.Generator) -> None:
+        unit = asdict(ShieldMargin())
+        self._shields = [
+            KinematicShield(env, ShieldMargin(**{name: m * unit[name] for name in unit}))
+            for m in (1.0, *LADDER)
+        ]
+        self._rng = rng
+
+    def __call__(self, observation: NDArray[Any], masks: Masks, env: CoopInsertionEnv) -> int:
+        """The move."""
+        here, steps = env.configuration, self._shields[0].steps
+        left = np.full(len(masks), np.inf)
+        for move in np.flatnonzero(masks).tolist():
+            to = here.copy()
+            to[move // 2] += steps[move // 2] * (1 - 2 * (move % 2))
+            left[move] = sum(shield.is_certified(to) for shield in self._shields)
+        return int(self._rng.choice(np.flatnonzero(left == left.min())))
+
+
+def _random(rng: np.random.Generator) -> Choice:
+    return lambda observation, masks, env: int(rng.choice(np.flatnonzero(masks)))
+
+
+def certificates(phases: int, in_full: bool, tick: Tick) -> dict[str, Any]:
+    """The lattice of one start in full, and samples of so many others."""
+    env = CoopInsertionEnv(**TASK)
+    shield = KinematicShield(env)
+    env.reset(seed=derive("validate", 0, 0))
+    found = {}
+    if in_full:
+        full = certify_lattice(shield, env.params, env.configuration, lambda share: tick(share / 2))
+        found["full"] = full._asdict()
+    sampled = NOTHING
+    rng = np.random.default_rng(derive("fresh", 13))
+    for phase in range(phases):
+        env.reset(seed=derive("validate", 1, phase))
+        delta, rrs = (
+            part[rng.choice(len(part), SAMPLE, replace=False)]
+            for part in lattice(env.params, env.configuration)
+        )
+        sampled += check_product(shield, env.params, delta, rrs)
+        tick(0.5 + 0.5 * (phase + 1) / phases)
+    return {**found, "sampled": sampled._asdict()}
+
+
+def harm_of(real: SimToReal, moves: int, shielded: bool, tick: Tick) -> dict[str, int]:
+    """Collisions and singular ends in so many of the adversary's moves."""
+    env = CoopInsertionEnv(**TASK, sim_to_real=real, mask_singularities=True)
+    rng = np.random.default_rng(derive("fresh", 14))
+    wrapped = ShieldWrapper(env)
+    player, choose = (wrapped if shielded else env), Adversary(env, rng)
+    found = {"moves": 0, "collisions": 0, "singular": 0, "episodes": 0}
+    while found["moves"] < moves:
+        observation, _ = player.reset(seed=derive("validate", 2, found["episodes"]))
+        found["episodes"] += 1
+        over = False
+        while not over and found["moves"] < moves:
+            action = choose(observation, player.action_masks(), env)
+            observation, _, terminated, truncated, info = player.step(action)
+            over = terminated or truncated
+            found["moves"] += 1
+            found["collisions"] += bool(info["collision"])
+            found["singular"] += bool(info["singular"])
+        tick(found["moves"] / moves)
+    return found
+
+
+def price_of(
+    make: Callable[[CoopInsertionEnv], Choice], arguments: dict[str, Any], shielded: bool,
+    seed: int, episodes: int,
+) -> dict[str, float]:  # fmt: skip
+    """A policy on validation starts: success, time, harm and interventions, means an episode.
+
+    An intervention is a choice that the shield forbids; the policy then chooses under its masks.
+    """
+    env = CoopInsertionEnv(**arguments)
+    shield, choose = ShieldWrapper(env), make(env)
+    rows = []
+    for start in episode_seeds(seed, episodes, "validate"):
+        observation, info = env.reset(seed=start)
+        filled, harm, changed, time, over = 0, 0, 0, math.nan, False
+        while not over:
+            action = choose(observation, env.action_masks(), env)
+            masks = shield.action_masks()
+            if shielded and not masks[action]:
+                changed += 1
+                action = choose(observation, masks, env)
+            observation, _, terminated, truncated, info = env.step(action)
+            over = terminated or truncated
+            harm += bool(info["collision"]) or bool(info["singular"])
+            if info["inserted"] and not filled:
+                time = info["time"]
+            filled += bool(info["inserted"])
+        rows.append((filled > 0, filled, time, harm, changed))
+    success, holes, times, harm_done, changes = np.array(rows, float).T
+    return {
+        "success": 100.0 * float(success.mean()), "holes": float(holes.mean()),
+        "time": float(np.nanmean(times)) if success.any() else math.nan,
+        "harm": float(harm_done.mean()), "interventions": float(changes.mean()),
+    }  # fmt: skip
+
+
+def _learned(path: Path) -> Callable[[CoopInsertionEnv], Choice]:
+    def make(env: CoopInsertionEnv) -> Choice:
+        act = model_policy(load_model(path))
+        return lambda observation, masks, _: int(act(observation[None], masks[None])[0])
+
+    return make
+
+
+def prices(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dict[str, Any]]:
+    """Who plays, under which masks of its own, and what the shield changes, over seeds.
+
+    Learned policies that are not among the results are left out.
+    """
+    paper, safe = TASK, {**TASK, "mask_singularities": True}
+    players: list[tuple[str, str, dict[str, Any], Callable[..., Any]]] = [
+        ("random", "paper's", paper, lambda seed: lambda env: _random(_rng(seed))),
+        ("random", "safe", safe, lambda seed: lambda env: _random(_rng(seed))),
+        ("adversary", "safe", safe, lambda seed: lambda env: Adversary(env, _rng(seed))),
+    ]
+    stored = results / "paper" / "runs"
+
+    def learned(seed: int) -> Callable[[CoopInsertionEnv], Choice]:
+        return _learned(stored / f"{RAINBOW}-s{seed}" / "policy.zip")
+
+    if (stored / f"{RAINBOW}-s0" / "policy.zip").is_file():
+        players += [("Rainbow", "paper's", paper, learned), ("Rainbow", "safe", safe, learned)]
+    rows, done = [], 0
+    for name, masks, arguments, maker in players:
+        for shielded in (False, True):
+            found = []
+            for seed in range(seeds):
+                found.append(price_of(maker(seed), arguments, shielded, seed, episodes))
+                done += 1
+                tick(done / (2 * seeds * len(players)))
+            numbers = {key: [one[key] for one in found] for key in found[0]}
+            rows.append({"policy": name, "masks": masks, "shield": shielded, **numbers})
+    return rows
+
+
+def _rng(seed: int) -> np.random.Generator:
+    return np.random.default_rng(derive("fresh", 15, seed))
+
+
+def tell(found: dict[str, Any]) -> str:
+    """The measurements as Markdown."""
+    machine, asked, parts = found["machine"], found["asked"], found["parts"]
+    names = {"full": "one start's, in full", "sampled": f"{asked['phases']:,} starts', sampled"}
+    looked = [
+        [names[key], *(f"{one[what]:,}" for what in ("points", "moves", "harmful", "dead_ends"))]
+        for key, one in parts["certificate"].items()
+    ]
+    harms = [
+        [name, "yes" if way == "shielded" else "no"]
+        + [f"{parts[f'{name}: {way}'][what]:,}" for what in ("moves", "collisions", "singular")]
+        for name in ERRORS
+        for way in ("bare", "shielded")
+    ]
+    costs = []
+    for row in parts["prices"]:
+        numbers = [
+            f"{np.nanmean(row[key]):.{digits}f} ± {np.nanstd(row[key], ddof=1):.{digits}f}"
+            if np.isfinite(row[key]).sum() > 1 else "-"
+            for key, digits in (("success", 1), ("holes", 2), ("time", 1), ("harm", 2),
+                                ("interventions", 1))
+        ]  # fmt: skip
+        costs.append([row["policy"], row["masks"], "yes" if row["shield"] else "no", *numbers])
+    margin = ", ".join(f"{name} {value:.3g}" for name, value in asked["margin"].items())
+    return "\n\n".join(
+        [
+            table(
+                "Certificate: moves that the shield allows, on the nominal machine",
+                "lattice | configurations | moves | harmful | dead ends", looked,
+            ),
+            table(
+                "An adversary on machines that err, by the bounds of their errors",
+                "errors | shield | moves | collisions | singular", harms,
+            ),
+            table(
+                f"Price: {asked['seeds']} seeds, {asked['episodes']} validation starts each",
+                "policy | its masks | shield | success (%) | holes | time to the first (s) | "
+                "harmful moves | interventions", costs,
+            ),
+            f"Mean ± std over seeds, of means an episode; a harmful move collides, or ends the "
+            f"episode by a singularity. Margins (rad, m): {margin}. Command: "
+            f"`{found['command']}`. {machine['machine']['processor']}, commit "
+            f"{machine['commit'][:9]}.",
+        ]
+    )  # fmt: skip
+
+
+def main(words: Sequence[str]) -> int:
+    """Measure, print, write ``shield/`` below the results folder and the block of the docs."""
+    line = argparse.ArgumentParser(
+        prog="python -m benchmarks shield", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    add = line.add_argument
+    add("--results", type=Path, default=Path("results"))
+    add("--docs", type=Path, default=Path("docs"), help=f"folder of {PAGE}")
+    add("--phases", type=at_least(1), default=1000, help="sampled lattices")
+    add("--moves", type=at_least(1), default=1_000_000, help="of the adversary, for each machine")
+    add("--episodes", type=at_least(1), default=20, help="for each policy and seed")
+    add("--seeds", type=at_least(2), default=5)
+    add("--full", action=argparse.BooleanOptionalAction, default=True, help="one lattice in full")
+    given = line.parse_args(list(words))
+    folder, console = given.results / "shield", Console(soft_wrap=True)
+    asked = {
+        name: getattr(given, name) for name in ("phases", "moves", "episodes", "seeds", "full")
+    }
+    found = _resume(folder / "shield.json", asked | {"margin": asdict(ShieldMargin())})
+    found |= {"command": " ".join(["python -m benchmarks shield", *words]), "machine": describe()}
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), Elapsed(), Remaining())
+    with Progress(*columns, console=console, refresh_per_second=2) as progress:
+        for name, measure in _parts(given).items():
+            if name not in found["parts"]:
+                task = progress.add_task(name, total=1.0)
+                tick = partial(_advance, progress, task)
+                found["parts"][name] = measure(tick)
+                write_text(folder / "shield.json", json.dumps(found, indent=1) + "\n")
+    write_text(folder / "shield.md", tell(found) + "\n")
+    page = given.docs / PAGE
+    if page.is_file():
+        blocks.rewrite(page, lambda text: blocks.fill(text, BLOCK, lambda _: tell(found)))
+    console.print(tell(found), markup=False)
+    console.print(f"Written to {folder}", markup=False)
+    return 0
+
+
+def _advance(progress: Progress, task: TaskID, share: float) -> None:
+    progress.update(task, completed=share)
+
+
+def _resume(path: Path, asked: dict[str, Any]) -> dict[str, Any]:
+    """What was measured already, if the same was asked for."""
+    if path.is_file():
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if found["asked"] == asked and len(found["parts"]) < N_PARTS:
+            return found
+    return {"asked": asked, "parts": {}}
+
+
+def _parts(given: argparse.Namespace) -> dict[str, Callable[[Tick], Any]]:
+    """The measurements by name; each is stored as it is done."""
+    parts: dict[str, Callable[[Tick], Any]] = {
+        "prices": lambda tick: prices(given.results, given.episodes, given.seeds, tick),
+        "certificate": lambda tick: certificates(given.phases, given.full, tick),
+    }
+    bare = max(1, given.moves // 100)
+    for name, real in ERRORS.items():
+        parts[f"{name}: bare"] = partial(harm_of, real, bare, False)
+        parts[f"{name}: shielded"] = partial(harm_of, real, given.moves, True)
+    return parts
+
+
+def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
+    """Verify that the tables, here and in the docs, follow from what was measured."""
+    path = results / "shield" / "shield.json"
+    if not path.is_file():
+        return
+    text = tell(json.loads(path.read_text(encoding="utf-8")))
+    found = check_file(path.with_suffix(".md"), text + "\n", f"the data in {path}")
+    page = docs / PAGE
+    if page.is_file():
+        shown = blocks.fill(page.read_text(encoding="utf-8"), BLOCK, lambda _: text)
+        found += check_file(page, shown, f"the data in {path}")
+    report.add(f"{path.parent}: tables, and their block in {docs}", found)

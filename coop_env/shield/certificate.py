@@ -1,0 +1,146 @@
+"""Proof by enumeration: from no lattice point does a shielded move lead to harm, on the way too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coop_env.compilation import njit
+from coop_env.shield.kernels import free_share, is_certified
+from coop_env.shield.shield import KinematicShield
+from coop_env.simulation.collision import ceiling
+from coop_env.simulation.state import VALID, configuration_status
+from coop_env.simulation.task import N_AXES, EnvParams, pack, unpack
+
+Floats = NDArray[np.float64]
+CHUNK = 64  # 3-RRS points between two reports of progress
+
+
+class Certificate(NamedTuple):
+    """What was looked at and what was found.
+
+    Attributes:
+        points: certified configurations.
+        moves: certified moves between them, there and back.
+        harmful: certified moves on whose way, or at whose end, the nominal machine collides, is
+            singular, or leaves its limits.
+        dead_ends: certified configurations without a certified move.
+    """
+
+    points: int
+    moves: int
+    harmful: int
+    dead_ends: int
+
+    def __add__(self, other: object) -> Certificate:
+        if not isinstance(other, Certificate):
+            return NotImplemented
+        return Certificate(*(a + b for a, b in zip(self, other, strict=True)))
+
+
+NOTHING = Certificate(0, 0, 0, 0)
+
+
+@njit(cache=True)
+def _harms(c: np.ndarray, a: np.ndarray, looks: int, p: EnvParams) -> bool:
+    for i in range(looks + 1):
+        t = i / looks
+        to = (
+            c[0] + t * a[0], c[1] + t * a[1], c[2] + t * a[2],
+            c[3] + t * a[3], c[4] + t * a[4], c[5] + t * a[5],
+        )  # fmt: skip
+        if configuration_status(to, p) != VALID:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _check(
+    delta: np.ndarray, rrs: np.ndarray, steps: np.ndarray, looks: int, tight: np.ndarray,
+    nominal: np.ndarray, reach: float, clearance: float, found: np.ndarray,
+) -> None:  # fmt: skip
+    p, q = unpack(tight), unpack(nominal)
+    c, a = np.empty(N_AXES), np.zeros(N_AXES)
+    for r in range(rrs.shape[0]):
+        c[3:] = rrs[r]
+        for d in range(delta.shape[0]):
+            c[:3] = delta[d]
+            if not is_certified((c[0], c[1], c[2], c[3], c[4], c[5]), p, reach, clearance):
+                continue
+            found[0] += 1
+            degree = 0
+            for move in range(2 * N_AXES):
+                k = move // 2
+                # the way back is the same way: it is looked at only where there is no other
+                if move % 2 == 1 and degree > 0:
+                    continue
+                a[k] = steps[k] * (1 - 2 * (move % 2))
+                if free_share(c, a, p, reach, clearance) == 1.0:
+                    degree += 1
+                    if move % 2 == 0:
+                        found[1] += 2
+                        found[2] += _harms(c, a, looks, q)
+                a[k] = 0.0
+            found[3] += degree == 0
+
+
+def check_product(
+    shield: KinematicShield, params: EnvParams, delta: Floats, rrs: Floats, looks: int = 7
+) -> Certificate:
+    """Look at all moves from each pair of a Delta's and a 3-RRS's point.
+
+    Args:
+        shield: what certifies.
+        params: the nominal task, which decides what is harmful.
+        delta: (n, 3), effector positions, m.
+        rrs: (m, 3), roll, pitch, rad, and heave, m.
+        looks: in how many pieces each way is looked at; best no divisor of the shield's own.
+    """
+    found = np.zeros(4, np.int64)
+    keeps = (*shield.keeps, found)
+    _check(delta, rrs, shield.steps, looks, shield.packed, pack(params), *keeps)
+    return Certificate(*found.tolist())
+
+
+def lattice(params: EnvParams, origin: Floats) -> tuple[Floats, Floats]:
+    """The Delta's points (n, 3) and the 3-RRS's (m, 3) of the lattice through a configuration."""
+    d, r, steps = params.delta, params.rrs, params.layout["step"]
+    down = d.proximal_length + d.distal_length
+    low = [-d.planar_limit, -d.planar_limit, -down, -r.max_tilt, -r.max_tilt, r.heave_min]
+    high = [d.planar_limit, d.planar_limit, 0.0, r.max_tilt, r.max_tilt, r.heave_max]
+    axes = []
+    for k in range(N_AXES):
+        first = np.ceil((low[k] - origin[k]) / steps[k] - 1e-9)
+        last = np.floor((high[k] - origin[k]) / steps[k] + 1e-9)
+        axes.append(origin[k] + steps[k] * np.arange(first, last + 1))
+    grids = [np.stack(np.meshgrid(*part, indexing="ij"), -1) for part in (axes[:3], axes[3:])]
+    return grids[0].reshape(-1, 3), grids[1].reshape(-1, 3)
+
+
+def certify_lattice(
+    shield: KinematicShield,
+    params: EnvParams,
+    origin: Floats,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Certificate:
+    """All moves of the lattice through a configuration: a superset of what can be reached.
+
+    Where the peg hangs above all of the 3-RRS the robots do not concern each other, and each
+    robot's points are looked at beside one of the other's.
+    """
+    delta, rrs = lattice(params, origin)
+    tip = delta[:, 2] + params.delta.base_height - params.delta.peg_length
+    top = ceiling(params.rrs.heave_max, params) + params.layout["step"][2]
+    low, high = delta[tip < top], delta[tip >= top]
+    home = np.array([[0.0, 0.0, origin[5]]])
+    alone = np.array([p for p in high if shield.is_certified([*p, *home[0]])][:1])
+    total = check_product(shield, params, high, home)
+    for i in range(0, len(rrs), CHUNK):
+        some = rrs[i : i + CHUNK]
+        total += check_product(shield, params, low, some)
+        total += check_product(shield, params, alone, some)
+        progress(min(1.0, (i + CHUNK) / len(rrs)))
+    return total

@@ -1,0 +1,75 @@
+"""``python -m benchmarks shield`` measures, goes on where it stopped, and can be checked."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.reporting.verify import Report
+from benchmarks.studies import shield
+from coop_env import CoopInsertionEnv
+from coop_env.shield import KinematicShield
+from coop_env.shield.certificate import Certificate, check_product, lattice
+
+SMALL = ["--phases", "3", "--moves", "200", "--episodes", "1", "--seeds", "2", "--no-full"]
+
+
+def test_the_command_writes_what_it_prints_and_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    docs, results = tmp_path / "docs", tmp_path / "results"
+    docs.mkdir()
+    page = docs / shield.PAGE
+    page.write_text("# Page\n\n<!-- shield:begin -->\n<!-- shield:end -->\n", encoding="utf-8")
+    words = ["--results", str(results), "--docs", str(docs), *SMALL]
+    with monkeypatch.context() as patched:
+        patched.setattr(shield, "harm_of", _interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            shield.main(words)
+    with monkeypatch.context() as patched:
+        patched.setattr(shield, "prices", _interrupted)  # was done before
+        assert shield.main(words) == 0
+    text = (results / "shield" / "shield.md").read_text("utf-8").strip()
+    assert text in capsys.readouterr().out
+    assert text in page.read_text("utf-8")
+    parts = json.loads((results / "shield" / "shield.json").read_text("utf-8"))["parts"]
+    assert parts["certificate"]["sampled"]["harmful"] == 0
+    for name in shield.ERRORS:
+        assert parts[f"{name}: shielded"]["collisions"] == 0
+        assert parts[f"{name}: shielded"]["moves"] == 200
+    bare, guarded = (row for row in parts["prices"] if row["masks"] == "paper's")
+    assert sum(bare["harm"]) > 0.0
+    assert guarded["harm"] == [0.0, 0.0]
+    assert max(guarded["interventions"]) > 0.0
+    report = Report()
+    shield.check(report, results, [], docs)
+    assert report.problems == []
+    page.write_text(page.read_text("utf-8").replace("Certificate", "Proof"), encoding="utf-8")
+    report = Report()
+    shield.check(report, results, [], docs)
+    assert report.problems
+
+
+def _interrupted(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_a_certificate_finds_what_a_shield_without_margins_lets_through() -> None:
+    """Between two looks of its own, and nowhere else, such a shield does not see."""
+    env = CoopInsertionEnv(**shield.TASK)
+    env.reset(seed=3)
+    delta, rrs = lattice(env.params, env.configuration)
+    rng = np.random.default_rng(0)
+    low = delta[np.argsort(delta[:, 2])[: len(delta) // 3]]
+    some = (low[rng.choice(len(low), 300)], rrs[rng.choice(len(rrs), 300)])
+    kept = check_product(KinematicShield(env), env.params, *some)
+    assert kept.points > 1000
+    assert kept.harmful == 0
+    nothing = dict.fromkeys(("sigma", "joint", "reach", "clearance"), 0.0)
+    bold = check_product(KinematicShield(env, nothing), env.params, *some, looks=50)
+    assert bold.points > kept.points
+    assert bold.harmful > 0
+    assert kept + kept == Certificate(*(2 * n for n in kept))
