@@ -197,6 +197,7 @@ def write(root: Path, recipe: Recipe, episodes: Sequence[Episode]) -> None:
     env = gymnasium.make("CoopInsertion-v0", **arguments_of_the_task())
     buffers = [e.env.buffer(e.reset_seed) for e in episodes if e.moves]  # type: ignore[attr-defined]
     root.mkdir(parents=True, exist_ok=True)
+    root = root.resolve()  # Minari loses its way below a relative folder
     with tempfile.TemporaryDirectory(dir=root, prefix=".") as temporary, minari_root(temporary):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # it asks for an e-mail address
