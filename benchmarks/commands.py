@@ -31,13 +31,24 @@ CLASSIC: Final = {
     "docs": "rewrite the results in docs/rainbow.md",
     "train": "one run in this process",
 }
-DELEGATED: Final = (
-    *("speed", "design", "audit", "failures", "physics", "shield", "tune"),
-    *("media", "watch", "resume"),
-)
+# words with a command line of their own, beside `speed` and `tune`
+MODULES: Final = {
+    "audit": "audit",
+    "data": "sharing.data",
+    "design": "design.command",
+    "failures": "failures",
+    "media": "viewing.media",
+    "package": "sharing.package",
+    "physics": "physics",
+    "resume": "resume",
+    "shield": "shield",
+    "watch": "viewing.watch",
+}
+DELEGATED: Final = ("speed", "tune", *MODULES)
 # the studies that keep tables: each has a `check` of what it stored
 CHECKED: Final = (
     *("design.docs", "audit", "failures", "physics", "shield", "classic.docs", "tuning.check"),
+    "sharing.data_page",
 )
 SPEED: Final = {
     "env": "benchmarks.studies.speed.env",
@@ -262,10 +273,8 @@ def delegate(word: str, rest: Sequence[str]) -> int:
         except ImportError as error:
             raise BenchmarkError(f"tune needs pip install '.[tune]': {error}") from error
         return _main_of("benchmarks.studies.tuning.tune", rest)
-    if word in ("audit", "failures", "physics", "shield", "media", "watch", "resume"):
-        return _main_of(f"benchmarks.studies.{word}", rest)
-    if word == "design":
-        return _main_of("benchmarks.studies.design.command", rest)
+    if word in MODULES:
+        return _main_of(f"benchmarks.studies.{MODULES[word]}", rest)
     if not rest or rest[0] not in SPEED:
         given = f"'{rest[0]}'" if rest else "nothing"
         raise BenchmarkError(f"speed of what? known: {known(SPEED)}; given: {given}")

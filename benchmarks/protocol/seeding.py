@@ -18,6 +18,7 @@ _STREAMS: Final = {
     "planner": 5,
     "learner": 6,
     "fresh": 7,
+    "data": 8,
 }
 
 
@@ -25,7 +26,7 @@ def derive(stream: str, *key: int) -> int:
     """A 31-bit seed of one stream; equal keys give equal seeds, other keys independent ones.
 
     Args:
-        stream: train, test, validate, noise, planner, learner or fresh.
+        stream: train, test, validate, noise, planner, learner, fresh or data.
         key: what tells the seeds of a stream apart, such as (seed, episode).
     """
     sequence = np.random.SeedSequence((_STREAMS[stream], *key))

@@ -49,6 +49,8 @@ Rainbow DQN on [Stable-Baselines3](https://github.com/DLR-RM/stable-baselines3),
 |---|---|---|---|---|---|
 | {env_id} | {episodes} | {mean:.2f} | {std:.2f} | {actions} | {masks} |
 
+{about}
+
 ## Use
 
 ```python
@@ -83,6 +85,7 @@ def package(
     command: str,
     n_eval_episodes: int = 10,
     deterministic: bool = True,
+    about: str = "",
 ) -> pathlib.Path:
     """
     Evaluate a model and write what its repository holds, named as ``huggingface_sb3`` names it.
@@ -99,6 +102,7 @@ def package(
     :param command: that trained the model
     :param n_eval_episodes: episodes of the evaluation
     :param deterministic: evaluate the greedy policy
+    :param about: Markdown, for the card, below the results
     :return: the model's file
     """
     out = pathlib.Path(folder)
@@ -137,6 +141,7 @@ def package(
         std=std,
         actions="greedy" if deterministic else "exploring",
         masks="yes" if masked else "none",
+        about=about,
         command=command,
         sb3_rainbow=versions["sb3_rainbow"],
         versions="\n".join(f"| {key} | {value} |" for key, value in versions.items()),

@@ -11,7 +11,7 @@ from PIL import Image
 
 from benchmarks.__main__ import main
 from benchmarks.errors import BenchmarkError
-from benchmarks.studies import media, watch
+from benchmarks.studies.viewing import media, watch
 from coop_env.env import CoopInsertionEnv
 from coop_env.rendering.scene import Scene
 

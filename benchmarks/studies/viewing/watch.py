@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.methods.oracle import LatticeOracle
-from benchmarks.studies.media import parser, policy_moves
+from benchmarks.studies.viewing.media import parser, policy_moves
 from coop_env.env import CoopInsertionEnv
 from coop_env.rendering.browser import ViewerError
 from coop_env.rendering.viewer import Act, view

@@ -1,0 +1,282 @@
+"""Minari datasets of the insertion task, for learners that meet no environment.
+
+    python -m benchmarks data
+
+Four behaviours act in the environment of the track `safe`, under its masks: the exact *optimum*,
+hole by hole, which ends where no moves insert; the *expert*, two-move lookahead from the
+observation, the best script there without a memory; the *medium* one, which is the expert but for a
+share of its moves, drawn from the allowed ones; and *random* moves, drawn from the allowed ones.
+Episode k begins at the same state for all, which is no state of a test, a validation or a training.
+A dataset is there when it is complete: what was cut off begins anew, the others are kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from benchmarks.errors import BenchmarkError, at_least
+from benchmarks.evaluation.evaluate import Chooser, follow, play_together
+from benchmarks.methods.controls import control
+from benchmarks.methods.episodes import Episode, env_arguments
+from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.protocol.plan import Cell
+from benchmarks.protocol.presets import load_preset
+from benchmarks.protocol.seeding import derive
+from benchmarks.runs import machine
+from benchmarks.studies.sharing import data_page
+from coop_env.env import CoopInsertionEnv, Observation
+
+NAMESPACE: Final = "coop-insertion"
+TRACK: Final = "safe"
+SMALL: Final = 2_000  # steps of the dataset that is in git
+# with three of four moves random the expert succeeds about half as often, on these starts
+RANDOM_SHARE: Final = {"expert": 0.0, "medium": 0.75, "random": 1.0}
+BEHAVIOURS: Final = {
+    "optimum": "exact optimum",
+    "expert": "two-move lookahead from the observation",
+    "medium": f"expert, {RANDOM_SHARE['medium']:.0%} of the moves random",
+    "random": "random",
+}
+TOGETHER: Final = 32  # episodes side by side: a script is asked once for all of them
+
+
+class Recorder(CoopInsertionEnv):
+    """The environment, which keeps what happens in an episode."""
+
+    def reset(self, **given: Any) -> tuple[Observation, dict[str, Any]]:
+        """As the environment's; begins a new record."""
+        observation, info = super().reset(**given)
+        self.observations, self.masks = [observation], [self.action_masks()]
+        self.filled = [int(info["n_filled"])]
+        self.steps: list[tuple[int, float, bool, bool]] = []
+        return observation, info
+
+    def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """As the environment's; what came of the move is kept."""
+        observation, reward, terminated, truncated, info = super().step(action)
+        self.observations.append(observation)
+        self.masks.append(self.action_masks())
+        self.filled.append(int(info["n_filled"]))
+        self.steps.append((int(action), reward, terminated, truncated))
+        return observation, reward, terminated, truncated, info
+
+    def buffer(self, seed: int) -> Any:
+        """The episode as Minari takes it; one that a behaviour gave up is truncated there."""
+        from minari.data_collector import EpisodeBuffer
+
+        actions, rewards, terminated, truncated = (
+            np.array(column) for column in zip(*self.steps, strict=True)
+        )
+        truncated[-1] |= not terminated[-1]
+        return EpisodeBuffer(
+            seed=seed,
+            observations=np.array(self.observations),
+            actions=actions.astype(np.int64),
+            rewards=rewards,
+            terminations=terminated,
+            truncations=truncated,
+            infos={"action_masks": np.array(self.masks), "n_filled": np.array(self.filled)},
+        )
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What decides a dataset. ``behaviour`` is one of :data:`BEHAVIOURS`."""
+
+    name: str
+    behaviour: str
+    steps: int
+
+    @property
+    def id(self) -> str:
+        """Minari's name of it, which is its folder, too."""
+        return f"{NAMESPACE}/{self.name}-v0"
+
+    def settings(self) -> dict[str, Any]:
+        """As the dataset's metadata keeps them."""
+        share = RANDOM_SHARE.get(self.behaviour, 0.0)
+        return {"behaviour": self.behaviour, "at_least": self.steps, "random_share": share}
+
+
+def recipes(steps: int) -> list[Recipe]:
+    """All datasets of one command; the small one comes first."""
+    small = Recipe("optimum-small", "optimum", min(steps, SMALL))
+    return [small, *(Recipe(name, name, steps) for name in BEHAVIOURS)]
+
+
+def arguments_of_the_task() -> dict[str, Any]:
+    """Keyword arguments of the environment that all behave in, without the defaults."""
+    preset = load_preset("paper")
+    cell = Cell("rainbow", "full", "optimized", TRACK, 0)
+    given = env_arguments(preset, cell, preset.tracks[TRACK])
+    return {name: value for name, value in given.items() if value}
+
+
+def play(recipe: Recipe, tell: Callable[[int], None]) -> list[Episode]:
+    """Whole episodes from the first on, until they have the recipe's steps together.
+
+    ``tell`` hears how many there are.
+    """
+    arguments, oracle = arguments_of_the_task(), LatticeOracle()
+    longest = CoopInsertionEnv(**arguments).params.task.max_moves
+    kept: list[Episode] = []
+    done = 0
+    while done < recipe.steps:
+        size = min(TOGETHER, (recipe.steps - done) // longest + 1)
+        numbers = range(len(kept), len(kept) + size)
+        batch = [Episode(Recorder(**arguments), n, derive("data", n)) for n in numbers]
+        if recipe.behaviour == "optimum":
+            for episode in batch:
+                follow(episode, oracle.plan)
+        else:
+            play_together(_mixed(batch, RANDOM_SHARE[recipe.behaviour]), batch, 0.0, 0)
+        for episode in batch:
+            if done < recipe.steps:
+                kept.append(episode)
+                done += episode.moves
+        tell(done)
+    return kept
+
+
+def _mixed(episodes: Sequence[Episode], share: float) -> Chooser:
+    """The expert, but for a share of its moves, which are drawn from the allowed ones."""
+    weights = load_preset("paper").tracks[TRACK].controls
+    expert = control("lookahead_observed", weights, 0)(episodes)
+    generators = [np.random.default_rng(derive("data", e.number, 1)) for e in episodes]
+
+    def choose(
+        observations: NDArray[np.float32], masks: NDArray[np.bool_], running: Sequence[int]
+    ) -> NDArray[Any]:
+        actions = np.zeros(len(running), np.int64)
+        drawn = np.array([generators[i].random() < share for i in running])
+        for row in np.flatnonzero(drawn):
+            actions[row] = generators[running[row]].choice(np.flatnonzero(masks[row]))
+        own = np.flatnonzero(~drawn)
+        if len(own):
+            actions[own] = expert(observations[own], masks[own], [running[row] for row in own])
+        return actions
+
+    return choose
+
+
+def measure(episodes: Sequence[Episode]) -> dict[str, Any]:
+    """What the metadata and the table say of a dataset; starts without a move count, too."""
+    rewards = np.array([episode.reward for episode in episodes])
+    holes = np.array([len(episode.insertions) for episode in episodes])
+    return {
+        "steps": sum(episode.moves for episode in episodes),
+        "starts": len(episodes),
+        "episodes": sum(episode.moves > 0 for episode in episodes),
+        "success": float((holes > 0).mean()),
+        "all_holes": float((holes == len(episodes[0].env.task.holes)).mean()),
+        "holes": float(holes.mean()),
+        "return": float(rewards.mean()),
+        "return_std": float(rewards.std()),
+    }
+
+
+def write(root: Path, recipe: Recipe, episodes: Sequence[Episode]) -> None:
+    """Make the dataset beside its place and rename it into it."""
+    import minari
+
+    env = gymnasium.make("CoopInsertion-v0", **arguments_of_the_task())
+    buffers = [e.env.buffer(e.reset_seed) for e in episodes if e.moves]  # type: ignore[attr-defined]
+    root.mkdir(parents=True, exist_ok=True)
+    root = root.resolve()  # Minari loses its way below a relative folder
+    with tempfile.TemporaryDirectory(dir=root, prefix=".") as temporary, minari_root(temporary):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # it asks for an e-mail address
+            dataset = minari.create_dataset_from_buffers(
+                recipe.id,
+                buffers,
+                env=env,
+                algorithm_name=BEHAVIOURS[recipe.behaviour],
+                author="the sb3-rainbow-coop authors",
+                description=f"Insertion by the {BEHAVIOURS[recipe.behaviour]}, with action masks",
+            )
+        record = {"settings": recipe.settings(), "measured": measure(episodes)}
+        dataset.storage.update_metadata({**record, "commit": machine.describe()["commit"]})
+        (root / NAMESPACE).mkdir(exist_ok=True)
+        for made in sorted((Path(temporary) / NAMESPACE).iterdir()):
+            if made.is_dir() or not (root / NAMESPACE / made.name).exists():
+                made.rename(root / NAMESPACE / made.name)
+
+
+@contextmanager
+def minari_root(folder: str | os.PathLike[str]) -> Iterator[None]:
+    """Where Minari looks for datasets, and puts them."""
+    name = "MINARI_DATASETS_PATH"
+    before = os.environ.get(name)
+    os.environ[name] = os.fspath(folder)
+    try:
+        yield
+    finally:
+        del os.environ[name]
+        if before is not None:
+            os.environ[name] = before
+
+
+def read(root: Path, recipe: Recipe) -> dict[str, Any] | None:
+    """What is known of a dataset, None if it is not there.
+
+    Raises:
+        BenchmarkError: it is there, made by another recipe.
+    """
+    path = root / recipe.id / "data" / "metadata.json"
+    if not path.is_file():
+        return None
+    found = json.loads(path.read_text(encoding="utf-8"))
+    if found["settings"] != recipe.settings():
+        raise BenchmarkError(
+            f"{root / recipe.id} was made by {found['settings']}, this is {recipe.settings()}: "
+            "delete it, or name another --results"
+        )
+    size = sum(part.stat().st_size for part in path.parent.iterdir())
+    told = BEHAVIOURS[recipe.behaviour]
+    return {"id": recipe.id, "behaviour": told, "megabytes": size / 1e6, **found["measured"]}
+
+
+def main(words: Sequence[str]) -> int:
+    """Write the datasets that are missing, then the table, here and in the docs."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks data",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--steps", type=at_least(1), default=100_000, help="of each, at least")
+    parser.add_argument("--results", type=Path, default=Path("results"), help="results folder")
+    parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of data.md")
+    given = parser.parse_args(list(words))
+    try:
+        import h5py  # noqa: F401
+        import minari  # noqa: F401
+    except ImportError as error:
+        raise BenchmarkError(f"data needs pip install '.[data]': {error}") from error
+    console, root = Console(soft_wrap=True), given.results / "data"
+    todo = [recipe for recipe in recipes(given.steps) if read(root, recipe) is None]
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), MofNCompleteColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=console) as progress:
+        for recipe in todo:
+            job = progress.add_task(recipe.id, total=recipe.steps)
+            episodes = play(recipe, lambda n, job=job: progress.update(job, completed=n))  # type: ignore[misc]
+            write(root, recipe, episodes)
+    records = [record for recipe in recipes(given.steps) if (record := read(root, recipe))]
+    text = data_page.write(given.results, given.docs, records)
+    console.print(text, markup=False, highlight=False)
+    console.print(f"Datasets: MINARI_DATASETS_PATH={root.resolve()}", markup=False)
+    return 0

@@ -1,0 +1,1 @@
+"""Pictures of an episode, and an episode in the browser."""

@@ -1,0 +1,72 @@
+"""Each example runs in its short form, in an empty folder, and does what it says."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sb3_rainbow import Rainbow
+
+ROOT = Path(__file__).resolve().parent.parent
+NOTEBOOK = ROOT / "examples" / "rainbow.ipynb"
+STEPS = 200  # of the notebook's trainings: past their first updates
+# the short form's number, what is printed, what is left behind
+SHORT = {
+    "behaviour_cloning": ("1", r"held out: 0\.\d\d\n(.*\n)*Nothing", ["cloned-optimum-small-s0"]),
+    "cartpole": ("300", r"return after 300 steps: \d+\.\d ± \d", ["rainbow_cartpole"]),
+    "exact_resume": ("400", r"goes on at step 200 of 400\nweights equal to the bit: True", []),
+    "images": ("150", r"share of balls caught: [01]\.\d\d", []),
+    "insertion": ("320", r"of 20\nholes filled: \d\.\d\d of 6", ["rainbow_insertion"]),
+    "masks": ("500", r"reach the goal: [01]\.\d\d; falls into water, ever: 0$", []),
+    "own_3rrs": ("2", r"Rb 0\.\d+.*\n(.*\n){2}own: the optimum inserts from [012] of 2 starts", []),
+    "own_method": ("1", r"climb, seed 0, noise 0: Success .*\n(.*\n)*Nothing was stored", []),
+    "prioritized_dqn": ("500", r"priorities from (\S+) to (?!\1)\S+\nreturn after 500", []),
+}
+
+
+def test_every_example_is_tried() -> None:
+    assert {path.stem for path in (ROOT / "examples").glob("*.py")} == set(SHORT)
+
+
+def run(*words: str, folder: Path) -> str:
+    """What a program prints that is run in ``folder`` and finds the packages of this clone."""
+    done = subprocess.run(
+        [sys.executable, *words],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Warning" not in done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("name", sorted(SHORT))
+def test_an_example_does_what_it_says(name: str, tmp_path: Path) -> None:
+    number, said, left = SHORT[name]
+    printed = run("-m", f"examples.{name}", number, folder=tmp_path)
+    assert re.search(said, printed, re.MULTILINE), printed
+    for model in left:
+        assert Rainbow.load(tmp_path / model, buffer_size=1).num_timesteps >= int(number)
+
+
+def test_the_notebook_runs(tmp_path: Path) -> None:
+    """All cells but the one that installs, as one program; its trainings are shortened."""
+    cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
+    codes = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    assert "pip install" in codes[0]
+    program, trainings = re.subn(r"learn\([\d_]+\)", f"learn({STEPS})", "\n".join(codes[1:]))
+    assert trainings == 2
+    assert all(not cell.get("outputs") for cell in cells)
+    printed = run("-c", program, folder=tmp_path)
+    assert re.search(r"return: \d+", printed)
+    assert re.search(r"holes filled: \d of 6", printed)
+    assert (tmp_path / "scene.png").stat().st_size > 0
