@@ -38,7 +38,7 @@ class RainbowPolicy(BasePolicy):
         action_space: Action space.
         lr_schedule: learning rate schedule; ``lr_schedule(1)`` is the initial rate.
         net_arch: sizes of the hidden layers, or ``dict(shared=[...], streams=[...])``; [64, 64],
-            none after ``NatureCNN``, streams of 512 after :class:`NatureConvolutions`.
+            none after ``NatureCNN``, streams of 512 after ``NatureConvolutions``.
         activation_fn: activation function.
         features_extractor_class: features extractor to use.
         features_extractor_kwargs: its keyword arguments.
@@ -46,7 +46,7 @@ class RainbowPolicy(BasePolicy):
         optimizer_class: optimizer to use, Adam by default.
         optimizer_kwargs: its keyword arguments besides the learning rate.
         noisy_layers: ``"last_two"``, ``"head"`` or ``"all"``.
-        dueling: see :class:`RainbowNetwork`, as for the parameters that follow.
+        dueling: see ``RainbowNetwork``, as for the parameters that follow.
     """
 
     q_net: RainbowNetwork

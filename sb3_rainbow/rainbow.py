@@ -66,7 +66,7 @@ class Rainbow(ResumableAlgorithm):
         gamma: discount factor.
         train_freq: steps between two rounds of updates, or a tuple such as ``(2, "episode")``.
         gradient_steps: updates per round; -1 for as many as steps were taken.
-        replay_buffer_class: ``None`` for :class:`PrioritizedReplayBuffer`. SB3's own buffers,
+        replay_buffer_class: ``None`` for ``PrioritizedReplayBuffer``. SB3's own buffers,
             ``HerReplayBuffer`` included, keep no priorities; of them ``NStepReplayBuffer`` alone
             keeps n-step returns.
         replay_buffer_kwargs: more keyword arguments for the buffer.

@@ -24,7 +24,7 @@ from coop_env.geometry import INITIAL, GeometryError, RRSGeometry
 Constraint = Callable[[RRSGeometry], float]  # satisfied where it is not negative
 Bounds = tuple[tuple[float, float], tuple[float, float]]
 
-#: Where the paper's constraints leave designs with a workspace: beyond, lambda2 would exceed 3.4.
+#: Where the paper's constraints leave designs with a workspace; beyond, lambda2 would exceed 3.4.
 FEASIBLE_BOX: Final[Bounds] = ((0.5, 2.0), (0.1, 3.4))
 
 

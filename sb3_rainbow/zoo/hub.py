@@ -218,7 +218,7 @@ def load_from_hub(
 def load(path: str | os.PathLike[str], trusted: Collection[str] = (), **kwargs: Any) -> Rainbow:
     """A model from a file of whom you know nothing.
 
-    As ``Rainbow.load``, but the file may name only what :mod:`sb3_rainbow.zoo.unpickling` lists.
+    As ``Rainbow.load``, but the file may name only what ``sb3_rainbow.zoo.unpickling`` lists.
     What only the run would go on with, such as the states of its random generators, is left out.
 
     Args:
