@@ -58,7 +58,8 @@ FLAGS: Final = (
     *("--disable-gpu", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
     *("--disable-dev-shm-usage", "--disable-background-networking", "--disable-component-update"),
 )
-DRAWING_SECONDS: Final = 30.0
+DRAWING_SECONDS: Final = 90.0  # ample: software draws it, maybe on a busy machine
+WARNING: Final = 320  # width of viser's, pixels
 PAGE_SECONDS: Final = 240.0  # a page that is not drawn by then never will be
 
 
@@ -202,7 +203,8 @@ def write_page(path: Path, address: str) -> None:
 def framed(address: str) -> Iterator[str]:
     """A page that shows another and is complete when that one had time to draw.
 
-    The browser view draws by scripts, and Chromium's picture is of the moment of completion.
+    The browser view draws by scripts, and Chromium's picture is of the moment of completion. At its
+    left edge viser warns of software drawing, which is the picture's matter alone: cut off.
     """
 
     class Frame(BaseHTTPRequestHandler):
@@ -212,7 +214,8 @@ def framed(address: str) -> Iterator[str]:
             self.send_response(200)
             self.send_header("Content-Type", "text/html")
             self.end_headers()
-            style = "border:0;position:fixed;width:100%;height:100%;inset:0"
+            style = f"border:0;position:fixed;top:0;left:-{WARNING}px;height:100%;"
+            style += f"width:calc(100% + {WARNING}px)"
             page = f'<iframe src="{address}" style="{style}"></iframe><img src="/late">'
             self.wfile.write(page.encode())
 
