@@ -14,7 +14,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FL
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= Agg
 
-.PHONY: help env rivals results test pytest lint type format docs dist clean
+.PHONY: help env rivals results test pytest lint type format docs figures dist clean
 .DEFAULT_GOAL := help
 
 help: ## Say what there is
@@ -56,8 +56,12 @@ format: $(STAMP) ## Rewrite the sources in the house's form
 	@$(BIN)/ruff check --fix --quiet .
 	@$(BIN)/ruff format --quiet .
 
-docs: $(STAMP) ## Regenerate every figure and number that the docs hold
+docs: $(STAMP) ## The site, in build/docs/index.html
+	@$(BIN)/python -m sphinx -W --keep-going -q docs build/docs
+
+figures: $(STAMP) ## Regenerate every figure and number that the docs hold
 	@$(BIN)/python -m benchmarks design
+	@$(BIN)/python -m benchmarks report --preset paper
 	@$(BIN)/python -m benchmarks media
 	@$(BIN)/python -m benchmarks audit
 	@$(BIN)/python -m benchmarks failures --preset paper --track safe

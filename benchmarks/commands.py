@@ -226,6 +226,7 @@ def verify(arguments: argparse.Namespace) -> int:
 
 def readme(arguments: argparse.Namespace) -> int:
     """Rewrite the README's results section, and what the pages beside it include."""
+    from benchmarks.reporting.pages import gallery
     from benchmarks.reporting.pages.includes import rewrite_all
     from benchmarks.reporting.pages.readme import rewrite
     from benchmarks.reporting.verify import presets_of
@@ -241,8 +242,12 @@ def readme(arguments: argparse.Namespace) -> int:
     for page in sorted((arguments.readme.parent / "docs").glob("*.md")):
         if store.folder.name in presets_of(page):
             print(f"{page}: {'rewritten' if rewrite(page, store) else 'up to date'}")
-    for page in rewrite_all(arguments.readme.parent / "docs", arguments.results):
+    docs = arguments.readme.parent / "docs"
+    for page in rewrite_all(docs, arguments.results):
         print(f"{page}: its included tables are up to date")
+    if (page := docs / gallery.PAGE).is_file():
+        changed = gallery.rewrite(page, arguments.results)
+        print(f"{page}: {'rewritten' if changed else 'up to date'}")
     return 0
 
 

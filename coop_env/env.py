@@ -43,55 +43,61 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
 
     ``docs/env.md`` says all of this at length.
 
-    ## Action Space
+    **Action Space**
 
     ``Discrete(12)``: action ``2 k`` adds one step on axis ``k``, ``2 k + 1`` takes it away.
 
-    | Actions | Axis | Step |
-    |---------|------|------|
-    | 0 - 5   | x, y, z of the Delta's effector | 0.02 m |
-    | 6 - 9   | roll, pitch of the platform | 0.03 rad |
-    | 10, 11  | heave of the platform | 0.02 m |
+    =======  ===============================  ========
+    Actions  Axis                             Step
+    =======  ===============================  ========
+    0 - 5    x, y, z of the Delta's effector  0.02 m
+    6 - 9    roll, pitch of the platform      0.03 rad
+    10, 11   heave of the platform            0.02 m
+    =======  ===============================  ========
 
     :meth:`action_masks` is True where a move leads to a configuration both robots can take.
 
-    ## Observation Space
+    **Observation Space**
 
     ``Box(0, 1, (12,), float32)``, or ``(19,)`` with ``observation="markov"``, scaled from:
 
-    | Field   | Meaning | Least | Largest |
-    |---------|---------|-------|---------|
-    | 0, 1    | x, y of the effector, Delta's frame, m | -0.16 | 0.16 |
-    | 2       | z of the effector, m | -0.65 | -0.25 |
-    | 3, 4    | roll, pitch, rad | -pi/4 | pi/4 |
-    | 5       | heave, m | 0.21 | 0.25 |
-    | 6 - 8   | target hole's mouth - tip, world frame, m | -0.15 | 0.15 |
-    | 9 - 11  | normal of the target hole, world frame | -1 | 1 |
-    | 12 - 17 | hole filled (``"markov"``; one field a hole) | 0 | 1 |
-    | 18      | time elapsed, s (``"markov"``) | 0 | 0.2 ``max_moves`` |
+    =======  ============================================  =====  =================
+    Field    Meaning                                       Least  Largest
+    =======  ============================================  =====  =================
+    0, 1     x, y of the effector, Delta's frame, m        -0.16  0.16
+    2        z of the effector, m                          -0.65  -0.25
+    3, 4     roll, pitch, rad                              -pi/4  pi/4
+    5        heave, m                                      0.21   0.25
+    6 - 8    target hole's mouth - tip, world frame, m     -0.15  0.15
+    9 - 11   normal of the target hole, world frame        -1     1
+    12 - 17  hole filled (``"markov"``; one field a hole)  0      1
+    18       time elapsed, s (``"markov"``)                0      0.2 ``max_moves``
+    =======  ============================================  =====  =================
 
-    ## Rewards
+    **Rewards**
 
-    | Event or term            | ``"paper"``                 | ``"progress"``              |
-    |--------------------------|-----------------------------|-----------------------------|
-    | violation                | -3                          | ``-violation_penalty``      |
-    | insertion, the N-th at t | 150 + 25 N + 80 (1 - t / 60) | ``insertion_bonus``, or so |
-    | entry to a filled hole   | -1                          | ``-duplicate_penalty``      |
-    | other steps              | -0.01 - d + 200 max(0.03 - d, 0) | ``-step_cost``         |
-    | approach                 | 50 max(d_before - d, 0)     | ``distance_scale`` (d_before - d) |
-    | alignment                |                             | ``angle_scale`` (a_before - a) |
+    ========================  ================================  =================================
+    Event or term             ``"paper"``                       ``"progress"``
+    ========================  ================================  =================================
+    violation                 -3                                ``-violation_penalty``
+    insertion, the N-th at t  150 + 25 N + 80 (1 - t / 60)      ``insertion_bonus``, or so
+    entry to a filled hole    -1                                ``-duplicate_penalty``
+    other steps               -0.01 - d + 200 max(0.03 - d, 0)  ``-step_cost``
+    approach                  50 max(d_before - d, 0)           ``distance_scale`` (d_before - d)
+    alignment                                                   ``angle_scale`` (a_before - a)
+    ========================  ================================  =================================
 
-    ## Starting State
+    **Starting State**
 
     Tilt, height, tip and target hole are drawn within the task's start ranges until the state is
     valid, free of collision and far from singular; ``options`` of :meth:`reset` can set them.
 
-    ## Episode End
+    **Episode End**
 
     1. Termination: all active holes are filled, or a move ends with signed sigma_min below 0.05.
     2. Truncation: ``max_moves`` moves were made.
 
-    ## Arguments
+    **Arguments**
 
     All numbers above are the defaults of ``geometry``, ``delta`` and ``task``. Each of these and
     ``sim_to_real`` may be a plain mapping of fields (from YAML, say). Twelve moves and six axes are
@@ -101,7 +107,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         geometry: ``"optimized"``, ``"initial"`` or an :class:`~coop_env.geometry.RRSGeometry`.
         reward: ``"paper"`` (equation (reward) to the letter) or ``"progress"``.
         reward_kwargs: scales of ``"progress"``, see
-            :data:`coop_env.simulation.rewards.PROGRESS_DEFAULTS`.
+            ``coop_env.simulation.rewards.PROGRESS_DEFAULTS``.
         observation: ``"paper"``, 12 numbers, or ``"markov"``, with filled holes and time.
         normalize: observation in [0, 1], or in SI units.
         mask_singularities: action masks also exclude collisions and singular moves.
@@ -126,7 +132,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         RewardError: so is a reward or one of its scales.
         GeometryError: a robot cannot be assembled, or not at its home height.
 
-    ## Version History
+    **Version History**
 
     * v0: initial version
     """
@@ -219,12 +225,12 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
 
     @property
     def configuration(self) -> NDArray[np.float64]:
-        """(x, y, z, roll, pitch, heave), (6,): Delta in its base frame, m; tilt, rad; height, m."""
+        """(x, y, z, roll, pitch, heave), (6,). Delta in its base frame, m; tilt, rad; height, m."""
         return self._row["configuration"].copy()
 
     @property
     def state(self) -> np.void:
-        """A copy of the kernels' row, :func:`~coop_env.simulation.state.state_dtype`."""
+        """A copy of the kernels' row, ``coop_env.simulation.state.state_dtype()``."""
         copy = np.empty(1, self._states.dtype)
         copy[0] = self._row  # row.copy() would go field by field
         row: np.void = copy[0]

@@ -164,9 +164,13 @@ class DeltaGeometry:
         return asdict(self)
 
 
+#: the paper's initial design
 INITIAL: Final = RRSGeometry(base_radius=0.2068, proximal_length=0.0893, platform_radius=0.1086)
+#: the paper's optimized design
 OPTIMIZED: Final = RRSGeometry(base_radius=0.1778, proximal_length=0.1024, platform_radius=0.1114)
+#: the standard Delta
 DELTA: Final = DeltaGeometry()
+#: the designs by the names that the environment takes
 GEOMETRIES: Final = MappingProxyType({"initial": INITIAL, "optimized": OPTIMIZED})
 
 

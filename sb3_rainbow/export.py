@@ -1,5 +1,4 @@
-"""
-A trained model's greedy policy for programs without Python: ONNX, or torch's exported program.
+"""A trained model's greedy policy for programs without Python: ONNX, or torch's exported program.
 
 Inputs and outputs have the same names in both:
 
@@ -37,11 +36,11 @@ class ExportError(ValueError):
 
 
 class GreedyPolicy(nn.Module):
-    """
-    What is exported: greedy actions and Q-values of a network's mean weights.
+    """What is exported: greedy actions and Q-values of a network's mean weights.
 
-    :param q_net: the network
-    :param keys: of a dict of observations, in the order of their tensors
+    Args:
+        q_net: the network.
+        keys: of a dict of observations, in the order of their tensors.
     """
 
     def __init__(self, q_net: RainbowNetwork, keys: tuple[str, ...] = ()) -> None:
@@ -50,9 +49,13 @@ class GreedyPolicy(nn.Module):
         self.keys = keys
 
     def forward(self, *inputs: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
-        """
-        :param inputs: the observations, then the masks
-        :return: actions and Q-values
+        """Greedy actions and the values they were chosen by.
+
+        Args:
+            inputs: the observations, then the masks.
+
+        Returns:
+            actions and Q-values.
         """
         *tensors, action_masks = inputs
         observations: Any = dict(zip(self.keys, tensors, strict=True)) if self.keys else tensors[0]
@@ -61,12 +64,14 @@ class GreedyPolicy(nn.Module):
 
 
 def to_onnx(model: Rainbow, path: str | os.PathLike[str]) -> None:
-    """
-    Write the greedy policy as an ONNX file, with any number of rows per call.
+    """Write the greedy policy as an ONNX file, with any number of rows per call.
 
-    :param model: a trained model
-    :param path: of the file
-    :raises ExportError: if the extra ``export`` is missing, or the network cannot be exported
+    Args:
+        model: a trained model.
+        path: of the file.
+
+    Raises:
+        ExportError: if the extra ``export`` is missing, or the network cannot be exported.
     """
     try:
         import onnx
@@ -95,11 +100,13 @@ def to_onnx(model: Rainbow, path: str | os.PathLike[str]) -> None:
 
 
 def to_program(model: Rainbow) -> th.export.ExportedProgram:
-    """
-    The greedy policy by ``torch.export``, for ``torch.export.save`` or AOTInductor.
+    """The greedy policy by ``torch.export``, for ``torch.export.save`` or AOTInductor.
 
-    :param model: a trained model
-    :raises ExportError: if it is no Rainbow, or its network cannot be exported
+    Args:
+        model: a trained model.
+
+    Raises:
+        ExportError: if it is no Rainbow, or its network cannot be exported.
     """
     if not isinstance(model, Rainbow):
         raise ExportError(f"expected a Rainbow model, got {type(model).__name__}")

@@ -28,25 +28,25 @@ _NOT_WITH_FUSED = {"foreach", "differentiable"}
 
 
 class RainbowPolicy(BasePolicy):
-    """
-    Policy with the online and the target network of Rainbow.
+    """Policy with the online and the target network of Rainbow.
 
     The arguments after ``lr_schedule`` are those of SB3's ``DQNPolicy``, then ``noisy_layers``,
     then the ones that :class:`~sb3_rainbow.Rainbow` hands over from its own constructor.
 
-    :param observation_space: Observation space
-    :param action_space: Action space
-    :param lr_schedule: learning rate schedule; ``lr_schedule(1)`` is the initial rate
-    :param net_arch: sizes of the hidden layers, or ``dict(shared=[...], streams=[...])``; [64, 64],
-        none after ``NatureCNN``, streams of 512 after :class:`NatureConvolutions`
-    :param activation_fn: activation function
-    :param features_extractor_class: features extractor to use
-    :param features_extractor_kwargs: its keyword arguments
-    :param normalize_images: whether to divide images by 255
-    :param optimizer_class: optimizer to use, Adam by default
-    :param optimizer_kwargs: its keyword arguments besides the learning rate
-    :param noisy_layers: ``"last_two"``, ``"head"`` or ``"all"``
-    :param dueling: see :class:`RainbowNetwork`, as for the parameters that follow
+    Args:
+        observation_space: Observation space.
+        action_space: Action space.
+        lr_schedule: learning rate schedule; ``lr_schedule(1)`` is the initial rate.
+        net_arch: sizes of the hidden layers, or ``dict(shared=[...], streams=[...])``; [64, 64],
+            none after ``NatureCNN``, streams of 512 after ``NatureConvolutions``.
+        activation_fn: activation function.
+        features_extractor_class: features extractor to use.
+        features_extractor_kwargs: its keyword arguments.
+        normalize_images: whether to divide images by 255.
+        optimizer_class: optimizer to use, Adam by default.
+        optimizer_kwargs: its keyword arguments besides the learning rate.
+        noisy_layers: ``"last_two"``, ``"head"`` or ``"all"``.
+        dueling: see ``RainbowNetwork``, as for the parameters that follow.
     """
 
     q_net: RainbowNetwork
@@ -120,8 +120,7 @@ class RainbowPolicy(BasePolicy):
         self._parameters_then = list(self.q_net.parameters())
 
     def update_optimizer(self) -> None:
-        """
-        Give the optimizer the parameters that took the place of some of the network's.
+        """Give the optimizer the parameters that took the place of some of the network's.
 
         What else it holds (a head of one's own, say) stays, and so does a choice of the network's
         parameters by who made the optimizer.
@@ -161,10 +160,10 @@ class RainbowPolicy(BasePolicy):
         return RainbowNetwork(**net_args).to(self.device)
 
     def reset_noise(self, n_envs: int = 1) -> None:
-        """
-        Draw new noise for the online network, as before acting.
+        """Draw new noise for the online network, as before acting.
 
-        :param n_envs: number of environments, each with noise of its own
+        Args:
+            n_envs: number of environments, each with noise of its own.
         """
         self.q_net.reset_noise(n_envs)
 
@@ -188,16 +187,20 @@ class RainbowPolicy(BasePolicy):
         deterministic: bool = False,
         action_masks: NDArray | None = None,
     ) -> tuple[NDArray, tuple[NDArray, ...] | None]:
-        """
-        Greedy actions; with fresh noise in the noisy layers unless ``deterministic``.
+        """Greedy actions; with fresh noise in the noisy layers unless ``deterministic``.
 
-        :param observation: one observation or a batch
-        :param state: passed through
-        :param episode_start: unused
-        :param deterministic: mean weights instead of noisy ones
-        :param action_masks: True where allowed, ``(n_actions,)`` or ``(B, n_actions)``
-        :return: actions, and ``state``
-        :raises ValueError: for masks of another shape, or with a row that allows nothing
+        Args:
+            observation: one observation or a batch.
+            state: passed through.
+            episode_start: unused.
+            deterministic: mean weights instead of noisy ones.
+            action_masks: True where allowed, ``(n_actions,)`` or ``(B, n_actions)``.
+
+        Returns:
+            actions, and ``state``.
+
+        Raises:
+            ValueError: for masks of another shape, or with a row that allows nothing.
         """
         self.set_training_mode(False)
         if isinstance(observation, tuple):
@@ -223,10 +226,10 @@ class RainbowPolicy(BasePolicy):
         return (actions if vectorized else actions.squeeze(axis=0)), state
 
     def set_training_mode(self, mode: bool) -> None:
-        """
-        Put the online network in training or evaluation mode; the noisy layers take no notice.
+        """Put the online network in training or evaluation mode; the noisy layers take no notice.
 
-        :param mode: True for training
+        Args:
+            mode: True for training.
         """
         self.q_net.set_training_mode(mode)
         self.training = mode
@@ -245,8 +248,7 @@ class RainbowPolicy(BasePolicy):
 
 
 class CnnPolicy(RainbowPolicy):
-    """
-    :class:`RainbowPolicy` for images: by default the network of Hessel et al. (2018), 512 noisy
+    """:class:`RainbowPolicy` for images: by default the network of Hessel et al. (2018), 512 noisy
     units for the value and as many for the advantages, after the convolutions of ``NatureCNN``.
     """
 

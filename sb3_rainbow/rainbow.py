@@ -48,74 +48,77 @@ _DIAGNOSTICS_INTERVAL = 100
 
 
 class Rainbow(ResumableAlgorithm):
-    """
-    Rainbow DQN (Hessel et al. 2018, https://arxiv.org/abs/1710.02298) with action masks.
+    """Rainbow DQN (Hessel et al. 2018, https://arxiv.org/abs/1710.02298) with action masks.
 
     Six extensions of DQN, each of which can be off: ``double_q``, ``dueling``, ``prioritized``,
     ``n_steps`` (off: 1), ``noisy`` (off: epsilon-greedy), ``distributional`` (off: Huber loss on
     scalar Q-values). The arguments up to ``device`` are those of SB3's ``DQN``, in its order.
 
-    :param policy: "MlpPolicy", "CnnPolicy", "MultiInputPolicy", or a policy class
-    :param env: environment to learn from, or the name of a registered one
-    :param learning_rate: learning rate, or a function of the remaining progress (from 1 to 0)
-    :param buffer_size: transitions in the replay buffer, over all envs
-    :param learning_starts: steps of random (allowed) actions before learning starts
-    :param batch_size: transitions per update
-    :param tau: Polyak coefficient of the target network, 1 for a copy. ``None`` (default) is 0.001,
-        or with a ``target_update_interval`` SB3's 1
-    :param gamma: discount factor
-    :param train_freq: steps between two rounds of updates, or a tuple such as ``(2, "episode")``
-    :param gradient_steps: updates per round; -1 for as many as steps were taken
-    :param replay_buffer_class: ``None`` for :class:`PrioritizedReplayBuffer`. SB3's own buffers,
-        ``HerReplayBuffer`` included, keep no priorities; of them ``NStepReplayBuffer`` alone keeps
-        n-step returns
-    :param replay_buffer_kwargs: more keyword arguments for the buffer
-    :param optimize_memory_usage: for SB3's buffers; the default one always stores each observation
-        once
-    :param n_steps: rewards per return. ``None`` (default) is 3, or with a buffer that keeps no
-        n-step returns 1, with a warning
-    :param target_update_interval: ``None`` (default) moves the target network by ``tau`` after
-        every update; a number does so every that many steps of the env, as SB3's DQN
-    :param exploration_fraction: fraction of training over which epsilon falls; ``None`` (default)
-        is 0.1. Where none of these three is given, there is no epsilon beside the noise
-    :param exploration_initial_eps: epsilon at the start; ``None`` is 1.0
-    :param exploration_final_eps: epsilon at the end; ``None`` is 0.05
-    :param max_grad_norm: gradient norm to clip to, None for no clipping
-    :param stats_window_size: episodes to average the logged statistics over
-    :param tensorboard_log: folder of the TensorBoard log
-    :param policy_kwargs: arguments of the policy, such as ``net_arch``, ``noisy_layers``,
-        ``optimizer_kwargs=dict(weight_decay=1e-5)``
-    :param verbose: 0 for no output, 1 for information, 2 for debugging
-    :param seed: seed of all random generators
-    :param device: torch device
-    :param double_q: choose the action at t + n with the online network
-    :param dueling: value and advantage streams
-    :param prioritized: draw transitions in proportion to their losses; uniformly if False.
-        ``None`` (default) is True, or with a buffer that keeps no priorities False, with a warning
-    :param noisy: explore by noisy layers
-    :param distributional: learn the distribution of returns: ``"quantile"`` as ``n_atoms``
-        quantiles, which need no support (QR-DQN's), ``"categorical"`` or True over ``n_atoms``
-        values from ``v_min`` to ``v_max`` (Hessel et al.'s), False not at all. ``None`` (default)
-        is ``"categorical"`` where ``v_min`` or ``v_max`` is given, ``"quantile"`` elsewhere
-    :param n_atoms: atoms of the support, or quantiles
-    :param v_min: lowest return of the support; ``None`` (default) is -100 for the categorical head,
-        which fits rewards in [-1, 1] and gamma 0.99
-    :param v_max: highest return of the support; ``None`` is 100
-    :param sigma0: initial scale of the noisy layers
-    :param alpha: exponent of the priorities
-    :param beta_start: importance-sampling exponent at the start of training
-    :param beta_end: the same at the end; linear in between
-    :param advantage_learning: share of ``Q(s, a) - max Q(s, .)`` that is added to each target, in
-        [0, 1): advantage learning (Bellemare et al. 2016), which widens the gap between the best
-        action and the others where errors of the values would swallow it. 0 (default) is Rainbow
-    :param use_masking: "auto" uses ``action_masks()`` where the env has it
-    :param compile: one graph of target and loss by ``torch.compile``; the first update then takes
-        some seconds. Without a compiler, one warning and no effect
-    :param mixed_precision: bfloat16 in the loss, on CUDA only
-    :param cpu_kernels: update ReLU perceptrons on the CPU by compiled kernels, in half the time of
-        torch's operations; they take precedence over ``compile``
-    :param _init_setup_model: whether to build the network at the creation of the instance
-    :raises ValueError: for parameters out of range, or combinations that cannot work
+    Args:
+        policy: "MlpPolicy", "CnnPolicy", "MultiInputPolicy", or a policy class.
+        env: environment to learn from, or the name of a registered one.
+        learning_rate: learning rate, or a function of the remaining progress (from 1 to 0).
+        buffer_size: transitions in the replay buffer, over all envs.
+        learning_starts: steps of random (allowed) actions before learning starts.
+        batch_size: transitions per update.
+        tau: Polyak coefficient of the target network, 1 for a copy. ``None`` (default) is 0.001, or
+            with a ``target_update_interval`` SB3's 1.
+        gamma: discount factor.
+        train_freq: steps between two rounds of updates, or a tuple such as ``(2, "episode")``.
+        gradient_steps: updates per round; -1 for as many as steps were taken.
+        replay_buffer_class: ``None`` for ``PrioritizedReplayBuffer``. SB3's own buffers,
+            ``HerReplayBuffer`` included, keep no priorities; of them ``NStepReplayBuffer`` alone
+            keeps n-step returns.
+        replay_buffer_kwargs: more keyword arguments for the buffer.
+        optimize_memory_usage: for SB3's buffers; the default one always stores each observation
+            once.
+        n_steps: rewards per return. ``None`` (default) is 3, or with a buffer that keeps no n-step
+            returns 1, with a warning.
+        target_update_interval: ``None`` (default) moves the target network by ``tau`` after every
+            update; a number does so every that many steps of the env, as SB3's DQN.
+        exploration_fraction: fraction of training over which epsilon falls; ``None`` (default) is
+            0.1. Where none of these three is given, there is no epsilon beside the noise.
+        exploration_initial_eps: epsilon at the start; ``None`` is 1.0.
+        exploration_final_eps: epsilon at the end; ``None`` is 0.05.
+        max_grad_norm: gradient norm to clip to, None for no clipping.
+        stats_window_size: episodes to average the logged statistics over.
+        tensorboard_log: folder of the TensorBoard log.
+        policy_kwargs: arguments of the policy, such as ``net_arch``, ``noisy_layers``,
+            ``optimizer_kwargs=dict(weight_decay=1e-5)``.
+        verbose: 0 for no output, 1 for information, 2 for debugging.
+        seed: seed of all random generators.
+        device: torch device.
+        double_q: choose the action at t + n with the online network.
+        dueling: value and advantage streams.
+        prioritized: draw transitions in proportion to their losses; uniformly if False. ``None``
+            (default) is True, or with a buffer that keeps no priorities False, with a warning.
+        noisy: explore by noisy layers.
+        distributional: learn the distribution of returns: ``"quantile"`` as ``n_atoms`` quantiles,
+            which need no support (QR-DQN's), ``"categorical"`` or True over ``n_atoms`` values from
+            ``v_min`` to ``v_max`` (Hessel et al.'s), False not at all. ``None`` (default) is
+            ``"categorical"`` where ``v_min`` or ``v_max`` is given, ``"quantile"`` elsewhere.
+        n_atoms: atoms of the support, or quantiles.
+        v_min: lowest return of the support; ``None`` (default) is -100 for the categorical head,
+            which fits rewards in [-1, 1] and gamma 0.99.
+        v_max: highest return of the support; ``None`` is 100.
+        sigma0: initial scale of the noisy layers.
+        alpha: exponent of the priorities.
+        beta_start: importance-sampling exponent at the start of training.
+        beta_end: the same at the end; linear in between.
+        advantage_learning: share of ``Q(s, a) - max Q(s, .)`` that is added to each target, in [0,
+            1): advantage learning (Bellemare et al. 2016), which widens the gap between the best
+            action and the others where errors of the values would swallow it. 0 (default) is
+            Rainbow.
+        use_masking: "auto" uses ``action_masks()`` where the env has it.
+        compile: one graph of target and loss by ``torch.compile``; the first update then takes some
+            seconds. Without a compiler, one warning and no effect.
+        mixed_precision: bfloat16 in the loss, on CUDA only.
+        cpu_kernels: update ReLU perceptrons on the CPU by compiled kernels, in half the time of
+            torch's operations; they take precedence over ``compile``.
+        _init_setup_model: whether to build the network at the creation of the instance.
+
+    Raises:
+        ValueError: for parameters out of range, or combinations that cannot work.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
@@ -317,19 +320,23 @@ class Rainbow(ResumableAlgorithm):
         deterministic: bool = False,
         action_masks: NDArray | None = None,
     ) -> tuple[NDArray, tuple[NDArray, ...] | None]:
-        """
-        Actions for one observation or a batch.
+        """Actions for one observation or a batch.
 
         Unless ``deterministic``, the policy explores, each env for itself: with fresh noise in its
         noisy layers, and by a random allowed action with probability ``exploration_rate``.
 
-        :param observation: one observation or a batch
-        :param state: passed through (for recurrent policies)
-        :param episode_start: unused (for recurrent policies)
-        :param deterministic: greedy actions of the mean weights
-        :param action_masks: True where allowed, ``(n_actions,)`` or ``(n_envs, n_actions)``
-        :return: actions, and ``state``
-        :raises ValueError: for masks of another shape, or with a row that allows nothing
+        Args:
+            observation: one observation or a batch.
+            state: passed through (for recurrent policies).
+            episode_start: unused (for recurrent policies).
+            deterministic: greedy actions of the mean weights.
+            action_masks: True where allowed, ``(n_actions,)`` or ``(n_envs, n_actions)``.
+
+        Returns:
+            actions, and ``state``.
+
+        Raises:
+            ValueError: for masks of another shape, or with a row that allows nothing.
         """
         actions, state = self.policy.predict(
             observation, state, episode_start, deterministic, action_masks
@@ -364,11 +371,11 @@ class Rainbow(ResumableAlgorithm):
         return self.beta_start + progress * (self.beta_end - self.beta_start)
 
     def train(self, gradient_steps: int, batch_size: int = 32) -> None:
-        """
-        Sample the replay buffer and update the networks.
+        """Sample the replay buffer and update the networks.
 
-        :param gradient_steps: number of updates
-        :param batch_size: transitions per update
+        Args:
+            gradient_steps: number of updates.
+            batch_size: transitions per update.
         """
         buffer = self.replay_buffer
         assert buffer is not None
@@ -430,18 +437,22 @@ class Rainbow(ResumableAlgorithm):
         use_masking: UseMasking | None = None,
         progress_bar: bool = False,
     ) -> SelfRainbow:
-        """
-        Learn for ``total_timesteps`` steps.
+        """Learn for ``total_timesteps`` steps.
 
-        :param total_timesteps: steps of the env, over all envs
-        :param callback: called at every step
-        :param log_interval: episodes between two log entries
-        :param tb_log_name: name of the run in TensorBoard
-        :param reset_num_timesteps: False to go on counting
-        :param use_masking: overrides the constructor's, from here on
-        :param progress_bar: show a progress bar
-        :return: self
-        :raises ValueError: for masks that the env or the buffer cannot serve
+        Args:
+            total_timesteps: steps of the env, over all envs.
+            callback: called at every step.
+            log_interval: episodes between two log entries.
+            tb_log_name: name of the run in TensorBoard.
+            reset_num_timesteps: False to go on counting.
+            use_masking: overrides the constructor's, from here on.
+            progress_bar: show a progress bar.
+
+        Returns:
+            self.
+
+        Raises:
+            ValueError: for masks that the env or the buffer cannot serve.
         """
         if use_masking is not None:
             self.use_masking = use_masking
@@ -460,8 +471,7 @@ class Rainbow(ResumableAlgorithm):
         force_reset: bool = True,
         **kwargs: Any,
     ) -> SelfRainbow:
-        """
-        As SB3's ``load``.
+        """As SB3's ``load``.
 
         A new ``target_update_interval`` brings its own default ``tau``, unless one was chosen when
         the model was made, or is given now. A ``seed`` wins over the saved random generators. A
@@ -488,10 +498,10 @@ class Rainbow(ResumableAlgorithm):
         exact_match: bool = True,
         device: th.device | str = "auto",
     ) -> None:
-        """
-        As SB3's ``set_parameters``.
+        """As SB3's ``set_parameters``.
 
-        :raises SettingsMismatchError: if the parameters were saved with other settings
+        Raises:
+            SettingsMismatchError: if the parameters were saved with other settings.
         """
         parameters: Any = load_path_or_dict
         if not isinstance(parameters, dict):

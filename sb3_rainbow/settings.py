@@ -30,8 +30,7 @@ DEFAULT_SUPPORT = (-100.0, 100.0)
 
 
 class SettingsMismatchError(ValueError, RuntimeError):
-    """
-    What is loaded was saved with other settings.
+    """What is loaded was saved with other settings.
 
     SB3 raises ``RuntimeError`` where a tensor is missing or has another shape, and ``ValueError``
     for everything else: code written for SB3 may catch either.
@@ -41,14 +40,18 @@ class SettingsMismatchError(ValueError, RuntimeError):
 def served_by(
     buffer_class: type[ReplayBuffer] | None, prioritized: bool | None, n_steps: int | None
 ) -> tuple[bool, int]:
-    """
-    Prioritized replay and n-step returns, as far as a class of replay buffers keeps them.
+    """Prioritized replay and n-step returns, as far as a class of replay buffers keeps them.
 
-    :param buffer_class: None for :class:`PrioritizedReplayBuffer`
-    :param prioritized: None (nobody asked) is off where the buffer cannot, with a warning
-    :param n_steps: the same
-    :return: both as they will be
-    :raises ValueError: if the buffer cannot do what was asked for
+    Args:
+        buffer_class: None for :class:`PrioritizedReplayBuffer`.
+        prioritized: None (nobody asked) is off where the buffer cannot, with a warning.
+        n_steps: the same.
+
+    Returns:
+        both as they will be.
+
+    Raises:
+        ValueError: if the buffer cannot do what was asked for.
     """
     prioritizes = buffer_class is None or issubclass(buffer_class, PrioritizedReplayBuffer)
     sums = prioritizes or issubclass(buffer_class, NStepReplayBuffer)  # type: ignore[arg-type]
@@ -103,10 +106,14 @@ def support_of(
 def check_support_of_file(
     found: tuple[float, ...] | None, support: tuple[float, ...] | None
 ) -> None:
-    """
-    :param found: the :func:`support_of` the head that the loaded weights were trained for, if known
-    :param support: the model's
-    :raises SettingsMismatchError: if they differ, but where there are only values
+    """Refuse weights that were trained for another support.
+
+    Args:
+        found: the :func:`support_of` the head that the loaded weights were trained for, if known.
+        support: the model's.
+
+    Raises:
+        SettingsMismatchError: if they differ, but where there are only values.
     """
     if found is not None and support is not None and tuple(found) != support:
         raise SettingsMismatchError(
@@ -142,8 +149,10 @@ class Settings(Protocol):
 
 
 def check_settings(model: Settings) -> None:
-    """
-    :raises ValueError: naming the first setting of the model that cannot work
+    """Refuse settings that cannot work.
+
+    Raises:
+        ValueError: naming the first setting of the model that cannot work.
     """
     check_replay_parameters(model.n_steps, model.gamma, model.alpha, model.beta_start)
     if not 0.0 <= model.beta_end <= 1.0:

@@ -17,21 +17,21 @@ UseMasking = Literal["auto"] | bool
 
 
 class PrioritizedReplayBufferSamples(NamedTuple):
-    """
-    A batch of n-step transitions. B: batch size.
+    """A batch of n-step transitions. B: batch size.
 
     The first six fields are those of SB3's ``ReplayBufferSamples``.
 
-    :param observations: at t, shape ``(B, ...)``, or a dict of such
-    :param actions: at t, shape ``(B, 1)``, int64
-    :param next_observations: at t + k, k <= n the number of rewards summed
-    :param dones: 1 where the episode terminated at t + k (a truncation is no end), ``(B, 1)``
-    :param rewards: discounted sum of the k rewards, ``(B, 1)``
-    :param discounts: gamma^k, each sample's own, ``(B, 1)``
-    :param weights: importance-sampling weights over their batch maximum, ``(B,)``
-    :param indices: leaves of the sum tree, for ``update_priorities``, ``(B,)``
-    :param next_action_masks: allowed actions at t + k, ``(B, n_actions)``, None without masks
-    :param action_masks: the same at t, None where they were not stored
+    Args:
+        observations: at t, shape ``(B, ...)``, or a dict of such.
+        actions: at t, shape ``(B, 1)``, int64.
+        next_observations: at t + k, k <= n the number of rewards summed.
+        dones: 1 where the episode terminated at t + k (a truncation is no end), ``(B, 1)``.
+        rewards: discounted sum of the k rewards, ``(B, 1)``.
+        discounts: gamma^k, each sample's own, ``(B, 1)``.
+        weights: importance-sampling weights over their batch maximum, ``(B,)``.
+        indices: leaves of the sum tree, for ``update_priorities``, ``(B,)``.
+        next_action_masks: allowed actions at t + k, ``(B, n_actions)``, None without masks.
+        action_masks: the same at t, None where they were not stored.
     """
 
     observations: th.Tensor | TensorDict
@@ -47,8 +47,7 @@ class PrioritizedReplayBufferSamples(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """
-    Observations as a features extractor wants them: scaled, one-hot, ``(B, ...)``.
+    """Observations as a features extractor wants them: scaled, one-hot, ``(B, ...)``.
 
     They stand where observations do, and no signature mentions them: only a network that leaves the
     preparation to the package's own ever meets them.
@@ -58,8 +57,7 @@ class Prepared(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """
-    What an update needs of a sample, from whatever replay buffer it came.
+    """What an update needs of a sample, from whatever replay buffer it came.
 
     Shapes as in :class:`PrioritizedReplayBufferSamples`.
     """

@@ -194,6 +194,12 @@ def test_importing_the_env_leaves_torch_alone() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False, cwd=ROOT).returncode == 0
 
 
+def test_docstrings_have_one_style() -> None:
+    """Google's sections; ruff checks their form, but lets fields of reST's pass."""
+    field = re.compile(r"^\s*:(?:param|return|raises|rtype)\b.*:", re.MULTILINE)
+    assert [name for name, path in SOURCES.items() if field.search(path.read_text("utf-8"))] == []
+
+
 def test_no_path_of_one_machine() -> None:
     pattern = re.compile(r"(?<![\w.])/(?:work|home|root)/[a-z]")
     listed = subprocess.run(

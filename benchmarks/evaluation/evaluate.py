@@ -29,7 +29,7 @@ Masks = NDArray[np.bool_]
 Policy = Callable[[Observations, Masks], NDArray[Any]]
 #: observations (n, size), masks (n, 12) and indices (n,) of the episodes they are of, to actions
 Chooser = Callable[[Observations, Masks, Sequence[int]], NDArray[Any]]
-#: what chooses in these episodes, from their start on: it may remember them
+#: what chooses in these episodes, from their start on; it may remember them
 MakeChooser = Callable[[Sequence[Episode]], Chooser]
 Rows = list[dict[str, object]]
 Tell = Callable[[float], None]  # hears which share is done

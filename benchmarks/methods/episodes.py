@@ -56,7 +56,7 @@ class Episode:
     Args:
         env: a single environment; its action masks and observations are the method's business.
         number: the episode's number within its seed.
-        reset_seed: decides the initial state, see :mod:`benchmarks.protocol.seeding`.
+        reset_seed: decides the initial state, see ``benchmarks.protocol.seeding``.
     """
 
     def __init__(self, env: CoopInsertionEnv, number: int, reset_seed: int) -> None:

@@ -19,7 +19,7 @@ from benchmarks.protocol.knowledge import plays_bare
 from benchmarks.protocol.metrics import OWN_MASKS, PAPER_MASKS
 from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.seeding import episode_seeds
-from benchmarks.reporting.pages import includes
+from benchmarks.reporting.pages import gallery, includes
 from benchmarks.reporting.pages.readme import render
 from benchmarks.reporting.results import Result
 from benchmarks.reporting.tables.paper import build_tables
@@ -83,6 +83,10 @@ def verify_all(results: Path, presets: list[str], readme: Path, docs: Path) -> R
         of = {Path(name).parts[1] for name in includes.included(path.read_text(encoding="utf-8"))}
         if of and (not presets or of.intersection(presets)):
             report.add(f"{path}: what it includes", check_includes(results, path))
+    if not presets and (path := docs / gallery.PAGE) in pages:
+        text = path.read_text(encoding="utf-8")
+        wanted = gallery.render(text, results, gallery.others_of(path))
+        report.add(f"{path}: its pictures", check_file(path, wanted, "the pictures in results"))
     return report
 
 

@@ -1,7 +1,7 @@
 """An experiment: what the harness has to know of cells to run them, whatever they compute.
 
 One cell is one independent run with a folder of its own. The harness starts each in a process
-(:mod:`benchmarks.runs.harness`), which opens the experiment again by its recipe.
+(``benchmarks.runs.harness``), which opens the experiment again by its recipe.
 """
 
 from __future__ import annotations
@@ -127,5 +127,5 @@ class Experiment(ABC, Generic[C]):
         self.write_figures(store, console)
 
     def open_store(self, results: Path, create: bool = False) -> Store:
-        """The experiment's store; errors as those of :meth:`Store.open`."""
+        """The experiment's store; errors as those of :meth:`~benchmarks.runs.store.Store.open`."""
         return Store.open(results / self.place, self.name, create, self.command)

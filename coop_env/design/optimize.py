@@ -24,14 +24,15 @@ from coop_env.geometry import INITIAL, GeometryError, RRSGeometry
 Constraint = Callable[[RRSGeometry], float]  # satisfied where it is not negative
 Bounds = tuple[tuple[float, float], tuple[float, float]]
 
-#: Where the paper's constraints leave designs with a workspace: beyond, lambda2 would exceed 3.4.
+#: Where the paper's constraints leave designs with a workspace; beyond, lambda2 would exceed 3.4.
 FEASIBLE_BOX: Final[Bounds] = ((0.5, 2.0), (0.1, 3.4))
 
 
 @dataclass(frozen=True, slots=True)
 class Optimum:
     """Where an optimizer ended. ``path`` holds every design it evaluated ``(n, 3)``:
-    lambda1, lambda2 and the objective, NaN where a constraint is broken."""
+    lambda1, lambda2 and the objective, NaN where a constraint is broken.
+    """
 
     lambda1: float
     lambda2: float
@@ -254,7 +255,8 @@ def optimize_globally(
 @dataclass(frozen=True, slots=True)
 class Atlas:
     """The objective over designs: ``value[i, j]`` at ``lambda1[i]``, ``lambda2[j]``; NaN where
-    the constraints are broken."""
+    the constraints are broken.
+    """
 
     lambda1: Floats
     lambda2: Floats

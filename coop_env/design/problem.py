@@ -26,7 +26,7 @@ from coop_env.kinematics.rrs_kernels import RRSParams, make_params
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-#: eta of the fitted designs, m: the mean of the two, which differ by rounding of their lengths.
+#: eta of the fitted designs in m, the mean of the two, which differ by rounding of their lengths.
 ETA: Final = round(0.5 * (INITIAL.characteristic_length + OPTIMIZED.characteristic_length), 4)
 
 

@@ -42,7 +42,8 @@ def over_heaves(
 @dataclass(frozen=True, slots=True)
 class ThresholdSweep:
     """A_w by threshold ``(n,)``: of given designs ``(n, designs)``, and of the design that
-    Nelder-Mead finds for that threshold, with its lambdas ``(n, 2)``."""
+    Nelder-Mead finds for that threshold, with its lambdas ``(n, 2)``.
+    """
 
     thresholds: Floats
     given: Floats

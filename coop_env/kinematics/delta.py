@@ -1,11 +1,12 @@
-"""The Delta robot, batched: ``(..., 3)`` in, ``(..., m)`` out, for any :class:`DeltaGeometry`.
+"""The Delta robot, batched: ``(..., 3)`` in, ``(..., m)`` out, for any ``DeltaGeometry``.
 
 Positions are of the effector's centre, in m, in the Delta's base frame, z up, so the effector hangs
 at negative z. Limbs have azimuths 0, 120 and 240 degrees; their actuated angles theta are measured
 down from the outward horizontal, working mode "knees out".
 
 Out of reach gives NaN and ``reachable=False``, and so does NaN. Every function raises
-:class:`ShapeError` for a wrong last axis and :class:`TypeError` for what is not real numbers.
+:class:`~coop_env.kinematics.rrs.ShapeError` for a wrong last axis and :class:`TypeError` for what
+is not real numbers.
 """
 
 from __future__ import annotations

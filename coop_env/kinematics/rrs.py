@@ -1,4 +1,4 @@
-"""The 3-RRS, batched: ``(..., 3)`` in, ``(..., m)`` out, for any :class:`RRSGeometry`.
+"""The 3-RRS, batched: ``(..., 3)`` in, ``(..., m)`` out, for any ``RRSGeometry``.
 
 A pose is (roll, pitch, heave) in rad, rad, m, in the 3-RRS's base frame, z up; the normal of the
 platform is ``Rx(roll) Ry(pitch) z``. Limbs have azimuths 0, 120 and 240 degrees; their actuated

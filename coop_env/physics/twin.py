@@ -189,7 +189,7 @@ class Twin:
         return model, data
 
     def advance(self, targets: ArrayLike, steps: int) -> Readings:
-        """Move all machines for so many timesteps; :attr:`diverged` says which of them blew up.
+        """Move all machines for so many timesteps; ``diverged`` says which of them blew up.
 
         Those stay where they were, with the sensors' last good readings.
 
@@ -222,7 +222,7 @@ class Twin:
     def platform_error(self, readings: Readings, configurations: Floats) -> Floats:
         """Angle (n,) between the platform and what (n, 6) command of it, rad.
 
-        Beyond a few degrees it hangs in another assembly mode: see :attr:`ContactTask.snap_angle`.
+        Beyond a few degrees it hangs in another assembly mode: see ``ContactTask.snap_angle``.
         """
         rotation = np.ascontiguousarray(readings.rotation)
         found: Floats = kernels.platform_error(

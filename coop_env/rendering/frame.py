@@ -72,7 +72,7 @@ def render_frame(
     Args:
         scene: what to show, from ``env.unwrapped.scene()``.
         size: (width, height) in pixels.
-        camera: a name of :data:`CAMERAS`, (elevation, azimuth) in degrees, or a :class:`Camera`.
+        camera: a name of ``CAMERAS``, (elevation, azimuth) in degrees, or a ``Camera``.
         trace: points (n, 3) that the tip passed, m; None takes the scene's own.
         panel: draw the card with the numbers and the close view of the dome (pictures narrower
             than 400 or lower than 240 pixels have no room for it).

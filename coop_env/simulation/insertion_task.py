@@ -121,7 +121,7 @@ class InsertionTask:
 
     @property
     def steps(self) -> tuple[float, float, float, float, float, float]:
-        """One move along each axis: x, y, z, roll, pitch, heave."""
+        """One move along each axis (x, y, z, roll, pitch, heave)."""
         x, tilt = self.linear_step, self.angular_step
         return x, x, x, tilt, tilt, self.heave_step
 

@@ -70,7 +70,7 @@ class StartOptions:
     """Reset options, checked before anything is drawn or written.
 
     Args:
-        options: of :data:`OPTIONS`, or None.
+        options: of ``OPTIONS``, or None.
         active: 1 for each hole that is active, 0 for the others.
         p: the environment's parameters.
 

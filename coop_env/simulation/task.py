@@ -72,7 +72,7 @@ class RewardParams(NamedTuple):
 class EnvParams(NamedTuple):
     """Everything the step kernel needs besides the state.
 
-    ``layout`` is a record of :data:`LAYOUT`, which numba passes as one pointer.
+    ``layout`` is a record of ``LAYOUT``, which numba passes as one pointer.
     """
 
     rrs: RRSParams

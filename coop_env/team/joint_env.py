@@ -20,22 +20,24 @@ class CoopInsertionJointEnv(CoopInsertionEnv):
     Everything is as in :class:`~coop_env.env.CoopInsertionEnv` but for what is said here; with one
     robot on hold the states are the same to the last bit. ``docs/team.md`` says it at length.
 
-    ## Action Space
+    **Action Space**
 
     ``Discrete(49)``: action ``7 d + r`` is the Delta's choice ``d`` and the 3-RRS's choice ``r``.
 
-    | Choice | Delta | 3-RRS |
-    |--------|-------|-------|
-    | 0, 1   | x + and - | roll + and - |
-    | 2, 3   | y + and - | pitch + and - |
-    | 4, 5   | z + and - | heave + and - |
-    | 6      | hold  | hold  |
+    ======  =========  =============
+    Choice  Delta      3-RRS
+    ======  =========  =============
+    0, 1    x + and -  roll + and -
+    2, 3    y + and -  pitch + and -
+    4, 5    z + and -  heave + and -
+    6       hold       hold
+    ======  =========  =============
 
     A robot whose own limits forbid its move stays while the other moves; if the robots would touch
     where they arrive, neither moves. Each is a violation, and one in a tick counts, and costs, as
     much as two. A move into a singular pose is executed and ends the episode.
 
-    :meth:`action_masks` is True where both moves are within the limits, and with
+    ``action_masks()`` is True where both moves are within the limits, and with
     ``mask_singularities`` where the tick also ends free of collision and singularity.
 
     Args:

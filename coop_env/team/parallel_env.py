@@ -33,28 +33,30 @@ class CoopInsertionParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
 
     ``docs/team.md`` says it at length.
 
-    ## Action Space
+    **Action Space**
 
     ``Discrete(7)`` each: the choices of :class:`~coop_env.team.joint_env.CoopInsertionJointEnv`,
     where is also said what becomes of a tick in which a move is refused.
 
-    ## Observation Space
+    **Observation Space**
 
     ``Box(0, 1, (6,), float32)`` each, scaled as the single agent's fields of the same names:
 
-    | Agent | Fields |
-    |-------|--------|
-    | delta | x, y, z; hole's mouth - tip |
-    | rrs   | roll, pitch, heave; the hole's normal: mouth - platform's centre, in dome radii |
+    =====  ===============================================================================
+    Agent  Fields
+    =====  ===============================================================================
+    delta  x, y, z; hole's mouth - tip
+    rrs    roll, pitch, heave; the hole's normal: mouth - platform's centre, in dome radii
+    =====  ===============================================================================
 
     With ``sight`` ``(9,)``: all six axes, then the hole. With ``observation="markov"`` the filled
     holes and the time follow.
 
-    ## Rewards, Episode End
+    **Rewards, Episode End**
 
     The reward is the single agent's of the tick, and both get it; both end together.
 
-    ## Masks
+    **Masks**
 
     :meth:`action_masks` has them as sb3-contrib does, ``info["action_mask"]`` as PettingZoo does.
     They say what an agent can know: its own limits, with ``mask_singularities`` also the 3-RRS's

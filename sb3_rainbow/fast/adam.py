@@ -16,15 +16,15 @@ _ENTRIES = itemgetter("exp_avg", "exp_avg_sq", "step")
 
 
 class AdamOnVector:
-    """
-    One step of Adam for parameters that are parts of one vector.
+    """One step of Adam for parameters that are parts of one vector.
 
     The moments become parts of vectors as well. They stay where torch looks for them, entry by
     entry in the optimizer's state, so that saving, loading and torch's own steps see them.
 
-    :param parameters: parts of ``vector``, in order
-    :param vector: their values
-    :param gradient: gradient of ``vector``
+    Args:
+        parameters: parts of ``vector``, in order.
+        vector: their values.
+        gradient: gradient of ``vector``.
     """
 
     def __init__(
@@ -39,9 +39,7 @@ class AdamOnVector:
 
     @staticmethod
     def is_possible(optimizer: th.optim.Optimizer, ids: set[int]) -> bool:
-        """
-        Whether it is an Adam over parameters of these identities, with options known here.
-        """
+        """Whether it is an Adam over parameters of these identities, with options known here."""
         group = optimizer.param_groups[0]
         return (
             type(optimizer) is th.optim.Adam

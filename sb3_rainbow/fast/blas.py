@@ -15,8 +15,7 @@ def _libraries() -> list[LibController]:
 
 @contextmanager
 def single_blas_thread() -> Iterator[None]:
-    """
-    Keep BLAS, which numba's matrix products use, to one thread.
+    """Keep BLAS, which numba's matrix products use, to one thread.
 
     The products of a small network are over before a second thread has started, and on a busy
     machine waiting for it takes many times as long as the product. (threadpoolctl's own ``limit``

@@ -36,16 +36,16 @@ class _Loss(nn.Module):
 
 
 class CompiledLoss:
-    """
-    Leaves a batch's clipped gradient in the online parameters' ``grad``.
+    """Leaves a batch's clipped gradient in the online parameters' ``grad``.
 
     Loss, gradient and clipping are one graph without autograd's engine. It is a pure function:
     where it fails, at whatever call, nothing has happened yet.
 
-    :param q_net: online network
-    :param q_net_target: target network
-    :param loss: weighted mean loss with gradient, and priorities, of both networks and a batch
-    :param max_grad_norm: gradient norm to clip to, None for no clipping
+    Args:
+        q_net: online network.
+        q_net_target: target network.
+        loss: weighted mean loss with gradient, and priorities, of both networks and a batch.
+        max_grad_norm: gradient norm to clip to, None for no clipping.
     """
 
     def __init__(

@@ -43,11 +43,11 @@ def projected_target(
     v_max: float,
     target: Matrix,
 ) -> None:
-    """
-    As :func:`~sb3_rainbow.network.losses.project_distribution`.
+    """As :func:`~sb3_rainbow.network.losses.project_distribution`.
 
-    :param masses: proportional to the atoms' probabilities at t + k, ``(B, n_atoms)``
-    :param target: result, ``(B, n_atoms)``; NaN where a return or discount is no number
+    Args:
+        masses: proportional to the atoms' probabilities at t + k, ``(B, n_atoms)``.
+        target: result, ``(B, n_atoms)``; NaN where a return or discount is no number.
     """
     batch, n_atoms = masses.shape
     delta_z = (v_max - v_min) / (n_atoms - 1)
@@ -82,13 +82,13 @@ def categorical_slopes(
     divergences: Vector,
     slope: Matrix,
 ) -> None:
-    """
-    Cross-entropies, Kullback-Leibler divergences, and the slope of the cross-entropies' weighted
+    """Cross-entropies, Kullback-Leibler divergences, and the slope of the cross-entropies' weighted
     mean in the logits.
 
-    :param logits: up to a constant per row, ``(B, n_atoms)``
-    :param masses: their exponentials
-    :param log_target: logarithm of ``target``; finite where that is 0
+    Args:
+        logits: up to a constant per row, ``(B, n_atoms)``.
+        masses: their exponentials.
+        log_target: logarithm of ``target``; finite where that is 0.
     """
     batch, n_atoms = logits.shape
     for b in range(batch):
@@ -142,10 +142,10 @@ def quantile_slopes(
     priorities: Vector,
     slope: Matrix,
 ) -> None:
-    """
-    As :func:`~sb3_rainbow.network.losses.quantile_losses`; the priorities are the losses.
+    """As :func:`~sb3_rainbow.network.losses.quantile_losses`; the priorities are the losses.
 
-    :param slope: result, of the losses' weighted mean in the quantiles, ``(B, N)``
+    Args:
+        slope: result, of the losses' weighted mean in the quantiles, ``(B, N)``.
     """
     batch, n = quantiles.shape
     one, share = np.float32(1.0), np.float32(1.0 / n)
@@ -185,12 +185,12 @@ def backward(
     gradient: Vector,
     input_gradient: Matrix,
 ) -> None:
-    """
-    Gradient of the effective weights from that of the taken logits, ``slope`` ``(B, n_atoms)``.
+    """Gradient of the effective weights from that of the taken logits, ``slope`` ``(B, n_atoms)``.
 
-    :param hidden: as ``hidden_units`` left it
-    :param n_seen: rows that it was given, of which the batch's are the first
-    :param input_gradient: result, of the inputs; ``(0, 0)`` where nobody asks
+    Args:
+        hidden: as ``hidden_units`` left it.
+        n_seen: rows that it was given, of which the batch's are the first.
+        input_gradient: result, of the inputs; ``(0, 0)`` where nobody asks.
     """
     batch, n_atoms = slope.shape
     n_layers = table.shape[0]

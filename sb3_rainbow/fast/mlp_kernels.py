@@ -69,11 +69,13 @@ def hidden_units(effective: Vector, table: Table, inputs: Matrix, hidden: Vector
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def noisy_streams(parameters: Vector, noise: Matrix, table: Table, inputs: Matrix) -> Matrix:
-    """
-    The head's outputs, each row under noise of its own: no effective weights are formed.
+    """The head's outputs, each row under noise of its own: no effective weights are formed.
 
-    :param noise: ``(B, n)``, as many rows as ``inputs``
-    :return: shape ``(B, n_streams * n_atoms)``
+    Args:
+        noise: ``(B, n)``, as many rows as ``inputs``.
+
+    Returns:
+        shape ``(B, n_streams * n_atoms)``.
     """
     n_layers = table.shape[0]
     current = inputs
@@ -117,8 +119,7 @@ def all_streams(effective: Vector, table: Table, units: Matrix, streams: Matrix)
 def mean_advantages(
     effective: Vector, table: Table, units: Matrix, n_atoms: int, dueling: bool
 ) -> Matrix:
-    """
-    Each action's outputs of the head, the mean over its atoms, ``(B, A)``.
+    """Each action's outputs of the head, the mean over its atoms, ``(B, A)``.
 
     Without a support a mean is the expectation, but for what all actions have in common, and that
     of the weights comes first: one product in the place of ``n_atoms``.
@@ -148,11 +149,11 @@ def mean_advantages(
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def join(streams: Matrix, n_atoms: int, dueling: bool, shifted: bool, logits: Matrix) -> None:
-    """
-    Value and advantages to the logits of every action; ``shifted``, each action's have a maximum of
-    zero.
+    """Value and advantages to the logits of every action; ``shifted``, each action's have a maximum
+    of zero.
 
-    :param logits: result, ``(B, n_actions * n_atoms)``
+    Args:
+        logits: result, ``(B, n_actions * n_atoms)``.
     """
     n_logits = logits.shape[1]
     skipped = n_atoms if dueling else 0
@@ -189,15 +190,15 @@ def best_actions(
     advantages: Vector,
     categorical: bool,
 ) -> None:
-    """
-    The allowed action of the highest expectation, and how far another one's is below it.
+    """The allowed action of the highest expectation, and how far another one's is below it.
 
-    :param masses: proportional to the atoms' probabilities, ``(B, n_actions * n_atoms)``; if not
-        ``categorical``, values themselves, all as likely
-    :param masks: ``(B, n_actions)``, or ``(0, 0)`` to allow everything
-    :param actions: result, ``(B,)``
-    :param taken: actions to compare with the best, ``(B,)``, or ``(0,)`` for none
-    :param advantages: result, their expectations less the best ones, ``(B,)`` or ``(0,)``
+    Args:
+        masses: proportional to the atoms' probabilities, ``(B, n_actions * n_atoms)``; if not
+            ``categorical``, values themselves, all as likely.
+        masks: ``(B, n_actions)``, or ``(0, 0)`` to allow everything.
+        actions: result, ``(B,)``.
+        taken: actions to compare with the best, ``(B,)``, or ``(0,)`` for none.
+        advantages: result, their expectations less the best ones, ``(B,)`` or ``(0,)``.
     """
     n_atoms = support.shape[0]
     n_actions = masses.shape[1] // n_atoms

@@ -33,8 +33,7 @@ _NO_GRADIENT = np.zeros((0, 0), dtype=np.float32)
 
 
 class MlpUpdate:
-    """
-    What :class:`~sb3_rainbow.learner.learner.Learner` does, for ReLU perceptrons on the CPU.
+    """What :class:`~sb3_rainbow.learner.learner.Learner` does, for ReLU perceptrons on the CPU.
 
     An update of a small network is mostly overhead: some hundred tensor operations, each with its
     allocation and its autograd node. Here it is a few compiled calls on the memory of torch's own
@@ -44,8 +43,9 @@ class MlpUpdate:
 
     Each network's parameters become parts of one vector, and so do their gradients.
 
-    :param q_net: online network
-    :param q_net_target: target network
+    Args:
+        q_net: online network.
+        q_net_target: target network.
     """
 
     def __init__(self, q_net: RainbowNetwork, q_net_target: RainbowNetwork) -> None:
@@ -95,9 +95,8 @@ class MlpUpdate:
     def is_possible(
         q_net: RainbowNetwork, q_net_target: RainbowNetwork, optimizer: th.optim.Optimizer
     ) -> bool:
-        """
-        Whether they are ReLU perceptrons on flat float32 inputs on the CPU, trained by Adam, with
-        nothing in them overridden or replaced by something else.
+        """Whether they are ReLU perceptrons on flat float32 inputs on the CPU, trained by Adam,
+        with nothing in them overridden or replaced by something else.
         """
         nets = (q_net, q_net_target)
         if not all(is_perceptron(net) for net in nets):
@@ -160,12 +159,14 @@ class MlpUpdate:
         return th.tensor(float(losses @ weights) / n), th.from_numpy(priorities)
 
     def act(self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None) -> NDArray[np.int64]:
-        """
-        Greedy actions of the online network under fresh noise, each environment's its own.
+        """Greedy actions of the online network under fresh noise, each environment's its own.
 
-        :param obs: observations, ``(n_envs, ...)``
-        :param action_masks: True where allowed, ``(n_envs, n_actions)``
-        :return: shape ``(n_envs,)``
+        Args:
+            obs: observations, ``(n_envs, ...)``.
+            action_masks: True where allowed, ``(n_envs, n_actions)``.
+
+        Returns:
+            shape ``(n_envs,)``.
         """
         features = self._features(self.q_net, obs)
         n, noise = features.shape[0], self._noises[0]
@@ -346,8 +347,7 @@ def _array(masks: th.Tensor | None) -> NDArray[np.bool_] | None:
 
 
 def _exponential(logits: NDArray[np.float32]) -> NDArray[np.float32]:
-    """
-    Exponentials of logits, which are shifted to a maximum of 0 in place.
+    """Exponentials of logits, which are shifted to a maximum of 0 in place.
 
     Torch's are vectorized, and several times faster than those of a compiled loop.
     """

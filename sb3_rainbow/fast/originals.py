@@ -46,12 +46,13 @@ def inherits(thing: Any, kind: type, *methods: str) -> bool:
 
 
 class Watch:
-    """
-    Tells whether a module's parts, types, hooks, attributes, parameters and buffers are the same.
+    """Tells whether a module's parts, types, hooks, attributes, parameters and buffers are the
+    same.
 
     It costs microseconds, where a walk over the modules costs as much as a matrix product.
 
-    :param root: module to watch, with all that is inside
+    Args:
+        root: module to watch, with all that is inside.
     """
 
     def __init__(self, root: nn.Module) -> None:

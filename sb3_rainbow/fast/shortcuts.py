@@ -22,19 +22,19 @@ _ACTING = ("predict", "_predict", "forward", "obs_to_tensor", "reset_noise", "se
 
 
 class Shortcuts:
-    """
-    Compiled kernels for ReLU perceptrons on the CPU, or one graph of loss and gradient.
+    """Compiled kernels for ReLU perceptrons on the CPU, or one graph of loss and gradient.
 
     What stands in for the plain way is decided anew whenever the policy's modules or its optimizer
     changed. Each method says by what it returns that the plain way has to do it.
 
-    :param policy: whose networks and optimizer to work on
-    :param loss: weighted mean loss with gradient, and priorities, of two networks and a batch
-    :param double_q: double Q-learning
-    :param advantage_learning: share of the action's advantage that is added to its target
-    :param max_grad_norm: gradient norm to clip to, None for no clipping
-    :param compile_loss: whether to make one graph by ``torch.compile``
-    :param cpu_kernels: whether compiled kernels take over where they can
+    Args:
+        policy: whose networks and optimizer to work on.
+        loss: weighted mean loss with gradient, and priorities, of two networks and a batch.
+        double_q: double Q-learning.
+        advantage_learning: share of the action's advantage that is added to its target.
+        max_grad_norm: gradient norm to clip to, None for no clipping.
+        compile_loss: whether to make one graph by ``torch.compile``.
+        cpu_kernels: whether compiled kernels take over where they can.
     """
 
     def __init__(

@@ -16,8 +16,7 @@ def denormals_are_zero() -> bool:
 
 @contextmanager
 def flush_denormals() -> Iterator[None]:
-    """
-    Compute with denormal numbers as with zero in this thread, and leave the setting as it was.
+    """Compute with denormal numbers as with zero in this thread, and leave the setting as it was.
 
     The probability of an atom far from a sharp distribution, its gradient, and Adam's average of
     that gradient's square are below 1e-38, where 32-bit numbers become denormal. Many processors

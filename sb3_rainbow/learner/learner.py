@@ -20,16 +20,16 @@ except ModuleNotFoundError:  # without its folder everything is as it is here, s
 
 
 class Learner:
-    """
-    Moves a policy's networks.
+    """Moves a policy's networks.
 
-    :param policy: whose networks and optimizer to work on
-    :param double_q: double Q-learning
-    :param advantage_learning: share of the action's advantage that is added to its target
-    :param max_grad_norm: gradient norm to clip to, None for no clipping
-    :param compile_loss: whether ``torch.compile`` makes one graph of target, loss and gradient
-    :param mixed_precision: whether to compute the loss in bfloat16 where that is safe (CUDA)
-    :param cpu_kernels: whether compiled kernels take over where they can
+    Args:
+        policy: whose networks and optimizer to work on.
+        double_q: double Q-learning.
+        advantage_learning: share of the action's advantage that is added to its target.
+        max_grad_norm: gradient norm to clip to, None for no clipping.
+        compile_loss: whether ``torch.compile`` makes one graph of target, loss and gradient.
+        mixed_precision: whether to compute the loss in bfloat16 where that is safe (CUDA).
+        cpu_kernels: whether compiled kernels take over where they can.
     """
 
     def __init__(
@@ -70,10 +70,10 @@ class Learner:
         return self.policy.q_net_target
 
     def update(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
-        """
-        One optimizer step, with fresh and independent noise in both networks.
+        """One optimizer step, with fresh and independent noise in both networks.
 
-        :return: mean loss, scalar, and priorities ``(B,)``; both stay on the device
+        Returns:
+            mean loss, scalar, and priorities ``(B,)``; both stay on the device.
         """
         batch = prepared(self.q_net, batch)
         found = None if self.shortcuts is None else self.shortcuts.update(batch)
@@ -86,10 +86,10 @@ class Learner:
         return loss, priorities
 
     def gradient(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
-        """
-        Leave a batch's clipped gradient in the online parameters' ``grad``.
+        """Leave a batch's clipped gradient in the online parameters' ``grad``.
 
-        :return: mean loss, scalar, and priorities ``(B,)``; both stay on the device
+        Returns:
+            mean loss, scalar, and priorities ``(B,)``; both stay on the device.
         """
         batch = prepared(self.q_net, batch)
         found = None if self.shortcuts is None else self.shortcuts.gradient(batch)
@@ -113,11 +113,11 @@ class Learner:
     def act(
         self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None
     ) -> NDArray[np.int64] | None:
-        """
-        Greedy actions under fresh noise, ``(n_envs,)``; None where the policy has to find them.
+        """Greedy actions under fresh noise, ``(n_envs,)``; None where the policy has to find them.
 
-        :param obs: observations, ``(n_envs, ...)``
-        :param action_masks: True where allowed, ``(n_envs, n_actions)``
+        Args:
+            obs: observations, ``(n_envs, ...)``.
+            action_masks: True where allowed, ``(n_envs, n_actions)``.
         """
         return None if self.shortcuts is None else self.shortcuts.act(obs, action_masks)
 
@@ -135,10 +135,9 @@ class Learner:
 
     @th.no_grad()
     def diagnostics(self, batch: Batch, priorities: th.Tensor) -> dict[str, float]:
-        """
-        What only the logs need, by name: the mean over states of the largest Q-value, the share of
-        the target's mass that the support clips, the spread (standard deviation over mean) of the
-        batch's priorities, and the noise magnitudes.
+        """What only the logs need, by name: the mean over states of the largest Q-value, the share
+        of the target's mass that the support clips, the spread (standard deviation over mean) of
+        the batch's priorities, and the noise magnitudes.
         """
         values = {"max_q": float(self.q_net(batch.observations).amax(dim=1).mean())}
         if self.q_net.head == "categorical":
@@ -167,12 +166,12 @@ class Learner:
 
 
 def as_batch(samples: Any, gamma: float, masking: bool) -> Batch:
-    """
-    What an update needs of a sample of any of SB3's buffers.
+    """What an update needs of a sample of any of SB3's buffers.
 
-    :param samples: from ``PrioritizedReplayBuffer`` or one of SB3's buffers
-    :param gamma: discount of samples that bring none
-    :param masking: whether the masks of the sample, if any, count
+    Args:
+        samples: from ``PrioritizedReplayBuffer`` or one of SB3's buffers.
+        gamma: discount of samples that bring none.
+        masking: whether the masks of the sample, if any, count.
     """
     discounts = getattr(samples, "discounts", None)
     if discounts is None:

@@ -45,8 +45,7 @@ def td_target(
     double_q: bool,
     advantage_learning: float = 0.0,
 ) -> Target:
-    """
-    n-step target (Hessel et al. 2018, equation 3), or its scalar form; without gradients.
+    """n-step target (Hessel et al. 2018, equation 3), or its scalar form; without gradients.
 
     The action at t + k is the best allowed there by that state's own mask, in the eyes of the
     online network with double Q-learning and of the target network without; its value is always
@@ -79,8 +78,7 @@ def td_target(
 def td_losses(
     q_net: RainbowNetwork, batch: Batch, target: th.Tensor
 ) -> tuple[th.Tensor, th.Tensor]:
-    """
-    Losses and priorities of the batch, before importance weights.
+    """Losses and priorities of the batch, before importance weights.
 
     Categorical: the cross-entropy, and the Kullback-Leibler divergence (Hessel et al. 2018,
     section "Multi-step learning"), whose gradients are the same. They differ by the target's
@@ -88,8 +86,11 @@ def td_losses(
     cross-entropies are all but uniform. Quantiles: their Huber loss. Scalar: the Huber loss, and
     the absolute error.
 
-    :param target: the ``values`` of a :class:`Target`
-    :return: losses ``(B,)`` with gradient, priorities ``(B,)`` without
+    Args:
+        target: the ``values`` of a :class:`Target`.
+
+    Returns:
+        losses ``(B,)`` with gradient, priorities ``(B,)`` without.
     """
     taken = of_actions(q_net.logits(batch.observations, noisy=True), batch.actions)
     if q_net.head == "categorical":
@@ -117,10 +118,14 @@ def mean_loss(
 
 
 def of_actions(logits: th.Tensor, actions: th.Tensor) -> th.Tensor:
-    """
-    :param logits: shape ``(B, A, N)``
-    :param actions: shape ``(B, 1)``, int64
-    :return: the rows of these actions, ``(B, N)``
+    """The head's outputs for one action of each sample.
+
+    Args:
+        logits: shape ``(B, A, N)``.
+        actions: shape ``(B, 1)``, int64.
+
+    Returns:
+        the rows of these actions, ``(B, N)``.
     """
     rows = actions.unsqueeze(-1).expand(-1, 1, logits.shape[2])
     return logits.gather(1, rows).squeeze(1)

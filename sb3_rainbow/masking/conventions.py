@@ -16,8 +16,7 @@ class ActionMaskError(ValueError):
 
 
 class TerminalActionMask(gym.Wrapper):
-    """
-    Put the mask of an episode's last state into ``info["terminal_action_mask"]``.
+    """Put the mask of an episode's last state into ``info["terminal_action_mask"]``.
 
     A ``VecEnv`` resets an env at the end of its episode, after which ``action_masks()`` tells of
     the next episode's first state; a truncated episode's target needs the mask of its last one.
@@ -26,7 +25,8 @@ class TerminalActionMask(gym.Wrapper):
     else passes through; an attribute that is set goes to the layer below that has it, through a
     ``Monitor`` to the env itself.
 
-    :param env: an env with a method ``action_masks``
+    Args:
+        env: an env with a method ``action_masks``.
     """
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -50,10 +50,10 @@ class TerminalActionMask(gym.Wrapper):
             self.env.set_wrapper_attr(name, value)
 
     def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
-        """
-        As Gymnasium's, among the layers below: this wrapper seems to have all that they have.
+        """As Gymnasium's, among the layers below: this wrapper seems to have all that they have.
 
-        :return: whether the attribute was set
+        Returns:
+            whether the attribute was set.
         """
         return self.env.set_wrapper_attr(name, value, force=force)
 
@@ -76,14 +76,16 @@ def capture_terminal_masks(env: VecEnv) -> None:
 
 
 def as_action_masks(masks: ArrayLike, n_envs: int, n_actions: int) -> NDArray[np.bool_]:
-    """
-    Masks as booleans, checked.
+    """Masks as booleans, checked.
 
-    :param masks: one row per env, shape ``(n_envs, n_actions)``
-    :param n_envs: expected rows
-    :param n_actions: expected columns
-    :raises ActionMaskError: for another shape, for entries other than False and True (0 and 1), or
-        for a row that allows no action
+    Args:
+        masks: one row per env, shape ``(n_envs, n_actions)``.
+        n_envs: expected rows.
+        n_actions: expected columns.
+
+    Raises:
+        ActionMaskError: for another shape, for entries other than False and True (0 and 1), or for
+            a row that allows no action.
     """
     given = np.asarray(masks)
     checked = given.astype(bool, copy=False)

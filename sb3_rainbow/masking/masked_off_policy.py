@@ -24,8 +24,7 @@ from sb3_rainbow.type_aliases import ObsArray, UseMasking
 
 
 class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
-    """
-    SB3's off-policy loop for discrete actions, some of which an env may forbid.
+    """SB3's off-policy loop for discrete actions, some of which an env may forbid.
 
     Masks are asked for once a step, after it, and serve the target of that step and the choice of
     the next action. A subclass sets ``use_masking`` and defines ``predict(action_masks=)``.

@@ -18,14 +18,16 @@ LOST_MASK_WARNING = (
 def with_terminal_observations(
     obs: ObsArray, dones: NDArray, infos: list[dict[str, Any]], normalizer: VecNormalize | None
 ) -> ObsArray:
-    """
-    Observations after the step, those of ended episodes taken from ``infos``.
+    """Observations after the step, those of ended episodes taken from ``infos``.
 
-    :param obs: as the VecEnv returned them (unnormalized), ``(n_envs, ...)``, or a dict of such
-    :param dones: which episodes ended, ``(n_envs,)``
-    :param infos: hold ``"terminal_observation"``
-    :param normalizer: undoes its normalization of the terminal observations
-    :return: a copy
+    Args:
+        obs: as the VecEnv returned them (unnormalized), ``(n_envs, ...)``, or a dict of such.
+        dones: which episodes ended, ``(n_envs,)``.
+        infos: hold ``"terminal_observation"``.
+        normalizer: undoes its normalization of the terminal observations.
+
+    Returns:
+        a copy.
     """
     result = {k: v.copy() for k, v in obs.items()} if isinstance(obs, dict) else obs.copy()
     for env in np.flatnonzero(dones):
@@ -45,14 +47,18 @@ def with_terminal_observations(
 def with_terminal_masks(
     masks: NDArray[np.bool_], dones: NDArray, infos: list[dict[str, Any]]
 ) -> tuple[NDArray[np.bool_], bool]:
-    """
-    Masks after the step, those of truncated episodes taken from ``infos``.
+    """Masks after the step, those of truncated episodes taken from ``infos``.
 
-    :param masks: of the current states, ``(n_envs, n_actions)``
-    :param dones: which episodes ended, ``(n_envs,)``
-    :param infos: hold ``"terminal_action_mask"``
-    :return: a copy, and whether a truncated episode came without its mask
-    :raises ActionMaskError: for a mask of another shape, or one that allows nothing
+    Args:
+        masks: of the current states, ``(n_envs, n_actions)``.
+        dones: which episodes ended, ``(n_envs,)``.
+        infos: hold ``"terminal_action_mask"``.
+
+    Returns:
+        a copy, and whether a truncated episode came without its mask.
+
+    Raises:
+        ActionMaskError: for a mask of another shape, or one that allows nothing.
     """
     if not dones.any():
         return masks, False

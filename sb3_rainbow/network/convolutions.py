@@ -8,8 +8,7 @@ _LARGE = 36  # pixels
 
 
 def put_channels_last(module: th.nn.Module) -> None:
-    """
-    Keep the weights of convolutions with their channels last, as their images then are.
+    """Keep the weights of convolutions with their channels last, as their images then are.
 
     The values stay. Convolutions on a CPU are faster so where images are as large as Atari's.
     """
@@ -27,14 +26,14 @@ def has_large_images(space: spaces.Space) -> bool:
 
 
 class NatureConvolutions(NatureCNN):
-    """
-    The three convolutions of SB3's ``NatureCNN`` (Mnih et al. 2015), flattened.
+    """The three convolutions of SB3's ``NatureCNN`` (Mnih et al. 2015), flattened.
 
     What Rainbow has after them are the streams of its network, 512 noisy units for the value and as
     many for the advantages (Hessel et al. 2018): no layer in between that would be without noise.
 
-    :param observation_space: of images, channels first, at least 36 by 36 pixels
-    :param normalized_image: whether the images are scaled to [0, 1] already
+    Args:
+        observation_space: of images, channels first, at least 36 by 36 pixels.
+        normalized_image: whether the images are scaled to [0, 1] already.
     """
 
     def __init__(self, observation_space: spaces.Box, normalized_image: bool = False) -> None:
@@ -45,9 +44,13 @@ class NatureConvolutions(NatureCNN):
         del self.linear
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
-        """
-        :param observations: shape ``(B, C, H, W)``
-        :return: shape ``(B, features_dim)``
+        """The features of images.
+
+        Args:
+            observations: shape ``(B, C, H, W)``.
+
+        Returns:
+            shape ``(B, features_dim)``.
         """
         features: th.Tensor = self.cnn(observations)
         return features

@@ -5,15 +5,17 @@ from torch.nn import functional as F
 
 
 def mask_q_values(q_values: th.Tensor, action_masks: th.Tensor | None) -> th.Tensor:
-    """
-    Q-values with forbidden actions at minus infinity.
+    """Q-values with forbidden actions at minus infinity.
 
     Masks act on expected values, never on the logits of a distribution: there they would only
     deform the distribution over returns.
 
-    :param q_values: shape ``(B, A)``
-    :param action_masks: shape ``(B, A)``, True where allowed; None allows everything
-    :return: shape ``(B, A)``
+    Args:
+        q_values: shape ``(B, A)``.
+        action_masks: shape ``(B, A)``, True where allowed; None allows everything.
+
+    Returns:
+        shape ``(B, A)``.
     """
     if action_masks is None:
         return q_values
@@ -28,21 +30,23 @@ def project_distribution(
     v_min: float,
     v_max: float,
 ) -> th.Tensor:
-    """
-    Categorical projection of ``r + discount * Z`` onto the support (Bellemare et al. 2017,
+    """Categorical projection of ``r + discount * Z`` onto the support (Bellemare et al. 2017,
     equation 7).
 
     The lower neighbour is at most the last atom but one, and its upper neighbour one above: an
     atom that falls exactly on the grid, or is clipped to either end, keeps its whole mass without
     a special case.
 
-    :param probabilities: distribution of Z over the atoms, shape ``(B, N)``
-    :param rewards: n-step returns, shape ``(B, 1)``
-    :param discounts: gamma^k, and 0 where the episode terminated, shape ``(B, 1)``
-    :param support: the N atoms, evenly spaced from ``v_min`` to ``v_max``, shape ``(N,)``
-    :param v_min: lowest atom
-    :param v_max: highest atom
-    :return: shape ``(B, N)``, rows sum to 1
+    Args:
+        probabilities: distribution of Z over the atoms, shape ``(B, N)``.
+        rewards: n-step returns, shape ``(B, 1)``.
+        discounts: gamma^k, and 0 where the episode terminated, shape ``(B, 1)``.
+        support: the N atoms, evenly spaced from ``v_min`` to ``v_max``, shape ``(N,)``.
+        v_min: lowest atom.
+        v_max: highest atom.
+
+    Returns:
+        shape ``(B, N)``, rows sum to 1.
     """
     n_atoms = probabilities.shape[1]
     delta_z = (v_max - v_min) / (n_atoms - 1)
@@ -65,8 +69,7 @@ def clipped_share(
     v_min: float,
     v_max: float,
 ) -> th.Tensor:
-    """
-    Share of the target's probability mass that falls outside ``[v_min, v_max]``; scalar.
+    """Share of the target's probability mass that falls outside ``[v_min, v_max]``; scalar.
 
     Arguments as in :func:`project_distribution`. A share that does not vanish says that the
     support is too narrow for the returns.
@@ -78,34 +81,40 @@ def clipped_share(
 
 
 def categorical_losses(logits: th.Tensor, target: th.Tensor) -> th.Tensor:
-    """
-    Cross-entropy of the projected target with the predicted distribution, one value per sample.
+    """Cross-entropy of the projected target with the predicted distribution, one value per sample.
 
-    :param logits: of the action taken, shape ``(B, N)``
-    :param target: projected distribution, shape ``(B, N)``
-    :return: shape ``(B,)``
+    Args:
+        logits: of the action taken, shape ``(B, N)``.
+        target: projected distribution, shape ``(B, N)``.
+
+    Returns:
+        shape ``(B,)``.
     """
     return -(target * F.log_softmax(logits, dim=1)).sum(dim=1)
 
 
 def target_entropies(target: th.Tensor) -> th.Tensor:
-    """
-    Entropy of the projected target, one value per sample; what no prediction can take away.
+    """Entropy of the projected target, one value per sample; what no prediction can take away.
 
-    :param target: projected distribution, shape ``(B, N)``
-    :return: shape ``(B,)``
+    Args:
+        target: projected distribution, shape ``(B, N)``.
+
+    Returns:
+        shape ``(B,)``.
     """
     return -th.special.xlogy(target, target).sum(dim=1)
 
 
 def quantile_losses(quantiles: th.Tensor, target: th.Tensor) -> th.Tensor:
-    """
-    Quantile Huber loss with threshold 1 (Dabney et al. 2018, equation 10), one value per sample:
+    """Quantile Huber loss with threshold 1 (Dabney et al. 2018, equation 10), one value per sample:
     the sum over the predicted quantiles of the mean over the target's samples.
 
-    :param quantiles: of the action taken, at the midpoints ``(i + 1/2) / N``, shape ``(B, N)``
-    :param target: samples of the target's distribution, shape ``(B, M)``
-    :return: shape ``(B,)``
+    Args:
+        quantiles: of the action taken, at the midpoints ``(i + 1/2) / N``, shape ``(B, N)``.
+        target: samples of the target's distribution, shape ``(B, M)``.
+
+    Returns:
+        shape ``(B,)``.
     """
     n = quantiles.shape[1]
     midpoints = (th.arange(n, device=quantiles.device, dtype=quantiles.dtype) + 0.5) / n
@@ -117,11 +126,13 @@ def quantile_losses(quantiles: th.Tensor, target: th.Tensor) -> th.Tensor:
 
 
 def huber_losses(q_values: th.Tensor, target: th.Tensor) -> th.Tensor:
-    """
-    Huber loss of scalar Q-values with threshold 1, one value per sample.
+    """Huber loss of scalar Q-values with threshold 1, one value per sample.
 
-    :param q_values: of the action taken, shape ``(B,)``
-    :param target: shape ``(B,)``
-    :return: shape ``(B,)``
+    Args:
+        q_values: of the action taken, shape ``(B,)``.
+        target: shape ``(B,)``.
+
+    Returns:
+        shape ``(B,)``.
     """
     return F.smooth_l1_loss(q_values, target, reduction="none")

@@ -18,8 +18,7 @@ def scale_noise_(noise: th.Tensor) -> th.Tensor:
 
 
 class NoisyLinear(nn.Module):
-    """
-    Linear layer with factorized Gaussian noise on weights and biases (Fortunato et al. 2018).
+    """Linear layer with factorized Gaussian noise on weights and biases (Fortunato et al. 2018).
 
     ``y = (mu_w + sigma_w * (e_out e_in^T)) x + mu_b + sigma_b * e_out``, with ``e = f(N(0, 1))``
     and ``f(x) = sign(x) sqrt(|x|)``: ``in + out`` random numbers instead of ``in * out``.
@@ -29,9 +28,10 @@ class NoisyLinear(nn.Module):
     silent there explores nothing. The noise stays as it is until :meth:`reset_noise`. It lives in
     buffers, so that a Polyak average over the parameters leaves it alone.
 
-    :param in_features: size of each input
-    :param out_features: size of each output
-    :param sigma0: initial noise scale; every sigma starts at ``sigma0 / sqrt(in_features)``
+    Args:
+        in_features: size of each input.
+        out_features: size of each output.
+        sigma0: initial noise scale; every sigma starts at ``sigma0 / sqrt(in_features)``.
     """
 
     epsilon_in: th.Tensor
@@ -75,10 +75,14 @@ class NoisyLinear(nn.Module):
         return self.weight_sigma.abs().mean()
 
     def forward(self, inputs: th.Tensor, noisy: bool = True) -> th.Tensor:
-        """
-        :param inputs: shape ``(..., in_features)``
-        :param noisy: False for the mean weights alone
-        :return: shape ``(..., out_features)``
+        """The layer's output, with its noise or without.
+
+        Args:
+            inputs: shape ``(..., in_features)``.
+            noisy: False for the mean weights alone.
+
+        Returns:
+            shape ``(..., out_features)``.
         """
         if not noisy or self.silent:
             return F.linear(inputs, self.weight_mu, self.bias_mu)

@@ -45,33 +45,35 @@ def _train(module: nn.Module, mode: bool) -> None:
 
 
 class RainbowNetwork(BasePolicy):
-    """
-    Q-network with a dueling, distributional head and noisy layers, each of which can be off.
+    """Q-network with a dueling, distributional head and noisy layers, each of which can be off.
 
     Its outputs are ``n_atoms`` for the state value (dueling only) and ``n_atoms`` for each action's
     advantage: logits over the atoms of a support, or as many quantiles of the return, or, without
     ``distributional``, one, which is the Q-value itself.
 
-    :param observation_space: Observation space
-    :param action_space: Action space
-    :param features_extractor: extractor, whose layers are never noisy
-    :param features_dim: its number of outputs
-    :param net_arch: sizes of the hidden layers, which value and advantages share up to the head; or
-        ``dict(shared=[...], streams=[...])``, where each of the two then has layers of its own
-    :param activation_fn: activation between them
-    :param normalize_images: whether to divide images by 255
-    :param dueling: separate streams for value and advantages (Wang et al. 2016)
-    :param noisy: noisy linear layers (Fortunato et al. 2018)
-    :param noisy_layers: ``"last_two"`` (last hidden layer and head), ``"head"`` or ``"all"``; of
-        streams, the last of each
-    :param sigma0: initial noise scale
-    :param distributional: distribution over returns: ``"categorical"`` or True (Bellemare et al.
-        2017), ``"quantile"`` (Dabney et al. 2018), or False for none
-    :param n_atoms: atoms of the support, or quantiles
-    :param v_min: lowest atom (categorical only)
-    :param v_max: highest atom (categorical only)
-    :raises ValueError: for an unknown ``noisy_layers`` or ``distributional``, a ``net_arch`` with
-        other keys, too few atoms or ``v_min >= v_max``
+    Args:
+        observation_space: Observation space.
+        action_space: Action space.
+        features_extractor: extractor, whose layers are never noisy.
+        features_dim: its number of outputs.
+        net_arch: sizes of the hidden layers, which value and advantages share up to the head; or
+            ``dict(shared=[...], streams=[...])``, where each of the two then has layers of its own.
+        activation_fn: activation between them.
+        normalize_images: whether to divide images by 255.
+        dueling: separate streams for value and advantages (Wang et al. 2016).
+        noisy: noisy linear layers (Fortunato et al. 2018).
+        noisy_layers: ``"last_two"`` (last hidden layer and head), ``"head"`` or ``"all"``; of
+            streams, the last of each.
+        sigma0: initial noise scale.
+        distributional: distribution over returns: ``"categorical"`` or True (Bellemare et al.
+            2017), ``"quantile"`` (Dabney et al. 2018), or False for none.
+        n_atoms: atoms of the support, or quantiles.
+        v_min: lowest atom (categorical only).
+        v_max: highest atom (categorical only).
+
+    Raises:
+        ValueError: for an unknown ``noisy_layers`` or ``distributional``, a ``net_arch`` with other
+            keys, too few atoms or ``v_min >= v_max``.
     """
 
     action_space: spaces.Discrete
@@ -167,8 +169,7 @@ class RainbowNetwork(BasePolicy):
         )
 
     def prepare(self, obs: PyTorchObs) -> PyTorchObs:
-        """
-        Observations scaled or one-hot, once for all passes of an update.
+        """Observations scaled or one-hot, once for all passes of an update.
 
         As they are where a subclass has an eye on them itself.
         """
@@ -208,12 +209,12 @@ class RainbowNetwork(BasePolicy):
         return [b for x in layers for b in (x._buffers["epsilon_in"], x._buffers["epsilon_out"])]  # type: ignore[misc]
 
     def tie_noise(self) -> list[th.Tensor]:
-        """
-        Let the layers' epsilons be parts of ``noise``, so that they are drawn in one go.
+        """Let the layers' epsilons be parts of ``noise``, so that they are drawn in one go.
 
         They no longer are after a layer was replaced, or the network moved or copied.
 
-        :return: the epsilons
+        Returns:
+            the epsilons.
         """
         epsilons = self._epsilons()
         if [e.data_ptr() for e in epsilons] != self._noise_addresses:
@@ -241,11 +242,11 @@ class RainbowNetwork(BasePolicy):
 
     @th.no_grad()
     def reset_noise(self, n_envs: int = 1) -> None:
-        """
-        Draw new noise for every noisy layer.
+        """Draw new noise for every noisy layer.
 
-        :param n_envs: 1 for noise that all rows of a batch have in common, as an update's have; or
-            the number of environments to act in, each of which explores by noise of its own
+        Args:
+            n_envs: 1 for noise that all rows of a batch have in common, as an update's have; or the
+                number of environments to act in, each of which explores by noise of its own.
         """
         if self.tie_noise():
             drawn = self.noise if n_envs == 1 else self.noise.new_empty(n_envs, len(self.noise))
@@ -269,11 +270,11 @@ class RainbowNetwork(BasePolicy):
         }
 
     def streams(self, obs: PyTorchObs, noisy: bool) -> th.Tensor:
-        """
-        Outputs of the head before value and advantages are joined. Acting, target and loss all go
-        through here.
+        """Outputs of the head before value and advantages are joined. Acting, target and loss all
+        go through here.
 
-        :return: shape ``(B, n_streams, n_atoms)``, the value first where there is one
+        Returns:
+            shape ``(B, n_streams, n_atoms)``, the value first where there is one.
         """
         with nullcontext() if noisy else silenced(self._layers_called_by_others()):
             features = self.extract_features(obs, self.features_extractor)
@@ -299,12 +300,14 @@ class RainbowNetwork(BasePolicy):
         return hidden
 
     def join(self, streams: th.Tensor) -> th.Tensor:
-        """
-        Value plus advantage minus the mean advantage over actions, atom by atom (Wang et al. 2016,
-        equation 9): without the mean the split of value and advantages would be arbitrary.
+        """Value plus advantage minus the mean advantage over actions, atom by atom (Wang et al.
+        2016, equation 9): without the mean the split of value and advantages would be arbitrary.
 
-        :param streams: as :meth:`streams` returns them
-        :return: logits over the atoms, shape ``(B, A, N)``
+        Args:
+            streams: as :meth:`streams` returns them.
+
+        Returns:
+            logits over the atoms, shape ``(B, A, N)``.
         """
         if not self.dueling:
             return streams
@@ -312,9 +315,13 @@ class RainbowNetwork(BasePolicy):
         return advantages + (streams[:, :1] - advantages.mean(dim=1, keepdim=True))
 
     def expected_values(self, logits: th.Tensor) -> th.Tensor:
-        """
-        :param logits: shape ``(B, A, N)``
-        :return: Q-values, shape ``(B, A)``
+        """Q-values of the head's outputs.
+
+        Args:
+            logits: shape ``(B, A, N)``.
+
+        Returns:
+            Q-values, shape ``(B, A)``.
         """
         if self.head == "scalar":
             return logits.squeeze(-1)
@@ -323,30 +330,32 @@ class RainbowNetwork(BasePolicy):
         return F.softmax(logits, dim=-1) @ self.support
 
     def logits(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
-        """
-        Logits over the atoms, or quantiles, for each action (without ``distributional``, the
+        """Logits over the atoms, or quantiles, for each action (without ``distributional``, the
         Q-values).
 
-        :return: shape ``(B, A, N)``
+        Returns:
+            shape ``(B, A, N)``.
         """
         return self.join(self.streams(obs, noisy))
 
     def forward(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
-        """
-        Q-values, by default without noise.
+        """Q-values, by default without noise.
 
-        :param obs: a batch of observations
-        :param noisy: whether the noisy layers use their current noise
-        :return: shape ``(B, A)``
+        Args:
+            obs: a batch of observations.
+            noisy: whether the noisy layers use their current noise.
+
+        Returns:
+            shape ``(B, A)``.
         """
         return self.expected_values(self.logits(obs, noisy))
 
     def distribution(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
-        """
-        Probabilities of the atoms for each action; of quantiles, which :meth:`logits` returns, all
-        the same.
+        """Probabilities of the atoms for each action; of quantiles, which :meth:`logits` returns,
+        all the same.
 
-        :return: shape ``(B, A, N)``
+        Returns:
+            shape ``(B, A, N)``.
         """
         logits = self.logits(obs, noisy)
         if self.head == "categorical":
@@ -354,10 +363,10 @@ class RainbowNetwork(BasePolicy):
         return th.full_like(logits, 1.0 / self.n_atoms)
 
     def set_training_mode(self, mode: bool) -> None:
-        """
-        Put the network in training or evaluation mode, of which the noisy layers take no notice.
+        """Put the network in training or evaluation mode, of which the noisy layers take no notice.
 
-        :param mode: True for training, False for evaluation
+        Args:
+            mode: True for training, False for evaluation.
         """
         _train(self, mode)
 
@@ -388,10 +397,10 @@ def _draws_plainly(layer: nn.Module) -> bool:
 
 
 def head_of(distributional: Distributional) -> Literal["scalar", "categorical", "quantile"]:
-    """
-    What a head predicts.
+    """What a head predicts.
 
-    :raises ValueError: for anything but True, False, ``"categorical"`` and ``"quantile"``
+    Raises:
+        ValueError: for anything but True, False, ``"categorical"`` and ``"quantile"``.
     """
     if isinstance(distributional, bool):
         return "categorical" if distributional else "scalar"
@@ -405,10 +414,10 @@ def head_of(distributional: Distributional) -> Literal["scalar", "categorical", 
 
 
 def split_arch(net_arch: NetArch) -> tuple[list[int], list[int]]:
-    """
-    Sizes of the hidden layers that all streams share, and of those of each.
+    """Sizes of the hidden layers that all streams share, and of those of each.
 
-    :raises ValueError: for a dict with keys other than ``shared`` and ``streams``
+    Raises:
+        ValueError: for a dict with keys other than ``shared`` and ``streams``.
     """
     if not isinstance(net_arch, dict):
         return list(net_arch), []
@@ -421,8 +430,10 @@ def split_arch(net_arch: NetArch) -> tuple[list[int], list[int]]:
 
 
 def check_support(n_atoms: int, v_min: float, v_max: float) -> None:
-    """
-    :raises ValueError: if the atoms do not form a support
+    """Refuse atoms that do not form a support.
+
+    Raises:
+        ValueError: if the atoms do not form a support.
     """
     if n_atoms < 2 or n_atoms != int(n_atoms):
         raise ValueError(f"n_atoms must be a whole number, at least 2, got {n_atoms}")

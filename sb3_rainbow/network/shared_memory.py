@@ -13,11 +13,11 @@ def is_dense(tensor: th.Tensor) -> bool:
 
 
 def parts(vector: th.Tensor, tensors: Sequence[th.Tensor]) -> list[th.Tensor]:
-    """
-    Parts of a vector, one after another.
+    """Parts of a vector, one after another.
 
-    :param vector: as many numbers as the tensors have together
-    :param tensors: dense, whose shapes and memory formats the parts have
+    Args:
+        vector: as many numbers as the tensors have together.
+        tensors: dense, whose shapes and memory formats the parts have.
     """
     sizes = [t.numel() for t in tensors]
     return [
@@ -28,10 +28,10 @@ def parts(vector: th.Tensor, tensors: Sequence[th.Tensor]) -> list[th.Tensor]:
 
 @th.no_grad()
 def join(tensors: Sequence[th.Tensor], like: Sequence[th.Tensor]) -> th.Tensor:
-    """
-    A vector whose :func:`parts` like some tensors have the values of others.
+    """A vector whose :func:`parts` like some tensors have the values of others.
 
-    :param tensors: of the shapes of ``like``
+    Args:
+        tensors: of the shapes of ``like``.
     """
     vector = tensors[0].new_empty(sum(t.numel() for t in tensors))
     for part, tensor in zip(parts(vector, like), tensors, strict=True):
@@ -40,12 +40,15 @@ def join(tensors: Sequence[th.Tensor], like: Sequence[th.Tensor]) -> th.Tensor:
 
 
 def share(tensors: Sequence[th.Tensor], vector: th.Tensor) -> list[int]:
-    """
-    Make tensors parts of a vector, one after another; their values are the vector's from then on.
+    """Make tensors parts of a vector, one after another; their values are the vector's from then
+    on.
 
-    :param tensors: dense, in the vector's dtype and on its device
-    :param vector: as many numbers as the tensors have together
-    :return: the tensors' addresses: while those stay, they are parts
+    Args:
+        tensors: dense, in the vector's dtype and on its device.
+        vector: as many numbers as the tensors have together.
+
+    Returns:
+        the tensors' addresses: while those stay, they are parts.
     """
     for tensor, part in zip(tensors, parts(vector, tensors), strict=True):
         tensor.data = part

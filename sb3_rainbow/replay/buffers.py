@@ -17,8 +17,7 @@ from sb3_rainbow.type_aliases import PrioritizedReplayBufferSamples
 
 
 class PrioritizedReplayBuffer(NStepRing):
-    """
-    Proportional prioritized replay (Schaul et al. 2016) of n-step transitions.
+    """Proportional prioritized replay (Schaul et al. 2016) of n-step transitions.
 
     - One sum tree spans all (step, env) pairs; a pair can be drawn as soon as its window of
       ``n_steps`` rewards is complete, or its episode has ended, whichever comes first.
@@ -38,19 +37,22 @@ class PrioritizedReplayBuffer(NStepRing):
     SB3's ``DQN`` reports no losses to its buffer: add
     :class:`~sb3_rainbow.replay.callbacks.PrioritizedReplayCallback` to feed the priorities.
 
-    :param buffer_size: transitions to keep, over all envs
-    :param observation_space: any space that SB3 supports, dicts included
-    :param action_space: any that SB3 supports; action masks need a discrete one
-    :param device: where samples go
-    :param n_envs: number of environments that add in step
-    :param optimize_memory_usage: accepted for SB3's sake; observations are always stored once
-    :param handle_timeout_termination: if False, truncations count as terminations
-    :param n_steps: rewards summed per sample
-    :param gamma: discount factor
-    :param alpha: exponent of the priorities, from 0 (uniform) to 1 (proportional)
-    :param beta: exponent of the importance-sampling correction, from 0 (none) to 1 (full)
-    :param epsilon: added to every loss, so that no transition is lost for good
-    :raises ValueError: for parameters out of range, or a buffer that cannot hold one window per env
+    Args:
+        buffer_size: transitions to keep, over all envs.
+        observation_space: any space that SB3 supports, dicts included.
+        action_space: any that SB3 supports; action masks need a discrete one.
+        device: where samples go.
+        n_envs: number of environments that add in step.
+        optimize_memory_usage: accepted for SB3's sake; observations are always stored once.
+        handle_timeout_termination: if False, truncations count as terminations.
+        n_steps: rewards summed per sample.
+        gamma: discount factor.
+        alpha: exponent of the priorities, from 0 (uniform) to 1 (proportional).
+        beta: exponent of the importance-sampling correction, from 0 (none) to 1 (full).
+        epsilon: added to every loss, so that no transition is lost for good.
+
+    Raises:
+        ValueError: for parameters out of range, or a buffer that cannot hold one window per env.
     """
 
     def __init__(
@@ -110,12 +112,14 @@ class PrioritizedReplayBuffer(NStepRing):
     def sample(  # type: ignore[override]
         self, batch_size: int, env: VecNormalize | None = None
     ) -> PrioritizedReplayBufferSamples:
-        """
-        Draw transitions in proportion to their priorities, with replacement.
+        """Draw transitions in proportion to their priorities, with replacement.
 
-        :param batch_size: number of transitions
-        :param env: normalizes observations and rewards with its current statistics
-        :raises ValueError: if no window is complete yet
+        Args:
+            batch_size: number of transitions.
+            env: normalizes observations and rewards with its current statistics.
+
+        Raises:
+            ValueError: if no window is complete yet.
         """
         if not self.can_sample:
             raise ValueError(
@@ -142,12 +146,14 @@ class PrioritizedReplayBuffer(NStepRing):
         return PrioritizedReplayBufferSamples(indices=batch_inds, **tensors)
 
     def update_priorities(self, indices: NDArray[np.int64], losses: NDArray) -> None:
-        """
-        Set the priorities of drawn transitions to ``(loss + epsilon) ** alpha``.
+        """Set the priorities of drawn transitions to ``(loss + epsilon) ** alpha``.
 
-        :param indices: as the sample gave them, ``(n,)``
-        :param losses: per-sample losses or absolute errors before importance weights, ``(n,)``
-        :raises ValueError: if a loss is negative or not finite
+        Args:
+            indices: as the sample gave them, ``(n,)``.
+            losses: per-sample losses or absolute errors before importance weights, ``(n,)``.
+
+        Raises:
+            ValueError: if a loss is negative or not finite.
         """
         n = indices.shape[0]
         leaves, masses = np.empty(n, dtype=np.int64), np.empty(n)

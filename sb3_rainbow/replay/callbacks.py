@@ -9,15 +9,15 @@ from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 
 
 class PrioritizedReplayCallback(BaseCallback):
-    """
-    Feed the priorities of a :class:`PrioritizedReplayBuffer` under SB3's own ``DQN``.
+    """Feed the priorities of a ``PrioritizedReplayBuffer`` under SB3's own ``DQN``.
 
     DQN does not tell its buffer how large the errors were. Before each rollout this callback
     computes the absolute TD errors of the last batch afresh and writes them back. DQN's loss
     cannot be weighted from outside, so that the importance-sampling correction stays out: keep
     ``alpha`` moderate, or use :class:`~sb3_rainbow.Rainbow`.
 
-    :param verbose: as in SB3
+    Args:
+        verbose: as in SB3.
     """
 
     model: DQN

@@ -17,19 +17,21 @@ def complete_windows(
     n_steps: int,
     leaves: NDArray[np.int64],
 ) -> int:
-    """
-    Collect the transitions whose n-step window is complete after step ``newest`` was stored.
+    """Collect the transitions whose n-step window is complete after step ``newest`` was stored.
 
     A window is complete after n steps, or earlier where its episode ends. Env by env: the end of
     one env's episode touches no other env.
 
-    :param pending: stored transitions per env that still wait, ``newest`` included; updated
-    :param ended: whether the env's episode ended (terminated or truncated) at ``newest``
-    :param newest: row of the last stored step
-    :param n_rows: rows of the ring
-    :param n_steps: length of a window
-    :param leaves: receives the completed leaves
-    :return: their number
+    Args:
+        pending: stored transitions per env that still wait, ``newest`` included; updated.
+        ended: whether the env's episode ended (terminated or truncated) at ``newest``.
+        newest: row of the last stored step.
+        n_rows: rows of the ring.
+        n_steps: length of a window.
+        leaves: receives the completed leaves.
+
+    Returns:
+        their number.
     """
     n_envs = pending.shape[0]
     count = 0
@@ -64,8 +66,7 @@ def assemble_windows(
     next_rows: NDArray[np.int64],
     next_slots: NDArray[np.int64],
 ) -> None:
-    """
-    Sum the rewards of each window and find where its final observation is stored.
+    """Sum the rewards of each window and find where its final observation is stored.
 
     The return stops at the episode's end, and ``discounts`` is gamma to the number of rewards
     summed. The final observation is in the boundary store (``next_slots >= 0``) where the episode
@@ -149,10 +150,10 @@ def scale_priorities(
     kept_leaves: NDArray[np.int64],
     kept_masses: NDArray[np.float64],
 ) -> tuple[int, float]:
-    """
-    ``(loss + epsilon) ** alpha`` of the leaves that are still filled.
+    """``(loss + epsilon) ** alpha`` of the leaves that are still filled.
 
-    :return: their number (-1 if a loss is negative, infinite or NaN) and the largest priority
+    Returns:
+        their number (-1 if a loss is negative, infinite or NaN) and the largest priority.
     """
     count = 0
     largest = 0.0

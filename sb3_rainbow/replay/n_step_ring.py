@@ -25,21 +25,21 @@ _TRIMMED = ("actions", "rewards", "ends", "action_masks", "next_action_masks")
 
 
 class NStepRing(ReplayBuffer):
-    """
-    What a replay buffer of n-step transitions stores; which of them it draws, a subclass says.
+    """What a replay buffer of n-step transitions stores; which of them it draws, a subclass says.
 
     A transition, named by its leaf ``row * n_envs + env``, enters when its window of ``n_steps``
     rewards is complete or its episode has ended, whichever comes first, and leaves when its row is
     overwritten.
 
-    :param buffer_size: transitions to keep, over all envs
-    :param observation_space: any space that SB3 supports, dicts included
-    :param action_space: any that SB3 supports; action masks need a discrete one
-    :param device: where samples go
-    :param n_envs: number of environments that add in step
-    :param handle_timeout_termination: if False, truncations count as terminations
-    :param n_steps: rewards summed per sample
-    :param gamma: discount factor
+    Args:
+        buffer_size: transitions to keep, over all envs.
+        observation_space: any space that SB3 supports, dicts included.
+        action_space: any that SB3 supports; action masks need a discrete one.
+        device: where samples go.
+        n_envs: number of environments that add in step.
+        handle_timeout_termination: if False, truncations count as terminations.
+        n_steps: rewards summed per sample.
+        gamma: discount factor.
     """
 
     def __init__(
@@ -124,20 +124,22 @@ class NStepRing(ReplayBuffer):
         next_action_masks: NDArray[np.bool_] | None = None,
         action_masks: NDArray[np.bool_] | None = None,
     ) -> None:
-        """
-        Store one step of every env.
+        """Store one step of every env.
 
-        :param obs: observations the actions were chosen on, ``(n_envs, ...)``
-        :param next_obs: observations after the step; where an episode ended, its terminal
-            observation, not the first one of the next episode
-        :param action: shape ``(n_envs,)`` or ``(n_envs, action_dim)``
-        :param reward: shape ``(n_envs,)``
-        :param done: terminated or truncated, ``(n_envs,)``
-        :param infos: ``"TimeLimit.truncated"`` tells truncations from terminations
-        :param next_action_masks: actions allowed at ``next_obs``, ``(n_envs, n_actions)``; None
-            allows all
-        :param action_masks: the same at ``obs``, for who needs them
-        :raises ValueError: for a reward that is not finite in float32; nothing is stored then
+        Args:
+            obs: observations the actions were chosen on, ``(n_envs, ...)``.
+            next_obs: observations after the step; where an episode ended, its terminal observation,
+                not the first one of the next episode.
+            action: shape ``(n_envs,)`` or ``(n_envs, action_dim)``.
+            reward: shape ``(n_envs,)``.
+            done: terminated or truncated, ``(n_envs,)``.
+            infos: ``"TimeLimit.truncated"`` tells truncations from terminations.
+            next_action_masks: actions allowed at ``next_obs``, ``(n_envs, n_actions)``; None allows
+                all.
+            action_masks: the same at ``obs``, for who needs them.
+
+        Raises:
+            ValueError: for a reward that is not finite in float32; nothing is stored then.
         """
         rewards = np.asarray(reward, dtype=np.float32)
         finite = np.isfinite(rewards)
@@ -175,9 +177,8 @@ class NStepRing(ReplayBuffer):
             self.pos = 0
 
     def _close_interrupted_episodes(self, current: Rows) -> None:
-        """
-        End the episodes that were left in the middle, as when ``learn`` resets the env: the stored
-        step is then followed by an observation that it did not lead to.
+        """End the episodes that were left in the middle, as when ``learn`` resets the env: the
+        stored step is then followed by an observation that it did not lead to.
         """
         if not (self.full or self.pos > 0):
             return
@@ -212,9 +213,8 @@ class NStepRing(ReplayBuffer):
             self._enter(leaves[:count])
 
     def _windows(self, leaves: NDArray[np.int64], env: VecNormalize | None) -> dict[str, ObsArray]:
-        """
-        The transitions at the given leaves, as :class:`PrioritizedReplayBufferSamples` names their
-        parts.
+        """The transitions at the given leaves, as :class:`PrioritizedReplayBufferSamples` names
+        their parts.
         """
         n = leaves.shape[0]
         returns, discounts, dones = (np.empty((n, 1), dtype=np.float32) for _ in range(3))

@@ -16,17 +16,17 @@ Rows: TypeAlias = dict[str, NDArray]
 
 
 class ObservationStore:
-    """
-    Observations of ``n_envs`` environments in ``n_rows`` steps, whatever their space.
+    """Observations of ``n_envs`` environments in ``n_rows`` steps, whatever their space.
 
     The observation after a step is the next row's, save in two cases, for which a growing boundary
     store holds it: where an episode ended (autoreset replaces its last observation) and at the
     newest step of all.
 
-    :param n_rows: steps in the ring
-    :param n_envs: environments per step
-    :param observation_space: any space that SB3 supports
-    :param obs_shape: its shape, or a dict of shapes, as SB3's buffers compute it
+    Args:
+        n_rows: steps in the ring.
+        n_envs: environments per step.
+        observation_space: any space that SB3 supports.
+        obs_shape: its shape, or a dict of shapes, as SB3's buffers compute it.
     """
 
     def __init__(
@@ -63,10 +63,10 @@ class ObservationStore:
         return self._rows.get(_PLAIN, self._rows)
 
     def cast(self, obs: ObsArray) -> Rows:
-        """
-        Observations of one step by store, typed as stored.
+        """Observations of one step by store, typed as stored.
 
-        :raises ValueError: for observations of another shape than the space's
+        Raises:
+            ValueError: for observations of another shape than the space's.
         """
         parts = obs if isinstance(obs, dict) else {_PLAIN: obs}
         rows: Rows = {}
@@ -86,8 +86,7 @@ class ObservationStore:
         return rows
 
     def interrupted(self, current: Rows) -> NDArray[np.bool_]:
-        """
-        Envs whose current observation is not the one that their last step led to, ``(n_envs,)``.
+        """Envs whose current observation is not the one that their last step led to, ``(n_envs,)``.
 
         Compared as bytes, so that NaN equals NaN.
         """
@@ -131,10 +130,10 @@ class ObservationStore:
         next_rows: NDArray[np.int64],
         next_slots: NDArray[np.int64],
     ) -> tuple[ObsArray, ObsArray]:
-        """
-        Observations at ``leaves``, and those ``next_slots`` (where >= 0) or ``next_rows`` name.
+        """Observations at ``leaves``, and those ``next_slots`` (where >= 0) or ``next_rows`` name.
 
-        :return: two arrays ``(n, ...)``, or two dicts of such
+        Returns:
+            two arrays ``(n, ...)``, or two dicts of such.
         """
         n = leaves.shape[0]
         current, following = self._empty(n), self._empty(n)

@@ -7,9 +7,13 @@ import warnings
 def check_replay_parameters(
     n_steps: int, gamma: float, alpha: float, beta: float, epsilon: float | None = None
 ) -> None:
-    """
-    :param epsilon: None where only the buffer knows it
-    :raises ValueError: naming the first parameter that is out of range
+    """Refuse parameters of a replay buffer that are out of range.
+
+    Args:
+        epsilon: None where only the buffer knows it.
+
+    Raises:
+        ValueError: naming the first parameter that is out of range.
     """
     if n_steps < 1:
         raise ValueError(f"n_steps must be at least 1, got {n_steps}")
@@ -27,8 +31,10 @@ def check_replay_parameters(
 
 
 def check_buffer_size(buffer_size: int, n_envs: int, n_steps: int) -> None:
-    """
-    :raises ValueError: if not even one window of each env fits in
+    """Refuse a buffer that is too small for the environments.
+
+    Raises:
+        ValueError: if not even one window of each env fits in.
     """
     if buffer_size < smallest_buffer(n_envs, n_steps):
         raise ValueError(

@@ -100,11 +100,13 @@ def _aligned_zeros(size: int) -> NDArray[np.float64]:
 
 
 class SumTree:
-    """
-    Non-negative float64 masses with their sum, sampled in proportion in O(log n).
+    """Non-negative float64 masses with their sum, sampled in proportion in O(log n).
 
-    :param capacity: number of leaves
-    :raises ValueError: if ``capacity`` is not positive
+    Args:
+        capacity: number of leaves.
+
+    Raises:
+        ValueError: if ``capacity`` is not positive.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -130,33 +132,39 @@ class SumTree:
         return self._tree[: self.capacity]
 
     def set(self, indices: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """
-        Write leaves and renew the sums above them; of a repeated index the last value counts.
+        """Write leaves and renew the sums above them; of a repeated index the last value counts.
 
-        :param indices: leaves to write, shape ``(n,)``, in ``[0, capacity)`` (not checked)
-        :param values: their masses, shape ``(n,)``, finite and non-negative (not checked)
+        Args:
+            indices: leaves to write, shape ``(n,)``, in ``[0, capacity)`` (not checked).
+            values: their masses, shape ``(n,)``, finite and non-negative (not checked).
         """
         _assign(self._tree, self._offsets, indices, values)
 
     def find(self, prefix_sums: NDArray[np.float64]) -> NDArray[np.int64]:
-        """
-        Leaves whose intervals of the cumulated masses hold the given sums.
+        """Leaves whose intervals of the cumulated masses hold the given sums.
 
-        :param prefix_sums: shape ``(n,)``, each in ``[0, total)``
-        :return: shape ``(n,)``; a leaf of mass zero is never returned while ``total > 0``
+        Args:
+            prefix_sums: shape ``(n,)``, each in ``[0, total)``.
+
+        Returns:
+            shape ``(n,)``; a leaf of mass zero is never returned while ``total > 0``.
         """
         leaves = np.empty(prefix_sums.shape[0], dtype=np.int64)
         _find(self._tree, self._offsets, prefix_sums.copy(), leaves)
         return leaves
 
     def sample(self, batch_size: int) -> NDArray[np.int64]:
-        """
-        Stratified draw: one leaf from each of ``batch_size`` equal parts of the total mass
+        """Stratified draw: one leaf from each of ``batch_size`` equal parts of the total mass
         (Schaul et al. 2016, appendix B.2.1), with numpy's global generator as SB3 seeds it.
 
-        :param batch_size: number of leaves to draw
-        :return: shape ``(batch_size,)``
-        :raises ValueError: if all masses are zero
+        Args:
+            batch_size: number of leaves to draw.
+
+        Returns:
+            shape ``(batch_size,)``.
+
+        Raises:
+            ValueError: if all masses are zero.
         """
         total = self._tree[-1]
         if total <= 0.0:

@@ -15,8 +15,7 @@ Places: TypeAlias = list[tuple[str, int, NDArray]]
 
 
 def to_device(arrays: dict[str, ObsArray], device: th.device) -> dict[str, Any]:
-    """
-    Tensors of fresh, contiguous arrays, or of dicts of such.
+    """Tensors of fresh, contiguous arrays, or of dicts of such.
 
     On the CPU they share the arrays' memory. To any other device all bytes go in one copy, which
     nobody waits for: one for each array would cost more than a small batch's whole update.

@@ -37,8 +37,7 @@ _STATELESS = (VecCheckNan, VecExtractDictObs, VecTransposeImage, VecVideoRecorde
 
 
 def save_checkpoint(model: OffPolicyAlgorithm, path: str | pathlib.Path) -> None:
-    """
-    Write model, optimizer, random generators, replay buffer and env into one file.
+    """Write model, optimizer, random generators, replay buffer and env into one file.
 
     The file appears whole or not at all. See :meth:`sb3_rainbow.Rainbow.save_checkpoint`.
     """
@@ -66,12 +65,12 @@ def is_checkpoint(path: str | pathlib.Path) -> bool:
 def load_checkpoint(
     cls: type[SelfAlgorithm], path: str | pathlib.Path, env: GymEnv, **kwargs: Any
 ) -> SelfAlgorithm:
-    """
-    A model that goes on where :func:`save_checkpoint` left it.
+    """A model that goes on where :func:`save_checkpoint` left it.
 
     See :meth:`sb3_rainbow.Rainbow.load_checkpoint`.
 
-    :raises ValueError: if the file is no checkpoint, or was saved with other settings
+    Raises:
+        ValueError: if the file is no checkpoint, or was saved with other settings.
     """
     try:
         archive = zipfile.ZipFile(path)

@@ -6,13 +6,13 @@ import torch as th
 
 
 def per_parameter(state_dict: dict[str, Any], optimizer: th.optim.Optimizer) -> dict[str, Any]:
-    """
-    An optimizer's state dict with one entry per parameter, as torch has it.
+    """An optimizer's state dict with one entry per parameter, as torch has it.
 
     Models saved by version 0.1 have one for all parameters, joined to one vector.
 
-    :param state_dict: as saved
-    :param optimizer: that is to take it
+    Args:
+        state_dict: as saved.
+        optimizer: that is to take it.
     """
     groups, state = state_dict.get("param_groups"), state_dict.get("state")
     if not groups or state is None:

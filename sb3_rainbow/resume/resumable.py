@@ -50,8 +50,7 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         exclude: Iterable[str] | None = None,
         include: Iterable[str] | None = None,
     ) -> None:
-        """
-        As SB3's ``save``, with the states of the random generators.
+        """As SB3's ``save``, with the states of the random generators.
 
         They come back into force when a loaded model goes on learning
         (``learn(..., reset_num_timesteps=False)``), and not when it only predicts.
@@ -98,10 +97,10 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         exact_match: bool = True,
         device: th.device | str = "auto",
     ) -> None:
-        """
-        As SB3's ``set_parameters``.
+        """As SB3's ``set_parameters``.
 
-        :raises SettingsMismatchError: if the parameters were saved with other settings
+        Raises:
+            SettingsMismatchError: if the parameters were saved with other settings.
         """
         try:
             super().set_parameters(load_path_or_dict, exact_match, device)
@@ -115,10 +114,10 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         path: str | pathlib.Path | io.BufferedIOBase,
         truncate_last_traj: bool = True,
     ) -> None:
-        """
-        As SB3's ``load_replay_buffer``; the tree and all priorities come along.
+        """As SB3's ``load_replay_buffer``; the tree and all priorities come along.
 
-        :raises ValueError: if the buffer was filled with other settings; the present one stays
+        Raises:
+            ValueError: if the buffer was filled with other settings; the present one stays.
         """
         present = self.replay_buffer
         super().load_replay_buffer(path, truncate_last_traj)
@@ -134,8 +133,7 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
                     )
 
     def save_checkpoint(self, path: str | pathlib.Path) -> None:
-        """
-        Write all of the run into one file: model, optimizer, counters, random generators, replay
+        """Write all of the run into one file: model, optimizer, counters, random generators, replay
         buffer with tree and open n-step windows, the state of SB3's wrappers around the ``VecEnv``,
         and that of a ``VecEnv`` that offers ``get_state()`` itself. A ``DummyVecEnv`` of gym envs
         does not: the wrappers around those (``TimeLimit``, ``Monitor``) could not tell theirs.
@@ -143,7 +141,8 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         Call it between rounds of training: outside ``learn``, or in a callback's
         ``_on_rollout_start``. In ``_on_step`` the current transition is not stored yet.
 
-        :param path: file to write; it appears whole or not at all
+        Args:
+            path: file to write; it appears whole or not at all.
         """
         save_checkpoint(self, path)
 
@@ -151,18 +150,22 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
     def load_checkpoint(
         cls: type[SelfResumable], path: str | pathlib.Path, env: GymEnv, **kwargs: Any
     ) -> SelfResumable:
-        """
-        A model that goes on exactly where :meth:`save_checkpoint` left it::
+        """A model that goes on exactly where :meth:`save_checkpoint` left it.
+
+        ::
 
             model = Rainbow.load_checkpoint(path, env)
             model.learn(total - model.num_timesteps, reset_num_timesteps=False)
 
         A ``VecEnv`` without ``get_state()`` and ``set_state()`` starts new episodes instead.
 
-        :param path: file to read
-        :param env: env as at saving time
-        :param kwargs: passed to ``load``; a ``seed`` starts all random generators anew, but for
-            those in the state of the env
-        :raises ValueError: if the file is no checkpoint, or was saved with other settings
+        Args:
+            path: file to read.
+            env: env as at saving time.
+            kwargs: passed to ``load``; a ``seed`` starts all random generators anew, but for those
+                in the state of the env.
+
+        Raises:
+            ValueError: if the file is no checkpoint, or was saved with other settings.
         """
         return load_checkpoint(cls, path, env, **kwargs)

@@ -9,11 +9,13 @@ from gymnasium import spaces
 
 
 def get_rng_state(action_space: spaces.Space) -> dict[str, Any]:
-    """
-    States of Python's, numpy's and torch's global generators and of the action space.
+    """States of Python's, numpy's and torch's global generators and of the action space.
 
-    :param action_space: the model's, from which the warm-up draws
-    :return: picklable
+    Args:
+        action_space: the model's, from which the warm-up draws.
+
+    Returns:
+        picklable.
     """
     return {
         "python": random.getstate(),

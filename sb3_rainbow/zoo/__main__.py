@@ -58,10 +58,10 @@ def main() -> None:
 
 
 def _with_known_env(command: str, arguments: list[str]) -> list[str]:
-    """
-    The arguments, once the environment that they name is registered.
+    """The arguments, once the environment that they name is registered.
 
-    :raises ZooError: for one that is not
+    Raises:
+        ZooError: for one that is not.
     """
     import gymnasium as gym
 

@@ -16,11 +16,13 @@ class ZooError(ValueError):
 
 @contextmanager
 def loading(path: str | os.PathLike[str]) -> Iterator[None]:
-    """
-    Whatever the loading of a model raises, as a :class:`ZooError` that names the file.
+    """Whatever the loading of a model raises, as a :class:`ZooError` that names the file.
 
-    :param path: the file that is loaded inside
-    :raises ZooError: for a file of another algorithm, of other settings, or damaged
+    Args:
+        path: the file that is loaded inside.
+
+    Raises:
+        ZooError: for a file of another algorithm, of other settings, or damaged.
     """
     try:
         yield

@@ -87,23 +87,25 @@ def package(
     deterministic: bool = True,
     about: str = "",
 ) -> pathlib.Path:
-    """
-    Evaluate a model and write what its repository holds, named as ``huggingface_sb3`` names it.
+    """Evaluate a model and write what its repository holds, named as ``huggingface_sb3`` names it.
 
     ``rainbow-<env_id>.zip`` is the model without what only its training needs, ``README.md`` the
     model card with command, results and versions, ``results.json`` the results, and
     ``vec_normalize.pkl`` the statistics, if there are any.
 
-    :param model: trained
-    :param env_id: the environment's id
-    :param folder: to write to; made if missing
-    :param eval_env: for the evaluation; the model acts under its masks where it learned under some,
-        and a ``VecNormalize`` around it stays in evaluation
-    :param command: that trained the model
-    :param n_eval_episodes: episodes of the evaluation
-    :param deterministic: evaluate the greedy policy
-    :param about: Markdown, for the card, below the results
-    :return: the model's file
+    Args:
+        model: trained.
+        env_id: the environment's id.
+        folder: to write to; made if missing.
+        eval_env: for the evaluation; the model acts under its masks where it learned under some,
+            and a ``VecNormalize`` around it stays in evaluation.
+        command: that trained the model.
+        n_eval_episodes: episodes of the evaluation.
+        deterministic: evaluate the greedy policy.
+        about: Markdown, for the card, below the results.
+
+    Returns:
+        the model's file.
     """
     out = pathlib.Path(folder)
     out.mkdir(parents=True, exist_ok=True)
@@ -152,13 +154,13 @@ def package(
 
 
 def record(model: Rainbow, env: VecEnv, folder: str | os.PathLike[str], n_steps: int) -> None:
-    """
-    Write ``replay.mp4``, which the hub shows on a model's page.
+    """Write ``replay.mp4``, which the hub shows on a model's page.
 
-    :param model: trained
-    :param env: made with ``render_mode="rgb_array"``; closed afterwards
-    :param folder: to write to
-    :param n_steps: length of the video
+    Args:
+        model: trained.
+        env: made with ``render_mode="rgb_array"``; closed afterwards.
+        folder: to write to.
+        n_steps: length of the video.
     """
     masked = masks_apply(model, env)
     with tempfile.TemporaryDirectory() as temporary:
@@ -176,14 +178,16 @@ def record(model: Rainbow, env: VecEnv, folder: str | os.PathLike[str], n_steps:
 def push(
     folder: str | os.PathLike[str], repo_id: str, commit_message: str, token: str | None = None
 ) -> str:
-    """
-    Upload what :func:`package` wrote.
+    """Upload what :func:`package` wrote.
 
-    :param folder: written by :func:`package`
-    :param repo_id: organization/name; made if missing
-    :param commit_message: of the repository's commit
-    :param token: of the hub; None for the one that is logged in
-    :return: address of the repository
+    Args:
+        folder: written by :func:`package`.
+        repo_id: organization/name; made if missing.
+        commit_message: of the repository's commit.
+        token: of the hub; None for the one that is logged in.
+
+    Returns:
+        address of the repository.
     """
     api = HfApi(token=token)
     url = api.create_repo(repo_id=repo_id, exist_ok=True)
@@ -196,35 +200,43 @@ def push(
 def load_from_hub(
     repo_id: str, filename: str, trusted: Collection[str] = (), **kwargs: Any
 ) -> Rainbow:
-    """
-    A model of the hub.
+    """A model of the hub.
 
     ``huggingface_sb3.load_from_hub`` downloads only where ``TRUST_REMOTE_CODE`` is set, as what is
     loaded afterwards may run anything. :func:`load` does not, so nobody need trust anybody.
 
-    :param repo_id: organization/name
-    :param filename: of the model in it, such as ``rainbow-CartPole-v1.zip``
-    :param trusted: see :func:`load`
-    :param kwargs: of ``Rainbow.load``
-    :return: the model
-    :raises ZooError: if it is none of Rainbow, or names code that it may not
+    Args:
+        repo_id: organization/name.
+        filename: of the model in it, such as ``rainbow-CartPole-v1.zip``.
+        trusted: see :func:`load`.
+        kwargs: of ``Rainbow.load``.
+
+    Returns:
+        the model.
+
+    Raises:
+        ZooError: if it is none of Rainbow, or names code that it may not.
     """
     return load(hf_hub_download(repo_id, filename), trusted, **kwargs)
 
 
 def load(path: str | os.PathLike[str], trusted: Collection[str] = (), **kwargs: Any) -> Rainbow:
-    """
-    A model from a file of whom you know nothing.
+    """A model from a file of whom you know nothing.
 
-    As ``Rainbow.load``, but the file may name only what :mod:`sb3_rainbow.zoo.unpickling` lists.
+    As ``Rainbow.load``, but the file may name only what ``sb3_rainbow.zoo.unpickling`` lists.
     What only the run would go on with, such as the states of its random generators, is left out.
 
-    :param path: of the model
-    :param trusted: more classes and functions that it may name, such as
-        ``"my_package.layers.Swish"``: they are imported, and may be called with anything
-    :param kwargs: of ``Rainbow.load``
-    :return: the model
-    :raises ZooError: if it is none of Rainbow, or names code that it may not
+    Args:
+        path: of the model.
+        trusted: more classes and functions that it may name, such as ``"my_package.layers.Swish"``:
+            they are imported, and may be called with anything.
+        kwargs: of ``Rainbow.load``.
+
+    Returns:
+        the model.
+
+    Raises:
+        ZooError: if it is none of Rainbow, or names code that it may not.
     """
     with loading(path):
         # What is checked is what is loaded, whatever happens to the file in between.
@@ -237,13 +249,15 @@ def load(path: str | os.PathLike[str], trusted: Collection[str] = (), **kwargs: 
 def load_vec_normalize(
     path: str | os.PathLike[str], venv: VecEnv, trusted: Collection[str] = ()
 ) -> VecNormalize:
-    """
-    As ``VecNormalize.load``, from a file of whom you know nothing, for evaluation.
+    """As ``VecNormalize.load``, from a file of whom you know nothing, for evaluation.
 
-    :param path: of the statistics
-    :param venv: to normalize
-    :param trusted: see :func:`load`
-    :raises ZooError: if the file names code that it may not
+    Args:
+        path: of the statistics.
+        venv: to normalize.
+        trusted: see :func:`load`.
+
+    Raises:
+        ZooError: if the file names code that it may not.
     """
     with loading(path):
         normalizer: VecNormalize = unpickle(pathlib.Path(path).read_bytes(), trusted)

@@ -18,8 +18,7 @@ SelfPlayed = TypeVar("SelfPlayed", bound="PlayedRainbow")
 
 
 class PlayedRainbow(Rainbow):
-    """
-    A trained model under the masks of the environment that :func:`create_test_env` made last.
+    """A trained model under the masks of the environment that :func:`create_test_env` made last.
 
     The zoo's ``enjoy`` loads a model without its environment and asks it for actions by the
     observations alone, as ``record_video`` does: masks have no other way to it.
@@ -34,13 +33,15 @@ class PlayedRainbow(Rainbow):
         *args: Any,
         **kwargs: Any,
     ) -> SelfPlayed:
-        """
-        As ``Rainbow.load``, with the smallest replay buffer unless one is asked for.
+        """As ``Rainbow.load``, with the smallest replay buffer unless one is asked for.
 
-        :param path: of the model
-        :param args: of ``Rainbow.load``
-        :param kwargs: of ``Rainbow.load``
-        :raises ZooError: if it cannot be loaded
+        Args:
+            path: of the model.
+            args: of ``Rainbow.load``.
+            kwargs: of ``Rainbow.load``.
+
+        Raises:
+            ZooError: if it cannot be loaded.
         """
         with loading(str(path)):
             return super().load(path, *args, **{"buffer_size": 1, **kwargs})
@@ -72,8 +73,7 @@ _create_test_env = rl_zoo3.utils.create_test_env
 
 @functools.wraps(_create_test_env)
 def create_test_env(env_id: str, *args: Any, **kwargs: Any) -> VecEnv:
-    """
-    The zoo's, which tells :class:`PlayedRainbow` what it made.
+    """The zoo's, which tells :class:`PlayedRainbow` what it made.
 
     It takes an environment's arguments from the hyperparameters where the script did not:
     ``record_video`` leaves them out.

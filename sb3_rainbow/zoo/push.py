@@ -1,5 +1,4 @@
-"""
-``python -m sb3_rainbow.zoo push``: a trained agent of a log folder as a repository of the hub.
+"""``python -m sb3_rainbow.zoo push``: a trained agent of a log folder as a repository of the hub.
 
 The flags are those of the zoo's push_to_hub, which itself cannot be imported beside the version of
 ``huggingface_sb3`` that it depends on, and would evaluate without masks.

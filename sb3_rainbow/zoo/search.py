@@ -9,15 +9,17 @@ from rl_zoo3.hyperparams_opt import convert_offpolicy_params
 def sample_rainbow_params(
     trial: optuna.Trial, n_actions: int, n_envs: int, additional_args: dict[str, Any]
 ) -> dict[str, Any]:
-    """
-    Draw hyperparameters; those not drawn stay as the environment's entry of the file has them, the
-    support among them, which no search should choose by the return alone.
+    """Draw hyperparameters; those not drawn stay as the environment's entry of the file has them,
+    the support among them, which no search should choose by the return alone.
 
-    :param trial: Optuna's
-    :param n_actions: of the zoo's samplers for continuous actions
-    :param n_envs: number of environments
-    :param additional_args: of the zoo's samplers for hindsight replay
-    :return: arguments of Rainbow
+    Args:
+        trial: Optuna's.
+        n_actions: of the zoo's samplers for continuous actions.
+        n_envs: number of environments.
+        additional_args: of the zoo's samplers for hindsight replay.
+
+    Returns:
+        arguments of Rainbow.
     """
     train_freq = trial.suggest_int("train_freq", 1, 10)
     return convert_rainbow_params(

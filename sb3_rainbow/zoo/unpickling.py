@@ -1,5 +1,4 @@
-"""
-What a model file may name.
+"""What a model file may name.
 
 Stable-Baselines3 keeps a model's settings in pickles, and a pickle can call whatever it names: to
 load a file is to run its author's program. Here it may name the classes and functions of the list
@@ -75,24 +74,28 @@ class _Unpickler(pickle.Unpickler):
 
 
 def unpickle(pickled: bytes, trusted: Collection[str] = ()) -> Any:
-    """
-    What a pickle holds.
+    """What a pickle holds.
 
-    :param pickled: as it was written
-    :param trusted: names that are allowed besides those of this module
-    :raises UnknownCodeError: if it names another; that is not imported, let alone called
+    Args:
+        pickled: as it was written.
+        trusted: names that are allowed besides those of this module.
+
+    Raises:
+        UnknownCodeError: if it names another; that is not imported, let alone called.
     """
     return _Unpickler(pickled, trusted).load()
 
 
 def check_model(file: io.BytesIO, trusted: Collection[str], skipped: Collection[str]) -> None:
-    """
-    Look through all that loading a model would unpickle; torch looks after the tensors itself.
+    """Look through all that loading a model would unpickle; torch looks after the tensors itself.
 
-    :param file: as ``save`` wrote it
-    :param trusted: names that are allowed besides those of this module
-    :param skipped: settings that are not going to be loaded
-    :raises UnknownCodeError: if it names code that it may not
+    Args:
+        file: as ``save`` wrote it.
+        trusted: names that are allowed besides those of this module.
+        skipped: settings that are not going to be loaded.
+
+    Raises:
+        UnknownCodeError: if it names code that it may not.
     """
     with zipfile.ZipFile(file) as archive:
         settings: dict[str, Any] = json.loads(archive.read("data"))

@@ -24,11 +24,11 @@ Contestant = Callable[[str, int], Seconds]
 
 
 def ours(model: Any, batch_size: int) -> Contestant:
-    """
-    An algorithm of SB3's kind.
+    """An algorithm of SB3's kind.
 
-    :param model: trained for a moment, its replay buffer full
-    :param batch_size: transitions per update
+    Args:
+        model: trained for a moment, its replay buffer full.
+        batch_size: transitions per update.
     """
 
     def act(kind: str, n: int) -> None:
@@ -47,12 +47,12 @@ def ours(model: Any, batch_size: int) -> Contestant:
 
 
 class Rival:
-    """
-    A library's Rainbow in its own interpreter; see :mod:`benchmarks.studies.speed.rivals`.
+    """A library's Rainbow in its own interpreter; see :mod:`benchmarks.studies.speed.rivals`.
 
     ``about`` is what it says of itself: version, net, number of parameters.
 
-    :raises BenchmarkError: if it stops, with its last words
+    Raises:
+        BenchmarkError: if it stops, with its last words.
     """
 
     def __init__(self, name: str, process: subprocess.Popen[str], errors: IO[str]) -> None:
@@ -79,11 +79,11 @@ class Rival:
 
 @contextmanager
 def start_rival(name: str, capacity: int, python: Path = RIVALS_PYTHON) -> Iterator[Rival]:
-    """
-    One of ``RIVALS``, until the context ends.
+    """One of ``RIVALS``, until the context ends.
 
-    :param capacity: transitions in its replay buffer
-    :param python: interpreter that has it
+    Args:
+        capacity: transitions in its replay buffer.
+        python: interpreter that has it.
     """
     module = ("-W", "ignore", "-m", "benchmarks.studies.speed.rivals")
     with (

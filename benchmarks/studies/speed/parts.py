@@ -13,15 +13,15 @@ from benchmarks.studies.speed.setting import BATCH_SIZE
 def measure_parts(
     dqn: Any, models: dict[str, Any], rounds: int, n_calls: int = 50
 ) -> dict[str, dict[str, float]]:
-    """
-    Microseconds of a CPU core: medians over rounds, in which the parts take turns.
+    """Microseconds of a CPU core: medians over rounds, in which the parts take turns.
 
     Each part finds its data in the caches, as it does not within a whole update.
 
-    :param dqn: SB3's, for its whole update
-    :param models: Rainbows without ``cpu_kernels``, by name
-    :param rounds: how often each part is timed
-    :param n_calls: calls per timing
+    Args:
+        dqn: SB3's, for its whole update.
+        models: Rainbows without ``cpu_kernels``, by name.
+        rounds: how often each part is timed.
+        n_calls: calls per timing.
     """
     actions = {name: parts_of(model) for name, model in models.items()}
     actions = {"SB3 DQN": {"whole update": partial(dqn.train, 1, BATCH_SIZE)}, **actions}

@@ -1,5 +1,4 @@
-"""
-tianshou's and AgileRL's Rainbow as their users run them, in an interpreter that has them.
+"""tianshou's and AgileRL's Rainbow as their users run them, in an interpreter that has them.
 
 ``make rivals`` builds that interpreter; :mod:`benchmarks.studies.speed.contest` starts this
 module in it and drives it by one JSON line per request, ``["learn", n]`` or ``["train", n]``.

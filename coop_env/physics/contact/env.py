@@ -54,38 +54,42 @@ class CoopInsertionContactEnv(gym.Env[Any, Any]):
     Both robots are simulated with their masses, servos and contact (MuJoCo). ``docs/physics.md``
     says all of this at length.
 
-    ## Action Space
+    **Action Space**
 
     ``Box(-1, 1, (6,))``: increments of the commanded configuration, from which inverse kinematics
     make joint commands, held for one control step of 0.05 s. One is 0.5, 0.5, 1 mm of x, y, z of
     the effector; 2, 2 mrad of roll, pitch and 0.5 mm of heave of the platform. A command beyond the
     robots' limits is not taken (``info["violation"]``).
 
-    ## Observation Space
+    **Observation Space**
 
     ``Box(-5, 5, (29,), float32)``, everything in the units of the last column:
 
-    | Field   | Meaning | One is |
-    |---------|---------|--------|
-    | 0 - 2   | tip - mouth, as measured joints and the nominal model have it, world | 0.01 m |
-    | 3, 4    | x, y of the hole's normal, by the same belief | 0.05 |
-    | 5 - 10  | joint angles theta, q, from those at the start | 0.05 rad |
-    | 11 - 13 | mean force on the peg over the control step, with noise | 10 N |
-    | 14 - 16 | mean moment on it about its tip, with noise | 0.05 N m |
-    | 17 - 22 | command, from that at the start (x, y, z, roll, pitch, heave) | 0.01 m, 0.05 rad |
-    | 23 - 28 | last action | 1 |
+    =======  ====================================================================  ================
+    Field    Meaning                                                               One is
+    =======  ====================================================================  ================
+    0 - 2    tip - mouth, as measured joints and the nominal model have it, world  0.01 m
+    3, 4     x, y of the hole's normal, by the same belief                         0.05
+    5 - 10   joint angles theta, q, from those at the start                        0.05 rad
+    11 - 13  mean force on the peg over the control step, with noise               10 N
+    14 - 16  mean moment on it about its tip, with noise                           0.05 N m
+    17 - 22  command, from that at the start (x, y, z, roll, pitch, heave)         0.01 m, 0.05 rad
+    23 - 28  last action                                                           1
+    =======  ====================================================================  ================
 
-    ## Rewards
+    **Rewards**
 
-    | Term        | Reward |
-    |-------------|--------|
-    | ``depth``     | 1 per mm that the tip gains along the real hole's axis |
-    | ``step``      | -0.05 |
-    | ``force``     | -0.1 per 5 N of mean force above 5 N |
-    | ``insertion`` | 20 |
-    | ``failure``   | -5 at the end by force, snap or diverging |
+    =============  ======================================================
+    Term           Reward
+    =============  ======================================================
+    ``depth``      1 per mm that the tip gains along the real hole's axis
+    ``step``       -0.05
+    ``force``      -0.1 per 5 N of mean force above 5 N
+    ``insertion``  20
+    ``failure``    -5 at the end by force, snap or diverging
+    =============  ======================================================
 
-    ## Starting State
+    **Starting State**
 
     A hole is drawn among those that the 3-RRS can turn upright; the tip stands 10 mm above where
     its mouth is believed to be, aligned. Really it stands up to 3 mm to the side (uniform over the
@@ -93,7 +97,7 @@ class CoopInsertionContactEnv(gym.Env[Any, Any]):
     Friction is drawn in 0.1 to 0.4. Options of :meth:`reset`: ``hole``; ``error``, the displacement
     along x, y (m) and tilt about x, y (rad); ``friction``.
 
-    ## Episode End
+    **Episode End**
 
     1. Termination, success: the tip is 10 mm deep in the bore.
     2. Termination, ``info["failure"]``: ``"force"`` (mean above 40 N), ``"snap"`` (the platform
@@ -116,7 +120,7 @@ class CoopInsertionContactEnv(gym.Env[Any, Any]):
         ArgumentError: an argument is unknown or out of range, or the servos cannot hold home.
         GeometryError: a robot cannot be assembled, or no hole can be turned upright.
 
-    ## Version History
+    **Version History**
 
     * v0: initial version
     """

@@ -21,8 +21,7 @@ N_ACTIONS = 6
 
 
 class ClockEnv(gym.Env):
-    """
-    The observation is (episode, time); the mask depends on both, and a forbidden action raises.
+    """The observation is (episode, time); the mask depends on both, and a forbidden action raises.
 
     :param length: steps of an episode
     :param truncates: whether it ends by truncation

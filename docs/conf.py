@@ -1,0 +1,80 @@
+"""The site: the pages of this folder and the docstrings, by Sphinx and MyST (``make docs``).
+
+The pages are also read on GitHub. They therefore use plain Markdown, and relative links that hold
+in both places; Sphinx copies the pictures they show from ``results``.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from importlib.metadata import version as installed
+from pathlib import Path
+from typing import Any
+
+from sphinx.application import Sphinx
+
+sys.path.insert(0, str(Path(__file__).parent.parent))  # benchmarks is not installed
+
+project = "sb3-rainbow-coop"
+author = "the sb3-rainbow-coop authors"
+release = version = installed(project)
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "sphinx_copybutton",
+]
+html_theme = "sphinx_rtd_theme"
+html_static_path = ["static"]
+html_css_files = ["tables.css"]
+html_show_copyright = False
+
+myst_heading_anchors = 4  # those that GitHub gives
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented_params"
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+
+# What others document: their inventories would need the network.
+OTHERS = ("collections", "contextlib", "gymnasium", "io", "numpy", "os", "pandas", "pathlib",
+          "pettingzoo", "rich", "stable_baselines3", "torch", "typing", "xml")  # fmt: skip
+NAMES = ("ArrayLike", "BaseCallback", "Console", "DependencyNotInstalled", "Env", "NDArray",
+         "NoAsyncCallError", "ResetNeeded", "VecEnv", "WrapperActType",
+         "WrapperObsType")  # fmt: skip
+nitpicky = True
+nitpick_ignore_regex = [
+    ("py:.*", rf"({'|'.join(OTHERS)})\..*"),
+    ("py:.*", "|".join(NAMES)),
+    ("py:.*", r"(.*\.)?(Self[A-Z]\w+|C|Act|MakeEnv)"),  # type variables, names of types
+]
+
+# numpy spells its two names for arrays out, over several lines
+ARRAYS = (
+    (re.compile(r"~numpy\.ndarray\[tuple\[[^\]]*\], ~?numpy\.dtype\[(.*?)\]\]"), r"NDArray[\1]"),
+    (re.compile(r"~numpy\._typing\.\S*_Buffer.*?bytes.*?\]\]"), "ArrayLike"),
+)
+
+
+def shorten_arrays(app: Sphinx, what: str, name: str, *_: Any) -> None:
+    """Types of the parameters as the sources have them."""
+    types = app.env.current_document.autodoc_annotations.get(name, {})
+    for parameter, text in types.items():
+        for long, short in ARRAYS:
+            text = long.sub(short, text)
+        types[parameter] = text
+
+
+def download_results(app: Sphinx, name: str, source: list[str]) -> None:
+    """Tables of ``results`` that a page links are no pages of the site, but files to take."""
+    source[0] = re.sub(r"\]\((\.\./results/[^)]+\.md)\)", r"](path:\1)", source[0])
+
+
+def setup(app: Sphinx) -> None:
+    """Called by Sphinx."""
+    app.connect("autodoc-process-signature", shorten_arrays, priority=900)
+    app.connect("source-read", download_results)

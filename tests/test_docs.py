@@ -1,0 +1,76 @@
+"""The site builds without a warning and without the network; every Python block of a page runs."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = sorted((ROOT / "docs").glob("*.md"))
+STEPS = 300  # of a training: past its first updates
+SHORTER = (
+    (r"learn\([\d_]+", f"learn({STEPS}"),
+    (r"range\(500\)", "range(2)"),  # episodes
+    (r"n_envs=8", "n_envs=2"),
+)
+
+
+def python_blocks(page: str) -> list[tuple[str, str]]:
+    """Each Python block, its trainings shortened, and why it is not to run, if it is not.
+
+    Such a block stands after the line ``<!-- not run: the reason -->``.
+    """
+    found = re.findall(r"(?:<!-- not run: (.*?) -->\n\n)?^```python\n(.*?)^```", page, re.M | re.S)
+    for pattern, less in SHORTER:
+        found = [(reason, re.sub(pattern, less, block)) for reason, block in found]
+    assert len(found) == page.count("```python\n")
+    return [(block, reason) for reason, block in found]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_site_builds(tmp_path: Path) -> None:
+    nowhere = "http://127.0.0.1:9"  # an inventory or a font from elsewhere would fail
+    words = ["-W", "--keep-going", "-q", str(ROOT / "docs"), str(tmp_path)]
+    done = subprocess.run(
+        [sys.executable, "-m", "sphinx", *words],
+        env={**os.environ, "http_proxy": nowhere, "https_proxy": nowhere},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    for page in PAGES:
+        assert (tmp_path / page.with_suffix(".html").name).is_file()
+    parameters = (tmp_path / "api" / "rainbow.html").read_text(encoding="utf-8")
+    assert "learning rate, or a function of the remaining progress" in parameters
+    gallery = (tmp_path / "gallery.html").read_text(encoding="utf-8")
+    pictures = re.findall(r'<img[^>]* src="([^"]+)"', gallery)
+    assert len(pictures) > 20
+    assert all((tmp_path / name).is_file() for name in pictures)
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in PAGES if "```python" in p.read_text("utf-8")], ids=lambda page: page.stem
+)
+def test_the_blocks_of_a_page_run(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From top to bottom, as a reader would type them; those of the README, `test_install` runs."""
+    blocks = python_blocks(page.read_text(encoding="utf-8"))
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    reasons = []
+    for number, (block, reason) in enumerate(blocks, start=1):
+        if reason:
+            reasons.append(f"block {number}: {reason}")
+        else:
+            exec(compile(block, f"{page.name}, block {number}", "exec"), names)
+    if reasons:
+        pytest.skip("; ".join(reasons))
