@@ -4,6 +4,7 @@
 import sys
 
 from sb3_contrib.common.maskable.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecMonitor
 
 from coop_env import CoopInsertionVecEnv
 from sb3_rainbow import Rainbow
@@ -34,7 +35,7 @@ model.save("rainbow_insertion")
 filled: list[int] = []
 evaluate_policy(
     model,  # type: ignore[arg-type]
-    CoopInsertionVecEnv(1, seed=1_000_000, **task),
+    VecMonitor(CoopInsertionVecEnv(1, seed=1_000_000, **task)),
     n_eval_episodes=20,
     callback=lambda local, _: filled.append(local["info"]["n_filled"]) if local["done"] else None,
 )

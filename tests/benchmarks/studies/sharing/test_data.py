@@ -1,4 +1,4 @@
-"""Datasets of the task: what is in them is what the environment does, and they come whole or not."""
+"""Datasets of the task: what is in them is what the environment does; they come whole or not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stored policies become packages that the hub's loader reads, and that say where they come from."""
+"""Stored policies become packages that the hub's loader reads, and say where they come from."""
 
 from __future__ import annotations
 
