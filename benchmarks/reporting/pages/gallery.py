@@ -67,7 +67,7 @@ def _body(results: Path, others: Iterable[Path]) -> str:
 
 def _captions(results: Path, others: Iterable[Path]) -> dict[str, str]:
     """By path below ``results``."""
-    found = {}
+    found: dict[str, str] = {}
     for page in others:
         shown = re.findall(r"!\[([^\]]+)\]\([./]*results/([^)]+)\)", page.read_text("utf-8"))
         found |= {name: text for text, name in shown}
