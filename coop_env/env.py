@@ -13,9 +13,15 @@ from gymnasium import spaces
 from gymnasium.error import DependencyNotInstalled, ResetNeeded
 from numpy.typing import NDArray
 
-from coop_env.checks import as_dataclass, check_flag, check_integer
 from coop_env.compilation import report_compilation
-from coop_env.errors import ActionError, ArgumentError, StateError
+from coop_env.errors import (
+    ActionError,
+    ArgumentError,
+    StateError,
+    as_dataclass,
+    check_flag,
+    check_integer,
+)
 from coop_env.geometry import (
     DeltaGeometry,
     RRSGeometry,

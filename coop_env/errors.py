@@ -1,6 +1,20 @@
-"""The named errors of the environment; each is a ``ValueError`` whose message names the mend."""
+"""The named errors of the environment, and the checks of single values that raise them.
+
+Each is a ``ValueError`` whose message names the value and the mend.
+"""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields
+from numbers import Real
+from typing import Any, TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+LARGEST = 2**31 - 1
 
 
 class ArgumentError(ValueError):
@@ -21,3 +35,79 @@ class ResetOptionError(ValueError):
 
 class StateError(ValueError):
     """A snapshot that does not fit the environment it is loaded into."""
+
+
+def check_number(
+    name: str,
+    value: Any,
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    above: bool = False,
+    error: type[ValueError] = ArgumentError,
+) -> float:
+    """The value as a float within ``low`` to ``high``; ``above``: ``low`` itself is excluded.
+
+    Raises:
+        error: it is no number, not finite or out of the range.
+    """
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise error(f"{name} = {value!r}: must be a number")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not (math.isfinite(number) and low <= number <= high) or (above and number == low):
+        if math.isinf(low) and math.isinf(high):
+            raise error(f"{name} = {value!r}: must be finite")
+        least = f"above {low:g}" if above else f"at least {low:g}"
+        most = "finite" if math.isinf(high) else f"at most {high:g}"
+        raise error(f"{name} = {value!r}: must be {least} and {most}")
+    return number
+
+
+def check_integer(name: str, value: Any, low: int, high: int = LARGEST, *, hint: str = "") -> int:
+    """The value as an int within ``low`` to ``high``.
+
+    Raises:
+        ArgumentError: it is no integer or out of the range; ``hint`` says what the numbers mean.
+    """
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, (int, np.integer))
+        or not low <= value <= high
+    ):
+        raise ArgumentError(f"{name} = {value!r}: must be an integer from {low} to {high}{hint}")
+    return int(value)
+
+
+def check_flag(name: str, value: Any) -> bool:
+    """The value, if it is True or False.
+
+    Raises:
+        ArgumentError: it is something else, 0 and 1 included.
+    """
+    if not isinstance(value, bool):
+        raise ArgumentError(f"{name} = {value!r}: must be True or False")
+    return value
+
+
+def as_dataclass(name: str, value: Any, kind: type[T]) -> T:
+    """The value, or a mapping of fields (from YAML, say) made into one of ``kind``.
+
+    Raises:
+        ArgumentError: it is neither, or names a field that ``kind`` does not have, or misses one.
+    """
+    if isinstance(value, kind):
+        return value
+    if not isinstance(value, Mapping):
+        kinds = f"a {kind.__name__} or a mapping of its fields"
+        raise ArgumentError(f"{name} = {value!r}: must be {kinds}")
+    known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
+    unknown = sorted(str(key) for key in value if key not in known)
+    if unknown:
+        raise ArgumentError(f"{name} has unknown keys {unknown}; known: {known}")
+    try:
+        return kind(**value)
+    except TypeError as missing:
+        raise ArgumentError(f"{name} = {dict(value)!r}: {missing}") from missing

@@ -13,8 +13,7 @@ from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any, Final
 
-from coop_env.checks import as_dataclass, check_number
-from coop_env.errors import ArgumentError
+from coop_env.errors import ArgumentError, as_dataclass, check_number
 
 
 class GeometryError(ValueError):

@@ -1,5 +1,6 @@
 """Behaviour cloning: a network learns the exact optimum's moves from a Minari dataset, under masks.
-The small one of the repository, about a minute; `-m examples.behaviour_cloning 1` is one epoch."""
+The small one of the repository, about a minute; `-m examples.behaviour_cloning 1` is one epoch.
+"""
 
 import os
 import sys

@@ -1,5 +1,6 @@
 """Rainbow learns CartPole, plays twenty episodes and is saved.
-50,000 steps, about a minute; `python -m examples.cartpole 1000` takes fewer."""
+50,000 steps, about a minute; `python -m examples.cartpole 1000` takes fewer.
+"""
 
 import sys
 

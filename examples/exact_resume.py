@@ -1,5 +1,6 @@
 """A run that goes on from a checkpoint ends with the very weights that it would have ended with.
-Some 30,000 steps, about a minute; `python -m examples.exact_resume 1000` takes fewer."""
+Some 30,000 steps, about a minute; `python -m examples.exact_resume 1000` takes fewer.
+"""
 
 import sys
 from pathlib import Path

@@ -1,5 +1,6 @@
 """Images as observations, in an environment of one's own: a paddle has to catch a falling ball.
-10,000 steps, about a minute; `python -m examples.images 300` takes fewer."""
+10,000 steps, about a minute; `python -m examples.images 300` takes fewer.
+"""
 
 import sys
 from typing import Any

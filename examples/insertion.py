@@ -1,5 +1,6 @@
 """Rainbow learns to insert the peg: the settings of the benchmark's track `safe`.
-100,000 steps, about four minutes; `python -m examples.insertion 500` takes fewer."""
+100,000 steps, about four minutes; `python -m examples.insertion 500` takes fewer.
+"""
 
 import sys
 

@@ -1,5 +1,6 @@
 """Moves that an environment forbids are never made: FrozenLake, masked so that no ice breaks.
-20,000 steps, about half a minute; `python -m examples.masks 1000` takes fewer."""
+20,000 steps, about half a minute; `python -m examples.masks 1000` takes fewer.
+"""
 
 import sys
 

@@ -1,5 +1,6 @@
 """A 3-RRS of one's own: optimized at all heights of the task, and asked how many holes it reaches.
-100 starts, about a minute; `python -m examples.own_3rrs 5` takes fewer."""
+100 starts, about a minute; `python -m examples.own_3rrs 5` takes fewer.
+"""
 
 import sys
 

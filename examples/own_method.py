@@ -1,5 +1,6 @@
 """A method of one's own on the leaderboard: the allowed move that pays most, until none pays.
-The test episodes of `quick`, about a minute; `python -m examples.own_method 2` plays two a seed."""
+The test episodes of `quick`, about a minute; `python -m examples.own_method 2` plays two a seed.
+"""
 
 import sys
 

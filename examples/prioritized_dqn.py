@@ -1,5 +1,6 @@
 """SB3's own DQN on Rainbow's replay buffer: prioritized, with three-step returns.
-50,000 steps, about a minute; `python -m examples.prioritized_dqn 2000` takes fewer."""
+50,000 steps, about a minute; `python -m examples.prioritized_dqn 2000` takes fewer.
+"""
 
 import sys
 

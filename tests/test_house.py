@@ -34,7 +34,6 @@ FLOORS = {
     "coop_env": (
         "coop_env.errors",
         "coop_env.compilation",
-        "coop_env.checks",
         "coop_env.geometry",
         "coop_env.kinematics",
         "coop_env.design",

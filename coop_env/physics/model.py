@@ -15,8 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from coop_env.checks import check_flag, check_number
-from coop_env.errors import ArgumentError
+from coop_env.errors import ArgumentError, check_flag, check_number
 from coop_env.geometry import DELTA, OPTIMIZED, DeltaGeometry, GeometryError, RRSGeometry
 from coop_env.kinematics import delta as delta_kinematics
 from coop_env.physics.dome import Bore, dome_solids

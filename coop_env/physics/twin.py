@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coop_env.checks import check_integer
-from coop_env.errors import ArgumentError
+from coop_env.errors import ArgumentError, check_integer
 from coop_env.kinematics import delta, rrs
 from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
 from coop_env.physics import kernels

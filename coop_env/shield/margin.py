@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from coop_env.checks import check_number
-from coop_env.errors import ArgumentError
+from coop_env.errors import ArgumentError, check_number
 from coop_env.simulation.task import EnvParams
 
 

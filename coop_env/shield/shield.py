@@ -9,9 +9,8 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coop_env.checks import as_dataclass
 from coop_env.env import CoopInsertionEnv
-from coop_env.errors import ActionError, ArgumentError, ResetOptionError
+from coop_env.errors import ActionError, ArgumentError, ResetOptionError, as_dataclass
 from coop_env.shield import kernels
 from coop_env.shield.margin import ShieldMargin
 from coop_env.simulation.start_states import as_configuration

@@ -7,8 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from coop_env.checks import check_integer, check_number
-from coop_env.errors import ArgumentError
+from coop_env.errors import ArgumentError, check_integer, check_number
 
 MAX_HOLES: Final = 32
 

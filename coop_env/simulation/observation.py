@@ -8,9 +8,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from coop_env.checks import check_flag
 from coop_env.compilation import njit
-from coop_env.errors import ArgumentError
+from coop_env.errors import ArgumentError, check_flag
 from coop_env.kinematics import rrs_kernels
 from coop_env.simulation import machine
 from coop_env.simulation.collision import hole, peg_tip

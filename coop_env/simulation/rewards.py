@@ -14,9 +14,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from coop_env.checks import check_number
 from coop_env.compilation import njit
-from coop_env.errors import RewardError
+from coop_env.errors import RewardError, check_number
 from coop_env.simulation.task import RewardParams
 
 TERMS: Final = (

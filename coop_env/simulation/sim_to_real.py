@@ -14,8 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from coop_env.checks import as_dataclass, check_flag, check_integer, check_number
-from coop_env.errors import ArgumentError
+from coop_env.errors import ArgumentError, as_dataclass, check_flag, check_integer, check_number
 from coop_env.simulation.insertion_task import InsertionTask
 from coop_env.simulation.task import EnvParams
 

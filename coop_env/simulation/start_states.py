@@ -11,9 +11,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from coop_env.checks import check_integer
 from coop_env.compilation import njit
-from coop_env.errors import ResetOptionError
+from coop_env.errors import ResetOptionError, check_integer
 from coop_env.kinematics import rrs_kernels
 from coop_env.simulation import dynamics, state
 from coop_env.simulation.sim_to_real import SimToReal, draw_machine

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from coop_env.checks import check_flag
+from coop_env.errors import check_flag
 from coop_env.simulation import joint
 from coop_env.simulation.observation import PAPER_FIELDS, markov_fields
 from coop_env.team.joint_env import CoopInsertionJointEnv

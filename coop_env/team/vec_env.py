@@ -10,7 +10,7 @@ from gymnasium import Wrapper, spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices
 
-from coop_env.checks import check_flag
+from coop_env.errors import check_flag
 from coop_env.simulation import joint
 from coop_env.team.agents import AGENTS, Team, joint_actions
 from coop_env.team.joint_env import CoopInsertionJointEnv

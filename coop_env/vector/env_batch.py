@@ -14,10 +14,9 @@ import numpy as np
 from gymnasium.error import NoAsyncCallError, ResetNeeded
 from numpy.typing import NDArray
 
-from coop_env.checks import check_integer
 from coop_env.compilation import report_compilation
 from coop_env.env import CoopInsertionEnv, check_snapshot
-from coop_env.errors import ActionError, ArgumentError, ResetOptionError
+from coop_env.errors import ActionError, ArgumentError, ResetOptionError, check_integer
 
 Seeds = Sequence[int | None]
 LARGEST_SEED = 2**63 - 1

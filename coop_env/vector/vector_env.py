@@ -10,9 +10,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from coop_env.checks import check_integer
 from coop_env.env import CoopInsertionEnv
-from coop_env.errors import ArgumentError
+from coop_env.errors import ArgumentError, check_integer
 from coop_env.simulation import batch
 from coop_env.vector.env_batch import EnvBatch, seeds_of
 

@@ -11,9 +11,8 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from coop_env.checks import as_dataclass
 from coop_env.env import check_action
-from coop_env.errors import ActionError
+from coop_env.errors import ActionError, as_dataclass
 from coop_env.geometry import DeltaGeometry, RRSGeometry, resolve_delta, resolve_rrs
 from coop_env.physics.contact.batch import FAILURES, LIMIT, N_OBSERVED, ContactBatch, Outcome
 from coop_env.physics.contact.task import ContactTask, check_options, resolve_task

@@ -10,8 +10,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from coop_env.checks import as_dataclass, check_integer, check_number
-from coop_env.errors import ArgumentError, ResetOptionError
+from coop_env.errors import (
+    ArgumentError,
+    ResetOptionError,
+    as_dataclass,
+    check_integer,
+    check_number,
+)
 from coop_env.geometry import GeometryError
 from coop_env.kinematics import delta, rrs
 from coop_env.kinematics.rotations import roll_pitch

@@ -12,8 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from coop_env.checks import check_integer
-from coop_env.errors import ActionError
+from coop_env.errors import ActionError, check_integer
 from coop_env.physics.contact.batch import FAILURES, ContactBatch
 from coop_env.physics.contact.env import (
     CoopInsertionContactEnv,
