@@ -39,16 +39,16 @@ MODULES: Final = {
     "failures": "failures",
     "media": "viewing.media",
     "package": "sharing.package",
-    "physics": "physics",
+    "physics": "robots.physics",
     "resume": "resume",
-    "shield": "shield",
+    "shield": "robots.shield",
     "watch": "viewing.watch",
 }
 DELEGATED: Final = ("speed", "tune", *MODULES)
 # the studies that keep tables: each has a `check` of what it stored
 CHECKED: Final = (
-    *("design.docs", "audit", "failures", "physics", "shield", "classic.docs", "tuning.check"),
-    "sharing.data_page",
+    *("design.docs", "audit", "failures", "robots.physics", "robots.shield", "classic.docs"),
+    *("tuning.check", "sharing.data_page"),
 )
 SPEED: Final = {
     "env": "benchmarks.studies.speed.env",

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.reporting.verify import Report
-from benchmarks.studies import shield
+from benchmarks.studies.robots import shield
 from coop_env import CoopInsertionEnv
 from coop_env.shield import KinematicShield
 from coop_env.shield.certificate import Certificate, check_product, lattice

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.__main__ import main as command
 from benchmarks.reporting.verify import Report
-from benchmarks.studies import physics
+from benchmarks.studies.robots import physics
 
 SMALL = ["--poses", "4", "--steps", "16", "--rounds", "1", "--memory-steps", "20"]
 

@@ -1,0 +1,1 @@
+"""What the machines do: the physics twin beside the kinematics, and the shield."""
