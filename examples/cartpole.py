@@ -1,5 +1,5 @@
 """Rainbow learns CartPole, plays twenty episodes and is saved.
-50,000 steps, about a minute; `python -m examples.cartpole 1000` takes fewer.
+50,000 steps, two minutes or so; `python -m examples.cartpole 1000` takes fewer.
 """
 
 import sys
@@ -13,7 +13,14 @@ from sb3_rainbow import Rainbow
 steps = int(sys.argv[1]) if len(sys.argv) > 1 else 50_000
 
 model = Rainbow(
-    "MlpPolicy", "CartPole-v1", learning_rate=1e-3, tau=5e-3, train_freq=1, sigma0=0.2, seed=0
+    "MlpPolicy",
+    "CartPole-v1",
+    learning_rate=5e-4,
+    batch_size=64,
+    tau=5e-3,
+    train_freq=1,
+    sigma0=0.2,
+    seed=0,
 )
 model.learn(steps)
 model.save("rainbow_cartpole")

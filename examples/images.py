@@ -18,7 +18,7 @@ SIZE, PIXELS = 10, 4  # squares along a side, pixels along a square's
 
 
 class Catch(gym.Env[np.ndarray, np.int64]):
-    """Left, stay, right; +1 for a ball that lands on the paddle, -1 for one that does not."""
+    """Left, stay, right; 1 for a ball that lands on the paddle, 0 for one that does not."""
 
     observation_space = spaces.Box(0, 255, (1, SIZE * PIXELS, SIZE * PIXELS), np.uint8)
     action_space = spaces.Discrete(3)
@@ -33,8 +33,8 @@ class Catch(gym.Env[np.ndarray, np.int64]):
         self.row += 1
         self.paddle = min(max(self.paddle + int(action) - 1, 0), SIZE - 1)
         landed = self.row == SIZE - 1
-        reward = (1.0 if self.column == self.paddle else -1.0) if landed else 0.0
-        return self._image(), reward, landed, False, {}
+        caught = landed and self.column == self.paddle
+        return self._image(), float(caught), landed, False, {}
 
     def _image(self) -> np.ndarray:
         board = np.zeros((SIZE, SIZE), np.uint8)
@@ -44,5 +44,5 @@ class Catch(gym.Env[np.ndarray, np.int64]):
 
 model = Rainbow("CnnPolicy", Catch(), learning_rate=3e-4, buffer_size=20_000, tau=5e-3, seed=0)
 model.learn(steps)
-mean, _ = evaluate_policy(model, Monitor(Catch()), n_eval_episodes=100)
-print(f"share of balls caught: {(mean + 1) / 2:.2f}")
+share, _ = evaluate_policy(model, Monitor(Catch()), n_eval_episodes=100)
+print(f"share of balls caught: {share:.2f}")

@@ -1,4 +1,4 @@
-"""Rainbow learns to insert the peg: the settings of the benchmark's track `safe`.
+"""Rainbow learns to insert the peg, by nearly the settings of the benchmark's track `safe`.
 100,000 steps, about four minutes; `python -m examples.insertion 500` takes fewer.
 """
 

@@ -164,11 +164,13 @@ def _mixed(episodes: Sequence[Episode], share: float) -> Chooser:
     ) -> NDArray[Any]:
         actions = np.zeros(len(running), np.int64)
         drawn = np.array([generators[i].random() < share for i in running])
-        for row in np.flatnonzero(drawn):
+        for row in np.flatnonzero(drawn).tolist():
             actions[row] = generators[running[row]].choice(np.flatnonzero(masks[row]))
         own = np.flatnonzero(~drawn)
         if len(own):
-            actions[own] = expert(observations[own], masks[own], [running[row] for row in own])
+            actions[own] = expert(
+                observations[own], masks[own], [running[row] for row in own.tolist()]
+            )
         return actions
 
     return choose

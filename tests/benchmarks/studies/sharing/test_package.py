@@ -68,7 +68,7 @@ def test_a_package_holds_the_policy_and_says_what_it_is(results: Path) -> None:
     env = gymnasium.make("CoopInsertion-v0", **arguments)
     seen = np.stack([env.reset(seed=seed)[0] for seed in range(30)])
     same = [model.predict(seen, deterministic=True)[0] for model in (stored, packed)]
-    np.testing.assert_array_equal(*same)
+    np.testing.assert_array_equal(same[0], same[1])
     text = ModelCard.load(folder / "README.md").text
     rows = run.rows("episodes").query("noise == 0 and masks == 'own'")
     for part in (
