@@ -69,6 +69,11 @@ def shorten_arrays(app: Sphinx, what: str, name: str, *_: Any) -> None:
         types[parameter] = text
 
 
+def skip_fields(app: Sphinx, what: str, name: str, value: Any, *_: Any) -> bool | None:
+    """Fields of named tuples: the class says what they are, Python only their numbers."""
+    return True if type(value).__name__ == "_tuplegetter" else None
+
+
 def download_results(app: Sphinx, name: str, source: list[str]) -> None:
     """Tables of ``results`` that a page links are no pages of the site, but files to take."""
     source[0] = re.sub(r"\]\((\.\./results/[^)]+\.md)\)", r"](path:\1)", source[0])
@@ -77,4 +82,5 @@ def download_results(app: Sphinx, name: str, source: list[str]) -> None:
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
     app.connect("autodoc-process-signature", shorten_arrays, priority=900)
+    app.connect("autodoc-skip-member", skip_fields)
     app.connect("source-read", download_results)
