@@ -41,7 +41,7 @@ napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 
 # What others document: their inventories would need the network.
-OTHERS = ("collections", "contextlib", "gymnasium", "io", "numpy", "os", "pandas", "pathlib",
+OTHERS = ("collections", "contextlib", "gym", "gymnasium", "io", "numpy", "os", "pandas", "pathlib",
           "pettingzoo", "rich", "stable_baselines3", "torch", "typing", "xml")  # fmt: skip
 NAMES = ("ArrayLike", "BaseCallback", "Console", "DependencyNotInstalled", "Env", "NDArray",
          "NoAsyncCallError", "ResetNeeded", "VecEnv", "WrapperActType",
