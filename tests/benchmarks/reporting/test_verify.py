@@ -37,10 +37,10 @@ PAGES = {
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
     """Results of preset quick, two pages about them, the committed design and docs."""
-    unneeded = shutil.ignore_patterns("figures", "results.md")
+    unneeded = shutil.ignore_patterns("figures", "results.md", "gallery.md")
     shutil.copytree(RESULTS / "design", tmp_path / "results" / "design", ignore=unneeded)
     shutil.copytree(ROOT / "docs", tmp_path / "docs", ignore=unneeded)
-    for page in (tmp_path / "docs").iterdir():
+    for page in (tmp_path / "docs").glob("*.md"):
         for name in included(page.read_text(encoding="utf-8")):
             (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, tmp_path / name)
