@@ -34,6 +34,7 @@ CLASSIC: Final = {
 # words with a command line of their own, beside `speed` and `tune`
 MODULES: Final = {
     "audit": "audit",
+    "contact": "robots.contact",
     "data": "sharing.data",
     "design": "design.command",
     "failures": "failures",
@@ -47,8 +48,8 @@ MODULES: Final = {
 DELEGATED: Final = ("speed", "tune", *MODULES)
 # the studies that keep tables: each has a `check` of what it stored
 CHECKED: Final = (
-    *("design.docs", "audit", "failures", "robots.physics", "robots.shield", "classic.docs"),
-    *("tuning.check", "sharing.data_page"),
+    *("design.docs", "audit", "failures", "classic.docs", "tuning.check"),
+    *("robots.physics", "robots.contact", "robots.shield", "sharing.data_page"),
 )
 SPEED: Final = {
     "env": "benchmarks.studies.speed.env",

@@ -1,0 +1,230 @@
+"""Scripts on the contact task: success, time and force over the hole's error and over friction.
+
+    python -m benchmarks contact
+
+Each script's gains are the best of a grid on validation episodes of each level, by success and then
+by time, with errors up to 3 mm. The tests have errors of fixed size to any side, tilts up to a
+degree, and friction as the task draws it, or errors of 3 mm and fixed friction. Written to
+``results/contact/`` and to ``docs/physics.md``; a level that is measured is not measured again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from gymnasium.error import DependencyNotInstalled
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import TimeElapsedColumn as Elapsed
+from rich.progress import TimeRemainingColumn as Remaining
+
+from benchmarks.errors import BenchmarkError, at_least
+from benchmarks.protocol.seeding import derive
+from benchmarks.reporting.pages import blocks
+from benchmarks.reporting.stats import wilson
+from benchmarks.reporting.verify import Report, check_file
+from benchmarks.runs.machine import describe
+from benchmarks.runs.store import write_text
+from benchmarks.studies.speed.report import table
+
+BLOCK: Final = "contact"
+PAGE: Final = "physics.md"
+LEVELS: Final = ("easy", "standard", "hard")
+ERRORS: Final = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # mm
+FRICTIONS: Final = (0.1, 0.2, 0.3, 0.4)
+TRAINED: Final = 3.0  # mm: the largest error that the task draws
+Row = dict[str, Any]
+
+
+def options(stream: str, episode: int, error: float | None, friction: float | None) -> Row:
+    """Reset options of an episode; an ``error`` of None, mm, is uniform over the disc."""
+    rng = np.random.default_rng(derive(stream, 13, episode))
+    share, bearing, lean, side = rng.random(4)
+    size = 1e-3 * (TRAINED * math.sqrt(share) if error is None else error)
+    tilt = math.radians(lean)
+    bearing, side = 2.0 * math.pi * bearing, 2.0 * math.pi * side
+    found: Row = {
+        "error": [size * math.cos(bearing), size * math.sin(bearing),
+                  tilt * math.cos(side), tilt * math.sin(side)]
+    }  # fmt: skip
+    return found if friction is None else {**found, "friction": friction}
+
+
+def play(
+    env: Any, script: Any, stream: str, episodes: int,
+    error: float | None = None, friction: float | None = None,
+) -> dict[str, list[Any]]:  # fmt: skip
+    """A script's episodes: success, time, s, peak force, N, and cause of failure, by name."""
+    found: dict[str, list[Any]] = {"success": [], "time": [], "force": [], "failure": []}
+    for episode in range(episodes):
+        given = options(stream, episode, error, friction)
+        seed = derive(stream, 13, episode, 1)
+        observation, _ = env.reset(seed=seed, options=given)
+        script.reset()
+        over = False
+        while not over:
+            observation, _, terminated, truncated, info = env.step(script(observation))
+            over = terminated or truncated
+        found["success"].append(bool(info["success"]))
+        found["time"].append(round(float(info["time"]), 3))
+        found["force"].append(round(float(info["peak_force"]), 3))
+        found["failure"].append(info["failure"] or ("" if info["success"] else "time"))
+    return found
+
+
+def choose(level: str, name: str, episodes: int) -> dict[str, float]:
+    """A script's gains for a level: most successes on validation episodes, then the least time."""
+    from benchmarks.methods.contact_scripts import GRIDS, SCRIPTS, Gains
+    from coop_env.physics.contact.env import CoopInsertionContactEnv
+
+    env, grid = CoopInsertionContactEnv(level), GRIDS[name]
+    best: tuple[tuple[float, float], Gains] | None = None
+    for values in itertools.product(*grid.values()):
+        gains = replace(Gains(), **dict(zip(grid, values, strict=True)))
+        found = play(env, SCRIPTS[name](env, gains), "validate", episodes)
+        score = (float(np.mean(found["success"])), -float(np.mean(found["time"])))
+        if best is None or score > best[0]:
+            best = score, gains
+    assert best is not None  # of an empty grid there is one choice
+    return {key: getattr(best[1], key) for key in grid}
+
+
+def measure(level: str, episodes: int, tick: Callable[[], None]) -> Row:
+    """All scripts of a level: their gains and their test episodes."""
+    from benchmarks.methods.contact_scripts import SCRIPTS, Gains
+    from coop_env.physics.contact.env import CoopInsertionContactEnv
+
+    env = CoopInsertionContactEnv(level)
+    found: Row = {}
+    for name, make in SCRIPTS.items():
+        gains = choose(level, name, episodes)
+        tick()
+        script = make(env, replace(Gains(), **gains))
+        found[name] = {
+            "gains": gains,
+            "errors": [play(env, script, "test", episodes, error) for error in ERRORS],
+            "frictions": [play(env, script, "test", episodes, TRAINED, f) for f in FRICTIONS],
+        }
+        tick()
+    return found
+
+
+def in_cell(found: Mapping[str, Sequence[Any]]) -> str:
+    """Success, %, median time of the successes, s, and median peak force, N."""
+    won = np.array(found["success"])
+    time = f"{np.median(np.array(found['time'])[won]):.2f}" if won.any() else "-"
+    return f"{100.0 * won.mean():.0f} / {time} / {np.median(found['force']):.1f}"
+
+
+def causes(rows: Sequence[Mapping[str, Sequence[Any]]]) -> str:
+    """How often episodes failed by each cause."""
+    all_of_them = [cause for row in rows for cause in row["failure"] if cause]
+    counted = {cause: all_of_them.count(cause) for cause in sorted(set(all_of_them))}
+    return ", ".join(f"{cause} {n}" for cause, n in counted.items()) or "-"
+
+
+def _tables(found: Mapping[str, Any]) -> Iterator[str]:
+    what = "success (%) / median time of successes (s) / median peak force (N)"
+    for level, scripts in found["levels"].items():
+        yield table(
+            f"Scripts, level `{level}`, over the hole's displacement: {what}",
+            "script | " + " | ".join(f"{e:g} mm" for e in ERRORS) + " | failures",
+            [
+                [name, *map(in_cell, one["errors"]), causes(one["errors"])]
+                for name, one in scripts.items()
+            ],
+        )
+    standard = found["levels"].get("standard", {})
+    yield table(
+        f"Scripts, level `standard`, {TRAINED:g} mm, over friction: {what}",
+        "script | " + " | ".join(f"{f:g}" for f in FRICTIONS),
+        [[name, *map(in_cell, one["frictions"])] for name, one in standard.items()],
+    )
+
+
+def tell(found: Mapping[str, Any]) -> str:
+    """The measurements as Markdown."""
+    machine, n = found["machine"], found["episodes"]
+    low, high = (100.0 * share for share in wilson(n, n))
+    chosen = "; ".join(
+        f"{level}, {name}: " + ", ".join(f"{key} {value:g}" for key, value in one["gains"].items())
+        for level, scripts in found["levels"].items()
+        for name, one in scripts.items()
+        if one["gains"]
+    )
+    return "\n\n".join(
+        [
+            *_tables(found),
+            f"{n} episodes a cell (all of them successful: {low:.0f} to {high:.0f} %, 95 % "
+            f"interval). Gains chosen: {chosen}. Command: `{found['command']}`. "
+            f"{machine['machine']['processor']}, commit {machine['commit'][:9]}.",
+        ]
+    )
+
+
+def main(words: Sequence[str]) -> int:
+    """Measure, print, write ``contact/`` below the results folder and the block of the docs."""
+    line = argparse.ArgumentParser(
+        prog="python -m benchmarks contact",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    line.add_argument("--results", type=Path, default=Path("results"))
+    line.add_argument("--docs", type=Path, default=Path("docs"), help=f"folder of {PAGE}")
+    line.add_argument("--episodes", type=at_least(2), default=50, help="of each cell")
+    line.add_argument("--levels", nargs="+", choices=LEVELS, default=list(LEVELS))
+    given = line.parse_args(list(words))
+    try:
+        from benchmarks.methods.contact_scripts import SCRIPTS, Gains
+    except DependencyNotInstalled as missing:
+        raise BenchmarkError(str(missing)) from missing
+    console, path = Console(soft_wrap=True), given.results / "contact" / "scripts.json"
+    asked = {"episodes": given.episodes, "defaults": asdict(Gains())}
+    found: Row = {"asked": asked, "levels": {}}
+    if path.is_file():
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        found = stored if stored["asked"] == asked else found
+    found |= {
+        "command": " ".join(["python -m benchmarks contact", *words]),
+        "machine": describe(),
+        "episodes": given.episodes,
+    }
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), Elapsed(), Remaining())
+    with Progress(*columns, console=console, refresh_per_second=2) as progress:
+        for level in given.levels:
+            if level not in found["levels"]:
+                task = progress.add_task(level, total=2 * len(SCRIPTS))
+                tick = partial(progress.advance, task)
+                found["levels"][level] = measure(level, given.episodes, tick)
+                write_text(path, json.dumps(found) + "\n")
+    text = tell(found)
+    write_text(path.with_suffix(".md"), text + "\n")
+    page = given.docs / PAGE
+    if page.is_file():
+        blocks.rewrite(page, lambda old: blocks.fill(old, BLOCK, lambda _: text))
+    console.print(text, markup=False)
+    console.print(f"Written to {path.parent}", markup=False)
+    return 0
+
+
+def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
+    """Verify that the tables, here and in the docs, follow from the stored episodes."""
+    path = results / "contact" / "scripts.json"
+    if not path.is_file():
+        return
+    text = tell(json.loads(path.read_text(encoding="utf-8")))
+    found = check_file(path.with_suffix(".md"), text + "\n", f"the data in {path}")
+    page = docs / PAGE
+    if page.is_file():
+        shown = blocks.fill(page.read_text(encoding="utf-8"), BLOCK, lambda _: text)
+        found += check_file(page, shown, f"the data in {path}")
+    report.add(f"{path.parent}: tables, and their block in {docs}", found)
