@@ -65,6 +65,7 @@ def test_the_blocks_of_a_page_run(
     """From top to bottom, as a reader would type them; those of the README, `test_install` runs."""
     blocks = python_blocks(page.read_text(encoding="utf-8"))
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", "")  # a page sets it; it is as it was afterwards
     Path("results").mkdir()
     Path("results/data").symlink_to(ROOT / "results" / "data")  # what pages read
     names: dict[str, Any] = {}
