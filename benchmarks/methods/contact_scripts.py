@@ -21,6 +21,7 @@ TIP_Z: Final = 2
 FORCE: Final = slice(11, 14)  # fields of the observation, and one unit of each in SI units
 MOMENT: Final = slice(14, 17)
 COMMAND: Final = slice(17, 20)
+HEAVE: Final = 22
 METRES: Final = 0.01
 NEWTONS: Final = 10.0
 NEWTON_METRES: Final = 0.05
@@ -39,6 +40,7 @@ class Gains:
         pitch: between two turns of the spiral, m.
         pace: of the spiral, increments per step.
         drop: so much below where it first touched the tip is in the hole, m.
+        rise: by which the platform comes up to meet the peg, m; more meets it at full speed.
     """
 
     hold: float = 3.0
@@ -47,8 +49,9 @@ class Gains:
     touch: float = 2.0
     guide: float = 0.5
     pitch: float = 0.002
-    pace: float = 1.2
+    pace: float = 1.3
     drop: float = 0.001
+    rise: float = 0.003
 
 
 class StiffPush:
@@ -75,10 +78,13 @@ class CompliantPush(StiffPush):
     """Down to the first contact, then as the forces allow."""
 
     def move(self, action: Floats, seen: Floats) -> None:
-        """As the stiff push, while nothing is touched."""
+        """As the stiff push, and the platform rises, while nothing is touched."""
         force, g = NEWTONS * seen[FORCE], self.gains
         free = force[TIP_Z] < 0.5 * g.touch
         action[TIP_Z] = -1.0 if free else g.give * (force[TIP_Z] - g.hold)
+        if free:  # no further: a command beyond the limits is not taken at all
+            left = g.rise - METRES * seen[HEAVE]
+            action[-1] = max(0.0, min(1.0, left / self.task.heave_step))
         action[:2] = g.yielding * force[:2]
 
 
