@@ -31,9 +31,10 @@ from benchmarks.errors import BenchmarkError, at_least
 from benchmarks.protocol.seeding import derive
 from benchmarks.reporting.pages import blocks
 from benchmarks.reporting.stats import wilson
-from benchmarks.reporting.verify import Report, check_file
+from benchmarks.reporting.verify import Report
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
+from benchmarks.studies.robots.pages import check_tables
 from benchmarks.studies.speed.report import table
 
 BLOCK: Final = "contact"
@@ -218,13 +219,4 @@ def main(words: Sequence[str]) -> int:
 
 def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
     """Verify that the tables, here and in the docs, follow from the stored episodes."""
-    path = results / "contact" / "scripts.json"
-    if not path.is_file():
-        return
-    text = tell(json.loads(path.read_text(encoding="utf-8")))
-    found = check_file(path.with_suffix(".md"), text + "\n", f"the data in {path}")
-    page = docs / PAGE
-    if page.is_file():
-        shown = blocks.fill(page.read_text(encoding="utf-8"), BLOCK, lambda _: text)
-        found += check_file(page, shown, f"the data in {path}")
-    report.add(f"{path.parent}: tables, and their block in {docs}", found)
+    check_tables(report, results / "contact/scripts.json", tell, docs / PAGE, BLOCK)

@@ -18,9 +18,10 @@ from gymnasium.error import DependencyNotInstalled
 
 from benchmarks.errors import BenchmarkError, at_least
 from benchmarks.reporting.pages import blocks
-from benchmarks.reporting.verify import Report, check_file
+from benchmarks.reporting.verify import Report
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
+from benchmarks.studies.robots.pages import check_tables
 from benchmarks.studies.speed import report
 from coop_env.geometry import GEOMETRIES
 
@@ -223,13 +224,4 @@ def main(words: Sequence[str]) -> int:
 
 def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
     """Verify that the tables, here and in the docs, follow from what was measured."""
-    path = results / "physics" / "physics.json"
-    if not path.is_file():
-        return
-    text = tell(json.loads(path.read_text(encoding="utf-8")))
-    found = check_file(path.with_suffix(".md"), text + "\n", f"the data in {path}")
-    page = docs / PAGE
-    if page.is_file():
-        shown = blocks.fill(page.read_text(encoding="utf-8"), BLOCK, lambda _: text)
-        found += check_file(page, shown, f"the data in {path}")
-    report.add(f"{path.parent}: tables, and their block in {docs}", found)
+    check_tables(report, results / "physics/physics.json", tell, docs / PAGE, BLOCK)

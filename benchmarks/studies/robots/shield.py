@@ -32,9 +32,10 @@ from benchmarks.evaluation.evaluate import model_policy
 from benchmarks.evaluation.model_files import load_model
 from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.reporting.pages import blocks
-from benchmarks.reporting.verify import Report, check_file
+from benchmarks.reporting.verify import Report
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
+from benchmarks.studies.robots.pages import check_tables
 from benchmarks.studies.speed.report import table
 from coop_env import CoopInsertionEnv, SimToReal
 from coop_env.shield import KinematicShield, ShieldMargin, ShieldWrapper
@@ -324,13 +325,4 @@ def _parts(given: argparse.Namespace) -> dict[str, Callable[[Tick], Any]]:
 
 def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
     """Verify that the tables, here and in the docs, follow from what was measured."""
-    path = results / "shield" / "shield.json"
-    if not path.is_file():
-        return
-    text = tell(json.loads(path.read_text(encoding="utf-8")))
-    found = check_file(path.with_suffix(".md"), text + "\n", f"the data in {path}")
-    page = docs / PAGE
-    if page.is_file():
-        shown = blocks.fill(page.read_text(encoding="utf-8"), BLOCK, lambda _: text)
-        found += check_file(page, shown, f"the data in {path}")
-    report.add(f"{path.parent}: tables, and their block in {docs}", found)
+    check_tables(report, results / "shield/shield.json", tell, docs / PAGE, BLOCK)
