@@ -18,7 +18,8 @@ class ShieldMargin:
         joint: of the 3-RRS's actuated angles from their limits, rad.
         reach: least ``1 - |cosine|`` of each limb's triangle: 0 is a stretched or folded limb.
         clearance: between any part of the Delta and any of the 3-RRS, m. Holes are entered only
-            where their lead-in is as much wider.
+            where their lead-in is as much wider. Below a millimetre or so it no longer covers
+            what lies between two looks at a way.
 
     Raises:
         ArgumentError: a value is of the wrong kind or out of range.

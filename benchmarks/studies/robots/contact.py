@@ -5,7 +5,8 @@
 Each script's gains are the best of a grid on validation episodes of each level, by success and then
 by time, with errors up to 3 mm. The tests have errors of fixed size to any side, tilts up to a
 degree, and friction as the task draws it, or errors of 3 mm and fixed friction. Written to
-``results/contact/`` and to ``docs/physics.md``; a level that is measured is not measured again.
+``results/contact/`` and to ``docs/physics.md``; a level that
+this commit measured is not measured again.
 """
 
 from __future__ import annotations
@@ -189,7 +190,8 @@ def main(words: Sequence[str]) -> int:
     except DependencyNotInstalled as missing:
         raise BenchmarkError(str(missing)) from missing
     console, path = Console(soft_wrap=True), given.results / "contact" / "scripts.json"
-    asked = {"episodes": given.episodes, "defaults": asdict(Gains())}
+    commit = describe()["commit"]  # what another one measured is measured again
+    asked = {"episodes": given.episodes, "defaults": asdict(Gains()), "commit": commit}
     found: Row = {"asked": asked, "levels": {}}
     if path.is_file():
         stored = json.loads(path.read_text(encoding="utf-8"))

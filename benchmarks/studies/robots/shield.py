@@ -56,7 +56,6 @@ ERRORS: Final = {
     ),
 }  # fmt: skip
 """Bounds of what the machine does not know of itself: base, its tilt, lengths, joints."""
-N_PARTS: Final = 2 + 2 * len(ERRORS)
 RAINBOW: Final = "rainbow-optimized-safe"
 
 Masks = NDArray[np.bool_]
@@ -278,7 +277,8 @@ def main(words: Sequence[str]) -> int:
     asked = {
         name: getattr(given, name) for name in ("phases", "moves", "episodes", "seeds", "full")
     }
-    found = _resume(folder / "shield.json", asked | {"margin": asdict(ShieldMargin())})
+    asked |= {"margin": asdict(ShieldMargin()), "commit": describe()["commit"]}
+    found = _resume(folder / "shield.json", asked)
     found |= {"command": " ".join(["python -m benchmarks shield", *words]), "machine": describe()}
     columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), Elapsed(), Remaining())
     with Progress(*columns, console=console, refresh_per_second=2) as progress:
@@ -302,10 +302,10 @@ def _advance(progress: Progress, task: TaskID, share: float) -> None:
 
 
 def _resume(path: Path, asked: dict[str, Any]) -> dict[str, Any]:
-    """What was measured already, if the same was asked for."""
+    """What this commit measured already, if the same was asked for."""
     if path.is_file():
         found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if found["asked"] == asked and len(found["parts"]) < N_PARTS:
+        if found["asked"] == asked:
             return found
     return {"asked": asked, "parts": {}}
 
