@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any, Final
 from rich.console import Console
 
 from benchmarks.errors import BenchmarkError, known
-from benchmarks.protocol.presets import DEFAULT_PRESET, load_preset
+from benchmarks.protocol.presets import DEFAULT_PRESET, load_preset, preset_names
 from benchmarks.runs.store import Store
+from benchmarks.studies.classic.presets import preset_names as classic_names
 
 if TYPE_CHECKING:
     from benchmarks.runs.experiment import Experiment
@@ -58,8 +59,11 @@ SPEED: Final = {
 
 
 def _experiment(arguments: argparse.Namespace) -> Experiment[Any]:
-    module, _, name = STUDIES[arguments.study].partition(":")
-    experiment: Experiment[Any] = getattr(importlib.import_module(module), name)(arguments.preset)
+    study, preset = arguments.study, arguments.preset
+    if study == "insertion" and preset not in preset_names() and preset in classic_names():
+        study = "classic"  # the suites of other tasks: a name says which, without the word
+    module, _, name = STUDIES[study].partition(":")
+    experiment: Experiment[Any] = getattr(importlib.import_module(module), name)(preset)
     return experiment
 
 

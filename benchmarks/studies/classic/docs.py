@@ -14,7 +14,10 @@ from benchmarks.studies.classic.results import Results
 from benchmarks.studies.classic.tables import build_tables
 
 # tables of the page, each with its figure
-SHOWN: Final = {"scores": "curves", "normalized": "", "together": "", "cliff": "cliff"}
+SHOWN: Final = {
+    **{"scores": "curves", "normalized": "", "together": "", "cliff": "cliff"},
+    **{"contact": "contact", "friction": ""},
+}
 
 
 def begin(preset: str) -> str:

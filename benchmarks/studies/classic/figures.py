@@ -22,6 +22,7 @@ from benchmarks.runs.store import Store
 from benchmarks.studies.classic.plan import REPLAYS
 from benchmarks.studies.classic.presets import label
 from benchmarks.studies.classic.results import Results
+from benchmarks.studies.robots.contact_report import draw, levels
 
 REPLAY_COLOURS: Final = {"prioritized": PALETTE[0], "uniform": PALETTE[1]}
 
@@ -33,6 +34,8 @@ def write_figures(results: Results, store: Store) -> list[Path]:
         # of a search the curves would be more than can be told apart
         if results.preset.tasks and not results.preset.search:
             paths.append(save(_curves(results), store.figures / "curves.png"))
+        if levels(results):
+            paths.append(save(draw(results), store.figures / "contact.png"))
         if results.preset.cliff:
             paths.append(save(_cliff(results), store.figures / "cliff.png"))
     return paths

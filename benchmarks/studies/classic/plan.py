@@ -12,7 +12,7 @@ from benchmarks.studies.classic.presets import Preset, algorithm_of
 CLIFF: Final = "cliff"
 REPLAYS: Final = ("prioritized", "uniform")
 # roughly the seconds of an environment step with its share of updates, for progress bars alone
-STEP_COST: Final = {"rainbow": 1.0, "dqn": 1.0, "qrdqn": 2.0}
+STEP_COST: Final = {"qrdqn": 2.0, "sac": 4.0, "crossq": 4.0, "td3": 3.0}
 ATARI_COST: Final = 10.0  # times as much
 
 
@@ -56,7 +56,7 @@ def units_of(config: dict[str, Any]) -> int:
     if cell["kind"] == CLIFF:
         variant = config["variant"]
         return max(1, round(variant["seeds"] * min(variant["limit"], 2.0 ** cell["number"]) / 10))
-    cost = STEP_COST[algorithm_of(cell["method"])]
+    cost = STEP_COST.get(algorithm_of(cell["method"]), 1.0)
     if config["task"]["env"].startswith(PREFIX):
         cost *= ATARI_COST
     return max(1, round(config["task"]["timesteps"] * cost))
@@ -73,6 +73,8 @@ def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
     arguments = task.pop("methods")[cell.method]
     for words in ("seeds", "title", "goal", "published", "random", "human"):
         del task[words]
+    if task["guide"] is None:
+        del task["guide"]
     return {
         "cell": asdict(cell),
         "task": task,

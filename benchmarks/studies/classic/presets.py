@@ -13,8 +13,13 @@ from benchmarks.protocol.strict import STRICT, Count, Number, Seeds, build, merg
 
 PRESETS: Final = Path(__file__).parent / "presets"
 DEFAULT_PRESET: Final = "quick"
+CONTACT: Final = "coop_env:CoopInsertionContact-v0"
 #: learning algorithms; a method is one of them, or with settings of its own ``<one>_<variant>``
-ALGORITHMS: Final = {"rainbow": "Rainbow", "dqn": "DQN", "qrdqn": "QR-DQN"}
+DISCRETE: Final = {"rainbow": "Rainbow", "dqn": "DQN", "qrdqn": "QR-DQN"}
+ALGORITHMS: Final = {
+    **DISCRETE, "sac": "SAC", "crossq": "CrossQ", "td3": "TD3", "ppo": "PPO",
+    "bc": "Behaviour cloning",
+}  # fmt: skip
 
 
 def algorithm_of(method: str) -> str:
@@ -40,6 +45,16 @@ def label(method: str) -> str:
 
 @with_config(STRICT)
 @dataclass(frozen=True)
+class Guide:
+    """Of the contact task: the first steps of off-policy learners are a script's, with noise."""
+
+    steps: Count
+    noise: Number  # standard deviation, of a whole increment
+    gains: dict[str, Number] = field(default_factory=dict)  # of the moment-guided search
+
+
+@with_config(STRICT)
+@dataclass(frozen=True)
 class Task:
     """An environment, the protocol of its runs, and each method's settings there."""
 
@@ -55,6 +70,7 @@ class Task:
     goal: Number | None = None  # the mean return at which the task counts as solved
     seeds: Seeds | None = None  # instead of the preset's
     published: dict[str, Number] = field(default_factory=dict)  # others' means, by whose they are
+    guide: Guide | None = None
     random: Number | None = None  # mean returns of a random player and of a human one
     human: Number | None = None
 
@@ -85,7 +101,7 @@ class Preset:
     final_episodes: Count
     tasks: dict[str, Task]
     cliff: dict[str, CliffVariant] = field(default_factory=dict)
-    methods: list[str] = field(default_factory=lambda: list(ALGORITHMS))
+    methods: list[str] = field(default_factory=lambda: list(DISCRETE))
     checkpoint_seconds: Number = 60.0
     search: bool = False  # compares settings of an algorithm rather than algorithms
 

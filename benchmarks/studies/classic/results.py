@@ -28,6 +28,11 @@ class Run:
     meta: dict[str, Any]
     curve: pd.DataFrame
     episodes: pd.DataFrame
+    folder: RunFolder
+
+    def rows(self, name: str) -> pd.DataFrame:
+        """What else the run stored."""
+        return self.folder.rows(name)
 
     @property
     def score(self) -> float:
@@ -62,6 +67,7 @@ class Results:
 
     def __init__(self, preset: Preset, store: Store) -> None:
         self.preset = preset
+        self.root = store.folder.parent.parent  # of all results
         self.folders: list[RunFolder] = []
         self._runs: dict[tuple[str, str], list[Run]] = {}
         self._updates: dict[tuple[str, str, int], pd.DataFrame] = {}
@@ -75,7 +81,8 @@ class Results:
             if cell.kind == CLIFF:
                 self._updates[cell.task, cell.method, cell.number] = folder.rows("updates")
                 continue
-            run = Run(cell.number, folder.meta(), folder.rows("curve"), folder.rows("episodes"))
+            curve, episodes = folder.rows("curve"), folder.rows("episodes")
+            run = Run(cell.number, folder.meta(), curve, episodes, folder)
             self._runs.setdefault((cell.task, cell.method), []).append(run)
 
     def runs(self, task: str, method: str) -> list[Run]:

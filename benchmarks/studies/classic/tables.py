@@ -14,6 +14,7 @@ from benchmarks.reporting.tables.table import Cell, Number, Table
 from benchmarks.studies.classic.environments.named import MASKED_IDENTITY
 from benchmarks.studies.classic.presets import Preset, label
 from benchmarks.studies.classic.results import Ratio, Results
+from benchmarks.studies.robots.contact_report import build_contact_tables
 
 _MASKS = (
     "The masked identity task: only Rainbow reads masks; to DQN and QR-DQN an action that is not "
@@ -34,7 +35,7 @@ def build_tables(results: Results) -> list[Table]:
         tasks = [k for k, task in results.preset.tasks.items() if task.env != MASKED_IDENTITY]
         if len(tasks) > 1 and len(results.preset.methods) > 1:
             tables.append(_together(results, tasks))
-        tables += [_speed(results), _settings(results.preset)]
+        tables += [*build_contact_tables(results), _speed(results), _settings(results.preset)]
     if results.preset.cliff:
         tables.append(_cliff(results))
     return tables

@@ -12,12 +12,14 @@ from typing import Any, Final
 
 import gymnasium as gym
 import numpy as np
-from sb3_contrib import QRDQN
-from stable_baselines3 import DQN
+from gymnasium import spaces
+from sb3_contrib import QRDQN, CrossQ
+from stable_baselines3 import DQN, PPO, SAC, TD3
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv
 
@@ -28,31 +30,49 @@ from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.environments.features import extractor_of
 from benchmarks.studies.classic.environments.named import make
 from benchmarks.studies.classic.plan import Cell
-from benchmarks.studies.classic.presets import Preset, Task, algorithm_of
+from benchmarks.studies.classic.presets import CONTACT, DISCRETE, Preset, Task, algorithm_of
 from sb3_rainbow import Rainbow
 
-CLASSES: Final[dict[str, type[OffPolicyAlgorithm]]] = {
-    "rainbow": Rainbow,
-    "dqn": DQN,
-    "qrdqn": QRDQN,
-}
+CLASSES: Final[dict[str, type[BaseAlgorithm]]] = {
+    "rainbow": Rainbow, "dqn": DQN, "qrdqn": QRDQN,
+    "sac": SAC, "crossq": CrossQ, "td3": TD3, "ppo": PPO,
+}  # fmt: skip
+IN_MOVES: Final = "coop_env:CoopInsertionContactDiscrete-v0"  # for who cannot act continuously
 LINEAR: Final = "lin_"  # rl-baselines3-zoo's word for a rate that falls to 0
 PARALLEL: Final = 50  # episodes that a test plays side by side
 
 
-def make_env(task: Task, training: bool = False) -> gym.Env[Any, Any]:
+def make_env(task: Task, discrete: bool = True, training: bool = False) -> gym.Env[Any, Any]:
     """One environment of a task, to be tested in or to learn in."""
-    return make(task.env, training, **task.env_kwargs)
+    name = IN_MOVES if discrete and task.env == CONTACT else task.env
+    return make(name, training, **task.env_kwargs)
 
 
-def build_model(task: Task, method: str, seed: int) -> OffPolicyAlgorithm:
+def class_of(task: Task, method: str) -> type[BaseAlgorithm]:
+    """The algorithm of a method on a task.
+
+    Raises:
+        BenchmarkError: it learns from a script alone, and the task has none.
+    """
+    algorithm = algorithm_of(method)
+    if task.guide is not None and algorithm != "ppo":  # which has no memory to fill
+        from benchmarks.studies.robots.guided import GUIDED
+
+        if algorithm in GUIDED:
+            return GUIDED[algorithm]
+    if algorithm not in CLASSES:
+        raise BenchmarkError(f"{task.title}: {method} learns from a script: give the task a guide")
+    return CLASSES[algorithm]
+
+
+def build_model(task: Task, method: str, seed: int) -> BaseAlgorithm:
     """The learner, untrained, with its training environments.
 
     Raises:
         BenchmarkError: a setting is unknown to the method's constructor.
     """
     arguments = copy.deepcopy(task.methods[method])  # SB3 writes into policy_kwargs
-    algorithm = CLASSES[algorithm_of(method)]
+    algorithm = class_of(task, method)
     accepted = inspect.signature(algorithm).parameters
     for name in arguments:
         if name not in accepted:
@@ -67,23 +87,36 @@ def build_model(task: Task, method: str, seed: int) -> OffPolicyAlgorithm:
                 f"found '{rate}' (YAML wants a point in it: 1.0e-3)"
             )
         arguments["learning_rate"] = LinearSchedule(float(rate.removeprefix(LINEAR)), 0.0, 1.0)
+    if (noise := arguments.get("action_noise")) is not None:
+        size = make_env(task, discrete=False).action_space.shape
+        assert size is not None
+        arguments["action_noise"] = NormalActionNoise(np.zeros(size), np.full(size, noise))
     if task.policy == "CnnPolicy":
         kwargs = dict(arguments.get("policy_kwargs", {}))
         kwargs.setdefault("features_extractor_class", extractor_of(task.env))
         arguments["policy_kwargs"] = kwargs
-    env = DummyVecEnv([lambda: Monitor(make_env(task, training=True)) for _ in range(task.n_envs)])
-    return algorithm(
+    discrete = algorithm_of(method) in DISCRETE
+
+    def make_one() -> gym.Env[Any, Any]:
+        return Monitor(make_env(task, discrete, training=True))
+
+    env = DummyVecEnv([make_one] * task.n_envs)
+    model = algorithm(
         task.policy,
         env,
         seed=derive("learner", seed),
         device="cpu",
         **arguments,
     )
+    if task.guide is not None:
+        from benchmarks.studies.robots.guided import Guided
+
+        if isinstance(model, Guided):
+            model.follow(task.guide)
+    return model
 
 
-def evaluate(
-    model: OffPolicyAlgorithm, task: Task, seeds: Sequence[int]
-) -> list[tuple[float, int]]:
+def evaluate(model: BaseAlgorithm, task: Task, seeds: Sequence[int]) -> list[tuple[float, int]]:
     """Return and length of the greedy policy's episodes, one for each ``reset(seed=...)``.
 
     Draws from no generator of the training; masks are asked for if the model knows masks.
@@ -94,8 +127,9 @@ def evaluate(
     return results
 
 
-def _play(model: OffPolicyAlgorithm, task: Task, seeds: Sequence[int]) -> list[tuple[float, int]]:
-    playing = [make_env(task) for _ in seeds]
+def _play(model: BaseAlgorithm, task: Task, seeds: Sequence[int]) -> list[tuple[float, int]]:
+    discrete = isinstance(model.action_space, spaces.Discrete)
+    playing = [make_env(task, discrete) for _ in seeds]
     masked = isinstance(model, Rainbow) and playing[0].has_wrapper_attr("action_masks")
     observations = [env.reset(seed=seed)[0] for env, seed in zip(playing, seeds, strict=True)]
     returns, lengths = [0.0] * len(seeds), [0] * len(seeds)
@@ -144,7 +178,6 @@ class Tester(BaseCallback):
         """Add a row to the curve: the greedy policy on the run's validation episodes."""
         began = time.perf_counter()
         model = self.model
-        assert isinstance(model, OffPolicyAlgorithm)
         played = np.array(evaluate(model, self.task, self.seeds))
         training = [float(episode["r"]) for episode in model.ep_info_buffer or []]
         self.rows.append({
@@ -167,7 +200,7 @@ class Tester(BaseCallback):
 class _Envs:
     """Training environments in the midst of their episodes; a world of Box2D cannot be kept."""
 
-    def __init__(self, model: OffPolicyAlgorithm) -> None:
+    def __init__(self, model: BaseAlgorithm) -> None:
         env = model.get_env()
         assert isinstance(env, DummyVecEnv)
         self.env = env
@@ -206,7 +239,8 @@ def run_learner(
 
     seconds = preset.checkpoint_seconds
     watch = Watch(folder, kept, seconds, task.timesteps, stop_requested, note)
-    logger, algorithm = configure(None, []), CLASSES[algorithm_of(cell.method)]
+    discrete = isinstance(fresh.action_space, spaces.Discrete)
+    logger, algorithm = configure(None, []), class_of(task, cell.method)
     model = learn(watch, algorithm, envs.env, lambda: fresh, [tester], logger)
     if model is None:
         return None
@@ -223,6 +257,10 @@ def run_learner(
             for i, (episode_seed, (total, length)) in enumerate(zip(seeds, played, strict=True))
         ],
     )
+    if task.env == CONTACT:
+        from benchmarks.studies.robots.contact import on_tests
+
+        folder.write_rows("contact", on_tests(model, make_env(task, discrete)))
     return {
         **watch.summary(model),
         "evaluation_seconds": tester.seconds,

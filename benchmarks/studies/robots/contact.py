@@ -43,6 +43,7 @@ PAGE: Final = "physics.md"
 LEVELS: Final = ("easy", "standard", "hard")
 ERRORS: Final = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # mm
 FRICTIONS: Final = (0.1, 0.2, 0.3, 0.4)
+EPISODES: Final = 50  # of each cell
 TRAINED: Final = 3.0  # mm: the largest error that the task draws
 Row = dict[str, Any]
 
@@ -81,6 +82,32 @@ def play(
         found["force"].append(round(float(info["peak_force"]), 3))
         found["failure"].append(info["failure"] or ("" if info["success"] else "time"))
     return found
+
+
+class Policy:
+    """A trained model as a script: its greedy action."""
+
+    def __init__(self, model: Any) -> None:
+        self.model = model
+
+    def reset(self) -> None:
+        """It keeps nothing from step to step."""
+
+    def __call__(self, observation: Any) -> Any:
+        """The action after an observation (29,)."""
+        return self.model.predict(observation, deterministic=True)[0]
+
+
+def on_tests(model: Any, env: Any) -> list[Row]:
+    """A model's episodes on the scripts' tests, a row each; errors in mm."""
+    rows = []
+    conditions: list[tuple[float, float | None]] = [(error, None) for error in ERRORS]
+    for error, friction in [*conditions, *((TRAINED, f) for f in FRICTIONS)]:
+        found = play(env, Policy(model), "test", EPISODES, error, friction)
+        for number, values in enumerate(zip(*found.values(), strict=True)):
+            row = {"error": error, "friction": friction, "episode": number}
+            rows.append({**row, **dict(zip(found, values, strict=True))})
+    return rows
 
 
 def choose(level: str, name: str, episodes: int) -> dict[str, float]:
@@ -182,7 +209,7 @@ def main(words: Sequence[str]) -> int:
     )
     line.add_argument("--results", type=Path, default=Path("results"))
     line.add_argument("--docs", type=Path, default=Path("docs"), help=f"folder of {PAGE}")
-    line.add_argument("--episodes", type=at_least(2), default=50, help="of each cell")
+    line.add_argument("--episodes", type=at_least(2), default=EPISODES, help="of each cell")
     line.add_argument("--levels", nargs="+", choices=LEVELS, default=list(LEVELS))
     given = line.parse_args(list(words))
     try:

@@ -1,0 +1,133 @@
+"""What learners did on the contact task's tests, beside the scripts: tables and a figure."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from benchmarks.reporting.figures.style import METHOD_COLOURS, PALETTE, canvas, legend_below
+from benchmarks.reporting.stats import means, stratified_bootstrap
+from benchmarks.reporting.tables.table import Cell, Table
+from benchmarks.studies.classic.presets import CONTACT, label
+from benchmarks.studies.classic.results import Results
+from benchmarks.studies.robots.contact import ERRORS, FRICTIONS, TRAINED, causes, in_cell
+
+#: of a cell of these tables
+WHAT: Final = "success (%) / median time of successes (s) / median peak force (N)"
+COLUMNS: Final = ("success", "time", "force", "failure")
+Found = dict[str, list[Any]]
+
+
+def levels(results: Results) -> dict[str, str]:
+    """The preset's contact tasks: their keys, and the level of each."""
+    tasks = results.preset.tasks.items()
+    return {key: task.env_kwargs["level"] for key, task in tasks if task.env == CONTACT}
+
+
+def _of(rows: pd.DataFrame, error: float, friction: float | None) -> Found:
+    """The episodes under one condition, as the scripts' are stored."""
+    rows = rows.astype({"success": bool})
+    same = rows["friction"].isna() if friction is None else rows["friction"] == friction
+    chosen = rows[(rows["error"] == error) & same].fillna({"failure": ""})
+    return {name: chosen[name].tolist() for name in COLUMNS}
+
+
+def _scripts(results: Results, level: str) -> dict[str, Any]:
+    """The scripts' episodes of a level, where ``python -m benchmarks contact`` has stored them."""
+    path = results.root / "contact" / "scripts.json"
+    if not path.is_file():
+        return {}
+    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))["levels"]
+    return found.get(level, {})
+
+
+def _learned(results: Results, task: str) -> Iterator[tuple[str, int, pd.DataFrame, str]]:
+    """Method, seeds, episodes of all of them, and the interval of the success at 3 mm."""
+    for method in results.preset.methods:
+        runs = results.runs(task, method)
+        if not runs:
+            continue
+        each = [_of(run.rows("contact"), TRAINED, None)["success"] for run in runs]
+        shares = np.array([[100.0 * np.mean(won)] for won in each])
+        interval = f"{shares.mean():.1f}"
+        if len(runs) > 1:
+            low, high = stratified_bootstrap(shares, means)
+            interval += f" [{low:.1f}, {high:.1f}]"
+        yield method, len(runs), pd.concat([run.rows("contact") for run in runs]), interval
+
+
+def build_contact_tables(results: Results) -> list[Table]:
+    """Success, time and force over the hole's error and over friction; none without such a task."""
+    over_errors: list[list[Cell]] = []
+    over_frictions: list[list[Cell]] = []
+    for task, level in levels(results).items():
+        for method, seeds, rows, interval in _learned(results, task):
+            found = [_of(rows, error, None) for error in ERRORS]
+            first: list[Cell] = [level, label(method), str(seeds)]
+            over_errors.append([*first, *map(in_cell, found), interval, causes(found)])
+            rubbed = [in_cell(_of(rows, TRAINED, friction)) for friction in FRICTIONS]
+            over_frictions.append([*first, *rubbed])
+        for name, one in _scripts(results, level).items():
+            first = [level, name, "-"]
+            at_three = f"{100.0 * np.mean(one['errors'][ERRORS.index(TRAINED)]['success']):.1f}"
+            cells = map(in_cell, one["errors"])
+            over_errors.append([*first, *cells, at_three, causes(one["errors"])])
+            over_frictions.append([*first, *map(in_cell, one["frictions"])])
+    if not over_errors:
+        return []
+    head, size = ["Level", "Method", "Seeds"], f"{TRAINED:g} mm"
+    note = (
+        "The same test episodes for all; medians and failures over the episodes of all seeds; "
+        f"beyond {size} is outside of training. Rainbow and DQN act in twelve moves."
+    )
+    return [
+        Table(
+            "contact",
+            f"Contact task over the hole's displacement: {WHAT}",
+            [*head, *(f"{e:g} mm" for e in ERRORS), f"success at {size} [95 %]", "failures"],
+            over_errors,
+            [note],
+            left=(0, 1),
+        ),
+        Table(
+            "friction",
+            f"Contact task at {size} over friction: {WHAT}",
+            [*head, *(f"{f:g}" for f in FRICTIONS)],
+            over_frictions,
+            left=(0, 1),
+        ),
+    ]
+
+
+def draw(results: Results) -> Figure:
+    """Success, time and force over the hole's error: learners solid, scripts dashed."""
+    tasks = levels(results)
+    figure, axes = canvas(3, len(tasks), (3.6 * len(tasks), 6.4), sharex=True, sharey=False)
+    grid = np.array(axes).reshape(3, len(tasks))
+    for column, (task, level) in zip(grid.T, tasks.items(), strict=True):
+        for number, (method, _, rows, _) in enumerate(_learned(results, task)):
+            found = [_of(rows, error, None) for error in ERRORS]
+            colour = METHOD_COLOURS.get(method, PALETTE[(2 + number) % len(PALETTE)])
+            _lines(column, found, label(method), colour, "-")
+        for number, (name, one) in enumerate(_scripts(results, level).items()):
+            _lines(column, one["errors"], name, str(0.15 + 0.2 * number), "--")
+        column[0].set_title(f"level {level}")
+        column[-1].set_xlabel("displacement of the hole (mm)")
+    for axes_, what in zip(grid[:, 0], ("success (%)", "time (s)", "peak force (N)"), strict=True):
+        axes_.set_ylabel(what)
+    legend_below(figure, axes)
+    return figure
+
+
+def _lines(column: Any, found: list[Found], name: str, colour: str, style: str) -> None:
+    won = [np.array(one["success"], bool) for one in found]
+    times = [np.array(one["time"])[w] for one, w in zip(found, won, strict=True)]
+    time = [np.median(each) if len(each) else np.nan for each in times]
+    force = [np.median(one["force"]) for one in found]
+    for axes, values in zip(column, ([100.0 * w.mean() for w in won], time, force), strict=True):
+        axes.plot(ERRORS, values, style, color=colour, label=name, linewidth=1.2)

@@ -1,0 +1,127 @@
+"""Learners of the contact task: whom the script guides, how runs resume, what tables say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from benchmarks.__main__ import main
+from benchmarks.errors import BenchmarkError
+from benchmarks.runs.store import RunFolder
+from benchmarks.studies.classic.plan import Cell
+from benchmarks.studies.classic.presets import Guide, Preset, Task, load_preset
+from benchmarks.studies.classic.train import build_model, run_learner
+from benchmarks.studies.robots import contact
+
+pytest.importorskip("mujoco", reason="needs the extra physics")
+
+METHODS = ("sac", "crossq", "td3", "ppo", "rainbow", "dqn", "bc")
+
+
+def tiny(steps: int = 120, noise: float = 0.0) -> Preset:
+    """The preset's own task and settings, for a few steps."""
+    preset = load_preset("contact")
+    task = preset.tasks["standard"]
+    assert task.guide is not None
+    short: dict[str, dict[str, Any]] = {name: dict(task.methods[name]) for name in METHODS}
+    for arguments in short.values():
+        arguments |= {"buffer_size": 1_000, "learning_starts": 40, "batch_size": 16}
+        arguments["policy_kwargs"] = {"net_arch": [16]}
+    short["ppo"] = {"n_steps": 60, "batch_size": 20}
+    guide = replace(task.guide, steps=80, noise=noise)
+    task = replace(
+        task, timesteps=steps, eval_every=60, eval_episodes=1, methods=short, guide=guide
+    )
+    return replace(preset, tasks={"standard": task}, final_episodes=1)
+
+
+def stored(method: str, noise: float, steps: int = 80) -> tuple[Any, Task]:
+    """A model after the script's own steps, and its task."""
+    task = tiny(noise=noise).tasks["standard"]
+    return build_model(task, method, 0).learn(steps), task
+
+
+def test_the_first_steps_are_the_scripts() -> None:
+    from benchmarks.methods.contact_scripts import Gains, MomentSearch
+    from coop_env.physics.contact.env import CoopInsertionContactEnv
+
+    model, task = stored("sac", 0.0)
+    assert task.guide is not None
+    script = MomentSearch(CoopInsertionContactEnv("standard"), Gains(**task.guide.gains))
+    buffer = model.replay_buffer
+    for observed, action in zip(buffer.observations[:80, 0], buffer.actions[:80, 0], strict=True):
+        np.testing.assert_allclose(action, script(observed), atol=1e-6)
+
+
+def test_of_twelve_moves_the_script_takes_those_it_would_go_along() -> None:
+    from benchmarks.methods.contact_scripts import Gains, MomentSearch
+    from coop_env.physics.contact.env import CoopInsertionContactEnv, move
+
+    model, task = stored("dqn", 0.0)
+    assert task.guide is not None
+    script = MomentSearch(CoopInsertionContactEnv("standard"), Gains(**task.guide.gains))
+    buffer = model.replay_buffer
+    for observed, action in zip(buffer.observations[:80, 0], buffer.actions[:80, 0], strict=True):
+        assert move(int(action[0])) @ script(observed) >= 0.0
+
+
+def test_a_clone_keeps_what_the_script_wanted_and_goes_elsewhere() -> None:
+    """The stored action is the script's; the last action, of which the state tells, has noise."""
+    from benchmarks.methods.contact_scripts import Gains, MomentSearch
+    from coop_env.physics.contact.env import CoopInsertionContactEnv
+
+    model, task = stored("bc", 0.3)
+    assert task.guide is not None
+    script = MomentSearch(CoopInsertionContactEnv("standard"), Gains(**task.guide.gains))
+    buffer = model.replay_buffer
+    observed, wanted = buffer.observations[:80, 0], buffer.actions[:80, 0]
+    np.testing.assert_allclose(wanted, [script(each) for each in observed], atol=1e-6)
+    following = buffer.dones[:79, 0] == 0.0
+    made = observed[1:, 23:][following]
+    assert np.std(made - wanted[:79][following]) > 0.1
+
+
+def test_a_clone_comes_to_do_what_the_script_does() -> None:
+    model, _ = stored("bc", 0.3, steps=800)
+    batch = model.replay_buffer.sample(256)
+    with torch.no_grad():
+        left = torch.nn.functional.mse_loss(model.actor(batch.observations), batch.actions)
+    assert float(left) < 0.3 * float(batch.actions.var())
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_stopped_run_goes_on_and_is_tested(
+    method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(contact, "EPISODES", 1)
+    preset, cell = tiny(noise=0.3), Cell("learn", "standard", method, 0)
+    calls = iter(range(100))
+    cut = RunFolder(tmp_path / "cut")
+    rounds = 2 if method == "ppo" else 50
+    assert run_learner(preset, cell, cut, lambda: next(calls) == rounds - 1) is None
+    summary = run_learner(preset, cell, cut)
+    assert summary is not None
+    assert summary["resumed_at"]
+    rows = cut.rows("contact")
+    assert len(rows) == 10
+    assert set(rows["error"]) == {0.0, 1.0, 2.0, 3.0, 4.0, 5.0}
+    assert (cut.rows("curve")["timesteps"].iloc[-1]) == 120
+
+
+def test_what_cannot_be_guided_is_said() -> None:
+    task = tiny().tasks["standard"]
+    with pytest.raises(BenchmarkError, match="bc learns from a script: give the task a guide"):
+        build_model(replace(task, guide=None), "bc", 0)
+    wrong = replace(task, guide=Guide(10, 0.1, {"hodl": 3.0}))
+    with pytest.raises(BenchmarkError, match="unknown gain 'hodl'; known: "):
+        build_model(wrong, "sac", 0)
+
+
+def test_run_knows_the_preset_without_the_word_classic(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "--preset", "contact"]) == 0
+    assert "standard-crossq-s4" in capsys.readouterr().out
