@@ -29,7 +29,7 @@ CLASSIC: Final = {
     "plan": "list the runs of a preset, their state and cost",
     "tables": "write and print the tables from stored runs",
     "figures": "draw the figures from stored runs",
-    "docs": "rewrite the results in docs/rainbow.md",
+    "docs": "rewrite the results on the page of docs/ that shows them",
     "train": "one run in this process",
 }
 # words with a command line of their own, beside `speed` and `tune`
@@ -264,10 +264,11 @@ def classic(arguments: argparse.Namespace) -> int:
         from benchmarks.studies.classic.results import Results
 
         _, store = _open(arguments)
-        root = Path(os.path.relpath(store.folder, arguments.page.parent)).as_posix()
         results = Results(load_classic(arguments.preset), store)
-        changed = docs.write(arguments.page, results, root)
-        print(f"{arguments.page}: {'rewritten' if changed else 'up to date'}")
+        page = arguments.page or docs.page_of(results.preset.name, Path("docs"))
+        root = Path(os.path.relpath(store.folder, page.parent)).as_posix()
+        changed = docs.write(page, results, root)
+        print(f"{page}: {'rewritten' if changed else 'up to date'}")
         return 0
     if arguments.word == "train" and arguments.cell is None:
         raise BenchmarkError("train needs --cell; `plan` lists the ids")

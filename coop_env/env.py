@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 from typing import Any, ClassVar
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.error import DependencyNotInstalled, ResetNeeded
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from coop_env.compilation import report_compilation
 from coop_env.errors import (
     ActionError,
-    ArgumentError,
     StateError,
     as_dataclass,
     check_flag,
@@ -28,6 +24,7 @@ from coop_env.geometry import (
     resolve_delta,
     resolve_rrs,
 )
+from coop_env.rendering.modes import Rendered
 from coop_env.rendering.scene import Scene, make_scene
 from coop_env.simulation import batch, rewards, start_states, state
 from coop_env.simulation.insertion_task import PAPER_TASK, InsertionTask
@@ -44,7 +41,7 @@ from coop_env.simulation.task import (
 Observation = NDArray[np.float32]
 
 
-class CoopInsertionEnv(gym.Env[Any, Any]):
+class CoopInsertionEnv(Rendered):
     """A Delta carries a peg, a 3-RRS tilts a dome of holes; fill them one after another.
 
     ``docs/env.md`` says all of this at length.
@@ -144,12 +141,9 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own form
-        "render_modes": ["rgb_array", "human", "ansi"],
+        **Rendered.metadata,
         "render_fps": round(1.0 / PAPER_TASK.dt),
     }
-    render_kwargs: Mapping[str, Any] = MappingProxyType({})
-    """``size``, ``camera``, ``panel``, ``samples`` of :func:`coop_env.rendering.render_frame` for
-    the modes ``"rgb_array"`` and ``"human"``; set it on the instance, for a window before reset."""
     step_batch: ClassVar[Callable[..., None]] = staticmethod(batch.step_batch)
     """What moves a batch's rows: arguments as :func:`coop_env.simulation.batch.step_batch`."""
 
@@ -171,10 +165,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         delta: DeltaGeometry | Mapping[str, Any] | None = None,
         task: InsertionTask | Mapping[str, Any] | None = None,
     ) -> None:
-        modes = self.metadata["render_modes"]
-        if render_mode is not None and render_mode not in modes:
-            raise ArgumentError(f"render_mode = {render_mode!r}: must be None or one of {modes}")
-        self.render_mode = render_mode
+        self._set_render_mode(render_mode)
         self._stage = start_states.check_stage(stage)
         self._task = PAPER_TASK if task is None else as_dataclass("task", task, InsertionTask)
         self._knobs = resolve(sim_to_real, self._task)
@@ -203,8 +194,6 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         self._rows = np.zeros((1, self._observation.shape[1]), np.float32)
         self._actions = np.zeros(1, np.int64)
         self._started = False
-        self._trace: list[NDArray[np.float64]] = []
-        self._window: Any = None
 
     @property
     def task(self) -> InsertionTask:
@@ -310,8 +299,7 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         report_compilation()
         batch.write_reset_outcome(self._states[0], self._outcomes[0])
         if self.render_mode is not None:
-            self._trace = [self._states["tip"][0].copy()]
-            self._show()
+            self._follow(self._states["tip"][0], first=True)
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Make a move.
@@ -330,43 +318,13 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         report_compilation()
         outcome: Any = self._outcomes.item(0)
         if self.render_mode is not None:
-            self._trace.append(self._states["tip"][0].copy())
-            self._show()
+            self._follow(self._states["tip"][0])
         reward, terminated, truncated = outcome[-3:]
         return self._rows[0].copy(), reward, terminated, truncated, batch.make_info(outcome)
 
     def scene(self) -> Scene:
         """Every body of the scene at this instant, world frame."""
         return make_scene(self._row, self._params, self._trace)
-
-    def render(self) -> Any:
-        """A frame (height, width, 3) of uint8, text, or None, as ``render_mode`` says.
-
-        Raises:
-            DependencyNotInstalled: what the mode needs is not installed.
-        """
-        if self.render_mode is None:
-            gym.logger.warn("render() without a render_mode does nothing: give one to make()")
-            return None
-        if self.render_mode == "ansi":
-            return self.scene().describe()
-        if self.render_mode == "human":
-            return self._show()
-        return _rendering("render_frame")(self.scene(), **self.render_kwargs)
-
-    def _show(self) -> None:
-        if self.render_mode != "human":
-            return
-        if self._window is None:
-            fps = self.metadata["render_fps"]
-            self._window = _rendering("open_window")(fps, **self.render_kwargs)
-        self._window.show(self.scene())
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
 
     def get_state(self) -> dict[str, Any]:
         """An exact, picklable snapshot: state, observation, random generator and stage."""
@@ -397,10 +355,6 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         self._trace = []
         return self._rows[0].copy()
 
-    def __getstate__(self) -> dict[str, Any]:
-        """What is pickled and copied: everything but the window, which opens anew."""
-        return {**self.__dict__, "_window": None}
-
     def _attach(
         self,
         states: NDArray[np.void],
@@ -410,16 +364,6 @@ class CoopInsertionEnv(gym.Env[Any, Any]):
         """Work on one row (1, ...) of a batch's arrays instead of arrays of its own."""
         states[:], outcomes[:], rows[:] = self._states, self._outcomes, self._rows
         self._states, self._outcomes, self._rows = states, outcomes, rows
-
-
-def _rendering(name: str) -> Any:
-    """A function of :mod:`coop_env.rendering`, imported only when something is to be seen."""
-    try:
-        return getattr(importlib.import_module("coop_env.rendering"), name)
-    except (ImportError, AttributeError) as error:
-        raise DependencyNotInstalled(
-            f"rendering needs pip install 'sb3-rainbow-coop[render]': {error}"
-        ) from error
 
 
 def check_action(action: Any, n_actions: int = N_ACTIONS, name: str = "action") -> int:

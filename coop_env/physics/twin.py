@@ -177,6 +177,10 @@ class Twin:
         self._sensors[row] = self.inspect(row)[1].sensordata
         return _readings(self._sensors[row].copy())
 
+    def readings(self) -> Readings:
+        """What the sensors of all machines said last, (n, ...)."""
+        return _readings(self._sensors.copy())
+
     def inspect(self, row: int) -> tuple[Any, Any]:
         """MuJoCo's own model and data of one machine now, all quantities computed.
 

@@ -33,7 +33,10 @@ CARD_WIDTH: Final = (0.30, 0.40)  # at most so much of the picture's width, and 
 MIN_WIDTH: Final = 400  # px; a smaller picture has no room to read a card
 SIGMA_FULL: Final = 1.0  # signed sigma_min at which the bar is full
 SIGMA_LOW: Final = 0.15  # the bar warns below the design's threshold (paper, A_w)
-STATUS_COLOURS: Final = {"running": MUTED, "success": GOOD, "singular": BAD, "timeout": WARN}
+STATUS_COLOURS: Final = {
+    **{"running": MUTED, "success": GOOD, "singular": BAD, "timeout": WARN},
+    **{"force": BAD, "snap": BAD, "diverged": BAD, "time": WARN},  # of the physics twin
+}
 
 
 @lru_cache(maxsize=16)

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 from typing import Final
 
+from benchmarks.errors import BenchmarkError
 from benchmarks.reporting.pages import blocks
 from benchmarks.reporting.verify import Report, check_file, check_tables
 from benchmarks.runs.store import Store
@@ -29,6 +30,18 @@ def begin(preset: str) -> str:
 def block_of(preset: str) -> str:
     """The name of a preset's block."""
     return f"classic-{preset}"
+
+
+def page_of(preset: str, docs: Path) -> Path:
+    """The page below ``docs`` that shows a preset.
+
+    Raises:
+        BenchmarkError: none does.
+    """
+    for path in sorted(docs.glob("*.md")):
+        if begin(preset) in path.read_text(encoding="utf-8"):
+            return path
+    raise BenchmarkError(f"no page in {docs} has the line {begin(preset)}; name one with --page")
 
 
 def rewrite(page: str, results: Results, root: str) -> str:

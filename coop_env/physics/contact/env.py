@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
@@ -15,9 +14,12 @@ from coop_env.env import check_action
 from coop_env.errors import ActionError, as_dataclass
 from coop_env.geometry import DeltaGeometry, RRSGeometry, resolve_delta, resolve_rrs
 from coop_env.physics.contact.batch import FAILURES, LIMIT, N_OBSERVED, ContactBatch, Outcome
+from coop_env.physics.contact.scene import twin_scene
 from coop_env.physics.contact.task import ContactTask, check_options, resolve_task
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Machine, Servos
+from coop_env.rendering.modes import Rendered
+from coop_env.rendering.scene import Scene
 from coop_env.simulation.insertion_task import PAPER_TASK, InsertionTask
 from coop_env.simulation.task import N_ACTIONS, N_AXES, EnvParams
 
@@ -47,7 +49,7 @@ def make_machine(
     )
 
 
-class CoopInsertionContactEnv(gym.Env[Any, Any]):
+class CoopInsertionContactEnv(Rendered):
     """A peg stands over a hole that is not quite where the machine believes; put it in, by feel.
 
     Both robots are simulated with their masses, servos and contact (MuJoCo). ``docs/physics.md``
@@ -113,6 +115,7 @@ class CoopInsertionContactEnv(gym.Env[Any, Any]):
             :class:`~coop_env.simulation.insertion_task.InsertionTask`.
         servos: None, or :class:`~coop_env.physics.model.Servos`. Each of these five may be a plain
             mapping of fields.
+        render_mode: None, ``"rgb_array"``, ``"human"`` or ``"ansi"``; no OpenGL.
 
     Raises:
         DependencyNotInstalled: on import, if MuJoCo is missing; it names the extra.
@@ -124,7 +127,10 @@ class CoopInsertionContactEnv(gym.Env[Any, Any]):
     * v0: initial version
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium's own form
+    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own form
+        **Rendered.metadata,
+        "render_fps": round(1.0 / ContactTask().dt),
+    }
     discrete = False
 
     def __init__(
@@ -134,12 +140,16 @@ class CoopInsertionContactEnv(gym.Env[Any, Any]):
         delta: DeltaGeometry | Mapping[str, Any] | None = None,
         holes: InsertionTask | Mapping[str, Any] | None = None,
         servos: Servos | Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
     ) -> None:
+        self._set_render_mode(render_mode)
         self.task = resolve_task(level)
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.task.dt))}
         machine = make_machine(self.task, geometry, delta, holes, servos)
         self.batch = ContactBatch(self.task, machine)
         self.observation_space, self.action_space = make_spaces(self.discrete)
         self._running = False
+        self._status = "running"
 
     @property
     def params(self) -> EnvParams:
@@ -162,7 +172,9 @@ class CoopInsertionContactEnv(gym.Env[Any, Any]):
         given = check_options(options, self.batch.starts)
         super().reset(seed=seed)
         info = self.batch.reset(0, given, self.np_random)
-        self._running = True
+        self._running, self._status = True, "running"
+        if self.render_mode is not None:
+            self._follow(self.batch.twin.readings().tip[0], first=True)
         return self.batch.observation[0].copy(), info
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -177,8 +189,15 @@ class CoopInsertionContactEnv(gym.Env[Any, Any]):
         outcome = self.batch.step(self.increments_of(action)[None], [self.np_random])
         ended = bool(outcome.terminated[0]), bool(outcome.truncated[0])
         self._running = not any(ended)
-        reward = float(outcome.reward[0])
-        return outcome.observation[0], reward, *ended, row_info(self.batch, outcome, 0)
+        reward, info = float(outcome.reward[0]), row_info(self.batch, outcome, 0)
+        self._status = "success" if info["success"] else info["failure"] or "running"
+        if self.render_mode is not None:
+            self._follow(self.batch.twin.readings().tip[0])
+        return outcome.observation[0], reward, *ended, info
+
+    def scene(self) -> Scene:
+        """Every body of the scene at this instant, where it really is; world frame."""
+        return twin_scene(self.batch, 0, self._status, self._trace)
 
     def increments_of(self, action: Any) -> Floats:
         """An action as increments (6,), each of -1 to 1.

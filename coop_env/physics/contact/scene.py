@@ -1,0 +1,67 @@
+"""What there is to see of the twin: where things really are, for the renderers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from coop_env.kinematics import rrs
+from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
+from coop_env.physics.contact.batch import ContactBatch
+from coop_env.physics.joints import Floats
+from coop_env.rendering.scene import Scene
+from coop_env.simulation.collision import arm_points, limb_points
+from coop_env.simulation.state import joint_angles
+
+
+def twin_scene(batch: ContactBatch, row: int, status: str, trace: Sequence[Floats]) -> Scene:
+    """The scene of one episode: links as the measured joints close them, on the real base.
+
+    Platform, dome, holes and tip are the simulation's own. ``status`` is ``"running"``,
+    ``"success"``, or the cause of the failure.
+    """
+    twin, machine = batch.twin, batch.twin.machine
+    readings, p = twin.readings(), machine.kernel_params()
+    found = twin.believed(readings.joints[row], batch.command[row])
+    configuration = np.where(np.isfinite(found), found, batch.command[row])
+    x, y, z, *_ = configuration.tolist()
+    _, theta, pose, q = joint_angles(tuple(configuration.tolist()), p)
+    arms = np.array([arm_points(x, y, z, theta, i, p.delta) for i in range(3)])
+    turn = roll_pitch_yaw_matrix([*twin.base[row, 3:], 0.0])
+    limbs = np.array([limb_points(pose, q, i, p.rrs) for i in range(3)]) @ turn.T
+    limbs += twin.base[row, :3]
+    rotation, centre = readings.rotation[row], readings.platform[row]
+    normals = np.array(machine.task.hole_normals) @ rotation.T
+    mouths = centre + machine.task.dome_radius * normals
+    hole = int(batch.hole[row])
+    target = np.arange(len(normals)) == hole
+    tip = readings.tip[row]
+    return Scene(
+        delta_base_joints=arms[:, 0],
+        knees=arms[:, 1],
+        effector_joints=arms[:, 2],
+        effector=np.array([x, y, z + p.delta.base_height]),
+        tip=tip.copy(),
+        peg_radius=p.delta.peg_radius,
+        rrs_base_joints=limbs[:, 0],
+        elbows=limbs[:, 1],
+        platform_joints=limbs[:, 2],
+        platform_centre=centre.copy(),
+        platform_rotation=rotation.copy(),
+        dome_radius=machine.task.dome_radius,
+        hole_mouths=mouths,
+        hole_normals=normals,
+        chamfer=p.task.chamfer,
+        active=target,
+        filled=target & (status == "success"),
+        target=hole,
+        distance=float(np.linalg.norm(mouths[hole] - tip)),
+        alignment_error=float(np.arccos(np.clip(normals[hole, 2], -1.0, 1.0))),
+        sigma_min=float(rrs.signed_sigma_min(configuration[3:], machine.rrs)),
+        singular_margin=float(p.layout["singular_margin"]),
+        configuration=configuration,
+        time=float(batch.steps[row]) * batch.task.dt,
+        status=status,
+        trace=np.array(trace, np.float64).reshape(-1, 3),
+    )
