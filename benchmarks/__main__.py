@@ -147,7 +147,7 @@ def _add_classic(verbs: Any) -> None:
     add("--workers", "--jobs", dest="jobs", type=at_least(1), default=None,
         help="processes (default: cores)")  # fmt: skip
     add("--page", type=Path, default=None,
-        help="of docs: the file (default: the page of docs/ that has the preset's block)")  # fmt: skip
+        help="of docs: the file (default: that of docs/ with the preset's block)")  # fmt: skip
     add("--cell", default=None, help="of train: the run's id, as plan lists them")
     add("--wait", type=float, default=0.0, help=argparse.SUPPRESS)
     add("--parent", type=int, default=None, help=argparse.SUPPRESS)

@@ -210,6 +210,7 @@ def main(words: Sequence[str]) -> int:
     line.add_argument("--results", type=Path, default=Path("results"))
     line.add_argument("--docs", type=Path, default=Path("docs"), help=f"folder of {PAGE}")
     line.add_argument("--episodes", type=at_least(2), default=EPISODES, help="of each cell")
+    line.add_argument("--film", action="store_true", help="a video of one insertion as well")
     line.add_argument("--levels", nargs="+", choices=LEVELS, default=list(LEVELS))
     given = line.parse_args(list(words))
     try:
@@ -242,6 +243,12 @@ def main(words: Sequence[str]) -> int:
     if page.is_file():
         blocks.rewrite(page, lambda old: blocks.fill(old, BLOCK, lambda _: text))
     console.print(text, markup=False)
+    if given.film:
+        from benchmarks.studies.robots.film import write_film
+
+        console.print("Drawing the film", markup=False)
+        standard = found["levels"].get("standard", {}).get("moment-guided search", {})
+        write_film(path.parent, replace(Gains(), **standard.get("gains", {})))
     console.print(f"Written to {path.parent}", markup=False)
     return 0
 
