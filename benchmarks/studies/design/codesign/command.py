@@ -137,11 +137,20 @@ def _search(
     played = _candidates(pd.DataFrame(rows), asked["candidates"], floor)
     folder.write_rows("candidates", [dict(row) for _, row in played.iterrows()])
     told = {
-        "command": " ".join(["python -m benchmarks codesign", *words]), "machine": describe(),
+        "command": _command(words), "machine": describe(),
         "cpu_seconds": time.process_time() - began, "floor": floor, "most": machine.most,
         "base": machine.base_name, "studies": studies,
     }  # fmt: skip
     write_text(folder.path / "codesign.json", json.dumps(told, indent=1) + "\n")
+
+
+def _command(words: Sequence[str]) -> str:
+    """What makes all of it: the words without those that stop early, or say how many at once."""
+    parts = ["python -m benchmarks codesign", *words]
+    for name in ("--until", "--jobs"):
+        if name in parts:
+            del parts[parts.index(name) : parts.index(name) + 2]
+    return " ".join(parts)
 
 
 def _advance(progress: Progress, task: Any, done: int) -> None:
@@ -173,8 +182,10 @@ def _choose(folder: RunFolder, machine: Machine, seeds: int) -> None:
     """The optimum of the chosen designs on their test starts: chosen.csv, unless it is there."""
     found = Found(folder.path)
     chosen = found.choose()
-    if found.chosen is not None and list(chosen) == found.chosen["design"].unique().tolist():
-        return
+    if found.chosen is not None:
+        stored = zip(found.chosen["design"], found.chosen["chosen"].fillna(""), strict=True)
+        if dict(stored) == chosen:
+            return
     rows = []
     for design, why in chosen.items():
         geometry = found.geometry(machine, design)

@@ -21,9 +21,11 @@ from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.protocol.plan import expand
 from benchmarks.protocol.presets import load_preset
 from benchmarks.reporting.verify import Report
+from benchmarks.runs.cell import run_cell
 from benchmarks.runs.store import RunFolder
 from benchmarks.studies.design.codesign import command, conditioned, spaces, tell
 from benchmarks.studies.design.codesign.found import Found, on_front, quickest, surest
+from benchmarks.studies.insertion import Insertion
 from coop_env.design import workspace_area
 from coop_env.geometry import GEOMETRIES, OPTIMIZED
 from coop_env.team.joint_env import CoopInsertionJointEnv
@@ -192,7 +194,8 @@ def test_the_command_goes_on_and_can_be_checked(
     page = docs / tell.PAGE
     page.write_text("# Page\n\n<!-- codesign:begin -->\n<!-- codesign:end -->\n", encoding="utf-8")
     words = ["codesign", "--results", str(results), "--docs", str(docs), "--jobs", "1", *SMALL]
-    words += ["--steps", "400"]
+    words += ["--steps", "400", "--policy-steps", "320"]
+    monkeypatch.setattr(command, "EPISODES", 4)
     largest = {
         "lambdas": {"lambda1": 1.4386, "lambda2": 1.6591},
         "heights": {"distal_length": 0.27631, "home_heave": 0.28221},
@@ -228,8 +231,17 @@ def test_the_command_goes_on_and_can_be_checked(
     assert len(cells) == 2 * len(found.choose())
     assert {cell.geometry for cell in cells} == set(found.choose())
 
+    experiment = Insertion(str(preset))
+    own = next(cell for cell in cells if cell.geometry == "heights-area")
+    assert run_cell(experiment, own, experiment.open_store(folder, create=True))
+    assert found.policies("heights-area").n == 1
+    assert main([*words, "--until", "conditioned"]) == 0  # nothing but tables is left to do
+
     text = page.read_text("utf-8")
-    assert "too few designs to say" in text
+    assert text.count("too few designs to say") == 2
+    told = Found(folder).told["command"]
+    assert "--designs 4" in told
+    assert "--until" not in told
     assert (folder / "figures" / "fronts.png").stat().st_size > 10_000
     report = Report()
     tell.check(report, results, [], docs)
