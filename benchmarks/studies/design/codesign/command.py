@@ -71,10 +71,10 @@ def main(words: Sequence[str]) -> int:
             code = _train(Conditioned(folder.path), folder, backend, console)
         if code == 0:
             _choose(folder, machine, arguments.seeds)
-            if arguments.until == "policies":
-                preset = _write_preset(folder, machine)
-                code = _train(Insertion(str(preset)), folder, backend, console)
-        if code == 130:
+        if code == 0 and arguments.until == "policies":
+            preset = _write_preset(folder, machine)
+            code = _train(Insertion(str(preset)), folder, backend, console)
+        if code:
             return code
         found = Found(folder.path)
         text, drawn = tell(found), write_figures(found)
@@ -182,8 +182,8 @@ def _choose(folder: RunFolder, machine: Machine, seeds: int) -> None:
     """The optimum of the chosen designs on their test starts: chosen.csv, unless it is there."""
     found = Found(folder.path)
     chosen = found.choose()
-    if found.chosen is not None:
-        stored = zip(found.chosen["design"], found.chosen["chosen"].fillna(""), strict=True)
+    if folder.has_rows("chosen"):
+        stored = zip(found.chosen["design"], found.chosen["chosen"], strict=True)
         if dict(stored) == chosen:
             return
     rows = []

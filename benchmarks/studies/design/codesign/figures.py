@@ -35,11 +35,11 @@ def write_figures(found: Found) -> list[Path]:
 
 def fronts(found: Found) -> Figure:
     """Of each study success and ticks of its designs, and success over the area."""
-    figure, panels = canvas(len(STUDIES), 2, (7.2, 6.4))
+    figure, panels = canvas(len(STUDIES), 2, (7.2, 6.6))
     for row, study in enumerate(STUDIES):
         _draw_front(panels[2 * row], found, study)
         _draw_area(panels[2 * row + 1], found, study)
-    legend_below(figure, panels, 4)
+    legend_below(figure, panels)
     return figure
 
 
@@ -74,14 +74,12 @@ def _draw_area(axes: Axes, found: Found, study: str) -> None:
         area = float(found.designs.loc[design, "a_w"])
         if value.n:
             axes.errorbar(area, value.mean, yerr=_arms(value), **{**look, "mfc": look["color"]},
-                          label="filled: policy trained on the design")  # fmt: skip
+                          label="filled: policy of the design's own")  # fmt: skip
     axes.set(title=f"{SYMBOLS[study]}: success by area", xlabel="$A_w$ (rad²)", ylim=(-2, 102))
 
 
 def _chosen(found: Found, study: str) -> list[tuple[str, dict[str, Any], Any]]:
     """Name, look and test rows of the designs that belong into a study's panels."""
-    if found.chosen is None:
-        return []
     drawn = []
     for design, tests in found.chosen.groupby("design", sort=False):
         name, of = str(design), found.designs.loc[str(design), "study"]
@@ -97,4 +95,4 @@ def _chosen(found: Found, study: str) -> list[tuple[str, dict[str, Any], Any]]:
 def _arms(value: Value) -> list[list[float]] | None:
     if math.isnan(value.low):
         return None
-    return [[value.mean - value.low], [value.high - value.mean]]
+    return [[max(0.0, value.mean - value.low)], [max(0.0, value.high - value.mean)]]

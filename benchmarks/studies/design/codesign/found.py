@@ -28,7 +28,6 @@ class Found:
         asked: the settings.
         designs: every design that has a score, by its name, with the policy's scores (``policy_``)
             of those that it played.
-        chosen: the optimum on test starts, a row for each chosen design and seed.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -42,7 +41,11 @@ class Found:
         if self.conditioned is not None:
             scores = self.conditioned.rows("designs").set_index("design").add_prefix("policy_")
             self.designs = self.designs.join(scores)
-        self.chosen = own.rows("chosen") if own.has_rows("chosen") else None
+
+    @cached_property
+    def chosen(self) -> pd.DataFrame:
+        """The optimum on test starts, a row for each chosen design and seed."""
+        return RunFolder(self.folder).rows("chosen").fillna({"chosen": ""})
 
     @property
     def base(self) -> str:

@@ -186,6 +186,32 @@ def test_a_machine_of_ones_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_the_policy_for_all_designs_goes_on_from_its_checkpoint(tmp_path: Path) -> None:
+    asked = {"geometry": "optimized", "bounds": [], "starts": 2, "steps": 800}
+    RunFolder(tmp_path).begin(asked)
+    lambda1, lambda2, _ = OPTIMIZED.lambdas
+    lengths = {"study": "lambdas", "lambda1": lambda1, "lambda2": lambda2}
+    designs = [{"design": name, **lengths} for name in ("initial", "lambdas-7")]
+    RunFolder(tmp_path).write_rows("candidates", designs)
+    experiment = conditioned.Conditioned(tmp_path)
+    (cell,) = experiment.cells()
+    store = experiment.open_store(tmp_path, create=True)
+    asked_so_often = 0
+
+    def stop() -> bool:
+        nonlocal asked_so_often
+        asked_so_often += 1
+        return asked_so_often > 20
+
+    assert not run_cell(experiment, cell, store, stop)
+    assert run_cell(conditioned.Conditioned(tmp_path), cell, store)
+    folder = store.run(cell.id)
+    (resumed,) = folder.meta()["training"]["resumed_at"]
+    assert 0 < resumed < folder.meta()["training"]["timesteps"] == 800
+    assert folder.rows("designs")["design"].tolist() == ["initial", "lambdas-7"]
+
+
+@pytest.mark.slow
 def test_the_command_goes_on_and_can_be_checked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
