@@ -45,7 +45,7 @@ from benchmarks.studies.design.codesign.spaces import (
     margin,
     optimum,
 )
-from benchmarks.studies.design.codesign.tell import BLOCK, PAGE, tell
+from benchmarks.studies.design.codesign.tell import BLOCK, PAGE, block, tell
 from benchmarks.studies.insertion import Insertion
 from coop_env.geometry import GEOMETRIES
 
@@ -79,8 +79,9 @@ def main(words: Sequence[str]) -> int:
         found = Found(folder.path)
         text, drawn = tell(found), write_figures(found)
         write_text(folder.path / TABLES, text + "\n")
+    shown = block(text, folder.path, arguments.docs)
     if (page := arguments.docs / PAGE).is_file():
-        blocks.rewrite(page, lambda old: blocks.fill(old, BLOCK, lambda _: text))
+        blocks.rewrite(page, lambda old: blocks.fill(old, BLOCK, lambda _: shown))
     console.print(text, markup=False, highlight=False)
     console.print(f"Tables, data: {folder.path}; figures: {', '.join(map(str, drawn))}")
     return code

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from typing import Final
 
@@ -211,6 +212,12 @@ def sentence(found: Found, study: str) -> str:
     )
 
 
+def block(text: str, folder: Path, docs: Path) -> str:
+    """What the page holds: the tables of a folder's co-design, and its figure."""
+    figure = Path(os.path.relpath(folder / "figures" / "fronts.png", docs)).as_posix()
+    return f"{text}\n\n![Fronts, chosen designs, and success by area]({figure})"
+
+
 def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
     """Verify that the tables, here and in the docs, follow from what was stored."""
     folder = results / "codesign"
@@ -221,6 +228,8 @@ def check(report: Report, results: Path, presets: list[str], docs: Path) -> None
     found = check_runs(store)
     found += check_file(folder / TABLES, text + "\n", f"the data in {folder}")
     if page.is_file():
-        shown = blocks.fill(page.read_text(encoding="utf-8"), BLOCK, lambda _: text)
+        shown = blocks.fill(
+            page.read_text(encoding="utf-8"), BLOCK, lambda _: block(text, folder, docs)
+        )
         found += check_file(page, shown, f"the data in {folder}")
     report.add(f"{folder}: tables, {len(store.completed())} runs, and their block in {docs}", found)

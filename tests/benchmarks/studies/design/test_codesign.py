@@ -265,6 +265,7 @@ def test_the_command_goes_on_and_can_be_checked(
 
     text = page.read_text("utf-8")
     assert text.count("too few designs to say") == 2
+    assert "](../results/codesign/figures/fronts.png)" in text
     told = Found(folder).told["command"]
     assert "--designs 4" in told
     assert "--until" not in told
