@@ -115,6 +115,7 @@ def _parser() -> argparse.ArgumentParser:
     verbs.add_parser("watch", help="the optimum or a policy plays in the browser")
     verbs.add_parser("tune", help="search hyperparameters: the paper's grid, or TPE")
     verbs.add_parser("design", help="the geometric optimization: table and figures")
+    verbs.add_parser("codesign", help="the 3-RRS chosen together with the policy")
     verbs.add_parser("audit", help="what each reward pays for: scripts and learners")
     verbs.add_parser("failures", help="where stored policies fail, and why")
     verbs.add_parser("physics", help="the physics twin: errors, speed, model folder")

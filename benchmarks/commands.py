@@ -35,6 +35,7 @@ CLASSIC: Final = {
 # words with a command line of their own, beside `speed` and `tune`
 MODULES: Final = {
     "audit": "audit",
+    "codesign": "design.codesign.command",
     "contact": "robots.contact",
     "data": "sharing.data",
     "design": "design.command",
@@ -49,7 +50,7 @@ MODULES: Final = {
 DELEGATED: Final = ("speed", "tune", *MODULES)
 # the studies that keep tables: each has a `check` of what it stored
 CHECKED: Final = (
-    *("design.docs", "audit", "failures", "classic.docs", "tuning.check"),
+    *("design.docs", "design.codesign.tell", "audit", "failures", "classic.docs", "tuning.check"),
     *("robots.physics", "robots.contact", "robots.shield", "sharing.data_page"),
 )
 SPEED: Final = {
@@ -278,11 +279,12 @@ def classic(arguments: argparse.Namespace) -> int:
 
 def delegate(word: str, rest: Sequence[str]) -> int:
     """A word with a command line of its own."""
-    if word == "tune":
+    if word in ("tune", "codesign"):
         try:
             import optuna  # noqa: F401
         except ImportError as error:
-            raise BenchmarkError(f"tune needs pip install '.[tune]': {error}") from error
+            raise BenchmarkError(f"{word} needs pip install '.[tune]': {error}") from error
+    if word == "tune":
         return _main_of("benchmarks.studies.tuning.tune", rest)
     if word in MODULES:
         return _main_of(f"benchmarks.studies.{MODULES[word]}", rest)

@@ -19,7 +19,7 @@ from benchmarks.studies.design import figures as design_figures
 from benchmarks.studies.design import study as design_study
 from benchmarks.studies.design.store import DesignStore
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[4]
 STORED = DesignStore(ROOT / "results")
 
 
