@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,10 +15,11 @@ from benchmarks.reporting.figures.style import PALETTE, canvas, style
 from benchmarks.studies.robots.contact import TRAINED, options
 from benchmarks.studies.viewing.media import HOLD_SECONDS, write_animation, write_video
 from coop_env.physics.contact.env import CoopInsertionContactEnv
-from coop_env.rendering import render_frame
+from coop_env.rendering import CAMERAS, render_frame
 from coop_env.rendering.scene import Scene
 
 WIDTH: Final = 480  # px
+CAMERA: Final = replace(CAMERAS["dome"], distance=0.42)
 SIZES: Final = (WIDTH, 368), (WIDTH, 176)  # of the scene and of the chart
 DPI: Final = 100
 
@@ -50,10 +52,10 @@ def _chart(forces: NDArray[np.float64], now: int, fps: int) -> NDArray[np.uint8]
                                  (across, "across", PALETTE[1])):  # fmt: skip
         axes.plot(time[: now + 1], values[: now + 1], color=colour, label=name)
     axes.set_xlim(0.0, time[-1])
-    axes.set_ylim(min(0.0, 1.1 * forces.min()), 1.1 * max(forces[:, 2].max(), across.max()))
+    axes.set_ylim(-0.5, 1.5 * max(forces[:, 2].max(), across.max()))  # room for the legend
     axes.set_xlabel("time (s)")
     axes.set_ylabel("force (N)")
-    axes.legend(loc="upper left")
+    axes.legend(loc="upper left", ncols=2)
     drawn: Any = FigureCanvasAgg(figure)
     drawn.draw()
     return np.asarray(drawn.buffer_rgba())[..., :3].copy()
@@ -66,13 +68,13 @@ def write_film(folder: Path, gains: Gains) -> list[Path]:
         frames = [
             np.concatenate(
                 [
-                    render_frame(scene, size=SIZES[0], camera="dome", panel=False),
+                    render_frame(scene, size=SIZES[0], camera=CAMERA, panel=False),
                     _chart(forces, number, fps),
                 ]
-            )  # fmt: skip
+            )
             for number, scene in enumerate(scenes)
         ]
     paths = [folder / "insertion.mp4", folder / "insertion.gif"]
     write_video(paths[0], [*frames, *[frames[-1]] * round(HOLD_SECONDS * fps)], fps)
-    write_animation(paths[1], frames[::2] + [frames[-1]], fps / 2)
+    write_animation(paths[1], [*frames[::2], frames[-1]], fps / 2)
     return paths
