@@ -39,6 +39,7 @@ FLOORS = {
         "coop_env.design",
         "coop_env.simulation",
         "coop_env.rendering.scene",
+        "coop_env.rendering.modes",
         "coop_env.env",
         "coop_env.vector",
         "coop_env.team",

@@ -258,7 +258,7 @@ def run_learner(
         ],
     )
     if task.env == CONTACT:
-        from benchmarks.studies.robots.contact import on_tests
+        from benchmarks.studies.robots.trials import on_tests
 
         folder.write_rows("contact", on_tests(model, make_env(task, discrete)))
     return {

@@ -15,7 +15,7 @@ from benchmarks.reporting.stats import means, stratified_bootstrap
 from benchmarks.reporting.tables.table import Cell, Table
 from benchmarks.studies.classic.presets import CONTACT, label
 from benchmarks.studies.classic.results import Results
-from benchmarks.studies.robots.contact import ERRORS, FRICTIONS, TRAINED, causes, in_cell
+from benchmarks.studies.robots.trials import ERRORS, FRICTIONS, TRAINED, causes, in_cell
 
 #: of a cell of these tables
 WHAT: Final = "success (%) / median time of successes (s) / median peak force (N)"

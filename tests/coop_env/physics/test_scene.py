@@ -22,7 +22,7 @@ def test_at_rest_the_links_are_where_the_kinematics_have_them() -> None:
     limbs = rrs.limb_points(c[3:])
     shown = np.stack([seen.rrs_base_joints, seen.elbows, seen.platform_joints], axis=1)
     np.testing.assert_allclose(shown, limbs, atol=1e-6)
-    arms = delta.limb_points(c[:3], DELTA) + [0.0, 0.0, DELTA.base_height]
+    arms = delta.limb_points(c[:3], DELTA) + np.array([0.0, 0.0, DELTA.base_height])
     shown = np.stack([seen.delta_base_joints, seen.knees, seen.effector_joints], axis=1)
     np.testing.assert_allclose(shown, arms, atol=1e-6)
     pose = rrs.platform_pose(c[3:])

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.__main__ import main as command
 from benchmarks.reporting.verify import Report
-from benchmarks.studies.robots import contact
+from benchmarks.studies.robots import contact, trials
 
 
 def test_each_script_finds_what_it_can() -> None:
@@ -21,7 +21,7 @@ def test_each_script_finds_what_it_can() -> None:
 
     env = CoopInsertionContactEnv("standard")
     won = {
-        (name, error): sum(contact.play(env, make(env, Gains()), "validate", 4, error)["success"])
+        (name, error): sum(trials.play(env, make(env, Gains()), "validate", 4, error)["success"])
         for name, make in SCRIPTS.items()
         for error in (1.0, 3.0)
     }
@@ -38,7 +38,7 @@ def test_searches_press_less_than_a_stiff_push() -> None:
 
     env = CoopInsertionContactEnv("standard")
     found = {
-        name: contact.play(env, make(env, Gains()), "validate", 3, 3.0)
+        name: trials.play(env, make(env, Gains()), "validate", 3, 3.0)
         for name, make in SCRIPTS.items()
     }
     assert set(found["stiff push"]["failure"]) <= {"force", "snap"}
@@ -80,12 +80,12 @@ def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
 
 
 def test_episodes_are_the_same_for_all_and_no_validation() -> None:
-    given = contact.options("test", 3, 2.0, None)
-    assert given == contact.options("test", 3, 2.0, None)
-    assert given != contact.options("validate", 3, 2.0, None)
+    given = trials.options("test", 3, 2.0, None)
+    assert given == trials.options("test", 3, 2.0, None)
+    assert given != trials.options("validate", 3, 2.0, None)
     x, y, *_ = given["error"]
     assert (x * x + y * y) ** 0.5 == pytest.approx(0.002)
-    assert contact.options("test", 3, None, 0.2)["friction"] == 0.2
+    assert trials.options("test", 3, None, 0.2)["friction"] == 0.2
 
 
 def test_without_mujoco_the_extra_is_named(

@@ -16,7 +16,7 @@ from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.plan import Cell
 from benchmarks.studies.classic.presets import Guide, Preset, Task, load_preset
 from benchmarks.studies.classic.train import build_model, run_learner
-from benchmarks.studies.robots import contact
+from benchmarks.studies.robots import trials
 
 pytest.importorskip("mujoco", reason="needs the extra physics")
 
@@ -98,7 +98,7 @@ def test_a_clone_comes_to_do_what_the_script_does() -> None:
 def test_a_stopped_run_goes_on_and_is_tested(
     method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(contact, "EPISODES", 1)
+    monkeypatch.setattr(trials, "EPISODES", 1)
     preset, cell = tiny(noise=0.3), Cell("learn", "standard", method, 0)
     calls = iter(range(100))
     cut = RunFolder(tmp_path / "cut")

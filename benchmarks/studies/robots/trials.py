@@ -1,0 +1,93 @@
+"""Episodes of the contact task under given errors and friction, for scripts and learners alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from benchmarks.protocol.seeding import derive
+
+ERRORS: Final = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # mm
+FRICTIONS: Final = (0.1, 0.2, 0.3, 0.4)
+EPISODES: Final = 50  # of each cell
+TRAINED: Final = 3.0  # mm: the largest error that the task draws
+Row = dict[str, Any]
+
+
+def options(stream: str, episode: int, error: float | None, friction: float | None) -> Row:
+    """Reset options of an episode; an ``error`` of None, mm, is uniform over the disc."""
+    rng = np.random.default_rng(derive(stream, 13, episode))
+    share, bearing, lean, side = rng.random(4)
+    size = 1e-3 * (TRAINED * math.sqrt(share) if error is None else error)
+    tilt = math.radians(lean)
+    bearing, side = 2.0 * math.pi * bearing, 2.0 * math.pi * side
+    found: Row = {
+        "error": [size * math.cos(bearing), size * math.sin(bearing),
+                  tilt * math.cos(side), tilt * math.sin(side)]
+    }  # fmt: skip
+    return found if friction is None else {**found, "friction": friction}
+
+
+def play(
+    env: Any, script: Any, stream: str, episodes: int,
+    error: float | None = None, friction: float | None = None,
+) -> dict[str, list[Any]]:  # fmt: skip
+    """A script's episodes: success, time, s, peak force, N, and cause of failure, by name."""
+    found: dict[str, list[Any]] = {"success": [], "time": [], "force": [], "failure": []}
+    for episode in range(episodes):
+        given = options(stream, episode, error, friction)
+        seed = derive(stream, 13, episode, 1)
+        observation, _ = env.reset(seed=seed, options=given)
+        script.reset()
+        over = False
+        while not over:
+            observation, _, terminated, truncated, info = env.step(script(observation))
+            over = terminated or truncated
+        found["success"].append(bool(info["success"]))
+        found["time"].append(round(float(info["time"]), 3))
+        found["force"].append(round(float(info["peak_force"]), 3))
+        found["failure"].append(info["failure"] or ("" if info["success"] else "time"))
+    return found
+
+
+class Policy:
+    """A trained model as a script: its greedy action."""
+
+    def __init__(self, model: Any) -> None:
+        self.model = model
+
+    def reset(self) -> None:
+        """It keeps nothing from step to step."""
+
+    def __call__(self, observation: Any) -> Any:
+        """The action after an observation (29,)."""
+        return self.model.predict(observation, deterministic=True)[0]
+
+
+def on_tests(model: Any, env: Any) -> list[Row]:
+    """A model's episodes on the scripts' tests, a row each; errors in mm."""
+    rows = []
+    conditions: list[tuple[float, float | None]] = [(error, None) for error in ERRORS]
+    for error, friction in [*conditions, *((TRAINED, f) for f in FRICTIONS)]:
+        found = play(env, Policy(model), "test", EPISODES, error, friction)
+        for number, values in enumerate(zip(*found.values(), strict=True)):
+            row = {"error": error, "friction": friction, "episode": number}
+            rows.append({**row, **dict(zip(found, values, strict=True))})
+    return rows
+
+
+def in_cell(found: Mapping[str, Sequence[Any]]) -> str:
+    """Success, %, median time of the successes, s, and median peak force, N."""
+    won = np.array(found["success"])
+    time = f"{np.median(np.array(found['time'])[won]):.2f}" if won.any() else "-"
+    return f"{100.0 * won.mean():.0f} / {time} / {np.median(found['force']):.1f}"
+
+
+def causes(rows: Sequence[Mapping[str, Sequence[Any]]]) -> str:
+    """How often episodes failed by each cause."""
+    all_of_them = [cause for row in rows for cause in row["failure"] if cause]
+    counted = {cause: all_of_them.count(cause) for cause in sorted(set(all_of_them))}
+    return ", ".join(f"{cause} {n}" for cause, n in counted.items()) or "-"
