@@ -8,10 +8,10 @@ from typing import Final
 from benchmarks.protocol import labels
 from benchmarks.protocol.metrics import HOLES, METRICS
 from benchmarks.protocol.plan import METHODS, OPTIMUM_AT_ONCE
-from benchmarks.reporting.results import Group, Results, excess_over_optimum
+from benchmarks.reporting.results import MAIN, Group, Results, excess_over_optimum
 from benchmarks.reporting.rows import Row, complete, row_of, rows
 from benchmarks.reporting.stats import Value, mean_interval, measured
-from benchmarks.reporting.tables.notes import of_rows, seeds_notes
+from benchmarks.reporting.tables.notes import seeds_notes
 from benchmarks.reporting.tables.table import Cell, Table
 
 IN_TURN: Final = "in_turn"  # the track of one robot at a time with the settings of the teams
@@ -29,69 +29,106 @@ def team(results: Results) -> list[Table]:
     at_once = at_once_rows(results)
     if not at_once:
         return []
-    found = [*rows(results), *at_once]
+    found = [("full", row) for row in rows(results) if row.level == MAIN]
+    for ablation in _ablations(results)[1:]:
+        row = row_of(results, "rainbow", IN_TURN, ablation=ablation)
+        found += [(ablation, row)] if row.group.n or row.group.planned else []
+    found = sorted([*found, *at_once], key=lambda pair: _order(*pair))
     optimum = results.group(OPTIMUM_AT_ONCE)
-    header = ["Method", "Robots move", "Decided by", "Success (%)", "95 % interval"]
+    header = ["Method", "Components", "Robots move", "Decided by", "Success (%)", "95 % interval"]
     header += [*(metric.label for metric in SHOWN), "Ticks over the optimum at once (%)"]
     made: list[list[Cell]] = []
-    for row in found:
+    for ablation, row in found:
         success = row.success()
         cells = [row.cell(success), success.interval_text(1)]
         cells += [row.cell(row.value(metric), metric.digits) for metric in SHOWN]
-        made.append([*_head(row), *cells, row.cell(excess_over_optimum(row.group, optimum))])
+        excess = row.cell(excess_over_optimum(row.group, optimum))
+        made.append([*_head(ablation, row), *cells, excess])
     notes = [
-        *seeds_notes(of_rows(found)),
+        *seeds_notes({f"{row.name}, {ablation}": row.group for ablation, row in found}),
         "In turn a tick moves one robot, at once both. Ticks over the optimum: up to the first "
         "insertion, on starts that both solved.",
-        *_answers(results),
+        *(answer for ablation in _ablations(results) for answer in _answers(results, ablation)),
     ]
     title = "Two robots: both at once or in turn, one agent or two"
-    return [Table("team", title, header, made, notes, left=(0, 1, 2))]
+    return [Table("team", title, header, made, notes, left=(0, 1, 2, 3))]
 
 
-def at_once_rows(results: Results) -> list[Row]:
-    """All methods of robots that move at once, the ceiling last."""
+def _ablations(results: Results) -> list[str]:
+    """Those of Rainbow that a team has or is to have, the full one first."""
     found = [
-        row_of(results, method, track)
-        for track in results.teams()
-        for method, _ in results.methods(track)
+        ablation
+        for ablation in labels.ABLATIONS
+        if any(
+            group.n or group.planned
+            for track in results.teams()
+            for group in [results.group("rainbow", track=track, ablation=ablation)]
+        )
     ]
-    found.sort(key=lambda row: METHODS.index(row.method))
-    ceiling = [row_of(results, method) for method, _ in results.methods("", (OPTIMUM_AT_ONCE,))]
-    return found + ceiling
+    return ["full", *(ablation for ablation in found if ablation != "full")]
+
+
+def at_once_rows(results: Results) -> list[tuple[str, Row]]:
+    """All methods of robots that move at once, each with its ablation."""
+    found = [
+        (ablation, row_of(results, method, track, ablation=ablation))
+        for ablation in _ablations(results)
+        for track in results.teams()
+        for method in (METHODS if ablation == "full" else ("rainbow",))
+    ]
+    found.append(("full", row_of(results, OPTIMUM_AT_ONCE)))
+    return [(ablation, row) for ablation, row in found if row.group.n or row.group.planned]
 
 
 def _of(row: Row) -> str:
     return str((row.settings or {}).get("team") or "")
 
 
-def _head(row: Row) -> list[Cell]:
-    """Method, whether both robots move at once, and who decides."""
-    kind = _of(row)
-    at_once = bool(kind) or row.method == OPTIMUM_AT_ONCE
-    name = LEARNERS.get(kind, "Rainbow") if row.method == "rainbow" else labels.METHODS[row.method]
+def _at_once(row: Row) -> bool:
+    return bool(_of(row)) or row.method == OPTIMUM_AT_ONCE
+
+
+def _order(ablation: str, row: Row) -> tuple[int, int, bool]:
+    """Learners, the components together, then scripts and planners; in turn before at once."""
+    names = list(labels.ABLATIONS)
+    return METHODS.index(row.method), names.index(ablation), _at_once(row)
+
+
+def _head(ablation: str, row: Row) -> list[Cell]:
+    """Method, its components, whether both robots move at once, and who decides."""
+    kind, learns = _of(row), row.method == "rainbow"
+    name = LEARNERS.get(kind, "Rainbow") if learns else labels.METHODS[row.method]
     sees = ", in sight" if (row.settings or {}).get("sight") else ", without sight"
     decided = f"each robot{sees}" if kind not in ("", "central") else "one for both"
-    return [name.removesuffix(", both at once"), "at once" if at_once else "in turn", decided]
+    return [
+        *(name.removesuffix(", both at once"), labels.ABLATIONS[ablation] if learns else "-"),
+        *("at once" if _at_once(row) else "in turn", decided),
+    ]
 
 
-def _answers(results: Results) -> list[str]:
-    """What decentralization costs, and what moving at once gains, as far as there are runs."""
-    learned = complete(row for row in at_once_rows(results) if row.method == "rainbow")
+def _answers(results: Results, ablation: str) -> list[str]:
+    """What decentralization costs, and what moving at once changes, as far as there are runs."""
+    pairs = at_once_rows(results)
+    learned = complete(row for a, row in pairs if row.method == "rainbow" and a == ablation)
     central = next((row for row in learned if _of(row) == "central"), None)
     costs = [] if central is None else _costs(central, [r for r in learned if r is not central])
-    pairs = [("the exact optimum", results.group("optimum"), results.group(OPTIMUM_AT_ONCE))]
+    compared = []
+    if ablation == "full":
+        optima = results.group("optimum"), results.group(OPTIMUM_AT_ONCE)
+        compared.append(("the exact optimum", *optima))
     if central is not None:
-        pairs.append(("Rainbow", results.group("rainbow", track=IN_TURN), central.group))
+        alone = results.group("rainbow", track=IN_TURN, ablation=ablation)
+        compared.append(("Rainbow", alone, central.group))
     gains = [
         f"{name} takes {_signed(excess_over_optimum(at_once, in_turn), ' %')} ticks to the first "
         f"insertion, on starts that it solved both ways, and its success rate changes by "
         f"{_signed(_change(at_once, in_turn), ' points')}"
-        for name, in_turn, at_once in pairs
+        for name, in_turn, at_once in compared
         if in_turn.n and at_once.n
     ]
-    told = {"What decentralization costs": costs, "What moving at once changes": gains}
-    return [f"{what}: {'; '.join(parts)}." for what, parts in told.items() if parts]
+    what = labels.ABLATIONS[ablation]
+    told = {"what decentralization costs": costs, "what moving at once changes": gains}
+    return [f"{what}, {question}: {'; '.join(parts)}." for question, parts in told.items() if parts]
 
 
 def _costs(central: Row, others: list[Row]) -> list[str]:
@@ -118,5 +155,7 @@ def _change(ours: Group, theirs: Group) -> Value:
 
 
 def _signed(value: Value, unit: str) -> str:
+    if not value.n:
+        return "-"
     interval = "" if math.isnan(value.low) else f" {value.interval_text(1)}"
     return f"{value.mean:+.1f}{unit}{interval}"

@@ -180,7 +180,9 @@ def test_teams_share_one_setting_and_see_as_many_ticks() -> None:
             "n_envs": h.n_envs // track.rows,
             "updates_per_step": first.updates_per_step,
         }
-        per_tick |= {"learning_starts": h.learning_starts // track.rows}
+        per_tick |= {
+            name: getattr(h, name) // track.rows for name in ("learning_starts", "epsilon_steps")
+        }
         assert dataclasses.replace(h, **per_tick) == first
         assert track.timesteps == track.rows * central.timesteps
         assert h.gradient_steps == first.gradient_steps
