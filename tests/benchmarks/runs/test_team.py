@@ -8,8 +8,12 @@ import pytest
 import yaml
 
 from benchmarks.__main__ import main
+from benchmarks.protocol.plan import expand, settings
+from benchmarks.protocol.presets import load_preset
 from benchmarks.reporting.results import Results
+from benchmarks.runs.policy_file import digest
 from benchmarks.runs.store import Store
+from benchmarks.runs.training import train
 
 SMALL = {
     **{"n_envs": 4, "batch_size": 16, "buffer_size": 1000, "learning_starts": 100},
@@ -75,3 +79,23 @@ def test_all_began_alike_and_verify_agrees(
     assert main(["verify", *words]) == 0, capsys.readouterr().err
     assert main(["run", *_words(results)]) == 0
     assert "12 runs were complete already" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("track", ["vdn", "shared_sight", "independent"])
+def test_a_team_that_was_stopped_goes_on_as_if_never(
+    results: Path, tmp_path: Path, track: str
+) -> None:
+    preset = load_preset(str(results / "tiny.yaml"))
+    (cell,) = [c for c in expand(preset) if (c.track, c.method) == (track, "rainbow")][-1:]
+    found = []
+    for name in ("whole", "stopped"):
+        folder = Store.open(tmp_path, name, create=True).run(cell.id)
+        folder.begin(settings(preset, cell))
+        asked = iter([name == "stopped" and i == 30 for i in range(10_000)])
+        trained = train(preset, cell, folder, lambda asked=asked: next(asked))  # type: ignore[misc]
+        assert (trained is None) == (name == "stopped")
+        trained = trained or train(preset, cell, folder)
+        assert trained is not None
+        assert bool(trained[1]["resumed_at"]) == (name == "stopped")
+        found.append(digest(trained[0]))
+    assert found[0] == found[1]
