@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from benchmarks.methods.base import Plan
 from benchmarks.methods.episodes import Episode, env_arguments
+from benchmarks.methods.team.env import DecentralizedEnv, each_for_itself, make_env
 from benchmarks.protocol.knowledge import plays_bare
 from benchmarks.protocol.metrics import OWN_MASKS, PAPER_MASKS
-from benchmarks.protocol.plan import CONTROLS, Cell
+from benchmarks.protocol.plan import CONTROLS, OPTIMUM_AT_ONCE, Cell
 from benchmarks.protocol.presets import Preset, as_dict
 from benchmarks.protocol.seeding import derive, episode_seeds
 from coop_env.env import CoopInsertionEnv
@@ -123,7 +124,16 @@ def _make_chooser(preset: Preset, cell: Cell, model: Any) -> MakeChooser:
     if cell.method == "recurrent_ppo":
         return lambda episodes: recurrent_chooser(model, len(episodes))
     policy = model_policy(model)
+    if cell.track and preset.tracks[cell.track].rows > 1:
+        return lambda episodes: _rows_of_agents(policy, episodes)
     return lambda episodes: lambda observations, masks, _: policy(observations, masks)
+
+
+def _rows_of_agents(policy: Policy, episodes: Sequence[Episode]) -> Chooser:
+    env = episodes[0].env
+    assert isinstance(env, DecentralizedEnv)
+    act = each_for_itself(policy, env)
+    return lambda observations, masks, _: act(observations, masks)
 
 
 def shares(tell: Tell, parts: int) -> Iterator[Tell]:
@@ -141,7 +151,7 @@ def begin_episodes(
 ) -> list[Episode]:
     """``number`` episodes, each in an environment of its own, on the stream's initial states."""
     seeds = episode_seeds(seed, number, stream, starts)
-    return [Episode(CoopInsertionEnv(**arguments), i, s) for i, s in enumerate(seeds)]
+    return [Episode(make_env(**arguments), i, s) for i, s in enumerate(seeds)]
 
 
 def play_together(
@@ -257,8 +267,9 @@ def planner_runner(preset: Preset, cell: Cell) -> Callable[[Episode], None]:
     if cell.method in ("nominal_plan", "plan_search"):
         return replanning.Replanner(cell.method == "plan_search", limits.node_limit).play
     uncertain = bool(cell.track)
-    oracle = LatticeOracle(node_limit=limits.node_limit, real=uncertain)
-    if cell.method == "optimum":
+    at_once = cell.method == OPTIMUM_AT_ONCE
+    oracle = LatticeOracle(node_limit=limits.node_limit, real=uncertain, at_once=at_once)
+    if cell.method == "optimum" or at_once:
         return lambda episode: follow(episode, oracle.plan)
     rrt = rrt_connect.RRTConnect(
         limits.time_limit, limits.max_iterations, 1 + derive("planner", cell.seed) % 2**30

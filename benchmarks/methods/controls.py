@@ -13,6 +13,11 @@ noise included: they take the configuration as given, and the hole whose mouth a
 nearest to what is observed for the target. Masks are a memory where their track's are. What is
 still equal goes to the lower action: nothing depends on chance but *random*, which draws per
 episode.
+
+Where both robots move at once, a central *greedy* makes the joint move after which the potential is
+least. Of two agents each makes its own move after which it would be least if the other held, or
+holds if none makes it less: in sight of the other of the whole potential, else of what it sees of
+it, the Delta of the distance and the 3-RRS of the angle.
 """
 
 from __future__ import annotations
@@ -33,16 +38,19 @@ from benchmarks.protocol.presets import Controls
 from benchmarks.protocol.seeding import derive
 from coop_env.compilation import drop_stale_kernels, njit
 from coop_env.kinematics import rrs_kernels
-from coop_env.simulation import state, task
+from coop_env.simulation import joint, state, task
 from coop_env.simulation.collision import hole, peg_tip
 from coop_env.simulation.observation import PAPER_FIELDS, make_observation
 from coop_env.simulation.state import Configuration
 from coop_env.simulation.task import N_ACTIONS, N_AXES, EnvParams
+from coop_env.team.agents import Team
+from coop_env.team.joint_env import CoopInsertionJointEnv
 
 drop_stale_kernels(Path(__file__).parent, Path(coop_env.__file__).parent)
 
 DISTANCE_WEIGHT: Final = 500.0  # per m
 INSERTED: Final = -1.0  # below any potential
+ROUNDING: Final = 1e-9  # what a move must win, or its robot holds
 
 Choose = Callable[[NDArray[np.float32], NDArray[np.bool_], Sequence[int]], NDArray[Any]]
 
@@ -50,7 +58,8 @@ Choose = Callable[[NDArray[np.float32], NDArray[np.bool_], Sequence[int]], NDArr
 def control(method: str, weights: Controls, seed: int) -> Callable[[Sequence[Episode]], Choose]:
     """What plays a control in episodes of one environment's arguments, which it is given.
 
-    It takes observations (n, size), masks (n, 12) and the indices (n,) of the episodes they are of.
+    It takes observations (n, size), masks (n, actions) and the indices (n,) of the episodes they
+    are of.
 
     Raises:
         BenchmarkError: the method is no control.
@@ -62,7 +71,13 @@ def control(method: str, weights: Controls, seed: int) -> Callable[[Sequence[Epi
     ahead = method.startswith("lookahead")
     weight = getattr(weights, f"{method}_angle")
     play = _observed if method.endswith("_observed") else _informed
-    return lambda episodes: play(episodes, weight, ahead)
+
+    def begin(episodes: Sequence[Episode]) -> Choose:
+        if isinstance(episodes[0].env, CoopInsertionJointEnv):
+            return _at_once(episodes, weight)
+        return play(episodes, weight, ahead)
+
+    return begin
 
 
 def _random(episodes: Sequence[Episode], seed: int) -> Choose:
@@ -79,12 +94,29 @@ def _informed(episodes: Sequence[Episode], weight: float, ahead: bool) -> Choose
     packed = task.pack(episodes[0].env.params)
 
     def choose(_: Any, masks: NDArray[np.bool_], running: Sequence[int]) -> NDArray[Any]:
-        states = np.empty(len(running), episodes[0].env.state.dtype)
-        for row, i in enumerate(running):
-            states[row] = episodes[i].env.state
-        return choices(states, weight, ahead, packed)
+        return choices(_states(episodes, running), weight, ahead, packed)
 
     return choose
+
+
+def _at_once(episodes: Sequence[Episode], weight: float) -> Choose:
+    env = episodes[0].env
+    packed = task.pack(env.params)
+
+    def choose(_: Any, masks: NDArray[np.bool_], running: Sequence[int]) -> NDArray[Any]:
+        states = _states(episodes, running)
+        if isinstance(env, Team):
+            return own_choices(states, masks, weight, env.sight, packed)
+        return joint_choices(states, masks, weight, packed)
+
+    return choose
+
+
+def _states(episodes: Sequence[Episode], running: Sequence[int]) -> NDArray[np.void]:
+    states = np.empty(len(running), episodes[0].env.state.dtype)
+    for row, i in enumerate(running):
+        states[row] = episodes[i].env.state
+    return states
 
 
 def _observed(episodes: Sequence[Episode], weight: float, ahead: bool) -> Choose:
@@ -106,13 +138,19 @@ def _observed(episodes: Sequence[Episode], weight: float, ahead: bool) -> Choose
 
 
 @njit(cache=True)
-def potential(c: Configuration, target: int, weight: float, p: EnvParams) -> float:
-    """``500 d + weight a`` at a configuration, as the model has it; INSERTED where it inserts."""
+def misses(c: Configuration, target: int, p: EnvParams) -> tuple[float, float]:
+    """Distance and angle of the peg from the target at a configuration, as the model has it."""
     tip = peg_tip(c[0], c[1], c[2], p.delta)
     mouth, n = hole(rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs), target, p)
     dx, dy, dz = mouth[0] - tip[0], mouth[1] - tip[1], mouth[2] - tip[2]
     distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-    angle = state.alignment_angle(n[0], n[1], n[2])
+    return distance, state.alignment_angle(n[0], n[1], n[2])
+
+
+@njit(cache=True)
+def potential(c: Configuration, target: int, weight: float, p: EnvParams) -> float:
+    """``500 d + weight a`` at a configuration; INSERTED where it inserts."""
+    distance, angle = misses(c, target, p)
     if distance < p.task.tolerance and angle < p.task.angle_tolerance:
         return INSERTED
     return DISTANCE_WEIGHT * distance + weight * angle
@@ -183,6 +221,58 @@ def _look_ahead(
                 least = min(least, pairs[first, second])
         if (least, after[first], first) < (best, between, choice):
             best, between, choice = least, after[first], first
+
+
+@njit(cache=True)
+def moved(s: state.Record, delta: int, rrs: int, p: EnvParams) -> Configuration:
+    """Where both robots' choices lead."""
+    d = state.neighbour(s, joint.move_of(joint.DELTA, delta), p)
+    r = state.neighbour(s, joint.move_of(joint.RRS, rrs), p)
+    return d[0], d[1], d[2], r[3], r[4], r[5]
+
+
+@njit(cache=True)
+def joint_choices(
+    states: np.ndarray, masks: np.ndarray, weight: float, packed: np.ndarray
+) -> np.ndarray:
+    """What a central *greedy* does in states (n,) under joint masks (n, 49); one robot moves."""
+    p = task.unpack(packed)
+    out = np.empty(states.shape[0], np.int64)
+    for i in range(states.shape[0]):
+        least, out[i] = math.inf, joint.N_JOINT - 1
+        for action in range(joint.N_JOINT - 1):
+            if masks[i, action]:
+                c = moved(states[i], action // joint.N_CHOICES, action % joint.N_CHOICES, p)
+                after = potential(c, states[i].target, weight, p)
+                if after < least:
+                    least, out[i] = after, action
+    return out
+
+
+@njit(cache=True)
+def own_choices(
+    states: np.ndarray, masks: np.ndarray, weight: float, sight: bool, packed: np.ndarray
+) -> np.ndarray:
+    """What two *greedy* agents do in states (n,) under joint masks (n, 49)."""
+    p = task.unpack(packed)
+    out = np.empty(states.shape[0], np.int64)
+    chosen, hold = np.empty(2, np.int64), joint.HOLD_CHOICE
+    for i in range(states.shape[0]):
+        for agent in range(2):
+            least = math.inf
+            for k in range(joint.N_CHOICES):
+                choice = (hold + k) % joint.N_CHOICES  # hold first, then the lowest
+                delta, rrs = (choice, hold) if agent == joint.DELTA else (hold, choice)
+                if not masks[i, joint.N_CHOICES * delta + rrs]:
+                    continue
+                c = moved(states[i], delta, rrs, p)
+                after = potential(c, states[i].target, weight, p)
+                if not sight:
+                    after = misses(c, states[i].target, p)[agent]
+                if after < least - ROUNDING:
+                    least, chosen[agent] = after, choice
+        out[i] = joint.N_CHOICES * chosen[joint.DELTA] + chosen[joint.RRS]
+    return out
 
 
 @njit(cache=True)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.protocol.plan import Cell
+from benchmarks.protocol.plan import OPTIMUM_AT_ONCE, Cell
 from benchmarks.protocol.presets import Preset, Track
 from coop_env.env import CoopInsertionEnv, Observation
 from coop_env.geometry import RRSGeometry
@@ -20,15 +20,19 @@ Point = NDArray[np.float64]
 
 
 def env_arguments(preset: Preset, cell: Cell, track: Track | None = None) -> dict[str, Any]:
-    """Keyword arguments of the environment of a cell; without a track, of a planner's."""
+    """Arguments of :func:`make_env` for a cell; without a track, for a planner's."""
     geometry: str | RRSGeometry = cell.geometry
     if cell.geometry in preset.geometries:
         geometry = RRSGeometry(**preset.geometries[cell.geometry])
     if track is None:
-        return {"geometry": geometry, "reward": "progress"}
+        at_once = {"team": "central"} if cell.method == OPTIMUM_AT_ONCE else {}
+        return {"geometry": geometry, "reward": "progress", **at_once}
     names = ("reward", "observation", "mask_singularities", "mask_visited", "mask_refused")
     given = {name: getattr(track, name) for name in names}
     given |= {"reward_kwargs": dict(track.reward_kwargs) or None, "sim_to_real": track.sim_to_real}
+    if track.team is not None:
+        given |= {"team": track.team}
+        given |= {} if track.team == "central" else {"sight": track.sight}
     return {"geometry": geometry, **given}
 
 

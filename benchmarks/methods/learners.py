@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from typing import Any, Final
 
@@ -10,15 +10,18 @@ from sb3_contrib import MaskablePPO, RecurrentPPO
 from stable_baselines3 import DQN
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.utils import LinearSchedule
-from stable_baselines3.common.vec_env import VecMonitor
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.methods.episodes import env_arguments
+from benchmarks.methods.team.networks import DecentralizedVecEnv, IndependentPolicy, SumPolicy
 from benchmarks.protocol.plan import ABLATIONS, Cell
 from benchmarks.protocol.presets import Preset, Track
 from benchmarks.protocol.seeding import derive
+from coop_env.team.vec_env import CoopInsertionJointVecEnv, CoopInsertionTeamVecEnv
 from coop_env.vector.vec_env import CoopInsertionVecEnv
 from sb3_rainbow import Rainbow
+from sb3_rainbow.policies import RainbowPolicy
 
 CHECKED_BUFFER = 10_000
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
@@ -37,6 +40,19 @@ RAINBOW_NAMES: Final = (
     "advantage_learning",
 )
 
+# by a track's team
+VEC_ENVS: Final[dict[str | None, Callable[..., VecEnv]]] = {
+    None: CoopInsertionVecEnv,
+    "central": CoopInsertionJointVecEnv,
+    "vdn": DecentralizedVecEnv,
+    "shared": CoopInsertionTeamVecEnv,
+    "independent": CoopInsertionTeamVecEnv,
+}
+POLICIES: Final[dict[str | None, type[RainbowPolicy]]] = {
+    "vdn": SumPolicy,
+    "independent": IndependentPolicy,
+}
+
 
 def make_training_env(preset: Preset, cell: Cell) -> VecMonitor:
     """The batched training environment, at the curriculum's first stage.
@@ -46,11 +62,12 @@ def make_training_env(preset: Preset, cell: Cell) -> VecMonitor:
     track = preset.tracks[cell.track]
     if track.train_nominal:
         track = replace(track, sim_to_real=None)
-    env = CoopInsertionVecEnv(
-        track.hyperparameters.n_envs,
+    arguments = env_arguments(preset, cell, track)
+    env = VEC_ENVS[arguments.pop("team", None)](
+        track.hyperparameters.n_envs // track.rows,
         seed=derive("train", cell.seed),
         stage=0 if track.curriculum.enabled else 1,
-        **env_arguments(preset, cell, track),
+        **arguments,
     )
     return VecMonitor(env)
 
@@ -84,7 +101,9 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu"
     rainbow = {name: getattr(h, name) for name in RAINBOW_NAMES} | ABLATIONS[cell.ablation]
     if not rainbow.get("noisy", True):
         rainbow |= epsilon
-    return Rainbow("MlpPolicy", env, **common, **rainbow)
+    if track.team == "vdn":
+        common["policy_kwargs"]["columns"] = env.get_attr("columns")[0].tolist()
+    return Rainbow(POLICIES.get(track.team, "MlpPolicy"), env, **common, **rainbow)
 
 
 def _build_ppo(track: Track, cell: Cell, env: VecMonitor, device: str) -> BaseAlgorithm:

@@ -57,4 +57,5 @@ def plays_bare(method: str, track: Mapping[str, Any] | None) -> bool:
     """
     if track is None or method not in LEARNERS or method in UNMASKED:
         return False
-    return bool(track.get("mask_singularities")) and not track.get("sim_to_real")
+    other = track.get("sim_to_real") or track.get("team")  # a machine, or moves, of another kind
+    return bool(track.get("mask_singularities")) and not other

@@ -17,6 +17,7 @@ METHODS: Final = {
     "rrt_connect": "RRT-Connect",
     "rrt_lattice": "RRT-Connect + lattice insertion",
     "optimum": "Exact optimum",
+    "optimum_at_once": "Exact optimum, both at once",
     "nominal_plan": "Nominal plan, replanned",
     "plan_search": "Nominal plan, then search",
 }
@@ -38,6 +39,14 @@ TRACKS: Final = {
     "memory": "memory",
     "uncertain": "uncertain",
     "uncertain_nominal": "uncertain, trained nominal",
+    "in_turn": "in turn",
+    "central": "central",
+    "vdn": "VDN",
+    "vdn_sight": "VDN in sight",
+    "shared": "shared",
+    "shared_sight": "shared in sight",
+    "independent": "independent",
+    "independent_sight": "independent in sight",
 }
 DESIGN_METRICS: Final = {
     "workspace": "Orientation workspace (rad²)",

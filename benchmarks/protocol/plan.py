@@ -18,8 +18,10 @@ from benchmarks.protocol.presets import Preset, RunGroup, Track, as_dict
 LEARNERS: Final = ("rainbow", "dqn", "maskable_ppo", "recurrent_ppo")
 CONTROLS: Final = ("random", "greedy", "lookahead", "greedy_observed", "lookahead_observed")
 PERFECT_PLANNERS: Final = ("rrt_connect", "rrt_lattice", "optimum")  # without a track
+OPTIMUM_AT_ONCE: Final = "optimum_at_once"  # without one, too: both robots in the same tick
 IMPERFECT_PLANNERS: Final = ("nominal_plan", "plan_search", "rrt_connect", "optimum")
-PLANNERS: Final = tuple(dict.fromkeys((*PERFECT_PLANNERS, *IMPERFECT_PLANNERS)))
+OF_TEAMS: Final = ("rainbow", "random", "greedy")  # methods of a track with a team
+PLANNERS: Final = tuple(dict.fromkeys((*PERFECT_PLANNERS, *IMPERFECT_PLANNERS, OPTIMUM_AT_ONCE)))
 DESIGN: Final = "design"
 METHODS: Final = (*LEARNERS, *CONTROLS, *PLANNERS)
 TRANSITION_BYTES: Final = 200
@@ -167,7 +169,8 @@ def _track(track: Track, method: str) -> dict[str, Any]:
     unused = [key for key, methods in settings_of.items() if method not in methods]
     if method not in LEARNERS:
         unused += ["description", "timesteps", "hyperparameters", "curriculum", "train_nominal"]
-    unused += [key for key in ("sim_to_real", "train_nominal", "mask_refused") if not config[key]]
+    later = ("sim_to_real", "train_nominal", "mask_refused", "team", "sight")
+    unused += [key for key in later if not config[key]]
     h = config["hyperparameters"]
     config["hyperparameters"] = {k: v for k, v in h.items() if v or k not in _LATER}
     return {key: value for key, value in config.items() if key not in unused}
@@ -187,6 +190,7 @@ def _check_group(preset: Preset, group: RunGroup) -> None:
                 raise BenchmarkError(f"{where}: unknown {kind} '{name}'; known: {known(allowed)}")
     for name in group.tracks:
         _check_errors(preset, name)
+        _check_team(preset, name, group.methods)
     for method in group.methods:
         if method in (*LEARNERS, *CONTROLS) and not group.tracks:
             raise BenchmarkError(f"{where}: method '{method}' needs a track")
@@ -211,9 +215,34 @@ def _check_errors(preset: Preset, track: str) -> None:
             )
 
 
+def _check_team(preset: Preset, name: str, methods: list[str]) -> None:
+    where, track = f"preset '{preset.name}': track '{name}'", preset.tracks[name]
+    if track.team is None:
+        if track.sight:
+            raise BenchmarkError(f"{where}: sight = true is of a team: name it, or leave it out")
+        return
+    told = f"{where}: team = '{track.team}'"
+    for key in ("mask_visited", "mask_refused", "sim_to_real"):
+        if value := getattr(track, key):
+            raise BenchmarkError(
+                f"{told}: {key} = {value!r} is of robots that move one at a time: leave it out"
+            )
+    if track.team == "central" and track.sight:
+        raise BenchmarkError(f"{told} sees both robots: leave out sight = true")
+    if track.hyperparameters.n_envs % track.rows:
+        raise BenchmarkError(
+            f"{told}: n_envs = {track.hyperparameters.n_envs} is odd, but each team has two rows"
+        )
+    for method in methods:
+        if method not in OF_TEAMS:
+            raise BenchmarkError(
+                f"{told}: method '{method}' has no form for a team; known: {known(OF_TEAMS)}"
+            )
+
+
 def _check_planner(preset: Preset, method: str, tracks: list[str]) -> None:
     where = f"preset '{preset.name}'"
-    if not tracks and method not in PERFECT_PLANNERS:
+    if not tracks and method not in (*PERFECT_PLANNERS, OPTIMUM_AT_ONCE):
         raise BenchmarkError(f"{where}: method '{method}' needs a track with sim_to_real")
     for name in tracks:
         if preset.tracks[name].sim_to_real is None or method not in IMPERFECT_PLANNERS:

@@ -66,8 +66,8 @@ class Hyperparameters:
     learning_rate: Number
     learning_rate_end: Number  # linear decay over the run
     gamma: Number
-    v_min: Number
-    v_max: Number
+    v_min: Number | None  # without both the head has quantiles
+    v_max: Number | None
     batch_size: Count
     tau: Number
     sigma0: Number
@@ -146,6 +146,10 @@ class Track:
 
     ``sim_to_real`` has fields of :class:`coop_env.SimToReal`; learners of a track with
     ``train_nominal`` see the nominal machine in training, and the imperfect ones in tests alone.
+
+    With ``team`` both robots move at once: commanded by one agent (central), by two whose values
+    are learned as a sum (vdn), or by two of which each transition is a row of its own (shared: one
+    network, independent: one for each).
     """
 
     description: str
@@ -159,10 +163,17 @@ class Track:
     mask_refused: bool = False
     sim_to_real: Annotated[dict[str, Any] | None, AfterValidator(_machine)] = None
     train_nominal: bool = False
+    team: Literal["central", "vdn", "shared", "independent"] | None = None
+    sight: bool = False  # of the other robot
     curriculum: Curriculum = field(default_factory=Curriculum)
     ppo: PPOSettings = field(default_factory=PPOSettings)
     recurrent: RecurrentSettings = field(default_factory=RecurrentSettings)
     controls: Controls = field(default_factory=Controls)
+
+    @property
+    def rows(self) -> int:
+        """Transitions that one move, or one tick, makes."""
+        return rows_of(self.team)
 
 
 @with_config(STRICT)
@@ -231,6 +242,11 @@ class Preset:
     planner: PlannerSettings = field(default_factory=PlannerSettings)
     design: DesignSettings | None = None
     checkpoint_seconds: Number = 60.0
+
+
+def rows_of(team: str | None) -> int:
+    """Transitions that one tick of a team makes: one, or one of each agent."""
+    return 2 if team in ("shared", "independent") else 1
 
 
 def preset_names(folder: Path = PRESETS) -> list[str]:

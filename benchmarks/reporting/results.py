@@ -10,13 +10,14 @@ from typing import Any, Final
 
 import pandas as pd
 
+from benchmarks.protocol import labels
 from benchmarks.protocol.metrics import OWN_MASKS, SUCCESS, Metric
 from benchmarks.protocol.plan import DESIGN, METHODS, expand, own_error
 from benchmarks.protocol.presets import as_dict, load_preset, preset_names
 from benchmarks.reporting.stats import Value, mean_interval, measured, over_seeds, wilson
 from benchmarks.runs.store import RunFolder, Store
 
-TRACK_ORDER: Final = ("printed", "reward", "safe", "memory", "uncertain", "uncertain_nominal")
+TRACK_ORDER: Final = tuple(labels.TRACKS)
 Key = tuple[str, str, str, str]  # method, ablation, geometry, track
 
 
@@ -187,8 +188,18 @@ class Results:
         return self._groups.get((method, ablation, geometry, track), Group())
 
     def tracks(self) -> list[str]:
-        """Tracks that are planned or were run, the usual ones in their order first."""
+        """Tracks that are planned or were run, the usual ones in their order first; no team's."""
+        return [track for track in self._tracks() if not self._team(track)]
+
+    def teams(self) -> list[str]:
+        """The tracks of robots that move at once."""
+        return [track for track in self._tracks() if self._team(track)]
+
+    def _tracks(self) -> list[str]:
         return in_order({key[3] for key in self._groups if key[3]})
+
+    def _team(self, track: str) -> bool:
+        return bool((self.settings(track) or {}).get("team"))
 
     def settings(self, track: str) -> dict[str, Any] | None:
         """What a track's runs were given, or their preset; None where there is neither."""

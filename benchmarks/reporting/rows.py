@@ -9,7 +9,7 @@ from typing import Any, Final
 from benchmarks.protocol import labels
 from benchmarks.protocol.knowledge import Knowledge, knowledge
 from benchmarks.protocol.metrics import HOLES, PAPER_MASKS, Metric
-from benchmarks.protocol.plan import CONTROLS, LEARNERS, METHODS
+from benchmarks.protocol.plan import CONTROLS, LEARNERS, METHODS, OPTIMUM_AT_ONCE
 from benchmarks.reporting.results import MAIN, Group, Level, Results, excess_over_optimum
 from benchmarks.reporting.stats import Value
 from benchmarks.reporting.tables.table import Cell, Number
@@ -87,9 +87,10 @@ def rows(
 ) -> list[Row]:  # fmt: skip
     """All methods that are planned or were run, track by track, then the planners of none.
 
+    Of robots that move one at a time: those that move at once have a table of their own.
     A learner that was also tested under the paper's own masks has a second row for it.
     """
-    found = []
+    found, in_turn = [], [method for method in among if method != OPTIMUM_AT_ONCE]
     for track in [t for t in results.tracks() if results.uncertain(t) == uncertain]:
         for method, _ in results.methods(track, among, geometry):
             row = row_of(results, method, track, geometry)
@@ -100,7 +101,7 @@ def rows(
     if uncertain:  # a method on all tracks of the machine together, the ceiling last
         found.sort(key=lambda row: (row.method == "optimum", METHODS.index(row.method)))
     else:
-        for method, _ in results.methods("", among, geometry):
+        for method, _ in results.methods("", in_turn, geometry):
             found.append(row_of(results, method, "", geometry))
     return found
 

@@ -18,16 +18,26 @@ REFERENCE_THRESHOLD: Final = 0.75  # the paper's "environment steps to 75 % succ
 REFERENCE_WINDOW: Final = 20  # ... over 20 training episodes
 
 
+def ended(told: dict[str, Any], rows: int) -> list[dict[str, Any]]:
+    """Infos of the episodes that end in a step, one of each environment's ``rows``."""
+    pairs = zip(told["dones"][::rows], told["infos"][::rows], strict=True)
+    return [info for done, info in pairs if done]
+
+
 class CurriculumCallback(BaseCallback):
     """Switches from four holes to six when the mean success of recent episodes is high enough.
 
     It speaks to the environments through ``env_method``, so any VecEnv will do; each environment
     takes the new stage at its next reset.
+
+    Args:
+        settings: when it switches.
+        rows: of the batch for each environment: one, or one for each agent.
     """
 
-    def __init__(self, settings: Curriculum) -> None:
+    def __init__(self, settings: Curriculum, rows: int = 1) -> None:
         super().__init__()
-        self.settings = settings
+        self.settings, self.rows = settings, rows
         self.recent: deque[bool] = deque(maxlen=settings.window)
         self.stage = 0 if settings.enabled else 1
         self.switched_at: int | None = None
@@ -35,9 +45,8 @@ class CurriculumCallback(BaseCallback):
     def _on_step(self) -> bool:
         if self.stage == 1:
             return True
-        for done, info in zip(self.locals["dones"], self.locals["infos"], strict=True):
-            if done:
-                self.recent.append(bool(info["success"]))
+        for info in ended(self.locals, self.rows):
+            self.recent.append(bool(info["success"]))
         full = len(self.recent) == self.settings.window
         if full and np.mean(self.recent) > self.settings.threshold:
             self.stage = 1
@@ -83,9 +92,8 @@ class CurveRecorder(BaseCallback):
             self.flush()
 
     def _on_step(self) -> bool:
-        for done, info in zip(self.locals["dones"], self.locals["infos"], strict=True):
-            if done:
-                self._count(info)
+        for info in ended(self.locals, self.curriculum.rows):
+            self._count(info)
         full = len(self.recent) == REFERENCE_WINDOW
         if self.steps_to_75 is None and full and np.mean(self.recent) > REFERENCE_THRESHOLD:
             self.steps_to_75 = self.num_timesteps

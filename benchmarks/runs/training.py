@@ -20,6 +20,7 @@ from benchmarks.protocol.presets import Preset
 from benchmarks.runs.callbacks import CurriculumCallback, CurveRecorder
 from benchmarks.runs.checkpoint import Kept, Watch, learn
 from benchmarks.runs.store import RunFolder
+from coop_env.team.vec_env import CoopInsertionTeamVecEnv
 from coop_env.vector.vec_env import CoopInsertionVecEnv
 from sb3_rainbow.learner.denormals import flush_denormals
 
@@ -38,14 +39,14 @@ def train(
     """
     track = preset.tracks[cell.track]
     env = make_training_env(preset, cell)
-    curriculum = CurriculumCallback(track.curriculum)
+    curriculum = CurriculumCallback(track.curriculum, track.rows)
     curve = CurveRecorder(track, curriculum)
 
     def note() -> str:
         how = f"success {np.mean(curve.recent):.0%}" if curve.recent else "warming up"
         return f"{how}, stage {curriculum.stage}"
 
-    assert isinstance(env.venv, CoopInsertionVecEnv)
+    assert isinstance(env.venv, CoopInsertionVecEnv | CoopInsertionTeamVecEnv)
     kept: dict[str, Kept] = {
         "env": env.venv,
         "monitor": _Monitor(env),

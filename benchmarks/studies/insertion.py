@@ -51,6 +51,7 @@ class Insertion(Experiment[Cell]):
         if "hyperparameters" in config.get("track", {}):
             h = config["track"]["hyperparameters"]
             work = tuple(str(h[name]) for name in ("updates_per_step", "batch_size", "net_arch"))
+            work += (str(config["track"].get("team")),)
             yield (cell["method"], cell["ablation"], *work)
             yield (cell["method"], *work)
         else:

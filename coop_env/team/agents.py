@@ -46,6 +46,7 @@ class Team(CoopInsertionJointEnv):
 
     Attributes:
         fields: what each agent sees, by name.
+        columns: where those stand in the joint observation, (2, fields).
         agent_spaces: the agents' observation spaces, of one shape.
 
     Raises:
@@ -57,16 +58,16 @@ class Team(CoopInsertionJointEnv):
         self.sight = check_flag("sight", sight)
         names = markov_fields(len(self.task.holes))[: self.observation_space.shape[0]]
         self.fields = {agent: agent_fields(agent, self.sight, names) for agent in AGENTS}
-        self._columns = np.array([[names.index(f) for f in self.fields[a]] for a in AGENTS])
+        self.columns = np.array([[names.index(f) for f in self.fields[a]] for a in AGENTS])
         low, high = self.observation_space.low, self.observation_space.high
         self.agent_spaces: dict[str, spaces.Box] = {
             agent: spaces.Box(low[columns], high[columns], dtype=np.float32)
-            for agent, columns in zip(AGENTS, self._columns, strict=True)
+            for agent, columns in zip(AGENTS, self.columns, strict=True)
         }
 
     def share(self, rows: NDArray[np.float32]) -> NDArray[np.float32]:
         """The agents' observations (..., 2, fields) of full ones (..., size)."""
-        return rows[..., self._columns]
+        return rows[..., self.columns]
 
     def _masks_of(self, states: NDArray[np.void]) -> NDArray[np.bool_]:
         """Masks (n, 2, 7), one for each agent."""

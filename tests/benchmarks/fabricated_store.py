@@ -15,6 +15,7 @@ from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.runs.store import Store
 
 EPISODES = 10
+MOVES = {"optimum": 20, "optimum_at_once": 16}  # of others 25
 SOLVED = {
     "rainbow": 9,
     "maskable_ppo": 9,
@@ -28,6 +29,7 @@ SOLVED = {
     "rrt_connect": 5,
     "rrt_lattice": 8,
     "optimum": 10,
+    "optimum_at_once": 10,
     "nominal_plan": 5,
     "plan_search": 8,
 }
@@ -130,5 +132,5 @@ def make_store(
             if cell.method == "design" or not keep(cell):
                 continue
             solved = SOLVED[cell.method] - (cell.ablation != "full") - cell.seed
-            fill(store, preset, cell, solved, 20 if cell.method == "optimum" else 25)
+            fill(store, preset, cell, solved, MOVES.get(cell.method, 25))
     return store

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from benchmarks.protocol import labels
 from benchmarks.protocol.metrics import HOLES, N_HOLES, SUCCESS, Metric
 from benchmarks.protocol.plan import LEARNERS
+from benchmarks.protocol.presets import rows_of
 from benchmarks.reporting.figures.comparisons import comparisons
 from benchmarks.reporting.figures.curves import (
     EPISODES,
@@ -67,6 +68,7 @@ def pictures(results: Results) -> list[Picture]:
     for track in results.tracks():
         found += _learning(results, track)
         found += _variants(results, track)
+    found += _teams(results)
     if complete([*rows(results), *rows(results, uncertain=True)]):
         found += comparisons(results)
     return found
@@ -135,6 +137,42 @@ def _variants(results: Results, track: str) -> list[Picture]:
     return found
 
 
+def _teams(results: Results) -> list[Picture]:
+    """Success over training of all teams, over ticks."""
+    groups = {track: results.group("rainbow", track=track) for track in results.teams()}
+    groups = {track: group for track, group in groups.items() if curve_frames(group)}
+    if not groups:
+        return []
+    ends = [
+        f"{labels.track(track)} ends at {values[:, -1].mean():.3g}"
+        for track, group in groups.items()
+        if (values := seed_curves(curve_frames(group), "success", WIDE)[1]).size
+    ]
+    return [
+        Picture(
+            "team_success", "Learning, both robots at once",
+            "Success rate over training: mean of the last fifty episodes.",
+            f"Line chart of success rate over ticks: {', '.join(ends)}.",
+            partial(_over_ticks, results, groups),
+        )
+    ]  # fmt: skip
+
+
+def _over_ticks(results: Results, groups: Groups) -> Figure:
+    figure, (axes,) = canvas()
+    told = {track: results.settings(track) or {} for track in groups}
+    forms = list(dict.fromkeys(settings["team"] for settings in told.values()))
+    for track, group in groups.items():
+        form = told[track]["team"]
+        rows = rows_of(form)
+        frames = [f.assign(timesteps=f["timesteps"] / rows) for f in curve_frames(group)]
+        line = "--" if form != "central" and not told[track].get("sight") else "-"
+        colour = PALETTE[forms.index(form)]
+        draw_curve(axes, frames, "success", labels.track(track), colour, line, False, window=WIDE)
+    finish(axes, "Success rate", "Ticks")
+    return figure
+
+
 def _alt_of_curves(groups: Groups, column: str, label: str) -> str:
     """What a chart of curves shows, in words: where each line ends and when the stage changed."""
     parts = []
@@ -195,9 +233,9 @@ def _mark_support(axes: Axes, groups: Groups) -> None:
     """The upper end of the support, above which a distributional value cannot go."""
     for group in groups.values():
         for run in group.runs[:1]:
-            if run.config["cell"]["method"] == "rainbow":
-                top = float(run.config["track"]["hyperparameters"]["v_max"])
-                axes.axhline(top, color="0.4", linestyle="--", linewidth=0.9, label="V_max")
+            top = run.config["track"]["hyperparameters"]["v_max"]
+            if run.config["cell"]["method"] == "rainbow" and top is not None:
+                axes.axhline(float(top), color="0.4", linestyle="--", linewidth=0.9, label="V_max")
 
 
 def _exploration(groups: Groups) -> Figure:

@@ -21,6 +21,7 @@ PICTURES: Final = (
     ("Failures, safe", "failures --preset paper --track safe", "paper/failures/*-safe.*"),
     ("Failures, memory", "failures --preset paper --track memory", "paper/failures/*-memory.*"),
     ("Variants of the settings", "figures --preset tuning", "tuning/figures/*"),
+    ("Two robots at once", "figures --preset team", "team/figures/team_*"),
     ("Control tasks", "classic figures --preset control", "classic/control/figures/*"),
     ("Masks and priorities", "classic figures --preset basics", "classic/basics/figures/*"),
 )
@@ -58,6 +59,8 @@ def _body(results: Path, others: Iterable[Path]) -> str:
             name = path.relative_to(results).as_posix()
             caption = captions.get(name) or re.sub(r"\W|_", " ", path.stem).capitalize()
             cells.append(f"![{caption}](../results/{name})<br>{caption}")
+        if not cells:
+            continue
         cells += [""] * (len(cells) % 2)
         rows = [f"| {a} | {b} |" for a, b in zip(cells[::2], cells[1::2], strict=True)]
         table = "\n".join(["| | |", "|---|---|", *rows])

@@ -14,7 +14,7 @@ from benchmarks.reporting.tables.table import Cell, Table
 
 def hyperparameters(results: Results) -> Table:
     """Table "hparams": the paper's settings and each track's, masks and memory among them."""
-    tracks = results.tracks()
+    tracks = [*results.tracks(), *results.teams()]
     columns = [_track_settings(results, track) for track in tracks]
     names = dict.fromkeys([*paper_values.HYPERPARAMETERS, *(n for c in columns for n in c)])
     rows: list[list[Cell]] = [
@@ -53,7 +53,9 @@ def _track_settings(results: Results, track: str) -> dict[str, str]:
         "Batch size": str(h["batch_size"]),
         "Target update": f"soft, tau = {h['tau']:g}",
         "Exploration": "NoisyNets",
-        "Distributional atoms": f"{h['n_atoms']} in [{h['v_min']:g}, {h['v_max']:g}]",
+        "Distributional atoms": f"{h['n_atoms']} quantiles"
+        if h["v_min"] is None
+        else f"{h['n_atoms']} in [{h['v_min']:g}, {h['v_max']:g}]",
         "Total environment steps": str(settings["timesteps"]),
         "Curriculum switch": (
             f"{100 * curriculum['threshold']:g} % success over {curriculum['window']} episodes"

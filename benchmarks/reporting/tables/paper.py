@@ -30,11 +30,14 @@ from benchmarks.reporting.tables.leaderboard import leaderboard
 from benchmarks.reporting.tables.notes import failure_notes, interval_note, of_rows, seeds_notes
 from benchmarks.reporting.tables.significance import signed, significance
 from benchmarks.reporting.tables.table import Cell, Number, Table
+from benchmarks.reporting.tables.team import team
 from benchmarks.reporting.tables.uncertain import uncertain
 from benchmarks.runs.store import Store
 
 # those that a run prints; the others are written beside them
-PRINTED: Final = ("design", "performance", "ablation", "geometry", "robustness", "uncertain")
+PRINTED: Final = (
+    *("design", "performance", "ablation", "geometry", "robustness", "uncertain", "team"),
+)
 NOISE: Final = 0.01  # the level of the paper's section "Robustness"
 NOISY: Final = (*LEARNERS, "greedy_observed", "lookahead_observed")  # what sees the observation
 ENDS: Final = ("initial", "optimized")
@@ -58,6 +61,7 @@ def build_tables(store: Store) -> list[Table]:
         *compared[2:],
         uncertain(results),
         leaderboard(store, results),
+        *team(results),
         deviations(compared, store.folder.name),
     ]
 

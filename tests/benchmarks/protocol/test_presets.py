@@ -13,7 +13,7 @@ import yaml
 from benchmarks.__main__ import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import ABLATIONS, CONTROLS, GEOMETRIES, expand, settings
-from benchmarks.protocol.presets import PRESETS, load_preset, parse_preset, preset_names
+from benchmarks.protocol.presets import PRESETS, Controls, load_preset, parse_preset, preset_names
 from benchmarks.studies.insertion import Insertion
 
 
@@ -22,7 +22,7 @@ def smoke() -> dict[str, Any]:
     return data
 
 
-@pytest.mark.parametrize("name", ["smoke", "quick", "tuning", "paper"])
+@pytest.mark.parametrize("name", ["smoke", "quick", "tuning", "paper", "team"])
 def test_shipped_presets_expand_to_cells_with_unique_folders(name: str) -> None:
     cells = expand(load_preset(name))
     assert len({cell.id for cell in cells}) == len(cells) > 0
@@ -141,6 +141,59 @@ def test_an_impossible_cell_is_refused(group: dict[str, Any], word: str) -> None
         expand(preset)
 
 
+@pytest.mark.parametrize(
+    ("track", "method", "message"),
+    [
+        ({"base": "vdn", "mask_visited": 64}, "rainbow", "mask_visited = 64 .* leave it out"),
+        ({"base": "shared", "mask_refused": True}, "rainbow", "mask_refused = True .* leave it"),
+        ({"base": "uncertain", "mask_visited": 0, "mask_refused": False, "team": "central"},
+         "rainbow", "sim_to_real = .* leave it out"),
+        ({"base": "central", "sight": True}, "rainbow", "sees both robots: leave out sight"),
+        ({"base": "safe", "sight": True}, "rainbow", "name it, or leave it out"),
+        ({"base": "shared", "hyperparameters": {"n_envs": 7}}, "rainbow", "n_envs = 7 is odd"),
+        ({"base": "vdn"}, "dqn", "method 'dqn' has no form for a team; known: greedy, rainbow"),
+        ({"base": "vdn"}, "lookahead", "method 'lookahead' has no form for a team"),
+    ],
+)  # fmt: skip
+def test_an_impossible_team_is_refused(track: dict[str, Any], method: str, message: str) -> None:
+    runs = [{"methods": [method], "tracks": ["mine"]}]
+    preset = parse_preset(smoke() | {"tracks": {"mine": track}, "runs": runs}, "p", "p.yaml")
+    with pytest.raises(BenchmarkError, match=message):
+        expand(preset)
+
+
+def test_an_unknown_team_lists_the_known_ones() -> None:
+    data = smoke() | {"tracks": {"mine": {"base": "vdn", "team": "qmix"}}}
+    with pytest.raises(BenchmarkError, match=r"team = 'qmix' is unknown; known: .*vdn"):
+        parse_preset(data, "mine", "mine.yaml")
+
+
+def test_teams_share_one_setting_and_see_as_many_ticks() -> None:
+    tracks = load_preset("team").tracks
+    central = dataclasses.replace(tracks["central"], team=None, controls=Controls())
+    assert dataclasses.replace(central, description="") == dataclasses.replace(
+        tracks["in_turn"], description=""
+    )
+    for track in tracks.values():
+        h, first = track.hyperparameters, central.hyperparameters
+        per_tick: dict[str, Any] = {
+            "n_envs": h.n_envs // track.rows,
+            "updates_per_step": first.updates_per_step,
+        }
+        per_tick |= {
+            name: getattr(h, name) // track.rows for name in ("learning_starts", "epsilon_steps")
+        }
+        assert dataclasses.replace(h, **per_tick) == first
+        assert track.timesteps == track.rows * central.timesteps
+        assert h.gradient_steps == first.gradient_steps
+
+
+def test_settings_of_before_there_were_teams_are_the_same() -> None:
+    preset = load_preset("quick")
+    for cell in expand(preset):
+        assert not {"team", "sight"} & settings(preset, cell).get("track", {}).keys()
+
+
 def test_a_geometry_of_ones_own_reaches_the_runs_settings() -> None:
     sizes = {"base_radius": 0.18, "proximal_length": 0.1, "platform_radius": 0.11}
     runs = [{"methods": ["optimum"], "geometries": ["mine"]}]
@@ -150,7 +203,7 @@ def test_a_geometry_of_ones_own_reaches_the_runs_settings() -> None:
 
 
 def test_unknown_presets_and_cells_list_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(BenchmarkError, match="paper, quick, smoke, tuning"):
+    with pytest.raises(BenchmarkError, match="paper, quick, smoke, team, tuning"):
         load_preset("fast")
     with pytest.raises(BenchmarkError, match="unknown preset '_tracks'"):
         load_preset("_tracks")

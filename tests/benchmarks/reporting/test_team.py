@@ -1,0 +1,66 @@
+"""The table of two robots: a row per form, over the optimum at once, and the two answers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.reporting.figures.learning import pictures
+from benchmarks.reporting.results import Results
+from benchmarks.reporting.tables.paper import build_tables
+from benchmarks.reporting.tables.table import Table
+from benchmarks.reporting.tables.team import team
+from benchmarks.runs.store import Store
+from tests.benchmarks import fabricated_store
+
+OVER = "Ticks over the optimum at once (%)"
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    return fabricated_store.make_store(tmp_path_factory.mktemp("results"), [0, 1], "team")
+
+
+@pytest.fixture(scope="module")
+def table(store: Store) -> Table:
+    return team(Results(store))[0]
+
+
+def test_a_row_for_each_form_with_its_ticks_over_the_optimum(table: Table) -> None:
+    rows = [dict(zip(table.header, row, strict=True)) for row in table.texts()]
+    heads = [tuple(row[name] for name in table.header[:4]) for row in rows]
+    assert len(set(heads)) == len(rows) == 2 * 8 + 2 * 4 + 2
+    assert [row["Robots move"] for row in rows].count("in turn") == 2 + 2 + 1
+    sights = {row["Decided by"] for row in rows if row["Method"].startswith("VDN")}
+    assert sights == {"each robot, in sight", "each robot, without sight"}
+    by_head = dict(zip(heads, rows, strict=True))
+    optimum = by_head["Exact optimum", "-", "in turn", "one for both"]
+    assert optimum[OVER] == "25.0 ± 0.0"  # 20 moves where 16 ticks do
+    central = by_head["Rainbow on 49 joint moves", "Full Rainbow", "at once", "one for both"]
+    assert central["Success (%)"] == "85.0 ± 7.1"
+    assert central[OVER].startswith("56.2")
+
+
+def test_the_two_questions_are_answered_from_the_runs(table: Table) -> None:
+    cost, change = (note for note in table.notes if note.startswith("Full Rainbow, what"))
+    assert "central Rainbow inserts in 85.0 %" in cost
+    assert cost.count("in +0.0 points [0.0, 0.0]") == 2
+    assert "the exact optimum takes -20.0 % ticks" in change
+    assert "Rainbow takes +0.0 % ticks" in change
+
+
+def test_other_tables_are_of_robots_that_move_in_turn(store: Store) -> None:
+    for built in build_tables(store):
+        if built.name not in ("team", "hyperparameters", "deviations"):
+            assert "VDN" not in built.markdown(), built.name
+            assert "at once" not in built.markdown(), built.name
+    names = [picture.name for picture in pictures(Results(store))]
+    assert "team_success" in names
+    (shown,) = [p for p in pictures(Results(store)) if p.name == "team_success"]
+    assert "VDN in sight ends at 0.5" in shown.alt
+    assert not any(name.startswith(("vdn", "central", "shared")) for name in names)
+
+
+def test_no_other_store_has_the_table(tmp_path: Path) -> None:
+    assert team(Results(fabricated_store.make_store(tmp_path, [0]))) == []

@@ -1,0 +1,101 @@
+"""Teams through the harness in seconds: each form learns, is tested, has its row, and agrees."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from benchmarks.__main__ import main
+from benchmarks.protocol.plan import expand, settings
+from benchmarks.protocol.presets import load_preset
+from benchmarks.reporting.results import Results
+from benchmarks.runs.policy_file import digest
+from benchmarks.runs.store import Store
+from benchmarks.runs.training import train
+
+SMALL = {
+    **{"n_envs": 4, "batch_size": 16, "buffer_size": 1000, "learning_starts": 100},
+    **{"updates_per_step": 0.25, "net_arch": [16], "n_atoms": 5},
+}
+TRACKS = ("in_turn", "central", "vdn", "shared_sight", "independent")
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("team")
+    preset = {
+        "description": "teams in seconds",
+        "seeds": [0],
+        "evaluation": {"episodes": 2, "noise": [0.0]},
+        "tracks": {t: {"timesteps": 240, "hyperparameters": SMALL} for t in TRACKS},
+        "runs": [
+            {"methods": ["rainbow"], "tracks": list(TRACKS)},
+            {"methods": ["rainbow"], "tracks": ["vdn"], "ablations": ["double_dueling"]},
+            {"methods": ["random", "greedy"], "tracks": ["central", "independent"]},
+            {"methods": ["optimum", "optimum_at_once"]},
+        ],
+    }
+    (folder / "tiny.yaml").write_text(yaml.safe_dump(preset), encoding="utf-8")
+    assert main(["run", *_words(folder), "--jobs", "1"]) == 0
+    return folder
+
+
+def _words(folder: Path) -> list[str]:
+    return ["--preset", str(folder / "tiny.yaml"), "--results", str(folder)]
+
+
+def test_every_form_has_its_row(results: Path) -> None:
+    text = (results / "tiny" / "tables" / "team.md").read_text(encoding="utf-8")
+    for name, moves, decided in (
+        ("Rainbow", "in turn", "one for both"),
+        ("Rainbow on 49 joint moves", "at once", "one for both"),
+        ("VDN, a sum of two Rainbows", "at once", "each robot, without sight"),
+        ("Rainbow with shared parameters", "at once", "each robot, in sight"),
+        ("Independent Rainbows", "at once", "each robot, without sight"),
+        ("Greedy", "at once", "one for both"),
+        ("Exact optimum", "in turn", "one for both"),
+        ("Exact optimum", "at once", "one for both"),
+    ):
+        rows = [[cell.strip() for cell in line.split("|")] for line in text.splitlines()]
+        assert [name, moves, decided] in [[row[1], *row[3:5]] for row in rows if len(row) > 4]
+    assert "what decentralization costs" in text
+    assert "what moving at once changes: the exact optimum takes -" in text
+    board = (results / "tiny" / "tables" / "leaderboard.md").read_text(encoding="utf-8")
+    assert "at once" not in board
+    assert "VDN" not in board
+    assert (results / "tiny" / "figures" / "team_success.png").is_file()
+
+
+def test_all_began_alike_and_verify_agrees(
+    results: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = Results(Store.open(results, "tiny")).all()
+    assert len(runs) == 12
+    assert len({tuple(run.test()["start"]) for run in runs}) == 1
+    assert main(["tables", *_words(results)]) == 0
+    words = [*_words(results), "--readme", str(results / "none.md"), "--docs", str(results)]
+    assert main(["verify", *words]) == 0, capsys.readouterr().err
+    assert main(["run", *_words(results)]) == 0
+    assert "12 runs were complete already" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("track", ["vdn", "shared_sight", "independent"])
+def test_a_team_that_was_stopped_goes_on_as_if_never(
+    results: Path, tmp_path: Path, track: str
+) -> None:
+    preset = load_preset(str(results / "tiny.yaml"))
+    (cell,) = [c for c in expand(preset) if (c.track, c.method) == (track, "rainbow")][-1:]
+    found = []
+    for name in ("whole", "stopped"):
+        folder = Store.open(tmp_path, name, create=True).run(cell.id)
+        folder.begin(settings(preset, cell))
+        asked = iter([name == "stopped" and i == 30 for i in range(10_000)])
+        trained = train(preset, cell, folder, lambda asked=asked: next(asked))  # type: ignore[misc]
+        assert (trained is None) == (name == "stopped")
+        trained = trained or train(preset, cell, folder)
+        assert trained is not None
+        assert bool(trained[1]["resumed_at"]) == (name == "stopped")
+        found.append(digest(trained[0]))
+    assert found[0] == found[1]
