@@ -86,9 +86,7 @@ class Twin:
         self.packed = pack(self.machine.kernel_params())
         first = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(self.machine)))
         self.models: list[Any] = [first, *(copy.copy(first) for _ in range(n - 1))]
-        threads = check_integer("threads", threads, 1)
-        self._data = [mujoco.MjData(first) for _ in range(threads)]
-        self._pool = mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0)
+        self._start_threads(check_integer("threads", threads, 1))
         self._addresses = {
             name: int(first.joint(name).qposadr[0])
             for name in (first.joint(i).name for i in range(first.njnt))
@@ -103,6 +101,19 @@ class Twin:
         for row in range(n):
             self.place(row, home)
         self._check_hold(home)
+
+    def _start_threads(self, threads: int) -> None:
+        self._data = [mujoco.MjData(self.models[0]) for _ in range(threads)]
+        self._pool = mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled and copied: everything but threads, and what they work on."""
+        return {**self.__dict__, "_data": None, "_pool": None, "_threads": len(self._data)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        threads = state.pop("_threads")
+        self.__dict__.update(state)
+        self._start_threads(threads)
 
     def joint_positions(self, configuration: ArrayLike) -> Floats:
         """Generalized coordinates (22,) at (x, y, z, roll, pitch, heave), from the kinematics.

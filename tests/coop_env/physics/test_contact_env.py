@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
@@ -346,3 +349,20 @@ def test_levels_are_the_task_with_other_pegs() -> None:
     initial = make(geometry="initial")  # whose 30-degree holes lie at its singularity
     assert 4 in np.flatnonzero(np.isfinite(initial.batch.starts[:, 0]))
     assert not np.isfinite(initial.batch.starts[0]).any()
+
+
+@pytest.mark.parametrize("take", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_in_the_midst_of_an_episode_goes_on_alike(take: Callable[[Any], Any]) -> None:
+    env = CoopInsertionContactEnv()
+    env.reset(seed=5, options={"error": [0.002, 0.0, 0.0, 0.0]})
+    down = np.array([0.1, 0.0, -0.5, 0.0, 0.0, 0.1], np.float32)
+    for _ in range(25):  # in contact by then
+        env.step(down)
+    other = take(env)
+    for _ in range(10):
+        mine, theirs = env.step(down), other.step(down)
+        np.testing.assert_array_equal(mine[0], theirs[0])
+        assert mine[1:4] == theirs[1:4]
+    for each in (env, other):
+        each.reset()
+    np.testing.assert_array_equal(env.step(down)[0], other.step(down)[0])

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 
@@ -95,13 +96,14 @@ def test_a_clone_comes_to_do_what_the_script_does() -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_stopped_run_goes_on_and_is_tested(
+def test_a_stopped_run_is_the_run_that_was_not(
     method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trials, "EPISODES", 1)
     preset, cell = tiny(noise=0.3), Cell("learn", "standard", method, 0)
     calls = iter(range(100))
-    cut = RunFolder(tmp_path / "cut")
+    whole, cut = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "cut")
+    assert run_learner(preset, cell, whole) is not None
     rounds = 2 if method == "ppo" else 50
     assert run_learner(preset, cell, cut, lambda: next(calls) == rounds - 1) is None
     summary = run_learner(preset, cell, cut)
@@ -111,6 +113,8 @@ def test_a_stopped_run_goes_on_and_is_tested(
     assert len(rows) == 10
     assert set(rows["error"]) == {0.0, 1.0, 2.0, 3.0, 4.0, 5.0}
     assert (cut.rows("curve")["timesteps"].iloc[-1]) == 120
+    for name in ("contact", "curve", "episodes"):
+        pd.testing.assert_frame_equal(cut.rows(name), whole.rows(name))
 
 
 def test_what_cannot_be_guided_is_said() -> None:
