@@ -30,6 +30,8 @@ def env_arguments(preset: Preset, cell: Cell, track: Track | None = None) -> dic
     names = ("reward", "observation", "mask_singularities", "mask_visited", "mask_refused")
     given = {name: getattr(track, name) for name in names}
     given |= {"reward_kwargs": dict(track.reward_kwargs) or None, "sim_to_real": track.sim_to_real}
+    if track.shield is not None:
+        given |= {"shield": track.shield}
     if track.team is not None:
         given |= {"team": track.team}
         given |= {} if track.team == "central" else {"sight": track.sight}

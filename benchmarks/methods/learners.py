@@ -18,6 +18,7 @@ from benchmarks.methods.team.networks import DecentralizedVecEnv, IndependentPol
 from benchmarks.protocol.plan import ABLATIONS, Cell
 from benchmarks.protocol.presets import Preset, Track
 from benchmarks.protocol.seeding import derive
+from coop_env.shield import ShieldedInsertionVecEnv
 from coop_env.team.vec_env import CoopInsertionJointVecEnv, CoopInsertionTeamVecEnv
 from coop_env.vector.vec_env import CoopInsertionVecEnv
 from sb3_rainbow import Rainbow
@@ -40,9 +41,10 @@ RAINBOW_NAMES: Final = (
     "advantage_learning",
 )
 
-# by a track's team
+# by a track's team, or for its shield
 VEC_ENVS: Final[dict[str | None, Callable[..., VecEnv]]] = {
     None: CoopInsertionVecEnv,
+    "shield": ShieldedInsertionVecEnv,
     "central": CoopInsertionJointVecEnv,
     "vdn": DecentralizedVecEnv,
     "shared": CoopInsertionTeamVecEnv,
@@ -63,7 +65,8 @@ def make_training_env(preset: Preset, cell: Cell) -> VecMonitor:
     if track.train_nominal:
         track = replace(track, sim_to_real=None)
     arguments = env_arguments(preset, cell, track)
-    env = VEC_ENVS[arguments.pop("team", None)](
+    kind = "shield" if track.shield is not None else arguments.pop("team", None)
+    env = VEC_ENVS[kind](
         track.hyperparameters.n_envs // track.rows,
         seed=derive("train", cell.seed),
         stage=0 if track.curriculum.enabled else 1,

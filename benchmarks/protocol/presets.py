@@ -163,6 +163,7 @@ class Track:
     mask_refused: bool = False
     sim_to_real: Annotated[dict[str, Any] | None, AfterValidator(_machine)] = None
     train_nominal: bool = False
+    shield: dict[str, Number] | None = None  # fields of ShieldMargin: masks keep these margins
     team: Literal["central", "vdn", "shared", "independent"] | None = None
     sight: bool = False  # of the other robot
     curriculum: Curriculum = field(default_factory=Curriculum)

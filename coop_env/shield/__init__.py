@@ -1,11 +1,19 @@
 """A run-time shield: no action gets through that takes a robot's margins away.
 
 :class:`KinematicShield` certifies increments and moves, :class:`ShieldWrapper` puts it between an
-agent and its environment, :class:`ShieldMargin` says how much distance is kept.
+agent and its environment, :class:`ShieldedInsertionVecEnv` is a batch under its masks,
+:class:`ShieldMargin` says how much distance is kept.
 """
 
+from coop_env.shield.batch import ShieldedInsertionEnv, ShieldedInsertionVecEnv
 from coop_env.shield.margin import ShieldMargin
 from coop_env.shield.shield import KinematicShield
 from coop_env.shield.wrapper import ShieldWrapper
 
-__all__ = ["KinematicShield", "ShieldMargin", "ShieldWrapper"]
+__all__ = [
+    "KinematicShield",
+    "ShieldMargin",
+    "ShieldWrapper",
+    "ShieldedInsertionEnv",
+    "ShieldedInsertionVecEnv",
+]

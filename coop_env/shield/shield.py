@@ -91,6 +91,16 @@ class KinematicShield:
         kernels.allowed_moves(c, self.steps, self.packed, *self.keeps, mask)
         return mask
 
+    @staticmethod
+    def masks(own: NDArray[np.bool_], inner: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Masks (..., 12) of an environment's ``own`` and of the moves that keep all margins.
+
+        Where none is in both, those that keep the margins; where none does, the environment's.
+        """
+        both = own & inner
+        kept = np.where(inner.any(axis=-1, keepdims=True), inner, own)
+        return np.where(both.any(axis=-1, keepdims=True), both, kept)
+
     def sigma_after(self, state: ArrayLike) -> Floats:
         """(12,): the signed sigma_min to which each of the environment's moves leads."""
         sigma = np.empty(N_ACTIONS)

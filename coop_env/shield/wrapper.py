@@ -50,11 +50,8 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
 
     def action_masks(self) -> NDArray[np.bool_]:
         """(12,): True where a move keeps all margins and the environment allows it."""
-        own, inner = self._own_masks(), self.shield.allowed_moves(self._configuration())
-        both = own & inner
-        if both.any():
-            return both
-        return inner if inner.any() else own
+        inner = self.shield.allowed_moves(self._configuration())
+        return self.shield.masks(self._own_masks(), inner)
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
         """As the environment's."""

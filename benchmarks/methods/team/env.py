@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.env import CoopInsertionEnv
+from coop_env.shield import ShieldedInsertionEnv
 from coop_env.simulation.joint import N_CHOICES
 from coop_env.team.agents import AGENTS, Team, joint_actions
 from coop_env.team.joint_env import CoopInsertionJointEnv
@@ -30,6 +31,8 @@ class DecentralizedEnv(Team):
 
 def make_env(team: str | None = None, **arguments: Any) -> CoopInsertionEnv:
     """The single environment of a track's ``team``, or of robots that move one at a time."""
+    if "shield" in arguments:
+        return ShieldedInsertionEnv(**arguments)
     if team is None:
         return CoopInsertionEnv(**arguments)
     if team == "central":

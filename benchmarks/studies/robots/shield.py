@@ -56,7 +56,11 @@ ERRORS: Final = {
     ),
 }  # fmt: skip
 """Bounds of what the machine does not know of itself: base, its tilt, lengths, joints."""
-RAINBOW: Final = "rainbow-optimized-safe"
+# learned policies: their name in the table, and their runs
+LEARNED: Final = {
+    "Rainbow": "paper/runs/rainbow-optimized-safe",
+    "Rainbow trained with it": "shielded/runs/rainbow-optimized-shielded",
+}
 
 Masks = NDArray[np.bool_]
 Choice = Callable[[NDArray[Any], Masks, Any], int]
@@ -187,13 +191,14 @@ def prices(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dict[st
         ("random", "safe", safe, lambda seed: lambda env: _random(_rng(seed))),
         ("adversary", "safe", safe, lambda seed: lambda env: Adversary(env, _rng(seed))),
     ]
-    stored = results / "paper" / "runs"
 
-    def learned(seed: int) -> Callable[[CoopInsertionEnv], Choice]:
-        return _learned(stored / f"{RAINBOW}-s{seed}" / "policy.zip")
+    def learned(runs: str, seed: int) -> Callable[[CoopInsertionEnv], Choice]:
+        return _learned(results / f"{runs}-s{seed}" / "policy.zip")
 
-    if (stored / f"{RAINBOW}-s0" / "policy.zip").is_file():
-        players += [("Rainbow", "paper's", paper, learned), ("Rainbow", "safe", safe, learned)]
+    for name, runs in LEARNED.items():
+        if (results / f"{runs}-s0" / "policy.zip").is_file():
+            own = partial(learned, runs)
+            players += [(name, "paper's", paper, own), (name, "safe", safe, own)]
     rows, done = [], 0
     for name, masks, arguments, maker in players:
         for shielded in (False, True):

@@ -203,7 +203,7 @@ def test_a_geometry_of_ones_own_reaches_the_runs_settings() -> None:
 
 
 def test_unknown_presets_and_cells_list_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(BenchmarkError, match="paper, quick, smoke, team, tuning"):
+    with pytest.raises(BenchmarkError, match="paper, quick, shielded, smoke, team, tuning"):
         load_preset("fast")
     with pytest.raises(BenchmarkError, match="unknown preset '_tracks'"):
         load_preset("_tracks")
