@@ -23,12 +23,18 @@ from coop_env import design
 from coop_env.env import CoopInsertionEnv
 from coop_env.geometry import OPTIMIZED
 from coop_env.simulation import batch as kernels
+from coop_env.simulation.joint import N_CHOICES, N_JOINT
+from coop_env.team.agents import AGENTS
+from coop_env.team.joint_env import CoopInsertionJointEnv
+from coop_env.team.vec_env import CoopInsertionJointVecEnv, CoopInsertionTeamVecEnv
 from coop_env.vector.env_batch import EnvBatch
 from coop_env.vector.vec_env import CoopInsertionVecEnv
 
 SINGLE: Final = "single, gymnasium.make, Python loop"
 BARE: Final = "single, without Gymnasium's wrappers"
 BATCH: Final = "batch of 64"
+JOINT: Final = "both robots at once, one agent, batch of 64: a tick"
+TEAM: Final = "both robots at once, two agents, batch of 64: a tick"
 KERNEL: Final = "kernel alone, batch of 64"
 OUR_MAP: Final = "coop_env.design"
 NUMPY_MAP: Final = "numpy, batched SVD"
@@ -36,11 +42,17 @@ NUMPY_MAP: Final = "numpy, batched SVD"
 TARGETS: Final = {
     "batch_steps_per_second": ("at least", 300_000.0),
     "batch_over_single": ("at least", 20.0),
+    "joint_over_batch": ("at least", 0.5),
+    "team_over_batch": ("at least", 0.5),
     "single_step_us": ("at most", 20.0),
     "area_over_reference": ("at least", 5.0),
     "oracle_500_starts_s": ("at most", 60.0),
 }
-GEOMETRIES: Final = ("optimized", "initial")
+# rows of the optimum: geometry, and whether both robots move at once
+OPTIMA: Final = {
+    **{name: (name, False) for name in ("optimized", "initial")},
+    **{f"{name}, both at once": (name, True) for name in ("optimized", "initial")},
+}
 EVERY_OPTION: Final[dict[str, Any]] = {
     "observation": "markov",
     "reward": "progress",
@@ -63,8 +75,9 @@ def _single_loop(env: gym.Env[Any, Any], steps: int) -> Callable[[], None]:
     return loop
 
 
-def _batch_loop(env: Any, steps: int) -> Callable[[], None]:
-    actions = _drawn(env.num_envs, steps)
+def _batch_loop(env: Any, steps: int, choices: int = 12, agents: int = 1) -> Callable[[], None]:
+    """So many moves, or ticks of ``agents``; each choice is one of ``choices``."""
+    actions = _drawn(env.num_envs, steps * agents, choices)
     env.reset()
 
     def loop() -> None:
@@ -90,8 +103,8 @@ def _kernel_loop(env: EnvBatch, steps: int) -> Callable[[], None]:
     return loop
 
 
-def _drawn(n_envs: int, steps: int) -> np.ndarray:
-    return np.random.default_rng(0).integers(12, size=(max(1, steps // n_envs), n_envs))
+def _drawn(n_envs: int, steps: int, choices: int = 12) -> np.ndarray:
+    return np.random.default_rng(0).integers(choices, size=(max(1, steps // n_envs), n_envs))
 
 
 def measure_steps(steps: int, rounds: int) -> dict[str, float]:
@@ -105,6 +118,8 @@ def measure_steps(steps: int, rounds: int) -> dict[str, float]:
         "SB3 DummyVecEnv of 64": _batch_loop(DummyVecEnv([CoopInsertionEnv] * 64), steps),
         **{f"batch of {n}": _batch_loop(batch(n), steps) for n in (1, 8, 64, 256)},
         "batch of 64, every option": _batch_loop(batch(64, **EVERY_OPTION), steps),
+        JOINT: _batch_loop(CoopInsertionJointVecEnv(64, seed=0), steps, N_JOINT),
+        TEAM: _batch_loop(CoopInsertionTeamVecEnv(64, seed=0), steps, N_CHOICES, len(AGENTS)),
         KERNEL: _kernel_loop(EnvBatch(64), steps),
     }
     return report.in_turns(loops, rounds, unit=1e-6 * steps)
@@ -119,9 +134,10 @@ def measure_area(rounds: int) -> dict[str, float]:
     return report.in_turns(maps, rounds, unit=1e-3)
 
 
-def measure_oracle(starts: int, geometry: str) -> dict[str, float]:
+def measure_oracle(starts: int, geometry: str, at_once: bool = False) -> dict[str, float]:
     """CPU seconds, feasible share and mean length of the exact optimum over the first seeds."""
-    env, oracle = CoopInsertionEnv(geometry=geometry), LatticeOracle()
+    kind = CoopInsertionJointEnv if at_once else CoopInsertionEnv
+    env, oracle = kind(geometry=geometry), LatticeOracle(at_once=at_once)
     plans = []
 
     def plan() -> None:
@@ -158,6 +174,8 @@ def ratios(found: dict[str, Any]) -> dict[str, float]:
     return {
         "batch_steps_per_second": 1e6 / us[BATCH],
         "batch_over_single": us[SINGLE] / us[BATCH],
+        "joint_over_batch": us[BATCH] / us[JOINT],
+        "team_over_batch": us[BATCH] / us[TEAM],
         "single_step_us": us[BARE],
         "area_over_reference": area[NUMPY_MAP] / area[OUR_MAP],
         "oracle_500_starts_s": 500.0 * oracle["optimized"]["seconds"] / oracle["starts"],
@@ -171,10 +189,10 @@ def tell(found: dict[str, Any]) -> str:
     for name, value in found["ratios"].items():
         sign, goal = TARGETS[name]
         met = value <= goal if sign == "at most" else value >= goal
-        goals.append([name, f"{value:,.2f}", f"{sign} {goal:,.0f}", "yes" if met else "no"])
+        goals.append([name, f"{value:,.2f}", f"{sign} {goal:,.10g}", "yes" if met else "no"])
     optimum = []
-    for name in GEOMETRIES:
-        row, head = oracle[name], [name, f"{100 * oracle[name]['feasible']:.1f} %"]
+    for name, row in ((name, oracle[name]) for name in OPTIMA):
+        head = [name, f"{100 * row['feasible']:.1f} %"]
         moves = [f"{row['mean_moves']:.1f}", f"{row['mean_detour']:.3f}"]
         optimum.append([*head, *moves, f"{row['seconds']:.1f}"])
     return report.page(
@@ -191,7 +209,7 @@ def tell(found: dict[str, Any]) -> str:
         f"around the kernel, and the kernel itself takes {us[KERNEL]:.2f} us of either.",
         report.table(
             f"Exact optimum over {oracle['starts']} starts",
-            "geometry | feasible | mean moves | of these to avoid collisions | CPU s",
+            "geometry | feasible | mean moves or ticks | of these to avoid collisions | CPU s",
             optimum,
         ),
         f"Memory over {found['memory_steps']:,} batched steps: {found['memory_mb']:+.1f} MB.",
@@ -212,7 +230,10 @@ def main(argv: list[str]) -> int:
         "step_us": measured("steps", measure_steps, given.steps, given.rounds),
         "area_ms": measured("the workspace map", measure_area, given.rounds),
         "oracle": {"starts": starts}
-        | {name: measured(f"optimum, {name}", measure_oracle, starts, name) for name in GEOMETRIES},
+        | {
+            name: measured(f"optimum, {name}", measure_oracle, starts, *what)
+            for name, what in OPTIMA.items()
+        },
         "memory_mb": measured("memory", measure_memory, given.memory_steps),
     }
     found["ratios"] = ratios(found)
