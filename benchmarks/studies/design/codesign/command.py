@@ -37,8 +37,8 @@ from benchmarks.studies.design.codesign.figures import write_figures
 from benchmarks.studies.design.codesign.found import POLICIES, TABLES, Found, on_front
 from benchmarks.studies.design.codesign.spaces import (
     ALL,
+    OF_ONE,
     STUDIES,
-    TRACK,
     Machine,
     given,
     machine_of,
@@ -207,9 +207,9 @@ def _write_preset(folder: RunFolder, machine: Machine) -> Path:
         "description": "A policy on each of the designs that the co-design chose",
         "seeds": list(range(asked["seeds"])),
         "evaluation": {"episodes": EPISODES, "noise": [0.0], "stream": "test"},
-        "tracks": {TRACK: {"timesteps": asked["policy_steps"]} if asked["policy_steps"] else None},
+        "tracks": {OF_ONE: {"timesteps": asked["policy_steps"]} if asked["policy_steps"] else None},
         "geometries": {design: found.geometry(machine, design).as_dict() for design in own},
-        "runs": [{"methods": ["rainbow"], "geometries": chosen, "tracks": [TRACK]}],
+        "runs": [{"methods": ["rainbow"], "geometries": chosen, "tracks": [OF_ONE]}],
     }
     path = folder.path / f"{POLICIES}.yaml"
     write_text(path, yaml.safe_dump(preset, sort_keys=False))

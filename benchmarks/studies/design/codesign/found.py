@@ -12,7 +12,7 @@ import pandas as pd
 
 from benchmarks.reporting.results import Group, Results
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.design.codesign.spaces import ALL, STUDIES, TRACK, Machine
+from benchmarks.studies.design.codesign.spaces import ALL, OF_ONE, STUDIES, Machine
 from coop_env.geometry import RRSGeometry
 
 POLICIES: Final = "policies"
@@ -91,7 +91,7 @@ class Found:
 
     def policies(self, design: str) -> Group:
         """The policies that were trained on a design."""
-        return self._policies.group("rainbow", design, TRACK)
+        return self._policies.group("rainbow", design, OF_ONE)
 
 
 def _without_prefix(name: str) -> str:

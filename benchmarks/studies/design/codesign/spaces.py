@@ -35,9 +35,9 @@ LENGTHS: Final[Ranges] = {"lambda1": (0.8, 2.0), "lambda2": (0.6, 2.8)}
 #: of the other two, as shares of the given machine's
 SHARES: Final[Ranges] = {"distal_length": (0.75, 1.35), "home_heave": (0.65, 1.35)}
 STREAM: Final = "validate"
-#: whose reward, masks and hyperparameters the policies are trained with, and what those that are
-#: trained on one design move
-TRACK, MOVED = "safe", "one robot at a time"
+#: whose reward, masks and hyperparameters the policy for all designs is trained with, and the track
+#: of those that are trained on one design; all move both robots at once
+TRACK, OF_ONE = "safe", "central"
 UNBUILT: Final = {
     "lengths": "break the paper's constraints on the lengths",
     "home": "cannot take their home pose within the joint limits",
