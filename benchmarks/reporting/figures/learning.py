@@ -138,10 +138,17 @@ def _variants(results: Results, track: str) -> list[Picture]:
 
 
 def _teams(results: Results) -> list[Picture]:
-    """Success over training of all teams, over ticks."""
-    groups = {track: results.group("rainbow", track=track) for track in results.teams()}
-    groups = {track: group for track, group in groups.items() if curve_frames(group)}
-    if not groups:
+    """Success of all teams over ticks, with the components that most of them were trained with."""
+    found = {
+        ablation: {
+            track: group
+            for track in results.teams()
+            if curve_frames(group := results.group("rainbow", track=track, ablation=ablation))
+        }
+        for ablation in labels.ABLATIONS
+    }
+    ablation = max(found, key=lambda name: len(found[name]))
+    if not (groups := found[ablation]):
         return []
     ends = [
         f"{labels.track(track)} ends at {values[:, -1].mean():.3g}"
@@ -151,7 +158,7 @@ def _teams(results: Results) -> list[Picture]:
     return [
         Picture(
             "team_success", "Learning, both robots at once",
-            "Success rate over training: mean of the last fifty episodes.",
+            f"{labels.ABLATIONS[ablation]}: success rate over training, last fifty episodes.",
             f"Line chart of success rate over ticks: {', '.join(ends)}.",
             partial(_over_ticks, results, groups),
         )
