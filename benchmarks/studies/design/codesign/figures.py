@@ -53,6 +53,7 @@ def _draw_front(axes: Axes, found: Found, study: str) -> None:
     for name, look, tests in _chosen(found, study):
         ticks, success = over(tests["ticks"]), over(tests["success"])
         shown.append(ticks.mean)
+        floor = min(floor, success.mean)
         axes.errorbar(ticks.mean, success.mean, xerr=_arms(ticks), yerr=_arms(success),
                       label=f"{name}, test starts", **look)  # fmt: skip
     axes.set_ylim(floor - BELOW, 100.5)
