@@ -137,7 +137,9 @@ def main(words: Sequence[str]) -> int:
     line.add_argument("--results", type=Path, default=Path("results"))
     line.add_argument("--docs", type=Path, default=Path("docs"), help=f"folder of {PAGE}")
     line.add_argument("--episodes", type=at_least(2), default=EPISODES, help="of each cell")
-    line.add_argument("--film", action="store_true", help="a video of one insertion as well")
+    line.add_argument(
+        "--film", action="store_true", help="draw a video of one insertion, and no more"
+    )
     line.add_argument("--levels", nargs="+", choices=LEVELS, default=list(LEVELS))
     given = line.parse_args(list(words))
     try:
@@ -145,6 +147,8 @@ def main(words: Sequence[str]) -> int:
     except DependencyNotInstalled as missing:
         raise BenchmarkError(str(missing)) from missing
     console, path = Console(soft_wrap=True), given.results / "contact" / "scripts.json"
+    if given.film:
+        return _film(path, console)
     commit = describe()["commit"]  # what another one measured is measured again
     asked = {"episodes": given.episodes, "defaults": asdict(Gains()), "commit": commit}
     found: Row = {"asked": asked, "levels": {}}
@@ -170,13 +174,20 @@ def main(words: Sequence[str]) -> int:
     if page.is_file():
         blocks.rewrite(page, lambda old: blocks.fill(old, BLOCK, lambda _: text))
     console.print(text, markup=False)
-    if given.film:
-        from benchmarks.studies.robots.film import write_film
-
-        console.print("Drawing the film", markup=False)
-        standard = found["levels"].get("standard", {}).get("moment-guided search", {})
-        write_film(path.parent, replace(Gains(), **standard.get("gains", {})))
     console.print(f"Written to {path.parent}", markup=False)
+    return 0
+
+
+def _film(path: Path, console: Console) -> int:
+    """A film of the moment-guided search, with the gains that were stored."""
+    from benchmarks.methods.contact_scripts import Gains
+    from benchmarks.studies.robots.film import write_film
+
+    stored = json.loads(path.read_text(encoding="utf-8"))["levels"] if path.is_file() else {}
+    gains = stored.get("standard", {}).get("moment-guided search", {}).get("gains", {})
+    console.print("Drawing: some ten seconds", markup=False)
+    for written in write_film(path.parent, replace(Gains(), **gains)):
+        console.print(f"{written}  {written.stat().st_size / 1000:.0f} kB", markup=False)
     return 0
 
 
