@@ -21,6 +21,8 @@ PICTURES: Final = (
     ("Failures, safe", "failures --preset paper --track safe", "paper/failures/*-safe.*"),
     ("Failures, memory", "failures --preset paper --track memory", "paper/failures/*-memory.*"),
     ("Variants of the settings", "figures --preset tuning", "tuning/figures/*"),
+    ("Design and team", "codesign", "codesign/figures/*"),
+    ("Insertion in contact", "contact --film", "contact/*"),
     ("Two robots at once", "figures --preset team", "team/figures/team_*"),
     ("Control tasks", "classic figures --preset control", "classic/control/figures/*"),
     ("Masks and priorities", "classic figures --preset basics", "classic/basics/figures/*"),
