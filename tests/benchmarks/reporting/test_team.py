@@ -30,7 +30,7 @@ def table(store: Store) -> Table:
 def test_a_row_for_each_form_with_its_ticks_over_the_optimum(table: Table) -> None:
     rows = [dict(zip(table.header, row, strict=True)) for row in table.texts()]
     heads = [tuple(row[name] for name in table.header[:4]) for row in rows]
-    assert len(set(heads)) == len(rows) == 2 * 8 + 2 * 4 + 2
+    assert len(set(heads)) == len(rows) == 2 * 4 + 4 + 2 * 4 + 2
     assert [row["Robots move"] for row in rows].count("in turn") == 2 + 2 + 1
     sights = {row["Decided by"] for row in rows if row["Method"].startswith("VDN")}
     assert sights == {"each robot, in sight", "each robot, without sight"}
