@@ -16,8 +16,8 @@ from coop_env.rendering.scene import Scene
 from coop_env.simulation import batch, start_states
 from coop_env.simulation.observation import observe_batch
 
-TOUCH: Final = 15.0
-"""N: a mean force beyond this stops a move."""
+TOUCH: Final = 10.0
+"""N: a mean force beyond this stops a move; of 15 N some push the 3-RRS over, at its weak holes."""
 
 
 class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
