@@ -78,6 +78,7 @@ for _form in ("", "Discrete"):
 gymnasium.register(
     id="CoopInsertionPhysics-v0",
     entry_point="coop_env.physics.whole.env:CoopInsertionPhysicsEnv",
+    max_episode_steps=2400,
 )
 gymnasium.register(
     id="CoopInsertionPhysicsDiscrete-v0",

@@ -21,6 +21,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
+from shlex import quote
 from types import SimpleNamespace
 from typing import Any, Final
 
@@ -285,7 +286,7 @@ def main(words: Sequence[str]) -> int:
         stored = json.loads(path.read_text(encoding="utf-8"))
         found = stored if stored["asked"] == asked else found
     found |= {
-        "command": " ".join(["python -m benchmarks transfer", *words]),
+        "command": " ".join(["python -m benchmarks transfer", *map(quote, words)]),
         "machine": describe(),
     }
     todo = [

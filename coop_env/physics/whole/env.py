@@ -36,7 +36,7 @@ from coop_env.simulation.task import N_AXES, EnvParams
 
 Observation = NDArray[np.float32]
 MAX_STEPS: Final = 2400
-"""Control steps until truncation: 120 s, twice the kinematic task's, as contact takes time."""
+"""120 s in control steps, twice the kinematic task's time, as contact takes some."""
 LIMIT: Final = 5.0
 _UNITS: Final[Floats] = np.array(
     [*[0.1] * 3, *[1.0] * 2, *[1.0] * 6, *[10.0] * 3, *[0.05] * 3, *[0.1] * 3, *[0.5] * 2, 0.1,
@@ -211,7 +211,7 @@ class CoopInsertionPhysicsEnv(Rendered):
         """Set the machine down at a state of the kinematic task.
 
         Args:
-            state: a row of :func:`coop_env.simulation.state.state_dtype`.
+            state: a row of ``coop_env.simulation.state.state_dtype()``.
             held: ``error`` and ``friction``, drawn from ``np_random`` where they are not given.
         """
         error = draw_error(self.task, self.np_random)
@@ -308,8 +308,7 @@ class CoopInsertionPhysicsEnv(Rendered):
             touch: a mean force beyond this is a contact that stops it, N.
 
         Returns:
-            Whether it arrived: False after a contact, a failure, or where a command on the way was
-            not taken.
+            Whether it arrived, and no contact, failure or command that was not taken stopped it.
         """
         way, start = to - self.command[0], self.configuration
         n = max(steps, math.ceil(float(np.max(np.abs(way) / self.increments)) - 1e-9))
@@ -345,8 +344,8 @@ class CoopInsertionPhysicsEnv(Rendered):
         """What a controller has to go by, with the sensors' noise, which is drawn now.
 
         Returns:
-            (1, 5), the target as :func:`coop_env.physics.kernels.perceive` sees it; joint angles
-            (1, 6), rad; wrench on the peg (1, 6), N, N m.
+            The target (1, 5), tip - mouth, m, and x, y of its normal; joint angles (1, 6), rad;
+            wrench on the peg (1, 6), N, N m.
         """
         task = self.task
         joints = np.ascontiguousarray(self.twin.readings().joints)
@@ -356,7 +355,13 @@ class CoopInsertionPhysicsEnv(Rendered):
         return view, joints, (self._wrench + noise)[None]
 
     def scene(self) -> Scene:
-        """Every body of the scene at this instant, where it really is; world frame."""
+        """Every body of the scene at this instant, where it really is; world frame.
+
+        Raises:
+            ResetNeeded: there was no reset yet.
+        """
+        if not self.active.any():
+            raise ResetNeeded("call reset() first: there is no state yet")
         done = not np.any(self.active & ~self.filled)
         status = "success" if done and self.filled.any() else self.failure or "running"
         found = twin_scene(self, 0, status, self._trace)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -17,7 +18,7 @@ from coop_env.simulation import batch, start_states
 from coop_env.simulation.observation import observe_batch
 
 TOUCH: Final = 10.0
-"""N: a mean force beyond this stops a move; of 15 N some push the 3-RRS over, at its weak holes."""
+"""A mean force beyond this stops a move, N; of 15 N some push the 3-RRS over, at weak holes."""
 
 
 class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
@@ -47,7 +48,7 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
     Args:
         finish: a policy of the contact task, from its observation (29,) to increments (6,), or
             None.
-        touch: N.
+        touch: mean force that stops a move, N.
         level: as for :class:`~coop_env.physics.whole.env.CoopInsertionPhysicsEnv`.
         servos: likewise.
         arguments: as for :class:`~coop_env.env.CoopInsertionEnv`, without ``sim_to_real`` and
@@ -181,7 +182,8 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
 
     def scene(self) -> Scene:
         """Every body of the scene at this instant, where it really is; world frame."""
-        return self.physics.scene()
+        trace = np.array(self._trace, np.float64).reshape(-1, 3)
+        return replace(self.physics.scene(), trace=trace)
 
     def close(self) -> None:
         """End the simulation, and close the window."""

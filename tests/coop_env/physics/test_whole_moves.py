@@ -152,3 +152,24 @@ def test_bad_input_is_refused() -> None:
     with pytest.raises(StateError):
         env.set_state({})
     env.step(4)
+
+
+def test_a_seed_fixes_the_episode_to_the_last_bit() -> None:
+    rows = []
+    for _ in range(2):
+        env = CoopInsertionPhysicsDiscreteEnv(finish=push)
+        env.reset(seed=4, options=over(env, 1, 0.025))
+        infos = [env.step(action)[-1] for action in (DOWN, 4, 0)]
+        rows.append([[*info["error"], *info["force"], info["distance"]] for info in infos])
+    assert rows[0] == rows[1]
+
+
+def test_it_is_drawn_as_it_is() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(level=NO_ERROR, render_mode="ansi")
+    env.reset(seed=0, options=over(env, 2, 0.025))
+    env.step(DOWN)
+    scene = env.scene()
+    assert scene.filled.tolist() == [False, False, True, False, False, False]
+    assert len(scene.trace) == 2
+    assert scene.tip == pytest.approx(env.physics.twin.readings().tip[0])
+    assert "2#" in env.render()
