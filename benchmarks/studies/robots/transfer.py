@@ -153,7 +153,8 @@ def player(name: str, preset: Preset, results: Path, seed: int) -> tuple[Play, d
     cell = Cell("rainbow", "full", "optimized", PLAYERS[name], seed)
     path = results / PRESET / "runs" / cell.id / "policy.zip"
     arguments = env_arguments(preset, cell, preset.tracks[cell.track])
-    return by_policy(path), {**arguments, "sim_to_real": None}
+    del arguments["sim_to_real"]  # the machine of this study's worlds, not the track's
+    return by_policy(path), arguments
 
 
 def measure(name: str, world: str, results: Path, episodes: int = EPISODES) -> Row:
@@ -163,8 +164,6 @@ def measure(name: str, world: str, results: Path, episodes: int = EPISODES) -> R
     found: Row = {key: [] for key in keys}
     for seed in range(SEEDS):
         play, arguments = player(name, preset, results, seed)
-        if world != "kinematics":
-            arguments.pop("sim_to_real", None)
         env = make_world(world, results, arguments)
         for number, start in enumerate(episode_seeds(seed, episodes)):
             row = play_one(env, play, number, start)

@@ -46,9 +46,10 @@ class Finish:
         up[2] = max(up[2], above[2])
         if self._go(up, above, start, start):
             self._play()
-        up = env.configuration
-        up[2] = max(up[2], above[2])
-        self._go(up, above)
+        if not env.failure:
+            up = env.configuration
+            up[2] = max(up[2], above[2])
+            self._go(up, above)
         return bool(env.filled[hole])
 
     def _go(self, *way: Floats) -> bool:
