@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from typing import Any
 
 import gymnasium as gym
@@ -173,3 +175,12 @@ def test_it_is_drawn_as_it_is() -> None:
     assert len(scene.trace) == 2
     assert scene.tip == pytest.approx(env.physics.twin.readings().tip[0])
     assert "2#" in env.render()
+
+
+def test_a_copy_plays_on_as_the_original_would() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(finish=push)
+    env.reset(seed=0, options=over(env, 2, 0.045))
+    env.step(0)
+    copies = [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
+    ends = [[each.step(a)[-1]["distance"] for a in (1, DOWN, 4)] for each in (env, *copies)]
+    assert ends[0] == ends[1] == ends[2]
