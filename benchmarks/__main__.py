@@ -121,6 +121,7 @@ def _parser() -> argparse.ArgumentParser:
     verbs.add_parser("physics", help="the physics twin: errors, speed, model folder")
     verbs.add_parser("contact", help="scripts on the contact task: success, time, force")
     verbs.add_parser("shield", help="the shield: certificate, adversary, price")
+    verbs.add_parser("transfer", help="the kinematic task's players on the simulated machine")
     verbs.add_parser("resume", help="kill runs of the zoo in the middle and resume them")
     verbs.add_parser("data", help="Minari datasets of the task, for learners without an env")
     verbs.add_parser("package", help="stored policies as packages for the Hugging Face hub")

@@ -45,13 +45,15 @@ MODULES: Final = {
     "physics": "robots.physics",
     "resume": "resume",
     "shield": "robots.shield",
+    "transfer": "robots.transfer",
     "watch": "viewing.watch",
 }
 DELEGATED: Final = ("speed", "tune", *MODULES)
 # the studies that keep tables: each has a `check` of what it stored
 CHECKED: Final = (
     *("design.docs", "design.codesign.tell", "audit", "failures", "classic.docs", "tuning.check"),
-    *("robots.physics", "robots.contact", "robots.shield", "sharing.data_page"),
+    *("robots.physics", "robots.contact", "robots.shield", "robots.transfer"),
+    "sharing.data_page",
 )
 SPEED: Final = {
     "env": "benchmarks.studies.speed.env",

@@ -1,8 +1,9 @@
 """Cooperative peg-in-hole with a Delta robot and a 3-RRS, with exact kinematics.
 
 Importing the package registers ``CoopInsertion-v0``, ``CoopInsertionJoint-v0``,
-``CoopInsertionContact-v0`` and ``CoopInsertionContactDiscrete-v0``; kernels compile when they are
-first used, and the contact tasks need the extra ``physics``.
+``CoopInsertionContact-v0``, ``CoopInsertionContactDiscrete-v0``, ``CoopInsertionPhysics-v0`` and
+``CoopInsertionPhysicsDiscrete-v0``; kernels compile when they are first used, and the last four
+need the extra ``physics``.
 """
 
 from __future__ import annotations
@@ -74,6 +75,16 @@ for _form in ("", "Discrete"):
             f"coop_env.physics.contact.vector_env:CoopInsertionContact{_form}VectorEnv"
         ),
     )
+gymnasium.register(
+    id="CoopInsertionPhysics-v0",
+    entry_point="coop_env.physics.whole.env:CoopInsertionPhysicsEnv",
+    max_episode_steps=2400,
+)
+gymnasium.register(
+    id="CoopInsertionPhysicsDiscrete-v0",
+    entry_point="coop_env.physics.whole.moves:CoopInsertionPhysicsDiscreteEnv",
+    max_episode_steps=300,
+)
 gymnasium.register(
     id="CoopInsertionJoint-v0",
     entry_point="coop_env.team.joint_env:CoopInsertionJointEnv",

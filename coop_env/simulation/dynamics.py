@@ -298,21 +298,22 @@ def tick(s: Record, delta: int, rrs: int, p: EnvParams, out: Record) -> None:
         if p.task.visited > 0:  # the way to the next hole may lead back
             s.trailed = 0
             update_mask(s, True, True, p)
-    _reward(s, (v, z, u, terminated), (distance, angle), after, p, out)
+    reward_of(s, (v, z, u, terminated), (distance, angle), after, p, out)
     out.inserted = z
     out.inserted_hole = target if z else -1
     out.collision = delta_status == COLLISION or rrs_status == COLLISION
     out.violation = v
     out.duplicate = u
     out.singular = singular
-    _report(s, p, out)
+    report(s, p, out)
     out.terminated = terminated
     out.truncated = not terminated and s.moves >= p.task.max_moves
     s.over = out.terminated or out.truncated
 
 
 @njit(cache=True)
-def _report(s: Record, p: EnvParams, out: Record) -> None:
+def report(s: Record, p: EnvParams, out: Record) -> None:
+    """Write to ``out`` what follows from the state alone."""
     out.success = s.insertions > 0
     out.n_filled = s.filled.sum()
     out.sigma_min = s.sigma
@@ -322,10 +323,20 @@ def _report(s: Record, p: EnvParams, out: Record) -> None:
 
 
 @njit(cache=True)
-def _reward(
+def reward_of(
     s: Record, flags: tuple[bool, bool, bool, bool],
     before: tuple[float, float], after: tuple[float, float], p: EnvParams, out: Record,
 ) -> None:  # fmt: skip
+    """Write the reward and its terms.
+
+    Args:
+        s: the state, moves counted and holes filled.
+        flags: a violation, an insertion, an entry to a filled hole, the episode's end.
+        before: distance, m, and angle, rad, to the hole aimed at, before the move.
+        after: after it.
+        p: the parameters.
+        out: what is written to.
+    """
     v, z, u, terminated = flags
     n_filled, time = s.filled.sum(), s.moves * p.layout.dt
     if p.reward.paper:

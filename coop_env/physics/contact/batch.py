@@ -7,11 +7,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
 from coop_env.physics import kernels
 from coop_env.physics.contact.task import (
     ContactOptions,
     ContactTask,
+    askew,
+    draw_error,
     start_configurations,
 )
 from coop_env.physics.joints import Floats
@@ -51,6 +52,12 @@ def _length(vectors: Floats) -> Floats:
     """Norms (...) of vectors (..., 3); half the time of numpy's own on few of them."""
     found: Floats = np.sqrt(np.einsum("...i,...i", vectors, vectors))
     return found
+
+
+def in_units(*fields: Floats) -> NDArray[np.float32]:
+    """Observations (n, 29) of fields (n, ...) in SI units, in their order."""
+    found = np.concatenate(fields, axis=1) / UNITS
+    return np.clip(found, -LIMIT, LIMIT).astype(np.float32)
 
 
 class ContactBatch:
@@ -95,13 +102,8 @@ class ContactBatch:
     def reset(self, row: int, options: ContactOptions, rng: np.random.Generator) -> dict[str, Any]:
         """Start an episode in one row: writes its observation, returns its info."""
         task = self.task
-        radius, bearing, lean, side = rng.random(4)  # drawn whether or not an option sets them
+        error = draw_error(task, rng)  # drawn whether or not an option sets it
         hole, friction = int(rng.choice(self._open)), float(rng.uniform(*task.friction))
-        bearing, side = 2.0 * np.pi * bearing, 2.0 * np.pi * side
-        offset = task.position_error * np.sqrt(radius)  # uniform over the disc
-        tilt = task.tilt_error * lean
-        error = np.array([offset * np.cos(bearing), offset * np.sin(bearing),
-                          tilt * np.cos(side), tilt * np.sin(side)])  # fmt: skip
         self.hole[row] = hole if options.hole is None else options.hole
         self.error[row] = error if options.error is None else options.error
         self.friction[row] = friction if options.friction is None else options.friction
@@ -109,10 +111,7 @@ class ContactBatch:
         only = slice(row, row + 1)
         tip = start[:3] + self._to_tip
         mouth = tip - [0.0, 0.0, task.start_height]
-        turn = roll_pitch_yaw_matrix([*self.error[row, 2:], 0.0])
-        shift = [*self.error[row, :2], 0.0]
-        # the base stands where it puts the hole: tilted about the mouth, then moved aside
-        base = [*(mouth + shift - turn @ mouth), *self.error[row, 2:]]
+        base = askew(self.error[row], mouth)
         readings = self.twin.place(row, start, base, self.friction[row])
         self.command[row] = self.first[row] = self._believed[row] = start
         self._joints[row] = readings.joints
@@ -198,14 +197,5 @@ class ContactBatch:
         view = kernels.perceive(
             np.ascontiguousarray(joints), self._believed[rows], self.hole[rows], self._packed
         )
-        fields = np.concatenate(
-            [
-                view,
-                joints - self._joints[rows],
-                wrench,
-                self.command[rows] - self.first[rows],
-                self._action[rows],
-            ],
-            axis=1,
-        )
-        return np.clip(fields / UNITS, -LIMIT, LIMIT).astype(np.float32)
+        travel, offset = joints - self._joints[rows], self.command[rows] - self.first[rows]
+        return in_units(view, travel, wrench, offset, self._action[rows])

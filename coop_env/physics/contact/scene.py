@@ -3,19 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coop_env.kinematics import rrs
 from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
-from coop_env.physics.contact.batch import ContactBatch
+from coop_env.physics.contact.task import ContactTask
 from coop_env.physics.joints import Floats
+from coop_env.physics.twin import Twin
 from coop_env.rendering.scene import Scene
 from coop_env.simulation.collision import arm_points, limb_points
 from coop_env.simulation.state import joint_angles
 
 
-def twin_scene(batch: ContactBatch, row: int, status: str, trace: Sequence[Floats]) -> Scene:
+class Simulated(Protocol):
+    """What there is to be seen of: episodes on a twin, a row for each."""
+
+    twin: Twin
+    task: ContactTask
+    command: Floats  # (n, 6)
+    hole: NDArray[Any]  # (n,)
+    steps: NDArray[Any]  # (n,)
+
+
+def twin_scene(batch: Simulated, row: int, status: str, trace: Sequence[Floats]) -> Scene:
     """The scene of one episode: links as the measured joints close them, on the real base.
 
     Platform, dome, holes and tip are the simulation's own. ``status`` is ``"running"``,

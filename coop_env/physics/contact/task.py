@@ -19,7 +19,7 @@ from coop_env.errors import (
 )
 from coop_env.geometry import GeometryError
 from coop_env.kinematics import delta, rrs
-from coop_env.kinematics.rotations import roll_pitch
+from coop_env.kinematics.rotations import roll_pitch, roll_pitch_yaw_matrix
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import TIMESTEP, Machine, Peg
 from coop_env.simulation.insertion_task import InsertionTask
@@ -144,6 +144,23 @@ def resolve_task(value: Any) -> ContactTask:
     return as_dataclass("level", value, ContactTask)
 
 
+def draw_error(task: ContactTask, rng: np.random.Generator) -> Floats:
+    """Where a hole really is (4,): displacement along x, y, m, and tilt about x, y, rad."""
+    radius, bearing, lean, side = rng.random(4)
+    bearing, side = 2.0 * np.pi * bearing, 2.0 * np.pi * side
+    offset = task.position_error * np.sqrt(radius)  # uniform over the disc
+    tilt = task.tilt_error * lean
+    return np.array([offset * np.cos(bearing), offset * np.sin(bearing),
+                     tilt * np.cos(side), tilt * np.sin(side)])  # fmt: skip
+
+
+def askew(error: Floats, pivot: Floats) -> list[float]:
+    """Where the 3-RRS's base stands for such an error: tilted about a point, then moved aside."""
+    turn = roll_pitch_yaw_matrix([*error[2:], 0.0])
+    aside = np.array([*error[:2], 0.0])
+    return [*(pivot + aside - turn @ pivot), *error[2:]]
+
+
 def alignment(holes: InsertionTask) -> Floats:
     """Roll and pitch (holes, 2) that turn each hole's normal straight up, where the peg points.
 
@@ -218,13 +235,27 @@ def check_options(options: Mapping[str, Any] | None, starts: Floats) -> ContactO
             raise ResetOptionError(f"hole = {hole!r}: must be one of {open_holes}")
         hole = int(hole)
     if error is not None:
-        error = _check_error(error)
+        error = check_error(error)
     if friction is not None:
-        friction = check_number("friction", friction, 0.0, 2.0, above=True, error=ResetOptionError)
+        friction = check_friction(friction)
     return ContactOptions(hole, error, friction)
 
 
-def _check_error(value: Any) -> tuple[float, float, float, float]:
+def check_friction(value: Any) -> float:
+    """A coefficient of friction that a reset option sets.
+
+    Raises:
+        ResetOptionError: it is no number, or not within 0 to 2.
+    """
+    return check_number("friction", value, 0.0, 2.0, above=True, error=ResetOptionError)
+
+
+def check_error(value: Any) -> tuple[float, float, float, float]:
+    """A hole's error that a reset option sets: x, y, m, and two tilts, rad.
+
+    Raises:
+        ResetOptionError: it is not four numbers, or one is out of range.
+    """
     try:
         numbers = [float(v) for v in value]
     except (TypeError, ValueError) as error:

@@ -6,15 +6,18 @@ import subprocess
 import sys
 
 CODE = """
-import sys
+import itertools, sys
 sys.modules["mujoco"] = None
 import gymnasium, coop_env
 from gymnasium.error import DependencyNotInstalled
 gymnasium.make("CoopInsertion-v0")
 import coop_env.physics, coop_env.physics.model
-for make in (gymnasium.make, gymnasium.make_vec):
+tasks = ("CoopInsertionContact", "CoopInsertionPhysics")
+ids = [name for name in gymnasium.registry if name.startswith(tasks)]
+assert len(ids) == 4
+for make, name in itertools.product((gymnasium.make, gymnasium.make_vec), ids):
     try:
-        make("CoopInsertionContact-v0")
+        make(name)
     except DependencyNotInstalled as error:
         assert "sb3-rainbow-coop[physics]" in str(error), error
     else:

@@ -1,0 +1,1 @@
+"""The whole task in physics: six holes, approach and contact, in increments or in moves."""

@@ -1,0 +1,113 @@
+"""Kinematic players on the twin, and ``python -m benchmarks transfer``, which can be checked."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.__main__ import main as command
+from benchmarks.protocol.seeding import derive
+from benchmarks.reporting.verify import Report
+from benchmarks.studies.robots import transfer
+
+RESULTS = Path("results")
+
+
+def _optimum(world: str, seed: int) -> dict[str, Any]:
+    """An episode of the exact optimum."""
+    from benchmarks.methods.oracle import LatticeOracle
+
+    env = transfer.make_world(world, RESULTS, {"reward": "progress"})
+    play = transfer.by_plans(LatticeOracle().plan)
+    return transfer.play_one(env, play, 0, derive("validate", 31, seed))
+
+
+@pytest.mark.parametrize("world", ["+ spiral", "+ moment"])
+def test_the_exact_plan_and_a_search_fill_all_holes(world: str) -> None:
+    pytest.importorskip("mujoco", reason="needs the extra physics")
+    found = _optimum(world, 3)
+    assert found["holes"] == 6
+    assert found["failure"] == ""
+    assert found["force"] < 15.0
+
+
+def test_a_push_finds_no_hole_that_is_too_far_off() -> None:
+    pytest.importorskip("mujoco", reason="needs the extra physics")
+    found = _optimum("+ push", 3)
+    assert not found["first"]
+    assert found["failure"] == "not inserted"
+
+
+def test_in_the_kinematic_task_it_is_the_optimum() -> None:
+    found = _optimum("kinematics", 0)
+    assert found["holes"] == 6
+    assert found["time_first"] == pytest.approx(0.2 * round(found["time_first"] / 0.2))
+
+
+def test_a_plan_that_leads_elsewhere_is_named() -> None:
+    from benchmarks.methods.base import Plan
+
+    env = transfer.make_world("kinematics", RESULTS, {})
+    up = Plan("solved", np.array([4]), 0.0)
+    assert transfer.play_one(env, transfer.by_plans(lambda env: up), 0, 1)["failure"] == (
+        "not reached"
+    )
+    none = Plan("infeasible", None, 0.0)
+    assert transfer.play_one(env, transfer.by_plans(lambda env: none), 0, 1)["failure"] == "no plan"
+
+
+def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("mujoco", reason="needs the extra physics")
+    cell = {
+        "success": [True, False], "first": [True, False], "holes": [6, 0], "moves": [90, 12],
+        "failure": ["", "snap"], "time_first": [4.0, None], "force": [3.0, 41.0],
+    }  # fmt: skip
+    asked: list[tuple[str, str]] = []
+
+    def measured(todo: Any, *_: Any) -> Any:
+        asked.extend(todo)
+        return ((each, cell) for each in todo)
+
+    monkeypatch.setattr(transfer, "_measured", measured)
+    docs, results = tmp_path / "docs", tmp_path / "results"
+    docs.mkdir()
+    page = docs / transfer.PAGE
+    page.write_text("# Page\n\n<!-- transfer:begin -->\n<!-- transfer:end -->\n", encoding="utf-8")
+    words = ["--results", str(results), "--docs", str(docs)]
+    assert transfer.main([*words, "--worlds", "twin"]) == 0
+    assert len(asked) == len(transfer.PLAYERS)
+    capsys.readouterr()
+    assert transfer.main(words) == 0
+    assert len(asked) == len(transfer.PLAYERS) * len(transfer.WORLDS)
+    text = (results / "transfer" / "transfer.md").read_text("utf-8").strip()
+    assert text in capsys.readouterr().out
+    assert text in page.read_text("utf-8")
+    assert "50 / 50 / 3.00" in text
+    assert "snap 1" in text
+    stored = json.loads((results / "transfer" / "transfer.json").read_text("utf-8"))
+    assert stored["cells"]["RRT-Connect"]["twin"] == cell
+    report = Report()
+    transfer.check(report, results, [], docs)
+    assert report.problems == []
+    page.write_text(page.read_text("utf-8").replace("snap", "slip"), encoding="utf-8")
+    report = Report()
+    transfer.check(report, results, [], docs)
+    assert report.problems
+
+
+def test_without_mujoco_the_extra_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in [*sys.modules]:
+        if name.startswith("coop_env.physics"):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    assert command(["transfer"]) == 2
+    assert "sb3-rainbow-coop[physics]" in capsys.readouterr().err

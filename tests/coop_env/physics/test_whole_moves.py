@@ -1,0 +1,186 @@
+"""The kinematic task's moves on the twin: where they end, collisions, finishes, the contract."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
+
+from coop_env.env import CoopInsertionEnv
+from coop_env.errors import ActionError, ArgumentError, ResetOptionError, StateError
+from coop_env.physics.contact.task import start_configurations
+from coop_env.physics.whole.moves import CoopInsertionPhysicsDiscreteEnv
+
+NO_ERROR = {"position_error": 0.0, "tilt_error": 0.0}
+DOWN = 5
+
+
+def push(seen: np.ndarray) -> np.ndarray:
+    """Down while less than 6 N is felt, and to the side that gives way."""
+    fx, fy, fz = 10.0 * seen[11:14]
+    down = -1.0 if fz < 1.0 else 0.1 * (fz - 6.0)
+    return np.clip([0.3 * fx, 0.3 * fy, down, 0.0, 0.0, 0.0], -1.0, 1.0)
+
+
+def over(env: CoopInsertionPhysicsDiscreteEnv, hole: int, height: float) -> dict[str, Any]:
+    """Reset options: aligned above a hole."""
+    start = start_configurations(env.physics.twin.machine, height)[hole]
+    return {"configuration": start, "target": hole}
+
+
+def test_checkers_and_spaces() -> None:
+    env = gym.make("CoopInsertionPhysicsDiscrete-v0", observation="markov")
+    check_env(env.unwrapped, skip_render_check=True)
+    kinematic = CoopInsertionEnv(observation="markov")
+    assert env.observation_space == kinematic.observation_space
+    assert env.action_space == kinematic.action_space
+
+
+def test_moves_end_where_the_kinematic_task_has_them() -> None:
+    """Without errors and contact: tip within 0.05 mm, platform within 0.05 degrees."""
+    arguments: dict[str, Any] = {"reward": "progress", "mask_singularities": True}
+    env = CoopInsertionPhysicsDiscreteEnv(level=NO_ERROR, **arguments)
+    kinematic = CoopInsertionEnv(**arguments)
+    rng = np.random.default_rng(0)
+    for seed in range(3):
+        seen, info = env.reset(seed=seed)
+        there, known = kinematic.reset(seed=seed)
+        np.testing.assert_array_equal(seen, there)
+        assert set(known) <= set(info)
+        for _ in range(25):
+            masks = env.action_masks()
+            np.testing.assert_array_equal(masks, kinematic.action_masks())
+            masks[DOWN] = False  # up and about: nothing is touched
+            action = int(rng.choice(np.flatnonzero(masks)))
+            seen, reward, *_, info = env.step(action)
+            there, expected, *_, known = kinematic.step(action)
+            np.testing.assert_allclose(seen, there, atol=1e-6)
+            assert reward == pytest.approx(expected)
+            assert set(known) <= set(info)
+            assert info["violation"] == known["violation"]
+            assert info["distance"] == pytest.approx(known["distance"], abs=5e-4)
+        assert info["time"] == pytest.approx(known["time"])
+        body, p = env.physics, kinematic.state
+        body.lead(body.configuration, 10)  # to rest
+        readings = body.twin.readings()
+        assert np.linalg.norm(readings.tip[0] - p["tip"]) < 5e-5
+        normals = readings.rotation[0] @ np.array(env.task.hole_normals).T
+        cosine = np.clip(np.sum(normals.T * p["normals"], axis=1), -1.0, 1.0)
+        assert np.degrees(np.arccos(cosine)).max() < 0.05
+
+
+def test_the_kinematic_criterion_fills_a_hole_without_a_finish() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(level=NO_ERROR)
+    env.reset(seed=0, options=over(env, 2, 0.025))
+    *_, info = env.step(DOWN)
+    assert info["inserted"]
+    assert info["inserted_hole"] == 2
+    assert info["distance"] == pytest.approx(0.005, abs=1e-3)
+    assert info["target"] != 2
+    assert env.state["filled"][2] == 1
+
+
+def test_an_error_of_the_machine_is_not_seen_but_counts() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv()
+    options = over(env, 2, 0.029)
+    seen, _ = env.reset(seed=0, options={**options, "error": [0.0, 0.0, 0.0, 0.0]})
+    *_, info = env.step(DOWN)
+    assert info["inserted"]  # 9 mm
+    there, _ = env.reset(seed=0, options={**options, "error": [0.006, 0.0, 0.0, 0.0]})
+    np.testing.assert_array_equal(seen, there)
+    *_, info = env.step(DOWN)
+    assert not info["inserted"]
+
+
+def test_a_move_into_the_dome_is_taken_back() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(level=NO_ERROR, mask_refused=True)
+    options = over(env, 4, 0.012)
+    options["configuration"] = options["configuration"] + [0.0, 0.022, 0.0, 0.0, 0.0, 0.0]
+    env.reset(seed=0, options=options)
+    before = env.configuration
+    *_, info = env.step(DOWN)
+    assert info["collision"]
+    assert info["violation"]
+    assert info["failure"] == ""
+    np.testing.assert_array_equal(env.configuration, before)
+    np.testing.assert_allclose(env.physics.configuration, before, atol=1e-12)
+    assert not env.action_masks()[DOWN]
+
+
+def test_a_finish_inserts_and_leaves_the_peg_above_the_hole() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(finish=push)
+    env.reset(seed=0, options={**over(env, 3, 0.025), "error": [0.0005, 0.0, 0.01, 0.0]})
+    *_, info = env.step(DOWN)
+    assert info["inserted_hole"] == 3
+    assert info["given_up"] == []
+    assert env.physics.filled[3]
+    assert info["peak_force"] < 10.0
+    np.testing.assert_allclose(env.configuration, env.physics.configuration)
+    assert not env.state["inside"].any()
+    *_, info = env.step(4)
+    assert not info["violation"]
+
+
+def test_a_hole_that_is_not_filled_is_given_up() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(finish=push)
+    env.reset(seed=0, options={**over(env, 3, 0.025), "error": [0.003, 0.0, 0.0, 0.0]})
+    *_, info = env.step(DOWN)
+    assert not info["inserted"]
+    assert info["given_up"] == [3]
+    assert info["target"] != 3
+    assert info["n_filled"] == 0
+
+
+def test_bad_input_is_refused() -> None:
+    for wrong in ({"sim_to_real": "randomized"}, {"pose_model": "paper"}, {"finish": 3},
+                  {"touch": 0.0}, {"level": "none"}, {"reward": "none"}):  # fmt: skip
+        with pytest.raises(ArgumentError):
+            CoopInsertionPhysicsDiscreteEnv(**wrong)
+    env = CoopInsertionPhysicsDiscreteEnv()
+    env.reset(seed=0)
+    with pytest.raises(ActionError):
+        env.step(12)
+    with pytest.raises(ResetOptionError):
+        env.reset(options={"error": [0.0]})
+    with pytest.raises(StateError):
+        env.get_state()
+    with pytest.raises(StateError):
+        env.set_state({})
+    env.step(4)
+
+
+def test_a_seed_fixes_the_episode_to_the_last_bit() -> None:
+    rows = []
+    for _ in range(2):
+        env = CoopInsertionPhysicsDiscreteEnv(finish=push)
+        env.reset(seed=4, options=over(env, 1, 0.025))
+        infos = [env.step(action)[-1] for action in (DOWN, 4, 0)]
+        rows.append([[*info["error"], *info["force"], info["distance"]] for info in infos])
+    assert rows[0] == rows[1]
+
+
+def test_it_is_drawn_as_it_is() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(level=NO_ERROR, render_mode="ansi")
+    env.reset(seed=0, options=over(env, 2, 0.025))
+    env.step(DOWN)
+    scene = env.scene()
+    assert scene.filled.tolist() == [False, False, True, False, False, False]
+    assert len(scene.trace) == 2
+    assert scene.tip == pytest.approx(env.physics.twin.readings().tip[0])
+    assert "2#" in env.render()
+
+
+def test_a_copy_plays_on_as_the_original_would() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(finish=push)
+    env.reset(seed=0, options=over(env, 2, 0.045))
+    env.step(0)
+    copies = [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
+    ends = [[each.step(a)[-1]["distance"] for a in (1, DOWN, 4)] for each in (env, *copies)]
+    assert ends[0] == ends[1] == ends[2]
