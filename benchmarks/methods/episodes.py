@@ -20,7 +20,7 @@ Point = NDArray[np.float64]
 
 
 def env_arguments(preset: Preset, cell: Cell, track: Track | None = None) -> dict[str, Any]:
-    """Arguments of :func:`make_env` for a cell; without a track, for a planner's."""
+    """Arguments of ``make_env`` for a cell; without a track, for a planner's."""
     geometry: str | RRSGeometry = cell.geometry
     if cell.geometry in preset.geometries:
         geometry = RRSGeometry(**preset.geometries[cell.geometry])

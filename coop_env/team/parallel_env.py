@@ -178,7 +178,7 @@ class CoopInsertionParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         return self.team.observe()
 
     def render(self) -> Any:
-        """A frame, as ``render_mode`` says; see :meth:`coop_env.env.CoopInsertionEnv.render`."""
+        """As :meth:`coop_env.rendering.modes.Rendered.render`."""
         return self.team.render()
 
     def close(self) -> None:
