@@ -139,7 +139,9 @@ def _costs(central: Row, others: list[Row]) -> list[str]:
         if seen:
             best = max(seen, key=lambda row: row.success().mean)
             change = _signed(_change(best.group, central.group), " points")
-            parts.append(f"{words} the best of the others, {LEARNERS[_of(best)]}, in {change}")
+            parts.append(
+                f"{words} the best of the others, {LEARNERS[_of(best)]}, changes that by {change}"
+            )
     return parts if len(parts) > 1 else []
 
 
