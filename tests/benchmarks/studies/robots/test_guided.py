@@ -47,42 +47,37 @@ def stored(method: str, noise: float, steps: int = 80) -> tuple[Any, Task]:
     return build_model(task, method, 0).learn(steps), task
 
 
-def test_the_first_steps_are_the_scripts() -> None:
+def of_the_script(model: Any, task: Task) -> tuple[Any, Any, Any]:
+    """What was observed (80, 29), what the memory says was done, and the script's (80, 6)."""
     from benchmarks.methods.contact_scripts import Gains, MomentSearch
     from coop_env.physics.contact.env import CoopInsertionContactEnv
 
-    model, task = stored("sac", 0.0)
     assert task.guide is not None
     script = MomentSearch(CoopInsertionContactEnv("standard"), Gains(**task.guide.gains))
     buffer = model.replay_buffer
-    for observed, action in zip(buffer.observations[:80, 0], buffer.actions[:80, 0], strict=True):
-        np.testing.assert_allclose(action, script(observed), atol=1e-6)
+    observed, actions = buffer.observations[:80, 0], buffer.actions[:80, 0]
+    return observed, actions, np.array([script(each) for each in observed])
+
+
+def test_the_first_steps_are_the_scripts() -> None:
+    _, actions, script = of_the_script(*stored("sac", 0.0))
+    np.testing.assert_allclose(actions, script, atol=1e-6)
 
 
 def test_of_twelve_moves_the_script_takes_those_it_would_go_along() -> None:
-    from benchmarks.methods.contact_scripts import Gains, MomentSearch
-    from coop_env.physics.contact.env import CoopInsertionContactEnv, move
+    from coop_env.physics.contact.env import move
 
-    model, task = stored("dqn", 0.0)
-    assert task.guide is not None
-    script = MomentSearch(CoopInsertionContactEnv("standard"), Gains(**task.guide.gains))
-    buffer = model.replay_buffer
-    for observed, action in zip(buffer.observations[:80, 0], buffer.actions[:80, 0], strict=True):
-        assert move(int(action[0])) @ script(observed) >= 0.0
+    _, actions, script = of_the_script(*stored("dqn", 0.0))
+    for action, increments in zip(actions, script, strict=True):
+        assert move(int(action[0])) @ increments >= 0.0
 
 
 def test_a_clone_keeps_what_the_script_wanted_and_goes_elsewhere() -> None:
     """The stored action is the script's; the last action, of which the state tells, has noise."""
-    from benchmarks.methods.contact_scripts import Gains, MomentSearch
-    from coop_env.physics.contact.env import CoopInsertionContactEnv
-
     model, task = stored("bc", 0.3)
-    assert task.guide is not None
-    script = MomentSearch(CoopInsertionContactEnv("standard"), Gains(**task.guide.gains))
-    buffer = model.replay_buffer
-    observed, wanted = buffer.observations[:80, 0], buffer.actions[:80, 0]
-    np.testing.assert_allclose(wanted, [script(each) for each in observed], atol=1e-6)
-    following = buffer.dones[:79, 0] == 0.0
+    observed, wanted, script = of_the_script(model, task)
+    np.testing.assert_allclose(wanted, script, atol=1e-6)
+    following = model.replay_buffer.dones[:79, 0] == 0.0
     made = observed[1:, 23:][following]
     assert np.std(made - wanted[:79][following]) > 0.1
 
