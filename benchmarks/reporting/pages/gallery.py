@@ -23,7 +23,7 @@ PICTURES: Final = (
     ("Variants of the settings", "figures --preset tuning", "tuning/figures/*"),
     ("Design and team", "codesign", "codesign/figures/*"),
     ("Insertion in contact", "contact --film", "contact/*"),
-    ("Two robots at once", "figures --preset team", "team/figures/team_*"),
+    ("Two robots at once", "figures --preset team", "team/figures/*"),
     ("Control tasks", "classic figures --preset control", "classic/control/figures/*"),
     ("Masks and priorities", "classic figures --preset basics", "classic/basics/figures/*"),
 )

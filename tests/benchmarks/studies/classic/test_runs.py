@@ -257,7 +257,7 @@ def test_bad_words_are_one_clear_error(
     ("change", "message"),
     [
         ({"seeds": [1, 1]}, "must be some, differ"),
-        ({"methods": ["ppo"]}, "unknown method 'ppo'; known: "),
+        ({"methods": ["a2c"]}, "unknown method 'a2c'; known: "),
         ({"methods": ["rainbow_x"]}, "methods has no settings for 'rainbow_x'"),
         ({"sedes": [1]}, "unknown key 'sedes'"),
         ({"tasks": {"cartpole": {"timesteps": 0}}}, "timesteps = 0 must be above 0"),
