@@ -28,12 +28,11 @@ from rich.progress import TimeElapsedColumn as Elapsed
 from rich.progress import TimeRemainingColumn as Remaining
 
 from benchmarks.errors import BenchmarkError, at_least
-from benchmarks.reporting.pages import blocks
 from benchmarks.reporting.stats import wilson
 from benchmarks.reporting.verify import Report
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
-from benchmarks.studies.robots.pages import check_tables
+from benchmarks.studies.robots.pages import check_tables, kept, publish
 from benchmarks.studies.robots.trials import (
     EPISODES,
     ERRORS,
@@ -151,10 +150,7 @@ def main(words: Sequence[str]) -> int:
         return _film(path, console)
     commit = describe()["commit"]  # what another one measured is measured again
     asked = {"episodes": given.episodes, "defaults": asdict(Gains()), "commit": commit}
-    found: Row = {"asked": asked, "levels": {}}
-    if path.is_file():
-        stored = json.loads(path.read_text(encoding="utf-8"))
-        found = stored if stored["asked"] == asked else found
+    found = kept(path, asked, {"levels": {}})
     found |= {
         "command": " ".join(["python -m benchmarks contact", *words]),
         "machine": describe(),
@@ -168,13 +164,7 @@ def main(words: Sequence[str]) -> int:
                 tick = partial(progress.advance, task)
                 found["levels"][level] = measure(level, given.episodes, tick)
                 write_text(path, json.dumps(found) + "\n")
-    text = tell(found)
-    write_text(path.with_suffix(".md"), text + "\n")
-    page = given.docs / PAGE
-    if page.is_file():
-        blocks.rewrite(page, lambda old: blocks.fill(old, BLOCK, lambda _: text))
-    console.print(text, markup=False)
-    console.print(f"Written to {path.parent}", markup=False)
+    publish(path, tell(found), given.docs / PAGE, BLOCK, console)
     return 0
 
 

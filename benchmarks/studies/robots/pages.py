@@ -7,8 +7,29 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+
 from benchmarks.reporting.pages import blocks
 from benchmarks.reporting.verify import Report, check_file
+from benchmarks.runs.store import write_text
+
+
+def kept(path: Path, asked: dict[str, Any], empty: dict[str, Any]) -> dict[str, Any]:
+    """What ``path`` holds already if the same was asked for, or else what is ``empty``."""
+    if path.is_file():
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if found["asked"] == asked:
+            return found
+    return {"asked": asked, **empty}
+
+
+def publish(path: Path, text: str, page: Path, block: str, console: Console) -> None:
+    """Write a study's tables beside its data and into its block of a page, and print them."""
+    write_text(path.with_suffix(".md"), text + "\n")
+    if page.is_file():
+        blocks.rewrite(page, lambda old: blocks.fill(old, block, lambda _: text))
+    console.print(text, markup=False)
+    console.print(f"Written to {path.parent}", markup=False)
 
 
 def check_tables(

@@ -31,11 +31,10 @@ from benchmarks.errors import at_least
 from benchmarks.evaluation.evaluate import model_policy
 from benchmarks.evaluation.model_files import load_model
 from benchmarks.protocol.seeding import derive, episode_seeds
-from benchmarks.reporting.pages import blocks
 from benchmarks.reporting.verify import Report
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
-from benchmarks.studies.robots.pages import check_tables
+from benchmarks.studies.robots.pages import check_tables, kept, publish
 from benchmarks.studies.speed.report import table
 from coop_env import CoopInsertionEnv, SimToReal
 from coop_env.shield import KinematicShield, ShieldMargin, ShieldWrapper
@@ -283,7 +282,7 @@ def main(words: Sequence[str]) -> int:
         name: getattr(given, name) for name in ("phases", "moves", "episodes", "seeds", "full")
     }
     asked |= {"margin": asdict(ShieldMargin()), "commit": describe()["commit"]}
-    found = _resume(folder / "shield.json", asked)
+    found = kept(folder / "shield.json", asked, {"parts": {}})
     found |= {"command": " ".join(["python -m benchmarks shield", *words]), "machine": describe()}
     columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), Elapsed(), Remaining())
     with Progress(*columns, console=console, refresh_per_second=2) as progress:
@@ -293,26 +292,12 @@ def main(words: Sequence[str]) -> int:
                 tick = partial(_advance, progress, task)
                 found["parts"][name] = measure(tick)
                 write_text(folder / "shield.json", json.dumps(found, indent=1) + "\n")
-    write_text(folder / "shield.md", tell(found) + "\n")
-    page = given.docs / PAGE
-    if page.is_file():
-        blocks.rewrite(page, lambda text: blocks.fill(text, BLOCK, lambda _: tell(found)))
-    console.print(tell(found), markup=False)
-    console.print(f"Written to {folder}", markup=False)
+    publish(folder / "shield.json", tell(found), given.docs / PAGE, BLOCK, console)
     return 0
 
 
 def _advance(progress: Progress, task: TaskID, share: float) -> None:
     progress.update(task, completed=share)
-
-
-def _resume(path: Path, asked: dict[str, Any]) -> dict[str, Any]:
-    """What this commit measured already, if the same was asked for."""
-    if path.is_file():
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if found["asked"] == asked:
-            return found
-    return {"asked": asked, "parts": {}}
 
 
 def _parts(given: argparse.Namespace) -> dict[str, Callable[[Tick], Any]]:

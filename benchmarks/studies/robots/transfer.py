@@ -35,12 +35,11 @@ from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.protocol.seeding import derive, episode_seeds
-from benchmarks.reporting.pages import blocks
 from benchmarks.reporting.stats import wilson
 from benchmarks.reporting.verify import Report
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
-from benchmarks.studies.robots.pages import check_tables
+from benchmarks.studies.robots.pages import check_tables, kept, publish
 from benchmarks.studies.speed.report import table
 from coop_env.env import CoopInsertionEnv
 
@@ -280,10 +279,7 @@ def main(words: Sequence[str]) -> int:
         raise BenchmarkError(str(missing)) from missing
     console, path = Console(soft_wrap=True), given.results / "transfer" / "transfer.json"
     asked = {"episodes": given.episodes, "commit": describe()["commit"]}
-    found: dict[str, Any] = {"asked": asked, "cells": {}}
-    if path.is_file():
-        stored = json.loads(path.read_text(encoding="utf-8"))
-        found = stored if stored["asked"] == asked else found
+    found = kept(path, asked, {"cells": {}})
     found |= {
         "command": " ".join(["python -m benchmarks transfer", *map(quote, words)]),
         "machine": describe(),
@@ -300,13 +296,7 @@ def main(words: Sequence[str]) -> int:
             found["cells"].setdefault(name, {})[world] = row
             write_text(path, json.dumps(found) + "\n")
             progress.advance(task)
-    text = tell(found)
-    write_text(path.with_suffix(".md"), text + "\n")
-    page = given.docs / PAGE
-    if page.is_file():
-        blocks.rewrite(page, lambda old: blocks.fill(old, BLOCK, lambda _: text))
-    console.print(text, markup=False)
-    console.print(f"Written to {path.parent}", markup=False)
+    publish(path, tell(found), given.docs / PAGE, BLOCK, console)
     return 0
 
 
