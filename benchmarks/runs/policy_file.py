@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import zipfile
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +17,10 @@ import torch
 
 from benchmarks.runs.store import write_atomic
 
-_UNUSED: Final = ("q_net_target.", "mlp_extractor.value_net.", "value_net.", "lstm_critic.")
+_UNUSED: Final = (
+    *("q_net_target.", "mlp_extractor.value_net.", "value_net.", "lstm_critic."),
+    *("critic.", "critic_target.", "actor_target."),
+)
 """What the greedy policy of Rainbow, DQN or an actor-critic never asks, by prefix."""
 _NOISE: Final = ("_sigma", ".epsilon_in", ".epsilon_out")
 """What a noisy layer adds only when it explores, by suffix."""
@@ -41,7 +45,10 @@ def reduce_to_greedy(model: Any) -> None:
                 value.zero_()
             elif value.abs().max() < torch.finfo(torch.float16).max:
                 value.copy_(value.half())
-    model.policy.optimizer.state.clear()
+    names, _ = model._get_torch_save_params()
+    for found in (attrgetter(name)(model) for name in names):
+        if isinstance(found, torch.optim.Optimizer):
+            found.state.clear()
 
 
 def save(model: Any, path: Path) -> None:

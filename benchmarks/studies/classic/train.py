@@ -25,6 +25,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.seeding import derive, episode_seeds
+from benchmarks.runs import policy_file
 from benchmarks.runs.checkpoint import Kept, Watch, learn
 from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.environments.features import extractor_of
@@ -248,6 +249,9 @@ def run_learner(
     tester.test()
     folder.write_rows("curve", tester.rows)
     began = time.perf_counter()
+    if task.env == CONTACT:  # another study plays it
+        policy_file.reduce_to_greedy(model)
+        policy_file.save(model, folder.policy)
     seeds = episode_seeds(seed, preset.final_episodes, "test")
     played = evaluate(model, task, seeds)
     folder.write_rows(

@@ -6,28 +6,32 @@ The lattice through one start state is looked at in full, and so many others in 
 that the shield allows may harm the nominal machine, on its way or at its end. Then the machine errs
 (`SimToReal`), and an adversary takes of the allowed moves one with the least margins left. Last,
 random, adversarial and learned policies play validation starts with and without the shield: its
-interventions, and what it costs. Written to ``results/shield/`` and to ``docs/shield.md``.
+interventions, and what it costs, in moves and (with MuJoCo) by increments in contact. Written to
+``results/shield/`` and to ``docs/shield.md``.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 from rich.progress import TimeElapsedColumn as Elapsed
 from rich.progress import TimeRemainingColumn as Remaining
 
-from benchmarks.errors import at_least
+from benchmarks.errors import BenchmarkError, at_least
 from benchmarks.evaluation.evaluate import model_policy
 from benchmarks.evaluation.model_files import load_model
 from benchmarks.protocol.seeding import derive, episode_seeds
@@ -35,6 +39,7 @@ from benchmarks.reporting.verify import Report
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
 from benchmarks.studies.robots.pages import check_tables, kept, publish
+from benchmarks.studies.robots.trials import LEVEL, inserter, play
 from benchmarks.studies.speed.report import table
 from coop_env import CoopInsertionEnv, SimToReal
 from coop_env.shield import KinematicShield, ShieldMargin, ShieldWrapper
@@ -211,6 +216,51 @@ def prices(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dict[st
     return rows
 
 
+class Increments:
+    """Uniform increments in the contact task."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+
+    def reset(self) -> None:
+        """It keeps nothing from step to step."""
+
+    def __call__(self, observation: Any) -> NDArray[np.float32]:
+        """Increments (6,), whatever is observed."""
+        return self._rng.uniform(-1.0, 1.0, 6).astype(np.float32)
+
+
+def in_contact(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dict[str, Any]]:
+    """Increments in the contact task, with and without the shield; none where MuJoCo is missing.
+
+    What is not among the results is left out.
+    """
+    try:
+        from coop_env.physics.contact.env import CoopInsertionContactEnv
+    except DependencyNotInstalled:
+        return []
+    players: dict[str, list[Any]] = {
+        "random": [Increments(_rng(seed)) for seed in range(seeds)],
+    }
+    for name in ("spiral search", "SAC"):
+        with contextlib.suppress(BenchmarkError):
+            players[name] = [inserter(results, name, seed) for seed in range(seeds)]
+    env, rows = CoopInsertionContactEnv(LEVEL), []
+    worlds: dict[bool, Any] = {False: env, True: ShieldWrapper(env)}
+    for done, (name, shielded) in enumerate(product(players, worlds)):
+        found: dict[str, list[float]] = {"success": [], "harm": [], "interventions": []}
+        also = ("interventions",) if shielded else ()
+        for one in players[name]:
+            row = play(worlds[shielded], one, "validate", episodes, also=also)
+            found["success"].append(100.0 * float(np.mean(row["success"])))
+            harmed = [cause in ("force", "snap") for cause in row["failure"]]
+            found["harm"].append(float(np.mean(harmed)))
+            found["interventions"].append(float(np.mean(row.get("interventions", 0.0))))
+        rows.append({"policy": name, "shield": shielded, **found})
+        tick((1 + done) / (2 * len(players)))
+    return rows
+
+
 def _rng(seed: int) -> np.random.Generator:
     return np.random.default_rng(derive("fresh", 15, seed))
 
@@ -229,15 +279,16 @@ def tell(found: dict[str, Any]) -> str:
         for name in ERRORS
         for way in ("bare", "shielded")
     ]
-    costs = []
-    for row in parts["prices"]:
-        numbers = [
-            f"{np.nanmean(row[key]):.{digits}f} ± {np.nanstd(row[key], ddof=1):.{digits}f}"
-            if np.isfinite(row[key]).sum() > 1 else "-"
-            for key, digits in (("success", 1), ("holes", 2), ("time", 1), ("harm", 2),
-                                ("interventions", 1))
-        ]  # fmt: skip
-        costs.append([row["policy"], row["masks"], "yes" if row["shield"] else "no", *numbers])
+    costs = [
+        [row["policy"], row["masks"], "yes" if row["shield"] else "no",
+         *_numbers(row, success=1, holes=2, time=1, harm=2, interventions=1)]
+        for row in parts["prices"]
+    ]  # fmt: skip
+    touched = [
+        [row["policy"], "yes" if row["shield"] else "no",
+         *_numbers(row, success=1, harm=2, interventions=1)]
+        for row in parts["contact"]
+    ]  # fmt: skip
     margin = ", ".join(f"{name} {value:.3g}" for name, value in asked["margin"].items())
     return "\n\n".join(
         [
@@ -254,12 +305,26 @@ def tell(found: dict[str, Any]) -> str:
                 "policy | its masks | shield | success (%) | holes | time to the first (s) | "
                 "harmful moves | interventions", costs,
             ),
+            table(
+                f"The same in contact, level `{LEVEL}`, by increments",
+                "policy | shield | success (%) | force or snap | interventions", touched,
+            ),
             f"Mean ± std over seeds, of means an episode; a harmful move collides, or ends the "
             f"episode by a singularity. Margins (rad, m): {margin}. Command: "
             f"`{found['command']}`. {machine['machine']['processor']}, commit "
             f"{machine['commit'][:9]}.",
         ]
     )  # fmt: skip
+
+
+def _numbers(row: dict[str, Any], **digits: int) -> list[str]:
+    """Mean and standard deviation over seeds, with so many digits of each."""
+    return [
+        f"{np.nanmean(row[key]):.{n}f} ± {np.nanstd(row[key], ddof=1):.{n}f}"
+        if np.isfinite(row[key]).sum() > 1
+        else "-"
+        for key, n in digits.items()
+    ]
 
 
 def main(words: Sequence[str]) -> int:
@@ -304,6 +369,7 @@ def _parts(given: argparse.Namespace) -> dict[str, Callable[[Tick], Any]]:
     """The measurements by name; each is stored as it is done."""
     parts: dict[str, Callable[[Tick], Any]] = {
         "prices": lambda tick: prices(given.results, given.episodes, given.seeds, tick),
+        "contact": lambda tick: in_contact(given.results, given.episodes, given.seeds, tick),
         "certificate": lambda tick: certificates(given.phases, given.full, tick),
     }
     bare = max(1, given.moves // 100)

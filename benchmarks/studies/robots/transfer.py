@@ -4,9 +4,10 @@
 
 The exact optimum, RRT-Connect and Rainbow's stored policies play the same test starts in the
 kinematic task, in the twin without errors of the machine, in the twin with them, and there with a
-script that inserts where they have arrived. Plans are made on the nominal model, run open loop, and
-made anew for each hole; a player stops where a plan does not bring it to its hole. The scripts have
-the gains that ``python -m benchmarks contact`` chose. Written to ``results/transfer/`` and to
+script or a learner that inserts where they have arrived. Plans are made on the nominal model, run
+open loop, and made anew for each hole; a player stops where a plan does not bring it to its hole.
+The scripts have the gains that ``python -m benchmarks contact`` chose; what has learned to insert
+is of preset ``contact``, a policy for each seed. Written to ``results/transfer/`` and to
 ``docs/physics.md``; a cell that this commit measured is not measured again.
 """
 
@@ -18,11 +19,9 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from shlex import quote
-from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
@@ -40,13 +39,13 @@ from benchmarks.reporting.verify import Report
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
 from benchmarks.studies.robots.pages import check_tables, kept, publish
+from benchmarks.studies.robots.trials import LEVEL, inserter
 from benchmarks.studies.speed.report import table
 from coop_env.env import CoopInsertionEnv
 
 BLOCK: Final = "transfer"
 PAGE: Final = "physics.md"
 PRESET: Final = "paper"
-LEVEL: Final = "standard"
 SEEDS: Final = 5
 EPISODES: Final = 10  # of each seed
 PLAYERS: Final = {
@@ -60,41 +59,25 @@ FINISHES: Final = {
     "+ push": "compliant push",
     "+ spiral": "spiral search",
     "+ moment": "moment-guided search",
+    "+ SAC": "SAC",
 }
-"""What inserts; any callable from the contact task's observation to its increments could."""
+"""What inserts."""
 WORLDS: Final = ("kinematics", "twin, no error", "twin", *FINISHES)
 NO_ERROR: Final = {"position_error": 0.0, "tilt_error": 0.0}
 Row = dict[str, list[Any]]
 Play = Callable[[Episode], str]
 
 
-def finish_of(world: str, results: Path) -> Any:
-    """The script that ends the approaches of a world, or None.
-
-    Raises:
-        BenchmarkError: its gains are not among the results.
-    """
-    from benchmarks.methods.contact_scripts import SCRIPTS, Gains
-    from coop_env.physics.contact.task import resolve_task
-
-    if world not in FINISHES:
-        return None
-    name, path = FINISHES[world], results / "contact" / "scripts.json"
-    if not path.is_file():
-        raise BenchmarkError(f"{path} is missing: run python -m benchmarks contact first")
-    gains = json.loads(path.read_text(encoding="utf-8"))["levels"][LEVEL][name]["gains"]
-    task: Any = SimpleNamespace(task=resolve_task(LEVEL))
-    return SCRIPTS[name](task, replace(Gains(), **gains))
-
-
-def make_world(world: str, results: Path, arguments: Mapping[str, Any]) -> CoopInsertionEnv:
-    """The environment of a world, for a player that has such arguments."""
+def make_world(
+    world: str, results: Path, arguments: Mapping[str, Any], seed: int = 0
+) -> CoopInsertionEnv:
+    """The environment of a world, for a player that has such arguments, in a seed's episodes."""
     if world == "kinematics":
         return CoopInsertionEnv(**arguments)
     from coop_env.physics.whole.moves import CoopInsertionPhysicsDiscreteEnv
 
     level: Any = NO_ERROR if world == "twin, no error" else LEVEL
-    finish = finish_of(world, results)
+    finish = inserter(results, FINISHES[world], seed) if world in FINISHES else None
     return CoopInsertionPhysicsDiscreteEnv(level=level, finish=finish, **arguments)
 
 
@@ -163,7 +146,7 @@ def measure(name: str, world: str, results: Path, episodes: int = EPISODES) -> R
     found: Row = {key: [] for key in keys}
     for seed in range(SEEDS):
         play, arguments = player(name, preset, results, seed)
-        env = make_world(world, results, arguments)
+        env = make_world(world, results, arguments, seed)
         for number, start in enumerate(episode_seeds(seed, episodes)):
             row = play_one(env, play, number, start)
             for key in keys:

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
+from stable_baselines3 import SAC
 
+from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.seeding import derive
 
 ERRORS: Final = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # mm
 FRICTIONS: Final = (0.1, 0.2, 0.3, 0.4)
 EPISODES: Final = 50  # of each cell
 TRAINED: Final = 3.0  # mm: the largest error that the task draws
+LEVEL: Final = "standard"  # of what other studies let insert
 Row = dict[str, Any]
 
 
@@ -33,10 +40,14 @@ def options(stream: str, episode: int, error: float | None, friction: float | No
 
 def play(
     env: Any, script: Any, stream: str, episodes: int,
-    error: float | None = None, friction: float | None = None,
+    error: float | None = None, friction: float | None = None, also: Sequence[str] = (),
 ) -> dict[str, list[Any]]:  # fmt: skip
-    """A script's episodes: success, time, s, peak force, N, and cause of failure, by name."""
+    """A script's episodes: success, time, s, peak force, N, and cause of failure, by name.
+
+    ``also`` are keys of the last ``info`` to keep.
+    """
     found: dict[str, list[Any]] = {"success": [], "time": [], "force": [], "failure": []}
+    found |= {key: [] for key in also}
     for episode in range(episodes):
         given = options(stream, episode, error, friction)
         seed = derive(stream, 13, episode, 1)
@@ -50,6 +61,8 @@ def play(
         found["time"].append(round(float(info["time"]), 3))
         found["force"].append(round(float(info["peak_force"]), 3))
         found["failure"].append(info["failure"] or ("" if info["success"] else "time"))
+        for key in also:
+            found[key].append(info[key])
     return found
 
 
@@ -65,6 +78,28 @@ class Policy:
     def __call__(self, observation: Any) -> Any:
         """The action after an observation (29,)."""
         return self.model.predict(observation, deterministic=True)[0]
+
+
+def inserter(results: Path, name: str, seed: int) -> Any:
+    """A script with the gains that were chosen for it, or ``"SAC"``: a policy of preset contact.
+
+    Raises:
+        BenchmarkError: the gains or the policy are not among the results.
+    """
+    from benchmarks.methods.contact_scripts import SCRIPTS, Gains
+    from coop_env.physics.contact.task import resolve_task
+
+    learned = name == "SAC"
+    run = f"classic/contact/runs/{LEVEL}-sac-s{seed}/policy.zip"
+    path = results / (run if learned else "contact/scripts.json")
+    if not path.is_file():
+        command = "run --preset contact" if learned else "contact"
+        raise BenchmarkError(f"{path} is missing: run python -m benchmarks {command} first")
+    if learned:
+        return Policy(SAC.load(path, device="cpu"))
+    gains = json.loads(path.read_text(encoding="utf-8"))["levels"][LEVEL][name]["gains"]
+    task: Any = SimpleNamespace(task=resolve_task(LEVEL))
+    return SCRIPTS[name](task, replace(Gains(), **gains))
 
 
 def on_tests(model: Any, env: Any) -> list[Row]:

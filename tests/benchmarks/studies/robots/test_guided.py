@@ -10,13 +10,14 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from gymnasium import spaces
 
 from benchmarks.__main__ import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.plan import Cell
 from benchmarks.studies.classic.presets import Guide, Preset, Task, load_preset
-from benchmarks.studies.classic.train import build_model, run_learner
+from benchmarks.studies.classic.train import build_model, class_of, make_env, run_learner
 from benchmarks.studies.robots import trials
 
 pytest.importorskip("mujoco", reason="needs the extra physics")
@@ -110,6 +111,12 @@ def test_a_stopped_run_is_the_run_that_was_not(
     assert (cut.rows("curve")["timesteps"].iloc[-1]) == 120
     for name in ("contact", "curve", "episodes"):
         pd.testing.assert_frame_equal(cut.rows(name), whole.rows(name))
+    task = preset.tasks["standard"]
+    kept = class_of(task, method).load(cut.policy, device="cpu")
+    discrete = isinstance(kept.action_space, spaces.Discrete)
+    again = pd.DataFrame(trials.on_tests(kept, make_env(task, discrete)))
+    for name in ("success", "time", "force"):
+        assert again[name].tolist() == rows[name].tolist()
 
 
 def test_what_cannot_be_guided_is_said() -> None:

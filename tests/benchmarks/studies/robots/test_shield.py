@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from pathlib import Path
 
@@ -44,6 +45,10 @@ def test_the_command_writes_what_it_prints_and_goes_on(
     assert sum(bare["harm"]) > 0.0
     assert guarded["harm"] == [0.0, 0.0]
     assert max(guarded["interventions"]) > 0.0
+    if importlib.util.find_spec("mujoco"):
+        bare, guarded = parts["contact"]
+        assert bare["policy"] == guarded["policy"] == "random"
+        assert guarded["success"] == [0.0, 0.0]
     report = Report()
     shield.check(report, results, [], docs)
     assert report.problems == []
