@@ -2,19 +2,24 @@
 
     python -m benchmarks watch
 
-The exact lattice optimum plays, or with --model a policy.
+The exact lattice optimum plays, or with --model a policy; with --twin in the simulated machine,
+where the spiral search inserts.
 """
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium.error import DependencyNotInstalled
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.studies.robots.trials import inserter
 from benchmarks.studies.viewing.media import parser, policy_moves
 from coop_env.env import CoopInsertionEnv
 from coop_env.rendering.browser import ViewerError
@@ -56,13 +61,34 @@ class Optimum:
         return self._expected is None or not np.allclose(here, self._expected, atol=1e-9)
 
 
+def _kinematic(arguments: argparse.Namespace) -> CoopInsertionEnv:
+    return CoopInsertionEnv(geometry=arguments.geometry, render_mode="rgb_array")
+
+
+def _twin(arguments: argparse.Namespace) -> CoopInsertionEnv:
+    """The same task on the twin.
+
+    Raises:
+        BenchmarkError: MuJoCo or the script's gains are missing.
+    """
+    try:
+        from coop_env.physics.whole.moves import CoopInsertionPhysicsDiscreteEnv
+    except DependencyNotInstalled as missing:
+        raise BenchmarkError(str(missing)) from missing
+    finish = inserter(arguments.results, "spiral search", 0)
+    shown = {"geometry": arguments.geometry, "render_mode": "rgb_array"}
+    return CoopInsertionPhysicsDiscreteEnv(finish, **shown)
+
+
 def main(words: Sequence[str]) -> int:
     """Play until the browser view is closed."""
     line = parser("watch", __doc__)
     line.add_argument("--host", default="127.0.0.1", help="address to listen on")
     line.add_argument("--port", type=int, default=8080)
+    line.add_argument("--twin", action="store_true", help="masses, servos and contact (MuJoCo)")
+    line.add_argument("--results", type=Path, default=Path("results"), help="of the twin's script")
     arguments = line.parse_args(words)
-    env = CoopInsertionEnv(geometry=arguments.geometry, render_mode="rgb_array")
+    env = _twin(arguments) if arguments.twin else _kinematic(arguments)
     act: Act = Optimum(env) if arguments.model is None else policy_moves(arguments.model, env)
     try:
         view(env, act, host=arguments.host, port=arguments.port)

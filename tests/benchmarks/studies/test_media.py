@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import socket
 from pathlib import Path
+from typing import Any
 
 import imageio_ffmpeg
 import numpy as np
@@ -14,6 +16,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.studies.viewing import media, watch
 from coop_env.env import CoopInsertionEnv
 from coop_env.rendering.scene import Scene
+from coop_env.rendering.viewer import Act, Viewer
 
 SIZE = (160, 128)
 
@@ -113,6 +116,31 @@ def test_optimum_plans_anew_where_it_is_put() -> None:
 def test_watch_names_a_bad_port(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["watch", "--port", "0"]) == 2
     assert "port 0" in capsys.readouterr().err
+
+
+def test_the_twin_is_shown_where_it_really_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco", reason="needs the extra physics")
+    opened: list[Viewer] = []
+
+    def view(env: CoopInsertionEnv, act: Act, **where: Any) -> None:
+        opened.append(Viewer(env, act, **where))
+
+    monkeypatch.setattr(watch, "view", view)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = int(probe.getsockname()[1])
+    assert main(["watch", "--twin", "--port", str(port)]) == 0
+    viewer = opened[0]
+    try:
+        env: Any = viewer.env
+        assert viewer.place(3, 5.0)
+        assert viewer.move(0) or viewer.move(1)
+        assert env.configuration[3] == pytest.approx(np.radians(5.0))
+        base = env.scene().rrs_base_joints
+        assert np.ptp(base[:, 2]) > 1e-5  # it stands askew
+        np.testing.assert_allclose(env.scene().tip, env.physics.scene().tip)
+    finally:
+        viewer.close()
 
 
 @pytest.mark.skipif(media.CHROMIUM is None, reason="no Chromium on this machine")
