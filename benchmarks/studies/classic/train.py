@@ -155,6 +155,14 @@ def _play(model: BaseAlgorithm, task: Task, seeds: Sequence[int]) -> list[tuple[
     return list(zip(returns, lengths, strict=True))
 
 
+TENSORBOARD: Final = {
+    "eval/mean_reward": "return_mean",
+    "eval/mean_ep_length": "length_mean",
+    "rollout/ep_rew_mean": "training_return",
+}
+"""SB3's names of what a run's curve has, and its columns."""
+
+
 class Tester(BaseCallback):
     """Tests the policy every so many steps, between two rounds of training."""
 
@@ -162,7 +170,7 @@ class Tester(BaseCallback):
         super().__init__()
         self.task = task
         self.seeds = episode_seeds(seed, task.eval_episodes, "validate")
-        self.rows: list[dict[str, object]] = []
+        self.rows: list[dict[str, float]] = []
         self.seconds = 0.0
         self._next = 0
 
@@ -181,14 +189,19 @@ class Tester(BaseCallback):
         model = self.model
         played = np.array(evaluate(model, self.task, self.seeds))
         training = [float(episode["r"]) for episode in model.ep_info_buffer or []]
-        self.rows.append({
+        row = {
             "timesteps": model.num_timesteps,
             "updates": model._n_updates,
             "return_mean": float(played[:, 0].mean()),
             "return_std": float(played[:, 0].std()),
             "length_mean": float(played[:, 1].mean()),
             "training_return": float(np.mean(training)) if training else math.nan,
-        })  # fmt: skip
+        }
+        self.rows.append(row)
+        for name, column in TENSORBOARD.items():
+            if math.isfinite(row[column]):
+                self.logger.record(name, row[column])
+        self.logger.dump(model.num_timesteps)
         self.seconds += time.perf_counter() - began
 
     def get_state(self) -> tuple[Any, ...]:
@@ -241,7 +254,8 @@ def run_learner(
     seconds = preset.checkpoint_seconds
     watch = Watch(folder, kept, seconds, task.timesteps, stop_requested, note)
     discrete = isinstance(fresh.action_space, spaces.Discrete)
-    logger, algorithm = configure(None, []), class_of(task, cell.method)
+    algorithm = class_of(task, cell.method)
+    logger = configure(str(folder.tensorboard), ["tensorboard"])
     model = learn(watch, algorithm, envs.env, lambda: fresh, [tester], logger)
     if model is None:
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -96,7 +97,13 @@ def test_how_often_a_policy_is_tested_changes_nothing(preset: Preset, tmp_path: 
         folder = RunFolder(tmp_path / name)
         run_learner(what, cell, folder)
         found.append(folder.rows("episodes"))
-    assert len(RunFolder(tmp_path / "often").rows("curve")) > 10
+    curve = RunFolder(tmp_path / "often").rows("curve")
+    assert len(curve) > 10
+    module = importlib.import_module("tensorboard.backend.event_processing.event_accumulator")
+    events = module.EventAccumulator(str(RunFolder(tmp_path / "often").tensorboard))
+    events.Reload()
+    shown = [(point.step, point.value) for point in events.Scalars("eval/mean_reward")]
+    np.testing.assert_allclose(shown, curve[["timesteps", "return_mean"]], rtol=1e-6)
     pd.testing.assert_frame_equal(found[0], found[1])
 
 
