@@ -23,6 +23,7 @@ PICTURES: Final = (
     ("Variants of the settings", "figures --preset tuning", "tuning/figures/*"),
     ("Design and team", "codesign", "codesign/figures/*"),
     ("Insertion in contact", "contact --film", "contact/*"),
+    ("Learners in contact", "classic figures --preset contact", "classic/contact/figures/*"),
     ("Two robots at once", "figures --preset team", "team/figures/*"),
     ("Control tasks", "classic figures --preset control", "classic/control/figures/*"),
     ("Masks and priorities", "classic figures --preset basics", "classic/basics/figures/*"),
