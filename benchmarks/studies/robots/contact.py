@@ -3,10 +3,10 @@
     python -m benchmarks contact
 
 Each script's gains are the best of a grid on validation episodes of each level, by success and then
-by time, with errors up to 3 mm. The tests have errors of fixed size to any side, tilts up to a
-degree, and friction as the task draws it, or errors of 3 mm and fixed friction. Written to
-``results/contact/`` and to ``docs/physics.md``; a level that
-this commit measured is not measured again.
+by time, with errors up to 3 mm. The tests have errors of fixed size to any side, or as the task
+draws them, tilts up to a degree, and friction as the task draws it, or errors of 3 mm and fixed
+friction. Written to ``results/contact/`` and to ``docs/physics.md``; a level that this commit
+measured is not measured again.
 """
 
 from __future__ import annotations
@@ -34,14 +34,15 @@ from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
 from benchmarks.studies.robots.pages import check_tables, kept, publish
 from benchmarks.studies.robots.trials import (
+    CONDITIONS,
     EPISODES,
-    ERRORS,
     FRICTIONS,
     TRAINED,
     Row,
     causes,
     in_cell,
     play,
+    shown,
 )
 from benchmarks.studies.speed.report import table
 
@@ -80,7 +81,7 @@ def measure(level: str, episodes: int, tick: Callable[[], None]) -> Row:
         script = make(env, replace(Gains(), **gains))
         found[name] = {
             "gains": gains,
-            "errors": [play(env, script, "test", episodes, error) for error in ERRORS],
+            "errors": [play(env, script, "test", episodes, error) for error in CONDITIONS],
             "frictions": [play(env, script, "test", episodes, TRAINED, f) for f in FRICTIONS],
         }
         tick()
@@ -92,7 +93,7 @@ def _tables(found: Mapping[str, Any]) -> Iterator[str]:
     for level, scripts in found["levels"].items():
         yield table(
             f"Scripts, level `{level}`, over the hole's displacement: {what}",
-            "script | " + " | ".join(f"{e:g} mm" for e in ERRORS) + " | failures",
+            "script | " + " | ".join(map(shown, CONDITIONS)) + " | failures",
             [
                 [name, *map(in_cell, one["errors"]), causes(one["errors"])]
                 for name, one in scripts.items()
@@ -120,8 +121,8 @@ def tell(found: Mapping[str, Any]) -> str:
         [
             *_tables(found),
             f"{n} episodes a cell (all of them successful: {low:.0f} to {high:.0f} %, 95 % "
-            f"interval). Gains chosen: {chosen}. Command: `{found['command']}`. "
-            f"{machine['machine']['processor']}, commit {machine['commit'][:9]}.",
+            f"interval); to {TRAINED:g} mm errors are as the task draws them. Gains chosen: {chosen}. "
+            f"Command: `{found['command']}`. {machine['machine']['processor']}, commit {machine['commit'][:9]}.",
         ]
     )
 

@@ -15,7 +15,16 @@ from benchmarks.reporting.stats import means, stratified_bootstrap
 from benchmarks.reporting.tables.table import Cell, Table
 from benchmarks.studies.classic.presets import CONTACT, label
 from benchmarks.studies.classic.results import Results
-from benchmarks.studies.robots.trials import ERRORS, FRICTIONS, TRAINED, causes, in_cell
+from benchmarks.studies.robots.trials import (
+    CONDITIONS,
+    DRAWN,
+    ERRORS,
+    FRICTIONS,
+    TRAINED,
+    causes,
+    in_cell,
+    shown,
+)
 
 #: of a cell of these tables
 WHAT: Final = "success (%) / median time of successes (s) / median peak force (N)"
@@ -29,12 +38,16 @@ def levels(results: Results) -> dict[str, str]:
     return {key: task.env_kwargs["level"] for key, task in tasks if task.env == CONTACT}
 
 
-def _of(rows: pd.DataFrame, error: float, friction: float | None) -> Found:
+def _of(rows: pd.DataFrame, error: float | None, friction: float | None) -> Found:
     """The episodes under one condition, as the scripts' are stored."""
     rows = rows.astype({"success": bool})
-    same = rows["friction"].isna() if friction is None else rows["friction"] == friction
-    chosen = rows[(rows["error"] == error) & same].fillna({"failure": ""})
+    same = _equal(rows["error"], error) & _equal(rows["friction"], friction)
+    chosen = rows[same].fillna({"failure": ""})
     return {name: chosen[name].tolist() for name in COLUMNS}
+
+
+def _equal(column: pd.Series[Any], value: float | None) -> pd.Series[bool]:
+    return column.isna() if value is None else column == value
 
 
 def _scripts(results: Results, level: str) -> dict[str, Any]:
@@ -47,12 +60,12 @@ def _scripts(results: Results, level: str) -> dict[str, Any]:
 
 
 def _learned(results: Results, task: str) -> Iterator[tuple[str, int, pd.DataFrame, str]]:
-    """Method, seeds, episodes of all of them, and the interval of the success at 3 mm."""
+    """Method, seeds, episodes of all of them, and the interval of the success as trained for."""
     for method in results.preset.methods:
         runs = results.runs(task, method)
         if not runs:
             continue
-        each = [_of(run.rows("contact"), TRAINED, None)["success"] for run in runs]
+        each = [_of(run.rows("contact"), DRAWN, None)["success"] for run in runs]
         shares = np.array([[100.0 * np.mean(won)] for won in each])
         interval = f"{shares.mean():.1f}"
         if len(runs) > 1:
@@ -67,29 +80,30 @@ def build_contact_tables(results: Results) -> list[Table]:
     over_frictions: list[list[Cell]] = []
     for task, level in levels(results).items():
         for method, seeds, rows, interval in _learned(results, task):
-            found = [_of(rows, error, None) for error in ERRORS]
+            found = [_of(rows, error, None) for error in CONDITIONS]
             first: list[Cell] = [level, label(method), str(seeds)]
             over_errors.append([*first, *map(in_cell, found), interval, causes(found)])
             rubbed = [in_cell(_of(rows, TRAINED, friction)) for friction in FRICTIONS]
             over_frictions.append([*first, *rubbed])
         for name, one in _scripts(results, level).items():
             first = [level, name, "-"]
-            at_three = f"{100.0 * np.mean(one['errors'][ERRORS.index(TRAINED)]['success']):.1f}"
+            drawn = f"{100.0 * np.mean(one['errors'][CONDITIONS.index(DRAWN)]['success']):.1f}"
             cells = map(in_cell, one["errors"])
-            over_errors.append([*first, *cells, at_three, causes(one["errors"])])
+            over_errors.append([*first, *cells, drawn, causes(one["errors"])])
             over_frictions.append([*first, *map(in_cell, one["frictions"])])
     if not over_errors:
         return []
     head, size = ["Level", "Method", "Seeds"], f"{TRAINED:g} mm"
     note = (
         "The same test episodes for all; medians and failures over the episodes of all seeds; "
-        f"beyond {size} is outside of training. Rainbow and DQN act in twelve moves."
+        f"to {size} errors are as the task draws them, beyond is outside of training. Rainbow and "
+        "DQN act in twelve moves."
     )
     return [
         Table(
             "contact",
             f"Contact task over the hole's displacement: {WHAT}",
-            [*head, *(f"{e:g} mm" for e in ERRORS), f"success at {size} [95 %]", "failures"],
+            [*head, *map(shown, CONDITIONS), f"success to {size} [95 %]", "failures"],
             over_errors,
             [note],
             left=(0, 1),
@@ -115,7 +129,7 @@ def draw(results: Results) -> Figure:
             colour = METHOD_COLOURS.get(method, PALETTE[(2 + number) % len(PALETTE)])
             _lines(column, found, label(method), colour, "-")
         for number, (name, one) in enumerate(_scripts(results, level).items()):
-            _lines(column, one["errors"], name, str(0.15 + 0.2 * number), "--")
+            _lines(column, one["errors"][: len(ERRORS)], name, str(0.15 + 0.2 * number), "--")
         column[0].set_title(f"level {level}")
         column[-1].set_xlabel("displacement of the hole (mm)")
     for axes_, what in zip(grid[:, 0], ("success (%)", "time (s)", "peak force (N)"), strict=True):

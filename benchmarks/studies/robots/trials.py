@@ -17,6 +17,8 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.seeding import derive
 
 ERRORS: Final = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # mm
+DRAWN: Final = None  # an error as the task draws it
+CONDITIONS: Final = (*ERRORS, DRAWN)
 FRICTIONS: Final = (0.1, 0.2, 0.3, 0.4)
 EPISODES: Final = 50  # of each cell
 TRAINED: Final = 3.0  # mm: the largest error that the task draws
@@ -25,7 +27,7 @@ Row = dict[str, Any]
 
 
 def options(stream: str, episode: int, error: float | None, friction: float | None) -> Row:
-    """Reset options of an episode; an ``error`` of None, mm, is uniform over the disc."""
+    """Reset options of an episode; an ``error`` of ``DRAWN``, not mm, is uniform over the disc."""
     rng = np.random.default_rng(derive(stream, 13, episode))
     share, bearing, lean, side = rng.random(4)
     size = 1e-3 * (TRAINED * math.sqrt(share) if error is None else error)
@@ -105,7 +107,7 @@ def inserter(results: Path, name: str, seed: int) -> Any:
 def on_tests(model: Any, env: Any) -> list[Row]:
     """A model's episodes on the scripts' tests, a row each; errors in mm."""
     rows = []
-    conditions: list[tuple[float, float | None]] = [(error, None) for error in ERRORS]
+    conditions: list[tuple[float | None, float | None]] = [(error, None) for error in CONDITIONS]
     for error, friction in [*conditions, *((TRAINED, f) for f in FRICTIONS)]:
         found = play(env, Policy(model), "test", EPISODES, error, friction)
         for number, values in enumerate(zip(*found.values(), strict=True)):
@@ -119,6 +121,11 @@ def in_cell(found: Mapping[str, Sequence[Any]]) -> str:
     won = np.array(found["success"])
     time = f"{np.median(np.array(found['time'])[won]):.2f}" if won.any() else "-"
     return f"{100.0 * won.mean():.0f} / {time} / {np.median(found['force']):.1f}"
+
+
+def shown(error: float | None) -> str:
+    """A condition's head in a table."""
+    return f"{error:g} mm" if error is not DRAWN else f"to {TRAINED:g} mm"
 
 
 def causes(rows: Sequence[Mapping[str, Sequence[Any]]]) -> str:
