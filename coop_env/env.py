@@ -201,6 +201,11 @@ class CoopInsertionEnv(Rendered):
         return self._task
 
     @property
+    def sim_to_real(self) -> SimToReal:
+        """What the machine does not know of itself."""
+        return self._knobs
+
+    @property
     def params(self) -> EnvParams:
         """Everything fixed about this environment, as the kernels take it."""
         return self._params
@@ -298,8 +303,17 @@ class CoopInsertionEnv(Rendered):
         observe_batch(self._states, self._packed, self._observation, self._rows)
         report_compilation()
         batch.write_reset_outcome(self._states[0], self._outcomes[0])
+        self._set_down()
         if self.render_mode is not None:
-            self._follow(self._states["tip"][0], first=True)
+            self._follow(self._tip(), first=True)
+
+    def _set_down(self) -> None:
+        """Where a subclass brings a machine of its own to the start, before anything is shown."""
+
+    def _tip(self) -> NDArray[Any]:
+        """The peg's tip (3,), world frame, m."""
+        tip: NDArray[Any] = self._states["tip"][0]
+        return tip
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Make a move.
@@ -318,7 +332,7 @@ class CoopInsertionEnv(Rendered):
         report_compilation()
         outcome: Any = self._outcomes.item(0)
         if self.render_mode is not None:
-            self._follow(self._states["tip"][0])
+            self._follow(self._tip())
         reward, terminated, truncated = outcome[-3:]
         return self._rows[0].copy(), reward, terminated, truncated, batch.make_info(outcome)
 

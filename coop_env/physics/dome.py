@@ -72,7 +72,7 @@ def dome_solids(task: InsertionTask, bore: Bore) -> Iterator[tuple[str, Vertices
 
     Raises:
         ArgumentError: the holes stand too near to each other or to the dome's rim for their spot
-            faces, or the shell is thicker than the dome.
+            faces, or the shell is too thick for them or for the dome.
     """
     radius, normals = task.dome_radius, np.array(task.hole_normals)
     if bore.depth >= radius:
@@ -83,6 +83,7 @@ def dome_solids(task: InsertionTask, bore: Bore) -> Iterator[tuple[str, Vertices
         raise ArgumentError(f"a spot face of {ring:.3g} m does not fit dome_radius {radius:g} m")
     half = math.asin(ring / radius)
     _check_spacing(normals, half)
+    _check_depth(normals, bore, radius, ring)
     turns = tilt_matrix(normals)
     for i, turn in enumerate(turns):
         for k, stave in enumerate(staves(bore)):
@@ -105,6 +106,20 @@ def _check_spacing(normals: NDArray[np.float64], half: float) -> None:
                 raise ArgumentError(
                     f"holes[{j}] and holes[{i}] are too near to each other for their spot faces"
                 )
+
+
+def _check_depth(normals: NDArray[np.float64], bore: Bore, radius: float, ring: float) -> None:
+    """Towards the dome's centre bores come nearer to each other, and prisms to the bores."""
+    inner, flat = radius - bore.depth, math.cos(math.pi / STAVES)
+    corner = bore.radius / flat
+    clear = ring * flat * inner / radius >= corner
+    apart = math.asin(min(1.0, ring / inner)) + math.asin(min(1.0, corner / inner))
+    pairs = [angle_between(a, normals[j]) for i, a in enumerate(normals) for j in range(i)]
+    if not clear or min(pairs, default=math.inf) < apart:
+        raise ArgumentError(
+            f"hole depth {bore.depth:g} m: bores of {bore.radius:g} m do not stay clear of each "
+            f"other's walls so far down in dome_radius {radius:g} m"
+        )
 
 
 def _fill_points(normals: NDArray[np.float64], clear: float) -> NDArray[np.float64]:

@@ -73,12 +73,19 @@ class Servos:
             if field.name == "gravity_compensation":
                 check_flag(name, value)
             elif isinstance(field.default, tuple):
-                if not isinstance(value, tuple) or len(value) != len(field.default):
+                if not isinstance(value, (tuple, list)) or len(value) != len(field.default):
                     raise ArgumentError(f"{name} = {value!r}: must be {len(field.default)} masses")
-                for i, mass in enumerate(value):
+                masses = (
                     check_number(f"{name}[{i}]", mass, 0.0, 1e3, above=True)
+                    for i, mass in enumerate(value)
+                )
+                object.__setattr__(self, field.name, tuple(masses))
             else:
                 check_number(name, value, 0.0, 1e6, above=True)
+
+    def damping(self, stiffness: float) -> float:
+        """kv of a servo with such a kp, N m s/rad."""
+        return 2.0 * (self.damping_time * stiffness) ** 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +204,7 @@ def build_mjcf(machine: Machine) -> ET.Element:
         for i in range(3):
             _add(
                 actuator, "position", name=f"{robot}_servo{i}", joint=f"{robot}_joint{i}", kp=kp,
-                kv=2.0 * (servos.damping_time * kp) ** 0.5,
+                kv=servos.damping(kp),
                 forcerange=[-servos.torque_limit, servos.torque_limit],
             )  # fmt: skip
     _add_sensors(root)

@@ -26,13 +26,13 @@ class KinematicShield:
     increment is certified if the straight way of configurations along it keeps them all.
 
     Args:
-        env: a ``CoopInsertion-v0`` or ``CoopInsertionContact-v0``, wrapped or not, whose robots and
-            dome are taken. In the contact tasks touching is the task: the shield then keeps all but
-            the clearance.
+        env: a ``CoopInsertion-v0``, ``CoopInsertionContact-v0`` or ``CoopInsertionPhysics-v0``,
+            wrapped or not, whose robots and dome are taken. With contact touching is the task: the
+            shield then keeps all but the clearance.
         margin: None, the default :class:`ShieldMargin`, one, or a mapping of its fields.
 
     Raises:
-        ArgumentError: ``env`` is none of these, or the margins leave nothing.
+        ArgumentError: ``env`` is none of these, its moves come late, or the margins leave nothing.
     """
 
     def __init__(
@@ -43,11 +43,14 @@ class KinematicShield:
         )
         inner: Any = env.unwrapped if isinstance(env, gym.Env) else env
         if not (hasattr(inner, "params") and hasattr(inner, "task")):
-            raise ArgumentError(
-                f"env = {inner!r}: must be a CoopInsertion-v0 or a CoopInsertionContact-v0"
-            )
+            raise ArgumentError(f"env = {inner!r}: must be an environment of coop_env")
         contact = not isinstance(inner, CoopInsertionEnv)
-        self.steps = np.array(inner.task.increments if contact else inner.task.steps)
+        if not contact and inner.sim_to_real.latency:
+            raise ArgumentError(
+                "sim_to_real has latency: what comes a move late starts elsewhere than where it "
+                "was certified; a shield needs latency = 0"
+            )
+        self.steps = np.array(inner.increments if contact else inner.task.steps)
         self.keeps = self.margin.reach, -1.0 if contact else self.margin.clearance
         self.packed = pack(self.margin.tighten(inner.params))
 

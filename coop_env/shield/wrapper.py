@@ -34,13 +34,21 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
         margin: likewise.
 
     Raises:
-        ArgumentError: ``env`` is neither, or has other actions than these.
+        ArgumentError: ``env`` is none of these, has other actions, or a wrapper that changes them.
     """
 
     def __init__(
         self, env: gym.Env[Any, Any], margin: ShieldMargin | Mapping[str, Any] | None = None
     ) -> None:
         super().__init__(env)
+        layer = env
+        while isinstance(layer, gym.Wrapper):
+            if isinstance(layer, gym.ActionWrapper):
+                raise ArgumentError(
+                    f"{type(layer).__name__} changes what the shield has certified: put it around "
+                    "the shield instead"
+                )
+            layer = layer.env
         self.shield = KinematicShield(env, margin)
         space = env.action_space
         self._discrete = isinstance(space, spaces.Discrete)

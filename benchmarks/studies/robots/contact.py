@@ -121,8 +121,9 @@ def tell(found: Mapping[str, Any]) -> str:
         [
             *_tables(found),
             f"{n} episodes a cell (all of them successful: {low:.0f} to {high:.0f} %, 95 % "
-            f"interval); to {TRAINED:g} mm errors are as the task draws them. Gains chosen: {chosen}. "
-            f"Command: `{found['command']}`. {machine['machine']['processor']}, commit {machine['commit'][:9]}.",
+            f"interval); to {TRAINED:g} mm errors are as the task draws them. "
+            f"Gains chosen: {chosen}. Command: `{found['command']}`. "
+            f"{machine['machine']['processor']}, commit {machine['commit'][:9]}.",
         ]
     )
 

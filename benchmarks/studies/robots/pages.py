@@ -38,7 +38,11 @@ def check_tables(
     """Verify that the tables beside ``path`` and the block of a page follow from its data."""
     if not path.is_file():
         return
-    text = tell(json.loads(path.read_text(encoding="utf-8")))
+    try:
+        text = tell(json.loads(path.read_text(encoding="utf-8")))
+    except KeyError as missing:
+        report.add(str(path), [f"{path} has no {missing}: go on measuring"])
+        return
     found = check_file(path.with_suffix(".md"), text + "\n", f"the data in {path}")
     if page.is_file():
         shown = blocks.fill(page.read_text(encoding="utf-8"), block, lambda _: text)

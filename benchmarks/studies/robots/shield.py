@@ -239,19 +239,19 @@ def in_contact(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dic
         from coop_env.physics.contact.env import CoopInsertionContactEnv
     except DependencyNotInstalled:
         return []
-    players: dict[str, list[Any]] = {
-        "random": [Increments(_rng(seed)) for seed in range(seeds)],
-    }
+    players: dict[str, Callable[[int], Any]] = {"random": lambda seed: Increments(_rng(seed))}
     for name in ("spiral search", "SAC"):
         with contextlib.suppress(BenchmarkError):
-            players[name] = [inserter(results, name, seed) for seed in range(seeds)]
+            inserter(results, name, 0)
+            players[name] = partial(inserter, results, name)
     env, rows = CoopInsertionContactEnv(LEVEL), []
     worlds: dict[bool, Any] = {False: env, True: ShieldWrapper(env)}
     for done, (name, shielded) in enumerate(product(players, worlds)):
         found: dict[str, list[float]] = {"success": [], "harm": [], "interventions": []}
         also = ("interventions",) if shielded else ()
-        for one in players[name]:
-            row = play(worlds[shielded], one, "validate", episodes, also=also)
+        for seed in range(seeds):
+            player = players[name](seed)
+            row = play(worlds[shielded], player, "validate", episodes, also=also)
             found["success"].append(100.0 * float(np.mean(row["success"])))
             harmed = [cause in ("force", "snap") for cause in row["failure"]]
             found["harm"].append(float(np.mean(harmed)))

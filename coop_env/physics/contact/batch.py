@@ -161,7 +161,7 @@ class ContactBatch:
             "insertion": task.insertion_bonus * success,
             "failure": -task.failure_cost * (terminated & ~success),
         }
-        self._depth = depth
+        self._depth = depth.copy()
         self.peak_force = np.maximum(self.peak_force, peaks)
         noise = np.array([rng.normal(size=N_AXES) for rng in rngs]) * self._noise
         self.observation = self._observe(slice(None), now.joints, wrench + noise)

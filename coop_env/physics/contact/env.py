@@ -157,6 +157,11 @@ class CoopInsertionContactEnv(Rendered):
         return self.batch.twin.machine.kernel_params()
 
     @property
+    def increments(self) -> Floats:
+        """What one is of each increment (6,); m and rad."""
+        return self.task.increments
+
+    @property
     def configuration(self) -> Floats:
         """The commanded (x, y, z, roll, pitch, heave), (6,); m and rad."""
         return self.batch.command[0].copy()
@@ -198,6 +203,12 @@ class CoopInsertionContactEnv(Rendered):
     def scene(self) -> Scene:
         """Every body of the scene at this instant, where it really is; world frame."""
         return twin_scene(self.batch, 0, self._status, self._trace)
+
+    def close(self) -> None:
+        """End the simulation, and close the window."""
+        super().close()
+        self.batch.twin.close()
+        self._running = False
 
     def increments_of(self, action: Any) -> Floats:
         """An action as increments (6,), each of -1 to 1.

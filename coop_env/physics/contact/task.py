@@ -27,7 +27,8 @@ from coop_env.simulation.insertion_task import InsertionTask
 STANDARD_PEG: Final = Peg()
 HEAVE_ROOM: Final = 0.005
 """By which heave can go up and down from every start, m."""
-_LARGEST_ERROR: Final = (0.02, 0.02, 0.1, 0.1)  # that a reset option may set: m, m, rad, rad
+_LARGEST: Final = {"position_error": 0.02, "tilt_error": 0.1}  # m, rad
+_LARGEST_ERROR: Final = (*(_LARGEST["position_error"],) * 2, *(_LARGEST["tilt_error"],) * 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +94,8 @@ class ContactTask:
                        "depth_scale", "force_cost", "insertion_bonus", "failure_cost"}  # fmt: skip
         for name in (field.name for field in fields(self)):
             if name not in ("peg", "max_steps", "friction"):
-                above = name not in may_be_zero
-                check_number(f"ContactTask.{name}", getattr(self, name), 0.0, 1e4, above=above)
+                above, high = name not in may_be_zero, _LARGEST.get(name, 1e4)
+                check_number(f"ContactTask.{name}", getattr(self, name), 0.0, high, above=above)
         if not isinstance(self.friction, (tuple, list)) or len(self.friction) != 2:
             raise ArgumentError(f"ContactTask.friction = {self.friction!r}: must be two numbers")
         low = check_number("ContactTask.friction[0]", self.friction[0], 0.0, 2.0, above=True)
@@ -231,7 +232,8 @@ def check_options(options: Mapping[str, Any] | None, starts: Floats) -> ContactO
     hole, error, friction = (given.get(name) for name in known)
     if hole is not None:
         open_holes = np.flatnonzero(np.isfinite(starts[:, 0])).tolist()
-        if isinstance(hole, bool) or hole not in open_holes:
+        whole = isinstance(hole, (int, np.integer)) and not isinstance(hole, bool)
+        if not whole or hole not in open_holes:
             raise ResetOptionError(f"hole = {hole!r}: must be one of {open_holes}")
         hole = int(hole)
     if error is not None:

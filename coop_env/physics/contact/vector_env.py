@@ -34,7 +34,8 @@ class CoopInsertionContactVectorEnv(VectorEnv[Any, Any, Any]):
 
     The engine's work, nine tenths of a step, runs in ``threads`` of them; what is around it is done
     for all episodes at once. Autoreset is ``SAME_STEP``: the step that ends an episode returns the
-    next one's first observation, and ``infos`` has ``final_obs`` and ``final_info`` of the last.
+    next one's first observation and info, and ``infos`` has ``final_obs`` and ``final_info`` of the
+    last. There is no rendering.
 
     Args:
         num_envs: number of environments.
@@ -42,15 +43,19 @@ class CoopInsertionContactVectorEnv(VectorEnv[Any, Any, Any]):
         max_episode_steps: Gymnasium's limit, which ``make_vec`` gives; the smaller of it and the
             task's ``max_steps`` holds.
         level: as for :class:`~coop_env.physics.contact.env.CoopInsertionContactEnv`.
-        machine: the others of its arguments.
+        geometry: likewise.
+        delta: likewise.
+        holes: likewise.
+        servos: likewise.
 
     Raises:
-        ArgumentError: a number is no positive integer, or a keyword is wrong.
+        ArgumentError: a number is no positive integer, or another argument is wrong.
         GeometryError: a robot cannot be assembled, or no hole can be turned upright.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own form
         **CoopInsertionContactEnv.metadata,
+        "render_modes": [],
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
     discrete = False
@@ -61,14 +66,17 @@ class CoopInsertionContactVectorEnv(VectorEnv[Any, Any, Any]):
         threads: int = 1,
         max_episode_steps: int | None = None,
         level: Any = "standard",
-        **machine: Any,
+        geometry: Any = "optimized",
+        delta: Any = None,
+        holes: Any = None,
+        servos: Any = None,
     ) -> None:
         self.task = resolve_task(level)
         limit = self.task.max_steps
         if max_episode_steps is not None:
             limit = min(limit, check_integer("max_episode_steps", max_episode_steps, 1))
         self.num_envs = check_integer("num_envs", num_envs, 1)
-        made = make_machine(self.task, **machine)
+        made = make_machine(self.task, geometry, delta, holes, servos)
         self.batch = ContactBatch(self.task, made, self.num_envs, threads, limit)
         self.single_observation_space, self.single_action_space = make_spaces(self.discrete)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -94,9 +102,9 @@ class CoopInsertionContactVectorEnv(VectorEnv[Any, Any, Any]):
         given = check_options(options, self.batch.starts)
         if seed is not None or not self._rngs:
             self._rngs = [seeding.np_random(each)[0] for each in seeds_of(seed, self.num_envs)]
-        for row, rng in enumerate(self._rngs):
-            self.batch.reset(row, given, rng)
-        return self.batch.observation.copy(), self._episodes()
+        began = [self.batch.reset(row, given, rng) for row, rng in enumerate(self._rngs)]
+        info = {name: np.array([each[name] for each in began]) for name in began[0]}
+        return self.batch.observation.copy(), _masked(info, np.ones(self.num_envs, bool))
 
     def step(self, actions: Any) -> Step:
         """Make one control step in all environments; those whose episode ends start the next.
@@ -113,25 +121,23 @@ class CoopInsertionContactVectorEnv(VectorEnv[Any, Any, Any]):
             "is_success": outcome.success,
             "failure": np.array(FAILURES, object)[outcome.failure],
             **outcome.info,
-            **self._episodes(),
+            "hole": self.batch.hole.copy(),
+            "friction": self.batch.friction.copy(),
+            "error": self.batch.error.copy(),
         }
         ended = outcome.terminated | outcome.truncated
-        observations = outcome.observation
+        found, observations = _masked(info, ~ended), outcome.observation
         if ended.any():
             final = np.full(self.num_envs, None, object)
-            last = {name: _rows(part, ended) for name, part in info.items()}
             for row in np.flatnonzero(ended).tolist():
                 final[row] = observations[row].copy()
-                self.batch.reset(row, ContactOptions(), self._rngs[row])
+                began = self.batch.reset(row, ContactOptions(), self._rngs[row])
+                for name, value in began.items():
+                    found[name][row], found[f"_{name}"][row] = value, True
             observations = self.batch.observation.copy()
-            info |= {"final_obs": final, "final_info": last, "_final_obs": ended,
-                     "_final_info": ended.copy()}  # fmt: skip
-        return observations, outcome.reward, outcome.terminated, outcome.truncated, info
-
-    def _episodes(self) -> dict[str, Any]:
-        batch = self.batch
-        return {"hole": batch.hole.copy(), "friction": batch.friction.copy(),
-                "error": batch.error.copy()}  # fmt: skip
+            found |= {"final_obs": final, "final_info": _masked(info, ended),
+                      "_final_obs": ended, "_final_info": ended.copy()}  # fmt: skip
+        return observations, outcome.reward, outcome.terminated, outcome.truncated, found
 
     def _increments(self, actions: Any) -> Any:
         if not self.discrete:
@@ -154,10 +160,14 @@ class CoopInsertionContactDiscreteVectorEnv(CoopInsertionContactVectorEnv):
     discrete = True
 
 
-def _rows(part: Any, ended: Bools) -> Any:
-    """A column of ``info``, zeros (or None) where no episode ended."""
-    if isinstance(part, dict):
-        return {name: _rows(column, ended) for name, column in part.items()}
-    found = np.zeros_like(part)
-    found[ended] = part[ended]
+def _masked(columns: dict[str, Any], there: Bools) -> dict[str, Any]:
+    """Gymnasium's form: zeros (or None) in rows that have no info, and a mask ``_key`` each."""
+    found: dict[str, Any] = {}
+    for name, part in columns.items():
+        if isinstance(part, dict):
+            found[name] = _masked(part, there)
+        else:
+            found[name] = np.full_like(part, None if part.dtype == object else 0)
+            found[name][there] = part[there]
+        found[f"_{name}"] = there.copy()
     return found

@@ -149,9 +149,9 @@ class CoopInsertionPhysicsEnv(Rendered):
         self._packed = self.twin.packed
         move = np.array(machine.task.steps)
         self.increments: Floats = move * min(1.0, self.task.dt / machine.task.dt)
-        gains = (machine.servos.delta_stiffness, machine.servos.rrs_stiffness)
-        time = machine.servos.damping_time
-        self._lag = np.repeat([2.0 * math.sqrt(time / kp) for kp in gains], 3)  # kv / kp, s
+        servos_ = machine.servos
+        gains = (servos_.delta_stiffness, servos_.rrs_stiffness)
+        self._lag = np.repeat([servos_.damping(kp) / kp for kp in gains], 3)  # s
         self._home = machine.home()
         self._home_joints = self.twin.servo_targets(self._home)
         dome = machine.task.dome_radius
@@ -188,6 +188,11 @@ class CoopInsertionPhysicsEnv(Rendered):
     def over(self) -> bool:
         """Whether every active hole is filled, or the episode has failed."""
         return bool(self.failure) or not np.any(self.active & ~self.filled)
+
+    @property
+    def _success(self) -> bool:
+        """Whether this episode has filled a hole."""
+        return int(self.filled.sum()) > self._at_first
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -243,7 +248,7 @@ class CoopInsertionPhysicsEnv(Rendered):
         """
         if not self._running:
             raise ResetNeeded("call reset() first: there is no running episode")
-        self._action = check_increments(action, (N_AXES,))
+        self._action = self.increments_of(action)
         task, aimed = self.task, self.target
         before = self._left_to(aimed)
         inserted = self.advance(self.command[0] + self._action * self.increments)
@@ -264,6 +269,14 @@ class CoopInsertionPhysicsEnv(Rendered):
         info = {**self._info(), "reward_terms": {key: float(v) for key, v in terms.items()}}
         reward = float(sum(terms.values()))
         return self._observe(), reward, self.over and not truncated, truncated, info
+
+    def increments_of(self, action: Any) -> Floats:
+        """An action as increments (6,), each of -1 to 1.
+
+        Raises:
+            ActionError: it is not in the action space.
+        """
+        return check_increments(action, (N_AXES,))
 
     def advance(self, wanted: Floats) -> int:
         """One control step, in which the joints are led evenly to a configuration (6,).
@@ -325,9 +338,11 @@ class CoopInsertionPhysicsEnv(Rendered):
         self._next()
 
     def give_up(self) -> None:
-        """Leave the target for good, and aim at the next."""
+        """Leave the target for good, and aim at the next; without one the episode is over."""
         self.active[self.target] = False
         self.given_up.append(self.target)
+        if self.over and not self._success:
+            self.failure = "not inserted"
         self._next()
 
     def reached(self) -> bool:
@@ -362,15 +377,16 @@ class CoopInsertionPhysicsEnv(Rendered):
         """
         if not self.active.any():
             raise ResetNeeded("call reset() first: there is no state yet")
-        done = not np.any(self.active & ~self.filled)
-        status = "success" if done and self.filled.any() else self.failure or "running"
+        won = self._success and not np.any(self.active & ~self.filled)
+        status = "success" if won else self.failure or "running"
         found = twin_scene(self, 0, status, self._trace)
         return replace(found, active=self.active.copy(), filled=self.filled.copy())
 
     def close(self) -> None:
-        """End the simulation's pool, and close the window."""
+        """End the simulation, and close the window."""
         super().close()
         self.twin.close()
+        self._running = False
 
     def _next(self) -> None:
         """Aim at the open hole that is nearest to the tip by the nominal model; else stay."""
@@ -418,13 +434,11 @@ class CoopInsertionPhysicsEnv(Rendered):
         return np.clip(fields, -LIMIT, LIMIT).astype(np.float32)
 
     def _info(self) -> dict[str, Any]:
-        n_filled = int(self.filled.sum())
-        success = n_filled > self._at_first
         return {
-            "success": success,
-            "is_success": success,
+            "success": self._success,
+            "is_success": self._success,
             "failure": self.failure,
-            "n_filled": n_filled,
+            "n_filled": int(self.filled.sum()),
             "inserted": self.inserted >= 0,
             "inserted_hole": self.inserted,
             "target": self.target,

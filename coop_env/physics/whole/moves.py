@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
 
 from coop_env.env import CoopInsertionEnv, Observation, check_action
 from coop_env.errors import ArgumentError, StateError, check_number
@@ -97,10 +98,13 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         self._held = held
         return found
 
-    def _restart(self, start: start_states.StartOptions, seed: int | None = None) -> None:
-        super()._restart(start, seed)
+    def _set_down(self) -> None:
         self.physics.np_random = self.np_random
         self.physics.begin(self._states[0], self._held)
+
+    def _tip(self) -> NDArray[Any]:
+        tip: NDArray[Any] = self.physics.twin.readings().tip[0]
+        return tip
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -139,12 +143,12 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         observe_batch(self._states, self._packed, self._observation, self._rows)
         outcome: Any = self._outcomes.item(0)
         reward, terminated, truncated = outcome[-3:]
+        if truncated:
+            body.failure = "time"
         info = self._tell(batch.make_info(outcome))
         info["collision"] = violation and body.taken
-        if truncated:
-            info["failure"] = "time"
         if self.render_mode is not None:
-            self._follow(body.twin.readings().tip[0])
+            self._follow(self._tip())
         return self._rows[0].copy(), reward, terminated, truncated, info
 
     def _move(self, action: int) -> bool:

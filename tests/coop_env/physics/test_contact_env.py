@@ -304,7 +304,8 @@ def test_moves_that_are_none(action: Any) -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        {"hole": 6}, {"hole": True}, {"error": [0.0, 0.0]}, {"error": [np.nan] * 4},
+        {"hole": 6}, {"hole": True}, {"hole": np.array([1, 2])},
+        {"error": [0.0, 0.0]}, {"error": [np.nan] * 4},
         {"error": [0.1, 0, 0, 0]}, {"friction": 0.0}, {"force": 1}, 7,
     ],
 )  # fmt: skip
@@ -325,6 +326,8 @@ def test_reset_options_that_cannot_be(options: Any) -> None:
         {"level": {"friction": [0.4, 0.1]}},
         {"level": {"insertion_depth": 0.03}},
         {"level": {"max_steps": 0}},
+        {"level": {"position_error": 0.03}},
+        {"level": {"tilt_error": 1.0}},
         {"level": {"clearence": 1}},
         {"geometry": "best"},
         {"servos": {"rrs_stiffness": -1.0}},

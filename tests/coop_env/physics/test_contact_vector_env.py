@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -42,17 +44,27 @@ def test_rows_are_single_environments(threads: int) -> None:
             if any(ends):
                 ended += 1
                 assert infos["final_obs"][row].tobytes() == observation.tobytes()
-                assert infos["final_info"]["failure"][row] == info["failure"]
-                assert infos["final_info"]["reward_terms"]["depth"][row] == pytest.approx(
-                    info["reward_terms"]["depth"]
-                )
+                same(infos["final_info"], row, info)
                 observation, info = single.reset()
-            else:
-                assert infos["force"][row] == pytest.approx(info["force"])
+            same(infos, row, info)
             assert observation.tobytes() == observations[row].tobytes()
             assert reward == pytest.approx(rewards[row], abs=1e-12)
     assert ended >= n
     env.close()
+
+
+def same(infos: dict[str, Any], row: int, info: dict[str, Any]) -> None:
+    """A row of a batch's ``infos`` has what the single environment has, and nothing else."""
+    assert {key for key in infos if f"_{key}" in infos and infos[f"_{key}"][row]} - {
+        "final_obs", "final_info"
+    } == set(info)  # fmt: skip
+    for key, value in info.items():
+        if isinstance(value, dict):
+            same(infos[key], row, value)
+        elif isinstance(value, str):
+            assert infos[key][row] == value
+        else:
+            np.testing.assert_allclose(infos[key][row], value, rtol=0, atol=1e-12, err_msg=key)
 
 
 def test_make_vec_makes_it_and_knows_the_limit() -> None:
@@ -89,5 +101,7 @@ def test_bad_input() -> None:
     for number in (0, 1.5, True):
         with pytest.raises(ArgumentError, match="num_envs"):
             CoopInsertionContactVectorEnv(number)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="render_mode"):
+        CoopInsertionContactVectorEnv(2, render_mode="rgb_array")  # type: ignore[call-arg]
     with pytest.raises(ArgumentError, match="threads"):
         CoopInsertionContactVectorEnv(2, threads=0)

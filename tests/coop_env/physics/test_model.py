@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -104,6 +105,18 @@ def test_holes_that_do_not_fit(holes: tuple[tuple[float, float], ...]) -> None:
 
 
 @pytest.mark.parametrize(
+    ("task", "depth"),
+    [
+        (InsertionTask(dome_radius=0.03, holes=((0.0, 0.0),)), 0.02),  # into the dome's own filling
+        (PAPER_TASK, 0.06),  # into each other
+    ],
+)
+def test_bores_that_reach_into_walls(task: InsertionTask, depth: float) -> None:
+    with pytest.raises(ArgumentError, match=f"hole depth {depth:g} m"):
+        list(dome_solids(task, replace(BORE, depth=depth)))
+
+
+@pytest.mark.parametrize(
     "wrong",
     [
         {"clearance": 0.0}, {"clearance": float("nan")}, {"chamfer": 0.02}, {"tip": "round"},
@@ -115,5 +128,6 @@ def test_pegs_that_make_no_sense(wrong: dict[str, float]) -> None:
         Peg(**wrong)  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match=r"Servos\.rrs_masses"):
         Servos(rrs_masses=(1.0, 2.0))  # type: ignore[arg-type]
+    assert Servos(rrs_masses=[0.1, 0.1, 0.5]) == Servos(rrs_masses=(0.1, 0.1, 0.5))  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match=r"Servos\.torque_limit"):
         Servos(torque_limit=0.0)

@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
@@ -136,6 +137,25 @@ def test_a_hole_that_is_not_filled_is_given_up() -> None:
     assert info["given_up"] == [3]
     assert info["target"] != 3
     assert info["n_filled"] == 0
+    assert info["failure"] == ""
+
+
+def test_an_episode_that_gave_up_its_last_hole_says_so() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(finish=push)
+    aside = {"error": [0.003, 0.0, 0.0, 0.0], "filled": [0, 1, 2, 4, 5]}
+    env.reset(seed=0, options={**over(env, 3, 0.025), **aside})
+    _, _, terminated, _, info = env.step(DOWN)
+    assert terminated
+    assert not info["success"]
+    assert info["failure"] == env.scene().status == "not inserted"
+
+
+def test_time_is_a_cause() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(max_moves=1)
+    env.reset(seed=0)
+    _, _, _, truncated, info = env.step(int(np.flatnonzero(env.action_masks())[0]))
+    assert truncated
+    assert info["failure"] == env.scene().status == "time"
 
 
 def test_bad_input_is_refused() -> None:
@@ -175,6 +195,33 @@ def test_it_is_drawn_as_it_is() -> None:
     assert len(scene.trace) == 2
     assert scene.tip == pytest.approx(env.physics.twin.readings().tip[0])
     assert "2#" in env.render()
+
+
+def test_a_window_shows_the_start_of_each_episode() -> None:
+    class Window:
+        def __init__(self) -> None:
+            self.tips: list[np.ndarray] = []
+
+        def show(self, scene: Any) -> None:
+            self.tips.append(scene.tip)
+
+    env = CoopInsertionPhysicsDiscreteEnv(render_mode="human")
+    env._window = window = Window()
+    for seed in range(2):
+        env.reset(seed=seed)
+        np.testing.assert_array_equal(window.tips[-1], env.physics.twin.readings().tip[0])
+        env.step(int(np.flatnonzero(env.action_masks())[0]))
+    assert len(window.tips) == 4
+
+
+def test_after_close_there_is_no_step() -> None:
+    for name in ("CoopInsertionPhysics-v0", "CoopInsertionContact-v0"):
+        env = gym.make(name).unwrapped
+        env.reset(seed=0)
+        env.close()
+        env.close()
+        with pytest.raises(ResetNeeded):
+            env.step(np.zeros(6))
 
 
 def test_a_copy_plays_on_as_the_original_would() -> None:

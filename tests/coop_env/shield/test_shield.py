@@ -202,6 +202,24 @@ class TestContact:
             np.testing.assert_array_equal(one[0], two[0])
             assert not two[4]["shielded"]
 
+    def test_the_whole_task_has_increments_of_its_own(self) -> None:
+        wrapped = ShieldWrapper(gym.make("CoopInsertionPhysics-v0"), ShieldMargin(sigma=0.2))
+        _, info = wrapped.reset(seed=0)
+        tilting = np.zeros(6, np.float32)
+        tilting[3:5] = np.sign(wrapped._configuration()[3:5])
+        np.testing.assert_allclose(wrapped.shield.steps[:3], 0.005)
+        for _ in range(60):
+            *_, terminated, _, info = wrapped.step(tilting)
+            assert not terminated
+        assert info["interventions"] > 0
+        assert rrs.signed_sigma_min(wrapped._configuration()[3:], OPTIMIZED) >= 0.2 - 1e-6
+
+    def test_what_changes_actions_belongs_around_it(self) -> None:
+        low, high = np.float32(-0.1), np.float32(0.1)
+        inner = gym.wrappers.RescaleAction(gym.make("CoopInsertionContact-v0"), low, high)
+        with pytest.raises(ArgumentError, match="RescaleAction changes"):
+            ShieldWrapper(inner)
+
     def test_moves_have_masks(self) -> None:
         wrapped = ShieldWrapper(gym.make("CoopInsertionContactDiscrete-v0"))
         wrapped.reset(seed=0)
@@ -224,8 +242,11 @@ def test_margins_that_make_no_sense(env: CoopInsertionEnv, margin: Any, said: st
 
 
 def test_other_environments_and_numbers_are_refused(shield: KinematicShield) -> None:
-    with pytest.raises(ArgumentError, match="CoopInsertion-v0"):
+    with pytest.raises(ArgumentError, match="must be an environment of coop_env"):
         KinematicShield(gym.make("CartPole-v1"))
+    for late in ("randomized", SimToReal(latency=1)):
+        with pytest.raises(ArgumentError, match="latency"):
+            KinematicShield(make_env(sim_to_real=late))
     with pytest.raises(ArgumentError, match="twelve moves"):
         ShieldWrapper(gym.make("CoopInsertionJoint-v0"))
     with pytest.raises(ArgumentError, match="state = "):
