@@ -41,6 +41,8 @@ METHOD_COLOURS: Final = {
     "recurrent_ppo": PALETTE[5], "random": "#DDDDDD", "greedy": "#999933",
     "greedy_observed": "#DDCC77", "lookahead": "#882255", "lookahead_observed": "#AA4499",
     "nominal_plan": "#117733", "plan_search": "#44AA99",
+    "sac": PALETTE[2], "crossq": PALETTE[3], "td3": PALETTE[4], "ppo": PALETTE[5],
+    "bc": PALETTE[6],
 }  # fmt: skip
 TRACK_STYLES: Final = {
     "": "-", "safe": "-", "memory": "--", "reward": "-.", "printed": ":", "uncertain": "-",

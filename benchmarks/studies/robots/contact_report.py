@@ -124,9 +124,9 @@ def draw(results: Results) -> Figure:
     figure, axes = canvas(3, len(tasks), (3.6 * len(tasks), 6.4), sharex=True, sharey=False)
     grid = np.array(axes).reshape(3, len(tasks))
     for column, (task, level) in zip(grid.T, tasks.items(), strict=True):
-        for number, (method, _, rows, _) in enumerate(_learned(results, task)):
+        for method, _, rows, _ in _learned(results, task):
             found = [_of(rows, error, None) for error in ERRORS]
-            colour = METHOD_COLOURS.get(method, PALETTE[(2 + number) % len(PALETTE)])
+            colour = METHOD_COLOURS.get(method, PALETTE[-1])
             _lines(column, found, label(method), colour, "-")
         for number, (name, one) in enumerate(_scripts(results, level).items()):
             _lines(column, one["errors"][: len(ERRORS)], name, str(0.15 + 0.2 * number), "--")
