@@ -149,9 +149,8 @@ class CoopInsertionPhysicsEnv(Rendered):
         self._packed = self.twin.packed
         move = np.array(machine.task.steps)
         self.increments: Floats = move * min(1.0, self.task.dt / machine.task.dt)
-        servos_ = machine.servos
-        gains = (servos_.delta_stiffness, servos_.rrs_stiffness)
-        self._lag = np.repeat([servos_.damping(kp) / kp for kp in gains], 3)  # s
+        gains = (machine.servos.delta_stiffness, machine.servos.rrs_stiffness)
+        self._lag = np.repeat([machine.servos.damping(kp) / kp for kp in gains], 3)  # s
         self._home = machine.home()
         self._home_joints = self.twin.servo_targets(self._home)
         dome = machine.task.dome_radius
