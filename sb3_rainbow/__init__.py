@@ -1,7 +1,5 @@
 """Rainbow DQN with action masks for Stable-Baselines3."""
 
-import sys
-
 from sb3_rainbow.masking.conventions import TerminalActionMask
 from sb3_rainbow.network.noisy_linear import NoisyLinear
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy
@@ -9,9 +7,6 @@ from sb3_rainbow.rainbow import Rainbow
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.replay.callbacks import PrioritizedReplayCallback
 from sb3_rainbow.replay.sum_tree import SumTree
-
-# Models saved by version 0.1 name the buffer's class by the place it had then.
-sys.modules.setdefault("sb3_rainbow.buffers", sys.modules[PrioritizedReplayBuffer.__module__])
 
 __all__ = [
     "CnnPolicy",

@@ -177,7 +177,8 @@ class RainbowPolicy(BasePolicy):
         deterministic: bool = True,
         action_masks: th.Tensor | None = None,
     ) -> th.Tensor:
-        return self.q_net._predict(observation, deterministic, action_masks)
+        masks = {} if action_masks is None else {"action_masks": action_masks}
+        return self.q_net._predict(observation, deterministic, **masks)
 
     def predict(
         self,
@@ -222,7 +223,9 @@ class RainbowPolicy(BasePolicy):
         with th.no_grad():
             if not deterministic:
                 self.reset_noise(n_obs)
-            actions = self._predict(obs_tensor, deterministic, masks).cpu().numpy()
+            # A subclass for envs without masks may have the signature of SB3's.
+            masked = {} if masks is None else {"action_masks": masks}
+            actions = self._predict(obs_tensor, deterministic, **masked).cpu().numpy()
         return (actions if vectorized else actions.squeeze(axis=0)), state
 
     def set_training_mode(self, mode: bool) -> None:

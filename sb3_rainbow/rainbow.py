@@ -24,7 +24,6 @@ from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.replay.compilation import report_compilation
 from sb3_rainbow.replay.parameters import check_buffer_size, smallest_buffer
 from sb3_rainbow.replay.transfer import from_device
-from sb3_rainbow.resume.optimizer_state import per_parameter
 from sb3_rainbow.resume.resumable import ResumableAlgorithm
 from sb3_rainbow.settings import (
     DEFAULT_EXPLORATION,
@@ -34,6 +33,7 @@ from sb3_rainbow.settings import (
     default_tau,
     head_and_support,
     served_by,
+    support_in_file,
     support_of,
 )
 from sb3_rainbow.type_aliases import Distributional, ObsArray, UseMasking
@@ -390,6 +390,7 @@ class Rainbow(ResumableAlgorithm):
         self.policy.q_net_target.set_training_mode(False)  # what was put into it since, too
         self._update_learning_rate(self.policy.optimizer)
         learner = self._learner
+        learner.double_q, learner.max_grad_norm = self.double_q, self.max_grad_norm
         losses: list[Any] = []  # numbers, or tensors that nobody has waited for
         with flush_denormals():
             for _ in range(gradient_steps):
@@ -478,7 +479,8 @@ class Rainbow(ResumableAlgorithm):
         ``buffer_size`` that is too small to learn with (1, by who only predicts) becomes the
         smallest that is not.
         """
-        if not kwargs.keys().isdisjoint(DEFAULT_EXPLORATION):
+        given = {**(custom_objects or {}), **kwargs}
+        if any(given.get(name) is not None for name in DEFAULT_EXPLORATION):
             kwargs["_epsilon_was_asked_for"] = True
         if "tau" in kwargs:
             kwargs["_tau_was_chosen"] = kwargs["tau"] is not None
@@ -505,12 +507,11 @@ class Rainbow(ResumableAlgorithm):
         """
         parameters: Any = load_path_or_dict
         if not isinstance(parameters, dict):
-            data, parameters, _ = load_from_zip_file(parameters, device=device)
+            # Its data may be any object, which nobody who wants weights alone has to unpickle.
+            found = support_in_file(parameters)
             own = support_of(self.distributional, self.v_min, self.v_max)
-            check_support_of_file((data or {}).get("_support"), own)
-        if "policy.optimizer" in parameters:
-            saved = per_parameter(parameters["policy.optimizer"], self.policy.optimizer)
-            parameters = {**parameters, "policy.optimizer": saved}
+            check_support_of_file(found, own)
+            _, parameters, _ = load_from_zip_file(parameters, load_data=False, device=device)
         super().set_parameters(parameters, exact_match, device)
 
     def _excluded_save_params(self) -> list[str]:

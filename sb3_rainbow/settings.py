@@ -1,12 +1,18 @@
 """Which settings can work, and what a replay buffer must be told of them."""
 
+import io
+import json
 import warnings
+import zipfile
+from contextlib import nullcontext
+from pathlib import Path
 from typing import Any, Protocol
 
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
 from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.save_util import open_path
 
 from sb3_rainbow.network.rainbow_network import head_of
 from sb3_rainbow.policies import RainbowPolicy
@@ -103,6 +109,15 @@ def support_of(
     return None if head == "scalar" else (v_min, v_max) if head == "categorical" else ()
 
 
+def support_in_file(path: str | Path | io.BufferedIOBase) -> tuple[float, ...] | None:
+    """The :func:`support_of` the head that the weights of a saved model were trained for."""
+    file = open_path(path, "r", suffix="zip")
+    with nullcontext() if file is path else file, zipfile.ZipFile(file) as archive:
+        data = json.loads(archive.read("data")) if "data" in archive.namelist() else {}
+    found = data.get("_support")
+    return None if found is None else tuple(found)
+
+
 def check_support_of_file(
     found: tuple[float, ...] | None, support: tuple[float, ...] | None
 ) -> None:
@@ -134,6 +149,7 @@ class Settings(Protocol):
     device: th.device
     distributional: Distributional
     gamma: float
+    max_grad_norm: float | None
     mixed_precision: bool
     n_envs: int
     n_steps: int
@@ -161,6 +177,8 @@ def check_settings(model: Settings) -> None:
         raise ValueError(f"advantage_learning must lie in [0, 1), got {model.advantage_learning}")
     if model.batch_size < 1:
         raise ValueError(f"batch_size must be at least 1, got {model.batch_size}")
+    if model.max_grad_norm is not None and not model.max_grad_norm > 0.0:
+        raise ValueError(f"max_grad_norm must be positive, or None, got {model.max_grad_norm}")
     if not 0.0 <= model.tau <= 1.0:
         raise ValueError(f"tau must lie in [0, 1], got {model.tau}")
     interval = model.target_update_interval

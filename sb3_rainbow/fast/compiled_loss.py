@@ -45,7 +45,6 @@ class CompiledLoss:
         q_net: online network.
         q_net_target: target network.
         loss: weighted mean loss with gradient, and priorities, of both networks and a batch.
-        max_grad_norm: gradient norm to clip to, None for no clipping.
     """
 
     def __init__(
@@ -53,10 +52,8 @@ class CompiledLoss:
         q_net: RainbowNetwork,
         q_net_target: RainbowNetwork,
         loss: Callable[[RainbowNetwork, RainbowNetwork, Batch], LossAndPriorities],
-        max_grad_norm: float | None,
     ) -> None:
         self._loss = _Loss(q_net, q_net_target, loss)
-        self.max_grad_norm = max_grad_norm
         trained = {n: p for n, p in self._loss.named_parameters() if p.requires_grad}
         self._names, self.parameters = list(trained), list(trained.values())
         # What does not train must not keep a gradient of former times.
@@ -72,10 +69,15 @@ class CompiledLoss:
             mode="reduce-overhead" if self._is_pure and self._on_gpu else None,
         )
 
-    def __call__(self, batch: Batch) -> LossAndPriorities | None:
-        """Mean loss, scalar, and priorities ``(B,)``, both on the device; None if it failed."""
+    def __call__(self, batch: Batch, max_grad_norm: float | None) -> LossAndPriorities | None:
+        """Mean loss, scalar, and priorities ``(B,)``, both on the device; None if it failed.
+
+        Args:
+            batch: transitions.
+            max_grad_norm: gradient norm to clip to, None for no clipping.
+        """
         try:
-            return self._run(batch)
+            return self._run(batch, max_grad_norm)
         except Exception as error:  # whatever the compiler's back end raises
             reason = str(error).strip().splitlines()[0] if str(error).strip() else repr(error)
             warnings.warn(
@@ -83,18 +85,19 @@ class CompiledLoss:
             )
             return None
 
-    def _run(self, batch: Batch) -> LossAndPriorities:
+    def _run(self, batch: Batch, max_grad_norm: float | None) -> LossAndPriorities:
         if not self._is_pure:
             loss, priorities = self._graph(batch)
             self._loss.zero_grad()
             loss.backward()
-            if self.max_grad_norm is not None:
-                nn.utils.clip_grad_norm_(self.parameters, self.max_grad_norm)
+            if max_grad_norm is not None:
+                nn.utils.clip_grad_norm_(self.parameters, max_grad_norm)
             return loss.detach(), priorities
         if self._on_gpu:
             th.compiler.cudagraph_mark_step_begin()
         with th.no_grad():
-            loss, priorities, found = self._graph([p.detach() for p in self.parameters], batch)
+            values = [p.detach() for p in self.parameters]
+            loss, priorities, found = self._graph(values, batch, max_grad_norm)
             gradients = [th.zeros_like(p) if p.grad is None else p.grad for p in self.parameters]
             # The next call on a GPU overwrites what this one returned.
             th._foreach_copy_(gradients, found)
@@ -103,15 +106,15 @@ class CompiledLoss:
             return (loss.clone(), priorities.clone()) if self._on_gpu else (loss, priorities)
 
     def _gradients_of(
-        self, parameters: list[th.Tensor], batch: Batch
+        self, parameters: list[th.Tensor], batch: Batch, max_grad_norm: float | None
     ) -> tuple[th.Tensor, th.Tensor, list[th.Tensor]]:
         def loss_of(values: list[th.Tensor]) -> LossAndPriorities:
             named = dict(zip(self._names, values, strict=True))
             return th.func.functional_call(self._loss, named, (batch,))
 
         found, (loss, priorities) = th.func.grad_and_value(loss_of, has_aux=True)(parameters)
-        if self.max_grad_norm is not None:
+        if max_grad_norm is not None:
             norm = th.stack([g.norm() for g in found]).norm()
-            scale = (self.max_grad_norm / (norm + 1e-6)).clamp(max=1.0)
+            scale = (max_grad_norm / (norm + 1e-6)).clamp(max=1.0)
             found = [g * scale for g in found]
         return loss, priorities, list(found)

@@ -14,6 +14,7 @@ _GLOBAL_HOOKS = ("_global_forward_hooks", "_global_forward_pre_hooks", "_global_
 
 
 _TRAINS = attrgetter("requires_grad")
+_HOOKS_OF_PARAMETER = attrgetter("_backward_hooks", "_post_accumulate_grad_hooks")
 
 
 def _values(dicts: Iterable[dict[str, Any]]) -> Iterable[Any]:
@@ -30,11 +31,18 @@ def _hooks(modules: Iterable[nn.Module]) -> list[dict[Any, Any]]:
     return own + [getattr(torch_module, name) for name in _GLOBAL_HOOKS]
 
 
-def are_untouched(modules: Iterable[nn.Module]) -> bool:
-    """Whether modules have no hooks, and no attributes in the place of their class's methods."""
-    modules = list(modules)
+def are_hooked(parameters: Iterable[nn.Parameter]) -> bool:
+    """Whether someone waits for the gradient of a parameter."""
+    return any(chain.from_iterable(map(_HOOKS_OF_PARAMETER, parameters)))
+
+
+def are_untouched(root: nn.Module) -> bool:
+    """Whether neither modules nor parameters have hooks, nor modules attributes in the place of
+    their class's methods.
+    """
+    modules = list(root.modules())
     typed: list[tuple[Any, nn.Module]] = [(type(module), module) for module in modules]
-    return not any(_hooks(modules)) and all(
+    return not (any(_hooks(modules)) or are_hooked(root.parameters())) and all(
         _methods(kind).isdisjoint(vars(module)) for kind, module in typed
     )
 
@@ -67,6 +75,7 @@ class Watch:
         self._holds = list(_values(self._held))
         self._parameters = list(root.parameters())
         self._trained = list(map(_TRAINS, self._parameters))
+        self._has_hooked_parameters = are_hooked(self._parameters)
 
     def sees_no_change(self) -> bool:
         """Whether all is as it was when the watch began."""
@@ -78,4 +87,5 @@ class Watch:
             and list(map(len, self._attributes)) == self._n_attributes
             and any(self._hooks) == self._has_hooks
             and list(map(_TRAINS, self._parameters)) == self._trained
+            and are_hooked(self._parameters) == self._has_hooked_parameters
         )

@@ -30,7 +30,7 @@ def is_perceptron(net: RainbowNetwork) -> bool:
     if "advantage_layers" in net._modules:
         return False
     own = all(type(layer) in (nn.Linear, NoisyLinear) for layer in layers)
-    if not (own and _extracts_plainly(net) and are_untouched(net.modules())):
+    if not (own and _extracts_plainly(net) and are_untouched(net)):
         return False
     parameters, table = parameters_of(net), table_of(net)
     n_parameters = int(((1 + table[:, kernels.NOISY]) * _sizes(table)).sum())

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sb3_rainbow.fast.blas import single_blas_thread
 from sb3_rainbow.fast.compiled_loss import CompiledLoss
 from sb3_rainbow.fast.mlp_update import MlpUpdate
-from sb3_rainbow.fast.originals import Watch, inherits
+from sb3_rainbow.fast.originals import Watch, are_hooked, inherits
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.policies import RainbowPolicy
 from sb3_rainbow.type_aliases import Batch
@@ -30,9 +30,6 @@ class Shortcuts:
     Args:
         policy: whose networks and optimizer to work on.
         loss: weighted mean loss with gradient, and priorities, of two networks and a batch.
-        double_q: double Q-learning.
-        advantage_learning: share of the action's advantage that is added to its target.
-        max_grad_norm: gradient norm to clip to, None for no clipping.
         compile_loss: whether to make one graph by ``torch.compile``.
         cpu_kernels: whether compiled kernels take over where they can.
     """
@@ -41,16 +38,10 @@ class Shortcuts:
         self,
         policy: RainbowPolicy,
         loss: Loss,
-        double_q: bool,
-        advantage_learning: float,
-        max_grad_norm: float | None,
         compile_loss: bool,
         cpu_kernels: bool,
     ) -> None:
         self.policy = policy
-        self.double_q = double_q
-        self.advantage_learning = advantage_learning
-        self.max_grad_norm = max_grad_norm
         self._loss = loss
         self._compile_loss = compile_loss
         self._cpu_kernels = cpu_kernels
@@ -91,31 +82,33 @@ class Shortcuts:
         q_net, q_net_target = self.policy.q_net, self.policy.q_net_target
         if self._cpu_kernels and MlpUpdate.is_possible(q_net, q_net_target, self.policy.optimizer):
             self._mlp = MlpUpdate(q_net, q_net_target)
-        elif self._compile_loss:
-            self._graph = CompiledLoss(q_net, q_net_target, self._loss, self.max_grad_norm)
+        elif self._compile_loss and not are_hooked(q_net.parameters()):
+            self._graph = CompiledLoss(q_net, q_net_target, self._loss)
         self._acts = inherits(self.policy, RainbowPolicy, *_ACTING)
         self._watch, self._optimizer = Watch(self.policy), self.policy.optimizer
 
-    def update(self, batch: Batch) -> LossAndPriorities | None:
+    def update(
+        self,
+        batch: Batch,
+        double_q: bool,
+        max_grad_norm: float | None,
+        advantage_learning: float,
+    ) -> LossAndPriorities | None:
         """A whole update, noise and optimizer's step included; None where it did nothing."""
         self._look()
         if self._mlp is None:
             return None
         with single_blas_thread():
             return self._mlp.update(
-                batch,
-                self.policy.optimizer,
-                self.double_q,
-                self.max_grad_norm,
-                self.advantage_learning,
+                batch, self.policy.optimizer, double_q, max_grad_norm, advantage_learning
             )
 
-    def gradient(self, batch: Batch) -> LossAndPriorities | None:
+    def gradient(self, batch: Batch, max_grad_norm: float | None) -> LossAndPriorities | None:
         """Leave the clipped gradient in the parameters' ``grad``; None where it did nothing."""
         self._look()
         if self._graph is None:
             return None
-        found = self._graph(batch)
+        found = self._graph(batch, max_grad_norm)
         if found is None:
             self._compile_loss, self._graph = False, None
         return found

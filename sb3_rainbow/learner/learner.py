@@ -22,6 +22,9 @@ except ModuleNotFoundError:  # without its folder everything is as it is here, s
 class Learner:
     """Moves a policy's networks.
 
+    The attributes ``double_q``, ``advantage_learning`` and ``max_grad_norm`` may change between two
+    updates.
+
     Args:
         policy: whose networks and optimizer to work on.
         double_q: double Q-learning.
@@ -49,15 +52,7 @@ class Learner:
         self.mixed_precision = mixed_precision
         self.shortcuts: Shortcuts | None = None
         if Shortcuts is not None:
-            self.shortcuts = Shortcuts(
-                policy,
-                self._loss,
-                double_q,
-                advantage_learning,
-                max_grad_norm,
-                compile_loss,
-                cpu_kernels,
-            )
+            self.shortcuts = Shortcuts(policy, self._loss, compile_loss, cpu_kernels)
 
     @property
     def q_net(self) -> RainbowNetwork:
@@ -76,9 +71,12 @@ class Learner:
             mean loss, scalar, and priorities ``(B,)``; both stay on the device.
         """
         batch = prepared(self.q_net, batch)
-        found = None if self.shortcuts is None else self.shortcuts.update(batch)
-        if found is not None:
-            return found
+        if self.shortcuts is not None:
+            found = self.shortcuts.update(
+                batch, self.double_q, self.max_grad_norm, self.advantage_learning
+            )
+            if found is not None:
+                return found
         self.q_net.reset_noise()
         self.q_net_target.reset_noise()
         loss, priorities = self.gradient(batch)
@@ -92,9 +90,10 @@ class Learner:
             mean loss, scalar, and priorities ``(B,)``; both stay on the device.
         """
         batch = prepared(self.q_net, batch)
-        found = None if self.shortcuts is None else self.shortcuts.gradient(batch)
-        if found is not None:
-            return found
+        if self.shortcuts is not None:
+            found = self.shortcuts.gradient(batch, self.max_grad_norm)
+            if found is not None:
+                return found
         self.policy.update_optimizer()
         loss, priorities = self._loss(self.q_net, self.q_net_target, batch)
         self.q_net.zero_grad()
@@ -139,6 +138,7 @@ class Learner:
         of the target's mass that the support clips, the spread (standard deviation over mean) of
         the batch's priorities, and the noise magnitudes.
         """
+        self.q_net.set_training_mode(False)  # statistics of normalization layers stay
         values = {"max_q": float(self.q_net(batch.observations).amax(dim=1).mean())}
         if self.q_net.head == "categorical":
             target = td_target(

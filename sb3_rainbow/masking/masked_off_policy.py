@@ -104,7 +104,9 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
 
     def _explore(self, obs: ObsArray, action_masks: NDArray[np.bool_] | None) -> NDArray:
         """Exploring actions of a subclass's policy, ``(n_envs,)``."""
-        actions, _ = self.predict(obs, action_masks=action_masks)  # type: ignore[call-arg]
+        # A subclass for envs without masks may have the signature of SB3's.
+        masks: dict[str, Any] = {} if action_masks is None else {"action_masks": action_masks}
+        actions, _ = self.predict(obs, **masks)
         return actions
 
     def _store_transition(
@@ -128,18 +130,16 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
         next_obs = original_obs
         if dones.any():
             next_obs = with_terminal_observations(original_obs, dones, infos, normalizer)
-        masks, masks_at_t = None, None
+        masks: tuple[NDArray[np.bool_] | None, ...] = ()
         if self._masking:
-            if self._needs_masks_at_t:
-                masks_at_t = self._last_action_masks
+            masks_at_t = self._last_action_masks if self._needs_masks_at_t else None
             self._last_action_masks = self._current_masks()
-            masks, lost = with_terminal_masks(self._last_action_masks, dones, infos)
+            next_masks, lost = with_terminal_masks(self._last_action_masks, dones, infos)
+            masks = (next_masks, masks_at_t)
             if lost and not self._warned_of_lost_mask:
                 self._warned_of_lost_mask = True
                 warnings.warn(LOST_MASK_WARNING, stacklevel=2)
         assert stored_obs is not None
-        replay_buffer.add(
-            stored_obs, next_obs, buffer_action, stored_reward, dones, infos, masks, masks_at_t
-        )
+        replay_buffer.add(stored_obs, next_obs, buffer_action, stored_reward, dones, infos, *masks)
         self._last_obs = new_obs
         self._last_original_obs = original_obs

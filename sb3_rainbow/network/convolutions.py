@@ -4,7 +4,13 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import NatureCNN
 
-_LARGE = 36  # pixels
+
+def gains_by_channels_last(extractor: th.nn.Module) -> bool:
+    """Whether an extractor is faster where images have their channels last, and copes with them.
+
+    Anyone's own may have a ``view`` in it, which that order in memory does not allow.
+    """
+    return type(extractor) in (NatureCNN, NatureConvolutions)
 
 
 def put_channels_last(module: th.nn.Module) -> None:
@@ -15,14 +21,6 @@ def put_channels_last(module: th.nn.Module) -> None:
     for parameter in module.parameters():
         if parameter.ndim == 4:
             parameter.data = parameter.data.contiguous(memory_format=th.channels_last)
-
-
-def has_large_images(space: spaces.Space) -> bool:
-    """Whether there are images in a space that SB3's ``NatureCNN`` would take."""
-    if isinstance(space, spaces.Dict):
-        return any(map(has_large_images, space.values()))
-    shape = space.shape or ()
-    return len(shape) == 3 and min(shape[1:]) >= _LARGE
 
 
 class NatureConvolutions(NatureCNN):

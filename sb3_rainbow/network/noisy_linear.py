@@ -38,7 +38,7 @@ class NoisyLinear(nn.Module):
     epsilon_out: th.Tensor
     #: noise of each row of a batch of as many rows, ``(n, in)`` and ``(n, out)``, instead of one
     epsilon_rows: tuple[th.Tensor, th.Tensor] | None = None
-    silent: bool = False
+    _silent: bool = False
 
     def __init__(self, in_features: int, out_features: int, sigma0: float = 0.5) -> None:
         super().__init__()
@@ -84,7 +84,7 @@ class NoisyLinear(nn.Module):
         Returns:
             shape ``(..., out_features)``.
         """
-        if not noisy or self.silent:
+        if not noisy or self._silent:
             return F.linear(inputs, self.weight_mu, self.bias_mu)
         rows = self.epsilon_rows
         if rows is not None and inputs.shape == rows[0].shape:
@@ -113,9 +113,9 @@ def silenced(layers: Iterable[NoisyLinear]) -> Iterator[None]:
     """Layers that nobody can tell at their call use their mean weights in here."""
     quiet = list(layers)
     for layer in quiet:
-        layer.silent = True
+        layer._silent = True
     try:
         yield
     finally:
         for layer in quiet:
-            layer.silent = False
+            layer._silent = False

@@ -15,7 +15,7 @@ from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 from torch.nn import functional as F
 
-from sb3_rainbow.network.convolutions import has_large_images, put_channels_last
+from sb3_rainbow.network.convolutions import gains_by_channels_last, put_channels_last
 from sb3_rainbow.network.losses import mask_q_values
 from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_, silenced
 from sb3_rainbow.network.shared_memory import separate, share
@@ -109,8 +109,8 @@ class RainbowNetwork(BasePolicy):
         self.head = head_of(distributional)
         if self.head == "categorical":
             check_support(n_atoms, v_min, v_max)
-        elif self.head == "quantile" and (n_atoms < 1 or n_atoms != int(n_atoms)):
-            raise ValueError(f"n_atoms must be a whole number, at least 1, got {n_atoms}")
+        elif self.head == "quantile":
+            _check_atoms(n_atoms, 1)
         if noisy_layers not in get_args(NoisyLayers):
             raise ValueError(
                 f"noisy_layers must be one of {get_args(NoisyLayers)}, got {noisy_layers!r}"
@@ -124,15 +124,14 @@ class RainbowNetwork(BasePolicy):
         self.sigma0 = sigma0
         self.distributional = distributional
         self.n_actions = int(action_space.n)
-        self.n_atoms = n_atoms if distributional else 1
+        self.n_atoms = int(n_atoms) if distributional else 1
         self.v_min = v_min
         self.v_max = v_max
         # A constant, not a weight: what loads or randomizes the weights must not change it.
         self.register_buffer("support", th.linspace(v_min, v_max, self.n_atoms), persistent=False)
         self.register_buffer("noise", th.zeros(0), persistent=False)
-        self._channels_last = has_large_images(observation_space)
         self._scales = normalize_images and is_image_space(observation_space)
-        if self._channels_last:
+        if gains_by_channels_last(features_extractor):
             put_channels_last(features_extractor)
         self._build_layers()
         self.reset_noise()
@@ -184,7 +183,8 @@ class RainbowNetwork(BasePolicy):
         return Prepared(self._preprocess(obs))  # type: ignore[return-value]
 
     def _preprocess(self, obs: PyTorchObs) -> PyTorchObs:
-        if self._channels_last and isinstance(obs, th.Tensor):
+        if gains_by_channels_last(self.features_extractor):
+            assert isinstance(obs, th.Tensor)
             obs = obs.contiguous(memory_format=th.channels_last)
             if self._scales and obs.dtype == th.uint8:
                 return obs / 255.0  # SB3's two passes over the memory in one
@@ -429,13 +429,17 @@ def split_arch(net_arch: NetArch) -> tuple[list[int], list[int]]:
     return list(net_arch.get("shared", [])), list(net_arch.get("streams", []))
 
 
+def _check_atoms(n_atoms: int, least: int) -> None:
+    if n_atoms < least or n_atoms != int(n_atoms):
+        raise ValueError(f"n_atoms must be a whole number, at least {least}, got {n_atoms}")
+
+
 def check_support(n_atoms: int, v_min: float, v_max: float) -> None:
     """Refuse atoms that do not form a support.
 
     Raises:
         ValueError: if the atoms do not form a support.
     """
-    if n_atoms < 2 or n_atoms != int(n_atoms):
-        raise ValueError(f"n_atoms must be a whole number, at least 2, got {n_atoms}")
+    _check_atoms(n_atoms, 2)
     if not (np.isfinite(v_min) and np.isfinite(v_max) and v_min < v_max):
         raise ValueError(f"v_min must be below v_max, both finite, got {v_min} and {v_max}")

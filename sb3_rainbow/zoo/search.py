@@ -10,7 +10,7 @@ def sample_rainbow_params(
     trial: optuna.Trial, n_actions: int, n_envs: int, additional_args: dict[str, Any]
 ) -> dict[str, Any]:
     """Draw hyperparameters; those not drawn stay as the environment's entry of the file has them,
-    the support among them, which no search should choose by the return alone.
+    the head and its support among them, which no search should choose by the return alone.
 
     Args:
         trial: Optuna's.
@@ -22,6 +22,7 @@ def sample_rainbow_params(
         arguments of Rainbow.
     """
     train_freq = trial.suggest_int("train_freq", 1, 10)
+    noisy = trial.suggest_categorical("noisy", [True, False])
     return convert_rainbow_params(
         {
             "one_minus_gamma": trial.suggest_float("one_minus_gamma", 1e-4, 0.03, log=True),
@@ -31,10 +32,9 @@ def sample_rainbow_params(
             "subsample_steps": trial.suggest_int("subsample_steps", 1, min(train_freq, 8)),
             "tau": trial.suggest_float("tau", 5e-4, 0.05, log=True),
             "n_steps": trial.suggest_int("n_steps", 1, 10),
-            "distributional": trial.suggest_categorical(
-                "distributional", ["categorical", "quantile"]
-            ),
-            "sigma0": trial.suggest_float("sigma0", 0.02, 1.0, log=True),
+            "noisy": noisy,
+            **({"sigma0": trial.suggest_float("sigma0", 0.02, 1.0, log=True)} if noisy else {}),
+            "prioritized": True,  # an alpha of 0 is not
             "alpha": trial.suggest_float("alpha", 0.0, 0.8),
             "net_arch": trial.suggest_categorical("net_arch", ["small", "medium", "big"]),
         }

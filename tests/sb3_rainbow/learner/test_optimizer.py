@@ -3,7 +3,6 @@
 import copy
 import pickle
 import warnings
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,7 +11,6 @@ from stable_baselines3.common.utils import set_random_seed
 from torch import nn
 
 from sb3_rainbow import Rainbow
-from sb3_rainbow.resume.optimizer_state import per_parameter
 
 FAST: dict[str, Any] = {
     "learning_starts": 20,
@@ -222,33 +220,3 @@ def test_a_deep_copy_learns_on_as_the_original(
     for p in twin.q_net.parameters():
         p.data += 1.0
     assert th.equal(results[0], weights(model))
-
-
-def test_the_joined_state_of_version_0_1_is_taken_apart(tmp_path: Path) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST).learn(60)
-    saved = copy.deepcopy(model.policy.optimizer.state_dict())
-    entries = saved["state"].values()
-    joined = {
-        "state": {
-            0: {
-                "step": next(iter(entries))["step"],
-                **{
-                    name: th.cat([entry[name].reshape(-1) for entry in entries])
-                    for name in ("exp_avg", "exp_avg_sq")
-                },
-            }
-        },
-        "param_groups": [{**saved["param_groups"][0], "params": [0]}],
-    }
-    for old, n_entries in ((joined, len(saved["state"])), ({**joined, "state": {}}, 0)):
-        found = per_parameter(old, model.policy.optimizer)
-        assert found["param_groups"] == saved["param_groups"]
-        assert len(found["state"]) == n_entries
-        for i, entry in found["state"].items():
-            for name, value in entry.items():
-                assert th.equal(value, saved["state"][i][name])
-        parameters: Any = {"policy": model.policy.state_dict(), "policy.optimizer": old}
-        model.set_parameters(parameters)
-        assert len(model.policy.optimizer.state) == n_entries
-    assert per_parameter(saved, model.policy.optimizer) is saved
-    model.learn(20, reset_num_timesteps=False)

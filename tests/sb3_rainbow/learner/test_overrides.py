@@ -220,3 +220,17 @@ def test_a_network_that_is_the_packages_own_gets_its_kernels_back() -> None:
     model.policy.to(th.float32)
     assert uses_kernels(model)
     model.learn(40)
+
+
+@pytest.mark.parametrize("hook", ["register_hook", "register_post_accumulate_grad_hook"])
+def test_hooks_on_parameters_are_called(hook: str) -> None:
+    model = make_model()
+    model.learn(24)
+    weight = model.q_net.layers[0].weight_mu
+    calls: list[Any] = []
+    handle = getattr(weight, hook)(lambda given: calls.append(given))
+    assert not uses_kernels(model)
+    model.train(2, 8)
+    assert len(calls) == 2
+    handle.remove()
+    assert uses_kernels(model)

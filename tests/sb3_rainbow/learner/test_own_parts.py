@@ -7,10 +7,13 @@ from typing import Any
 import pytest
 import torch as th
 from gymnasium import spaces
+from gymnasium.wrappers import TransformObservation
+from stable_baselines3.common.envs import FakeImageEnv
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 
-from sb3_rainbow import MlpPolicy, NoisyLinear, Rainbow
+from sb3_rainbow import MlpPolicy, NoisyLinear, PrioritizedReplayBuffer, Rainbow
 from sb3_rainbow.learner.learner import as_batch
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 
@@ -183,3 +186,87 @@ def test_none_means_to_load_what_it_means_to_the_constructor(tmp_path: Any) -> N
     assert isinstance(loaded.action_space, spaces.Discrete)
     with pytest.raises(ValueError, match="tau"):
         Rainbow.load(path, tau=2.0)
+
+
+class Viewing(BaseFeaturesExtractor):
+    """A convolution flattened by ``view``, as in many programs."""
+
+    def __init__(self, observation_space: spaces.Space) -> None:
+        super().__init__(observation_space, 4 * 6 * 6)
+        self.convolution = nn.Conv2d(3, 4, 8, stride=6)
+
+    def forward(self, observations: Any) -> th.Tensor:
+        images = observations["image"] if isinstance(observations, dict) else observations
+        features = self.convolution(images)
+        return features.view(features.size(0), -1)
+
+
+@pytest.mark.parametrize("policy", ["CnnPolicy", "MultiInputPolicy"])
+def test_an_extractor_that_views_its_images_as_rows(policy: str) -> None:
+    env: Any = FakeImageEnv(2, screen_height=40, screen_width=40, n_channels=3, discrete=True)
+    if policy == "MultiInputPolicy":
+        env = TransformObservation(
+            env, lambda image: {"image": image}, spaces.Dict({"image": env.observation_space})
+        )
+    model = Rainbow(
+        policy, env, learning_starts=8, buffer_size=50, batch_size=4, train_freq=1, device="cpu",
+        policy_kwargs={"features_extractor_class": Viewing},
+    )  # fmt: skip
+    assert model.learn(12)._n_updates > 0
+
+
+@pytest.mark.parametrize("path", ["kernels", "torch"])
+def test_settings_changed_between_updates_count(path: str) -> None:
+    """As SB3's, which read them at every update."""
+    model = make(cpu_kernels=path == "kernels").learn(40)
+
+    def norm() -> float:
+        model.train(1, 8)
+        gradients = [p.grad for p in model.q_net.parameters() if p.grad is not None]
+        return float(th.stack([g.norm() for g in gradients]).norm())
+
+    model.max_grad_norm = 1e-3
+    assert norm() == pytest.approx(1e-3, rel=1e-3)
+    model.max_grad_norm = None
+    assert norm() > 1e-2
+    model.double_q = False
+    model.train(1, 8)
+    assert model._learner.double_q is False
+
+
+def test_statistics_of_a_normalization_do_not_move_with_the_logs() -> None:
+    model = make()
+    model.q_net.activation = nn.Sequential(nn.ReLU(), nn.BatchNorm1d(64))
+    model.q_net_target.activation = nn.Sequential(nn.ReLU(), nn.BatchNorm1d(64))
+    model.learn(30)
+    assert model.replay_buffer is not None
+    batch = as_batch(model.replay_buffer.sample(8), 0.99, False)
+    (normalization,) = (m for m in model.q_net.modules() if isinstance(m, nn.BatchNorm1d))
+    assert normalization.running_mean is not None
+    statistics = normalization.running_mean.clone()
+    model.policy.set_training_mode(True)
+    model._learner.diagnostics(batch, th.ones(8))
+    assert th.equal(statistics, normalization.running_mean)
+
+
+def test_parts_with_the_signatures_of_sb3_serve_envs_without_masks() -> None:
+    class Buffer(PrioritizedReplayBuffer):
+        n_added = 0
+
+        def add(self, obs, next_obs, action, reward, done, infos):  # type: ignore[no-untyped-def, override]
+            self.n_added += 1
+            super().add(obs, next_obs, action, reward, done, infos)
+
+    class Policy(MlpPolicy):
+        def _predict(self, observation, deterministic=False):  # type: ignore[no-untyped-def, override]
+            return super()._predict(observation, deterministic)
+
+    class Algorithm(Rainbow):
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):  # type: ignore[no-untyped-def, override]
+            return super().predict(observation, state, episode_start, deterministic)
+
+    model = Algorithm(
+        Policy, "CartPole-v1", replay_buffer_class=Buffer, learning_starts=10, device="cpu"
+    ).learn(20)
+    assert isinstance(model.replay_buffer, Buffer)
+    assert model.replay_buffer.n_added == 20

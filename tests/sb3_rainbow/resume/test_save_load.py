@@ -1,9 +1,6 @@
 """What a file of a model brings back, and what it must agree with."""
 
-import base64
 import io
-import json
-import zipfile
 from typing import Any
 
 import numpy as np
@@ -13,7 +10,7 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.utils import set_random_seed
 
-from sb3_rainbow import PrioritizedReplayBuffer, Rainbow
+from sb3_rainbow import Rainbow
 from sb3_rainbow.policies import MlpPolicy
 from tests.sb3_rainbow.resume.runs import FAST
 
@@ -198,25 +195,6 @@ def test_a_new_target_interval_brings_its_tau(
     assert Rainbow.load(tmp_path / "again").tau == tau
 
 
-def test_a_model_saved_before_the_modules_had_rooms(tmp_path: Any) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
-    model.save(tmp_path / "now.zip")
-    # The buffer's class was sb3_rainbow.buffers.PrioritizedReplayBuffer.
-    old = b"csb3_rainbow.buffers\nPrioritizedReplayBuffer\n."
-    with zipfile.ZipFile(tmp_path / "now.zip") as now, zipfile.ZipFile(tmp_path / "m", "w") as then:
-        for name in now.namelist():
-            content = now.read(name)
-            if name == "data":
-                data = json.loads(content)
-                data["replay_buffer_class"][":serialized:"] = base64.b64encode(old).decode()
-                content = json.dumps(data).encode()
-            then.writestr(name, content)
-    loaded = Rainbow.load(tmp_path / "m", buffer_size=1)
-    assert loaded.replay_buffer_class is PrioritizedReplayBuffer
-    obs = np.zeros(4, np.float32)
-    assert loaded.predict(obs, deterministic=True)[0] == model.predict(obs, deterministic=True)[0]
-
-
 def test_a_model_of_another_algorithm(tmp_path: Any) -> None:
     DQN("MlpPolicy", "CartPole-v1", buffer_size=100).save(tmp_path / "dqn")
     with pytest.raises(ValueError, match="saved by another algorithm"):
@@ -228,3 +206,38 @@ def test_parameters_that_lack_something_are_refused_as_in_sb3() -> None:
     lacking = {name: dict(list(part.items())[:-1]) for name, part in model.get_parameters().items()}
     with pytest.raises(RuntimeError, match="Missing key"):
         model.set_parameters(lacking)
+
+
+class Calling:
+    """Unpickled, a call."""
+
+    n_calls = 0
+
+    @staticmethod
+    def call() -> None:
+        Calling.n_calls += 1
+
+    def __reduce__(self) -> Any:
+        return Calling.call, ()
+
+
+def test_parameters_are_read_without_running_what_is_stored_beside_them(tmp_path: Any) -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", v_min=0.0, v_max=10.0, **FAST)
+    model.something = Calling()  # type: ignore[attr-defined]
+    model.save(tmp_path / "model")
+    model.set_parameters(str(tmp_path / "model"))
+    with (tmp_path / "model.zip").open("rb") as file:
+        model.set_parameters(file)
+    assert Calling.n_calls == 0
+    with pytest.raises(ValueError, match="support"):
+        Rainbow("MlpPolicy", "CartPole-v1", v_min=0.0, v_max=9.0, **FAST).set_parameters(
+            str(tmp_path / "model")
+        )
+
+
+def test_epsilon_that_nobody_asked_for_when_loading(tmp_path: Any) -> None:
+    Rainbow("MlpPolicy", "CartPole-v1", **FAST).save(tmp_path / "m")
+    none = Rainbow.load(tmp_path / "m", exploration_final_eps=None)
+    assert none.exploration_schedule(0.0) == 0.0
+    given = Rainbow.load(tmp_path / "m", custom_objects={"exploration_final_eps": 0.7})
+    assert given.exploration_schedule(0.0) == pytest.approx(0.7)

@@ -103,7 +103,7 @@ def test_a_search_prunes() -> None:
     (report,) = Path("logs/rainbow").glob("report_*.csv")
     trials = pd.read_csv(report)
     assert trials["state"].tolist() == ["COMPLETE", "PRUNED"]
-    for name in ("tau", "n_steps", "sigma0", "alpha", "distributional"):
+    for name in ("tau", "n_steps", "noisy", "alpha"):
         assert trials[f"params_{name}"].nunique() > 0
 
 
