@@ -63,7 +63,7 @@ class Task:
     timesteps: Count
     eval_every: Count  # environment steps between two evaluations
     eval_episodes: Count
-    methods: dict[str, dict[str, Any]]  # constructor arguments
+    methods: dict[str, dict[str, Any]]  # constructor arguments, and what changes of the guide
     env_kwargs: dict[str, Any] = field(default_factory=dict)
     policy: str = "MlpPolicy"
     n_envs: Count = 1

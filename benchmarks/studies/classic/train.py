@@ -24,14 +24,23 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from benchmarks.errors import BenchmarkError, known
+from benchmarks.protocol.presets import as_dict
 from benchmarks.protocol.seeding import derive, episode_seeds
+from benchmarks.protocol.strict import build
 from benchmarks.runs import policy_file
 from benchmarks.runs.checkpoint import Kept, Watch, learn
 from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.environments.features import extractor_of
 from benchmarks.studies.classic.environments.named import make
 from benchmarks.studies.classic.plan import Cell
-from benchmarks.studies.classic.presets import CONTACT, DISCRETE, Preset, Task, algorithm_of
+from benchmarks.studies.classic.presets import (
+    CONTACT,
+    DISCRETE,
+    Guide,
+    Preset,
+    Task,
+    algorithm_of,
+)
 from sb3_rainbow import Rainbow
 
 CLASSES: Final[dict[str, type[BaseAlgorithm]]] = {
@@ -73,6 +82,9 @@ def build_model(task: Task, method: str, seed: int) -> BaseAlgorithm:
         BenchmarkError: a setting is unknown to the method's constructor.
     """
     arguments = copy.deepcopy(task.methods[method])  # SB3 writes into policy_kwargs
+    guide = task.guide
+    if guide is not None and (own := arguments.pop("guide", {})):
+        guide = build(Guide, {**as_dict(guide), **own}, f"{task.title}: {method}: guide")
     algorithm = class_of(task, method)
     accepted = inspect.signature(algorithm).parameters
     for name in arguments:
@@ -109,11 +121,11 @@ def build_model(task: Task, method: str, seed: int) -> BaseAlgorithm:
         device="cpu",
         **arguments,
     )
-    if task.guide is not None:
+    if guide is not None:
         from benchmarks.studies.robots.guided import Guided
 
         if isinstance(model, Guided):
-            model.follow(task.guide)
+            model.follow(guide)
     return model
 
 

@@ -19,6 +19,7 @@ from benchmarks.studies.classic.plan import Cell
 from benchmarks.studies.classic.presets import Guide, Preset, Task, load_preset
 from benchmarks.studies.classic.train import build_model, class_of, make_env, run_learner
 from benchmarks.studies.robots import trials
+from benchmarks.studies.robots.guided import Guided
 
 pytest.importorskip("mujoco", reason="needs the extra physics")
 
@@ -34,6 +35,7 @@ def tiny(steps: int = 120, noise: float = 0.0) -> Preset:
     for arguments in short.values():
         arguments |= {"buffer_size": 1_000, "learning_starts": 40, "batch_size": 16}
         arguments["policy_kwargs"] = {"net_arch": [16]}
+    del short["td3"]["guide"]
     short["ppo"] = {"n_steps": 60, "batch_size": 20}
     guide = replace(task.guide, steps=80, noise=noise)
     task = replace(
@@ -117,6 +119,18 @@ def test_a_stopped_run_is_the_run_that_was_not(
     again = pd.DataFrame(trials.on_tests(kept, make_env(task, discrete)))
     for name in ("success", "time", "force"):
         assert again[name].tolist() == rows[name].tolist()
+
+
+def test_a_method_may_change_its_guide() -> None:
+    task = load_preset("contact").tasks["standard"]
+    assert task.guide is not None
+    for method, noise in (("sac", task.guide.noise), ("td3", 1.0)):
+        model = build_model(task, method, 0)
+        assert isinstance(model, Guided)
+        assert model._guide.noise == noise
+    wrong = replace(task, methods={"td3": {**task.methods["td3"], "guide": {"nois": 1.0}}})
+    with pytest.raises(BenchmarkError, match="standard: td3: guide: unknown key 'nois'"):
+        build_model(wrong, "td3", 0)
 
 
 def test_what_cannot_be_guided_is_said() -> None:
