@@ -26,7 +26,7 @@ from pydantic_core import ErrorDetails
 
 from benchmarks.errors import BenchmarkError, known
 
-__all__ = ["STRICT", "Count", "Number", "Seeds", "build", "merge", "with_config"]
+__all__ = ["STRICT", "Count", "Counts", "Names", "Number", "Seeds", "build", "merge", "with_config"]
 
 T = TypeVar("T")
 
@@ -51,15 +51,17 @@ def _from_text(value: object) -> object:
     return value
 
 
-def _differ(seeds: list[int]) -> list[int]:
-    if not seeds or len(set(seeds)) != len(seeds) or min(seeds) < 0:
-        raise ValueError("must be some, differ and be 0 or above")
-    return seeds
+def _differ(values: list[Any]) -> list[Any]:
+    if not values or len(set(values)) != len(values):
+        raise ValueError("must be some, and differ")
+    return values
 
 
 Number = Annotated[float, BeforeValidator(_from_text)]
 Count = Annotated[int, Field(gt=0)]
-Seeds = Annotated[list[int], AfterValidator(_differ)]
+Counts = Annotated[list[Count], AfterValidator(_differ)]
+Names = Annotated[list[str], AfterValidator(_differ)]
+Seeds = Annotated[list[Annotated[int, Field(ge=0)]], AfterValidator(_differ)]
 
 
 def build(cls: type[T], data: object, where: str) -> T:

@@ -27,7 +27,8 @@ CONTROL, ABLATION, GEOMETRY, SCRIPT, PAPER = "control", "ablation", "geometry", 
 class Comparison:
     """Two rows on the starts they share; ``p`` is corrected over all comparisons of the store.
 
-    ``seeds`` is the same test on one mean difference per seed.
+    ``seeds`` is the same test on one mean difference per seed, and ``p_seeds`` its p, corrected:
+    what it says holds for other trainings, what ``p`` says for the networks that were trained.
     """
 
     kind: str
@@ -37,6 +38,7 @@ class Comparison:
     test: PairedTest
     seeds: PairedTest
     p: float = math.nan
+    p_seeds: float = math.nan
 
     @property
     def name(self) -> str:
@@ -82,8 +84,12 @@ def comparisons(results: Results) -> list[Comparison]:
         for kind, ours, theirs, metrics in _pairs(results)
         for made in _compare(kind, ours, theirs, metrics)
     ]
-    corrected = holm([_p(each.test) for each in found])
-    return [replace(each, p=p) for each, p in zip(found, corrected, strict=True)]
+    over_episodes = holm([_p(each.test) for each in found])
+    over_seeds = holm([each.seeds.p for each in found])
+    return [
+        replace(each, p=p, p_seeds=q)
+        for each, p, q in zip(found, over_episodes, over_seeds, strict=True)
+    ]
 
 
 def _p(test: PairedTest) -> float:

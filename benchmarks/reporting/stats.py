@@ -199,6 +199,8 @@ def t_interval(mean: float, std: float, n: int, confidence: float = 0.95) -> tup
     """Student's interval of a mean of which only the sample's mean, deviation and size are kept."""
     if n < 2 or math.isnan(std):
         return math.nan, math.nan
+    if std == 0.0:  # scipy knows no such distribution
+        return mean, mean
     low, high = scipy.stats.t.interval(confidence, n - 1, mean, std / math.sqrt(n))
     return float(low), float(high)
 

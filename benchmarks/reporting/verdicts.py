@@ -120,12 +120,22 @@ def headline(results: Results, compared: list[Comparison], track: str) -> str:
 
 def _against(found: Comparison) -> str:
     """The other side's figure and the difference to it."""
-    p = "p < 0.001" if found.p < 0.001 else f"p = {found.p:.2g}"
+    trainings = "" if math.isnan(found.p_seeds) else f"; over trainings {_p(found.p_seeds)}"
     name = labels.METHODS[found.theirs.method]
     return (
         f"{name[0].lower()}{name[1:]} in {_show(found.theirs.success())} "
-        f"({found.test.difference:+.1f} points, {p})"
+        f"({found.test.difference:+.1f} points, {_p(found.p)}{trainings})"
     )
+
+
+def _p(value: float) -> str:
+    return "p < 0.001" if value < 0.001 else f"p = {value:.2g}"
+
+
+def _of_these(comparison: Comparison) -> str:
+    """What a difference is called that these networks have, and others perhaps not."""
+    holds = outcome(comparison) == SAME or comparison.p_seeds < SIGNIFICANCE
+    return "" if holds else ", these trainings"
 
 
 def _find(
@@ -183,6 +193,7 @@ def _ablation(results: Results, compared: list[Comparison]) -> str:
     for word, result in (("less", WORSE), ("more", BETTER), ("no clear difference", SAME)):
         texts = [
             f"{labels.ABLATIONS[name].removeprefix('- ').lower()} {_show(each.ours.success())}"
+            f"{_of_these(each).replace(', ', ' of ')}"
             for name, each in found.items()
             if outcome(each) == result
         ]
@@ -259,13 +270,13 @@ def _pays(compared: list[Comparison]) -> str:
         ("worse", WORSE),
     ):
         names = [
-            f"{each.ours.name} ({each.test.difference:+.1f} points)"
+            f"{each.ours.name} ({each.test.difference:+.1f} points{_of_these(each)})"
             for each in kinds
             if each.metric == SUCCESS and outcome(each) == result
         ]
         parts += [f"{word}: {', '.join(names)}"] if names else []
     sooner = [
-        f"{each.ours.name} ({each.gain:.2f} s)"
+        f"{each.ours.name} ({each.gain:.2f} s{_of_these(each)})"
         for each in kinds
         if each.metric == TIME and outcome(each) == BETTER
     ]

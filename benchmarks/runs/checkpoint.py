@@ -22,6 +22,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.seeding import derive
 from benchmarks.runs import machine
 from benchmarks.runs.store import BROKEN, RunFolder
 
@@ -144,7 +145,9 @@ class Watch(BaseCallback):
         times = state["wall_seconds"], state["cpu_seconds"]
         for part, saved in parts:
             if saved is None:
-                model._last_obs = None  # has learn() reset the environments
+                model._last_obs = None  # has learn() reset the environments, not as at the start
+                assert model.env is not None
+                model.env.seed(derive("train", model.seed or 0, model.num_timesteps))
             else:
                 part.set_state(saved)
         if state.get("lstm_states") is not None:

@@ -172,6 +172,11 @@ class RunFolder:
         # runs of the classic tasks once kept it with the training alone
         return float(meta.get("wall_seconds") or meta["training"]["wall_seconds"])
 
+    def cpu_seconds(self) -> float:
+        """Processor time that the complete run took."""
+        meta = self.meta()
+        return float(meta.get("cpu_seconds") or meta["training"]["cpu_seconds"])
+
     def _read(self, name: str, parse: Callable[[str], Any]) -> dict[str, Any]:
         path = self.path / name
         try:

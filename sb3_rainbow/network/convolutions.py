@@ -8,9 +8,10 @@ from stable_baselines3.common.torch_layers import NatureCNN
 def gains_by_channels_last(extractor: th.nn.Module) -> bool:
     """Whether an extractor is faster where images have their channels last, and copes with them.
 
-    Anyone's own may have a ``view`` in it, which that order in memory does not allow.
+    Anyone's own may have a ``view`` in it, which that order in memory does not allow; its class
+    says ``channels_last = True`` if it has not.
     """
-    return type(extractor) in (NatureCNN, NatureConvolutions)
+    return type(extractor) is NatureCNN or vars(type(extractor)).get("channels_last", False)
 
 
 def put_channels_last(module: th.nn.Module) -> None:
@@ -33,6 +34,8 @@ class NatureConvolutions(NatureCNN):
         observation_space: of images, channels first, at least 36 by 36 pixels.
         normalized_image: whether the images are scaled to [0, 1] already.
     """
+
+    channels_last = True
 
     def __init__(self, observation_space: spaces.Box, normalized_image: bool = False) -> None:
         super().__init__(observation_space, 1, normalized_image)

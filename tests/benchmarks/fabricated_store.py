@@ -108,8 +108,8 @@ def fill(store: Store, preset: Preset, cell: Cell, solved: int, moves: int) -> N
         training = {"steps_to_75": 30_000 if solved > 7 else None, "curriculum_switch": 300}
         training |= {"singular": 2, "episodes": 500, "final_success_20": 0.9}
     run.write_meta({
-        "cell": cell.id, "training": training, "wall_seconds": 60.0, "commit": "abc",
-        "dirty": False, "machine": {"processor": "test"},
+        "cell": cell.id, "training": training, "wall_seconds": 60.0, "cpu_seconds": 60.0,
+        "commit": "abc", "dirty": False, "machine": {"processor": "test"},
     })  # fmt: skip
 
 

@@ -72,12 +72,12 @@ def provenance(preset: str, runs: Sequence[RunFolder], missing: int = 0) -> str:
     if not runs:
         return f"Preset `{preset}`: no run is complete."
     metas = [run.meta() for run in runs]
-    minutes = sum(run.seconds() for run in runs) / 60.0
+    minutes = sum(run.cpu_seconds() for run in runs) / 60.0
     commits = sorted({str(meta["commit"])[:9] for meta in metas})
     dirty = " with uncommitted changes" if any(meta["dirty"] for meta in metas) else ""
     machines = sorted({str(meta["machine"]["processor"]) for meta in metas})
     lacking = f" ({missing} are missing)" if missing else ""
     return (
-        f"Preset `{preset}`: {len(runs)} runs{lacking}, {minutes:.0f} minutes on one core each "
-        f"added up, at commit {', '.join(commits)}{dirty}, on {'; '.join(machines)}."
+        f"Preset `{preset}`: {len(runs)} runs{lacking}, {minutes:.0f} CPU minutes, at commit "
+        f"{', '.join(commits)}{dirty}, on {'; '.join(machines)}."
     )

@@ -7,7 +7,6 @@ import math
 from benchmarks.reporting.compared import comparisons
 from benchmarks.reporting.results import Results
 from benchmarks.reporting.rows import KNOWS
-from benchmarks.reporting.stats import holm
 from benchmarks.reporting.tables.table import Cell, Table
 
 
@@ -23,14 +22,13 @@ def significance(results: Results) -> Table:
         *("Difference", "t", "p (Holm)", "Effect d_z", "Pairs", "p over seeds (Holm)", "Seeds"),
     ]
     found = comparisons(results)
-    by_seed = holm([each.seeds.p for each in found])
     made: list[list[Cell]] = []
-    for each, q in zip(found, by_seed, strict=True):
+    for each in found:
         test, digits = each.test, each.metric.digits
         made.append([
             each.name, *each.ours.head[1:], *each.theirs.head, each.metric.label,
             signed(test.difference, digits), signed(test.t, 2), _p(each.p), signed(test.effect, 2),
-            str(test.n), _p(q), str(each.seeds.n),
+            str(test.n), _p(each.p_seeds), str(each.seeds.n),
         ])  # fmt: skip
     notes = [
         "Two-sided paired t-tests over test episodes with the same initial state; the time to the "

@@ -9,7 +9,17 @@ from typing import Any, Final, Literal
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol import presets
 from benchmarks.protocol.presets import preset_file, read_yaml
-from benchmarks.protocol.strict import STRICT, Count, Number, Seeds, build, merge, with_config
+from benchmarks.protocol.strict import (
+    STRICT,
+    Count,
+    Counts,
+    Names,
+    Number,
+    Seeds,
+    build,
+    merge,
+    with_config,
+)
 
 PRESETS: Final = Path(__file__).parent / "presets"
 DEFAULT_PRESET: Final = "quick"
@@ -81,7 +91,7 @@ class CliffVariant:
     """One learner of the blind cliff walk, with prioritized replay and without."""
 
     title: str
-    states: list[Count]
+    states: Counts
     measure: Literal["learned", "solved"]
     limit: Count  # updates after which a run is given up
     seeds: Count
@@ -101,7 +111,7 @@ class Preset:
     final_episodes: Count
     tasks: dict[str, Task]
     cliff: dict[str, CliffVariant] = field(default_factory=dict)
-    methods: list[str] = field(default_factory=lambda: list(DISCRETE))
+    methods: Names = field(default_factory=lambda: list(DISCRETE))
     checkpoint_seconds: Number = 60.0
     search: bool = False  # compares settings of an algorithm rather than algorithms
 
@@ -125,10 +135,18 @@ def load_preset(name: str) -> Preset:
         chosen = data.get(section) or {}
         if not isinstance(chosen, dict):
             raise BenchmarkError(f"{path.name}: {section}: expected a mapping, found {chosen!r}")
-        data[section] = {
-            key: merge(library[section].get(key, {}), override or {})
-            for key, override in chosen.items()
-        }
+        data[section] = {}
+        for key, override in chosen.items():
+            given = {} if override is None else override
+            if not isinstance(given, dict):
+                raise BenchmarkError(
+                    f"{path.name}: {section}: {key}: expected a mapping, found {given!r}"
+                )
+            if not given and key not in library[section]:
+                raise BenchmarkError(
+                    f"{path.name}: {section}: unknown '{key}'; known: {known(library[section])}"
+                )
+            data[section][key] = merge(library[section].get(key, {}), given)
     preset = build(Preset, {**data, "name": path.stem}, path.name)
     for method in preset.methods:
         algorithm_of(method)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from benchmarks.reporting.stats import Value, means, over_seeds, stratified_bootstrap
+from benchmarks.protocol.seeding import episode_seeds
+from benchmarks.reporting.stats import Value, means, over_seeds, stratified_bootstrap, t_interval
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.classic.plan import CLIFF, expand
+from benchmarks.studies.classic.plan import CLIFF, expand, settings
 from benchmarks.studies.classic.presets import Preset
 
 Array = NDArray[np.float64]
@@ -74,6 +76,7 @@ class Results:
         self.missing: list[str] = []
         for cell in expand(preset):
             folder = store.run(cell.id)
+            folder.check_config(settings(preset, cell))
             if not folder.is_complete():
                 self.missing.append(cell.id)
                 continue
@@ -85,18 +88,27 @@ class Results:
             run = Run(cell.number, folder.meta(), curve, episodes, folder)
             self._runs.setdefault((cell.task, cell.method), []).append(run)
 
+    def problems(self) -> list[str]:
+        """A sentence for each run whose test episodes are not those of its seed."""
+        number = self.preset.final_episodes
+        found = []
+        for run in itertools.chain.from_iterable(self._runs.values()):
+            if run.episodes["episode"].tolist() != list(range(number)):
+                found.append(
+                    f"{run.folder.path}: episodes.csv has {len(run.episodes)} rows, not one for "
+                    f"each of the {number} test episodes"
+                )
+            elif run.episodes["seed"].tolist() != episode_seeds(run.seed, number):
+                found.append(f"{run.folder.path}: episodes.csv has rows of other than test seeds")
+        return found
+
     def runs(self, task: str, method: str) -> list[Run]:
         """The runs of a method on a task, by seed."""
         return sorted(self._runs.get((task, method), []), key=lambda run: run.seed)
 
     def score(self, task: str, method: str) -> Value:
-        """Final test: mean over seeds of the mean return, with a 95 % bootstrap interval."""
-        scores = [run.score for run in self.runs(task, method)]
-        value = over_seeds(scores)
-        if value.n < 2:
-            return value
-        low, high = stratified_bootstrap([[score] for score in scores], means)
-        return Value(value.mean, value.std, value.n, low, high)
+        """Final test: mean over seeds of the mean return, with :func:`student`'s interval."""
+        return student([run.score for run in self.runs(task, method)])
 
     def scores(self, method: str, tasks: Sequence[str]) -> Array:
         """Final tests (seeds, tasks) of a method, as many seeds as it has on all of the tasks.
@@ -114,7 +126,10 @@ class Results:
         return np.array([column[:complete] for column in columns], dtype=np.float64).T
 
     def curve(self, task: str, method: str) -> tuple[Array, Array, Array, Array] | None:
-        """Steps, mean return over seeds, and both ends of its 95 % bootstrap interval."""
+        """Steps, mean return over seeds, and both ends of its 95 % bootstrap interval.
+
+        Narrow where seeds are few: a band to look at, not to test by.
+        """
         runs = self.runs(task, method)
         if not runs:
             return None
@@ -150,6 +165,18 @@ class Results:
         uniform, prioritized = (float(median) for median in np.median(pairs, axis=0))
         value = bootstrap_ratio(pairs)
         return Ratio(states, len(pairs), uniform, prioritized, censored, value)
+
+
+def student(scores: Sequence[float]) -> Value:
+    """Mean of one number per seed, with Student's 95 % interval from three seeds on.
+
+    Of five numbers the bootstrap's percentiles hold the mean in 85 % of cases, of three in 76.
+    """
+    value = over_seeds(scores)
+    if value.n < 3:
+        return value
+    low, high = t_interval(value.mean, value.std, value.n)
+    return replace(value, low=low, high=high)
 
 
 def bootstrap_ratio(pairs: Array, seed: int = 0) -> Value:

@@ -16,6 +16,7 @@ from benchmarks.studies.classic.presets import Preset, label
 from benchmarks.studies.classic.results import Ratio, Results
 from benchmarks.studies.robots.contact_report import build_contact_tables
 
+_INTERVAL = "Student's 95 % interval, of three seeds or more"
 _MASKS = (
     "The masked identity task: only Rainbow reads masks; to DQN and QR-DQN an action that is not "
     "allowed is one more wrong answer."
@@ -47,7 +48,9 @@ def _scores(results: Results) -> Table:
     rows: list[list[Cell]] = []
     for key, task in preset.tasks.items():
         values = [results.score(key, method) for method in preset.methods]
-        counts = dict.fromkeys(str(len(results.runs(key, method))) for method in preset.methods)
+        counts = [str(len(results.runs(key, method))) for method in preset.methods]
+        if len(set(counts)) == 1:
+            counts = counts[:1]
         goal = "-" if task.goal is None else f"{task.goal:g}"
         row: list[Cell] = [task.title, f"{task.timesteps:,}", goal, "/".join(counts)]
         row += [_with_interval(v.mean, v.low, v.high) for v in values]
@@ -62,8 +65,8 @@ def _scores(results: Results) -> Table:
         ["Task", "Steps", "Goal", "Seeds", *(label(m) for m in preset.methods), *published],
         rows,
         [
-            "Mean over seeds [95 % bootstrap interval over seeds]; test episodes begin from seeds "
-            "that neither training nor the evaluations during training use.",
+            f"Mean over seeds [{_INTERVAL}]; test episodes begin from seeds that neither training "
+            "nor the evaluations during training use.",
             *(notes if published else []),
             *([_MASKS] if any(t.env == MASKED_IDENTITY for t in preset.tasks.values()) else []),
         ],
@@ -86,7 +89,7 @@ def _search(results: Results) -> Table:
         f"Return of the last greedy policy, {preset.final_episodes} episodes per seed",
         ["Variant", *header],
         rows,
-        ["Mean over seeds [95 % bootstrap interval over seeds]; of one seed it is a lead."],
+        [f"Mean over seeds [{_INTERVAL}]; of one seed it is a lead."],
     )
 
 

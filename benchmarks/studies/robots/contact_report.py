@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from typing import Any, Final
 
@@ -11,10 +12,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from benchmarks.reporting.figures.style import METHOD_COLOURS, PALETTE, canvas, legend_below
-from benchmarks.reporting.stats import means, stratified_bootstrap
 from benchmarks.reporting.tables.table import Cell, Table
 from benchmarks.studies.classic.presets import CONTACT, label
-from benchmarks.studies.classic.results import Results
+from benchmarks.studies.classic.results import Results, student
 from benchmarks.studies.robots.trials import (
     CONDITIONS,
     DRAWN,
@@ -66,11 +66,10 @@ def _learned(results: Results, task: str) -> Iterator[tuple[str, int, pd.DataFra
         if not runs:
             continue
         each = [_of(run.rows("contact"), DRAWN, None)["success"] for run in runs]
-        shares = np.array([[100.0 * np.mean(won)] for won in each])
-        interval = f"{shares.mean():.1f}"
-        if len(runs) > 1:
-            low, high = stratified_bootstrap(shares, means)
-            interval += f" [{low:.1f}, {high:.1f}]"
+        value = student([100.0 * float(np.mean(won)) for won in each])
+        interval = f"{value.mean:.1f}"
+        if not math.isnan(value.low):
+            interval += f" [{max(value.low, 0.0):.1f}, {min(value.high, 100.0):.1f}]"
         yield method, len(runs), pd.concat([run.rows("contact") for run in runs]), interval
 
 

@@ -258,7 +258,7 @@ def test_a_component_counts_where_the_paired_test_finds_it(tell: Tell) -> None:
     assert "ablation does not reproduce" in tell(runs([]))["ablation"]
     told = tell(runs(["no_noisy"]))["ablation"]
     assert "ablation reproduces in part" in told
-    assert "less without noisynets 70.0; no clear difference without" in told
+    assert "less without noisynets 70.0 of these trainings; no clear difference without" in told
     assert "**The ablation reproduces** (safe)" in tell(runs(six))["ablation"]
 
 
@@ -273,10 +273,10 @@ def test_where_learning_pays_and_where_not(tell: Tell) -> None:
         "rainbow-optimized-printed-s0": {"success": first(0)},
         "lookahead-optimized-printed-s0": {"success": first(700)},
     })["pays"]  # fmt: skip
-    assert "better than the best script: Rainbow DQN, safe (+20.0 points);" in told
+    assert "better than the best script: Rainbow DQN, safe (+20.0 points, these trainings);" in told
     assert "no better than it: Rainbow DQN, memory (+0.0 points);" in told
-    assert "worse: Rainbow DQN, as printed (-35.0 points);" in told
-    assert "sooner at the first insertion: Rainbow DQN, memory (1.90 s)." in told
+    assert "worse: Rainbow DQN, as printed (-35.0 points, these trainings);" in told
+    assert "sooner at the first insertion: Rainbow DQN, memory (1.90 s, these trainings)." in told
 
 
 def test_what_was_not_run_is_not_told(tmp_path: Path) -> None:

@@ -36,6 +36,8 @@ class DataEfficientCnn(BaseFeaturesExtractor):
         observation_space: images with channels first, 25 x 25 pixels or more.
     """
 
+    channels_last = True  # in memory, which is faster
+
     def __init__(self, observation_space: spaces.Box) -> None:
         channels, rows, columns = observation_space.shape
         super().__init__(observation_space, 64 * (rows // 5 // 5) * (columns // 5 // 5))

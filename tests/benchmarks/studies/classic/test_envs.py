@@ -6,6 +6,7 @@ import importlib.util
 import itertools
 import sys
 import warnings
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -16,6 +17,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.studies.classic.cliff import transitions
+from benchmarks.studies.classic.environments.atari import NowAndThenRandom
 from benchmarks.studies.classic.environments.named import (
     BlindCliffWalkEnv,
     MaskedIdentityEnv,
@@ -201,6 +203,36 @@ def test_atari_is_scored_as_played_and_learned_in_by_signs_and_lives() -> None:
         env.close()
     assert set(results[True][0]) <= {-1.0, 0.0, 1.0}
     assert np.mean(results[True][1]) < np.mean(results[False][1])  # a life, not all five
+
+
+class Recorder(gym.Env[Any, Any]):
+    """Keeps the actions."""
+
+    action_space = gym.spaces.Discrete(6)
+    observation_space = gym.spaces.Discrete(1)
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[int, dict[str, Any]]:
+        self.actions: list[int] = []
+        return 0, {}
+
+    def step(self, action: int) -> tuple[int, float, bool, bool, dict[str, Any]]:
+        self.actions.append(int(action))
+        return 0, 0.0, False, False, {}
+
+
+def test_in_a_test_of_atari_an_action_in_a_thousand_is_random_by_the_seed() -> None:
+    """Dopamine's; without it a greedy policy has at most thirty episodes."""
+    recorder, taken = Recorder(), []
+    env = NowAndThenRandom(recorder)
+    for seed in (1, 1, 2):
+        env.reset(seed=seed)
+        for _ in range(20_000):
+            env.step(0)
+        taken.append(np.array(recorder.actions))
+    np.testing.assert_array_equal(taken[0], taken[1])
+    assert (taken[0] != taken[2]).any()
+    # five of six random actions are another: 16.7 of 20,000 on average
+    assert 5 <= np.count_nonzero(taken[0]) <= 35
 
 
 def test_a_game_depends_on_its_seed_alone_and_stacks_its_frames() -> None:

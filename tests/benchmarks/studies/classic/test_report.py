@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.seeding import episode_seeds
+from benchmarks.reporting.stats import Value
 from benchmarks.runs.store import Store
 from benchmarks.studies.classic import docs
 from benchmarks.studies.classic.figures import write_figures
-from benchmarks.studies.classic.plan import CLIFF, expand
+from benchmarks.studies.classic.plan import CLIFF, expand, settings
 from benchmarks.studies.classic.presets import Preset, load_preset
-from benchmarks.studies.classic.results import Results, bootstrap_ratio
+from benchmarks.studies.classic.results import Results, bootstrap_ratio, student
 from benchmarks.studies.classic.tables import build_tables
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -61,8 +63,12 @@ def test_scores_are_means_over_seeds_with_an_interval(preset: Preset, store: Sto
     assert results.missing == []
     value = results.score("cartpole", "dqn")
     assert (value.mean, value.n) == (20.5, 2)
-    # of two seeds the bootstrap draws one twice, both, or the other twice
-    assert (value.low, value.high) == (20.0, 21.0)
+    assert math.isnan(value.low)  # two seeds tell too little
+    # by a table of Student's distribution: 4.303 with two degrees of freedom
+    three = student([1.0, 2.0, 6.0])
+    half = 4.303 * math.sqrt(7.0 / 3.0)
+    assert (three.low, three.high) == pytest.approx((3.0 - half, 3.0 + half), rel=1e-3)
+    assert student([2.0] * 5) == Value(2.0, 0.0, 5, 2.0, 2.0)
     assert math.isnan(results.score("acrobot", "dqn").low)
     run = results.runs("cartpole", "rainbow")[1]
     assert run.steps_to(15.0) == 500
@@ -119,7 +125,7 @@ def test_docs_say_which_runs_they_show(preset: Preset, store: Store) -> None:
     assert page.startswith("a\n")
     assert page.endswith("\nb\n")
     assert "old" not in page
-    assert f"{len(expand(preset))} runs, {2 * len(expand(preset))} minutes" in page
+    assert f"{len(expand(preset))} runs, {len(expand(preset))} CPU minutes" in page
     assert "abacus" in page
     assert "(r/figures/cliff.png)" in page
     assert docs.rewrite(page, results, "r") == page
@@ -160,7 +166,29 @@ def test_published_marks_stand_beside_the_scores(tmp_path: Path) -> None:
     assert "together" not in tables
     # (6 - 0.1) / 12, its interval of seeds, and the published (0.2 - 0.1) / 12
     boxing = next(row for row in tables["normalized"].rows if row[0] == "Boxing")
-    assert boxing[1:] == ["0.1", "12.1", "0.492 [0.408, 0.575]", "0.008"]
+    assert boxing[1:] == ["0.1", "12.1", "0.492 [0.285, 0.699]", "0.008"]
+
+
+def test_runs_that_are_not_what_the_preset_says_are_named(tmp_path: Path) -> None:
+    atari = dataclasses.replace(load_preset("atari100k"), seeds=[3], final_episodes=2)
+    store = Store.open(tmp_path, "atari100k", create=True)
+    seeds = episode_seeds(3, 2)
+    rows = [{"episode": i, "seed": seed, "return": 1.0} for i, seed in enumerate(seeds)]
+    for cell, kept in zip(
+        expand(atari), (rows, rows[:1], [rows[0], {**rows[1], "seed": 7}]), strict=True
+    ):
+        run = store.run(cell.id)
+        run.begin(settings(atari, cell))
+        run.write_rows("episodes", kept)
+        run.write_rows("curve", [{"timesteps": 0, "return_mean": 1.0}])
+        run.write_meta({"training": {}})
+    few, other = Results(atari, store).problems()
+    assert "has 1 rows, not one for each of the 2 test episodes" in few
+    assert "other than test seeds" in other
+    text = (run.path / "config.yaml").read_text().replace("gamma: 0.99", "gamma: 0.5")
+    (run.path / "config.yaml").write_text(text)
+    with pytest.raises(BenchmarkError, match=r"settings \(arguments.gamma: 0.5 -> 0.99"):
+        Results(atari, store)
 
 
 def test_one_task_is_not_compared_with_itself(preset: Preset, store: Store) -> None:

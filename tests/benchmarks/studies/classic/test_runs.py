@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from benchmarks.__main__ import main
 from benchmarks.errors import BenchmarkError
@@ -86,6 +87,34 @@ def test_box2d_begins_a_new_episode_and_goes_on(tmp_path: Path) -> None:
     assert summary is not None
     assert summary["timesteps"] == 400
     assert len(summary["resumed_at"]) == 1
+
+
+def test_an_environment_that_cannot_be_kept_goes_on_with_other_episodes(
+    monkeypatch: pytest.MonkeyPatch, preset: Preset, tmp_path: Path
+) -> None:
+    """Not once more with those of the beginning."""
+    monkeypatch.setattr("benchmarks.studies.classic.train._Envs.get_state", lambda _: None)
+    starts: list[list[float]] = []
+    learn = OffPolicyAlgorithm.learn
+
+    def note(model: OffPolicyAlgorithm, *args: Any, **kwargs: Any) -> Any:
+        assert model.env is not None
+        reset = model.env.reset
+
+        def noted() -> Any:
+            seen = reset()
+            starts.append(np.asarray(seen).tolist())
+            return seen
+
+        monkeypatch.setattr(model.env, "reset", noted)
+        return learn(model, *args, **kwargs)
+
+    monkeypatch.setattr(OffPolicyAlgorithm, "learn", note)
+    cell, folder = Cell("learn", "cartpole", "dqn", 0), RunFolder(tmp_path / "run")
+    assert run_learner(preset, cell, folder, stop_after(20)) is None
+    assert run_learner(preset, cell, folder) is not None
+    assert len(starts) == 2
+    assert starts[0] != starts[1]
 
 
 def test_how_often_a_policy_is_tested_changes_nothing(preset: Preset, tmp_path: Path) -> None:
@@ -263,8 +292,13 @@ def test_bad_words_are_one_clear_error(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"seeds": [1, 1]}, "must be some, differ"),
+        ({"seeds": [1, 1]}, "seeds: must be some, and differ"),
         ({"methods": ["a2c"]}, "unknown method 'a2c'; known: "),
+        ({"methods": ["dqn", "dqn"]}, "methods: must be some, and differ"),
+        ({"methods": []}, "methods: must be some, and differ"),
+        ({"tasks": {"cartpol": {}}}, "tasks: unknown 'cartpol'; known: "),
+        ({"tasks": {"cartpole": 5}}, "tasks: cartpole: expected a mapping, found 5"),
+        ({"cliff": {"alone": {"states": [8, 8]}}}, "must be some, and differ"),
         ({"methods": ["rainbow_x"]}, "methods has no settings for 'rainbow_x'"),
         ({"sedes": [1]}, "unknown key 'sedes'"),
         ({"tasks": {"cartpole": {"timesteps": 0}}}, "timesteps = 0 must be above 0"),
