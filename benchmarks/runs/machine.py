@@ -24,7 +24,9 @@ def describe() -> dict[str, Any]:
         "commit": _git("rev-parse", "HEAD") or "unknown",
         # results are written while a run is on; only changed sources make a commit dirty
         "dirty": bool(
-            _git("status", "--porcelain", "--untracked-files=no", "--", "*.py", "*.yaml")
+            _git(
+                "status", "--porcelain", "--untracked-files=no", "--", "*.py", "*.yaml", ":!results"
+            )
         ),
         "versions": {"python": platform.python_version(), **_versions()},
         "machine": {
