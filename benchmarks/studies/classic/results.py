@@ -53,7 +53,7 @@ class Ratio:
 
     Medians over ``n`` seeds, and their ratio with a bootstrap interval over seeds, drawn in pairs.
     ``censored`` says how many of the runs hit the limit, which then stands for their number, so
-    that the ratio is a lower bound.
+    that the ratio is a bound.
     """
 
     states: int

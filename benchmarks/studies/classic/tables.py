@@ -214,9 +214,9 @@ def _cliff(results: Results) -> Table:
         ["Learner", "States", "Transitions", "Uniform", "Prioritized", "Ratio", "Seeds"],
         rows,
         [
-            "Medians over seeds; ratio of the medians [95 % bootstrap interval over seeds]. With "
-            ">, some runs hit the limit of updates, which stands for their number: the ratio is a "
-            "lower bound.",
+            "Medians over seeds; ratio of the medians [95 % bootstrap interval over seeds]. Runs "
+            "that hit the limit of updates count with it: with uniform replay the ratio is then a "
+            "lower bound (>), with prioritized replay an upper one (<), with both neither (~).",
             "Learned: mean squared error of all Q-values below 0.001 (of PER alone); the greedy "
             "policy right in every state, for good (of all of Rainbow, whose n-step returns of a "
             "random policy are not the optimal ones).",
@@ -225,15 +225,16 @@ def _cliff(results: Results) -> Table:
 
 
 def _cliff_row(title: str, ratio: Ratio) -> list[Cell]:
-    late = bool(ratio.censored["uniform"])
+    late = bool(ratio.censored["uniform"]), bool(ratio.censored["prioritized"])
+    mark = {(True, True): "~", (True, False): ">", (False, True): "<"}.get(late, "")
     value = ratio.ratio
-    mark = ">" if late else ""
+    often = {replay: ">" if 2 * n >= ratio.n else "" for replay, n in ratio.censored.items()}
     return [
         title,
         str(ratio.states),
         f"{2 ** (ratio.states + 1) - 2:,}",
-        f"{mark if ratio.censored['uniform'] * 2 >= ratio.n else ''}{ratio.uniform:,.0f}",
-        f"{ratio.prioritized:,.0f}",
+        f"{often['uniform']}{ratio.uniform:,.0f}",
+        f"{often['prioritized']}{ratio.prioritized:,.0f}",
         f"{mark}{value.mean:.1f} [{value.low:.1f}, {value.high:.1f}]",
         str(ratio.n),
     ]

@@ -19,7 +19,7 @@ from benchmarks.studies.classic.figures import write_figures
 from benchmarks.studies.classic.plan import CLIFF, expand, settings
 from benchmarks.studies.classic.presets import Preset, load_preset
 from benchmarks.studies.classic.results import Results, bootstrap_ratio, student
-from benchmarks.studies.classic.tables import build_tables
+from benchmarks.studies.classic.tables import _cliff_row, build_tables
 
 ROOT = Path(__file__).resolve().parents[4]
 SCORES = {"rainbow": 30.0, "dqn": 20.0, "qrdqn": 10.0}
@@ -78,7 +78,7 @@ def test_scores_are_means_over_seeds_with_an_interval(preset: Preset, store: Sto
     np.testing.assert_allclose(curve[1], [0.0, 15.25, 30.5])
 
 
-def test_a_run_at_the_limit_makes_the_ratio_a_lower_bound(preset: Preset, store: Store) -> None:
+def test_a_run_at_the_limit_makes_the_ratio_a_bound(preset: Preset, store: Store) -> None:
     results = Results(preset, store)
     ratio = results.ratio("alone", 8)
     assert ratio is not None
@@ -94,6 +94,12 @@ def test_a_run_at_the_limit_makes_the_ratio_a_lower_bound(preset: Preset, store:
     title = preset.cliff["alone"].title
     assert shown[title, "8"][5].startswith("4.7 [")
     assert shown[title, "12"][5].startswith(">")
+    slow = dataclasses.replace(late, censored={"uniform": 0, "prioritized": late.n})
+    *_, prioritized, ratio_shown, _ = _cliff_row(title, slow)
+    assert str(prioritized).startswith(">")
+    assert str(ratio_shown).startswith("<")
+    both = dataclasses.replace(late, censored={"uniform": 1, "prioritized": 1})
+    assert str(_cliff_row(title, both)[5]).startswith("~")
 
 
 def test_the_ratio_s_interval_covers_what_it_should() -> None:
