@@ -75,7 +75,9 @@ class Watch:
         self._holds = list(_values(self._held))
         self._parameters = list(root.parameters())
         self._trained = list(map(_TRAINS, self._parameters))
-        self._has_hooked_parameters = are_hooked(self._parameters)
+        # only these can have hooks
+        self._learning = [p for p in self._parameters if p.requires_grad]
+        self._has_hooked_parameters = are_hooked(self._learning)
 
     def sees_no_change(self) -> bool:
         """Whether all is as it was when the watch began."""
@@ -87,5 +89,5 @@ class Watch:
             and list(map(len, self._attributes)) == self._n_attributes
             and any(self._hooks) == self._has_hooks
             and list(map(_TRAINS, self._parameters)) == self._trained
-            and are_hooked(self._parameters) == self._has_hooked_parameters
+            and are_hooked(self._learning) == self._has_hooked_parameters
         )
