@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from rich.console import Console
 
+from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.presets import absolute
 from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
@@ -39,8 +40,16 @@ class Classic(Experiment[Cell]):
     def check(self, todo: Sequence[Cell]) -> None:
         from benchmarks.studies.classic.train import build_model
 
-        for task, method in {(cell.task, cell.method) for cell in todo if cell.kind != CLIFF}:
-            env = build_model(self.preset.tasks[task], method, 0).get_env()
+        for key, method in {(cell.task, cell.method) for cell in todo if cell.kind != CLIFF}:
+            task = self.preset.tasks[key]
+            try:
+                env = build_model(task, method, 0).get_env()
+            except BenchmarkError:
+                raise
+            except Exception as error:  # whatever a constructor makes of what it was given
+                raise BenchmarkError(
+                    f"{task.title}: {method} cannot be built: {type(error).__name__}: {error}"
+                ) from error
             assert env is not None
             env.close()
 

@@ -325,6 +325,23 @@ def test_bad_settings_of_a_learner_are_refused(
         build_model(task, "dqn", 0)
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"env_kwargs": {"no_such": 1}}, "no_such"),
+        ({"policy": "NoPolicy"}, "NoPolicy"),
+        ({"methods": {"dqn": {"learning_rate": "lin_fast"}}}, "'fast'"),
+    ],
+)
+def test_what_cannot_be_built_is_said_before_anything_runs(
+    change: dict[str, Any], message: str, preset: Preset
+) -> None:
+    task = dataclasses.replace(preset.tasks["cartpole"], **change)
+    one = Classic(dataclasses.replace(preset, tasks={"cartpole": task}, methods=["dqn"], cliff={}))
+    with pytest.raises(BenchmarkError, match=f"CartPole-v1: dqn cannot be built: .*{message}"):
+        one.check(one.cells())
+
+
 def test_a_check_before_the_start_leaves_the_settings_as_they_are() -> None:
     """SB3 writes the optimizer's class into policy_kwargs, which no config.yaml can hold."""
     preset = load_preset("quick")
