@@ -18,6 +18,7 @@ import yaml
 from gymnasium import spaces
 from stable_baselines3 import DQN
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from torch import nn
 
@@ -224,6 +225,26 @@ def test_the_same_file_runs_its_code_in_sb3s_own_load() -> None:
     """What the check is there for."""
     Rainbow.load(tampered(anything=Payload()))
     assert Path("pwned").exists()
+
+
+class Attribute:
+    """Pickled as Python 3.11.2 pickles an enumeration's member."""
+
+    def __init__(self, of: Any, name: str) -> None:
+        self.reduced = getattr, (of, name)
+
+    def __reduce__(self) -> Any:
+        return self.reduced
+
+
+def test_members_of_enumerations_as_older_pythons_pickle_them() -> None:
+    from sb3_rainbow.zoo.unpickling import UnknownCodeError, unpickle
+
+    member = pickle.dumps(Attribute(TrainFrequencyUnit, "STEP"))
+    assert unpickle(member) is TrainFrequencyUnit.STEP
+    for of, name in ((TrainFrequencyUnit, "mro"), (np.ndarray, "tofile"), (np.dtype("f4"), "str")):
+        with pytest.raises(UnknownCodeError, match=f"getattr for '{name}' of"):
+            unpickle(pickle.dumps(Attribute(of, name)))
 
 
 def test_a_dotted_name_does_not_lead_out_of_a_known_module() -> None:
