@@ -170,7 +170,7 @@ class Results:
 def student(scores: Sequence[float]) -> Value:
     """Mean of one number per seed, with Student's 95 % interval from three seeds on.
 
-    Of five numbers the bootstrap's percentiles hold the mean in 85 % of cases, of three in 76.
+    Of so few numbers the bootstrap's percentiles are too narrow.
     """
     value = over_seeds(scores)
     if value.n < 3:
