@@ -132,10 +132,10 @@ def _p(value: float) -> str:
     return "p < 0.001" if value < 0.001 else f"p = {value:.2g}"
 
 
-def _of_these(comparison: Comparison) -> str:
+def _of_these(comparison: Comparison, before: str = ", ") -> str:
     """What a difference is called that these networks have, and others perhaps not."""
     holds = outcome(comparison) == SAME or comparison.p_seeds < SIGNIFICANCE
-    return "" if holds else ", these trainings"
+    return "" if holds else f"{before}these trainings"
 
 
 def _find(
@@ -193,7 +193,7 @@ def _ablation(results: Results, compared: list[Comparison]) -> str:
     for word, result in (("less", WORSE), ("more", BETTER), ("no clear difference", SAME)):
         texts = [
             f"{labels.ABLATIONS[name].removeprefix('- ').lower()} {_show(each.ours.success())}"
-            f"{_of_these(each).replace(', ', ' of ')}"
+            f"{_of_these(each, ' of ')}"
             for name, each in found.items()
             if outcome(each) == result
         ]

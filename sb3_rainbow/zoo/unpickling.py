@@ -59,35 +59,48 @@ class UnknownCodeError(ValueError):
     """A file names code that it may not."""
 
 
-def _member(kind: Any, name: str) -> Any:
-    """What ``getattr`` may be asked for: so Python up to 3.11.3 pickles an enumeration's members.
+class _Members:
+    """Stands for ``getattr``, by which Python up to 3.11.3 pickles an enumeration's members."""
 
-    Raises:
-        UnknownCodeError: it is asked for something else.
-    """
-    if not isinstance(kind, EnumMeta) or name not in kind.__members__:
-        raise UnknownCodeError(
-            f"it wants to run builtins.getattr for {name!r} of {kind!r}, which is no member of an "
-            "enumeration"
-        )
-    return kind[name]
+    called = False
+
+    def __call__(self, kind: Any, name: str) -> Any:
+        if not isinstance(kind, EnumMeta) or name not in kind.__members__:
+            raise UnknownCodeError(
+                f"it wants to run builtins.getattr for {name!r} of {kind!r}, which is no member of "
+                "an enumeration"
+            )
+        self.called = True
+        return kind[name]
 
 
 class _Unpickler(pickle.Unpickler):
     def __init__(self, pickled: bytes, trusted: Collection[str]) -> None:
         super().__init__(io.BytesIO(pickled))
         self._allowed = _ALLOWED | set(trusted)
+        self._members: _Members | None = None
 
     def find_class(self, module: str, name: str) -> Any:
-        if (module, name) == ("builtins", "getattr"):
-            return _member
         # A name with a dot would lead from a module that is known to one that is not.
-        if "." in name or f"{module}.{name}" not in self._allowed:
-            raise UnknownCodeError(
-                f"it wants to run {module}.{name}, which is not among what Rainbow's files need; "
-                f"if you trust its author, pass trusted={[f'{module}.{name}']}"
-            )
-        return super().find_class(module, name)
+        if "." not in name and f"{module}.{name}" in self._allowed:
+            return super().find_class(module, name)
+        if (module, name) != ("builtins", "getattr"):
+            raise _refusal(module, name)
+        self._members = self._members or _Members()
+        return self._members
+
+    def load(self) -> Any:
+        found = super().load()
+        if self._members is not None and not self._members.called:
+            raise _refusal("builtins", "getattr")
+        return found
+
+
+def _refusal(module: str, name: str) -> UnknownCodeError:
+    return UnknownCodeError(
+        f"it wants to run {module}.{name}, which is not among what Rainbow's files need; "
+        f"if you trust its author, pass trusted={[f'{module}.{name}']}"
+    )
 
 
 def unpickle(pickled: bytes, trusted: Collection[str] = ()) -> Any:
