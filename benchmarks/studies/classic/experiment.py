@@ -14,7 +14,7 @@ from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.classic import plan
 from benchmarks.studies.classic.environments.atari import PREFIX
 from benchmarks.studies.classic.plan import CLIFF, Cell
-from benchmarks.studies.classic.presets import Preset, load_preset
+from benchmarks.studies.classic.presets import Preset, algorithm_of, load_preset
 
 # of a transition in a checkpointed replay buffer: two images of 10 x 10 x 7; a stack of frames
 TRANSITION_BYTES: Final = 1_600
@@ -59,7 +59,12 @@ class Classic(Experiment[Cell]):
     def kinds(self, config: dict[str, Any]) -> Iterator[tuple[str, ...]]:
         cell = config["cell"]
         yield (cell["task"], cell["method"])
-        yield (cell["method"],)
+        if cell["kind"] != CLIFF:
+            algorithm, env = algorithm_of(cell["method"]), config["task"]["env"]
+            namespace = env.rpartition("/")[0]
+            yield ("env", env, algorithm)
+            yield ("namespace", namespace, algorithm)
+            yield ("namespace", namespace)
 
     def checkpoint_bytes(self, cell: Cell) -> int:
         if cell.kind == CLIFF:

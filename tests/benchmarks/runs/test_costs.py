@@ -13,6 +13,7 @@ from benchmarks.protocol.plan import expand, settings, units_of
 from benchmarks.protocol.presets import PRESETS, Preset, parse_preset
 from benchmarks.runs.costs import GUESSED_RATE, Cost, costs, duration, wall_seconds
 from benchmarks.runs.store import Store
+from benchmarks.studies.classic.experiment import Classic
 from benchmarks.studies.insertion import Insertion
 
 
@@ -48,6 +49,27 @@ def test_cost_comes_from_the_nearest_runs(tmp_path: Path) -> None:
     assert guessed.guessed
     optimum = next(settings(preset, cell) for cell in expand(preset) if cell.id == guessed.id)
     assert guessed.seconds == pytest.approx(GUESSED_RATE * units_of(optimum))
+
+
+def test_a_game_costs_what_games_of_its_kind_did_not_what_other_tasks_did(tmp_path: Path) -> None:
+    searches, suite = Classic("tuning_minatar"), Classic("minatar")
+    store = Store.open(tmp_path, "minatar", create=True)
+    elsewhere = Store.open(tmp_path, "others", create=True)
+    for experiment, name, seconds in (
+        (searches, "freeway-rainbow_quantile_uniform-s1000", 100.0),
+        (searches, "freeway-qrdqn_same-s1000", 120.0),
+        (Classic("contact"), "hard-dqn-s0", 9999.0),
+    ):
+        cell = next(each for each in experiment.cells() if each.id == name)
+        run = elsewhere.run(name)
+        run.begin(experiment.settings(cell))
+        run.write_meta({"wall_seconds": seconds})
+    found = {cost.id: cost for cost in costs(suite, store, [elsewhere])}
+    assert found["freeway-rainbow-s0"].seconds == pytest.approx(500.0)  # five times the steps
+    assert found["asterix-rainbow-s0"].seconds == pytest.approx(500.0)
+    assert found["asterix-qrdqn-s0"].seconds == pytest.approx(600.0)
+    assert 300.0 < found["asterix-dqn-s0"].seconds < 600.0  # no run of MinAtar's by DQN
+    assert not any(cost.guessed for cost in found.values())
 
 
 def test_runs_of_another_version_are_no_measure(tmp_path: Path) -> None:
