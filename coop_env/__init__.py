@@ -8,12 +8,9 @@ need the extra ``physics``.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
-
-from coop_env.compilation import drop_stale_kernels
 
 if TYPE_CHECKING:
     from coop_env.env import CoopInsertionEnv
@@ -30,6 +27,7 @@ _HOMES = {
     "CoopInsertionEnv": "coop_env.env",
     "CoopInsertionJointEnv": "coop_env.team.joint_env",
     "CoopInsertionJointVecEnv": "coop_env.team.vec_env",
+    "CoopInsertionParallelEnv": "coop_env.team.parallel_env",
     "CoopInsertionTeamVecEnv": "coop_env.team.vec_env",
     "CoopInsertionVecEnv": "coop_env.vector.vec_env",
     "CoopInsertionVectorEnv": "coop_env.vector.vector_env",
@@ -59,7 +57,6 @@ __all__ = [
     "parallel_env",
 ]
 
-drop_stale_kernels(Path(__file__).parent, Path(__file__).parent)
 gymnasium.register(
     id="CoopInsertion-v0",
     entry_point="coop_env.env:CoopInsertionEnv",

@@ -22,6 +22,7 @@ import numba
 from filelock import FileLock
 from numba.core import event
 
+_DECLARES = re.compile(r"^from .* import .*\bnjit$", re.MULTILINE)
 # Nobody wonders about less, in seconds.
 _NOTICED = 1.5
 
@@ -35,7 +36,9 @@ class _Stopwatch(event.Listener):
     _started = 0.0
 
     def notify(self, event: Any) -> None:
-        if event.data["dispatcher"].py_func.__module__.startswith(f"{__package__}."):
+        # A function made by exec, such as numba's own constructors of jitclasses, has no module.
+        module = event.data["dispatcher"].py_func.__module__ or ""
+        if module.startswith(f"{__package__}."):
             super().notify(event)
 
     def on_start(self, event: Any) -> None:
@@ -54,11 +57,36 @@ _stopwatch = _Stopwatch()
 event.register("numba:compile", _stopwatch)
 
 
+_looked: set[Path] = set()
+
+
+def _drop_stale_beside(function: Callable) -> None:
+    """Delete the cached kernels of this one's folder older than any that they may call.
+
+    Those are its neighbours and this package's. Safe beside other processes: numba takes a missing
+    cache file for a kernel never compiled.
+    """
+    folder, package = Path(function.__code__.co_filename).parent, Path(__file__).parent
+    if folder in _looked:
+        return
+    _looked.add(folder)
+    sources = {*package.rglob("*.py"), *folder.glob("*.py")}
+    with suppress(OSError, RuntimeError):  # no folder can be written, so none is read
+        # which of its places numba takes depends on the environment, HOME and permissions
+        cache = Path(str(numba.njit(cache=True)(function).stats.cache_path))
+        kernels = (f for f in sources if re.search(_DECLARES, f.read_text("utf-8")))
+        newest = max((f.stat().st_mtime for f in kernels), default=0.0)
+        for index in cache.glob("*.nbi"):
+            if index.stat().st_mtime < newest:
+                index.unlink(missing_ok=True)
+
+
 def _cached_where_possible(decorator: Any) -> Any:
     """One of numba's, which alone would raise where no folder for its cache can be written."""
 
     def with_options(*arguments: Any, **options: Any) -> Callable[[Callable], Any]:
         def decorate(function: Callable) -> Any:
+            _drop_stale_beside(function)
             try:
                 compiled = decorator(*arguments, **options)(function)
                 if hasattr(compiled, "stats"):
@@ -92,31 +120,6 @@ def report_compilation() -> None:
     )
     seconds, _stopwatch.seconds = _stopwatch.seconds, 0.0
     print(f"{__package__}: compiled kernels in {seconds:.1f} s, {again}", file=sys.stderr)
-
-
-def drop_stale_kernels(folder: Path, sources: Path) -> int:
-    """Delete the cache indices below ``folder`` that are older than a kernel below ``sources``.
-
-    Safe beside other processes: numba takes a missing cache file for a kernel never compiled.
-
-    Returns:
-        The number of indices deleted.
-    """
-    newest = max(
-        (
-            f.stat().st_mtime
-            for f in sources.rglob("*.py")
-            if re.search(r"^from .* import .*\bnjit$", f.read_text("utf-8"), re.MULTILINE)
-        ),
-        default=0.0,
-    )
-    dropped = 0
-    for index in folder.rglob("__pycache__/*.nbi"):
-        with suppress(OSError):  # another process may have deleted it first, or it is read-only
-            if index.stat().st_mtime < newest:
-                index.unlink()
-                dropped += 1
-    return dropped
 
 
 @contextmanager

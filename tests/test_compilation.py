@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numba
 import pytest
@@ -103,3 +104,42 @@ def test_other_errors_stay(module: str, monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(numba.core.dispatcher.Dispatcher, "enable_caching", fail)
     with pytest.raises(RuntimeError, match="something else"):
         compilation.njit(cache=True)(lambda x: x)
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+@pytest.mark.parametrize("module", ["sb3_rainbow.replay.compilation", "coop_env.compilation"])
+def test_a_cached_kernel_does_not_outlive_a_change_of_one_that_it_calls(
+    module: str, elsewhere: bool, tmp_path: Path
+) -> None:
+    """Neither beside its source nor where NUMBA_CACHE_DIR says; what did not change is kept."""
+    called, caller = tmp_path / "called.py", tmp_path / "caller.py"
+    called.write_text(f"from {module} import njit\n@njit(cache=True)\ndef f(): return 1\n")
+    caller.write_text(
+        f"from called import f\nfrom {module} import njit\n@njit(cache=True)\n"
+        "def g(): return f()\nprint(g(), sum(g.stats.cache_hits.values()))\n"
+    )
+    places = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")} if elsewhere else {}
+
+    def told() -> list[str]:
+        kept = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+        return subprocess.run(
+            [sys.executable, str(caller)],
+            env={**kept, "PYTHONPATH": str(ROOT), "NUMBA_OPT": "1", **places},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.split()
+
+    assert told() == ["1", "0"]
+    assert told() == ["1", "1"]
+    called.write_text(called.read_text().replace("return 1", "return 2"))
+    assert told() == ["2", "0"]
+
+
+@pytest.mark.parametrize("module", ["sb3_rainbow.replay.compilation", "coop_env.compilation"])
+def test_functions_without_a_module_compile_beside_the_package(module: str) -> None:
+    importlib.import_module(module)  # listens to whatever numba compiles
+    names: dict[str, object] = {}
+    exec("def double(x): return 2 * x", names)
+    compiled: Any = numba.njit(names["double"])
+    assert compiled(3) == 6

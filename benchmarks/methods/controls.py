@@ -24,19 +24,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-import coop_env
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.methods.episodes import Episode
 from benchmarks.protocol.plan import CONTROLS
 from benchmarks.protocol.presets import Controls
 from benchmarks.protocol.seeding import derive
-from coop_env.compilation import drop_stale_kernels, njit
+from coop_env.compilation import njit
 from coop_env.kinematics import rrs_kernels
 from coop_env.simulation import joint, state, task
 from coop_env.simulation.collision import hole, peg_tip
@@ -45,8 +43,6 @@ from coop_env.simulation.state import Configuration
 from coop_env.simulation.task import N_ACTIONS, N_AXES, EnvParams
 from coop_env.team.agents import Team
 from coop_env.team.joint_env import CoopInsertionJointEnv
-
-drop_stale_kernels(Path(__file__).parent, Path(coop_env.__file__).parent)
 
 DISTANCE_WEIGHT: Final = 500.0  # per m
 INSERTED: Final = -1.0  # below any potential

@@ -9,16 +9,13 @@ from __future__ import annotations
 
 import heapq
 import math
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-import coop_env
 from benchmarks.methods.base import workspace
-from coop_env.compilation import drop_stale_kernels
+from coop_env.compilation import njit
 from coop_env.kinematics import delta_kernels, rrs_forward_kernels, rrs_kernels
 from coop_env.kinematics.rrs_kernels import Pose
 from coop_env.kinematics.singularity import Row
@@ -26,8 +23,6 @@ from coop_env.simulation import machine, state
 from coop_env.simulation.collision import collides, hole, peg_tip
 from coop_env.simulation.state import Configuration
 from coop_env.simulation.task import EnvParams
-
-drop_stale_kernels(Path(__file__).parent, Path(coop_env.__file__).parent)
 
 UNREACHED: Final = 1 << 20  # above any path, and sums of two stay small integers
 NODE_LIMIT: Final = -1

@@ -9,21 +9,17 @@ from __future__ import annotations
 
 import math
 import time
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-import coop_env
 from benchmarks.methods import lattice_search as search
 from benchmarks.methods.episodes import Episode
 from benchmarks.methods.lattice_search import Lattice
-from coop_env.compilation import drop_stale_kernels, njit
+from coop_env.compilation import njit
 from coop_env.simulation import state
 from coop_env.simulation.collision import hole, peg_tip
-
-drop_stale_kernels(Path(__file__).parent, Path(coop_env.__file__).parent)
 
 WIDEST: Final = 2.0  # tolerances within which a configuration is worth a visit
 RING: Final = 0.25  # tolerances between two rings, of which the inner is searched first

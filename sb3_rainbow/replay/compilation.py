@@ -1,8 +1,16 @@
-"""How kernels compile: without a cache on disk where none can be kept, and never unsaid."""
+"""How kernels compile: never unsaid, with an honest cache on disk, or without where none can be.
+
+numba recompiles a cached kernel when its own file changes, but not when a kernel that it calls from
+another file does. ``coop_env.compilation`` is the same for the other package: neither imports the
+other.
+"""
 
 import os
+import re
 import sys
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -10,6 +18,7 @@ import numba
 from numba.core import event
 
 _PACKAGE = __name__.partition(".")[0]
+_DECLARES = re.compile(r"^from .* import .*\bnjit$", re.MULTILINE)
 # Nobody wonders about less, in seconds.
 _NOTICED = 1.5
 
@@ -23,7 +32,9 @@ class _Stopwatch(event.Listener):
     _started = 0.0
 
     def notify(self, event: Any) -> None:
-        if event.data["dispatcher"].py_func.__module__.startswith(f"{_PACKAGE}."):
+        # A function made by exec, such as numba's own constructors of jitclasses, has no module.
+        module = event.data["dispatcher"].py_func.__module__ or ""
+        if module.startswith(f"{_PACKAGE}."):
             super().notify(event)
 
     def on_start(self, event: Any) -> None:
@@ -42,10 +53,35 @@ _stopwatch = _Stopwatch()
 event.register("numba:compile", _stopwatch)
 
 
+_looked: set[Path] = set()
+
+
+def _drop_stale_beside(function: Callable) -> None:
+    """Delete the cached kernels of this one's folder older than any that they may call.
+
+    Those are its neighbours and this package's. Safe beside other processes: numba takes a missing
+    cache file for a kernel never compiled.
+    """
+    folder, package = Path(function.__code__.co_filename).parent, Path(__file__).parent.parent
+    if folder in _looked:
+        return
+    _looked.add(folder)
+    sources = {*package.rglob("*.py"), *folder.glob("*.py")}
+    with suppress(OSError, RuntimeError):  # no folder can be written, so none is read
+        # which of its places numba takes depends on the environment, HOME and permissions
+        cache = Path(str(numba.njit(cache=True)(function).stats.cache_path))
+        kernels = (f for f in sources if re.search(_DECLARES, f.read_text("utf-8")))
+        newest = max((f.stat().st_mtime for f in kernels), default=0.0)
+        for index in cache.glob("*.nbi"):
+            if index.stat().st_mtime < newest:
+                index.unlink(missing_ok=True)
+
+
 def njit(**options: Any) -> Callable[[Callable], Any]:
     """numba's ``njit``, which alone would raise where no folder for its cache can be written."""
 
     def decorate(function: Callable) -> Any:
+        _drop_stale_beside(function)
         try:
             compiled = numba.njit(**options)(function)
             if hasattr(compiled, "stats"):
