@@ -49,8 +49,8 @@ def perceive(
 ) -> np.ndarray:
     """(n, 5): tip - mouth, m, and x, y of the hole's normal, as measured joints (n, 6) have them.
 
-    ``believed`` (n, 6) are the configurations before, from which the 3-RRS's branch is followed,
-    and those now. A machine that has snapped may have no pose on its old branch: it keeps the last.
+    ``believed`` (n, 6) are configurations near by, from which the 3-RRS's branch is followed, and
+    those now. A machine that has snapped may have no pose on its old branch: it keeps the last.
     """
     p = unpack(packed)
     found = np.empty((joints.shape[0], 5))

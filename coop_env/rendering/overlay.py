@@ -35,7 +35,8 @@ SIGMA_FULL: Final = 1.0  # signed sigma_min at which the bar is full
 SIGMA_LOW: Final = 0.15  # the bar warns below the design's threshold (paper, A_w)
 STATUS_COLOURS: Final = {
     **{"running": MUTED, "success": GOOD, "singular": BAD, "timeout": WARN},
-    **{"force": BAD, "snap": BAD, "diverged": BAD, "time": WARN},  # of the physics twin
+    # of the physics twin
+    **{"force": BAD, "snap": BAD, "diverged": BAD, "not inserted": BAD, "time": WARN},
 }
 
 

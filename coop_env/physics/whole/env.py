@@ -164,9 +164,9 @@ class CoopInsertionPhysicsEnv(Rendered):
         self.command = np.zeros((1, N_AXES))
         self.hole, self.steps = np.zeros(1, np.int64), np.zeros(1, np.int64)
         self.active, self.filled = np.zeros(n, bool), np.zeros(n, bool)
-        self._targets, self._believed = np.zeros((1, N_AXES)), np.zeros((1, N_AXES))
+        self._targets = np.zeros((1, N_AXES))
         self.failure = ""
-        self._running = False
+        self._begun = self._running = False
 
     @property
     def params(self) -> EnvParams:
@@ -225,7 +225,7 @@ class CoopInsertionPhysicsEnv(Rendered):
         start = np.array(state["configuration"])
         base = askew(self.error, self._pivot)
         readings = self.twin.place(0, start, base, self.friction)
-        self.command[0] = self._believed[0] = start
+        self.command[0] = start
         self._targets[0] = self.twin.servo_targets(start)
         self.hole[0], self.steps[0] = state["target"], 0
         self.active, self.filled = state["active"].astype(bool), state["filled"].astype(bool)
@@ -236,7 +236,7 @@ class CoopInsertionPhysicsEnv(Rendered):
         self.taken, self.peak_force, self.inserted = True, 0.0, -1
         self._measure(self.twin.readings())
         self.aimed = self.distance, self.alignment_error
-        self.failure, self._running = "", True
+        self.failure, self._begun, self._running = "", True, True
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Make one control step.
@@ -363,7 +363,7 @@ class CoopInsertionPhysicsEnv(Rendered):
         """
         task = self.task
         joints = np.ascontiguousarray(self.twin.readings().joints)
-        view = kernels.perceive(joints, self._believed, self.hole, self._packed)
+        view = kernels.perceive(joints, self.command.copy(), self.hole, self._packed)
         noise = self.np_random.normal(size=N_AXES)
         noise *= [task.force_noise] * 3 + [task.moment_noise] * 3
         return view, joints, (self._wrench + noise)[None]
@@ -374,7 +374,7 @@ class CoopInsertionPhysicsEnv(Rendered):
         Raises:
             ResetNeeded: there was no reset yet.
         """
-        if not self.active.any():
+        if not self._begun:
             raise ResetNeeded("call reset() first: there is no state yet")
         won = self._success and not np.any(self.active & ~self.filled)
         status = "success" if won else self.failure or "running"
@@ -394,8 +394,8 @@ class CoopInsertionPhysicsEnv(Rendered):
             return
         joints = np.ascontiguousarray(self.twin.readings().joints)
         n = len(open_holes)
-        believed = np.repeat(self._believed, n, axis=0)
-        views = kernels.perceive(np.repeat(joints, n, axis=0), believed, open_holes, self._packed)
+        command = np.repeat(self.command, n, axis=0)
+        views = kernels.perceive(np.repeat(joints, n, axis=0), command, open_holes, self._packed)
         self.hole[0] = open_holes[np.argmin(np.linalg.norm(views[:, :3], axis=1))]
 
     def _measure(self, readings: Readings) -> None:

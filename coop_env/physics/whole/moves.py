@@ -40,8 +40,8 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
       Then the peg is withdrawn, and the lattice of moves begins anew where it stands, 15 mm above
       the mouth. A hole that was not filled is given up: it is no target any more.
 
-    ``info`` also has ``failure`` (``"force"``, ``"snap"``, ``"diverged"``, which end the episode,
-    or ``"time"``), ``given_up`` (holes), ``depth``, ``lateral_error``, ``force``, ``moment``,
+    ``info`` also has ``failure`` (``"force"``, ``"snap"``, ``"diverged"`` end the episode, as does
+    ``"not inserted"``, when every hole was given up, and ``"time"``), ``given_up`` (holes), ``depth``, ``lateral_error``, ``force``, ``moment``,
     ``peak_force``, ``friction`` and ``error``; ``distance``, ``alignment_error`` and ``time`` are
     the simulation's, and ``singular`` is a snap. :meth:`reset` also takes ``error`` and
     ``friction``.

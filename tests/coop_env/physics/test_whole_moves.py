@@ -141,13 +141,71 @@ def test_a_hole_that_is_not_filled_is_given_up() -> None:
 
 
 def test_an_episode_that_gave_up_its_last_hole_says_so() -> None:
-    env = CoopInsertionPhysicsDiscreteEnv(finish=push)
+    env = CoopInsertionPhysicsDiscreteEnv(finish=push, render_mode="rgb_array")
     aside = {"error": [0.003, 0.0, 0.0, 0.0], "filled": [0, 1, 2, 4, 5]}
     env.reset(seed=0, options={**over(env, 3, 0.025), **aside})
     _, _, terminated, _, info = env.step(DOWN)
     assert terminated
     assert not info["success"]
     assert info["failure"] == env.scene().status == "not inserted"
+    assert env.render().shape[2] == 3
+
+
+def test_an_episode_that_gave_up_every_hole_can_be_seen() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(finish=push)
+    with pytest.raises(ResetNeeded):
+        env.scene()
+    env.reset(seed=0)
+    for _ in range(6):
+        env.physics.give_up()
+    scene = env.scene()
+    assert not scene.active.any()
+    assert scene.status == "not inserted"
+
+
+def test_after_a_hole_the_view_and_the_next_target_are_those_of_where_it_stands() -> None:
+    """On the way between them the 3-RRS's forward kinematics has no straight line to follow."""
+    seen: list[np.ndarray] = []
+
+    def steered(observation: np.ndarray) -> np.ndarray:
+        seen.append(observation[:5])
+        x, y = -10.0 * observation[:2]
+        return np.clip([x, y, -1.0, 0.0, 0.0, 0.0], -1.0, 1.0)
+
+    env = CoopInsertionPhysicsDiscreteEnv(finish=steered, level=NO_ERROR)
+    body = env.physics
+    starts = start_configurations(body.twin.machine, body.task.start_height)
+    above = {"configuration": starts[1] + [0, 0, 0.01, 0, 0, 0], "target": 1}
+    env.reset(seed=0, options={**above, "filled": [0, 3, 4, 5]})
+    assert env._finish is not None
+    assert env._finish()
+    assert body.target == 2
+    high, there = body.configuration[2] + 0.05, starts[2]
+    body.lead(np.array([*body.configuration[:2], high, *body.configuration[3:]]), 4)
+    body.lead(np.array([0.0, 0.0, high, 0.0, 0.0, body.configuration[5]]), 4)
+    body.lead(np.array([*there[:2], high, *there[3:]]), 4)
+    before = len(seen)
+    assert env._finish()
+    np.testing.assert_allclose(seen[before], [0.0, 0.0, 1.0, 0.0, 0.0], atol=0.05)
+
+
+def test_the_next_target_is_the_nearest_hole_wherever_the_episode_began() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(level=NO_ERROR)
+    body = env.physics
+    starts = start_configurations(body.twin.machine, body.task.start_height)
+    env.reset(seed=0, options=over(env, 1, 0.03))
+    high = body.configuration[2] + 0.05
+    body.lead(np.array([*body.configuration[:2], high, *body.configuration[3:]]), 4)
+    body.lead(np.array([0.0, 0.0, high, 0.0, 0.0, body.configuration[5]]), 4)
+    body.lead(np.array([*starts[2][:2], high, *starts[2][3:]]), 4)
+    assert body.lead(starts[2], 4)
+    body.hole[0] = 2
+    body.fill()
+    readings = body.twin.readings()
+    normals = readings.rotation[0] @ np.array(env.task.hole_normals).T
+    away = np.linalg.norm(readings.platform[0] + 0.1 * normals.T - readings.tip[0], axis=1)
+    away[2] = np.inf
+    assert body.target == int(np.argmin(away))
 
 
 def test_time_is_a_cause() -> None:
