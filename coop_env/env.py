@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from coop_env.compilation import report_compilation
 from coop_env.errors import (
     ActionError,
+    ResetOptionError,
     StateError,
     as_dataclass,
     check_flag,
@@ -237,6 +238,11 @@ class CoopInsertionEnv(Rendered):
         return row
 
     @property
+    def running(self) -> bool:
+        """Whether an episode was started and is not over."""
+        return self._started and not self._states["over"][0]
+
+    @property
     def _row(self) -> np.void:
         row: np.void = self._started_rows()[0]
         return row
@@ -297,8 +303,23 @@ class CoopInsertionEnv(Rendered):
 
     def _restart(self, start: start_states.StartOptions, seed: int | None = None) -> None:
         """Start an episode: writes the state, its observation and an outcome before any move."""
+        self._begin(self._draw(start, seed))
+
+    def _draw(self, start: start_states.StartOptions, seed: int | None = None) -> NDArray[np.void]:
+        """Draw a start state (1,); nothing else changes but the generator, unless it fails."""
+        generator, state = self.np_random, self.np_random.bit_generator.state
+        seeded = self._np_random_seed
         super().reset(seed=seed)
-        self._states[:] = start_states.draw_start(start, self._params, self._knobs, self.np_random)
+        try:
+            return start_states.draw_start(start, self._params, self._knobs, self.np_random)
+        except ResetOptionError:
+            generator.bit_generator.state = state
+            self._np_random, self._np_random_seed = generator, seeded
+            raise
+
+    def _begin(self, states: NDArray[np.void]) -> None:
+        """Begin at a start state that was drawn."""
+        self._states[:] = states
         self._started = True
         observe_batch(self._states, self._packed, self._observation, self._rows)
         report_compilation()
@@ -323,7 +344,7 @@ class CoopInsertionEnv(Rendered):
                 was.
             ResetNeeded: the episode is over, or none was started.
         """
-        if not self._started or self._states["over"][0]:
+        if not self.running:
             raise ResetNeeded("call reset() first: there is no running episode")
         self._actions[0] = check_action(action, int(self.action_space.n))
         self.step_batch(
@@ -343,7 +364,13 @@ class CoopInsertionEnv(Rendered):
     def get_state(self) -> dict[str, Any]:
         """An exact, picklable snapshot: state, observation, random generator and stage."""
         return {
-            "params": (self._packed.tobytes(), repr(self._knobs)),  # bytes, as NaN differs from NaN
+            # bytes, as NaN differs from NaN
+            "params": (
+                self._packed.tobytes(),
+                self._observation.tobytes(),
+                repr(self._knobs),
+                repr(self._task),
+            ),
             "states": self._states.copy(),
             "observations": self._rows.copy(),
             "started": self._started,
@@ -361,11 +388,14 @@ class CoopInsertionEnv(Rendered):
             StateError: the snapshot is of an environment with other arguments, or is none.
         """
         check_snapshot(snapshot, self.get_state())
+        try:
+            self.np_random.bit_generator.state = snapshot["rng"]
+        except (TypeError, ValueError, KeyError) as error:
+            raise StateError(f"the snapshot's rng is no generator's state: {error}") from error
         self._states[:] = snapshot["states"]
         self._rows[:] = snapshot["observations"]
         self._started = snapshot["started"]
         self._stage = snapshot["stage"]
-        self.np_random.bit_generator.state = snapshot["rng"]
         self._trace = []
         return self._rows[0].copy()
 
@@ -405,11 +435,14 @@ def check_snapshot(snapshot: Mapping[str, Any], own: Mapping[str, Any]) -> None:
     """
     if not isinstance(snapshot, Mapping) or set(snapshot) != set(own):
         raise StateError(f"the snapshot must be a mapping with the keys {sorted(own)}")
-    states = snapshot["states"]
-    if states.dtype != own["states"].dtype or states.shape != own["states"].shape:
-        raise StateError(
-            f"the snapshot holds {states.shape} states of another layout than this "
-            f"environment's {own['states'].shape}: build it as the saved one was built"
-        )
+    for key in ("states", "observations"):
+        found = snapshot[key]
+        if not isinstance(found, np.ndarray):
+            raise StateError(f"the snapshot's {key} are {type(found).__name__}, not an array")
+        if found.dtype != own[key].dtype or found.shape != own[key].shape:
+            raise StateError(
+                f"the snapshot holds {found.shape} {key} of another layout than this "
+                f"environment's {own[key].shape}: build it as the saved one was built"
+            )
     if snapshot["params"] != own["params"]:
         raise StateError("the snapshot is of an environment with other arguments (geometry, ...)")

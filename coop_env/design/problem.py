@@ -34,6 +34,10 @@ class DesignError(ValueError):
     """A design problem that cannot be solved as posed; the message names the value and the mend."""
 
 
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+
+
 @dataclass(frozen=True, slots=True)
 class DesignProblem:
     """The setting in which designs (lambda1, lambda2) are compared. Lengths in m, angles in rad.
@@ -68,6 +72,9 @@ class DesignProblem:
     over_heaves: str = "min"
 
     def __post_init__(self) -> None:
+        if not np.iterable(self.heaves) or not len(tuple(self.heaves)):
+            raise DesignError(f"heaves = {self.heaves!r}: must be heights, the home heave first")
+        object.__setattr__(self, "heaves", tuple(self.heaves))
         positive = {
             "eta": self.eta,
             "distal_length": self.distal_length,
@@ -77,10 +84,11 @@ class DesignProblem:
             **{f"heaves[{i}]": heave for i, heave in enumerate(self.heaves)},
         }
         for name, value in positive.items():
-            if not (math.isfinite(value) and value > 0.0):
-                raise DesignError(f"{name} = {value!r}: must be finite and above zero")
-        if not self.heaves:
-            raise DesignError("heaves is empty: give at least the home heave")
+            if not (_is_number(value) and math.isfinite(value) and value > 0.0):
+                raise DesignError(f"{name} = {value!r}: must be a finite number above zero")
+        for name in ("joint_min", "joint_max"):
+            if not _is_number(getattr(self, name)):
+                raise DesignError(f"{name} = {getattr(self, name)!r}: must be a number")
         if not self.extent < math.pi / 2:
             raise DesignError(f"extent = {self.extent!r} rad: must be below pi/2")
         if not self.joint_min < self.joint_max:

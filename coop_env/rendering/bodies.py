@@ -55,6 +55,7 @@ COLOURS: Final = MappingProxyType(
 _UP: Final = (0.0, 0.0, 1.0)
 _ROD_SPACING: Final = 0.017  # half the distance between a forearm's two rods, m
 _BORE: Final = 0.0055  # radius of a hole as drawn; the peg's is 0.004 m
+_RING: Final = 0.003  # least width of the ring about it, m
 _LIFT: Final = 0.0006  # marks stand this proud of the dome, m
 
 
@@ -208,7 +209,7 @@ def hole_bodies(scene: Scene) -> Iterator[Body]:
     An arrow along the target's normal shows where the peg must come from.
     """
     radius = scene.dome_radius
-    inner, outer = _BORE / radius, scene.chamfer / radius
+    inner, outer = _BORE / radius, max(scene.chamfer, _BORE + _RING) / radius
     for index, normal in enumerate(scene.hole_normals):
         state = hole_state(scene, index)
         turn, centre = frame(normal), scene.platform_centre

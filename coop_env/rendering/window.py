@@ -13,6 +13,10 @@ from coop_env.rendering.scene import Scene
 _CAPTION = "Cooperative insertion: keys 1 to {} choose the camera"
 
 
+# pygame has one display: all windows of a process are one on the screen, which the last one closes
+_OPEN: list[Window] = []
+
+
 class Window:
     """Shows scenes one after another, not faster than ``fps``.
 
@@ -38,6 +42,7 @@ class Window:
         pygame.display.init()
         self._screen: pygame.Surface | None = pygame.display.set_mode(size)
         pygame.display.set_caption(_CAPTION.format(len(CAMERAS)))
+        _OPEN.append(self)
         self._clock = pygame.time.Clock()
 
     @property
@@ -67,7 +72,8 @@ class Window:
         names = list(CAMERAS)
         for event in pygame.event.get():
             if event.type == pygame.QUIT:
-                self.close()
+                for window in _OPEN.copy():
+                    window.close()
                 return
             if event.type == pygame.KEYDOWN and 0 <= event.key - pygame.K_1 < len(names):
                 self._camera = names[event.key - pygame.K_1]
@@ -76,7 +82,9 @@ class Window:
         """Take the window away; harmless when there is none."""
         if self._screen is not None:
             self._screen = None
-            pygame.display.quit()
+            _OPEN.remove(self)
+            if not _OPEN:
+                pygame.display.quit()
 
 
 def open_window(fps: float, **options: Any) -> Window:

@@ -151,17 +151,29 @@ def ceiling(heave: float, p: EnvParams) -> float:
 
 
 @njit(cache=True)
+def _thickest(p: EnvParams) -> float:
+    """Radius of the effector's ball or, if thicker, of the forearms that end at its height, m."""
+    return max(p.layout.effector_radius, p.layout.forearm_radius)
+
+
+@njit(cache=True)
+def _lowest(z: float, p: EnvParams) -> float:
+    """Height below which there is nothing of the Delta, m: that of the tip, unless it is short."""
+    return min(peg_tip(0.0, 0.0, z, p.delta)[2], z + p.delta.base_height - _thickest(p))
+
+
+@njit(cache=True)
 def below_ceiling(c: tuple[float, float, float, float, float, float], p: EnvParams) -> bool:
-    """Whether the peg of a configuration reaches low enough to touch anything."""
-    return peg_tip(c[0], c[1], c[2], p.delta)[2] < ceiling(c[5], p)
+    """Whether anything of the Delta reaches low enough to touch anything of the 3-RRS."""
+    return _lowest(c[2], p) < ceiling(c[5], p)
 
 
 @njit(cache=True)
 def collides(x: float, y: float, z: float, theta: Row, pose: Pose, q: Row, p: EnvParams) -> bool:
     """Whether the two robots touch; ``theta`` and ``q`` must be the joint angles of the poses."""
-    tip = peg_tip(x, y, z, p.delta)
-    if tip[2] >= ceiling(pose.z, p):
+    if _lowest(z, p) >= ceiling(pose.z, p):
         return False
+    tip = peg_tip(x, y, z, p.delta)
     # The bore takes the peg, and the chamfer is as much wider all round as its width.
     opening = p.task.chamfer + p.delta.peg_radius
     if peg_meets_dome(x, y, z, pose, p) and not in_opening(tip, pose, opening, p):
@@ -192,7 +204,7 @@ def collides_elsewhere(
     end, effector = _peg(x, y, z, p)
     if _capsule_hits_limbs(end, effector, p.delta.peg_radius, pose, q, p):
         return True
-    if effector[2] - p.layout.effector_radius >= ceiling(pose.z, p):
+    if effector[2] - _thickest(p) >= ceiling(pose.z, p):
         return False
     return _arms_collide(x, y, z, theta, pose, q, p)
 

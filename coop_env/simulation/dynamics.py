@@ -91,8 +91,7 @@ def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p
 def settle(s: Record, p: EnvParams) -> int:
     """Let the imperfect machine in ``s`` take the pose of a state begun; returns its status.
 
-    The joints come to rest at what is commanded, without play; a machine that collides, that is
-    singular, or that starts in a hole is refused.
+    The joints come to rest at what is commanded, without play.
     """
     m = s.machine
     for k in range(3):
@@ -102,8 +101,6 @@ def settle(s: Record, p: EnvParams) -> int:
     c = s.configuration
     status = _follow(s, (c[0], c[1], c[2], c[3], c[4], c[5]), p)
     s.energy = 0.0
-    if status == VALID and s.inside.sum() > 0:
-        return COLLISION
     return status
 
 

@@ -29,7 +29,8 @@ def markov_fields(n_holes: int) -> tuple[str, ...]:
 
 
 Transform = NDArray[np.float64]
-"""(4, size): offset, scale, least and largest; a field becomes ``clip((v - offset) scale)``."""
+"""(5, size): offset, scale, least, largest and what noise is a fraction of; a field becomes
+``clip((v - offset) scale + noise)``."""
 
 
 def make_observation(
@@ -50,14 +51,15 @@ def make_observation(
     if observation not in ("paper", "markov"):
         raise ArgumentError(f"observation = {observation!r}: must be 'paper' or 'markov'")
     check_flag("normalize", normalize)
-    low, high = _bounds(p, error_bound if normalize else _largest_error(p))
-    if observation == "paper":
-        low, high = low[: len(PAPER_FIELDS)], high[: len(PAPER_FIELDS)]
+    fields = len(PAPER_FIELDS) if observation == "paper" else None
+    low, high = (bound[:fields] for bound in _bounds(p, error_bound))
     zeros, ones = np.zeros_like(low), np.ones_like(low)
     if normalize:
-        transform = np.stack([low, 1.0 / (high - low), zeros, ones])
+        transform = np.stack([low, 1.0 / (high - low), zeros, ones, ones])
         return transform, spaces.Box(0.0, 1.0, low.shape, np.float32)
-    transform = np.stack([zeros, ones, low, high])
+    spans = high - low
+    low, high = (bound[:fields] for bound in _bounds(p, _largest_error(p)))
+    transform = np.stack([zeros, ones, low, high, spans])
     return transform, spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
 
 
@@ -113,7 +115,7 @@ def observe(s: Record, p: EnvParams, o: np.ndarray, row: np.ndarray) -> None:
     for k in range(row.shape[0]):
         value = (row[k] - o[0, k]) * o[1, k]
         if noise > 0.0 and k < len(PAPER_FIELDS):
-            value += noise * (o[3, k] - o[2, k]) * machine.gaussian(s.machine)
+            value += noise * o[4, k] * machine.gaussian(s.machine)
         row[k] = min(max(value, o[2, k]), o[3, k])
 
 

@@ -111,7 +111,9 @@ def draw_start(
         if not p.task.imperfect:
             break
         draw_machine(scratch[0]["machine"], knobs, p, rng)
-        if dynamics.settle(scratch[0], p) == VALID:
+        drawn = options.configuration is None
+        # who names a configuration may begin in a hole, as the nominal machine may
+        if dynamics.settle(scratch[0], p) == VALID and not (drawn and scratch[0]["inside"].any()):
             break
     else:
         raise ResetOptionError(

@@ -86,10 +86,14 @@ class CoopInsertionParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         self.metadata = {**type(self).metadata, **self.team.metadata}
         self.render_mode = self.team.render_mode
         self.possible_agents = list(AGENTS)
-        self.agents: list[str] = []
         self.observation_spaces = self.team.agent_spaces
         self.action_spaces = {agent: spaces.Discrete(joint.N_CHOICES) for agent in AGENTS}
         self.state_space = self.team.observation_space
+
+    @property
+    def agents(self) -> list[str]:
+        """Both agents while an episode runs, or none; so after ``team.set_state`` as well."""
+        return list(AGENTS) if self.team.running else []
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The agent's observation space.
@@ -132,7 +136,6 @@ class CoopInsertionParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
                 gym.logger.warn(f"reset options {foreign} are unknown; known: {list(OPTIONS)}")
             options = {key: options[key] for key in options if key in OPTIONS}
         row, info = self.team.reset(seed=seed, options=options)
-        self.agents = list(AGENTS)
         return self._share(row), self._infos(info)
 
     def step(
@@ -152,8 +155,6 @@ class CoopInsertionParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         choices = [check_action(actions[a], joint.N_CHOICES, f"actions[{a!r}]") for a in AGENTS]
         action = joint.N_CHOICES * choices[joint.DELTA] + choices[joint.RRS]
         row, reward, terminated, truncated, info = self.team.step(action)
-        if terminated or truncated:
-            self.agents = []
         return (
             self._share(row),
             dict.fromkeys(AGENTS, reward),

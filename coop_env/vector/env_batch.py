@@ -7,6 +7,7 @@ copy of any rule. Only the moves are made all at once.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -34,12 +35,19 @@ class EnvBatch:
         kwargs: as for that class.
 
     Raises:
-        ArgumentError: ``n_envs`` is no positive integer, or a keyword is wrong.
+        ArgumentError: ``n_envs`` is no positive integer, a keyword is wrong, or the class moves or
+            resets in a way of its own, of which a batch would know nothing.
     """
 
     def __init__(
         self, n_envs: int, kind: type[CoopInsertionEnv] = CoopInsertionEnv, **kwargs: Any
     ) -> None:
+        for name in ("reset", "step", "action_masks"):
+            if getattr(kind, name) is not getattr(CoopInsertionEnv, name):
+                raise ArgumentError(
+                    f"{kind.__name__} has a {name}() of its own, which a batch would pass by: "
+                    "take Gymnasium's SyncVectorEnv or SB3's DummyVecEnv of single ones"
+                )
         self.envs = [kind(**kwargs) for _ in range(check_integer("n_envs", n_envs, 1))]
         self.actions = np.zeros(n_envs, np.int64)
         self.pending = False
@@ -63,6 +71,9 @@ class EnvBatch:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._share_rows()
+
+    def __copy__(self) -> EnvBatch:
+        return copy.deepcopy(self)  # two batches cannot have the same environments' rows
 
     @property
     def started(self) -> bool:
@@ -99,8 +110,12 @@ class EnvBatch:
             ResetOptionError: an option is malformed, or names a state that cannot be taken.
         """
         starts = [env.check_options(own) for env, own in zip(self.envs, options, strict=True)]
-        for env, start, seed in zip(self.envs, starts, seeds, strict=True):
-            env._restart(start, seed)
+        drawn = [
+            env._draw(start, seed)
+            for env, start, seed in zip(self.envs, starts, seeds, strict=True)
+        ]
+        for env, states in zip(self.envs, drawn, strict=True):
+            env._begin(states)
         self.pending = False
 
     def take(self, actions: Any) -> None:
@@ -130,6 +145,9 @@ class EnvBatch:
             self.states, self.actions, self.packed, self.observation, self.outcomes, self.rows
         )
         report_compilation()
+        if self.envs[0].render_mode is not None:
+            for env in self.envs:
+                env._follow(env._tip())
         return np.flatnonzero(self.outcomes["terminated"] | self.outcomes["truncated"])
 
     def action_masks(self) -> NDArray[np.bool_]:

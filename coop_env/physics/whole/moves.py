@@ -41,7 +41,8 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
       the mouth. A hole that was not filled is given up: it is no target any more.
 
     ``info`` also has ``failure`` (``"force"``, ``"snap"``, ``"diverged"`` end the episode, as does
-    ``"not inserted"``, when every hole was given up, and ``"time"``), ``given_up`` (holes), ``depth``, ``lateral_error``, ``force``, ``moment``,
+    ``"not inserted"``, where every hole was given up and none filled; ``"time"``), ``given_up``
+    (holes), ``depth``, ``lateral_error``, ``force``, ``moment``,
     ``peak_force``, ``friction`` and ``error``; ``distance``, ``alignment_error`` and ``time`` are
     the simulation's, and ``singular`` is a snap. :meth:`reset` also takes ``error`` and
     ``friction``.
@@ -126,7 +127,7 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
                 was.
             ResetNeeded: the episode is over, or none was started.
         """
-        if not self._started or self._states["over"][0]:
+        if not self.running:
             raise ResetNeeded("call reset() first: there is no running episode")
         made, body = check_action(action), self.physics
         before, filled = self._states.copy(), body.filled.copy()

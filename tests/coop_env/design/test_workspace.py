@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -192,3 +193,13 @@ def test_lambdas_and_lengths_are_two_names_of_one_machine() -> None:
     assert sum(g.lambdas) == pytest.approx(4.0)
     again = RRSGeometry.from_lambdas(*g.lambdas[:2], eta=g.characteristic_length)
     assert again.base_radius == pytest.approx(g.base_radius)
+
+
+def test_problems_take_arrays_and_name_what_is_no_number() -> None:
+    assert DesignProblem(heaves=np.array([0.21, 0.22])) == DesignProblem(heaves=(0.21, 0.22))  # type: ignore[arg-type]
+    wrong: dict[str, Any] = {"eta": "a", "threshold": None, "joint_min": "b", "heaves": 0.2}
+    for name, value in wrong.items():
+        with pytest.raises(DesignError, match=name):
+            DesignProblem(**{name: value})
+    with pytest.raises(DesignError, match="heaves"):
+        DesignProblem(heaves=())

@@ -186,10 +186,64 @@ def test_snapshots_of_something_else() -> None:
         env.set_state(CoopInsertionEnv(geometry="initial").get_state())
     with pytest.raises(StateError, match="keys"):
         env.set_state({})
+    before = env.state
+    for other in (
+        {"observation": "markov"},
+        {"normalize": False},
+        {"task": {"error_bound": 0.1}},
+        {"task": {"stage_0_holes": 2}},
+    ):
+        there = CoopInsertionEnv(**other)
+        there.reset(seed=1)
+        with pytest.raises(StateError, match=r"other arguments|observations"):
+            env.set_state(there.get_state())
+        assert env.state == before
+    whole = env.get_state()
+    for key in ("rng", "states", "observations"):
+        with pytest.raises(StateError, match=key):
+            env.set_state({**whole, key: None})
+    assert env.state == before
     batch = CoopInsertionVecEnv(2, seed=0)
     batch.reset()
     with pytest.raises(StateError, match="states"):
         batch.set_state(CoopInsertionVecEnv(3).get_state())
+
+
+def test_a_start_that_is_not_found_leaves_everything_as_it_was() -> None:
+    there = CoopInsertionEnv()
+    there.reset(seed=0)
+    start = {"configuration": there.configuration}
+    narrow: dict[str, Any] = {"task": {"start_sigma": 10.0}}
+    env = CoopInsertionEnv(**narrow)
+    env.reset(seed=1, options=start)
+    before, rng = env.state, env.get_state()["rng"]
+    for seed in (None, 2):
+        with pytest.raises(ResetOptionError, match="no start state"):
+            env.reset(seed=seed)
+        assert env.state == before
+        assert env.get_state()["rng"] == rng
+        assert env.np_random_seed == 1
+    batch = CoopInsertionVecEnv(2, **narrow)
+    batch.seed(0)
+    batch.set_options(start)
+    batch.reset()
+    rows = batch.get_state()["states"]
+    batch.set_options([{**start, "target": 5}, {}])
+    with pytest.raises(ResetOptionError, match="no start state"):
+        batch.reset()
+    np.testing.assert_array_equal(batch.get_state()["states"], rows)
+
+
+def test_a_batch_refuses_a_class_whose_step_it_would_pass_by() -> None:
+    class Slower(CoopInsertionEnv):
+        def step(self, action: Any) -> Any:
+            return super().step(action)
+
+    class Slow(CoopInsertionVecEnv):
+        env_class = Slower
+
+    with pytest.raises(ArgumentError, match=r"Slower has a step\(\) of its own.*DummyVecEnv"):
+        Slow(2)
 
 
 def test_configuration_status_of_nonsense() -> None:

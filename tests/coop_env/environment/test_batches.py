@@ -16,6 +16,7 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, CoopInsertionVectorEnv
 from coop_env.errors import ArgumentError, ResetOptionError
+from coop_env.vector.env_batch import EnvBatch
 
 NOISY: dict[str, Any] = {
     "sim_to_real": "randomized",
@@ -221,3 +222,27 @@ def test_attributes_and_calls_reach_each_environment() -> None:
         env.reset(seed=[1, 2, 3])
     env.close()
     assert isinstance(env, gym.vector.VectorEnv)
+
+
+def test_a_shallow_copy_of_a_batch_leaves_the_original_its_rows() -> None:
+    batch = EnvBatch(2)
+    batch.reset([0, 1], [None, None])
+    other = copy.copy(batch)
+    other.take(np.array([0, 0]))
+    other.move()
+    assert [env.configuration[0] for env in batch.envs] == [
+        row["configuration"][0] for row in batch.states
+    ]
+
+
+def test_a_batch_is_seen_as_single_environments_are() -> None:
+    batch = gym.make_vec("CoopInsertion-v0", num_envs=1, render_mode="rgb_array")
+    env = CoopInsertionEnv(render_mode="rgb_array")
+    batch.reset(seed=0)
+    env.reset(seed=0)
+    for action in (0, 2, 0, 2):
+        batch.step(np.array([action]))
+        env.step(action)
+    shown = batch.render()
+    assert shown is not None
+    np.testing.assert_array_equal(shown[0], env.render())

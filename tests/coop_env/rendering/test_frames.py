@@ -84,6 +84,16 @@ def test_holes_have_the_colours_of_their_states_where_they_are() -> None:
     assert [shown(scene, i) for i in (2, 3)] == ["target", "filled"]
 
 
+def test_rings_are_seen_however_narrow_the_chamfer() -> None:
+    shown = {}
+    for chamfer in (0.010, 0.003):
+        env = CoopInsertionEnv(task={"chamfer": chamfer})
+        env.reset(seed=0, options={"target": 4})
+        image = render_frame(env.scene(), camera="dome", size=(320, 240), panel=False)
+        shown[chamfer] = (image[..., 2].astype(int) - image[..., 0] > 60).sum()
+    assert shown[0.003] > 0.2 * shown[0.010]
+
+
 def test_the_inner_holes_are_marked_inactive_in_the_first_stage() -> None:
     env = CoopInsertionEnv(stage=0, render_mode="rgb_array")
     env.reset(seed=0)

@@ -137,6 +137,22 @@ def test_window_that_a_person_closes_stays_closed(window: Window) -> None:
     assert not pygame.display.get_init()
 
 
+def test_the_last_of_several_windows_takes_the_display_along() -> None:
+    """As a training environment and one for evaluation have them."""
+    import pygame
+
+    first, second = (CoopInsertionEnv(render_mode="human") for _ in range(2))
+    for env in (first, second):
+        env.reset(seed=0)
+    first.close()
+    second.step(2)
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    second.step(2)
+    assert not pygame.display.get_init()
+    second.step(3)
+    second.close()
+
+
 @pytest.mark.parametrize(("fps", "camera"), [(0.0, "iso"), (5.0, "isometric")])
 def test_window_refuses_bad_arguments_before_it_opens(fps: float, camera: str) -> None:
     import pygame

@@ -9,6 +9,8 @@ import pytest
 
 from benchmarks.methods.oracle import LatticeOracle
 from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, SimToReal
+from coop_env.kinematics import rrs
+from coop_env.kinematics.rotations import roll_pitch
 from coop_env.simulation.machine import gaussian, uniform
 from coop_env.simulation.sim_to_real import RANDOMIZED
 from coop_env.simulation.state import STATE
@@ -89,6 +91,44 @@ def test_noise_has_the_standard_deviation_asked_for() -> None:
     np.testing.assert_allclose(spread, 0.01, rtol=0.1)
     np.testing.assert_allclose(np.mean(deviations, axis=0)[inside], 0.0, atol=0.001)
     assert noisy.observation_space.contains(obs)
+
+
+def test_noise_is_the_same_in_other_units() -> None:
+    """A share of the ranges that the normalized observation has, in metres and radians too."""
+    start = {"configuration": (0.02, 0.03, -0.33, 0.1, 0.1, 0.22), "target": 4}
+    spreads = []
+    for normalize in (True, False):
+        noisy, clean = (
+            CoopInsertionEnv(sim_to_real=knobs, normalize=normalize, max_moves=10_000)
+            for knobs in (SimToReal(observation_noise=0.01), SimToReal())
+        )
+        noisy.reset(seed=0, options=start)
+        clean.reset(options=start)
+        seen = [noisy.step(k % 2)[0] - clean.step(k % 2)[0] for k in range(1000)]
+        spreads.append(np.std(seen, axis=0))
+    bound = clean.task.error_bound
+    np.testing.assert_allclose(spreads[0][6:8], 0.01, rtol=0.1)
+    np.testing.assert_allclose(spreads[1][6:8], 0.01 * 2.0 * bound, rtol=0.1)
+    assert spreads[1][0] == pytest.approx(
+        spreads[0][0] * 2.0 * clean.params.delta.planar_limit, rel=0.01
+    )
+
+
+def test_a_configuration_in_a_hole_may_be_named_with_knobs_too() -> None:
+    """The nominal machine may begin there; drawn starts do not."""
+    env = CoopInsertionEnv()
+    hole, normals = 4, np.array(env.task.hole_normals)
+    angles = roll_pitch(normals * [-1.0, -1.0, 1.0])[hole]
+    pose = rrs.platform_pose([*angles, 0.23])
+    mouth = pose.position + env.task.dome_radius * pose.rotation @ normals[hole]
+    delta = env.params.delta
+    z = mouth[2] + 0.002 + delta.peg_length - delta.base_height
+    start = {"configuration": (mouth[0], mouth[1], z, *angles, 0.23), "target": hole}
+    assert env.reset(options=start)[1]["distance"] < env.task.tolerance
+    assert env.state["inside"].any()
+    noisy = CoopInsertionEnv(sim_to_real=SimToReal(observation_noise=0.01))
+    noisy.reset(options=start)
+    assert noisy.state["inside"].any()
 
 
 def test_latency_executes_the_previous_action() -> None:

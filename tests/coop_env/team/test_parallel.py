@@ -68,6 +68,20 @@ def test_agents_see_fields_of_the_joint_observation(arguments: dict[str, Any]) -
             assert own == info
 
 
+def test_a_snapshot_of_the_team_brings_its_agents_back() -> None:
+    env = coop_env.parallel_env(max_moves=3)
+    assert env.agents == []
+    env.reset(seed=0)
+    snapshot = env.team.get_state()
+    for _ in range(3):
+        env.step({"delta": 6, "rrs": 6})
+    assert env.agents == []
+    for there in (env, coop_env.parallel_env(max_moves=3)):
+        there.team.set_state(snapshot)
+        assert there.agents == ["delta", "rrs"]
+        there.step({"delta": 6, "rrs": 6})
+
+
 def test_fields_by_name() -> None:
     fields = coop_env.parallel_env().team.fields
     assert fields["delta"] == ("x", "y", "z", "e_x", "e_y", "e_z")
