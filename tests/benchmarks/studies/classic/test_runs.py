@@ -148,7 +148,7 @@ def test_no_test_episode_is_one_of_training_or_validation() -> None:
             training = set(range(first, first + task.n_envs))
             validation = set(episode_seeds(cell.number, task.eval_episodes, "validate"))
             test = set(episode_seeds(cell.number, preset.final_episodes, "test"))
-            assert len(test) == preset.final_episodes == 100
+            assert len(test) == preset.final_episodes
             assert not test & (training | validation)
             assert not validation & training
 
