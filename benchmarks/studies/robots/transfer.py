@@ -2,10 +2,11 @@
 
     python -m benchmarks transfer
 
-The exact optimum, RRT-Connect and Rainbow's stored policies play the same test starts in the
-kinematic task, in the twin without errors of the machine, in the twin with them, and there with a
-script or a learner that inserts where they have arrived. Plans are made on the nominal model, run
-open loop, and made anew for each hole; a player stops where a plan does not bring it to its hole.
+The exact optimum, RRT-Connect, and under the same masks with the same memory the two-move lookahead
+and Rainbow's stored policies play the same test starts in the kinematic task, in the twin without
+errors of the machine, in the twin with them, and there with a script or a learner that inserts
+where they have arrived. Plans are made on the nominal model, run open loop, and made anew for each
+hole; a player stops where a plan does not bring it to its hole.
 The scripts have the gains that ``python -m benchmarks contact`` chose; what has learned to insert
 is of preset ``contact``, a policy for each seed. Written to ``results/transfer/`` and to
 ``docs/physics.md``; a cell that this commit measured is not measured again.
@@ -30,6 +31,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.errors import BenchmarkError, at_least
+from benchmarks.methods.controls import Choose, control
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset, load_preset
@@ -49,12 +51,14 @@ PRESET: Final = "paper"
 SEEDS: Final = 5
 EPISODES: Final = 10  # of each seed
 PLAYERS: Final = {
-    "exact optimum": "",
-    "RRT-Connect": "",
-    "Rainbow, safe": "safe",
-    "Rainbow, uncertain": "uncertain",
+    "exact optimum": ("optimum", ""),
+    "RRT-Connect": ("rrt", ""),
+    "lookahead, safe": ("lookahead", "safe"),
+    "lookahead, uncertain": ("lookahead", "uncertain"),
+    "Rainbow, safe": ("rainbow", "safe"),
+    "Rainbow, uncertain": ("rainbow", "uncertain"),
 }
-"""Who plays, and the track of a learner."""
+"""Who plays, and under which track's masks and memory; a planner has neither."""
 FINISHES: Final = {
     "+ push": "compliant push",
     "+ spiral": "spiral search",
@@ -115,28 +119,42 @@ def by_policy(path: Path) -> Play:
     return play
 
 
+def by_control(begin: Callable[[Sequence[Episode]], Choose]) -> Play:
+    """Moves of a script that sees what a policy sees, to the end of the episode."""
+
+    def play(episode: Episode) -> str:
+        choose = begin([episode])
+        while not episode.over:
+            masks = episode.env.action_masks()
+            episode.move(int(choose(episode.observation[None], masks[None], [0])[0]))
+        return ""
+
+    return play
+
+
 def player(name: str, preset: Preset, results: Path, seed: int) -> tuple[Play, dict[str, Any]]:
     """Who plays the episodes of a seed, and the arguments of its environment.
 
     Raises:
         BenchmarkError: a policy is not among the results.
     """
-    limits = preset.planner
-    if not PLAYERS[name]:
+    limits, (method, track) = preset.planner, PLAYERS[name]
+    if not track:
         from benchmarks.methods.oracle import LatticeOracle
         from benchmarks.methods.rrt_connect import RRTConnect
 
         arguments: dict[str, Any] = {"reward": "progress"}
-        if name == "exact optimum":
+        if method == "optimum":
             return by_plans(LatticeOracle(limits.node_limit).plan), arguments
         number = 1 + derive("planner", seed) % 2**30
         rrt = RRTConnect(limits.time_limit, limits.max_iterations, number)
         return by_plans(rrt.plan), arguments
-    cell = Cell("rainbow", "full", "optimized", PLAYERS[name], seed)
-    path = results / PRESET / "runs" / cell.id / "policy.zip"
-    arguments = env_arguments(preset, cell, preset.tracks[cell.track])
+    cell = Cell(method, "full", "optimized", track, seed)
+    arguments = env_arguments(preset, cell, preset.tracks[track])
     del arguments["sim_to_real"]  # the machine of this study's worlds, not the track's
-    return by_policy(path), arguments
+    if method != "rainbow":
+        return by_control(control(method, preset.tracks[track].controls, seed)), arguments
+    return by_policy(results / PRESET / "runs" / cell.id / "policy.zip"), arguments
 
 
 def measure(name: str, world: str, results: Path, episodes: int = EPISODES) -> Row:

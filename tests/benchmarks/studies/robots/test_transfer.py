@@ -12,6 +12,7 @@ import pytest
 
 from benchmarks.__main__ import main as command
 from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import derive
 from benchmarks.reporting.verify import Report
 from benchmarks.studies.robots import transfer
@@ -46,6 +47,20 @@ def test_the_exact_plan_and_a_search_fill_all_holes(world: str, force: float) ->
 def test_what_inserts_must_be_there(name: str, mend: str, tmp_path: Path) -> None:
     with pytest.raises(BenchmarkError, match=f"is missing: run python -m benchmarks {mend} first"):
         inserter(tmp_path, name, 0)
+
+
+@pytest.mark.parametrize("world", ["kinematics", "twin, no error"])
+def test_a_script_plays_under_the_masks_and_the_memory_of_a_track(world: str) -> None:
+    if world != "kinematics":
+        pytest.importorskip("mujoco", reason="needs the extra physics")
+    preset = load_preset(transfer.PRESET)
+    play, arguments = transfer.player("lookahead, uncertain", preset, RESULTS, 0)
+    env = transfer.make_world(world, RESULTS, arguments)
+    assert arguments["mask_visited"] == 64
+    assert arguments["mask_refused"]
+    found = transfer.play_one(env, play, 0, derive("validate", 31, 3))
+    assert found["holes"] >= 1
+    assert found["first"]
 
 
 def test_a_push_finds_no_hole_that_is_too_far_off() -> None:
