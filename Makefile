@@ -59,7 +59,7 @@ format: $(STAMP) ## Rewrite the sources in the house's form
 docs: $(STAMP) ## The site, in build/docs/index.html
 	@$(BIN)/python -m sphinx -W --keep-going -q docs build/docs
 
-figures: $(STAMP) ## Regenerate every figure and number that the docs hold
+figures: $(STAMP) ## Regenerate the figures and numbers of README, design, results and learning
 	@$(BIN)/python -m benchmarks design
 	@$(BIN)/python -m benchmarks report --preset paper
 	@$(BIN)/python -m benchmarks media

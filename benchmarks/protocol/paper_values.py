@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+TRAINING_STEPS: Final = 1_500_000
+
 # Table "hparams": row -> value as printed
 HYPERPARAMETERS: Final[dict[str, str]] = {
     "Optimizer": "Adam",
@@ -18,7 +20,7 @@ HYPERPARAMETERS: Final[dict[str, str]] = {
     "Target update": "soft, tau = 1e-3",
     "Exploration": "NoisyNets",
     "Distributional atoms": "51 in [-10, 200]",
-    "Total environment steps": "~1500000",
+    "Total environment steps": f"~{TRAINING_STEPS}",
     "Curriculum switch": "75 % success over 20 episodes",
     "Hardware": "NVIDIA RTX 3090, ~4 h",
     "Reward": "its equation",

@@ -12,7 +12,7 @@ from typing import Final
 
 from benchmarks.protocol import labels
 from benchmarks.protocol.metrics import HOLES, METRICS, SUCCESS, Metric
-from benchmarks.protocol.paper_values import PERFORMANCE
+from benchmarks.protocol.paper_values import PERFORMANCE, TRAINING_STEPS
 from benchmarks.protocol.plan import LEARNERS
 from benchmarks.reporting.compared import (
     ABLATION,
@@ -151,7 +151,8 @@ def _show(value: Value, digits: int = 1) -> str:
 
 
 def _printed(results: Results) -> str:
-    ours = row_of(results, "rainbow", "printed").group
+    row = row_of(results, "rainbow", "printed")
+    ours = row.group
     if not ours.n:
         return ""
     others = [
@@ -161,14 +162,21 @@ def _printed(results: Results) -> str:
     groups = [(name, row_of(results, method, track).group) for name, method, track in others]
     shown = [f"Rainbow inserts in {_show(ours.success())} %"]
     shown += [f"{name} in {_show(group.success())} %" for name, group in groups if group.n]
+    if script := control_of(results, row):
+        name = labels.METHODS[script.method]
+        same = f"a script under the same masks ({name[0].lower()}{name[1:]}) in "
+        same += f"{_show(script.success())} %"
+        shown.insert(1, same)
     told = ", ".join(shown)
+    steps = ours.runs[0].config["track"]["timesteps"]
+    budget = f"in {steps:,} of the paper's {TRAINING_STEPS:,} steps"
     if ours.success().mean >= LEARNS:
-        return f"**As printed the method learns the task**: {told}."
+        return f"**As printed the method learns the task** {budget}: {told}."
     reward, holes = _last_episodes(ours, "episode_reward"), _last_episodes(ours, "holes")
     earned = f"its last training episodes earn {_show(reward, 0)} and fill {_show(holes, 2)} holes"
     if reward.mean > 0.0 and holes.mean < NO_HOLES:
         earned = f"it is paid without inserting: {earned}"
-    return f"**As printed the method does not learn the task**: {told}; {earned}."
+    return f"**As printed the method does not learn the task** {budget}: {told}; {earned}."
 
 
 def _last_episodes(group: Group, column: str) -> Value:
@@ -220,7 +228,8 @@ def _geometry(results: Results, compared: list[Comparison]) -> str:
     controls = [control_of(results, row, end) for row, end in zip(ours, ends, strict=True)]
     if all(controls):
         shown = [_show(control.success()) for control in controls if control]
-        figures.append(f"the best script that knows the same from {shown[0]} to {shown[1]}")
+        same = f"on either the best script that knows the same from {shown[0]} to {shown[1]}"
+        figures.append(same)
     against = [
         _find(compared, GEOMETRY, ours[0], SUCCESS),
         _find(compared, CONTROL, ours[1], SUCCESS),

@@ -184,6 +184,17 @@ def test_as_printed_it_learns_from_half_of_the_episodes_on(
     told = tell({"rainbow-optimized-printed-s0": {"success": first(solved)}})["printed"]
     assert ("the method learns the task" in told) == learns
     assert ("does not learn" in told) != learns
+    steps = load_preset("paper").tracks["printed"].timesteps
+    assert f"in {steps:,} of the paper's 1,500,000 steps" in told
+
+
+def test_as_printed_it_stands_beside_the_script_with_its_masks(tell: Tell) -> None:
+    told = tell({
+        "rainbow-optimized-printed-s0": {"success": first(0)},
+        "lookahead-optimized-printed-s0": {"success": first(900)},
+        "lookahead-optimized-safe-s0": {"success": first(1900)},
+    })["printed"]  # fmt: skip
+    assert "a script under the same masks (two-move lookahead) in 45.0" in told
 
 
 @pytest.mark.parametrize(
@@ -242,7 +253,7 @@ def test_the_design_stage_reproduces_near_both_optima_and_above_the_scripts(
     })["geometry"]  # fmt: skip
     assert verdict in told
     assert "fitted to the paper's two workspace areas" in told
-    assert "the best script that knows the same from" in told
+    assert "on either the best script that knows the same from" in told
 
 
 def test_a_component_counts_where_the_paired_test_finds_it(tell: Tell) -> None:
