@@ -18,10 +18,14 @@ from benchmarks.runs.machine import REPOSITORY
 from benchmarks.runs.store import RunFolder
 
 BACKENDS: Final = ("local", "ray")
-# one thread per process: as many processes as cores do not fight for them
-PINNED: Final = dict.fromkeys(
-    ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
-)
+PINNED: Final = {
+    # one thread per process: as many processes as cores do not fight for them
+    **dict.fromkeys(
+        ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+    ),
+    # glibc would give every batch of images back to the kernel, and fault its pages in again
+    **{"MALLOC_MMAP_THRESHOLD_": str(2**25), "MALLOC_TRIM_THRESHOLD_": str(2**28)},
+}
 GRACE_SECONDS: Final = 60.0  # for a run to save its checkpoint after it was asked to stop
 
 
