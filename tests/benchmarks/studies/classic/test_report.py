@@ -154,7 +154,7 @@ def test_a_preset_leaves_the_blocks_of_others_alone(preset: Preset, store: Store
     mine = "<!-- classic-quick:begin -->\n<!-- classic-quick:end -->\n"
     page = docs.rewrite(other + mine, Results(preset, store), "r")
     assert page.startswith(other)
-    assert "100 test episodes per seed" in page
+    assert f"{preset.final_episodes} test episodes per seed" in page
 
 
 def test_published_marks_stand_beside_the_scores(tmp_path: Path) -> None:
