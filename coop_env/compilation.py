@@ -77,8 +77,9 @@ def _drop_stale_beside(function: Callable) -> None:
         kernels = (f for f in sources if re.search(_DECLARES, f.read_text("utf-8")))
         newest = max((f.stat().st_mtime for f in kernels), default=0.0)
         for index in cache.glob("*.nbi"):
-            if index.stat().st_mtime < newest:
-                index.unlink(missing_ok=True)
+            with suppress(FileNotFoundError):  # another process was first
+                if index.stat().st_mtime < newest:
+                    index.unlink()
 
 
 def _cached_where_possible(decorator: Any) -> Any:
