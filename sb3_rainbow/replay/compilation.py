@@ -1,8 +1,7 @@
 """How kernels compile: never unsaid, with an honest cache on disk, or without where none can be.
 
 numba recompiles a cached kernel when its own file changes, but not when a kernel that it calls from
-another file does. ``coop_env.compilation`` is the same for the other package: neither imports the
-other.
+another file does.
 """
 
 import os
