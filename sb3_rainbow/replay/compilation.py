@@ -9,6 +9,7 @@ import re
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -55,6 +56,12 @@ event.register("numba:compile", _stopwatch)
 _looked: set[Path] = set()
 
 
+@cache
+def _newest_kernel(folder: Path, pattern: str) -> float:
+    kernels = (f for f in folder.glob(pattern) if re.search(_DECLARES, f.read_text("utf-8")))
+    return max((f.stat().st_mtime for f in kernels), default=0.0)
+
+
 def _drop_stale_beside(function: Callable) -> None:
     """Delete the cached kernels of this one's folder older than any that they may call.
 
@@ -65,13 +72,11 @@ def _drop_stale_beside(function: Callable) -> None:
     if folder in _looked:
         return
     _looked.add(folder)
-    sources = {*package.rglob("*.py"), *folder.glob("*.py")}
     with suppress(OSError, RuntimeError):  # no folder can be written, so none is read
         # which of its places numba takes depends on the environment, HOME and permissions
-        cache = Path(str(numba.njit(cache=True)(function).stats.cache_path))
-        kernels = (f for f in sources if re.search(_DECLARES, f.read_text("utf-8")))
-        newest = max((f.stat().st_mtime for f in kernels), default=0.0)
-        for index in cache.glob("*.nbi"):
+        kept = Path(str(numba.njit(cache=True)(function).stats.cache_path))
+        newest = max(_newest_kernel(package, "**/*.py"), _newest_kernel(folder, "*.py"))
+        for index in kept.glob("*.nbi"):
             with suppress(FileNotFoundError):  # another process was first
                 if index.stat().st_mtime < newest:
                     index.unlink()
