@@ -391,20 +391,19 @@ class Rainbow(ResumableAlgorithm):
         self._update_learning_rate(self.policy.optimizer)
         learner = self._learner
         learner.double_q, learner.max_grad_norm = self.double_q, self.max_grad_norm
+        tau = self.tau if self.target_update_interval is None else None
         losses: list[Any] = []  # numbers, or tensors that nobody has waited for
         with flush_denormals():
             for _ in range(gradient_steps):
                 samples = buffer.sample(batch_size, env=self._vec_normalize_env)
                 batch = as_batch(samples, self.gamma, self._masking)
-                loss, priorities = learner.update(batch)
+                loss, priorities = learner.update(batch, tau)
                 if isinstance(buffer, PrioritizedReplayBuffer) and self.prioritized:
                     mean_loss, errors = from_device(loss, priorities)
                     buffer.update_priorities(samples.indices, errors)  # type: ignore[attr-defined]
                     losses.append(mean_loss)
                 else:
                     losses.append(loss)
-                if self.target_update_interval is None:
-                    learner.move_target(self.tau)
         report_compilation()
         logs_due = self._n_updates % _DIAGNOSTICS_INTERVAL < gradient_steps
         self._n_updates += gradient_steps

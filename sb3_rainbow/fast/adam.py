@@ -65,7 +65,7 @@ class AdamOnVector:
         if "step" in vars(optimizer) or not (is_first or self._has_moments(states)):
             # A learning rate scheduler counts the calls; some parameters did not always train.
             optimizer.step()
-        elif _has_hooks(optimizer):
+        elif has_hooks(optimizer):
             th.optim.Optimizer.profile_hook_step(step)(optimizer)
         else:
             step(optimizer)
@@ -120,7 +120,8 @@ class AdamOnVector:
                 optimizer.state[p][name] = own
 
 
-def _has_hooks(optimizer: th.optim.Optimizer) -> bool:
+def has_hooks(optimizer: th.optim.Optimizer) -> bool:
+    """Whether an optimizer's step calls others."""
     return bool(
         optimizer._optimizer_step_pre_hooks
         or optimizer._optimizer_step_post_hooks

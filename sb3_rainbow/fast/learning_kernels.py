@@ -215,8 +215,9 @@ def backward(
                 bias[j] += slope[b, j]
         share = np.float32(-1.0 / (n_streams - 1))
         for a in range(1, n_streams):
+            part = gradient[e + a * size : e + (a + 1) * size]
             for k in range(size):
-                gradient[e + a * size + k] = share * value[k]
+                part[k] = share * value[k]
             for j in range(n_atoms):
                 bias[a * n_atoms + j] = share * bias[j]
     delta = np.dot(slope, common)
@@ -240,9 +241,9 @@ def backward(
         layer_bias[:] = 0.0
         for b in range(batch):
             for j in range(n_out):
-                if outputs[b, j] <= 0.0:
-                    delta[b, j] = 0.0
-                layer_bias[j] += delta[b, j]
+                passed = np.float32(0.0) if outputs[b, j] <= 0.0 else delta[b, j]
+                delta[b, j] = passed
+                layer_bias[j] += passed
         below = inputs
         if layer > 0:
             start = table[layer - 1, HIDDEN] * n_seen

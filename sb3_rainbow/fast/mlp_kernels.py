@@ -10,6 +10,8 @@ A layer's parameters are weight and bias, or, where it is noisy, the means of th
 sigmas, then those of the bias. Its effective weight and bias include the noise of the moment.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +25,13 @@ Table = NDArray[np.int64]
 # Sums may be reordered, so that they run in vector registers; NaN and infinity stay themselves. The
 # check for a division by zero (error_model) would forbid vector registers as well.
 FAST = {"reassoc", "contract", "nsz", "arcp"}
+
+
+@njit(cache=True)
+def scale_noise(noise: Vector) -> None:
+    """As :func:`~sb3_rainbow.network.noisy_linear.scale_noise_`, in place."""
+    for i in range(noise.shape[0]):
+        noise[i] = math.copysign(math.sqrt(abs(noise[i])), noise[i])
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -240,17 +249,19 @@ def shared_weight(
     n_actions = n_out // n_atoms - 1
     size = n_atoms * n_in
     flat = weight.reshape(size)
+    biases = effective[e + n_in * n_out : e + n_in * n_out + n_out]
     for a in range(1, n_actions + 1):
-        start = e + a * size
+        part = effective[e + a * size : e + (a + 1) * size]
         for k in range(size):
-            flat[k] += effective[start + k]
+            flat[k] += part[k]
         for j in range(n_atoms):
-            bias[j] += effective[e + n_in * n_out + a * n_atoms + j]
+            bias[j] += biases[a * n_atoms + j]
     share = np.float32(1.0 / n_actions)
+    value = effective[e : e + size]
     for k in range(size):
-        flat[k] = effective[e + k] - share * flat[k]
+        flat[k] = value[k] - share * flat[k]
     for j in range(n_atoms):
-        bias[j] = effective[e + n_in * n_out + j] - share * bias[j]
+        bias[j] = biases[j] - share * bias[j]
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -5,6 +5,8 @@ from operator import attrgetter, is_
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
+from stable_baselines3.common.torch_layers import FlattenExtractor
+from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 
 from sb3_rainbow.fast import learning_kernels
@@ -17,10 +19,9 @@ from sb3_rainbow.fast.perceptron import (
     parameters_of,
     table_of,
 )
-from sb3_rainbow.network.noisy_linear import scale_noise_
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.network.shared_memory import join, parts, share
-from sb3_rainbow.type_aliases import Batch
+from sb3_rainbow.type_aliases import Batch, Prepared
 
 # Below any probability that float32 holds as a normal number
 _TINY = float(np.finfo(np.float32).tiny)
@@ -125,7 +126,7 @@ class MlpUpdate:
     ) -> tuple[th.Tensor, th.Tensor]:
         """As ``Learner.update``."""
         for noise in self._noises:
-            scale_noise_(noise.normal_())
+            kernels.scale_noise(noise.normal_().numpy())
         n = batch.actions.shape[0]
         weights = np.ones(n, np.float32) if batch.weights is None else batch.weights.numpy()
         slope, losses, priorities = self._slopes(batch, weights, double_q, advantage_learning)
@@ -156,7 +157,8 @@ class MlpUpdate:
             self._obs_features.backward(th.from_numpy(input_gradient))
         del self._obs_features
         self._adam.step(optimizer, max_grad_norm)
-        return th.tensor(float(losses @ weights) / n), th.from_numpy(priorities)
+        mean = np.asarray(float(losses @ weights) / n, np.float32)
+        return th.from_numpy(mean), th.from_numpy(priorities)
 
     def act(self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None) -> NDArray[np.int64]:
         """Greedy actions of the online network under fresh noise, each environment's its own.
@@ -168,34 +170,24 @@ class MlpUpdate:
         Returns:
             shape ``(n_envs,)``.
         """
-        features = self._features(self.q_net, obs)
+        features = self._features(self.q_net, self.q_net.prepare(obs))
         n, noise = features.shape[0], self._noises[0]
         self._reserve(n)
-        if n > 1 and len(noise) > 0:
-            noise = noise.new_empty(n, len(noise))
-            parameters = self._vectors[0].numpy()
-            streams = kernels.noisy_streams(
-                parameters, scale_noise_(noise.normal_()).numpy(), self.table, features
-            )
-            return self._best_of_streams(streams, action_masks)
-        scale_noise_(noise.normal_())
-        kernels.effective_weights(
-            self._vectors[0].numpy(), noise.numpy(), self.table, self._effective
+        drawn = (noise if n == 1 else noise.new_empty(n, len(noise))).normal_().numpy()
+        kernels.scale_noise(drawn.reshape(-1))
+        streams = kernels.noisy_streams(
+            self._vectors[0].numpy(), drawn.reshape(n, len(noise)), self.table, features
         )
-        units = kernels.hidden_units(self._effective, self.table, features, self._hidden)
-        return self._best_actions(self._effective, units, action_masks)
+        return self._best_of_streams(streams, action_masks)
 
     def move_target(self, tau: float) -> None:
         """Polyak average of the parameters."""
         online, target = self._vectors
         target.lerp_(online, tau)
 
-    def _features(
-        self, net: RainbowNetwork, obs: th.Tensor | dict[str, th.Tensor]
-    ) -> NDArray[np.float32]:
+    def _features(self, net: RainbowNetwork, obs: PyTorchObs) -> NDArray[np.float32]:
         with th.no_grad():
-            features = net.extract_features(obs, net.features_extractor)
-        return features.contiguous().numpy()
+            return _extract(net, obs).contiguous().numpy()
 
     def _slopes(
         self,
@@ -215,7 +207,7 @@ class MlpUpdate:
             next_obs_target = self._features(self.q_net_target, batch.next_observations)
         if advantage_learning > 0.0 and apart:
             obs_target = self._features(self.q_net_target, batch.observations)
-        self._obs_features = net.extract_features(batch.observations, net.features_extractor)
+        self._obs_features = _extract(net, batch.observations)
         obs = self._obs_features.detach().contiguous().numpy()
         online, target = self._effective, self._effective_target
         for vector, noise, effective in zip(
@@ -333,6 +325,14 @@ class MlpUpdate:
             effective, self.table, units, actions, net.dueling, common, common_bias, logits
         )
         return logits
+
+
+def _extract(net: RainbowNetwork, obs: PyTorchObs | Prepared) -> th.Tensor:
+    """Features of prepared observations; to flatten them costs less than to call a module."""
+    if type(net.features_extractor) is FlattenExtractor and isinstance(obs, Prepared):
+        assert isinstance(obs.values, th.Tensor)
+        return obs.values.flatten(1)
+    return net.extract_features(obs, net.features_extractor)  # type: ignore[arg-type]
 
 
 def _join(parameters: list[nn.Parameter]) -> th.Tensor:

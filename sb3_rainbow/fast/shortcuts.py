@@ -7,6 +7,7 @@ import numpy as np
 import torch as th
 from numpy.typing import NDArray
 
+from sb3_rainbow.fast.adam import has_hooks
 from sb3_rainbow.fast.blas import single_blas_thread
 from sb3_rainbow.fast.compiled_loss import CompiledLoss
 from sb3_rainbow.fast.mlp_update import MlpUpdate
@@ -123,9 +124,10 @@ class Shortcuts:
         with single_blas_thread():
             return self._mlp.act(obs, action_masks)
 
-    def move_target(self, tau: float) -> bool:
+    def move_target(self, tau: float, just_updated: bool = False) -> bool:
         """Move the target network by ``tau``; False where it did not."""
-        self._look()
+        if not just_updated or has_hooks(self.policy.optimizer):
+            self._look()
         if self._mlp is None:
             return False
         self._mlp.move_target(tau)

@@ -64,13 +64,22 @@ class Learner:
         """The policy's target network."""
         return self.policy.q_net_target
 
-    def update(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
+    def update(self, batch: Batch, tau: float | None = None) -> tuple[th.Tensor, th.Tensor]:
         """One optimizer step, with fresh and independent noise in both networks.
+
+        Args:
+            batch: what to learn from.
+            tau: how far the target network moves after it, None for not at all.
 
         Returns:
             mean loss, scalar, and priorities ``(B,)``; both stay on the device.
         """
-        batch = prepared(self.q_net, batch)
+        found = self._step(prepared(self.q_net, batch))
+        if tau is not None:
+            self.move_target(tau, just_updated=True)
+        return found
+
+    def _step(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
         if self.shortcuts is not None:
             found = self.shortcuts.update(
                 batch, self.double_q, self.max_grad_norm, self.advantage_learning
@@ -121,9 +130,14 @@ class Learner:
         return None if self.shortcuts is None else self.shortcuts.act(obs, action_masks)
 
     @th.no_grad()
-    def move_target(self, tau: float) -> None:
-        """Move the target network towards the online one by ``tau`` (Polyak average)."""
-        if self.shortcuts is not None and self.shortcuts.move_target(tau):
+    def move_target(self, tau: float, just_updated: bool = False) -> None:
+        """Move the target network towards the online one by ``tau`` (Polyak average).
+
+        Args:
+            tau: how far.
+            just_updated: whether nobody else can have touched the networks since an update.
+        """
+        if self.shortcuts is not None and self.shortcuts.move_target(tau, just_updated):
             return
         online, target = self.q_net, self.q_net_target
         th._foreach_lerp_(list(target.parameters()), list(online.parameters()), tau)

@@ -91,11 +91,15 @@ def test_updates_agree_with_torch(kwargs: dict[str, Any]) -> None:
         results = []
         for learner in (ours, reference):
             th.manual_seed(seed)
-            results.append(learner.update(batch))
-            learner.move_target(0.1)
+            together = seed % 2 == 1
+            results.append(learner.update(batch, 0.1 if together else None))
+            if not together:
+                learner.move_target(0.1)
         th.testing.assert_close(results[0], results[1], rtol=1e-4, atol=1e-5)
-        for name, value in reference.q_net.state_dict().items():
-            th.testing.assert_close(ours.q_net.state_dict()[name], value, rtol=1e-4, atol=1e-5)
+        for net in ("q_net", "q_net_target"):
+            states = getattr(ours, net).state_dict()
+            for name, value in getattr(reference, net).state_dict().items():
+                th.testing.assert_close(states[name], value, rtol=1e-4, atol=1e-5)
     for ours_p, p in zip(ours.q_net.parameters(), reference.q_net.parameters(), strict=True):
         assert ours_p.grad is not None
         assert p.grad is not None
@@ -105,6 +109,24 @@ def test_updates_agree_with_torch(kwargs: dict[str, Any]) -> None:
     for states in zip(*(x.values() for x in optimizers), strict=True):
         assert states[0]["step"] == states[1]["step"] == 4
         th.testing.assert_close(states[0]["exp_avg"], states[1]["exp_avg"], rtol=1e-3, atol=1e-5)
+
+
+def test_the_target_follows_a_layer_that_a_hook_has_just_put_in() -> None:
+    moved = []
+    for learner in (make_learner(True), make_learner(False)):
+        th.manual_seed(0)
+        fresh = nn.Linear(6, 24)
+
+        def put_in(*_: Any, learner: Learner = learner, fresh: nn.Linear = fresh) -> None:
+            learner.q_net.layers[0] = fresh
+
+        learner.policy.optimizer.register_step_post_hook(put_in)
+        target = learner.q_net_target.layers[0]
+        before = target.get_parameter("weight").detach().clone()
+        learner.update(make_batch(0, masked=True), 0.5)
+        moved.append(target.get_parameter("weight").detach())
+        th.testing.assert_close(moved[-1], 0.5 * (before + fresh.weight.detach()))
+    th.testing.assert_close(*moved)
 
 
 def kernels_of(model: Rainbow) -> Any:
