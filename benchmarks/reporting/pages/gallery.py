@@ -26,7 +26,6 @@ PICTURES: Final = (
     ("Learners in contact", "classic figures --preset contact", "classic/contact/figures/*"),
     ("Two robots at once", "figures --preset team", "team/figures/*"),
     ("Control tasks", "classic figures --preset control", "classic/control/figures/*"),
-    ("MinAtar", "classic figures --preset minatar", "classic/minatar/figures/*"),
     ("Masks and priorities", "classic figures --preset basics", "classic/basics/figures/*"),
 )
 ENDS: Final = (".png", ".gif")
