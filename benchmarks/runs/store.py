@@ -271,9 +271,12 @@ class Store:
         """
         store = cls(Path(root), preset)
         marker = store.folder / "store.json"
+        # Listed first: whoever makes this store beside us writes the marker, from a temporary file,
+        # before anything else.
+        has_files = any(not path.match(".store.json.*.tmp") for path in store.folder.glob("*"))
         if marker.is_file():
             store._check_schema(marker)
-        elif store.folder.is_dir() and any(store.folder.iterdir()):
+        elif has_files:
             raise BenchmarkError(
                 f"{store.folder} has files but no store.json: it is no results folder of this "
                 "harness; use another --results folder"

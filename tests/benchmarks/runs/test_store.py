@@ -171,3 +171,16 @@ def test_a_complete_run_may_be_without_its_policy(tmp_path: Path) -> None:
     run.policy.unlink()
     assert run.is_complete()
     assert not run.has_policy()
+
+
+def test_a_store_that_another_harness_makes_right_now_is_opened(tmp_path: Path) -> None:
+    marker = tmp_path / "quick" / "store.json"
+
+    def meanwhile(temporary: Path) -> None:
+        """The other one has its temporary file, and has not renamed it."""
+        assert list(marker.parent.iterdir()) == [temporary]
+        Store.open(tmp_path, "quick", create=True)
+        temporary.write_text(marker.read_text(encoding="utf-8"), encoding="utf-8")
+
+    write_atomic(marker, meanwhile)
+    assert Store.open(tmp_path, "quick").folder == marker.parent
