@@ -26,6 +26,11 @@ PICTURES: Final = (
     ("Learners in contact", "classic figures --preset contact", "classic/contact/figures/*"),
     ("Two robots at once", "figures --preset team", "team/figures/*"),
     ("Control tasks", "classic figures --preset control", "classic/control/figures/*"),
+    (
+        "LunarLander for longer",
+        "classic figures --preset lunarlander300k",
+        "classic/lunarlander300k/figures/*",
+    ),
     ("Masks and priorities", "classic figures --preset basics", "classic/basics/figures/*"),
 )
 ENDS: Final = (".png", ".gif")
