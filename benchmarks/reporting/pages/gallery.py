@@ -31,6 +31,7 @@ PICTURES: Final = (
         "classic figures --preset lunarlander300k",
         "classic/lunarlander300k/figures/*",
     ),
+    ("MinAtar", "classic figures --preset minatar", "classic/minatar/figures/*"),
     ("Masks and priorities", "classic figures --preset basics", "classic/basics/figures/*"),
 )
 ENDS: Final = (".png", ".gif")
