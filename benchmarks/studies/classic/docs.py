@@ -16,7 +16,7 @@ from benchmarks.studies.classic.tables import build_tables
 
 # tables of the page, each with its figure
 SHOWN: Final = {
-    **{"scores": "curves", "normalized": "", "together": "", "cliff": "cliff"},
+    **{"scores": "curves", "controls": "", "normalized": "", "together": "", "cliff": "cliff"},
     **{"contact": "contact", "friction": ""},
 }
 

@@ -13,7 +13,7 @@ from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.classic import plan
 from benchmarks.studies.classic.environments.atari import PREFIX
-from benchmarks.studies.classic.plan import CLIFF, Cell
+from benchmarks.studies.classic.plan import CLIFF, CONTROL, LEARN, Cell
 from benchmarks.studies.classic.presets import Preset, algorithm_of, load_preset
 
 # of a transition in a checkpointed replay buffer: two images of 10 x 10 x 7; a stack of frames
@@ -40,7 +40,7 @@ class Classic(Experiment[Cell]):
     def check(self, todo: Sequence[Cell]) -> None:
         from benchmarks.studies.classic.train import build_model
 
-        for key, method in {(cell.task, cell.method) for cell in todo if cell.kind != CLIFF}:
+        for key, method in {(cell.task, cell.method) for cell in todo if cell.kind == LEARN}:
             task = self.preset.tasks[key]
             try:
                 env = build_model(task, method, 0).get_env()
@@ -59,7 +59,9 @@ class Classic(Experiment[Cell]):
     def kinds(self, config: dict[str, Any]) -> Iterator[tuple[str, ...]]:
         cell = config["cell"]
         yield (cell["task"], cell["method"])
-        if cell["kind"] != CLIFF:
+        if cell["kind"] == CONTROL:
+            yield (CONTROL, config["task"]["env"])
+        elif cell["kind"] == LEARN:
             algorithm, env = algorithm_of(cell["method"]), config["task"]["env"]
             namespace = env.rpartition("/")[0]
             yield ("env", env, algorithm)
@@ -67,7 +69,7 @@ class Classic(Experiment[Cell]):
             yield ("namespace", namespace)
 
     def checkpoint_bytes(self, cell: Cell) -> int:
-        if cell.kind == CLIFF:
+        if cell.kind != LEARN:
             return 0
         task = self.preset.tasks[cell.task]
         size = int(task.methods[cell.method].get("buffer_size", 1_000_000))
@@ -76,11 +78,12 @@ class Classic(Experiment[Cell]):
     def run(
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
     ) -> dict[str, Any] | None:
-        """Train and test a learner, or walk the cliff; on the CPU."""
+        """Train and test a learner, test a control, or walk the cliff; on the CPU."""
         from benchmarks.studies.classic.cliff import run_cliff
+        from benchmarks.studies.classic.environments.playing import run_control
         from benchmarks.studies.classic.train import run_learner
 
-        run = run_cliff if cell.kind == CLIFF else run_learner
+        run = {LEARN: run_learner, CONTROL: run_control, CLIFF: run_cliff}[cell.kind]
         training = run(self.preset, cell, folder, stop_requested)
         return None if training is None else {"training": training}
 

@@ -7,24 +7,28 @@ from typing import Any, Final
 
 from benchmarks.protocol.presets import as_dict
 from benchmarks.studies.classic.environments.atari import PREFIX
+from benchmarks.studies.classic.environments.controls import SCRIPTS
 from benchmarks.studies.classic.presets import Preset, algorithm_of
 
+LEARN: Final = "learn"
+CONTROL: Final = "control"
 CLIFF: Final = "cliff"
 REPLAYS: Final = ("prioritized", "uniform")
 # roughly the seconds of an environment step with its share of updates, for progress bars alone
 STEP_COST: Final = {"qrdqn": 2.0, "sac": 4.0, "crossq": 4.0, "td3": 3.0}
 ATARI_COST: Final = 10.0  # times as much
+CONTROL_COST: Final = 20.0  # of an episode that is tested
 
 
 @dataclass(frozen=True, order=True)
 class Cell:
-    """One run: a method on a task with a seed, or a walk of one length with one kind of replay.
+    """One run: a method or a control on a task with a seed, or one replay on a walk of one length.
 
     For the cliff walk ``task`` is the variant, ``method`` the replay and ``number`` the states,
     otherwise ``number`` is the seed.
     """
 
-    kind: str  # learn or cliff
+    kind: str  # learn, control or cliff
     task: str
     method: str
     number: int
@@ -42,7 +46,10 @@ def expand(preset: Preset) -> list[Cell]:
     cells = []
     for key, task in preset.tasks.items():
         for seed in preset.seeds if task.seeds is None else task.seeds:
-            cells += [Cell("learn", key, method, seed) for method in preset.methods]
+            cells += [Cell(LEARN, key, method, seed) for method in preset.methods]
+            for control in preset.controls:
+                if control != "script" or task.env in SCRIPTS:
+                    cells.append(Cell(CONTROL, key, control, seed))
     cells.sort(key=lambda cell: (cell.number, -units_of(settings(preset, cell))))
     for key, variant in preset.cliff.items():
         for states in variant.states:
@@ -56,10 +63,12 @@ def units_of(config: dict[str, Any]) -> int:
     if cell["kind"] == CLIFF:
         variant = config["variant"]
         return max(1, round(variant["seeds"] * min(variant["limit"], 2.0 ** cell["number"]) / 10))
-    cost = STEP_COST.get(algorithm_of(cell["method"]), 1.0)
-    if config["task"]["env"].startswith(PREFIX):
-        cost *= ATARI_COST
-    return max(1, round(config["task"]["timesteps"] * cost))
+    task = config["task"]
+    cost = ATARI_COST if task["env"].startswith(PREFIX) else 1.0
+    if cell["kind"] == CONTROL:
+        return round(cost * CONTROL_COST * config["final_episodes"])
+    cost *= STEP_COST.get(algorithm_of(cell["method"]), 1.0)
+    return max(1, round(task["timesteps"] * cost))
 
 
 def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
@@ -70,6 +79,9 @@ def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
             del variant[words]
         return {"cell": asdict(cell), "variant": variant}
     task = as_dict(preset.tasks[cell.task])
+    if cell.kind == CONTROL:
+        played = {key: task[key] for key in ("env", "env_kwargs", "eval_episodes")}
+        return {"cell": asdict(cell), "task": played, "final_episodes": preset.final_episodes}
     arguments = task.pop("methods")[cell.method]
     for words in ("seeds", "title", "goal", "published", "random", "human"):
         del task[words]

@@ -30,6 +30,8 @@ ALGORITHMS: Final = {
     **DISCRETE, "sac": "SAC", "crossq": "CrossQ", "td3": "TD3", "ppo": "PPO",
     "bc": "Behaviour cloning",
 }  # fmt: skip
+#: what plays without learning
+CONTROLS: Final = {"random": "Random", "held": "One action", "script": "Script"}
 
 
 def algorithm_of(method: str) -> str:
@@ -47,7 +49,9 @@ def algorithm_of(method: str) -> str:
 
 
 def label(method: str) -> str:
-    """How tables and figures call a method."""
+    """How tables and figures call a method or a control."""
+    if method in CONTROLS:
+        return CONTROLS[method]
     variant = method.partition("_")[2].replace("_", " ")
     name = ALGORITHMS[algorithm_of(method)]
     return f"{name}, {variant}" if variant else name
@@ -112,6 +116,7 @@ class Preset:
     tasks: dict[str, Task]
     cliff: dict[str, CliffVariant] = field(default_factory=dict)
     methods: Names = field(default_factory=lambda: list(DISCRETE))
+    controls: Names = field(default_factory=list)  # a script only where a task has one
     checkpoint_seconds: Number = 60.0
     search: bool = False  # compares settings of an algorithm rather than algorithms
 
@@ -148,6 +153,11 @@ def load_preset(name: str) -> Preset:
                 )
             data[section][key] = merge(library[section].get(key, {}), given)
     preset = build(Preset, {**data, "name": path.stem}, path.name)
+    for control in preset.controls:
+        if control not in CONTROLS:
+            raise BenchmarkError(
+                f"{path.name}: controls: unknown '{control}'; known: {known(CONTROLS)}"
+            )
     for method in preset.methods:
         algorithm_of(method)
     for key, task in preset.tasks.items():

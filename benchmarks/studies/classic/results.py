@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.stats import Value, means, over_seeds, stratified_bootstrap, t_interval
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.classic.plan import CLIFF, expand, settings
+from benchmarks.studies.classic.plan import CLIFF, LEARN, expand, settings
 from benchmarks.studies.classic.presets import Preset
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ REPETITIONS = 2_000  # of the bootstrap
 
 @dataclass(frozen=True)
 class Run:
-    """One complete learning run."""
+    """One complete run of a learner, or of a control, which has no curve."""
 
     seed: int
     meta: dict[str, Any]
@@ -84,7 +84,8 @@ class Results:
             if cell.kind == CLIFF:
                 self._updates[cell.task, cell.method, cell.number] = folder.rows("updates")
                 continue
-            curve, episodes = folder.rows("curve"), folder.rows("episodes")
+            curve = folder.rows("curve") if cell.kind == LEARN else pd.DataFrame()
+            episodes = folder.rows("episodes")
             run = Run(cell.number, folder.meta(), curve, episodes, folder)
             self._runs.setdefault((cell.task, cell.method), []).append(run)
 
@@ -103,7 +104,7 @@ class Results:
         return found
 
     def runs(self, task: str, method: str) -> list[Run]:
-        """The runs of a method on a task, by seed."""
+        """The runs of a method or a control on a task, by seed."""
         return sorted(self._runs.get((task, method), []), key=lambda run: run.seed)
 
     def score(self, task: str, method: str) -> Value:

@@ -22,6 +22,12 @@ _MASKS = (
     "allowed is one more wrong answer."
 )
 
+_CONTROLS = (
+    "Random: every allowed action as likely. One action: all the time the one that is best on the "
+    "episodes by which a learner is tested during training. Script: a few lines by hand on a "
+    "learner's observation (`benchmarks/studies/classic/environments/controls.py`)."
+)
+
 
 def build_tables(results: Results) -> list[Table]:
     """All tables that the stored runs can fill."""
@@ -30,6 +36,8 @@ def build_tables(results: Results) -> list[Table]:
     tables = []
     if results.preset.tasks:
         tables.append(_scores(results))
+        if results.preset.controls:
+            tables.append(_controls(results))
         if any(task.human is not None for task in results.preset.tasks.values()):
             tables.append(_normalized(results))
         # who reads masks beside who does not is no comparison of learners
@@ -70,6 +78,23 @@ def _scores(results: Results) -> Table:
             *(notes if published else []),
             *([_MASKS] if any(t.env == MASKED_IDENTITY for t in preset.tasks.values()) else []),
         ],
+    )
+
+
+def _controls(results: Results) -> Table:
+    """What plays without learning, on the learners' test episodes, beside the first method."""
+    preset = results.preset
+    columns = [preset.methods[0], *preset.controls]
+    rows: list[list[Cell]] = []
+    for key, task in preset.tasks.items():
+        values = [results.score(key, name) for name in columns]
+        rows.append([task.title, *(_with_interval(v.mean, v.low, v.high) for v in values)])
+    return Table(
+        "controls",
+        "Without learning, on the same test episodes",
+        ["Task", *map(label, columns)],
+        rows,
+        [_CONTROLS],
     )
 
 

@@ -7,7 +7,7 @@ import inspect
 import math
 import pickle
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Final
 
 import gymnasium as gym
@@ -31,7 +31,7 @@ from benchmarks.runs import policy_file
 from benchmarks.runs.checkpoint import Kept, Watch, learn
 from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.environments.features import extractor_of
-from benchmarks.studies.classic.environments.named import make
+from benchmarks.studies.classic.environments.playing import evaluate, make_env, test
 from benchmarks.studies.classic.plan import Cell
 from benchmarks.studies.classic.presets import (
     CONTACT,
@@ -47,15 +47,7 @@ CLASSES: Final[dict[str, type[BaseAlgorithm]]] = {
     "rainbow": Rainbow, "dqn": DQN, "qrdqn": QRDQN,
     "sac": SAC, "crossq": CrossQ, "td3": TD3, "ppo": PPO,
 }  # fmt: skip
-IN_MOVES: Final = "coop_env:CoopInsertionContactDiscrete-v0"  # for who cannot act continuously
 LINEAR: Final = "lin_"  # rl-baselines3-zoo's word for a rate that falls to 0
-PARALLEL: Final = 50  # episodes that a test plays side by side
-
-
-def make_env(task: Task, discrete: bool = True, training: bool = False) -> gym.Env[Any, Any]:
-    """One environment of a task, to be tested in or to learn in."""
-    name = IN_MOVES if discrete and task.env == CONTACT else task.env
-    return make(name, training, **task.env_kwargs)
 
 
 def class_of(task: Task, method: str) -> type[BaseAlgorithm]:
@@ -127,44 +119,6 @@ def build_model(task: Task, method: str, seed: int) -> BaseAlgorithm:
         if isinstance(model, Guided):
             model.follow(guide)
     return model
-
-
-def evaluate(model: BaseAlgorithm, task: Task, seeds: Sequence[int]) -> list[tuple[float, int]]:
-    """Return and length of the greedy policy's episodes, one for each ``reset(seed=...)``.
-
-    Draws from no generator of the training; masks are asked for if the model knows masks.
-    """
-    results: list[tuple[float, int]] = []
-    for first in range(0, len(seeds), PARALLEL):
-        results += _play(model, task, seeds[first : first + PARALLEL])
-    return results
-
-
-def _play(model: BaseAlgorithm, task: Task, seeds: Sequence[int]) -> list[tuple[float, int]]:
-    discrete = isinstance(model.action_space, spaces.Discrete)
-    playing = [make_env(task, discrete) for _ in seeds]
-    masked = isinstance(model, Rainbow) and playing[0].has_wrapper_attr("action_masks")
-    observations = [env.reset(seed=seed)[0] for env, seed in zip(playing, seeds, strict=True)]
-    returns, lengths = [0.0] * len(seeds), [0] * len(seeds)
-    active = list(range(len(seeds)))
-    while active:
-        batch = np.stack([observations[i] for i in active])
-        masks: dict[str, Any] = {}
-        if masked:
-            allowed = [playing[i].get_wrapper_attr("action_masks")() for i in active]
-            masks["action_masks"] = np.stack(allowed)
-        actions, _ = model.predict(batch, deterministic=True, **masks)
-        still = []
-        for i, action in zip(active, actions, strict=True):
-            observations[i], reward, terminated, truncated, _ = playing[i].step(action)
-            returns[i] += float(reward)
-            lengths[i] += 1
-            if not (terminated or truncated):
-                still.append(i)
-        active = still
-    for env in playing:
-        env.close()
-    return list(zip(returns, lengths, strict=True))
 
 
 TENSORBOARD: Final = {
@@ -278,15 +232,7 @@ def run_learner(
     if task.env == CONTACT:  # another study plays it
         policy_file.reduce_to_greedy(model)
         policy_file.save(model, folder.policy)
-    seeds = episode_seeds(seed, preset.final_episodes, "test")
-    played = evaluate(model, task, seeds)
-    folder.write_rows(
-        "episodes",
-        [
-            {"episode": i, "seed": episode_seed, "return": total, "length": length}
-            for i, (episode_seed, (total, length)) in enumerate(zip(seeds, played, strict=True))
-        ],
-    )
+    test(model, preset, cell, folder)
     if task.env == CONTACT:
         from benchmarks.studies.robots.trials import on_tests
 
@@ -299,6 +245,6 @@ def run_learner(
         "seeds": {
             "learner": derive("learner", seed),
             "first_validation_episode": tester.seeds[0],
-            "first_test_episode": seeds[0],
+            "first_test_episode": episode_seeds(seed, 1)[0],
         },
     }

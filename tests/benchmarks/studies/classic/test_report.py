@@ -16,13 +16,13 @@ from benchmarks.reporting.stats import Value
 from benchmarks.runs.store import Store
 from benchmarks.studies.classic import docs
 from benchmarks.studies.classic.figures import write_figures
-from benchmarks.studies.classic.plan import CLIFF, expand, settings
+from benchmarks.studies.classic.plan import CLIFF, LEARN, expand, settings
 from benchmarks.studies.classic.presets import Preset, load_preset
 from benchmarks.studies.classic.results import Results, bootstrap_ratio, student
 from benchmarks.studies.classic.tables import _cliff_row, build_tables
 
 ROOT = Path(__file__).resolve().parents[4]
-SCORES = {"rainbow": 30.0, "dqn": 20.0, "qrdqn": 10.0}
+SCORES = {"rainbow": 30.0, "dqn": 20.0, "qrdqn": 10.0, "random": 1.0, "held": 2.0, "script": 33.0}
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,8 @@ def store(preset: Preset, tmp_path_factory: pytest.TempPathFactory) -> Store:
             curve: list[dict[str, object]] = [
                 {"timesteps": t, "return_mean": final * t / 1000} for t in (0, 500, 1000)
             ]
-            run.write_rows("curve", curve)
+            if cell.kind == LEARN:
+                run.write_rows("curve", curve)
         training = {"updates": 7, "cpu_seconds": 60.0, "wall_seconds": 120.0}
         machine = {"commit": "f" * 40, "dirty": False, "machine": {"processor": "abacus"}}
         run.write_meta({"training": training, **machine})
@@ -175,8 +176,23 @@ def test_published_marks_stand_beside_the_scores(tmp_path: Path) -> None:
     assert boxing[1:] == ["0.1", "12.1", "0.492 [0.285, 0.699]", "0.008"]
 
 
+def test_controls_stand_beside_the_first_method_and_move_no_score(
+    preset: Preset, store: Store
+) -> None:
+    tables = {table.name: table for table in build_tables(Results(preset, store))}
+    shown = {row[0]: row[1:] for row in tables["controls"].texts()}
+    assert tables["controls"].header[1:] == ["Rainbow", "Random", "One action", "Script"]
+    assert shown["CartPole-v1"] == ["30.5", "1.5", "2.5", "33.5"]
+    assert shown["Masked identity"] == ["30.0", "1.0", "2.0", "-"]
+    without = Results(dataclasses.replace(preset, controls=[]), store)
+    plain = {table.name: table for table in build_tables(without)}
+    assert "controls" not in plain
+    assert plain["together"].markdown() == tables["together"].markdown()
+    assert plain["scores"].markdown() == tables["scores"].markdown()
+
+
 def test_runs_that_are_not_what_the_preset_says_are_named(tmp_path: Path) -> None:
-    atari = dataclasses.replace(load_preset("atari100k"), seeds=[3], final_episodes=2)
+    atari = dataclasses.replace(load_preset("atari100k"), seeds=[3], final_episodes=2, controls=[])
     store = Store.open(tmp_path, "atari100k", create=True)
     seeds = episode_seeds(3, 2)
     rows = [{"episode": i, "seed": seed, "return": 1.0} for i, seed in enumerate(seeds)]
@@ -204,6 +220,7 @@ def test_one_task_is_not_compared_with_itself(preset: Preset, store: Store) -> N
         )
         assert [table.name for table in build_tables(Results(alone, store))] == [
             "scores",
+            "controls",
             "steps",
             "settings",
         ]

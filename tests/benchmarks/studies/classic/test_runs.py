@@ -22,10 +22,11 @@ from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.classic.cliff import measure
+from benchmarks.studies.classic.environments.playing import evaluate
 from benchmarks.studies.classic.experiment import Classic
 from benchmarks.studies.classic.plan import Cell, expand
 from benchmarks.studies.classic.presets import PRESETS, CliffVariant, Preset, load_preset
-from benchmarks.studies.classic.train import build_model, evaluate, run_learner
+from benchmarks.studies.classic.train import build_model, run_learner
 
 TASKS = ("cartpole", "masked_identity", "breakout")
 
@@ -266,7 +267,7 @@ def test_the_command_from_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixtur
     capfd.readouterr()
     assert main(["classic", "plan", *words]) == 0
     told = capfd.readouterr().out
-    assert "3 cells of preset 'few'" in told
+    assert "5 cells of preset 'few'" in told
     assert ", 0 to run" in told
 
 
@@ -298,6 +299,7 @@ def test_bad_words_are_one_clear_error(
         ({"methods": []}, "methods: must be some, and differ"),
         ({"tasks": {"cartpol": {}}}, "tasks: unknown 'cartpol'; known: "),
         ({"tasks": {"cartpole": 5}}, "tasks: cartpole: expected a mapping, found 5"),
+        ({"controls": ["oracle"]}, "controls: unknown 'oracle'; known: held, random, script"),
         ({"cliff": {"alone": {"states": [8, 8]}}}, "must be some, and differ"),
         ({"methods": ["rainbow_x"]}, "methods has no settings for 'rainbow_x'"),
         ({"sedes": [1]}, "unknown key 'sedes'"),

@@ -1,0 +1,107 @@
+"""What plays the public tasks without learning: scripts, one action, chance."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.seeding import episode_seeds
+from benchmarks.runs.cell import run_cell
+from benchmarks.runs.store import RunFolder, Store
+from benchmarks.studies.classic.environments.controls import SCRIPTS, at_random, held, scripted
+from benchmarks.studies.classic.environments.playing import evaluate, make_env, run_control
+from benchmarks.studies.classic.experiment import Classic
+from benchmarks.studies.classic.plan import CONTROL, Cell, expand
+from benchmarks.studies.classic.presets import Task, load_preset
+
+pytest.importorskip("minatar", reason="needs the extra 'classic'")
+
+TASKS = {
+    task.env: task
+    for preset in ("control", "minatar")
+    for task in load_preset(preset).tasks.values()
+}
+# what each script reaches, less some; Box2D's and MinAtar's episodes differ much
+REACHED = {
+    "CartPole-v1": 500.0,
+    "Acrobot-v1": -100.0,
+    "MountainCar-v0": -115.0,
+    "LunarLander-v3": 150.0,
+    "MinAtar/asterix": 15.0,
+    "MinAtar/breakout": 6.0,
+    "MinAtar/freeway": 60.0,
+    "MinAtar/seaquest": 10.0,
+    "MinAtar/space_invaders": 15.0,
+}
+
+
+def space_of(task: Task) -> spaces.Discrete:
+    space = make_env(task).action_space
+    assert isinstance(space, spaces.Discrete)
+    return space
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_a_script_plays_better_than_chance_and_than_any_one_action(name: str) -> None:
+    task, seeds = TASKS[name], range(2000, 2003 if name == "MinAtar/freeway" else 2012)
+    space = space_of(task)
+    others = [at_random(space, 0), *(held(space, action) for action in range(int(space.n)))]
+    mean, *rest = (
+        np.mean([total for total, _ in evaluate(control, task, seeds)])
+        for control in (scripted(space, name), *others)
+    )
+    assert mean >= REACHED[name]
+    assert mean > max(rest)
+
+
+def test_every_allowed_action_is_as_likely() -> None:
+    control = at_random(spaces.Discrete(4), 0)
+    masks = np.tile([True, False, True, True], (6000, 1))
+    actions, _ = control.predict(np.zeros(6000), action_masks=masks)
+    assert np.bincount(actions, minlength=4) == pytest.approx([2000, 0, 2000, 2000], abs=150)
+    actions, _ = control.predict(np.zeros(6000))
+    assert np.bincount(actions) == pytest.approx(4 * [1500], abs=150)
+
+
+def test_chance_knows_the_masks_that_rainbow_knows() -> None:
+    task = load_preset("basics").tasks["masked_identity"]
+    found = [total for total, _ in evaluate(at_random(space_of(task), 0), task, range(100))]
+    assert np.mean(found) == pytest.approx(50 / 4, abs=1.0)  # one in four is right
+
+
+def test_the_action_that_is_held_is_the_best_on_validation_episodes(tmp_path: Path) -> None:
+    preset = dataclasses.replace(load_preset("minatar"), final_episodes=2)
+    task = dataclasses.replace(preset.tasks["freeway"], eval_episodes=2)
+    preset = dataclasses.replace(preset, tasks={"freeway": task})
+    folder = RunFolder(tmp_path / "run")
+    about = run_control(preset, Cell(CONTROL, "freeway", "held", 1), folder)
+    assert about["action"] == 1  # up, which alone ever crosses the road
+    rows = folder.rows("episodes")
+    assert rows["seed"].tolist() == episode_seeds(1, 2)
+    played = evaluate(held(space_of(task), 1), task, episode_seeds(1, 2))
+    assert list(zip(rows["return"], rows["length"], strict=True)) == played
+
+
+def test_controls_are_runs_of_the_preset_and_can_be_stopped(tmp_path: Path) -> None:
+    tiny = Classic("tiny")
+    found = {cell.id for cell in expand(tiny.preset) if cell.kind == CONTROL}
+    assert {"cartpole-script-s0", "breakout-held-s0", "masked_identity-random-s0"} <= found
+    assert "masked_identity-script-s0" not in found
+    store = Store.open(tmp_path, "tiny", create=True)
+    cell = tiny.find("cartpole-held-s0")
+    assert not run_cell(tiny, cell, store, lambda: True)
+    assert not store.run(cell.id).is_complete()
+    for cell in expand(tiny.preset):
+        if cell.kind == CONTROL:
+            assert run_cell(tiny, cell, store)
+            assert tiny.verdict(store.run(cell.id)).endswith("over 3 test episodes")
+
+
+def test_a_task_without_a_script_is_named() -> None:
+    with pytest.raises(BenchmarkError, match="Pendulum-v1 has no script"):
+        scripted(spaces.Discrete(2), "Pendulum-v1")
