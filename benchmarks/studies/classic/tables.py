@@ -22,11 +22,13 @@ _MASKS = (
     "allowed is one more wrong answer."
 )
 
-_CONTROLS = (
-    "Random: every allowed action as likely. One action: all the time the one that is best on the "
-    "episodes by which a learner is tested during training. Script: a few lines by hand on a "
-    "learner's observation (`benchmarks/studies/classic/environments/controls.py`)."
-)
+_CONTROLS = {
+    "random": "Random: every allowed action as likely.",
+    "held": "One action: all the time the one that is best on the episodes by which a learner is "
+    "tested during training.",
+    "script": "Script: a few lines by hand on a learner's observation "
+    "(`benchmarks/studies/classic/environments/controls.py`).",
+}
 
 
 def build_tables(results: Results) -> list[Table]:
@@ -94,7 +96,7 @@ def _controls(results: Results) -> Table:
         "Without learning, on the same test episodes",
         ["Task", *map(label, columns)],
         rows,
-        [_CONTROLS],
+        [" ".join(_CONTROLS[name] for name in preset.controls)],
     )
 
 

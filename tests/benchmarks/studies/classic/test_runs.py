@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 import yaml
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
@@ -26,7 +27,8 @@ from benchmarks.studies.classic.environments.playing import evaluate
 from benchmarks.studies.classic.experiment import Classic
 from benchmarks.studies.classic.plan import Cell, expand
 from benchmarks.studies.classic.presets import PRESETS, CliffVariant, Preset, load_preset
-from benchmarks.studies.classic.train import build_model, run_learner
+from benchmarks.studies.classic.train import FadingNoise, build_model, run_learner
+from sb3_rainbow.network.noisy_linear import NoisyLinear
 
 TASKS = ("cartpole", "masked_identity", "breakout")
 
@@ -65,6 +67,32 @@ def test_a_run_that_was_stopped_twice_is_the_run_that_was_not(
     assert summary["timesteps"] >= preset.tasks[task].timesteps
     for cut, expected in zip(finished(folder), finished(whole), strict=True):
         pd.testing.assert_frame_equal(cut, expected)
+
+
+def test_noise_that_fades_falls_with_the_steps_that_are_left(
+    preset: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sigmas: list[float] = []
+    measured = FadingNoise._on_rollout_start
+
+    def note(callback: FadingNoise) -> None:
+        measured(callback)
+        layers = [m for m in callback.model.policy.modules() if isinstance(m, NoisyLinear)]
+        sigmas.append(float(torch.stack([each.noise_magnitude() for each in layers]).mean()))
+
+    monkeypatch.setattr(FadingNoise, "_on_rollout_start", note)
+    task = preset.tasks["cartpole"]
+    # nothing is learned, so that what is left of the noise is a straight line
+    rainbow = {"learning_starts": 10_000, "noise_fades": True}
+    fading = dataclasses.replace(task, methods={**task.methods, "rainbow": rainbow})
+    preset = dataclasses.replace(preset, tasks={"cartpole": fading})
+    cell, folder = Cell("learn", "cartpole", "rainbow", 0), RunFolder(tmp_path / "run")
+    assert run_learner(preset, cell, folder, stop_after(50)) is None
+    assert run_learner(preset, cell, folder) is not None
+    twice = 600 // 4 + 1  # a round of four steps is begun again where it was cut
+    assert len(sigmas) == twice
+    steps = 4 * np.array([*range(51), *range(50, 150)])
+    np.testing.assert_allclose(sigmas, sigmas[0] * (1.0 - steps / 600.0), rtol=1e-4)
 
 
 def test_box2d_begins_a_new_episode_and_goes_on(tmp_path: Path) -> None:
