@@ -19,7 +19,7 @@ from torch import nn
 from sb3_rainbow.masking.conventions import as_action_masks
 from sb3_rainbow.network.convolutions import NatureConvolutions
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
-from sb3_rainbow.network.shared_memory import separate
+from sb3_rainbow.network.shared_memory import AsVector, separate
 from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers, ObsArray
 
 # Optimizers that have one kernel for all parameters: a quarter of the time of one per parameter
@@ -27,7 +27,7 @@ _WITH_FUSED_KERNEL = (th.optim.Adam, th.optim.AdamW)
 _NOT_WITH_FUSED = {"foreach", "differentiable"}
 
 
-class RainbowPolicy(BasePolicy):
+class RainbowPolicy(AsVector, BasePolicy):
     """Policy with the online and the target network of Rainbow.
 
     The arguments after ``lr_schedule`` are those of SB3's ``DQNPolicy``, then ``noisy_layers``,

@@ -249,7 +249,6 @@ class Rainbow(ResumableAlgorithm):
             self.distributional, self.v_min, self.v_max
         )
         check_settings(self)
-        self._needs_masks_at_t = self.advantage_learning > 0.0
         self._support = support_of(self.distributional, self.v_min, self.v_max)
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
@@ -365,6 +364,10 @@ class Rainbow(ResumableAlgorithm):
         self.logger.record("rollout/exploration_rate", self.exploration_rate)
 
     @property
+    def _needs_masks_at_t(self) -> bool:
+        return self.advantage_learning > 0.0
+
+    @property
     def beta(self) -> float:
         """Importance-sampling exponent at the present progress of training."""
         progress = min(max(1.0 - self._current_progress_remaining, 0.0), 1.0)
@@ -391,6 +394,7 @@ class Rainbow(ResumableAlgorithm):
         self._update_learning_rate(self.policy.optimizer)
         learner = self._learner
         learner.double_q, learner.max_grad_norm = self.double_q, self.max_grad_norm
+        learner.advantage_learning = self.advantage_learning
         tau = self.tau if self.target_update_interval is None else None
         losses: list[Any] = []  # numbers, or tensors that nobody has waited for
         with flush_denormals():

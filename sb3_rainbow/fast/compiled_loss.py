@@ -61,7 +61,10 @@ class CompiledLoss:
         buffers = {name.rpartition(".")[2] for name, _ in self._loss.named_buffers()}
         self._is_pure = buffers <= _CONSTANT_BUFFERS
         self._on_gpu = q_net.device.type == "cuda"
-        self._graph: Any = th.compile(
+        self._graph: Any = None
+
+    def _compile(self) -> Any:
+        return th.compile(
             self._gradients_of if self._is_pure else self._loss,
             fullgraph=True,
             dynamic=False,
@@ -77,6 +80,8 @@ class CompiledLoss:
             max_grad_norm: gradient norm to clip to, None for no clipping.
         """
         try:
+            if self._graph is None:  # already this fails where Python is newer than torch
+                self._graph = self._compile()
             return self._run(batch, max_grad_norm)
         except Exception as error:  # whatever the compiler's back end raises
             reason = str(error).strip().splitlines()[0] if str(error).strip() else repr(error)

@@ -33,7 +33,6 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
     action_space: spaces.Discrete
     use_masking: UseMasking = "auto"
     _masking: bool = False
-    _needs_masks_at_t: bool = False  # whether targets look at the state the action was taken in
     _warned_of_lost_mask: bool = False
     _last_action_masks: NDArray[np.bool_] | None = None
 
@@ -69,6 +68,11 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
             # Only now: who learns without masks may have an env that cannot give them.
             capture_terminal_masks(self.env)
         self._last_action_masks = self._current_masks() if supported else None
+
+    @property
+    def _needs_masks_at_t(self) -> bool:
+        """Whether targets look at the state the action was taken in."""
+        return False
 
     def _current_masks(self) -> NDArray[np.bool_]:
         assert self.env is not None

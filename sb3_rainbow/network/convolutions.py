@@ -32,12 +32,26 @@ class NatureConvolutions(NatureCNN):
 
     Args:
         observation_space: of images, channels first, at least 36 by 36 pixels.
+        features_dim: of ``NatureCNN``'s last layer, which is not here: None.
         normalized_image: whether the images are scaled to [0, 1] already.
+
+    Raises:
+        ValueError: if ``features_dim`` is given.
     """
 
     channels_last = True
 
-    def __init__(self, observation_space: spaces.Box, normalized_image: bool = False) -> None:
+    def __init__(
+        self,
+        observation_space: spaces.Box,
+        features_dim: int | None = None,
+        normalized_image: bool = False,
+    ) -> None:
+        if features_dim is not None:
+            raise ValueError(
+                f"features_dim={features_dim}: NatureConvolutions end without a layer of it; pass "
+                f"net_arch=dict(streams=[{features_dim}]), or features_extractor_class=NatureCNN"
+            )
         super().__init__(observation_space, 1, normalized_image)
         first = self.linear[0]
         assert isinstance(first, th.nn.Linear)

@@ -1,8 +1,9 @@
 """Rainbow's Q-network."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from itertools import pairwise
+from numbers import Integral
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -18,7 +19,7 @@ from torch.nn import functional as F
 from sb3_rainbow.network.convolutions import gains_by_channels_last, put_channels_last
 from sb3_rainbow.network.losses import mask_q_values
 from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_, silenced
-from sb3_rainbow.network.shared_memory import separate, share
+from sb3_rainbow.network.shared_memory import AsVector, separate, share
 from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers, Prepared
 
 # Modules that hold no noisy layer and do not mind whether they are trained
@@ -44,7 +45,7 @@ def _train(module: nn.Module, mode: bool) -> None:
         module.train(mode)
 
 
-class RainbowNetwork(BasePolicy):
+class RainbowNetwork(AsVector, BasePolicy):
     """Q-network with a dueling, distributional head and noisy layers, each of which can be off.
 
     Its outputs are ``n_atoms`` for the state value (dueling only) and ``n_atoms`` for each action's
@@ -218,7 +219,8 @@ class RainbowNetwork(BasePolicy):
         """
         epsilons = self._epsilons()
         if [e.data_ptr() for e in epsilons] != self._noise_addresses:
-            self.noise = th.cat(epsilons) if epsilons else self.support.new_zeros(0)
+            with th.inference_mode(False):  # whose tensors nobody could draw into later
+                self.noise = th.cat(epsilons) if epsilons else self.support.new_zeros(0)
             self._noise_addresses = share(epsilons, self.noise)
             self._noise_sizes = [e.numel() for e in epsilons]
         return epsilons
@@ -417,16 +419,20 @@ def split_arch(net_arch: NetArch) -> tuple[list[int], list[int]]:
     """Sizes of the hidden layers that all streams share, and of those of each.
 
     Raises:
-        ValueError: for a dict with keys other than ``shared`` and ``streams``.
+        ValueError: for anything else than a list of sizes, or a dict of such lists with no other
+            keys than ``shared`` and ``streams``.
     """
-    if not isinstance(net_arch, dict):
-        return list(net_arch), []
-    if unknown := sorted(map(str, net_arch.keys() - {"shared", "streams"})):
+    sizes = net_arch if isinstance(net_arch, dict) else {"shared": net_arch}
+    fits = sizes.keys() <= {"shared", "streams"} and all(
+        isinstance(part, Sequence) and all(isinstance(size, Integral) for size in part)
+        for part in sizes.values()
+    )
+    if not fits:
         raise ValueError(
-            f"net_arch has unknown keys {unknown}: must be a list of sizes or "
-            "dict(shared=[...], streams=[...])"
+            "net_arch must be a list of sizes or dict(shared=[...], streams=[...]), "
+            f"got {net_arch!r}"
         )
-    return list(net_arch.get("shared", [])), list(net_arch.get("streams", []))
+    return list(sizes.get("shared", [])), list(sizes.get("streams", []))
 
 
 def _check_atoms(n_atoms: int, least: int) -> None:

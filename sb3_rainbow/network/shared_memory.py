@@ -2,7 +2,10 @@
 
 from collections.abc import Iterable, Sequence
 
+import numpy as np
 import torch as th
+from numpy.typing import NDArray
+from stable_baselines3.common.policies import BaseModel
 
 
 def is_dense(tensor: th.Tensor) -> bool:
@@ -61,3 +64,12 @@ def separate(tensors: Iterable[th.Tensor]) -> None:
     for tensor in tensors:
         if tensor.untyped_storage().nbytes() > tensor.numel() * tensor.element_size():
             tensor.data = tensor.detach().clone()
+
+
+class AsVector(BaseModel):
+    """What SB3 does for weights that are in order in memory, for any."""
+
+    def parameters_to_vector(self) -> NDArray[np.float32]:
+        """All parameters, one after another."""
+        flat = [p.detach().reshape(-1) for p in self.parameters()]
+        return th.cat(flat).cpu().numpy()

@@ -19,12 +19,12 @@ from benchmarks.studies.speed.setting import Seconds, seconds_of
 
 RIVALS_PYTHON: Final = Path(".venv-rivals/bin/python")
 RIVALS: Final = ("tianshou", "AgileRL")
-# what so many steps of the env with one update each ("learn") take, or updates alone ("train")
+# what so many updates take, with the steps of the env between them ("learn") or alone ("train")
 Contestant = Callable[[str, int], Seconds]
 
 
 def ours(model: Any, batch_size: int) -> Contestant:
-    """An algorithm of SB3's kind.
+    """An algorithm of SB3's kind that makes an update after each step of all its envs.
 
     Args:
         model: trained for a moment, its replay buffer full.
@@ -33,7 +33,7 @@ def ours(model: Any, batch_size: int) -> Contestant:
 
     def act(kind: str, n: int) -> None:
         if kind == "learn":
-            model.learn(n, reset_num_timesteps=False)
+            model.learn(n * model.n_envs, reset_num_timesteps=False)
         else:
             for _ in range(n):
                 model.train(1, batch_size)
@@ -102,14 +102,14 @@ def start_rival(name: str, capacity: int, python: Path = RIVALS_PYTHON) -> Itera
 
 
 def measure_updates(
-    contestants: Mapping[str, Contestant], n_steps: int, rounds: int
+    contestants: Mapping[str, Contestant], n_updates: int, rounds: int
 ) -> dict[str, dict[str, float]]:
     """Updates per second of ``learn``, and of ``train`` alone: medians over rounds in turns."""
     rates: dict[str, dict[str, list[float]]] = {name: {} for name in contestants}
     for name in list(contestants) * rounds:
         for kind in ("learn", "train"):
-            for clock, took in contestants[name](kind, n_steps)._asdict().items():
-                rates[name].setdefault(f"{kind}_{clock}", []).append(n_steps / took)
+            for clock, took in contestants[name](kind, n_updates)._asdict().items():
+                rates[name].setdefault(f"{kind}_{clock}", []).append(n_updates / took)
     return {
         name: {kind: statistics.median(values) for kind, values in found.items()}
         for name, found in rates.items()

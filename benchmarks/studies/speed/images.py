@@ -18,9 +18,10 @@ BASELINE: Final = "SB3 DQN"
 NATURE: Final = "NatureCNN"
 MINATAR: Final = "MinAtar"
 SETTINGS: Final = {
-    NATURE: "random frames of 84 x 84, four of them stacked, 6 actions, batch 32, an update a step",
+    NATURE: "random frames of 84 x 84, four of them stacked, 6 actions, batch 32, an update a "
+    "step, a tenth of the steps in a round",
     MINATAR: "Breakout by preset `minatar` of the classic tasks, but that all have Rainbow's 128 "
-    "units after the convolution: batch 32, an update for four steps of the game",
+    "units after the convolution: batch 32, an update for a step of each of four games",
 }
 # Least ratio of Rainbow to DQN that the project asks for; on MinAtar 1.1 times the minutes
 TARGETS: Final = {NATURE: 0.9, MINATAR: 0.91}
@@ -72,7 +73,7 @@ def make_models() -> dict[str, dict[str, Any]]:
         BASELINE: DQN("CnnPolicy", FramesEnv(), **settings),
         "sb3-contrib QR-DQN": QRDQN("CnnPolicy", FramesEnv(), policy_kwargs=quantiles, **settings),
         "Rainbow": Rainbow("CnnPolicy", FramesEnv(), policy_kwargs=same_network, **settings),
-        "Rainbow, two streams of 512": Rainbow("CnnPolicy", FramesEnv(), **settings),
+        "Rainbow, by default two streams of 512": Rainbow("CnnPolicy", FramesEnv(), **settings),
     }
     task = load_preset("minatar").tasks["breakout"]
     for arguments in task.methods.values():
@@ -90,14 +91,14 @@ def measure(n_steps: int, rounds: int) -> dict[str, dict[str, dict[str, float]]]
     """Updates per second by setting and method, the methods of a setting in turns.
 
     Args:
-        n_steps: of MinAtar in a round; of the large frames a tenth of them.
+        n_steps: of MinAtar's games together in a round; of the large frames a tenth of them.
         rounds: of which the median counts.
     """
-    sizes = {NATURE: max(1, n_steps // 10), MINATAR: n_steps}
+    updates = {NATURE: max(1, n_steps // 10), MINATAR: max(1, n_steps // 4)}
     return {
         setting: measure_updates(
             {name: ours(model, model.batch_size) for name, model in found.items()},
-            sizes[setting],
+            updates[setting],
             rounds,
         )
         for setting, found in make_models().items()

@@ -11,14 +11,21 @@ from typing import Any
 import numpy as np
 import pytest
 from stable_baselines3 import DQN
+from stable_baselines3.common.env_util import make_vec_env
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.runs.machine import REPOSITORY
 from benchmarks.studies.speed import images
 from benchmarks.studies.speed import rainbow as speed_rainbow
-from benchmarks.studies.speed.contest import RIVALS, RIVALS_PYTHON, measure_updates, start_rival
+from benchmarks.studies.speed.contest import (
+    RIVALS,
+    RIVALS_PYTHON,
+    measure_updates,
+    ours,
+    start_rival,
+)
 from benchmarks.studies.speed.parts import measure_parts
-from benchmarks.studies.speed.setting import BATCH_SIZE, Seconds, StubEnv
+from benchmarks.studies.speed.setting import BATCH_SIZE, CAPACITY, Seconds, StubEnv
 from sb3_rainbow import Rainbow
 
 SMALL = 3 * BATCH_SIZE
@@ -43,6 +50,22 @@ def test_rates_are_medians_over_the_rounds() -> None:
     assert found["a"]["learn_wall"] == pytest.approx(2.5)
     assert found["b"]["learn_cpu"] == pytest.approx(1.0)
     assert found["b"]["train_cpu"] == pytest.approx(1000.0)
+
+
+@pytest.mark.parametrize("kind", ["learn", "train"])
+def test_updates_are_counted_whatever_the_number_of_games(kind: str) -> None:
+    model = Rainbow("MlpPolicy", make_vec_env("CartPole-v1", 4), train_freq=1, learning_starts=8)
+    model.learn(40)
+    before = model._n_updates
+    ours(model, 8)(kind, 5)
+    assert model._n_updates - before == 5
+
+
+def test_the_memory_of_a_million_transitions_is_the_buffer_s_alone() -> None:
+    # observations once, rewards, actions, ends and the tree; masks come with the first of them
+    mask_bytes = 12
+    expected = speed_rainbow.make_buffer().nbytes + mask_bytes * CAPACITY
+    assert speed_rainbow.measure_memory() == pytest.approx(expected / 1e6, rel=0.1)
 
 
 @pytest.mark.parametrize("name", RIVALS)
@@ -116,11 +139,6 @@ def test_without_rivals_one_line_says_so_and_the_rest_is_measured(
     assert found["rivals"] == found["parts"] == {}
 
 
-def test_the_memory_of_a_million_transitions() -> None:
-    # observations once, rewards, actions, ends, masks and the tree: about 140 bytes each
-    assert 100.0 < speed_rainbow.measure_memory() < 200.0
-
-
 def test_the_parts_of_an_update_are_less_than_the_whole() -> None:
     settings: dict[str, Any] = {"learning_starts": 20, "buffer_size": 200, "device": "cpu"}
     model = Rainbow("MlpPolicy", StubEnv(), cpu_kernels=False, **settings).learn(60)
@@ -177,7 +195,9 @@ def test_the_gpu_table_at_its_batch_sizes(monkeypatch: pytest.MonkeyPatch) -> No
 def test_the_image_rows_have_the_three_methods() -> None:
     found = images.measure(n_steps=8, rounds=1)
     assert set(found["MinAtar"]) == {"SB3 DQN", "sb3-contrib QR-DQN", "Rainbow"}
-    assert set(found["NatureCNN"]) == set(found["MinAtar"]) | {"Rainbow, two streams of 512"}
+    assert set(found["NatureCNN"]) == set(found["MinAtar"]) | {
+        "Rainbow, by default two streams of 512"
+    }
     assert all(rates["train_cpu"] > 0.0 for of in found.values() for rates in of.values())
 
 

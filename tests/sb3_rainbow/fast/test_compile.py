@@ -33,12 +33,13 @@ def _forget_graphs() -> None:
     th.compiler.reset()
 
 
-def test_without_a_compiler_one_warning_and_the_same_run(monkeypatch: Any) -> None:
-    def broken(*args: Any, **kwargs: Any) -> Any:
-        def call(*args: Any) -> Any:
-            raise RuntimeError("no C++ compiler was found\nand a long trace")
+@pytest.mark.parametrize("at_once", [False, True], ids=["when called", "at once"])
+def test_without_a_compiler_one_warning_and_the_same_run(monkeypatch: Any, at_once: bool) -> None:
+    def call(*args: Any) -> Any:
+        raise RuntimeError("no C++ compiler was found\nand a long trace")
 
-        return call
+    def broken(*args: Any, **kwargs: Any) -> Any:
+        return call() if at_once else call
 
     plain = Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, "compile": False}).learn(100)
     monkeypatch.setattr(th, "compile", broken)

@@ -234,3 +234,21 @@ def test_hooks_on_parameters_are_called(hook: str) -> None:
     assert len(calls) == 2
     handle.remove()
     assert uses_kernels(model)
+
+
+@pytest.mark.parametrize("kernels", [True, False])
+@pytest.mark.parametrize(
+    ("name", "value"), [("double_q", False), ("max_grad_norm", 0.1), ("advantage_learning", 0.9)]
+)
+def test_settings_of_the_update_may_change_after_the_model_was_made(
+    name: str, value: Any, kernels: bool
+) -> None:
+    def learned(made: dict[str, Any], changed: dict[str, Any]) -> Any:
+        settings = {**FAST, "cpu_kernels": kernels, "policy_kwargs": {"net_arch": [16]}}
+        model = Rainbow("MlpPolicy", "CartPole-v1", **settings, **made)
+        vars(model).update(changed)
+        return model.learn(100).policy.parameters_to_vector()
+
+    changed = learned({}, {name: value})
+    np.testing.assert_array_equal(changed, learned({name: value}, {}))
+    assert not np.array_equal(changed, learned({}, {}))

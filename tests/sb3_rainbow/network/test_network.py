@@ -313,7 +313,10 @@ def test_a_dict_without_streams_is_a_list(net_arch: dict[str, list[int]]) -> Non
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"net_arch": {"pi": [4], "shared": [4]}}, r"unknown keys \['pi'\].*shared=.*streams="),
+        ({"net_arch": {"pi": [4], "shared": [4]}}, r"shared=\[.*streams=\[.*got {'pi'"),
+        ({"net_arch": 8}, "net_arch must be a list of sizes or .*got 8"),
+        ({"net_arch": [{"vf": [4]}]}, "net_arch must be a list of sizes or "),
+        ({"net_arch": {"streams": 4}}, "net_arch must be a list of sizes or "),
         ({"distributional": "quantiles"}, "'categorical' or 'quantile', got 'quantiles'"),
         ({"distributional": None}, "got None"),
         ({"distributional": "quantile", "n_atoms": 0}, "n_atoms must be.*at least 1, got 0"),
@@ -329,6 +332,40 @@ def test_quantiles_are_values_and_their_mean_is_the_q_value() -> None:
     net = make_net(distributional="quantile", n_atoms=4)
     th.testing.assert_close(net(OBSERVATIONS), net.logits(OBSERVATIONS).mean(dim=2))
     th.testing.assert_close(net.distribution(OBSERVATIONS), th.full((6, 3, 4), 0.25))
+
+
+def test_a_prediction_in_inference_mode_leaves_a_copy_able_to_learn() -> None:
+    """Its noise gets its memory with the first prediction."""
+    policy = copy.deepcopy(make_policy())
+    with th.inference_mode():
+        policy.predict(np.zeros(4, np.float32))
+    policy.q_net.reset_noise()
+    policy.q_net.logits(OBSERVATIONS).sum().backward()
+    policy.optimizer.step()
+
+
+@pytest.mark.parametrize("extractor", [None, NatureCNN])
+def test_weights_of_images_go_into_a_vector_and_back(extractor: type[NatureCNN] | None) -> None:
+    kwargs = {} if extractor is None else {"features_extractor_class": extractor}
+    space = spaces.Box(0, 255, (1, 40, 40), np.uint8)
+    one, other = (CnnPolicy(space, ACTIONS, lambda _: 1e-3, **kwargs) for _ in range(2))
+    vector = one.parameters_to_vector()
+    pointer = 0
+    for parameter in one.parameters():  # in the order of its values, not of its memory
+        values = vector[pointer : pointer + parameter.numel()]
+        np.testing.assert_array_equal(values, parameter.detach().numpy().flatten())
+        pointer += parameter.numel()
+    assert pointer == vector.size
+    other.load_from_vector(vector)
+    np.testing.assert_array_equal(
+        other.q_net.parameters_to_vector(), one.q_net.parameters_to_vector()
+    )
+
+
+def test_a_size_of_features_that_convolutions_lack_is_refused_with_the_mend() -> None:
+    space = spaces.Box(0, 255, (1, 40, 40), np.uint8)
+    with pytest.raises(ValueError, match=r"features_dim=64.*streams=\[64\].*NatureCNN"):
+        CnnPolicy(space, ACTIONS, lambda _: 1e-3, features_extractor_kwargs={"features_dim": 64})
 
 
 def test_images_have_the_published_network_by_default() -> None:
