@@ -213,38 +213,41 @@ def backward(
         start = table[n_layers - 2, HIDDEN] * n_seen
         units = hidden[start : start + batch * n_in].reshape((batch, n_in))
     size = n_atoms * n_in
-    n_streams = n_out // n_atoms
     flat = weight_gradient.reshape(n_out * n_in)
-    bias[:] = 0.0
-    first_stream = 0
     if dueling:
-        first_stream = 1
-        value = flat[:size]
-        np.dot(slope.T, units, value.reshape((n_atoms, n_in)))
+        np.dot(slope.T, units, weight_gradient[:n_atoms])
+        bias[:n_atoms] = 0.0
         for b in range(batch):
             for j in range(n_atoms):
                 bias[j] += slope[b, j]
-        share = np.float32(-1.0 / (n_streams - 1))
-        for a in range(1, n_streams):
-            part = flat[a * size : (a + 1) * size]
-            for k in range(size):
-                part[k] = share * value[k]
-            for j in range(n_atoms):
-                bias[a * n_atoms + j] = share * bias[j]
-    else:
-        flat[:] = 0.0
     delta = np.dot(slope, common)
-    for b in range(batch):
-        first = (actions[b] + first_stream) * n_atoms
-        unit, back = units[b], delta[b]
-        for j in range(n_atoms):
-            s = slope[b, j]
-            row = weight[first + j]
-            out = weight_gradient[first + j]
-            for i in range(n_in):
-                out[i] += s * unit[i]
-                back[i] += s * row[i]
-            bias[first + j] += s
+    first_stream = 1 if dueling else 0
+    n_streams = n_out // n_atoms
+    # Action by action, so that its rows stay in the processor's nearest cache
+    for a in range(first_stream, n_streams):
+        first = a * n_atoms
+        part, part_bias = flat[a * size : (a + 1) * size], bias[first : first + n_atoms]
+        if dueling:
+            share = np.float32(-1.0 / (n_streams - 1))
+            for k in range(size):
+                part[k] = share * flat[k]
+            for j in range(n_atoms):
+                part_bias[j] = share * bias[j]
+        else:
+            part[:] = 0.0
+            part_bias[:] = 0.0
+        for b in range(batch):
+            if actions[b] + first_stream != a:
+                continue
+            unit, back = units[b], delta[b]
+            for j in range(n_atoms):
+                s = slope[b, j]
+                row = weight[first + j]
+                out = weight_gradient[first + j]
+                for i in range(n_in):
+                    out[i] += s * unit[i]
+                    back[i] += s * row[i]
+                part_bias[j] += s
     for layer in range(n_layers - 2, -1, -1):
         n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
         h = table[layer, HIDDEN] * n_seen
