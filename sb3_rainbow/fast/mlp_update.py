@@ -59,6 +59,9 @@ class MlpUpdate:
         gradient = th.zeros_like(vectors[0])
         self._gradients = parts(gradient, self._online)
         self._one_extractor = is_stateless(q_net)
+        extractors = q_net.features_extractor, q_net_target.features_extractor
+        self._flattens = all(type(extractor) is FlattenExtractor for extractor in extractors)
+        self._support = q_net.support.numpy()
         learnt = sum(p.numel() for p in q_net.features_extractor.parameters())
         self._learnt_gradient = gradient[len(gradient) - learnt :]
         epsilons = [*q_net.tie_noise(), *q_net_target.tie_noise()]
@@ -175,13 +178,15 @@ class MlpUpdate:
             shape ``(n_envs,)``.
         """
         features = self._features(self.q_net, self.q_net.prepare(obs))
-        n, noise = features.shape[0], self._noises[0]
+        n, noise, drawn = features.shape[0], self._noises[0], self._drawn[0]
         self._reserve(n)
-        drawn = (noise if n == 1 else noise.new_empty(n, len(noise))).normal_().numpy()
-        kernels.scale_noise(drawn.reshape(-1))
-        streams = kernels.noisy_streams(
-            self._values[0], drawn.reshape(n, len(noise)), self.table, features
-        )
+        if n > 1:
+            noise = noise.new_empty(n * len(noise))
+            drawn = noise.numpy()
+        noise.normal_()
+        kernels.scale_noise(drawn)
+        rows = drawn.reshape(n, len(self._drawn[0]))
+        streams = kernels.noisy_streams(self._values[0], rows, self.table, features)
         return self._best_of_streams(streams, action_masks)
 
     def move_target(self, tau: float) -> None:
@@ -190,8 +195,17 @@ class MlpUpdate:
         target.lerp_(online, tau)
 
     def _features(self, net: RainbowNetwork, obs: PyTorchObs) -> NDArray[np.float32]:
+        if self._flattens:  # nothing for autograd to remember
+            return self._extract(net, obs).detach().contiguous().numpy()
         with th.no_grad():
-            return _extract(net, obs).contiguous().numpy()
+            return self._extract(net, obs).contiguous().numpy()
+
+    def _extract(self, net: RainbowNetwork, obs: PyTorchObs | Prepared) -> th.Tensor:
+        """Features of prepared observations; to flatten them costs less than to call a module."""
+        if self._flattens and isinstance(obs, Prepared):
+            assert isinstance(obs.values, th.Tensor)
+            return obs.values.flatten(1)
+        return net.extract_features(obs, net.features_extractor)  # type: ignore[arg-type]
 
     def _slopes(
         self,
@@ -211,7 +225,7 @@ class MlpUpdate:
             next_obs_target = self._features(self.q_net_target, batch.next_observations)
         if advantage_learning > 0.0 and apart:
             obs_target = self._features(self.q_net_target, batch.observations)
-        self._obs_features = _extract(net, batch.observations)
+        self._obs_features = self._extract(net, batch.observations)
         obs = self._obs_features.detach().contiguous().numpy()
         for values, drawn, effective in zip(
             self._values, self._drawn, (self._effective, self._effective_target), strict=True
@@ -296,7 +310,7 @@ class MlpUpdate:
         kernels.join(streams, net.n_atoms, net.dueling, categorical, logits)
         if categorical:
             th.from_numpy(logits).exp_()
-        return self._best(logits, net.support.numpy(), masks, taken, advantages)
+        return self._best(logits, self._support, masks, taken, advantages)
 
     def _best(
         self,
@@ -323,14 +337,6 @@ class MlpUpdate:
         logits = np.empty((units.shape[0], len(common)), np.float32)
         kernels.taken_logits(*weights, units, actions, self.q_net.dueling, common, logits)
         return logits
-
-
-def _extract(net: RainbowNetwork, obs: PyTorchObs | Prepared) -> th.Tensor:
-    """Features of prepared observations; to flatten them costs less than to call a module."""
-    if type(net.features_extractor) is FlattenExtractor and isinstance(obs, Prepared):
-        assert isinstance(obs.values, th.Tensor)
-        return obs.values.flatten(1)
-    return net.extract_features(obs, net.features_extractor)  # type: ignore[arg-type]
 
 
 def _join(parameters: list[nn.Parameter]) -> th.Tensor:
