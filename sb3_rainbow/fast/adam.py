@@ -32,7 +32,7 @@ class AdamOnVector:
     ) -> None:
         self.parameters, self.vector = parameters, vector
         self.vector.grad = gradient
-        self._gradient = gradient.numpy()
+        self._values, self._gradient = vector.numpy(), gradient.numpy()
         self._ids = {id(p) for p in parameters}
         self._tensors: list[th.Tensor] = []
         self._address = 0
@@ -94,7 +94,7 @@ class AdamOnVector:
         self._steps += 1
         beta1, beta2 = group["betas"]
         kernels.adam_step(
-            self.vector.numpy(),
+            self._values,
             self._gradient,
             self._first,
             self._second,

@@ -21,8 +21,7 @@ def single_blas_thread() -> Iterator[None]:
     machine waiting for it takes many times as long as the product. (threadpoolctl's own ``limit``
     asks each library for all that it knows, which takes ten times as long.)
     """
-    before = [(library, library.get_num_threads()) for library in _libraries()]
-    changed = [(library, n) for library, n in before if n != 1]
+    changed = [(each, n) for each in _libraries() if (n := each.get_num_threads()) != 1]
     for library, _ in changed:
         library.set_num_threads(1)
     try:

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sb3_rainbow.fast.mlp_kernels import (
-    EFFECTIVE,
     FAST,
     HIDDEN,
     INPUTS,
@@ -17,6 +16,7 @@ from sb3_rainbow.fast.mlp_kernels import (
     Matrix,
     Table,
     Vector,
+    weights_of,
 )
 from sb3_rainbow.replay.compilation import njit
 
@@ -171,8 +171,18 @@ def quantile_slopes(
         priorities[b] = losses[b]
 
 
+@njit(cache=True)
+def _mean_gradients(gradient: Vector, table: Table, layer: int) -> tuple[Matrix, Vector]:
+    """Views of the gradients of a layer's weight and bias; where it is noisy, of their means."""
+    n_in, n_out, p = table[layer, INPUTS], table[layer, OUTPUTS], table[layer, PARAMETERS]
+    size = n_in * n_out
+    bias = p + size * (1 + table[layer, NOISY])
+    return gradient[p : p + size].reshape((n_out, n_in)), gradient[bias : bias + n_out]
+
+
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def backward(
+    parameters: Vector,
     effective: Vector,
     table: Table,
     inputs: Matrix,
@@ -185,59 +195,64 @@ def backward(
     gradient: Vector,
     input_gradient: Matrix,
 ) -> None:
-    """Gradient of the effective weights from that of the taken logits, ``slope`` ``(B, n_atoms)``.
+    """Gradient of the parameters from that of the taken logits, ``slope`` ``(B, n_atoms)``.
 
     Args:
+        gradient: result; of the sigmas :func:`sigma_gradients` makes theirs.
         hidden: as ``hidden_units`` left it.
         n_seen: rows that it was given, of which the batch's are the first.
         input_gradient: result, of the inputs; ``(0, 0)`` where nobody asks.
     """
     batch, n_atoms = slope.shape
     n_layers = table.shape[0]
-    head = table[n_layers - 1]
-    n_in, n_out, e = head[INPUTS], head[OUTPUTS], head[EFFECTIVE]
+    weight, _ = weights_of(parameters, effective, table, n_layers - 1)
+    n_out, n_in = weight.shape
+    weight_gradient, bias = _mean_gradients(gradient, table, n_layers - 1)
     units = inputs
     if n_layers > 1:
         start = table[n_layers - 2, HIDDEN] * n_seen
         units = hidden[start : start + batch * n_in].reshape((batch, n_in))
     size = n_atoms * n_in
-    n_streams = n_out // n_atoms
-    bias = gradient[e + n_in * n_out : e + n_in * n_out + n_out]
-    gradient[e : e + n_in * n_out] = 0.0
-    bias[:] = 0.0
-    first_stream = 0
+    flat = weight_gradient.reshape(n_out * n_in)
     if dueling:
-        first_stream = 1
-        value = gradient[e : e + size]
-        np.dot(slope.T, units, value.reshape((n_atoms, n_in)))
+        np.dot(slope.T, units, weight_gradient[:n_atoms])
+        bias[:n_atoms] = 0.0
         for b in range(batch):
             for j in range(n_atoms):
                 bias[j] += slope[b, j]
-        share = np.float32(-1.0 / (n_streams - 1))
-        for a in range(1, n_streams):
-            part = gradient[e + a * size : e + (a + 1) * size]
-            for k in range(size):
-                part[k] = share * value[k]
-            for j in range(n_atoms):
-                bias[a * n_atoms + j] = share * bias[j]
     delta = np.dot(slope, common)
-    for b in range(batch):
-        first = (actions[b] + first_stream) * n_atoms
-        unit, back = units[b], delta[b]
-        for j in range(n_atoms):
-            s = slope[b, j]
-            start = e + (first + j) * n_in
-            row = effective[start : start + n_in]
-            out = gradient[start : start + n_in]
-            for i in range(n_in):
-                out[i] += s * unit[i]
-                back[i] += s * row[i]
-            bias[first + j] += s
+    first_stream = 1 if dueling else 0
+    n_streams = n_out // n_atoms
+    # Action by action, so that its rows stay in the processor's nearest cache
+    for a in range(first_stream, n_streams):
+        first = a * n_atoms
+        part, part_bias = flat[a * size : (a + 1) * size], bias[first : first + n_atoms]
+        if dueling:
+            share = np.float32(-1.0 / (n_streams - 1))
+            for k in range(size):
+                part[k] = share * flat[k]
+            for j in range(n_atoms):
+                part_bias[j] = share * bias[j]
+        else:
+            part[:] = 0.0
+            part_bias[:] = 0.0
+        for b in range(batch):
+            if actions[b] + first_stream != a:
+                continue
+            unit, back = units[b], delta[b]
+            for j in range(n_atoms):
+                s = slope[b, j]
+                row = weight[first + j]
+                out = weight_gradient[first + j]
+                for i in range(n_in):
+                    out[i] += s * unit[i]
+                    back[i] += s * row[i]
+                part_bias[j] += s
     for layer in range(n_layers - 2, -1, -1):
         n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
-        e, h = table[layer, EFFECTIVE], table[layer, HIDDEN] * n_seen
+        h = table[layer, HIDDEN] * n_seen
         outputs = hidden[h : h + batch * n_out].reshape((batch, n_out))
-        layer_bias = gradient[e + n_in * n_out : e + n_in * n_out + n_out]
+        weight_gradient, layer_bias = _mean_gradients(gradient, table, layer)
         layer_bias[:] = 0.0
         for b in range(batch):
             for j in range(n_out):
@@ -248,35 +263,30 @@ def backward(
         if layer > 0:
             start = table[layer - 1, HIDDEN] * n_seen
             below = hidden[start : start + batch * n_in].reshape((batch, n_in))
-        np.dot(delta.T, below, gradient[e : e + n_in * n_out].reshape((n_out, n_in)))
+        np.dot(delta.T, below, weight_gradient)
         if layer > 0 or input_gradient.shape[0] > 0:
-            delta = np.dot(delta, effective[e : e + n_in * n_out].reshape((n_out, n_in)))
+            delta = np.dot(delta, weights_of(parameters, effective, table, layer)[0])
     if input_gradient.shape[0] > 0:
         input_gradient[:] = delta
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def parameter_gradients(gradient: Vector, noise: Vector, table: Table, out: Vector) -> None:
-    """Gradients of the parameters from those of the effective weights."""
+def sigma_gradients(gradient: Vector, noise: Vector, table: Table) -> None:
+    """Gradients of the noisy layers' sigmas from those of their means, in one vector."""
     for layer in range(table.shape[0]):
-        n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
-        size = n_in * n_out
-        p, e = table[layer, PARAMETERS], table[layer, EFFECTIVE]
         if table[layer, NOISY] == 0:
-            out[p : p + size + n_out] = gradient[e : e + size + n_out]
             continue
-        first = table[layer, NOISE]
+        n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
+        first, sigma = table[layer, NOISE], table[layer, PARAMETERS] + n_in * n_out
         epsilon_in = noise[first : first + n_in]
-        out[p : p + size] = gradient[e : e + size]
-        bias = p + 2 * size
+        mean, bias = _mean_gradients(gradient, table, layer)
         for j in range(n_out):
             epsilon_out = noise[first + n_in + j]
-            row = gradient[e + j * n_in : e + (j + 1) * n_in]
-            sigma = out[p + size + j * n_in : p + size + (j + 1) * n_in]
+            row = mean[j]
+            out = gradient[sigma + j * n_in : sigma + (j + 1) * n_in]
             for i in range(n_in):
-                sigma[i] = row[i] * (epsilon_out * epsilon_in[i])
-            out[bias + j] = gradient[e + size + j]
-            out[bias + n_out + j] = gradient[e + size + j] * epsilon_out
+                out[i] = row[i] * (epsilon_out * epsilon_in[i])
+            gradient[sigma + n_in * n_out + n_out + j] = bias[j] * epsilon_out
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

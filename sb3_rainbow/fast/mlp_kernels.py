@@ -7,7 +7,8 @@ one vector of parameters with a table of where each layer lies in it, one row pe
     among the effective weights, offset (per sample) among the hidden units
 
 A layer's parameters are weight and bias, or, where it is noisy, the means of the weight, its
-sigmas, then those of the bias. Its effective weight and bias include the noise of the moment.
+sigmas, then those of the bias. Its effective weight and bias include the noise of the moment; a
+layer without noise has none but its parameters.
 """
 
 import math
@@ -36,14 +37,13 @@ def scale_noise(noise: Vector) -> None:
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def effective_weights(parameters: Vector, noise: Vector, table: Table, effective: Vector) -> None:
-    """``mu + sigma * epsilon`` for all layers."""
+    """``mu + sigma * epsilon`` for all noisy layers."""
     for layer in range(table.shape[0]):
+        if table[layer, NOISY] == 0:
+            continue
         n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
         size = n_in * n_out
         p, e = table[layer, PARAMETERS], table[layer, EFFECTIVE]
-        if table[layer, NOISY] == 0:
-            effective[e : e + size + n_out] = parameters[p : p + size + n_out]
-            continue
         first = table[layer, NOISE]
         epsilon_in = noise[first : first + n_in]
         for j in range(n_out):
@@ -57,16 +57,28 @@ def effective_weights(parameters: Vector, noise: Vector, table: Table, effective
             effective[e + size + j] = parameters[bias] + parameters[bias + n_out] * epsilon_out
 
 
+@njit(cache=True)
+def weights_of(
+    parameters: Vector, effective: Vector, table: Table, layer: int
+) -> tuple[Matrix, Vector]:
+    """Views of a layer's weight and bias, with their noise where it is noisy."""
+    n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
+    size, noisy = n_in * n_out, table[layer, NOISY] == 1
+    start = table[layer, EFFECTIVE if noisy else PARAMETERS]
+    values = (effective if noisy else parameters)[start : start + size + n_out]
+    return values[:size].reshape((n_out, n_in)), values[size:]
+
+
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def hidden_units(effective: Vector, table: Table, inputs: Matrix, hidden: Vector) -> Matrix:
+def hidden_units(
+    parameters: Vector, effective: Vector, table: Table, inputs: Matrix, hidden: Vector
+) -> Matrix:
     """ReLU layers up to the head; ``hidden`` keeps every layer's outputs, the last is returned."""
     batch = inputs.shape[0]
     current = inputs
     for layer in range(table.shape[0] - 1):
-        n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
-        e, h = table[layer, EFFECTIVE], table[layer, HIDDEN] * batch
-        weight = effective[e : e + n_in * n_out].reshape((n_out, n_in))
-        bias = effective[e + n_in * n_out : e + n_in * n_out + n_out]
+        weight, bias = weights_of(parameters, effective, table, layer)
+        n_out, h = table[layer, OUTPUTS], table[layer, HIDDEN] * batch
         outputs = hidden[h : h + batch * n_out].reshape((batch, n_out))
         np.dot(current, weight.T, outputs)
         for b in range(batch):
@@ -113,28 +125,33 @@ def noisy_streams(parameters: Vector, noise: Matrix, table: Table, inputs: Matri
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def all_streams(effective: Vector, table: Table, units: Matrix, streams: Matrix) -> None:
+def all_streams(
+    parameters: Vector, effective: Vector, table: Table, units: Matrix, streams: Matrix
+) -> None:
     """The head's outputs, value first where there is one, to ``streams`` ``(B, outputs)``."""
-    head = table[table.shape[0] - 1]
-    n_in, n_out, e = head[INPUTS], head[OUTPUTS], head[EFFECTIVE]
-    np.dot(units, effective[e : e + n_in * n_out].reshape((n_out, n_in)).T, streams)
-    bias = effective[e + n_in * n_out : e + n_in * n_out + n_out]
+    weight, bias = weights_of(parameters, effective, table, table.shape[0] - 1)
+    np.dot(units, weight.T, streams)
     for b in range(units.shape[0]):
-        for j in range(n_out):
+        for j in range(bias.shape[0]):
             streams[b, j] += bias[j]
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def mean_advantages(
-    effective: Vector, table: Table, units: Matrix, n_atoms: int, dueling: bool
+    parameters: Vector,
+    effective: Vector,
+    table: Table,
+    units: Matrix,
+    n_atoms: int,
+    dueling: bool,
 ) -> Matrix:
     """Each action's outputs of the head, the mean over its atoms, ``(B, A)``.
 
     Without a support a mean is the expectation, but for what all actions have in common, and that
     of the weights comes first: one product in the place of ``n_atoms``.
     """
-    head = table[table.shape[0] - 1]
-    n_in, n_out, e = head[INPUTS], head[OUTPUTS], head[EFFECTIVE]
+    head_weight, head_bias = weights_of(parameters, effective, table, table.shape[0] - 1)
+    n_out, n_in = head_weight.shape
     first = 1 if dueling else 0
     n_actions = n_out // n_atoms - first
     weight, bias = np.zeros((n_actions, n_in), np.float32), np.zeros(n_actions, np.float32)
@@ -142,10 +159,10 @@ def mean_advantages(
     for a in range(n_actions):
         row = weight[a]
         for j in range((first + a) * n_atoms, (first + a + 1) * n_atoms):
-            given = effective[e + j * n_in : e + (j + 1) * n_in]
+            given = head_weight[j]
             for i in range(n_in):
                 row[i] += given[i]
-            bias[a] += effective[e + n_in * n_out + j]
+            bias[a] += head_bias[j]
         for i in range(n_in):
             row[i] *= share
         bias[a] *= share
@@ -237,57 +254,58 @@ def best_actions(
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def shared_weight(
-    effective: Vector, table: Table, n_atoms: int, dueling: bool, weight: Matrix, bias: Vector
+    head_weight: Matrix, head_bias: Vector, dueling: bool, weight: Matrix, bias: Vector
 ) -> None:
     """What every action has in common, ``W_V - mean W_A``; zero without dueling."""
     weight[:] = 0.0
     bias[:] = 0.0
     if not dueling:
         return
-    head = table[table.shape[0] - 1]
-    n_in, n_out, e = head[INPUTS], head[OUTPUTS], head[EFFECTIVE]
-    n_actions = n_out // n_atoms - 1
-    size = n_atoms * n_in
-    flat = weight.reshape(size)
-    biases = effective[e + n_in * n_out : e + n_in * n_out + n_out]
+    n_atoms, n_in = weight.shape
+    size, n_actions = n_atoms * n_in, head_bias.shape[0] // n_atoms - 1
+    flat, given = weight.reshape(size), head_weight.reshape(head_weight.size)
     for a in range(1, n_actions + 1):
-        part = effective[e + a * size : e + (a + 1) * size]
+        part = given[a * size : (a + 1) * size]
         for k in range(size):
             flat[k] += part[k]
         for j in range(n_atoms):
-            bias[j] += biases[a * n_atoms + j]
+            bias[j] += head_bias[a * n_atoms + j]
     share = np.float32(1.0 / n_actions)
-    value = effective[e : e + size]
     for k in range(size):
-        flat[k] = value[k] - share * flat[k]
+        flat[k] = given[k] - share * flat[k]
     for j in range(n_atoms):
-        bias[j] = biases[j] - share * bias[j]
+        bias[j] = head_bias[j] - share * bias[j]
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def taken_logits(
+    parameters: Vector,
     effective: Vector,
     table: Table,
     units: Matrix,
     actions: NDArray[np.int64],
     dueling: bool,
     common: Matrix,
-    common_bias: Vector,
     logits: Matrix,
 ) -> None:
-    """Logits of one action per sample: a twelfth of the head's arithmetic for twelve actions."""
-    head = table[table.shape[0] - 1]
-    n_in, n_out, e = head[INPUTS], head[OUTPUTS], head[EFFECTIVE]
-    n_atoms = logits.shape[1]
+    """Logits of one action per sample: a twelfth of the head's arithmetic for twelve actions.
+
+    Args:
+        common: result, what the weights of every action have in common, ``(n_atoms, inputs)``.
+        logits: result, ``(B, n_atoms)``.
+    """
+    weight, bias = weights_of(parameters, effective, table, table.shape[0] - 1)
+    n_atoms, n_in = common.shape
+    common_bias = np.empty(n_atoms, np.float32)
+    shared_weight(weight, bias, dueling, common, common_bias)
     np.dot(units, common.T, logits)
     first_stream = 1 if dueling else 0
     for b in range(units.shape[0]):
         first = (actions[b] + first_stream) * n_atoms
         unit = units[b]
         for j in range(n_atoms):
-            start = e + (first + j) * n_in
-            row = effective[start : start + n_in]
+            row = weight[first + j]
             total = np.float32(0.0)
             for i in range(n_in):
                 total += row[i] * unit[i]
-            logits[b, j] += total + common_bias[j] + effective[e + n_in * n_out + first + j]
+            logits[b, j] += total + common_bias[j] + bias[first + j]

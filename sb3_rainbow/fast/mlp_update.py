@@ -1,6 +1,7 @@
 """Updates of plain networks on the CPU by compiled kernels instead of torch's autograd."""
 
 from operator import attrgetter, is_
+from typing import TypeAlias
 
 import numpy as np
 import torch as th
@@ -31,6 +32,8 @@ _NO_ACTIONS = np.zeros(0, dtype=np.int64)
 _NO_VALUES = np.zeros(0, dtype=np.float32)
 _ONE = np.ones(1, dtype=np.float32)
 _NO_GRADIENT = np.zeros((0, 0), dtype=np.float32)
+# A network's parameters, the effective weights of its noisy layers, and the table of both
+_Weights: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]
 
 
 class MlpUpdate:
@@ -56,27 +59,31 @@ class MlpUpdate:
         gradient = th.zeros_like(vectors[0])
         self._gradients = parts(gradient, self._online)
         self._one_extractor = is_stateless(q_net)
+        extractors = q_net.features_extractor, q_net_target.features_extractor
+        self._flattens = all(type(extractor) is FlattenExtractor for extractor in extractors)
+        self._support = q_net.support.numpy()
         learnt = sum(p.numel() for p in q_net.features_extractor.parameters())
         self._learnt_gradient = gradient[len(gradient) - learnt :]
         epsilons = [*q_net.tie_noise(), *q_net_target.tie_noise()]
-        self._vectors, self._noises = vectors, (q_net.noise, q_net_target.noise)
-        self._gradient_vector = gradient.numpy()
+        self._vectors = vectors
+        self._noises = q_net.noise.detach(), q_net_target.noise.detach()
+        # The same memory for the kernels: to ask torch for it takes as long as to call one.
+        self._values, self._drawn = ([t.numpy() for t in ts] for ts in (vectors, self._noises))
+        self._gradient = gradient.numpy()
         self._shared = [*self._online, *self._target, *epsilons]
         self._addresses = [t.data_ptr() for t in self._shared]
         self._adam = AdamOnVector(self._online, vectors[0], gradient)
         self.table = table_of(q_net)
         n_in, n_out = self.table[-1, [kernels.INPUTS, kernels.OUTPUTS]]
-        n_effective = int(self.table[-1, kernels.EFFECTIVE] + (n_in + 1) * n_out)
-        self._effective, self._effective_target, self._effective_mean, self._gradient = (
-            np.zeros(n_effective, np.float32) for _ in range(4)
+        noisy = self.table[-1, kernels.NOISY]
+        n_effective = int(self.table[-1, kernels.EFFECTIVE] + noisy * (n_in + 1) * n_out)
+        self._effective, self._effective_target, self._effective_mean = (
+            np.zeros(n_effective, np.float32) for _ in range(3)
         )
-        self._no_noise = np.zeros_like(self._noises[1].numpy())
+        self._no_noise = np.zeros_like(self._drawn[1])
         self._capacity = 0
         self._common, self._common_target = (
             np.zeros((q_net.n_atoms, n_in), np.float32) for _ in range(2)
-        )
-        self._common_bias, self._common_bias_target = (
-            np.zeros(q_net.n_atoms, np.float32) for _ in range(2)
         )
 
     def _reserve(self, batch_size: int) -> None:
@@ -125,8 +132,9 @@ class MlpUpdate:
         advantage_learning: float = 0.0,
     ) -> tuple[th.Tensor, th.Tensor]:
         """As ``Learner.update``."""
-        for noise in self._noises:
-            kernels.scale_noise(noise.normal_().numpy())
+        for noise, drawn in zip(self._noises, self._drawn, strict=True):
+            noise.normal_()
+            kernels.scale_noise(drawn)
         n = batch.actions.shape[0]
         weights = np.ones(n, np.float32) if batch.weights is None else batch.weights.numpy()
         slope, losses, priorities = self._slopes(batch, weights, double_q, advantage_learning)
@@ -134,6 +142,7 @@ class MlpUpdate:
         learns = self._obs_features.requires_grad
         input_gradient = np.empty_like(obs) if learns else _NO_GRADIENT
         learning_kernels.backward(
+            self._values[0],
             self._effective,
             self.table,
             obs,
@@ -146,9 +155,7 @@ class MlpUpdate:
             self._gradient,
             input_gradient,
         )
-        learning_kernels.parameter_gradients(
-            self._gradient, self._noises[0].numpy(), self.table, self._gradient_vector
-        )
+        learning_kernels.sigma_gradients(self._gradient, self._drawn[0], self.table)
         if not all(map(is_, map(_GRAD, self._online), self._gradients)):
             for p, gradient in zip(self._online, self._gradients, strict=True):
                 p.grad = gradient
@@ -171,13 +178,15 @@ class MlpUpdate:
             shape ``(n_envs,)``.
         """
         features = self._features(self.q_net, self.q_net.prepare(obs))
-        n, noise = features.shape[0], self._noises[0]
+        n, noise, drawn = features.shape[0], self._noises[0], self._drawn[0]
         self._reserve(n)
-        drawn = (noise if n == 1 else noise.new_empty(n, len(noise))).normal_().numpy()
-        kernels.scale_noise(drawn.reshape(-1))
-        streams = kernels.noisy_streams(
-            self._vectors[0].numpy(), drawn.reshape(n, len(noise)), self.table, features
-        )
+        if n > 1:
+            noise = noise.new_empty(n * len(noise))
+            drawn = noise.numpy()
+        noise.normal_()
+        kernels.scale_noise(drawn)
+        rows = drawn.reshape(n, len(self._drawn[0]))
+        streams = kernels.noisy_streams(self._values[0], rows, self.table, features)
         return self._best_of_streams(streams, action_masks)
 
     def move_target(self, tau: float) -> None:
@@ -186,8 +195,17 @@ class MlpUpdate:
         target.lerp_(online, tau)
 
     def _features(self, net: RainbowNetwork, obs: PyTorchObs) -> NDArray[np.float32]:
+        if self._flattens:  # nothing for autograd to remember
+            return self._extract(net, obs).detach().contiguous().numpy()
         with th.no_grad():
-            return _extract(net, obs).contiguous().numpy()
+            return self._extract(net, obs).contiguous().numpy()
+
+    def _extract(self, net: RainbowNetwork, obs: PyTorchObs | Prepared) -> th.Tensor:
+        """Features of prepared observations; to flatten them costs less than to call a module."""
+        if self._flattens and isinstance(obs, Prepared):
+            assert isinstance(obs.values, th.Tensor)
+            return obs.values.flatten(1)
+        return net.extract_features(obs, net.features_extractor)  # type: ignore[arg-type]
 
     def _slopes(
         self,
@@ -207,36 +225,35 @@ class MlpUpdate:
             next_obs_target = self._features(self.q_net_target, batch.next_observations)
         if advantage_learning > 0.0 and apart:
             obs_target = self._features(self.q_net_target, batch.observations)
-        self._obs_features = _extract(net, batch.observations)
+        self._obs_features = self._extract(net, batch.observations)
         obs = self._obs_features.detach().contiguous().numpy()
-        online, target = self._effective, self._effective_target
-        for vector, noise, effective in zip(
-            self._vectors, self._noises, (online, target), strict=True
+        for values, drawn, effective in zip(
+            self._values, self._drawn, (self._effective, self._effective_target), strict=True
         ):
-            kernels.effective_weights(vector.numpy(), noise.numpy(), table, effective)
-        units_target = kernels.hidden_units(target, table, next_obs_target, self._hidden_target)
+            kernels.effective_weights(values, drawn, table, effective)
+        online = self._values[0], self._effective, table
+        target = self._values[1], self._effective_target, table
+        units_target = kernels.hidden_units(*target, next_obs_target, self._hidden_target)
         chooser, units_next = target, units_target
         seen = obs
         if double_q:  # one pass for both: twice the rows take less than twice the time
             seen = np.concatenate((obs, next_obs))
             obs = seen[:n]
         self._obs, self._n_seen = obs, len(seen)
-        units = kernels.hidden_units(online, table, seen, self._hidden)
+        units = kernels.hidden_units(*online, seen, self._hidden)
         if double_q:
             chooser, units, units_next = online, units[:n], units[n:]
         next_actions = self._best_actions(chooser, units_next, _array(batch.next_action_masks))
         self._actions = batch.actions[:, 0].numpy()
-        logits = self._taken(online, units, self._actions, self._common, self._common_bias)
-        target_logits = self._taken(
-            target, units_target, next_actions, self._common_target, self._common_bias_target
-        )
+        logits = self._taken(online, units, self._actions, self._common)
+        target_logits = self._taken(target, units_target, next_actions, self._common_target)
         returns = batch.rewards.numpy()
         if advantage_learning > 0.0:
             advantages = np.empty(n, np.float32)
-            mean = self._effective_mean
-            kernels.effective_weights(self._vectors[1].numpy(), self._no_noise, table, mean)
+            mean = self._values[1], self._effective_mean, table
+            kernels.effective_weights(self._values[1], self._no_noise, table, self._effective_mean)
             before = obs_target if apart else obs
-            units_before = kernels.hidden_units(mean, table, before, self._hidden_target)
+            units_before = kernels.hidden_units(*mean, before, self._hidden_target)
             masks = _array(batch.action_masks)
             self._best_actions(mean, units_before, masks, self._actions, advantages)
             returns = returns + np.float32(advantage_learning) * advantages[:, None]
@@ -244,17 +261,17 @@ class MlpUpdate:
         discounts, dones = batch.discounts.numpy(), batch.dones.numpy()
         priorities = np.empty(n, np.float32)
         if net.head == "categorical":
-            target = np.empty_like(logits)
+            projected = np.empty_like(logits)
             learning_kernels.projected_target(
                 _exponential(target_logits),
                 *(returns, discounts, dones),
                 *(net.v_min, net.v_max),
-                target,
+                projected,
             )
-            log_target = th.from_numpy(target).clamp(min=_TINY).log_().numpy()
+            log_target = th.from_numpy(projected).clamp(min=_TINY).log_().numpy()
             masses = _exponential(logits)
             learning_kernels.categorical_slopes(
-                logits, masses, target, log_target, weights, losses, priorities, slope
+                logits, masses, projected, log_target, weights, losses, priorities, slope
             )
         else:
             quantile = net.head == "quantile"
@@ -266,7 +283,7 @@ class MlpUpdate:
 
     def _best_actions(
         self,
-        effective: NDArray[np.float32],
+        weights: _Weights,
         units: NDArray[np.float32],
         masks: NDArray[np.bool_] | None,
         taken: NDArray[np.int64] = _NO_ACTIONS,
@@ -275,9 +292,9 @@ class MlpUpdate:
         net, n = self.q_net, units.shape[0]
         if net.head == "categorical":
             streams = self._streams[:n]
-            kernels.all_streams(effective, self.table, units, streams)
+            kernels.all_streams(*weights, units, streams)
             return self._best_of_streams(streams, masks, taken, advantages)
-        means = kernels.mean_advantages(effective, self.table, units, net.n_atoms, net.dueling)
+        means = kernels.mean_advantages(*weights, units, net.n_atoms, net.dueling)
         return self._best(means, _ONE, masks, taken, advantages)
 
     def _best_of_streams(
@@ -293,7 +310,7 @@ class MlpUpdate:
         kernels.join(streams, net.n_atoms, net.dueling, categorical, logits)
         if categorical:
             th.from_numpy(logits).exp_()
-        return self._best(logits, net.support.numpy(), masks, taken, advantages)
+        return self._best(logits, self._support, masks, taken, advantages)
 
     def _best(
         self,
@@ -312,27 +329,14 @@ class MlpUpdate:
 
     def _taken(
         self,
-        effective: NDArray[np.float32],
+        weights: _Weights,
         units: NDArray[np.float32],
         actions: NDArray[np.int64],
         common: NDArray[np.float32],
-        common_bias: NDArray[np.float32],
     ) -> NDArray[np.float32]:
-        net = self.q_net
-        logits = np.empty((units.shape[0], net.n_atoms), np.float32)
-        kernels.shared_weight(effective, self.table, net.n_atoms, net.dueling, common, common_bias)
-        kernels.taken_logits(
-            effective, self.table, units, actions, net.dueling, common, common_bias, logits
-        )
+        logits = np.empty((units.shape[0], len(common)), np.float32)
+        kernels.taken_logits(*weights, units, actions, self.q_net.dueling, common, logits)
         return logits
-
-
-def _extract(net: RainbowNetwork, obs: PyTorchObs | Prepared) -> th.Tensor:
-    """Features of prepared observations; to flatten them costs less than to call a module."""
-    if type(net.features_extractor) is FlattenExtractor and isinstance(obs, Prepared):
-        assert isinstance(obs.values, th.Tensor)
-        return obs.values.flatten(1)
-    return net.extract_features(obs, net.features_extractor)  # type: ignore[arg-type]
 
 
 def _join(parameters: list[nn.Parameter]) -> th.Tensor:

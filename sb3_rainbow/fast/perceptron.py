@@ -90,7 +90,7 @@ def table_of(net: RainbowNetwork) -> NDArray[np.int64]:
         size = (n_in + 1) * n_out
         parameters += 2 * size if noisy else size
         noise += n_in + n_out if noisy else 0
-        effective += size
+        effective += size if noisy else 0
         hidden += n_out
     return np.asarray(rows, dtype=np.int64)
 

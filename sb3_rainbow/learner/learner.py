@@ -129,7 +129,6 @@ class Learner:
         """
         return None if self.shortcuts is None else self.shortcuts.act(obs, action_masks)
 
-    @th.no_grad()
     def move_target(self, tau: float, just_updated: bool = False) -> None:
         """Move the target network towards the online one by ``tau`` (Polyak average).
 
@@ -137,8 +136,11 @@ class Learner:
             tau: how far.
             just_updated: whether nobody else can have touched the networks since an update.
         """
-        if self.shortcuts is not None and self.shortcuts.move_target(tau, just_updated):
-            return
+        if self.shortcuts is None or not self.shortcuts.move_target(tau, just_updated):
+            self._move_target(tau)
+
+    @th.no_grad()
+    def _move_target(self, tau: float) -> None:
         online, target = self.q_net, self.q_net_target
         th._foreach_lerp_(list(target.parameters()), list(online.parameters()), tau)
         for ours, theirs in zip(online.modules(), target.modules(), strict=True):

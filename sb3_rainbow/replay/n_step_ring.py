@@ -162,8 +162,9 @@ class NStepRing(ReplayBuffer):
         self._store_masks("action_masks", pos, action_masks)
 
         ended = np.asarray(done, dtype=bool)
-        self.ends[pos] = np.where(ended, TERMINATED, RUNNING)
+        self.ends[pos] = RUNNING
         if ended.any():
+            self.ends[pos, ended] = TERMINATED
             for env in np.flatnonzero(ended).tolist():
                 if self.handle_timeout_termination and infos[env].get("TimeLimit.truncated", False):
                     self.ends[pos, env] = TRUNCATED

@@ -52,6 +52,21 @@ def _find(
 
 
 @njit(cache=True)
+def _draw(
+    tree: NDArray[np.float64],
+    offsets: NDArray[np.int64],
+    uniform: NDArray[np.float64],
+    leaves: NDArray[np.int64],
+) -> None:
+    """A leaf from each of as many equal parts of the total as there are numbers in [0, 1)."""
+    n = uniform.shape[0]
+    share = tree[-1] / n
+    for i in range(n):
+        uniform[i] = (uniform[i] + i) * share
+    _find(tree, offsets, uniform, leaves)
+
+
+@njit(cache=True)
 def _assign(
     tree: NDArray[np.float64],
     offsets: NDArray[np.int64],
@@ -166,14 +181,11 @@ class SumTree:
         Raises:
             ValueError: if all masses are zero.
         """
-        total = self._tree[-1]
-        if total <= 0.0:
+        if self._tree[-1] <= 0.0:
             raise ValueError("Cannot sample from a SumTree whose masses are all zero")
-        strata = np.random.random_sample(batch_size)  # noqa: NPY002
-        strata += np.arange(batch_size)
-        strata *= total / batch_size
+        uniform = np.random.random_sample(batch_size)  # noqa: NPY002
         leaves = np.empty(batch_size, dtype=np.int64)
-        _find(self._tree, self._offsets, strata, leaves)
+        _draw(self._tree, self._offsets, uniform, leaves)
         return leaves
 
     def __getstate__(self) -> dict[str, Any]:
