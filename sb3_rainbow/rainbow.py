@@ -108,7 +108,7 @@ class Rainbow(ResumableAlgorithm):
         advantage_learning: share of ``Q(s, a) - max Q(s, .)`` that is added to each target, in [0,
             1): advantage learning (Bellemare et al. 2016), which widens the gap between the best
             action and the others where errors of the values would swallow it. 0 (default) is
-            Rainbow.
+            Rainbow. Raised from 0 later, it takes what was stored under masks for unmasked.
         use_masking: "auto" uses ``action_masks()`` where the env has it.
         compile: one graph of target and loss by ``torch.compile``; the first update then takes some
             seconds. Without a compiler, one warning and no effect.

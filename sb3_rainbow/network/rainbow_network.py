@@ -1,9 +1,8 @@
 """Rainbow's Q-network."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import nullcontext
 from itertools import pairwise
-from numbers import Integral
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -74,8 +73,8 @@ class RainbowNetwork(AsVector, BasePolicy):
         v_max: highest atom (categorical only).
 
     Raises:
-        ValueError: for an unknown ``noisy_layers`` or ``distributional``, a ``net_arch`` with other
-            keys, too few atoms or ``v_min >= v_max``.
+        ValueError: for an unknown ``noisy_layers`` or ``distributional``, a ``net_arch`` of
+            another form, too few atoms or ``v_min >= v_max``.
     """
 
     action_space: spaces.Discrete
@@ -424,16 +423,16 @@ def split_arch(net_arch: NetArch) -> tuple[list[int], list[int]]:
             keys than ``shared`` and ``streams``.
     """
     sizes = net_arch if isinstance(net_arch, dict) else {"shared": net_arch}
-    fits = sizes.keys() <= {"shared", "streams"} and all(
-        isinstance(part, Sequence) and all(isinstance(size, Integral) for size in part)
-        for part in sizes.values()
-    )
-    if not fits:
+    try:
+        if not sizes.keys() <= {"shared", "streams"}:
+            raise ValueError
+        shared, streams = ([int(n) for n in sizes.get(k, [])] for k in ("shared", "streams"))
+    except (TypeError, ValueError):
         raise ValueError(
             "net_arch must be a list of sizes or dict(shared=[...], streams=[...]), "
             f"got {net_arch!r}"
-        )
-    return list(sizes.get("shared", [])), list(sizes.get("streams", []))
+        ) from None
+    return shared, streams
 
 
 def _check_atoms(n_atoms: int, least: int) -> None:

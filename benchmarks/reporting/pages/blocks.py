@@ -67,8 +67,8 @@ def rewrite(path: Path, render: Callable[[str], str]) -> bool:
     return new != old
 
 
-def provenance(preset: str, runs: Sequence[RunFolder], missing: int = 0) -> str:
-    """How many runs, how long, at which commit and on which machine."""
+def provenance(preset: str, runs: Sequence[RunFolder], missing: int = 0, controls: int = 0) -> str:
+    """How many runs, of which so many of controls, how long, at which commit, on which machine."""
     if not runs:
         return f"Preset `{preset}`: no run is complete."
     metas = [run.meta() for run in runs]
@@ -77,7 +77,8 @@ def provenance(preset: str, runs: Sequence[RunFolder], missing: int = 0) -> str:
     dirty = " with uncommitted changes" if any(meta["dirty"] for meta in metas) else ""
     machines = sorted({str(meta["machine"]["processor"]) for meta in metas})
     lacking = f" ({missing} are missing)" if missing else ""
+    trained = f"{len(runs) - controls} runs" + (f" and {controls} of controls" if controls else "")
     return (
-        f"Preset `{preset}`: {len(runs)} runs{lacking}, {minutes:.0f} CPU minutes, at commit "
+        f"Preset `{preset}`: {trained}{lacking}, {minutes:.0f} CPU minutes, at commit "
         f"{', '.join(commits)}{dirty}, on {'; '.join(machines)}."
     )

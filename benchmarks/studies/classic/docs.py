@@ -57,7 +57,8 @@ def rewrite(page: str, results: Results, root: str) -> str:
     """
     name = results.preset.name
     tables = {table.name: table for table in build_tables(results)}
-    parts = [blocks.provenance(name, results.folders, len(results.missing))]
+    missing = len(results.missing)
+    parts = [blocks.provenance(name, results.folders, missing, results.n_controls)]
     for table, figure in SHOWN.items():
         if table in tables:
             parts.append(tables[table].markdown().rstrip())

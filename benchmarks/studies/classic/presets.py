@@ -153,6 +153,8 @@ def load_preset(name: str) -> Preset:
                 )
             data[section][key] = merge(library[section].get(key, {}), given)
     preset = build(Preset, {**data, "name": path.stem}, path.name)
+    if preset.search and preset.controls:
+        raise BenchmarkError(f"{path.name}: controls: a search compares settings, it has none")
     for control in preset.controls:
         if control not in CONTROLS:
             raise BenchmarkError(

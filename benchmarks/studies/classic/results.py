@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.stats import Value, means, over_seeds, stratified_bootstrap, t_interval
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.classic.plan import CLIFF, LEARN, expand, settings
+from benchmarks.studies.classic.plan import CLIFF, CONTROL, LEARN, expand, settings
 from benchmarks.studies.classic.presets import Preset
 
 Array = NDArray[np.float64]
@@ -74,6 +74,7 @@ class Results:
         self._runs: dict[tuple[str, str], list[Run]] = {}
         self._updates: dict[tuple[str, str, int], pd.DataFrame] = {}
         self.missing: list[str] = []
+        self.n_controls = 0
         for cell in expand(preset):
             folder = store.run(cell.id)
             folder.check_config(settings(preset, cell))
@@ -81,6 +82,7 @@ class Results:
                 self.missing.append(cell.id)
                 continue
             self.folders.append(folder)
+            self.n_controls += cell.kind == CONTROL
             if cell.kind == CLIFF:
                 self._updates[cell.task, cell.method, cell.number] = folder.rows("updates")
                 continue

@@ -254,6 +254,7 @@ def run_learner(
     logger = configure(str(folder.tensorboard), ["tensorboard"])
     callbacks: list[BaseCallback] = [tester]
     if task.methods[cell.method].get(FADES):
+        # before the watch, whose checkpoints thus hold what has faded already
         callbacks.append(FadingNoise(task.timesteps))
     model = learn(watch, algorithm, envs.env, lambda: fresh, callbacks, logger)
     if model is None:

@@ -21,7 +21,7 @@ from benchmarks.errors import BenchmarkError
 Image = NDArray[np.uint8]  # (channels, 10, 10), of MinAtar
 Script = Callable[[Any], int]
 
-LAST: Final = 9  # row and column of a MinAtar game
+LAST: Final = 9  # the last row, and column, of a MinAtar game
 UNSAFE: Final = 100.0  # more than any distance
 
 
@@ -107,8 +107,8 @@ def _at(image: Image, *channels: int) -> list[tuple[int, int]]:
 
 
 def _heading(image: Image, trail: int, y: int, x: int) -> int:
-    """1 for what goes to the right, else -1: its trail is behind it, and none at the edge."""
-    return 1 if x == 0 or image[trail, y, x - 1] else -1
+    """1 for what goes to the right, else -1: its trail is behind it, off the edge at first."""
+    return 1 if (image[trail, y, x - 1] if x > 0 else not image[trail, y, 1]) else -1
 
 
 def _breakout(image: Image) -> int:
@@ -126,7 +126,7 @@ def _breakout(image: Image) -> int:
 
 
 def _freeway(image: Image) -> int:
-    """Up if no car comes there within three frames; else stay, or go back, where none comes."""
+    """Up if no car comes there within three frames; else stay or go back if none does, else up."""
     ((row, _),) = _at(image, 0)
 
     def safe(y: int) -> bool:

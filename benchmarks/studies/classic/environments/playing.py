@@ -99,7 +99,9 @@ def run_control(
     """
     task, seed = preset.tasks[cell.task], cell.number
     tell = Teller(folder, stop_requested)
-    space = make_env(task).action_space
+    env = make_env(task)
+    space = env.action_space
+    env.close()
     assert isinstance(space, spaces.Discrete)
     about: dict[str, Any] = {}
     if cell.method == "random":
@@ -115,5 +117,6 @@ def run_control(
         control = held(space, about["action"])
     else:
         control = scripted(space, task.env)
+    tell(0.5, "test")
     test(control, preset, cell, folder)
     return {**about, "seeds": {"first_test_episode": episode_seeds(seed, 1)[0]}}

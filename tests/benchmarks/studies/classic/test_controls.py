@@ -13,7 +13,13 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.classic.environments.controls import SCRIPTS, at_random, held, scripted
+from benchmarks.studies.classic.environments.controls import (
+    SCRIPTS,
+    _heading,
+    at_random,
+    held,
+    scripted,
+)
 from benchmarks.studies.classic.environments.playing import evaluate, make_env, run_control
 from benchmarks.studies.classic.experiment import Classic
 from benchmarks.studies.classic.plan import CONTROL, Cell, expand
@@ -93,9 +99,10 @@ def test_controls_are_runs_of_the_preset_and_can_be_stopped(tmp_path: Path) -> N
     assert {"cartpole-script-s0", "breakout-held-s0", "masked_identity-random-s0"} <= found
     assert "masked_identity-script-s0" not in found
     store = Store.open(tmp_path, "tiny", create=True)
-    cell = tiny.find("cartpole-held-s0")
-    assert not run_cell(tiny, cell, store, lambda: True)
-    assert not store.run(cell.id).is_complete()
+    for name in ("cartpole-held-s0", "cartpole-script-s0"):
+        cell = tiny.find(name)
+        assert not run_cell(tiny, cell, store, lambda: True)
+        assert not store.run(cell.id).is_complete()
     for cell in expand(tiny.preset):
         if cell.kind == CONTROL:
             assert run_cell(tiny, cell, store)
@@ -105,3 +112,12 @@ def test_controls_are_runs_of_the_preset_and_can_be_stopped(tmp_path: Path) -> N
 def test_a_task_without_a_script_is_named() -> None:
     with pytest.raises(BenchmarkError, match="Pendulum-v1 has no script"):
         scripted(spaces.Discrete(2), "Pendulum-v1")
+
+
+def test_what_moves_in_a_row_heads_away_from_its_trail() -> None:
+    for x in range(10):
+        for heading in (1, -1):
+            image = np.zeros((4, 10, 10), np.uint8)
+            if 0 <= x - heading <= 9:  # off the edge at first
+                image[2, 3, x - heading] = 255
+            assert _heading(image, 2, 3, x) == heading

@@ -16,7 +16,7 @@ from benchmarks.reporting.stats import Value
 from benchmarks.runs.store import Store
 from benchmarks.studies.classic import docs
 from benchmarks.studies.classic.figures import write_figures
-from benchmarks.studies.classic.plan import CLIFF, LEARN, expand, settings
+from benchmarks.studies.classic.plan import CLIFF, CONTROL, LEARN, expand, settings
 from benchmarks.studies.classic.presets import Preset, load_preset
 from benchmarks.studies.classic.results import Results, bootstrap_ratio, student
 from benchmarks.studies.classic.tables import _cliff_row, build_tables
@@ -132,7 +132,10 @@ def test_docs_say_which_runs_they_show(preset: Preset, store: Store) -> None:
     assert page.startswith("a\n")
     assert page.endswith("\nb\n")
     assert "old" not in page
-    assert f"{len(expand(preset))} runs, {len(expand(preset))} CPU minutes" in page
+    cells = expand(preset)
+    controls = sum(cell.kind == CONTROL for cell in cells)
+    told = f"{len(cells) - controls} runs and {controls} of controls, {len(cells)} CPU minutes"
+    assert told in page
     assert "abacus" in page
     assert "(r/figures/cliff.png)" in page
     assert docs.rewrite(page, results, "r") == page

@@ -327,6 +327,7 @@ def test_bad_words_are_one_clear_error(
         ({"methods": []}, "methods: must be some, and differ"),
         ({"tasks": {"cartpol": {}}}, "tasks: unknown 'cartpol'; known: "),
         ({"tasks": {"cartpole": 5}}, "tasks: cartpole: expected a mapping, found 5"),
+        ({"controls": ["held"], "search": True}, "controls: a search compares settings"),
         ({"controls": ["oracle"]}, "controls: unknown 'oracle'; known: held, random, script"),
         ({"cliff": {"alone": {"states": [8, 8]}}}, "must be some, and differ"),
         ({"methods": ["rainbow_x"]}, "methods has no settings for 'rainbow_x'"),
