@@ -32,6 +32,7 @@ PICTURES: Final = (
         "classic/lunarlander300k/figures/*",
     ),
     ("MinAtar", "classic figures --preset minatar", "classic/minatar/figures/*"),
+    ("Atari", "classic figures --preset atari100k", "classic/atari100k/figures/*"),
     ("Masks and priorities", "classic figures --preset basics", "classic/basics/figures/*"),
 )
 ENDS: Final = (".png", ".gif")
