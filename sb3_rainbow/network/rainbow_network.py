@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import nullcontext
 from itertools import pairwise
+from operator import index
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -426,7 +427,7 @@ def split_arch(net_arch: NetArch) -> tuple[list[int], list[int]]:
     try:
         if not sizes.keys() <= {"shared", "streams"}:
             raise ValueError
-        shared, streams = ([int(n) for n in sizes.get(k, [])] for k in ("shared", "streams"))
+        shared, streams = ([index(n) for n in sizes.get(k, [])] for k in ("shared", "streams"))
     except (TypeError, ValueError):
         raise ValueError(
             "net_arch must be a list of sizes or dict(shared=[...], streams=[...]), "

@@ -1,8 +1,8 @@
 """What plays the public tasks without learning: at random, by one action, by a script of few lines.
 
 A script sees what a learner sees, one observation at a time, and remembers nothing. Those of
-MinAtar are greedy by hand: they look one move ahead and know how the game's objects move. All were
-written on seeds from 1000 on, as the settings of Rainbow.
+MinAtar are greedy by hand: they look one move ahead and know how the game's objects move. Those
+that are not others' were written on seeds from 1000 on, as the settings of Rainbow.
 """
 
 from __future__ import annotations
@@ -81,7 +81,8 @@ def _cart_pole(state: NDArray[np.float32]) -> int:
 def _mountain_car(state: NDArray[np.float32]) -> int:
     """Push right while position and speed lie between parabolas, else left.
 
-    The bounds are Zhiqing Xiao's (https://github.com/ZhiqingXiao/OpenAIGymSolution).
+    The bounds are Zhiqing Xiao's
+    (https://zhiqingxiao.github.io/rl-book/html/MountainCar-v0_ClosedForm.html).
     """
     position, speed = state
     low = min(0.03 - 0.09 * (position + 0.25) ** 2, 0.3 * (position + 0.9) ** 4 - 0.008)
