@@ -89,6 +89,7 @@ class CoopInsertionEnv(Rendered):
     other steps               -0.01 - d + 200 max(0.03 - d, 0)  ``-step_cost``
     approach                  50 max(d_before - d, 0)           ``distance_scale`` (d_before - d)
     alignment                                                   ``angle_scale`` (a_before - a)
+    failure, n moves left     -3                                violation and n steps, no progress
     ========================  ================================  =================================
 
     **Starting State**

@@ -295,7 +295,8 @@ def tick(s: Record, delta: int, rrs: int, p: EnvParams, out: Record) -> None:
         if p.task.visited > 0:  # the way to the next hole may lead back
             s.trailed = 0
             update_mask(s, True, True, p)
-    reward_of(s, (v, z, u, terminated), (distance, angle), after, p, out)
+    failed = terminated and n_open > 0
+    reward_of(s, (v, z, u, terminated, failed), (distance, angle), after, p, out)
     out.inserted = z
     out.inserted_hole = target if z else -1
     out.collision = delta_status == COLLISION or rrs_status == COLLISION
@@ -321,20 +322,21 @@ def report(s: Record, p: EnvParams, out: Record) -> None:
 
 @njit(cache=True)
 def reward_of(
-    s: Record, flags: tuple[bool, bool, bool, bool],
+    s: Record, flags: tuple[bool, bool, bool, bool, bool],
     before: tuple[float, float], after: tuple[float, float], p: EnvParams, out: Record,
 ) -> None:  # fmt: skip
     """Write the reward and its terms.
 
     Args:
         s: the state, moves counted and holes filled.
-        flags: a violation, an insertion, an entry to a filled hole, the episode's end.
+        flags: a violation, an insertion, an entry to a filled hole, the episode's end, that it
+            ends in failure.
         before: distance, m, and angle, rad, to the hole aimed at, before the move.
         after: after it.
         p: the parameters.
         out: what is written to.
     """
-    v, z, u, terminated = flags
+    v, z, u, terminated, failed = flags
     n_filled, time = s.filled.sum(), s.moves * p.layout.dt
     if p.reward.paper:
         terms = rewards.paper_terms(v, z, u, n_filled, time, before[0], after[0], p.reward)
@@ -344,6 +346,9 @@ def reward_of(
             after = (0.0, 0.0) if terminated else (s.distance, s.angle)
         d, a = (before[0], after[0]), (before[1], after[1])
         terms = rewards.progress_terms(v, z, u, n_filled, time, d, a, p.reward)
+        if failed:
+            left = p.task.max_moves - s.moves + 1  # this move is counted already
+            terms = rewards.failure_terms(terms, left, p.reward)
     total = 0.0
     for k in range(len(terms)):
         out.terms[k] = terms[k]

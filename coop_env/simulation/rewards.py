@@ -146,3 +146,14 @@ def progress_terms(
         0.0,
         p.angle_scale * (angle[0] - gamma * angle[1]),
     )
+
+
+@njit(cache=True)
+def failure_terms(terms: Terms, moves_left: int, p: RewardParams) -> Terms:
+    """The repaired reward of a move that ends the episode in failure, so that ending it never pays.
+
+    It makes no progress, and costs the violation and a step for each of ``moves_left``, itself
+    included: what idling to the end of the episode would have cost, and the penalty.
+    """
+    penalty, step = -p.violation_penalty, -p.step_cost * moves_left
+    return penalty, terms[1], terms[2], step, 0.0, 0.0, 0.0, 0.0

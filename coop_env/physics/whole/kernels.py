@@ -76,7 +76,7 @@ def refuse(states: np.ndarray, action: int, packed: np.ndarray) -> None:
 def conclude(
     states: np.ndarray,
     before: np.ndarray,
-    flags: tuple[bool, bool, bool, bool],
+    flags: tuple[bool, bool, bool, bool, bool],
     target: int,
     packed: np.ndarray,
     outcomes: np.ndarray,
@@ -86,13 +86,14 @@ def conclude(
     Args:
         states: (1,), with the holes that are filled and active after the move.
         before: (1,), the state before it.
-        flags: a violation, an insertion, an entry to a filled hole, the episode's end.
+        flags: a violation, an insertion, an entry to a filled hole, the episode's end, that it
+            ends in failure.
         target: the next one.
         packed: the parameters.
         outcomes: (1,), what is written to.
     """
     p, s, out = unpack(packed), states[0], outcomes[0]
-    v, z, u, terminated = flags
+    v, z, u, terminated, failed = flags
     aimed = before[0].target
     s.moves += 1
     s.insertions += z
@@ -104,7 +105,7 @@ def conclude(
         s.trailed = 0
         update_mask(s, True, True, p)
     was = (before[0].distance, before[0].angle)
-    dynamics.reward_of(s, (v, z, u, terminated), was, after, p, out)
+    dynamics.reward_of(s, (v, z, u, terminated, failed), was, after, p, out)
     out.inserted, out.inserted_hole = z, aimed if z else -1
     out.violation, out.duplicate = v, u
     out.collision = out.singular = False

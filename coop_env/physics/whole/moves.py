@@ -138,7 +138,8 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         row["filled"], row["active"] = body.filled, body.active
         kernels.conclude(
             self._states, before,
-            (violation, bool(new.any()), not violation and bool(inside.any()), body.over),
+            (violation, bool(new.any()), not violation and bool(inside.any()), body.over,
+             bool(body.failure)),
             body.target, self._packed, self._outcomes,
         )  # fmt: skip
         observe_batch(self._states, self._packed, self._observation, self._rows)

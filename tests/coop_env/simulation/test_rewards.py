@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -108,3 +109,57 @@ def test_a_violation_costs_exactly_its_penalty() -> None:
     assert info["violation"]
     assert not info["collision"]
     np.testing.assert_array_equal(env.configuration, before)
+
+
+REPAIRED: dict[str, dict[str, Any]] = {
+    "progress": {},
+    "tuned": dict(TUNED),
+    "no penalty": {"violation_penalty": 0.0},
+    "shaped": {"gamma": 1.0},
+}
+
+
+def break_it(env: CoopInsertionEnv, seed: int) -> tuple[list[int], float] | None:
+    """Moves of the 3-RRS to a singularity, and the reward of the last one; None where none came."""
+    env.reset(seed=seed, options={"configuration": (0, 0, -0.27, 0, 0, 0.22)})
+    rng = np.random.default_rng(seed)
+    way, moves = rng.choice([6, 7], 1).tolist() + rng.choice([8, 9], 1).tolist(), []
+    while env.running:
+        moves.append(int(rng.choice(way)))
+        _, reward, _, _, info = env.step(moves[-1])
+        if info["singular"]:
+            return moves, reward
+        if info["violation"]:
+            return None
+    return None
+
+
+@pytest.mark.parametrize("name", REPAIRED)
+@pytest.mark.parametrize("geometry", ["initial", "optimized"])
+def test_breaking_the_machine_costs_at_least_what_idling_to_the_end_costs(
+    name: str, geometry: str
+) -> None:
+    env = CoopInsertionEnv(geometry, "progress", REPAIRED[name], max_moves=300)
+    broken = 0
+    for seed in range(40):
+        found = break_it(env, seed)
+        if found is None or (300 - len(found[0])) % 2 == 0:
+            continue  # an even number of moves is left, after which idling is back where it began
+        broken += 1
+        moves, failing = found
+        env.reset(seed=seed, options={"configuration": (0, 0, -0.27, 0, 0, 0.22)})
+        for move in moves[:-1]:
+            env.step(move)
+        up_and_down = itertools.cycle((4, 5))
+        idling = 0.0
+        while env.running:
+            idling += env.step(next(up_and_down))[1]
+        assert failing <= idling + 1e-6
+    assert broken >= 3
+
+
+def test_a_failure_pays_the_penalty_and_a_step_for_every_move_left() -> None:
+    env = CoopInsertionEnv("initial", "progress", max_moves=80)
+    found = next(f for f in (break_it(env, seed) for seed in range(40)) if f is not None)
+    moves, reward = found
+    assert reward == -3.0 - 0.5 * (80 - len(moves) + 1)
