@@ -61,11 +61,11 @@ docs: $(STAMP) ## The site, in build/docs/index.html
 
 figures: $(STAMP) ## Regenerate the figures and numbers of README, design, results and learning
 	@$(BIN)/python -m benchmarks design
-	@$(BIN)/python -m benchmarks report --preset paper
+	@$(BIN)/python -m benchmarks report --preset cut
 	@$(BIN)/python -m benchmarks media
 	@$(BIN)/python -m benchmarks audit
-	@$(BIN)/python -m benchmarks failures --preset paper --track safe
-	@$(BIN)/python -m benchmarks failures --preset paper --track memory
+	@$(BIN)/python -m benchmarks failures --preset cut --track safe
+	@$(BIN)/python -m benchmarks failures --preset cut --track memory
 	@$(BIN)/python -m benchmarks readme
 
 dist: $(STAMP) ## Wheel and sdist in dist/, each installed into an empty environment and tried

@@ -1,7 +1,7 @@
 """The test protocol: every method on the same initial states, deterministic, all holes, to the end.
 
 A cell's episodes are played at each of its levels (:func:`levels`): of observation noise, of the
-error of an uncertain machine, and once under the paper's masks where a learner has better ones.
+error of an uncertain machine, and once as the learner was trained, or with random moves.
 """
 
 from __future__ import annotations
@@ -13,13 +13,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from stable_baselines3 import DQN
+from stable_baselines3.common.utils import set_random_seed
 
 from benchmarks.methods.base import Plan
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.methods.team.env import DecentralizedEnv, each_for_itself, make_env
-from benchmarks.protocol.knowledge import plays_bare
-from benchmarks.protocol.metrics import OWN_MASKS, PAPER_MASKS
-from benchmarks.protocol.plan import CONTROLS, OPTIMUM_AT_ONCE, Cell
+from benchmarks.protocol.knowledge import explores, plays_bare
+from benchmarks.protocol.metrics import EXPLORING, OWN_MASKS, PAPER_MASKS, RANDOM_MOVES
+from benchmarks.protocol.plan import CONTROLS, OPTIMUM_AT_ONCE, Cell, own_error
 from benchmarks.protocol.presets import Preset, as_dict
 from benchmarks.protocol.seeding import derive, episode_seeds
 from coop_env.env import CoopInsertionEnv
@@ -55,27 +57,38 @@ class Level:
     noise: float = 0.0
     columns: dict[str, object] = field(default_factory=dict)
 
+    @property
+    def exploring(self) -> bool:
+        """Whether the method acts as it was trained, or with random moves."""
+        return self.columns.get("acting") == EXPLORING
+
 
 def levels(preset: Preset, cell: Cell) -> list[Level]:
     """The levels of a cell; each has all test episodes.
 
     A track with ``sim_to_real`` has its machine at each of the preset's errors, others each level
-    of noise (no noise for who sees the true state). Learners that act under
-    ``mask_singularities`` play once more under the paper's masks, without a memory in them.
+    of noise (no noise for who sees the true state). Last comes, where the preset asks for it, that
+    of the method as it explores, without noise; in older presets learners that act under
+    ``mask_singularities`` play under the paper's masks instead, without a memory in them.
     """
     track = preset.tracks[cell.track] if cell.track else None
     arguments = env_arguments(preset, cell, track)
     if track is not None and track.sim_to_real is not None:
         machine = SimToReal(**track.sim_to_real)
-        return [
+        found = [
             Level({**arguments, "sim_to_real": displaced(machine, error)}, 0.0, {"error": error})
             for error in preset.evaluation.errors
         ]
-    if cell.plans or cell.method in SEES_THE_STATE:
-        return [Level(arguments)]
+        main = next(each for each in found if each.columns["error"] == own_error(track.sim_to_real))
+    else:
+        sees = cell.plans or cell.method in SEES_THE_STATE
+        found = [Level(arguments, noise) for noise in ([0.0] if sees else preset.evaluation.noise)]
+        main = found[0]
+    if explores(cell.method, as_dict(preset.evaluation)):
+        return [*found, replace(main, noise=0.0, columns={**main.columns, "acting": EXPLORING})]
     noise = preset.evaluation.noise
-    if track is None or not plays_bare(cell.method, as_dict(track)):
-        return [Level(arguments, level) for level in noise]
+    if track is None or not plays_bare(cell.method, as_dict(track)) or preset.evaluation.exploring:
+        return found
     bare = {"mask_singularities": False, "mask_visited": 0, "mask_refused": False}
     return [
         *(Level(arguments, level, {"masks": OWN_MASKS}) for level in noise),
@@ -110,20 +123,25 @@ def evaluate_cell(
             play_in_turn(planner_runner(preset, cell), episodes, part)
         else:
             noise_seed = derive("noise", cell.seed)
-            chooser = _make_chooser(preset, cell, model)(episodes)
+            chooser = _make_chooser(preset, cell, model, level.exploring)(episodes)
             play_together(chooser, episodes, level.noise, noise_seed, part)
         rows += [episode.row(level.noise) | level.columns for episode in episodes]
     return rows
 
 
-def _make_chooser(preset: Preset, cell: Cell, model: Any) -> MakeChooser:
+def _make_chooser(preset: Preset, cell: Cell, model: Any, exploring: bool) -> MakeChooser:
     if cell.method in CONTROLS:
         from benchmarks.methods.controls import control
 
-        return control(cell.method, preset.tracks[cell.track].controls, cell.seed)
+        greedy = control(cell.method, preset.tracks[cell.track].controls, cell.seed)
+        if not exploring:
+            return greedy
+        return lambda episodes: with_random_moves(greedy(episodes), episodes, cell.seed)
+    if exploring:
+        seed_exploration(model, cell.seed)
     if cell.method == "recurrent_ppo":
-        return lambda episodes: recurrent_chooser(model, len(episodes))
-    policy = model_policy(model)
+        return lambda episodes: recurrent_chooser(model, len(episodes), not exploring)
+    policy = model_policy(model, not exploring)
     if cell.track and preset.tracks[cell.track].rows > 1:
         return lambda episodes: _rows_of_agents(policy, episodes)
     return lambda episodes: lambda observations, masks, _: policy(observations, masks)
@@ -134,6 +152,26 @@ def _rows_of_agents(policy: Policy, episodes: Sequence[Episode]) -> Chooser:
     assert isinstance(env, DecentralizedEnv)
     act = each_for_itself(policy, env)
     return lambda observations, masks, _: act(observations, masks)
+
+
+def with_random_moves(choose: Chooser, episodes: Sequence[Episode], seed: int) -> Chooser:
+    """A script that makes a random allowed move in place of its own now and then."""
+    generators = [np.random.default_rng(derive("explore", seed, e.number)) for e in episodes]
+
+    def explore(observations: Observations, masks: Masks, running: Sequence[int]) -> NDArray[Any]:
+        actions = np.array(choose(observations, masks, running))
+        for row, i in enumerate(running):
+            if generators[i].random() < RANDOM_MOVES:
+                actions[row] = generators[i].choice(np.flatnonzero(masks[row]))
+        return actions
+
+    return explore
+
+
+def seed_exploration(model: Any, seed: int) -> None:
+    """Let all that a model draws when it explores follow from the cell's seed."""
+    set_random_seed(derive("explore", seed))
+    model.action_space.seed(derive("explore", seed))
 
 
 def shares(tell: Tell, parts: int) -> Iterator[Tell]:
@@ -201,27 +239,36 @@ def run_policy(
     return [episode.row(noise) for episode in episodes]
 
 
-def model_policy(model: Any) -> Policy:
-    """Greedy actions of an SB3 model; masks go to those whose ``predict`` takes them."""
+def model_policy(model: Any, deterministic: bool = True) -> Policy:
+    """Actions of an SB3 model, greedy or as in training.
+
+    Masks go to models whose ``predict`` takes them.
+    """
     takes_masks = "action_masks" in inspect.signature(model.predict).parameters
 
     def act(observations: Observations, masks: Masks) -> NDArray[Any]:
         arguments = {"action_masks": masks} if takes_masks else {}
-        actions, _ = model.predict(observations, deterministic=True, **arguments)
+        actions, _ = model.predict(observations, deterministic=deterministic, **arguments)
         return np.asarray(actions)
 
-    return act
+    def act_one_by_one(observations: Observations, masks: Masks) -> NDArray[Any]:
+        rows = [act(observations[i : i + 1], masks[i : i + 1]) for i in range(len(observations))]
+        return np.concatenate(rows)
+
+    # SB3's DQN tosses one coin for a whole batch: episodes are to explore each for itself
+    shares_a_coin = isinstance(model, DQN) and not deterministic
+    return act_one_by_one if shares_a_coin else act
 
 
-def recurrent_chooser(model: Any, n_episodes: int) -> Chooser:
-    """Greedy actions of a recurrent model of sb3-contrib, which remembers each of the episodes."""
+def recurrent_chooser(model: Any, n_episodes: int, deterministic: bool = True) -> Chooser:
+    """Actions of a recurrent model of sb3-contrib, which remembers each of the episodes."""
     lstm = model.policy.lstm_actor
     # hidden and cell states, (layers, episodes, size)
     memory = np.zeros((2, lstm.num_layers, n_episodes, lstm.hidden_size), np.float32)
 
     def choose(observations: Observations, masks: Masks, running: Sequence[int]) -> NDArray[Any]:
         before = (memory[0][:, running], memory[1][:, running])
-        actions, after = model.predict(observations, before, deterministic=True)
+        actions, after = model.predict(observations, before, deterministic=deterministic)
         memory[0][:, running], memory[1][:, running] = after
         return np.asarray(actions)
 

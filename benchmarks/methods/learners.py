@@ -102,8 +102,9 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu"
         common["tau"] = 1.0 - (1.0 - h.tau) ** h.gradient_steps
         return DQN("MlpPolicy", env, target_update_interval=h.n_envs, **common, **epsilon)
     rainbow = {name: getattr(h, name) for name in RAINBOW_NAMES} | ABLATIONS[cell.ablation]
-    if not rainbow.get("noisy", True):
-        rainbow |= epsilon
+    if rainbow.get("noisy", True):  # the paper's explores by its noise alone
+        epsilon |= {"exploration_initial_eps": 0.0, "exploration_final_eps": 0.0}
+    rainbow |= epsilon
     if track.team == "vdn":
         common["policy_kwargs"]["columns"] = env.get_attr("columns")[0].tolist()
     return Rainbow(POLICIES.get(track.team, "MlpPolicy"), env, **common, **rainbow)

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
-from benchmarks.protocol.plan import LEARNERS, PLANNERS
+from benchmarks.protocol.plan import CONTROLS, LEARNERS, PLANNERS
 
-UNMASKED = ("dqn", "recurrent_ppo")
+UNMASKED: Final = ("dqn", "recurrent_ppo")
+EXPLORERS: Final = (*LEARNERS, *(method for method in CONTROLS if method != "random"))
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,16 @@ def knowledge(method: str, track: Mapping[str, Any] | None) -> Knowledge:
     if method == "recurrent_ppo":
         remembered.append("recurrent")
     return Knowledge(masks, ", ".join(remembered) or "none")
+
+
+def explores(method: str, evaluation: Mapping[str, Any]) -> bool:
+    """Whether a method is tested once more as it was trained, or with random moves.
+
+    Args:
+        method: of :data:`benchmarks.protocol.plan.METHODS`.
+        evaluation: ``config["evaluation"]`` of a run.
+    """
+    return bool(evaluation.get("exploring")) and method in EXPLORERS
 
 
 def plays_bare(method: str, track: Mapping[str, Any] | None) -> bool:

@@ -34,6 +34,7 @@ ABLATIONS: Final = {
 }
 TRACKS: Final = {
     "printed": "as printed",
+    "repaired": "repaired",
     "reward": "reward",
     "safe": "safe",
     "memory": "memory",

@@ -63,5 +63,9 @@ EXTRA_METRICS: Final = (
 N_HOLES: Final = 6
 OWN_MASKS: Final = "own"  # of the track, in column "masks"
 PAPER_MASKS: Final = "paper"  # the same policy under what the paper masks
+GREEDY: Final = "greedy"  # in column "acting": the best action, always
+# as a learner was trained: with its noise, epsilon or sampling; a script with random moves
+EXPLORING: Final = "exploring"
+RANDOM_MOVES: Final = 0.05  # share of them in a script that explores
 HOLES: Final = EXTRA_METRICS[0]
 METRICS: Final = {metric.key: metric for metric in (*PAPER_METRICS, *EXTRA_METRICS)}

@@ -160,6 +160,8 @@ def _evaluation(preset: Preset, track: Track | None) -> dict[str, Any]:
         del config["errors"]
     if config["stream"] == "test":
         del config["stream"]
+    if not config["exploring"]:
+        del config["exploring"]
     return config
 
 

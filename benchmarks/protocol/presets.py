@@ -184,7 +184,8 @@ class Evaluation:
 
     On tracks with ``sim_to_real``, which has a noise of its own, at each of ``errors`` instead:
     bounds of the base's displacement, mm; its tilt is in proportion. ``stream`` says which starts
-    (:mod:`benchmarks.protocol.seeding`): ``test`` is for the preset ``paper`` alone.
+    (:mod:`benchmarks.protocol.seeding`): ``final`` is for the preset ``paper`` alone. With
+    ``exploring`` learners also act as they were trained, and scripts with 5 % of random moves.
     """
 
     episodes: Count
@@ -194,7 +195,8 @@ class Evaluation:
     errors: Annotated[list[Number], AfterValidator(_errors)] = field(
         default_factory=lambda: [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0]
     )
-    stream: Literal["test", "validate"] = "validate"
+    stream: Literal["final", "test", "validate"] = "validate"
+    exploring: bool = False
 
 
 @with_config(STRICT)

@@ -19,6 +19,8 @@ _STREAMS: Final = {
     "learner": 6,
     "fresh": 7,
     "data": 8,
+    "final": 9,
+    "explore": 10,
 }
 
 
@@ -26,7 +28,7 @@ def derive(stream: str, *key: int) -> int:
     """A 31-bit seed of one stream; equal keys give equal seeds, other keys independent ones.
 
     Args:
-        stream: train, test, validate, noise, planner, learner, fresh or data.
+        stream: a key of ``_STREAMS``, such as train, validate or final.
         key: what tells the seeds of a stream apart, such as (seed, episode).
     """
     sequence = np.random.SeedSequence((_STREAMS[stream], *key))

@@ -11,7 +11,7 @@ from typing import Any, Final
 import pandas as pd
 
 from benchmarks.protocol import labels
-from benchmarks.protocol.metrics import OWN_MASKS, SUCCESS, Metric
+from benchmarks.protocol.metrics import GREEDY, OWN_MASKS, SUCCESS, Metric
 from benchmarks.protocol.plan import DESIGN, METHODS, expand, own_error
 from benchmarks.protocol.presets import as_dict, load_preset, preset_names
 from benchmarks.reporting.stats import Value, mean_interval, measured, over_seeds, wilson
@@ -19,6 +19,7 @@ from benchmarks.runs.store import RunFolder, Store
 
 TRACK_ORDER: Final = tuple(labels.TRACKS)
 Key = tuple[str, str, str, str]  # method, ablation, geometry, track
+LevelKey = tuple[float, str, float, str]  # noise, masks, error, acting
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Level:
     noise: float = 0.0
     masks: str = OWN_MASKS
     error: float | None = None
+    acting: str = GREEDY
 
 
 MAIN: Final = Level()
@@ -62,12 +64,13 @@ class Result:
     def test(self, level: Level = MAIN) -> pd.DataFrame:
         """Test episodes at one level, by episode; not to be written to."""
         error = self.error if level.error is None else level.error
-        return self.levels.get((level.noise, level.masks, error), self.episodes.iloc[:0])
+        key = (level.noise, level.masks, error, level.acting)
+        return self.levels.get(key, self.episodes.iloc[:0])
 
     @cached_property
-    def levels(self) -> dict[tuple[float, str, float], pd.DataFrame]:
-        """(noise, masks, error) -> its episodes; rows of before the columns are the track's own."""
-        columns: dict[str, Any] = {"masks": OWN_MASKS, "error": self.error}
+    def levels(self) -> dict[LevelKey, pd.DataFrame]:
+        """Episodes by (noise, masks, error, acting); a column that is missing has its default."""
+        columns: dict[str, Any] = {"masks": OWN_MASKS, "error": self.error, "acting": GREEDY}
         rows = self.episodes.assign(
             **{
                 name: self.episodes[name].fillna(own) if name in self.episodes else own
@@ -75,8 +78,8 @@ class Result:
             }
         )
         found = {}
-        for (noise, masks, error), part in rows.groupby(["noise", "masks", "error"]):
-            level = (float(str(noise)), str(masks), float(str(error)))
+        for (noise, masks, error, acting), part in rows.groupby(["noise", *columns]):
+            level = (float(str(noise)), str(masks), float(str(error)), str(acting))
             found[level] = part.sort_values("episode").reset_index(drop=True)
         return found
 
@@ -216,8 +219,8 @@ class Results:
         found = [(method, self.group(method, geometry, track)) for method in among]
         return [(method, group) for method, group in found if group.n or group.planned]
 
-    def levels(self) -> list[tuple[float, str, float]]:
-        """(noise, masks, error) at which any run was tested, in order."""
+    def levels(self) -> list[LevelKey]:
+        """(noise, masks, error, acting) at which any run was tested, in order."""
         return sorted({level for run in self.all() for level in run.levels})
 
     def all(self) -> list[Result]:

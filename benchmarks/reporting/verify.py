@@ -15,8 +15,8 @@ from typing import Final
 import pandas as pd
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol.knowledge import plays_bare
-from benchmarks.protocol.metrics import OWN_MASKS, PAPER_MASKS
+from benchmarks.protocol.knowledge import explores, plays_bare
+from benchmarks.protocol.metrics import EXPLORING, GREEDY, OWN_MASKS, PAPER_MASKS
 from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.pages import gallery, includes
@@ -179,13 +179,16 @@ def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...],
         found = sorted(column.astype(float).unique().tolist())
         if found != sorted(wanted):
             problems.append(f"episodes.csv has {name} {found}, not {wanted}")
-    bare = plays_bare(cell.method, result.config.get("track"))
+    bare = plays_bare(cell.method, result.config.get("track")) and not evaluation.get("exploring")
     wanted_masks = {OWN_MASKS, PAPER_MASKS} if bare else {OWN_MASKS}
-    masks_found = {masks for _, masks, _ in result.levels}
+    masks_found = {masks for _, masks, _, _ in result.levels}
     if masks_found != wanted_masks:
         problems.append(f"episodes.csv has masks {sorted(masks_found)}, not {sorted(wanted_masks)}")
-    for (noise, masks, error), episodes in result.levels.items():
-        where = f"noise {noise}, masks {masks}, error {error:g} mm"
+    acting = {acting for _, _, _, acting in result.levels}
+    if acting != ({GREEDY, EXPLORING} if explores(cell.method, evaluation) else {GREEDY}):
+        problems.append(f"episodes.csv has acting {sorted(acting)}, as its settings do not say")
+    for (noise, masks, error, acts), episodes in result.levels.items():
+        where = f"noise {noise}, masks {masks}, error {error:g} mm, acting {acts}"
         if episodes["episode"].tolist() != list(range(len(seeds))):
             problems.append(
                 f"episodes.csv has {len(episodes)} rows at {where}, not one for each of the "

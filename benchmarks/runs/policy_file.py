@@ -1,6 +1,6 @@
 """The final policy of a run as a file small enough to commit, which SB3 loads like any other.
 
-What greedy acting does not ask for goes (target network, widths of the noise, optimizer), and the
+What acting does not ask for goes (target network, optimizer), the widths of the noise stay, and the
 rest is rounded to half precision before it is tested, so that the file *is* what was tested. The
 digest of the weights as trained is kept in meta.json: two runs can be compared to the bit by it.
 """
@@ -21,9 +21,9 @@ _UNUSED: Final = (
     *("q_net_target.", "mlp_extractor.value_net.", "value_net.", "lstm_critic."),
     *("critic.", "critic_target.", "actor_target."),
 )
-"""What the greedy policy of Rainbow, DQN or an actor-critic never asks, by prefix."""
-_NOISE: Final = ("_sigma", ".epsilon_in", ".epsilon_out")
-"""What a noisy layer adds only when it explores, by suffix."""
+"""What the acting policy of Rainbow, DQN or an actor-critic never asks, by prefix."""
+_DRAWN: Final = (".epsilon_in", ".epsilon_out")
+"""What a noisy layer draws anew when it explores, by suffix."""
 
 
 def digest(model: Any) -> str:
@@ -35,13 +35,13 @@ def digest(model: Any) -> str:
     return sha.hexdigest()
 
 
-def reduce_to_greedy(model: Any) -> None:
-    """Leave of the model, in place, what its greedy policy needs, in half precision's steps."""
+def reduce_to_acting(model: Any) -> None:
+    """Leave of the model, in place, what acting needs, in half precision's steps."""
     with torch.no_grad():
         for name, value in model.policy.state_dict().items():
             if not value.is_floating_point():
                 continue
-            if name.startswith(_UNUSED) or name.endswith(_NOISE):
+            if name.startswith(_UNUSED) or name.endswith(_DRAWN):
                 value.zero_()
             elif value.abs().max() < torch.finfo(torch.float16).max:
                 value.copy_(value.half())

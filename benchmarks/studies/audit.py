@@ -166,7 +166,7 @@ def markdown(rows: pd.DataFrame) -> str:
 def main(words: Sequence[str]) -> int:
     """Play the scripts, read the learners, write the table and the figure."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks audit", description=__doc__)
-    parser.add_argument("--preset", default="paper", help="whose tracks and stored learners")
+    parser.add_argument("--preset", default="cut", help="whose tracks and stored learners")
     parser.add_argument("--results", type=Path, default=Path("results"))
     parser.add_argument("--starts", type=int, default=100, help="validation starts for each script")
     arguments = parser.parse_args(list(words))

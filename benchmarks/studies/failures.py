@@ -1,6 +1,6 @@
 """Where a learned policy fails, why, and by how much it is slower than the optimum.
 
-    python -m benchmarks failures --preset paper [--track safe] [--method rainbow]
+    python -m benchmarks failures --preset cut [--track safe] [--method rainbow]
 
 The stored policies of all seeds play their test episodes again, up to the first insertion, beside
 the exact optimum. A failure is *infeasible* if no sequence of moves inserts from that start,
@@ -219,7 +219,7 @@ def main(words: Sequence[str]) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--preset", default="paper")
+    parser.add_argument("--preset", default="cut")
     parser.add_argument("--results", type=Path, default=Path("results"))
     parser.add_argument("--track", default="safe")
     parser.add_argument("--method", default="rainbow", choices=FORGETFUL)

@@ -105,7 +105,7 @@ class Insertion(Experiment[Cell]):
         folder.write_progress(1.0, "testing")
         began = time.perf_counter()
         summary["weights_sha256"] = policy_file.digest(model)
-        policy_file.reduce_to_greedy(model)
+        policy_file.reduce_to_acting(model)
         folder.write_rows("episodes", evaluate_cell(self.preset, cell, model=model))
         policy_file.save(model, folder.policy)
         summary["policy_sha256"] = folder.policy_digest()

@@ -259,4 +259,4 @@ def robustness(results: Results) -> Table:
 def noise_levels(results: Results) -> list[float]:
     """Levels of observation noise that a run of a known machine was tested at."""
     tested = [row.group for row in complete(rows(results, NOISY))]
-    return sorted({noise for group in tested for run in group.runs for noise, _, _ in run.levels})
+    return sorted({noise for group in tested for run in group.runs for noise, *_ in run.levels})

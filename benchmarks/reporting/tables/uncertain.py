@@ -20,7 +20,9 @@ SHOWN: Final = (HOLES, METRICS["collisions"], METRICS["time_first"])
 def error_levels(results: Results) -> list[float]:
     """Bounds of the base's displacement, mm, that any run was tested at."""
     tested = [row.group for row in complete(rows(results, uncertain=True))]
-    return sorted({error for group in tested for run in group.runs for *_, error in run.levels})
+    return sorted(
+        {error for group in tested for run in group.runs for _, _, error, _ in run.levels}
+    )
 
 
 def uncertain(results: Results) -> Table:

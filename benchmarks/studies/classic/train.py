@@ -264,7 +264,7 @@ def run_learner(
     folder.write_rows("curve", tester.rows)
     began = time.perf_counter()
     if task.env == CONTACT:  # another study plays it
-        policy_file.reduce_to_greedy(model)
+        policy_file.reduce_to_acting(model)
         policy_file.save(model, folder.policy)
     test(model, preset, cell, folder)
     if task.env == CONTACT:

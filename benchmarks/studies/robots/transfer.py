@@ -47,7 +47,7 @@ from coop_env.env import CoopInsertionEnv
 
 BLOCK: Final = "transfer"
 PAGE: Final = "physics.md"
-PRESET: Final = "paper"
+PRESET: Final = "cut"
 SEEDS: Final = 5
 EPISODES: Final = 10  # of each seed
 PLAYERS: Final = {

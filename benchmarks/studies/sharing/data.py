@@ -121,7 +121,7 @@ def recipes(steps: int) -> list[Recipe]:
 
 def arguments_of_the_task() -> dict[str, Any]:
     """Keyword arguments of the environment that all behave in, without the defaults."""
-    preset = load_preset("paper")
+    preset = load_preset("cut")
     cell = Cell("rainbow", "full", "optimized", TRACK, 0)
     given = env_arguments(preset, cell, preset.tracks[TRACK])
     return {name: value for name, value in given.items() if value}
@@ -155,7 +155,7 @@ def play(recipe: Recipe, tell: Callable[[int], None]) -> list[Episode]:
 
 def _mixed(episodes: Sequence[Episode], share: float) -> Chooser:
     """The expert, but for a share of its moves, which are drawn from the allowed ones."""
-    weights = load_preset("paper").tracks[TRACK].controls
+    weights = load_preset("cut").tracks[TRACK].controls
     expert = control("lookahead_observed", weights, 0)(episodes)
     generators = [np.random.default_rng(derive("data", e.number, 1)) for e in episodes]
 

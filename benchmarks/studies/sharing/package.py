@@ -1,6 +1,6 @@
 """Stored policies of Rainbow as packages for the Hugging Face hub; nothing is uploaded.
 
-    python -m benchmarks package --preset paper
+    python -m benchmarks package --preset cut
 
 Each policy of the whole algorithm that the preset's store holds for the optimized geometry (a fresh
 clone has those of the README's table) becomes a folder of ``hub/<preset>/``: the model, a card with
@@ -120,7 +120,7 @@ def main(words: Sequence[str]) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--preset", default="paper")
+    parser.add_argument("--preset", default="cut")
     parser.add_argument("--results", type=Path, default=Path("results"), help="results folder")
     parser.add_argument("--out", type=Path, default=Path("hub"), help="folder of the packages")
     parser.add_argument("--episodes", type=at_least(1), default=20, help="of each card's return")

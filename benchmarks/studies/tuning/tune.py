@@ -239,7 +239,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m benchmarks tune", description=__doc__)
     add = parser.add_argument
     add("--sampler", choices=SAMPLERS, default="grid", help="the paper's grid, or TPE")
-    add("--preset", default="paper", help="whose tracks there are (default: paper)")
+    add("--preset", default="cut", help="whose tracks there are (default: cut)")
     add("--track", default=None, help="what to search around (default: safe, or the first)")
     add("--trials", type=at_least(1), default=None, help="configurations (default: 27 or 30)")
     add("--steps", type=at_least(1), default=None, help="of each training (default: the track's)")

@@ -303,7 +303,7 @@ def main(words: Sequence[str]) -> int:
     line.add_argument("--out", type=Path, default=Path("results/media"), help="folder")
     line.add_argument("--seed", type=int, default=DEFAULT_SEED, help="of the episode's start")
     line.add_argument("--camera", choices=list(CAMERAS), default="iso")
-    page = Path("results/paper/report.html")
+    page = Path("results/cut/report.html")
     line.add_argument("--report", type=Path, default=page, help="the page to take a picture of")
     arguments = line.parse_args(words)
     if arguments.seed < 0:

@@ -17,6 +17,7 @@ from benchmarks.evaluation.evaluate import (
     levels,
     play_together,
     recurrent_chooser,
+    with_random_moves,
 )
 from benchmarks.methods.learners import build_model, make_training_env
 from benchmarks.protocol.plan import Cell
@@ -27,7 +28,7 @@ from coop_env import SimToReal
 @pytest.fixture(scope="module")
 def preset() -> Preset:
     """The paper's, small."""
-    whole = load_preset("paper")
+    whole = load_preset("cut")
     small: dict[str, Any] = {"buffer_size": 1000, "n_envs": 2, "net_arch": [16, 16]}
     tracks = {
         name: dataclasses.replace(
@@ -75,6 +76,63 @@ def test_learners_with_better_masks_play_under_the_papers_too(preset: Preset) ->
     assert (paper.noise, paper.columns) == (0.0, {"masks": "paper"})
     changed = {"mask_singularities": False, "mask_visited": 0, "mask_refused": False}
     assert paper.arguments == own[0].arguments | changed
+
+
+@pytest.mark.parametrize(
+    ("method", "track", "columns"),
+    [
+        ("rainbow", "safe", [{}, {}, {"acting": "exploring"}]),
+        ("dqn", "printed", [{}, {}, {"acting": "exploring"}]),
+        ("lookahead", "safe", [{}, {"acting": "exploring"}]),
+        ("random", "safe", [{}]),
+        ("optimum", "", [{}]),
+        ("greedy", "uncertain",
+         [{"error": 0.0}, {"error": 3.0}, {"error": 3.0, "acting": "exploring"}]),
+    ],
+)  # fmt: skip
+def test_who_has_two_ways_of_acting_is_played_in_both(
+    method: str, track: str, columns: list[dict[str, object]], preset: Preset
+) -> None:
+    both = dataclasses.replace(
+        preset, evaluation=dataclasses.replace(preset.evaluation, exploring=True)
+    )
+    found = levels(both, cell(method, track))
+    assert [level.columns for level in found] == columns
+    assert [level.exploring for level in found] == ["acting" in each for each in columns]
+    assert found[-1].noise == 0.0
+
+
+@pytest.mark.parametrize("method", ["rainbow", "dqn", "maskable_ppo", "greedy"])
+def test_exploring_differs_from_greedy_and_follows_from_the_seed(
+    method: str, preset: Preset
+) -> None:
+    tests = dataclasses.replace(preset.evaluation, exploring=True, noise=[0.0])
+    both, mine = dataclasses.replace(preset, evaluation=tests), cell(method, "printed")
+    learns = method != "greedy"
+    model = build_model(both, mine, make_training_env(both, mine)) if learns else None
+    if method == "dqn":
+        model.exploration_rate = 0.5  # type: ignore[union-attr]
+    one, two = (evaluate_cell(both, mine, model=model) for _ in range(2))
+    for rows in (one, two):
+        for row in rows:
+            row.pop("plan_seconds")
+    assert str(one) == str(two)
+    greedy = [row["energy"] for row in one if "acting" not in row]
+    exploring = [row["energy"] for row in one if row.get("acting") == "exploring"]
+    assert len(greedy) == len(exploring) == 2
+    assert greedy != exploring
+
+
+def test_a_script_that_explores_makes_one_move_of_twenty_at_random() -> None:
+    episodes = begin_episodes({}, 0, 200)
+    masks = np.zeros((200, 12), np.bool_)
+    masks[:, 3:5] = True
+    choose = with_random_moves(lambda o, m, i: np.full(200, 3), episodes, 0)
+    moves = np.array(
+        [choose(np.empty((200, 12), np.float32), masks, range(200)) for _ in range(50)]
+    )
+    assert set(np.unique(moves)) == {3, 4}
+    assert np.mean(moves == 4) == pytest.approx(0.025, abs=0.004)
 
 
 @pytest.mark.parametrize("method", ["rainbow", "recurrent_ppo", "greedy", "plan_search", "optimum"])

@@ -128,7 +128,7 @@ def test_each_learns_is_stored_and_acts_in_the_tests(track: str, tmp_path: Path)
     assert any("weight" in name for name in moved)
     kernels = model._learner.shortcuts.kernels
     assert (kernels is None) == track.startswith(("vdn", "independent"))
-    policy_file.reduce_to_greedy(model)
+    policy_file.reduce_to_acting(model)
     policy_file.save(model, tmp_path / "policy.zip")
     loaded = Rainbow.load(tmp_path / "policy.zip")
     rows = evaluate_cell(preset, cell, model=model)

@@ -39,7 +39,7 @@ def test_who_has_a_memory_says_so(
 
 def test_only_what_remembers_nothing_claims_so() -> None:
     """The settings of every cell are enough to say it; safe and printed have no memory at all."""
-    preset = load_preset("paper")
+    preset = load_preset("cut")
     for cell in expand(preset):
         if cell.method not in METHODS:
             continue

@@ -22,7 +22,7 @@ def smoke() -> dict[str, Any]:
     return data
 
 
-@pytest.mark.parametrize("name", ["smoke", "quick", "tuning", "paper", "team"])
+@pytest.mark.parametrize("name", ["smoke", "quick", "tuning", "paper", "cut", "team"])
 def test_shipped_presets_expand_to_cells_with_unique_folders(name: str) -> None:
     cells = expand(load_preset(name))
     assert len({cell.id for cell in cells}) == len(cells) > 0
@@ -41,9 +41,7 @@ def test_the_paper_preset_has_the_papers_protocol_and_hyperparameters() -> None:
     preset = load_preset("paper")
     assert len(preset.seeds) == 5
     assert preset.evaluation.episodes == 100
-    whole = parse_preset(smoke() | {"tracks": {"safe": None, "printed": None}}, "mine", "mine.yaml")
-    track, cut = whole.tracks["printed"], preset.tracks["printed"]
-    assert dataclasses.replace(track, timesteps=cut.timesteps) == cut
+    track = preset.tracks["printed"]
     h = track.hyperparameters
     assert (track.reward, track.timesteps) == ("paper", 1_500_000)
     assert (h.learning_rate, h.weight_decay, h.max_grad_norm, h.gamma) == (1e-4, 1e-5, 5.0, 0.99)
@@ -58,7 +56,7 @@ def test_geometries_and_rewards_are_those_of_the_task() -> None:
     from coop_env.simulation.rewards import make_reward
 
     assert set(GEOMETRIES) == set(KNOWN)
-    for track in load_preset("paper").tracks.values():
+    for track in load_preset("cut").tracks.values():
         make_reward(track.reward, dict(track.reward_kwargs))
 
 
@@ -226,7 +224,7 @@ def test_each_ablation_switches_one_component_and_no_other() -> None:
 
 
 def test_a_track_may_vary_another_and_that_one_a_third() -> None:
-    tracks = load_preset("paper").tracks
+    tracks = load_preset("cut").tracks
     safe, memory, uncertain = (tracks[name] for name in ("safe", "memory", "uncertain"))
     said: dict[str, Any] = {"description": "", "mask_visited": 64, "controls": memory.controls}
     assert dataclasses.replace(safe, **said) == dataclasses.replace(memory, **said)
@@ -240,8 +238,8 @@ def test_a_track_may_vary_another_and_that_one_a_third() -> None:
 
 
 def test_tracks_change_what_they_are_named_for() -> None:
-    tracks = load_preset("paper").tracks
-    printed, reward = tracks["printed"], tracks["reward"]
+    tracks = load_preset("cut").tracks
+    printed, reward = (load_preset("paper").tracks[name] for name in ("printed", "repaired"))
     said: dict[str, Any] = {"description": "", "reward": "", "reward_kwargs": {}}
     assert dataclasses.replace(printed, **said) == dataclasses.replace(reward, **said)
     assert (reward.reward, reward.mask_singularities, reward.mask_visited) == ("progress", False, 0)
@@ -255,14 +253,15 @@ def test_tracks_change_what_they_are_named_for() -> None:
 
 def test_the_test_starts_are_the_paper_presets_alone() -> None:
     streams = {name: load_preset(name).evaluation.stream for name in preset_names()}
-    assert {name for name, stream in streams.items() if stream == "test"} == {"paper"}
-    assert min(load_preset("tuning").seeds) > max(load_preset("paper").seeds)
+    assert {name for name, stream in streams.items() if stream == "final"} == {"paper"}
+    assert {name for name, stream in streams.items() if stream == "test"} == {"cut"}
+    assert min(load_preset("tuning").seeds) > max(load_preset("cut").seeds)
 
 
 def test_runs_from_before_the_newer_keys_are_still_what_the_preset_says() -> None:
     """Printed runs, and the planners', are hours of work that no new key may make void."""
-    preset = load_preset("paper")
-    runs = PRESETS.parents[2] / "results" / "paper" / "runs"
+    preset = load_preset("cut")
+    runs = PRESETS.parents[2] / "results" / "cut" / "runs"
     seen = 0
     for cell in expand(preset):
         path = runs / cell.id / "config.yaml"
@@ -274,7 +273,7 @@ def test_runs_from_before_the_newer_keys_are_still_what_the_preset_says() -> Non
 
 
 def test_what_has_no_bearing_on_a_control_is_not_among_its_settings() -> None:
-    preset = load_preset("paper")
+    preset = load_preset("cut")
     by_id = {cell.id: settings(preset, cell) for cell in expand(preset)}
     track = by_id["greedy-optimized-uncertain-s0"]["track"]
     assert "hyperparameters" not in track

@@ -125,7 +125,7 @@ def test_no_reason_on_record_is_stale(preset: str) -> None:
     assert stale_reasons(build_tables(store), preset) == []
 
 
-@pytest.mark.parametrize("preset", ["paper"])
+@pytest.mark.parametrize("preset", ["cut"])
 def test_every_flag_has_its_reason(preset: str) -> None:
     tables = build_tables(Store.open(ROOT / "results", preset))
     table = next(table for table in tables if table.name == "deviations")

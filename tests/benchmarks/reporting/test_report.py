@@ -234,8 +234,8 @@ def test_tables_figures_and_report_need_no_torch_and_little_time(tmp_path: Path)
 
 
 def test_a_store_without_any_run_has_a_report_of_what_is_missing(tmp_path: Path) -> None:
-    Store.open(tmp_path, "paper", create=True)
-    assert main(["report", "--preset", "paper", "--results", str(tmp_path)]) == 0
-    page = Page((tmp_path / "paper" / "report.html").read_text(encoding="utf-8"))
+    Store.open(tmp_path, "cut", create=True)
+    assert main(["report", "--preset", "cut", "--results", str(tmp_path)]) == 0
+    page = Page((tmp_path / "cut" / "report.html").read_text(encoding="utf-8"))
     assert "missing" in page.cells
     assert page.pictures == {}

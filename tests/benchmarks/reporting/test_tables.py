@@ -69,7 +69,7 @@ def test_a_safe_policy_has_a_row_under_the_papers_own_masks(make_store: MakeStor
 
 
 def test_every_row_says_which_masks_and_which_memory(tmp_path: Path) -> None:
-    store = fabricated_store.make_store(tmp_path, [0], "paper")
+    store = fabricated_store.make_store(tmp_path, [0], "cut")
     for table in build_tables(store):
         if table.name not in ("hyperparameters", "design"):
             at = [table.header.index(name) for name in ("Masks", "Memory")]
@@ -93,7 +93,7 @@ def test_every_row_says_which_masks_and_which_memory(tmp_path: Path) -> None:
 
 
 def test_the_uncertain_machine_has_a_table_of_its_own(tmp_path: Path) -> None:
-    store = fabricated_store.make_store(tmp_path, [0], "paper")
+    store = fabricated_store.make_store(tmp_path, [0], "cut")
     table = find(store, "uncertain")
     row = next(row for row in table.texts() if row[0] == "Rainbow DQN, uncertain")
     assert row[2] == "64 configurations, refused moves"
@@ -108,7 +108,7 @@ def test_the_uncertain_machine_has_a_table_of_its_own(tmp_path: Path) -> None:
 
 def test_files_of_before_the_columns_are_the_tracks_own(tmp_path: Path) -> None:
     store = fabricated_store.make_store(
-        tmp_path, [0], "paper", lambda c: c.method == "rainbow" and c.ablation == "full"
+        tmp_path, [0], "cut", lambda c: c.method == "rainbow" and c.ablation == "full"
     )
     for run in store.completed():
         rows = run.rows("episodes")
@@ -163,7 +163,7 @@ def test_geometry_and_robustness_rows(make_store: MakeStore) -> None:
 
 
 def test_the_hyperparameters_are_those_of_every_track(tmp_path: Path) -> None:
-    store = fabricated_store.make_store(tmp_path, [0], "paper", lambda c: c.track == "safe")
+    store = fabricated_store.make_store(tmp_path, [0], "cut", lambda c: c.track == "safe")
     table = find(store, "hyperparameters")
     tracks = ["printed", "reward", "safe", "memory", "uncertain", "uncertain_nominal"]
     assert table.header[2:] == [f"Ours, {labels.track(track)}" for track in tracks]
@@ -298,7 +298,7 @@ def test_a_partly_finished_preset_shows_what_is_missing(tmp_path: Path) -> None:
             return cell.track != "printed" and cell.ablation == "full"
         return cell.method != "greedy"
 
-    store = fabricated_store.make_store(tmp_path, range(5), "paper", keep)
+    store = fabricated_store.make_store(tmp_path, range(5), "cut", keep)
     table = find(store, "performance")
     success = column(table, "Success rate (%)")
     assert success["Rainbow DQN, as printed"] == "missing"

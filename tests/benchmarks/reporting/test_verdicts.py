@@ -39,11 +39,11 @@ def first(solved: int) -> np.ndarray:
 @pytest.fixture
 def results_of(tmp_path: Path) -> Callable[[dict[str, Columns]], Results]:
     """Results of one seed of preset paper: run -> columns of its episodes."""
-    preset = dataclasses.replace(load_preset("paper"), seeds=[0])
+    preset = dataclasses.replace(load_preset("cut"), seeds=[0])
     cells = {cell.id: cell for cell in expand(preset)}
 
     def write(runs: dict[str, Columns]) -> Results:
-        store = Store.open(tmp_path / f"{len(list(tmp_path.iterdir()))}", "paper", create=True)
+        store = Store.open(tmp_path / f"{len(list(tmp_path.iterdir()))}", "cut", create=True)
         for name, columns in runs.items():
             run, frame = store.run(name), pd.DataFrame({"episode": np.arange(N), "noise": 0.0})
             given = dict(columns)
@@ -184,7 +184,7 @@ def test_as_printed_it_learns_from_half_of_the_episodes_on(
     told = tell({"rainbow-optimized-printed-s0": {"success": first(solved)}})["printed"]
     assert ("the method learns the task" in told) == learns
     assert ("does not learn" in told) != learns
-    steps = load_preset("paper").tracks["printed"].timesteps
+    steps = load_preset("cut").tracks["printed"].timesteps
     assert f"in {steps:,} of the paper's 1,500,000 steps" in told
 
 
@@ -291,14 +291,14 @@ def test_where_learning_pays_and_where_not(tell: Tell) -> None:
 
 
 def test_what_was_not_run_is_not_told(tmp_path: Path) -> None:
-    store = make_store(tmp_path, [0], "paper", lambda cell: cell.method == "rrt_connect")
+    store = make_store(tmp_path, [0], "cut", lambda cell: cell.method == "rrt_connect")
     assert sentences(Results(store)) == {}
     assert headline_rows(Results(store))  # the table says "missing"
     assert "missing" in short(store, [])
 
 
 def test_the_readme_has_five_sentences_and_a_table_of_eight_rows(tmp_path: Path) -> None:
-    store = make_store(tmp_path, [0, 1], "paper")
+    store = make_store(tmp_path, [0, 1], "cut")
     text = short(store, build_tables(store))
     lines = text.splitlines()
     table = [line for line in lines if line.startswith("|")]

@@ -189,7 +189,7 @@ def test_rows_that_are_not_the_test_episodes_are_named(copy: Path) -> None:
         path.write_text(text, encoding="utf-8")
         return found
 
-    assert "rows at noise 0.0, masks own, error 0 mm, not one for each" in problem(
+    assert "rows at noise 0.0, masks own, error 0 mm, acting greedy, not one for each" in problem(
         "".join(lines[:5] + lines[6:])
     )
     number, seed, start, rest = lines[1].split(",", 3)
@@ -358,8 +358,8 @@ def test_the_policies_in_git_are_few(tmp_path: Path) -> None:
     names = [str(path) for path in tracked]
     # a renewed run of a preset whose results are tracked adds no file, and quick is not tracked
     assert git("check-ignore", "--no-index", "--stdin", given="\n".join(names)) == []
-    made = ["results/quick/tables/performance.md", "results/paper/report.html"]
-    for preset in ("paper",):
+    made = ["results/quick/tables/performance.md", "results/cut/report.html"]
+    for preset in ("cut",):
         cells = [f"results/{preset}/runs/{c.id}/policy.zip" for c in expand(load_preset(preset))]
         made += [cell for cell in cells if str(ROOT / cell) not in names]
     assert git("check-ignore", "--no-index", "--stdin", given="\n".join(made)) == made

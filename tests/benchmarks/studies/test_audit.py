@@ -47,7 +47,7 @@ def test_the_best_cycle_is_the_best_of_all() -> None:
 
 
 def test_scripts_return_what_the_environment_pays() -> None:
-    preset = load_preset("paper")
+    preset = load_preset("cut")
     tracks = {name: preset.tracks[name] for name in ("printed", "safe")}
     rows = audit.scripted(dataclasses.replace(preset, tracks=tracks), 2)
     assert set(rows["script"]) == set(SCRIPTS)
@@ -68,7 +68,7 @@ def test_scripts_return_what_the_environment_pays() -> None:
 
 
 def test_each_reward_is_played_once() -> None:
-    assert list(audit.of_each_reward(load_preset("paper")).tracks) == ["printed", "reward", "safe"]
+    assert list(audit.of_each_reward(load_preset("cut")).tracks) == ["printed", "reward", "safe"]
 
 
 def test_both_commands_write_what_they_say(

@@ -13,8 +13,8 @@ from benchmarks.studies.scoring.scores import FRESH_EPISODES, Replay
 
 
 def replay(results: Path, episodes: int | None, starts: int | None) -> Replay:
-    Store.open(results, "paper", create=True)
-    return Replay("paper", results, episodes, starts)
+    Store.open(results, "cut", create=True)
+    return Replay("cut", results, episodes, starts)
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,7 @@ def test_what_a_run_saves_can_be_loaded(settings: dict[str, Any]) -> None:
 def test_the_papers_policies_can_be_loaded() -> None:
     from sb3_rainbow.zoo import hub
 
-    stored = [*(ROOT / "results" / "paper" / "runs").glob("rainbow-optimized-*/policy.zip")]
+    stored = [*(ROOT / "results" / "cut" / "runs").glob("rainbow-optimized-*/policy.zip")]
     for path in stored:
         assert hub.load(path, buffer_size=1).action_space == spaces.Discrete(12)
     assert stored
