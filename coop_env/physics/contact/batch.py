@@ -96,7 +96,7 @@ class ContactBatch:
         self.error, self.friction = np.zeros((n, 4)), np.zeros(n)
         self._joints, self._tare = np.zeros((n, N_AXES)), np.zeros((n, N_AXES))
         self._believed, self._action = np.zeros((n, N_AXES)), np.zeros((n, N_AXES))
-        self._depth, self.peak_force = np.zeros(n), np.zeros(n)
+        self._paid, self.peak_force = np.zeros(n), np.zeros(n)
         self.observation = np.zeros((n, N_OBSERVED), np.float32)
 
     def reset(self, row: int, options: ContactOptions, rng: np.random.Generator) -> dict[str, Any]:
@@ -119,7 +119,7 @@ class ContactBatch:
         self._action[row], self.steps[row], self.peak_force[row] = 0.0, 0, 0.0
         alone = Readings(*(part[None] for part in readings))
         depth, lateral, angle = self._insertion(alone, only)[0].tolist()
-        self._depth[row] = depth
+        self._paid[row] = depth
         noise = rng.normal(size=(1, N_AXES)) * self._noise
         self.observation[row] = self._observe(only, alone.joints, noise)[0]
         return {
@@ -143,25 +143,27 @@ class ContactBatch:
         sensed = readings.wrench - self._tare[:, None]
         peaks = _length(sensed[..., :3]).max(axis=1)
         wrench, now = sensed.mean(axis=1), last(readings)
-        force = _length(wrench[:, :3])
         depth, lateral, angle = self._insertion(now, slice(None)).T
         success = (depth >= task.insertion_depth) & ~twin.diverged
         snapped = twin.platform_error(now, self.command) > task.snap_angle
         failure = np.where(snapped, 2, 0)
-        failure[force > task.force_limit] = 1
+        failure[peaks > task.force_limit] = 1
         failure[twin.diverged] = 3
         success &= failure == 0
-        terminated = success | (failure > 0)
+        failed = failure > 0
+        terminated = success | failed
         truncated = ~terminated & (self.steps >= self._limit)
         failure[truncated] = FAILURES.index("time")
+        paid = np.minimum(depth, task.insertion_depth)
+        steps = np.where(failed, self._limit - self.steps + 1, 1)  # a failure never saves any
         terms = {
-            "depth": task.depth_scale * (depth - self._depth),
-            "step": np.full(self.n, -task.step_cost),
-            "force": -task.force_cost * np.maximum(force - task.free_force, 0.0),
+            "depth": task.depth_scale * np.where(failed, 0.0, paid - self._paid),
+            "step": -task.step_cost * steps,
+            "force": -task.force_cost * np.maximum(peaks - task.free_force, 0.0),
             "insertion": task.insertion_bonus * success,
-            "failure": -task.failure_cost * (terminated & ~success),
+            "failure": -task.failure_cost * failed,
         }
-        self._depth = depth.copy()
+        self._paid = paid
         self.peak_force = np.maximum(self.peak_force, peaks)
         noise = np.array([rng.normal(size=N_AXES) for rng in rngs]) * self._noise
         self.observation = self._observe(slice(None), now.joints, wrench + noise)

@@ -85,10 +85,13 @@ class CoopInsertionContactEnv(Rendered):
     =============  ======================================================
     ``depth``      1 per mm that the tip gains along the real hole's axis
     ``step``       -0.05
-    ``force``      -0.1 per 5 N of mean force above 5 N
+    ``force``      -0.1 per 5 N of the step's peak force above 5 N
     ``insertion``  20
     ``failure``    -5 at the end by force, snap or diverging
     =============  ======================================================
+
+    Depth beyond the required 10 mm pays nothing. At a failure ``step`` is charged for all steps
+    that were left, and ``depth`` is zero: ending it never pays.
 
     **Starting State**
 
@@ -101,7 +104,7 @@ class CoopInsertionContactEnv(Rendered):
     **Episode End**
 
     1. Termination, success: the tip is 10 mm deep in the bore.
-    2. Termination, ``info["failure"]``: ``"force"`` (mean above 40 N), ``"snap"`` (the platform
+    2. Termination, ``info["failure"]``: ``"force"`` (peak above 40 N), ``"snap"`` (the platform
        more than 5 degrees off its command: another assembly mode) or ``"diverged"`` (the
        simulation).
     3. Truncation, ``"time"``: 80 control steps.

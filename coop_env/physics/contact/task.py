@@ -43,21 +43,23 @@ class ContactTask:
         force_noise: standard deviation of each observed force, N, after averaging.
         moment_noise: the same of each moment, N m.
         start_height: of the tip above the mouth where it is believed to be, m.
-        insertion_depth: of the tip below the real mouth, inside the bore, that is a success, m.
+        insertion_depth: of the tip below the real mouth, inside the bore, that is a success, m;
+            what is deeper pays nothing.
         linear_step: one increment along x and y, m.
         depth_step: one increment along z, m.
         angular_step: one increment of roll or pitch, rad.
         heave_step: one increment of heave, m.
         dt: control period, s; whole timesteps of the simulation.
         max_steps: control steps until truncation.
-        force_limit: a mean force beyond this ends the episode as a failure, N.
-        free_force: a mean force up to this costs nothing, N.
+        force_limit: a force beyond this in any timestep ends the episode as a failure, N.
+        free_force: a peak force up to this costs nothing, N.
         snap_angle: a platform this far off its command has left its assembly mode, rad.
-        step_cost: of each control step.
+        step_cost: of each control step, and at a failure of all that were left.
         depth_scale: reward per m of depth gained.
-        force_cost: per N above ``free_force``, of each control step.
+        force_cost: per N of each control step's peak force above ``free_force``.
         insertion_bonus: reward of a success.
-        failure_cost: of an episode that ends by force, by a snap or by diverging.
+        failure_cost: of an episode that ends by force, by a snap or by diverging, besides the
+            steps that were left; its last step gains nothing.
 
     Raises:
         ArgumentError: a value is of the wrong kind, not finite or out of range.

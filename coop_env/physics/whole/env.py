@@ -233,7 +233,8 @@ class CoopInsertionPhysicsEnv(Rendered):
         self.given_up: list[int] = []
         self._tare = readings.wrench
         self._wrench, self._action = np.zeros(N_AXES), np.zeros(N_AXES)
-        self.taken, self.peak_force, self.inserted = True, 0.0, -1
+        self.taken, self.inserted = True, -1
+        self.peak = self.peak_force = 0.0  # of the last control step, and of the episode, N
         self._measure(self.twin.readings())
         self.aimed = self.distance, self.alignment_error
         self.failure, self._begun, self._running = "", True, True
@@ -254,12 +255,14 @@ class CoopInsertionPhysicsEnv(Rendered):
         truncated = not self.over and int(self.steps[0]) >= self.max_steps
         self._running = not (self.over or truncated)
         nearer = before - self._left_to(aimed)
+        failed = bool(self.failure)
+        steps = self.max_steps - int(self.steps[0]) + 1 if failed else 1  # it never saves any
         terms = {
-            "progress": task.depth_scale * nearer[0] + _ANGLE_SCALE * nearer[1],
-            "step": -task.step_cost,
-            "force": -task.force_cost * max(self.force - task.free_force, 0.0),
+            "progress": (task.depth_scale * nearer[0] + _ANGLE_SCALE * nearer[1]) * (not failed),
+            "step": -task.step_cost * steps,
+            "force": -task.force_cost * max(self.peak - task.free_force, 0.0),
             "insertion": task.insertion_bonus * (inserted >= 0),
-            "failure": -task.failure_cost * bool(self.failure),
+            "failure": -task.failure_cost * failed,
         }
         if truncated:
             self.failure = "time"
@@ -296,13 +299,14 @@ class CoopInsertionPhysicsEnv(Rendered):
         self.steps += 1
         sensed = readings.wrench[0] - self._tare
         self._wrench = sensed.mean(axis=0)
-        self.peak_force = max(self.peak_force, float(np.linalg.norm(sensed[:, :3], axis=1).max()))
+        self.peak = float(np.linalg.norm(sensed[:, :3], axis=1).max())
+        self.peak_force = max(self.peak_force, self.peak)
         now = last(readings)
         snapped = self.twin.platform_error(now, self.command)[0] > task.snap_angle
         self._measure(now)
         if self.twin.diverged[0]:
             self.failure = "diverged"
-        elif self.force > task.force_limit:
+        elif self.peak > task.force_limit:
             self.failure = "force"
         elif snapped:
             self.failure = "snap"

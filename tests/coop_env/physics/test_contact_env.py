@@ -72,7 +72,7 @@ def test_a_hole_where_it_is_believed_takes_the_peg() -> None:
     assert end["depth"] >= 0.01
     assert end["peak_force"] < 1.0
     # 20 mm of depth, the bonus, 0.05 a step
-    assert end["return"] == pytest.approx(1000 * (end["depth"] + 0.01) + 20 - end["time"], abs=0.1)
+    assert end["return"] == pytest.approx(1000 * 0.02 + 20 - end["time"], abs=0.1)
 
 
 @pytest.mark.parametrize(
