@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from coop_env.compilation import report_compilation
 from coop_env.errors import (
     ActionError,
+    ArgumentError,
     ResetOptionError,
     StateError,
     as_dataclass,
@@ -99,7 +100,8 @@ class CoopInsertionEnv(Rendered):
 
     **Episode End**
 
-    1. Termination: all active holes are filled, or a move ends with signed sigma_min below 0.05.
+    1. Termination: all active holes are filled, or a move ends with signed sigma_min below 0.05,
+       or, with ``collision="terminate"``, would collide.
     2. Truncation: ``max_moves`` moves were made.
 
     **Arguments**
@@ -121,6 +123,8 @@ class CoopInsertionEnv(Rendered):
         mask_refused: they also exclude moves that were made and refused at the present
             configuration (an imperfect machine collides where its model does not), until it
             changes or a reset; when everything valid has been refused, all of it is allowed again.
+        collision: a move that would collide is not executed: ``"refuse"`` goes on from there,
+            ``"terminate"`` ends the episode in failure.
         stage: 0, the first holes (of the paper's, the four peripheral), or 1, all of them.
         pose_model: ``"exact"``, with parasitic motion, or ``"paper"``.
         max_moves: moves until truncation; 300 are the paper's 60 s.
@@ -166,8 +170,11 @@ class CoopInsertionEnv(Rendered):
         render_mode: str | None = None,
         delta: DeltaGeometry | Mapping[str, Any] | None = None,
         task: InsertionTask | Mapping[str, Any] | None = None,
+        collision: str = "refuse",
     ) -> None:
         self._set_render_mode(render_mode)
+        if collision not in ("refuse", "terminate"):
+            raise ArgumentError(f"collision = {collision!r}: must be 'refuse' or 'terminate'")
         self._stage = start_states.check_stage(stage)
         self._task = PAPER_TASK if task is None else as_dataclass("task", task, InsertionTask)
         self._knobs = resolve(sim_to_real, self._task)
@@ -182,6 +189,7 @@ class CoopInsertionEnv(Rendered):
             visited=check_integer("mask_visited", mask_visited, 0, TRAIL),
             imperfect=self._knobs.active,
             refused=check_flag("mask_refused", mask_refused),
+            fatal=collision == "terminate",
         )
         self._packed = pack(self._params)
         self.observation_space: spaces.Box

@@ -35,6 +35,7 @@ ABLATIONS: Final = {
 TRACKS: Final = {
     "printed": "as printed",
     "repaired": "repaired",
+    "terminal": "terminal",
     "reward": "reward",
     "safe": "safe",
     "memory": "memory",

@@ -174,6 +174,7 @@ def _track(track: Track, method: str) -> dict[str, Any]:
     later = ("sim_to_real", "train_nominal", "mask_refused", "team", "sight")
     unused += [key for key in later if not config[key]]
     unused += ["shield"] if config["shield"] is None else []
+    unused += ["collision"] if config["collision"] == "refuse" else []
     h = config["hyperparameters"]
     config["hyperparameters"] = {k: v for k, v in h.items() if v or k not in _LATER}
     return {key: value for key, value in config.items() if key not in unused}
@@ -225,8 +226,8 @@ def _check_team(preset: Preset, name: str, methods: list[str]) -> None:
             raise BenchmarkError(f"{where}: sight = true is of a team: name it, or leave it out")
         return
     told = f"{where}: team = '{track.team}'"
-    for key in ("mask_visited", "mask_refused", "sim_to_real", "shield"):
-        if (value := getattr(track, key)) not in (0, False, None):
+    for key in ("mask_visited", "mask_refused", "sim_to_real", "shield", "collision"):
+        if (value := getattr(track, key)) not in (0, False, None, "refuse"):
             raise BenchmarkError(
                 f"{told}: {key} = {value!r} is of robots that move one at a time: leave it out"
             )

@@ -158,9 +158,10 @@ class Track:
     hyperparameters: Hyperparameters
     reward_kwargs: dict[str, Number] = field(default_factory=dict)
     observation: str = "paper"
-    mask_singularities: bool = False  # these three as CoopInsertionEnv's
+    mask_singularities: bool = False  # these four as CoopInsertionEnv's
     mask_visited: Annotated[int, Field(ge=0, le=TRAIL)] = 0
     mask_refused: bool = False
+    collision: Literal["refuse", "terminate"] = "refuse"
     sim_to_real: Annotated[dict[str, Any] | None, AfterValidator(_machine)] = None
     train_nominal: bool = False
     shield: dict[str, Number] | None = None  # fields of ShieldMargin: masks keep these margins

@@ -277,6 +277,7 @@ def tick(s: Record, delta: int, rrs: int, p: EnvParams, out: Record) -> None:
     delta_status, rrs_status = _attempt(s, delta, rrs, p)
     s.moves += 1
     singular = delta_status == SINGULAR or rrs_status == SINGULAR
+    collision = delta_status == COLLISION or rrs_status == COLLISION
     arrived = (delta != HOLD and delta_status == VALID) or (rrs != HOLD and rrs_status == VALID)
     arrived = arrived and not singular
     v, target = delta_status != VALID or rrs_status != VALID, s.target
@@ -289,7 +290,7 @@ def tick(s: Record, delta: int, rrs: int, p: EnvParams, out: Record) -> None:
     out.alignment_error, out.distance = s.angle, s.distance
     after = (s.distance, s.angle)
     n_open = open_holes(s)
-    terminated = singular or n_open == 0
+    terminated = singular or n_open == 0 or (collision and p.task.fatal)
     if z and n_open > 0:
         aim(s, nearest_open_hole(s))
         if p.task.visited > 0:  # the way to the next hole may lead back
@@ -299,7 +300,7 @@ def tick(s: Record, delta: int, rrs: int, p: EnvParams, out: Record) -> None:
     reward_of(s, (v, z, u, terminated, failed), (distance, angle), after, p, out)
     out.inserted = z
     out.inserted_hole = target if z else -1
-    out.collision = delta_status == COLLISION or rrs_status == COLLISION
+    out.collision = collision
     out.violation = v
     out.duplicate = u
     out.singular = singular

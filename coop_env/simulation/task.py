@@ -39,7 +39,7 @@ class TaskParams(NamedTuple):
     ``chamfer`` and ``tolerance`` (m) and ``angle_tolerance`` (rad) decide a contact and an
     insertion; ``max_moves`` truncates; ``visited`` is the number of configurations back to which
     masks forbid to go; ``imperfect`` says that a sim-to-real knob is turned, ``refused`` that masks
-    forbid to try a refused move again.
+    forbid to try a refused move again, ``fatal`` that a collision ends the episode.
     """
 
     chamfer: float
@@ -50,6 +50,7 @@ class TaskParams(NamedTuple):
     visited: int = 0
     imperfect: bool = False
     refused: bool = False
+    fatal: bool = False
 
 
 class RewardParams(NamedTuple):
@@ -186,8 +187,16 @@ def unpack(v: np.ndarray) -> EnvParams:
         RRSParams(v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10] != 0.0, v[11]),
         DeltaParams(v[12], v[13], v[14], v[15], v[16], v[17], v[18], v[19]),
         TaskParams(
-            v[20], v[21], v[22], int(v[23]), v[24] != 0.0, int(v[25]), v[26] != 0.0, v[27] != 0.0
+            v[20],
+            v[21],
+            v[22],
+            int(v[23]),
+            v[24] != 0.0,
+            int(v[25]),
+            v[26] != 0.0,
+            v[27] != 0.0,
+            v[28] != 0.0,
         ),
-        RewardParams(v[28] != 0.0, v[29], v[30], v[31], v[32], v[33], v[34], v[35], v[36]),
-        _layout_at(v, 37),  # type: ignore[call-arg]  # numba hands over the context itself
+        RewardParams(v[29] != 0.0, v[30], v[31], v[32], v[33], v[34], v[35], v[36], v[37]),
+        _layout_at(v, 38),  # type: ignore[call-arg]  # numba hands over the context itself
     )

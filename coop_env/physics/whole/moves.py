@@ -53,8 +53,8 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         touch: mean force that stops a move, N.
         level: as for :class:`~coop_env.physics.whole.env.CoopInsertionPhysicsEnv`.
         servos: likewise.
-        arguments: as for :class:`~coop_env.env.CoopInsertionEnv`, without ``sim_to_real`` and
-            ``pose_model``.
+        arguments: as for :class:`~coop_env.env.CoopInsertionEnv`, without ``sim_to_real``,
+            ``pose_model`` and ``collision``.
 
     Raises:
         DependencyNotInstalled: on import, if MuJoCo is missing; it names the extra.
@@ -75,7 +75,7 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         servos: Any = None,
         **arguments: Any,
     ) -> None:
-        for name in ("sim_to_real", "pose_model"):
+        for name in ("sim_to_real", "pose_model", "collision"):
             if name in arguments:
                 raise ArgumentError(f"{name}: the machine is simulated here; see level and servos")
         super().__init__(**arguments)

@@ -45,6 +45,7 @@ VALID = (0.0, 0.0, -0.33, 0.1, 0.1, 0.22)
         ({"stage": 2}, ArgumentError, "stage = 2"),
         ({"stage": True}, ArgumentError, "stage = True"),
         ({"pose_model": "approximate"}, ArgumentError, "'approximate'"),
+        ({"collision": "bounce"}, ArgumentError, "'bounce'.*'refuse' or 'terminate'"),
         ({"max_moves": 0}, ArgumentError, "max_moves = 0"),
         ({"max_moves": 3.5}, ArgumentError, "max_moves = 3.5"),
         ({"max_moves": 2**63}, ArgumentError, "max_moves = 9223372036854775808.*2147483647"),

@@ -205,3 +205,37 @@ def test_ansi_rendering_says_what_happens() -> None:
     env.step(int(np.flatnonzero(env.action_masks())[0]))
     assert first != env.render()
     assert env.scene().trace.shape == (2, 3)
+
+
+@pytest.mark.parametrize("reward", ["paper", "progress"])
+def test_a_collision_is_refused_or_ends_the_episode_in_failure(reward: str) -> None:
+    """Both environments go the same way until the first collision, where one of them ends."""
+    refusing, fatal = (
+        CoopInsertionEnv(reward=reward, collision=how) for how in ("refuse", "terminate")
+    )
+    rng = np.random.default_rng(0)
+    ends = 0
+    for seed in range(20):
+        for env in (refusing, fatal):
+            env.reset(seed=seed)
+        for _ in range(300):
+            # downwards more often than not: what is below is the dome
+            action = 5 if rng.random() < 0.5 else int(rng.integers(12))
+            before = refusing.state
+            observed, paid, over, cut, info = refusing.step(action)
+            there, charged, ended, _, other = fatal.step(action)
+            assert observed.tolist() == there.tolist()
+            assert other["collision"] == info["collision"]
+            if info["collision"]:
+                assert ended
+                assert not over
+                assert not fatal.running
+                assert refusing.configuration.tolist() == before["configuration"].tolist()
+                left = 300 - int(before["moves"])
+                assert charged == pytest.approx(paid if reward == "paper" else -3.0 - 0.5 * left)
+                ends += 1
+                break
+            assert (ended, charged) == (over, paid)
+            if over or cut:
+                break
+    assert ends > 10
