@@ -4,7 +4,6 @@
 
 PYTHON ?= python3
 VENV ?= .venv
-RIVALS ?= .venv-rivals
 PIP_FLAGS ?=
 PRESET ?= quick
 BIN := $(VENV)/bin
@@ -14,7 +13,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FL
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= Agg
 
-.PHONY: help env rivals results test pytest lint type format docs figures dist clean
+.PHONY: help env results test pytest lint type format docs figures dist clean
 .DEFAULT_GOAL := help
 
 help: ## Say what there is
@@ -30,12 +29,6 @@ $(STAMP): constraints.txt setup.cfg pyproject.toml
 	@$(PIP) torch==$(shell sed -n 's/^torch==//p' constraints.txt)
 	@$(PIP) --no-build-isolation -e '.[benchmarks,classic,render,dev]'
 	@touch $@
-
-rivals: $(STAMP) ## tianshou and AgileRL beside it, for `benchmarks speed rainbow`
-	@echo "Setting up $(RIVALS): pinned by constraints-rivals.txt, about a minute"
-	@$(BIN)/python -m venv --without-pip $(RIVALS)
-	@$(BIN)/python -c 'import pathlib, sysconfig; here = sysconfig.get_path("purelib"); path = "lib/python" + sysconfig.get_python_version() + "/site-packages/_house.pth"; (pathlib.Path("$(RIVALS)") / path).write_text(here + "\n")'
-	@$(BIN)/python -m pip --python $(RIVALS)/bin/python install --quiet --disable-pip-version-check $(PIP_FLAGS) --no-deps -r constraints-rivals.txt
 
 results: $(STAMP) ## Train, plan, compare, print the tables (PRESET=quick)
 	@$(BIN)/python -m benchmarks run --preset $(PRESET)
@@ -80,5 +73,5 @@ dist: $(STAMP) ## Wheel and sdist in dist/, each installed into an empty environ
 	done; rm -rf build/dist; ls -l dist
 
 clean: ## Remove the environment and caches; results/ stays
-	rm -rf $(VENV) $(RIVALS) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage htmlcov
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage htmlcov
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

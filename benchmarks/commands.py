@@ -32,7 +32,7 @@ CLASSIC: Final = {
     "docs": "rewrite the results on the page of docs/ that shows them",
     "train": "one run in this process",
 }
-# words with a command line of their own, beside `speed` and `tune`
+# words with a command line of their own, beside `speed`
 MODULES: Final = {
     "audit": "audit",
     "codesign": "design.codesign.command",
@@ -41,17 +41,15 @@ MODULES: Final = {
     "design": "design.command",
     "failures": "failures",
     "media": "viewing.media",
-    "package": "sharing.package",
     "physics": "robots.physics",
-    "resume": "resume",
     "shield": "robots.shield",
     "transfer": "robots.transfer",
     "watch": "viewing.watch",
 }
-DELEGATED: Final = ("speed", "tune", *MODULES)
+DELEGATED: Final = ("speed", *MODULES)
 # the studies that keep tables: each has a `check` of what it stored
 CHECKED: Final = (
-    *("design.docs", "design.codesign.tell", "audit", "failures", "classic.docs", "tuning.check"),
+    *("design.docs", "design.codesign.tell", "audit", "failures", "classic.docs"),
     *("robots.physics", "robots.contact", "robots.shield", "robots.transfer"),
     "sharing.data_page",
 )
@@ -184,30 +182,7 @@ def _of_stored(method: str, text: str) -> Callable[[argparse.Namespace], int]:
 
 tables = _of_stored("write_tables", "Write and print the tables from stored data.")
 figures = _of_stored("write_figures", "Draw the figures from stored data.")
-report = _of_stored("report", "Tables, figures and the one-page report from stored data.")
-
-
-def curves(arguments: argparse.Namespace) -> int:
-    """Where each learner's training curve ended."""
-    from benchmarks.reporting.results import Results
-
-    _, store = _open(arguments)
-    learners = [run for run in Results(store).all() if run.folder.has_rows("curve")]
-    if not learners:
-        print(f"{store.folder} has no complete training run")
-        return 0
-    for run_result in learners:
-        training = run_result.meta["training"]
-        reached, share = training["steps_to_75"], training["final_success_20"]
-        last = "no episode" if share is None else f"{100 * share:.0f} %"
-        print(
-            f"{run_result.folder.id}: {training['episodes']} episodes in "
-            f"{training['timesteps']} steps, 75 % over 20 at {reached or 'never'}, "
-            f"last 20: {last}, "
-            f"{run_result.folder.path / 'curve.csv'}"
-        )
-    print(f"TensorBoard: tensorboard --logdir {store.folder}")
-    return 0
+report = _of_stored("report", "Tables and figures from stored data.")
 
 
 def verify(arguments: argparse.Namespace) -> int:
@@ -281,13 +256,11 @@ def classic(arguments: argparse.Namespace) -> int:
 
 def delegate(word: str, rest: Sequence[str]) -> int:
     """A word with a command line of its own."""
-    if word in ("tune", "codesign"):
+    if word == "codesign":
         try:
             import optuna  # noqa: F401
         except ImportError as error:
             raise BenchmarkError(f"{word} needs pip install '.[tune]': {error}") from error
-    if word == "tune":
-        return _main_of("benchmarks.studies.tuning.tune", rest)
     if word in MODULES:
         return _main_of(f"benchmarks.studies.{MODULES[word]}", rest)
     if not rest or rest[0] not in SPEED:

@@ -139,8 +139,6 @@ def _make_chooser(preset: Preset, cell: Cell, model: Any, exploring: bool) -> Ma
         return lambda episodes: with_random_moves(greedy(episodes), episodes, cell.seed)
     if exploring:
         seed_exploration(model, cell.seed)
-    if cell.method == "recurrent_ppo":
-        return lambda episodes: recurrent_chooser(model, len(episodes), not exploring)
     policy = model_policy(model, not exploring)
     if cell.track and preset.tracks[cell.track].rows > 1:
         return lambda episodes: _rows_of_agents(policy, episodes)
@@ -258,21 +256,6 @@ def model_policy(model: Any, deterministic: bool = True) -> Policy:
     # SB3's DQN tosses one coin for a whole batch: episodes are to explore each for itself
     shares_a_coin = isinstance(model, DQN) and not deterministic
     return act_one_by_one if shares_a_coin else act
-
-
-def recurrent_chooser(model: Any, n_episodes: int, deterministic: bool = True) -> Chooser:
-    """Actions of a recurrent model of sb3-contrib, which remembers each of the episodes."""
-    lstm = model.policy.lstm_actor
-    # hidden and cell states, (layers, episodes, size)
-    memory = np.zeros((2, lstm.num_layers, n_episodes, lstm.hidden_size), np.float32)
-
-    def choose(observations: Observations, masks: Masks, running: Sequence[int]) -> NDArray[Any]:
-        before = (memory[0][:, running], memory[1][:, running])
-        actions, after = model.predict(observations, before, deterministic=deterministic)
-        memory[0][:, running], memory[1][:, running] = after
-        return np.asarray(actions)
-
-    return choose
 
 
 def evaluate_policy(

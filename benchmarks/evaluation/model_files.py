@@ -33,7 +33,7 @@ def algorithms() -> dict[str, Any]:
     import stable_baselines3
 
     return {
-        **{name: kind for name, kind in ALGORITHMS.items() if name != "recurrent_ppo"},
+        **ALGORITHMS,
         "a2c": stable_baselines3.A2C,
         "ars": sb3_contrib.ARS,
         "maskable_ppo": sb3_contrib.MaskablePPO,

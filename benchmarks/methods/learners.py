@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from typing import Any, Final
 
-from sb3_contrib import MaskablePPO, RecurrentPPO
+from sb3_contrib import MaskablePPO
 from stable_baselines3 import DQN
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.utils import LinearSchedule
@@ -29,7 +29,6 @@ ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "rainbow": Rainbow,
     "dqn": DQN,
     "maskable_ppo": MaskablePPO,
-    "recurrent_ppo": RecurrentPPO,
 }
 # hyperparameters that the algorithms know by the same names: SB3's DQN, and what Rainbow adds
 DQN_NAMES: Final = (
@@ -79,7 +78,7 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu"
     """The learner of a cell, untrained."""
     track = preset.tracks[cell.track]
     h = track.hyperparameters
-    if cell.method in ("maskable_ppo", "recurrent_ppo"):
+    if cell.method == "maskable_ppo":
         return _build_ppo(track, cell, env, device)
     common: dict[str, Any] = {
         **{name: getattr(h, name) for name in DQN_NAMES},
@@ -111,23 +110,18 @@ def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu"
 
 
 def _build_ppo(track: Track, cell: Cell, env: VecMonitor, device: str) -> BaseAlgorithm:
-    recurrent = cell.method == "recurrent_ppo"
-    given = asdict(track.recurrent if recurrent else track.ppo)
+    given = asdict(track.ppo)
     start, end = given.pop("learning_rate"), given.pop("learning_rate_end")
-    policy: dict[str, Any] = {"net_arch": list(track.hyperparameters.net_arch)}
-    if recurrent:
-        policy["lstm_hidden_size"] = given.pop("lstm_size")
-    common: dict[str, Any] = {
-        "learning_rate": LinearSchedule(start, end, 1.0),
-        "gamma": track.hyperparameters.gamma,
-        "policy_kwargs": policy,
-        "seed": derive("learner", cell.seed),
-        "device": device,
+    return MaskablePPO(
+        "MlpPolicy",
+        env,
+        learning_rate=LinearSchedule(start, end, 1.0),
+        gamma=track.hyperparameters.gamma,
+        policy_kwargs={"net_arch": list(track.hyperparameters.net_arch)},
+        seed=derive("learner", cell.seed),
+        device=device,
         **given,
-    }
-    if recurrent:
-        return RecurrentPPO("MlpLstmPolicy", env, **common)
-    return MaskablePPO("MlpPolicy", env, **common)
+    )
 
 
 def check_cells(preset: Preset, cells: Sequence[Cell]) -> None:

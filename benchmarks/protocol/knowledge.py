@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from benchmarks.protocol.plan import CONTROLS, LEARNERS, PLANNERS
 
-UNMASKED: Final = ("dqn", "recurrent_ppo")
+UNMASKED: Final = ("dqn",)
 EXPLORERS: Final = (*LEARNERS, *(method for method in CONTROLS if method != "random"))
 
 
@@ -44,8 +44,6 @@ def knowledge(method: str, track: Mapping[str, Any] | None) -> Knowledge:
             remembered.append("refused moves")
     if method in LEARNERS and track.get("observation") == "markov":
         remembered.append("filled holes and time")
-    if method == "recurrent_ppo":
-        remembered.append("recurrent")
     return Knowledge(masks, ", ".join(remembered) or "none")
 
 

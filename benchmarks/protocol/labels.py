@@ -8,7 +8,6 @@ METHODS: Final = {
     "rainbow": "Rainbow DQN",
     "dqn": "Vanilla DQN",
     "maskable_ppo": "MaskablePPO",
-    "recurrent_ppo": "RecurrentPPO",
     "random": "Random",
     "greedy": "Greedy",
     "lookahead": "Two-move lookahead",

@@ -6,31 +6,6 @@ from typing import Final
 
 TRAINING_STEPS: Final = 1_500_000
 
-# Table "hparams": row -> value as printed
-HYPERPARAMETERS: Final[dict[str, str]] = {
-    "Optimizer": "Adam",
-    "Learning rate": "1e-4",
-    "Weight decay": "1e-5",
-    "Gradient clipping": "5.0",
-    "Discount factor gamma": "0.99",
-    "n-step return": "3",
-    "Replay buffer capacity": "1000000",
-    "PER alpha; beta": "0.6; 0.4 → 1.0",
-    "Batch size": "64",
-    "Target update": "soft, tau = 1e-3",
-    "Exploration": "NoisyNets",
-    "Distributional atoms": "51 in [-10, 200]",
-    "Total environment steps": f"~{TRAINING_STEPS}",
-    "Curriculum switch": "75 % success over 20 episodes",
-    "Hardware": "NVIDIA RTX 3090, ~4 h",
-    "Reward": "its equation",
-    "Masks": "reach and joint limits (paper's)",
-    "Memory": "none",
-    "Learning rate's schedule": "a step per episode",
-    "Environments": "1",
-    "Updates per environment step": "1",
-}
-
 # Table "results": metric key -> (initial, optimized) as printed
 DESIGN: Final[dict[str, tuple[str, str]]] = {
     "workspace": ("0.82 ± 0.03", "1.16 ± 0.05"),

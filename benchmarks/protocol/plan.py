@@ -15,7 +15,7 @@ from typing import Any, Final
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.presets import Preset, RunGroup, Track, as_dict
 
-LEARNERS: Final = ("rainbow", "dqn", "maskable_ppo", "recurrent_ppo")
+LEARNERS: Final = ("rainbow", "dqn", "maskable_ppo")
 CONTROLS: Final = ("random", "greedy", "lookahead", "greedy_observed", "lookahead_observed")
 PERFECT_PLANNERS: Final = ("rrt_connect", "rrt_lattice", "optimum")  # without a track
 OPTIMUM_AT_ONCE: Final = "optimum_at_once"  # without one, too: both robots in the same tick
@@ -167,7 +167,7 @@ def _evaluation(preset: Preset, track: Track | None) -> dict[str, Any]:
 
 def _track(track: Track, method: str) -> dict[str, Any]:
     config = as_dict(track)
-    settings_of = {"ppo": ("maskable_ppo",), "recurrent": ("recurrent_ppo",), "controls": CONTROLS}
+    settings_of = {"ppo": ("maskable_ppo",), "controls": CONTROLS}
     unused = [key for key, methods in settings_of.items() if method not in methods]
     if method not in LEARNERS:
         unused += ["description", "timesteps", "hyperparameters", "curriculum", "train_nominal"]

@@ -112,14 +112,6 @@ class PPOSettings:
 
 @with_config(STRICT)
 @dataclass(frozen=True)
-class RecurrentSettings(PPOSettings):
-    """sb3-contrib's RecurrentPPO; what MaskablePPO has, and the size of its memory."""
-
-    lstm_size: Count = 128
-
-
-@with_config(STRICT)
-@dataclass(frozen=True)
 class Controls:
     """Weight of the angle, per rad, in the scripts' potentials where a metre weighs 500."""
 
@@ -169,7 +161,6 @@ class Track:
     sight: bool = False  # of the other robot
     curriculum: Curriculum = field(default_factory=Curriculum)
     ppo: PPOSettings = field(default_factory=PPOSettings)
-    recurrent: RecurrentSettings = field(default_factory=RecurrentSettings)
     controls: Controls = field(default_factory=Controls)
 
     @property

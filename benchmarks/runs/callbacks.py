@@ -11,7 +11,6 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
 from benchmarks.protocol.presets import Curriculum, Track
-from benchmarks.runs.checkpoint import RECURRENT
 
 ROWS: Final = 400  # rows of curve.csv at most, so that it can be committed
 REFERENCE_THRESHOLD: Final = 0.75  # the paper's "environment steps to 75 % success" ...
@@ -158,11 +157,7 @@ class CurveRecorder(BaseCallback):
             tensor, _ = policy.obs_to_tensor(observation)
             if hasattr(policy, "q_net"):
                 return float(policy.q_net(tensor).max(dim=1).values.mean())
-            memory = getattr(self.model, RECURRENT, None)
-            if memory is None:
-                return float(policy.predict_values(tensor).mean())
-            starts = torch.as_tensor(self.model._last_episode_starts, dtype=torch.float32)
-            return float(policy.predict_values(tensor, memory.vf, starts.to(tensor.device)).mean())
+            return float(policy.predict_values(tensor).mean())
 
     def _noise(self) -> float:
         q_net: Any = getattr(self.model.policy, "q_net", None)

@@ -30,7 +30,6 @@ Model = TypeVar("Model", bound=BaseAlgorithm)
 
 PREFIX: Final = "step-"
 PROGRESS_SECONDS: Final = 0.5
-RECURRENT: Final = "_last_lstm_states"  # what sb3-contrib's RecurrentPPO remembers of its episodes
 FULL_BYTES: Final = 1_000_000  # free room below which a failed write is put down to the disk
 # of a network's storage, or of a machine that has too much to do
 PASSING: Final = (
@@ -131,7 +130,6 @@ class Watch(BaseCallback):
         """Write a checkpoint of the run."""
         state = {name: part.get_state() for name, part in self.kept.items()}
         state |= {"rng": rng_state(self.model), **self._history()}
-        state["lstm_states"] = getattr(self.model, RECURRENT, None)  # SB3 saves them nowhere
         write_checkpoint(self.folder.checkpoint, self.model, state)
 
     def restore(self, state: dict[str, Any], model: BaseAlgorithm) -> None:
@@ -150,8 +148,6 @@ class Watch(BaseCallback):
                 model.env.seed(derive("train", model.seed or 0, model.num_timesteps))
             else:
                 part.set_state(saved)
-        if state.get("lstm_states") is not None:
-            setattr(model, RECURRENT, state["lstm_states"])
         self.rng = rng
         self.resumed_at = [*resumed_at, model.num_timesteps]
         self.set_aside = [*set_aside, *self.set_aside]

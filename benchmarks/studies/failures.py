@@ -41,8 +41,6 @@ from benchmarks.reporting.verify import Report, check_file
 from benchmarks.runs.store import Store, write_csv, write_text
 from coop_env.kinematics.rotations import tilt_azimuth
 
-# learners whose next action follows from the observation and the masks alone
-FORGETFUL: Final = tuple(method for method in LEARNERS if method != "recurrent_ppo")
 CAUSES: Final = ("infeasible", "singular", "cycle", "wandering")
 RECENT: Final = 40  # moves at the end of an episode ...
 FEW: Final = 4  # ... among which a cycle has at most so many configurations
@@ -222,7 +220,7 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--preset", default="cut")
     parser.add_argument("--results", type=Path, default=Path("results"))
     parser.add_argument("--track", default="safe")
-    parser.add_argument("--method", default="rainbow", choices=FORGETFUL)
+    parser.add_argument("--method", default="rainbow", choices=LEARNERS)
     parser.add_argument("--geometry", default="optimized")
     arguments = parser.parse_args(list(words))
     preset = load_preset(arguments.preset)

@@ -139,10 +139,3 @@ class Insertion(Experiment[Cell]):
         if drawn:
             console.print(f"Figures: {store.figures}")
         return drawn
-
-    def report(self, store: Store, console: Console) -> None:
-        """Tables, figures and the page of both."""
-        from benchmarks.reporting.pages.html_report import write_report
-
-        tables, figures = self.write_tables(store, console), self.write_figures(store, console)
-        console.print(f"Report: {write_report(store, tables, figures)}")

@@ -20,7 +20,6 @@ SOLVED = {
     "rainbow": 9,
     "maskable_ppo": 9,
     "dqn": 6,
-    "recurrent_ppo": 4,
     "random": 1,
     "greedy": 7,
     "lookahead": 8,

@@ -63,12 +63,12 @@ RAW: Final = frozenset({"cumulative_reward", "duration"})
 
 
 def pictures(results: Results) -> list[Picture]:
-    """All figures of a store, in the order of the report."""
-    found: list[Picture] = []
+    """All figures of a store; of one with teams theirs alone."""
+    if found := _teams(results):
+        return found
     for track in results.tracks():
         found += _learning(results, track)
         found += _variants(results, track)
-    found += _teams(results)
     if complete([*rows(results), *rows(results, uncertain=True)]):
         found += comparisons(results)
     return found

@@ -38,7 +38,7 @@ PALETTE: Final = (
 METHOD_COLOURS: Final = {
     "rainbow": PALETTE[0], "dqn": PALETTE[1], "maskable_ppo": PALETTE[2], "qrdqn": PALETTE[2],
     "rrt_connect": PALETTE[3], "rrt_lattice": PALETTE[4], "optimum": PALETTE[6],
-    "recurrent_ppo": PALETTE[5], "random": "#DDDDDD", "greedy": "#999933",
+    "random": "#DDDDDD", "greedy": "#999933",
     "greedy_observed": "#DDCC77", "lookahead": "#882255", "lookahead_observed": "#AA4499",
     "nominal_plan": "#117733", "plan_search": "#44AA99",
     "sac": PALETTE[2], "crossq": PALETTE[3], "td3": PALETTE[4], "ppo": PALETTE[5],

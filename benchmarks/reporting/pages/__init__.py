@@ -1,1 +1,1 @@
-"""README's results, the HTML report, and pages that hold whole files of results/."""
+"""README's results, and pages that hold whole files of results/."""

@@ -14,13 +14,12 @@ from benchmarks.reporting.results import Results
 from benchmarks.runs.store import Store
 
 PICTURES: Final = (
-    ("Both robots, the view, the report", "media", "media/*"),
+    ("Both robots, and the view", "media", "media/[es]*"),
     ("Geometric optimization", "design", "design/figures/*"),
     ("What rewards pay for", "audit", "audit/*"),
     ("The paper's protocol", "figures --preset cut", "cut/figures/*"),
     ("Failures, safe", "failures --preset cut --track safe", "cut/failures/*-safe.*"),
     ("Failures, memory", "failures --preset cut --track memory", "cut/failures/*-memory.*"),
-    ("Variants of the settings", "figures --preset tuning", "tuning/figures/*"),
     ("Design and team", "codesign", "codesign/figures/*"),
     ("Insertion in contact", "contact --film", "contact/*"),
     ("Learners in contact", "classic figures --preset contact", "classic/contact/figures/*"),

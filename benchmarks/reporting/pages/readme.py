@@ -35,7 +35,6 @@ SECTIONS: Final[tuple[tuple[str, tuple[str, ...], tuple[str, ...], dict[str, str
     ("One component removed", (), ("ablation",),
      {"ablation_comparison": "Success with one component removed"}),
     ("The geometry", (), ("design", "geometry"), {}),
-    ("Settings", (), ("hyperparameters",), {}),
 )  # fmt: skip
 
 

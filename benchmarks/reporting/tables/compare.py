@@ -29,11 +29,6 @@ def printed_range(text: str) -> tuple[float, float] | None:
     return round(number - half, digits + 1), round(number + half, digits + 1)
 
 
-def judged(value: Value, paper: str) -> bool:
-    """Whether there is a printed number and an interval of ours to hold it against."""
-    return printed_range(paper) is not None and not math.isnan(value.low)
-
-
 def outside(value: Value, paper: str) -> bool:
     """Whether no number that rounds to the printed one lies in our interval."""
     printed = printed_range(paper)

@@ -12,8 +12,7 @@ import pandas as pd
 from benchmarks.protocol import labels, paper_values
 from benchmarks.reporting.results import Results
 from benchmarks.reporting.stats import Value, t_interval
-from benchmarks.reporting.tables.deviations import FLAG_NOTE
-from benchmarks.reporting.tables.table import Cell, Number, Table
+from benchmarks.reporting.tables.table import FLAG_NOTE, Cell, Number, Table
 
 
 def design(results: Results) -> Table:

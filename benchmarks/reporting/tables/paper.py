@@ -23,13 +23,11 @@ from benchmarks.reporting.stats import (
     mean_interval,
     stratified_bootstrap,
 )
-from benchmarks.reporting.tables.deviations import FLAG_NOTE, deviations
 from benchmarks.reporting.tables.geometric import design
-from benchmarks.reporting.tables.hyperparameters import hyperparameters
 from benchmarks.reporting.tables.leaderboard import leaderboard
 from benchmarks.reporting.tables.notes import failure_notes, interval_note, of_rows, seeds_notes
 from benchmarks.reporting.tables.significance import signed, significance
-from benchmarks.reporting.tables.table import Cell, Number, Table
+from benchmarks.reporting.tables.table import FLAG_NOTE, Cell, Number, Table
 from benchmarks.reporting.tables.team import team
 from benchmarks.reporting.tables.uncertain import uncertain
 from benchmarks.runs.store import Store
@@ -47,22 +45,16 @@ IQM: Final = "Success rate, IQM over seeds [95 % interval]"
 def build_tables(store: Store) -> list[Table]:
     """All tables of a store, in the paper's order."""
     results = Results(store)
-    compared = [
+    return [
         design(results),
         performance(results),
+        significance(results),
         ablation(results),
         geometry(results),
         robustness(results),
-    ]
-    return [
-        hyperparameters(results),
-        *compared[:2],
-        significance(results),
-        *compared[2:],
         uncertain(results),
         leaderboard(store, results),
         *team(results),
-        deviations(compared, store.folder.name),
     ]
 
 

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Final
 
 from benchmarks.reporting.stats import Value
-from benchmarks.reporting.tables.compare import judged, outside
+from benchmarks.reporting.tables.compare import outside
 from benchmarks.runs.store import write_text
 
 FLAG: Final = "†"
+FLAG_NOTE: Final = f"{FLAG} no number that rounds to the paper's lies in our 95 % interval."
 NARROW: Final = 5  # columns of a table that fits one column of a paper
 
 
@@ -38,11 +39,6 @@ class Number:
     differs: bool | None = None
 
     @property
-    def judged(self) -> bool:
-        """Whether it could be held against the paper's number."""
-        return self.differs is not None or judged(self.value, self.paper)
-
-    @property
     def flagged(self) -> bool:
         """Whether the paper's number lies outside our interval."""
         return outside(self.value, self.paper) if self.differs is None else self.differs
@@ -63,7 +59,7 @@ Cell = str | Number
 class Table:
     """A table of the report: header, rows, and notes that belong under it.
 
-    ``left`` are the columns set flush left; of them ``prose`` hold sentences and wrap.
+    ``left`` are the columns set flush left.
     """
 
     name: str
@@ -72,7 +68,6 @@ class Table:
     rows: list[list[Cell]]
     notes: list[str] = field(default_factory=list)
     left: tuple[int, ...] = (0,)
-    prose: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         for row in self.rows:
@@ -88,9 +83,7 @@ class Table:
         grid = [[_escape_markdown(text) for text in row] for row in self.texts()]
         head = [_escape_markdown(text) for text in self.header]
         widths = [max(len(r[i]) for r in [head, *grid]) for i in range(len(head))]
-        for i in self.prose:
-            widths[i] = len(head[i])  # sentences are not padded to the longest
-        left = {*self.left, *self.prose}
+        left = {*self.left}
         lines = [f"**{self.title}**", ""]
         lines.append(_pipe(head, widths, left))
         align = ["-" * w if i in left else "-" * (w - 1) + ":" for i, w in enumerate(widths)]
@@ -103,10 +96,7 @@ class Table:
     def latex(self) -> str:
         """A booktabs ``table``, across both columns if wide; needs ``\\usepackage{booktabs}``."""
         environment = "table" if len(self.header) <= NARROW else "table*"
-        columns = "".join(
-            r"p{0.3\linewidth}" if i in self.prose else "l" if i in self.left else "c"
-            for i in range(len(self.header))
-        )
+        columns = "".join("l" if i in self.left else "c" for i in range(len(self.header)))
         lines = [
             rf"\begin{{{environment}}}[t]",
             rf"    \caption{{{_escape_latex(self.title)}}}",

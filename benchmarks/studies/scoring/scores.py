@@ -222,7 +222,7 @@ def _compare(stored: list[Table], again: list[Table]) -> str:
 
 def _by_label(table: Table) -> dict[tuple[str, ...], str]:
     """Every cell of a table under its row's labels and its column."""
-    labels = {"leaderboard": (1,), "deviations": (0, 1, 4)}.get(table.name, table.left)
+    labels = {"leaderboard": (1,)}.get(table.name, table.left)
     return {
         (*(row[i] for i in labels), name): text
         for row in table.texts()

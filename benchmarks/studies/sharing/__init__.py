@@ -1,1 +1,1 @@
-"""What others take away: data sets of the task, and trained policies as packages."""
+"""What others take away: data sets of the task."""

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from benchmarks.studies.classic.presets import load_preset
 from benchmarks.studies.classic.train import build_model
-from benchmarks.studies.speed.contest import measure_updates, ours
-from benchmarks.studies.speed.setting import EPISODE, REWARD
+from benchmarks.studies.speed.setting import EPISODE, REWARD, measure_updates, ours
 
 BASELINE: Final = "SB3 DQN"
+QUANTILES: Final = "sb3-contrib QR-DQN"
 NATURE: Final = "NatureCNN"
 MINATAR: Final = "MinAtar"
 SETTINGS: Final = {
@@ -71,14 +71,14 @@ def make_models() -> dict[str, dict[str, Any]]:
     quantiles = {"n_quantiles": 51}
     nature: dict[str, Any] = {
         BASELINE: DQN("CnnPolicy", FramesEnv(), **settings),
-        "sb3-contrib QR-DQN": QRDQN("CnnPolicy", FramesEnv(), policy_kwargs=quantiles, **settings),
+        QUANTILES: QRDQN("CnnPolicy", FramesEnv(), policy_kwargs=quantiles, **settings),
         "Rainbow": Rainbow("CnnPolicy", FramesEnv(), policy_kwargs=same_network, **settings),
         "Rainbow, by default two streams of 512": Rainbow("CnnPolicy", FramesEnv(), **settings),
     }
     task = load_preset("minatar").tasks["breakout"]
     for arguments in task.methods.values():
         arguments["policy_kwargs"]["net_arch"] = [128]
-    names = {BASELINE: "dqn", "sb3-contrib QR-DQN": "qrdqn", "Rainbow": "rainbow"}
+    names = {BASELINE: "dqn", QUANTILES: "qrdqn", "Rainbow": "rainbow"}
     minatar: dict[str, Any] = {name: build_model(task, key, 0) for name, key in names.items()}
     models = {NATURE: nature, MINATAR: minatar}
     for found in models.values():

@@ -1,20 +1,17 @@
-"""How fast Rainbow is: beside SB3's DQN and other libraries' Rainbows, on one core, in turns.
+"""How fast Rainbow is: beside SB3's DQN and sb3-contrib's QR-DQN, on one core, in turns.
 
 "Rainbow" is the default (compiled kernels for a perceptron on the CPU), beside what torch makes of
-the same update, eager and compiled; tianshou and AgileRL run in an environment of their own, which
-`make rivals` builds.
+the same update, eager and compiled.
 
 Net 256-128-64, 51 atoms, 12 observations, 12 actions, batch 64, a full replay buffer of 1e6, one
 update per step of an env that costs next to nothing. The methods take turns, so that whatever else
 the machine does falls on all of them; CPU seconds of the process are reported beside wall seconds.
-On images, sb3-contrib's QR-DQN stands beside them. With `--device cuda`: SB3's DQN and Rainbow on
-the GPU, eager and compiled, at several batch sizes.
+With `--device cuda`: the same on the GPU, eager and compiled, at several batch sizes.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
 import subprocess
 import sys
@@ -22,17 +19,20 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.studies.speed import contest, images, report
+from benchmarks.studies.speed import images, report
 from benchmarks.studies.speed import setting as at
-from benchmarks.studies.speed.contest import RIVALS, measure_updates, ours
-from benchmarks.studies.speed.parts import measure_parts
-from benchmarks.studies.speed.setting import BATCH_SIZE, CAPACITY, StubEnv
+from benchmarks.studies.speed.setting import (
+    BATCH_SIZE,
+    CAPACITY,
+    StubEnv,
+    measure_updates,
+    ours,
+)
 
 BASELINE: Final = images.BASELINE
 CUDA_BATCH_SIZES: Final = (32, 256, 2048)
@@ -41,7 +41,6 @@ TARGETS: Final = {
     ("Rainbow", BASELINE): 1.5,
     ("Rainbow, torch eager", BASELINE): 0.75,
     ("Rainbow, torch.compile", BASELINE): 1.1,
-    **{("Rainbow", rival): 4.0 for rival in RIVALS},
 }
 
 _KINDS: Final = ("learn_cpu", "learn_wall", "train_cpu")
@@ -66,6 +65,7 @@ def make_models(
     with_compiled: bool, capacity: int, batch_size: int = BATCH_SIZE, device: str = "cpu"
 ) -> dict[str, Any]:
     """The methods by name, trained for a moment (compiled where they compile), buffers full."""
+    from sb3_contrib import QRDQN
     from stable_baselines3 import DQN
 
     from sb3_rainbow import Rainbow
@@ -89,6 +89,10 @@ def make_models(
             variants["Rainbow, torch eager"] = {"cpu_kernels": False}
         variants["Rainbow, torch.compile"] = {"cpu_kernels": False, "compile": True}
     models: dict[str, Any] = {BASELINE: DQN("MlpPolicy", StubEnv(), **settings)}
+    quantiles = {**settings["policy_kwargs"], "n_quantiles": 51}
+    models[images.QUANTILES] = QRDQN(
+        "MlpPolicy", StubEnv(), **{**settings, "policy_kwargs": quantiles}
+    )
     for name, arguments in variants.items():
         models[name] = Rainbow("MlpPolicy", StubEnv(), **settings, **arguments)
     for model in models.values():
@@ -142,7 +146,7 @@ def _buffer_mb(n_envs: int = 1000) -> float:
 
 def tell(found: dict[str, Any]) -> str:
     """The measurements on the CPU as Markdown."""
-    updates, parts, replay = found["updates"], found["parts"], found["replay"]
+    updates, replay = found["updates"], found["replay"]
     of_images = [
         f"On images, {images.SETTINGS[setting]}:\n\n"
         + report.table("Updates per second", _HEADER, _rates(rates, *_KINDS))
@@ -163,13 +167,6 @@ def tell(found: dict[str, Any]) -> str:
         report.table("Ratios", "of | to | per step | update alone | target", goals),
         *of_images,
     ]
-    for name, rival in found["rivals"].items():
-        texts += [f"{name} {rival['version']}: {rival['net']}, {rival['parameters']} parameters."]
-    if parts:
-        names = dict.fromkeys(part for times in parts.values() for part in times)
-        title = "One update in torch, microseconds of a core; parts one by one, in warm caches"
-        rows = ([n, *(f"{t[n]:.0f}" if n in t else "" for t in parts.values())] for n in names)
-        texts += [report.table(title, " | ".join(["part", *parts]), rows)]
     texts += [
         f"Drawing 64 of 1e6 and setting their priorities: {replay['sample_and_update_us']:.1f} us; "
         f"drawing with the transitions: {replay['sample_transitions_us']:.1f} us.",
@@ -200,24 +197,11 @@ def _rates(updates: dict[str, dict[str, float]], kind: str, *more: str) -> Itera
 
 def measure_cpu(arguments: argparse.Namespace, capacity: int = CAPACITY) -> dict[str, Any]:
     """All that is measured on the CPU."""
-    rivals: dict[str, contest.Rival] = {}
     measured, size = report.measured, (arguments.steps, arguments.rounds)
-    with contextlib.ExitStack() as stack:
-        if arguments.rivals.exists():
-            for name in RIVALS:
-                rival = contest.start_rival(name, capacity, arguments.rivals)
-                rivals[name] = measured(f"{name} starts", stack.enter_context, rival)
-        else:
-            text = f"are not measured: no {arguments.rivals}; install them with: make rivals"
-            print(" and ".join(RIVALS), text, file=sys.stderr)
-        models = make_models(not arguments.no_compile, capacity)
-        contestants = {name: ours(model, BATCH_SIZE) for name, model in models.items()} | rivals
-        updates = measured("updates", measure_updates, contestants, *size)
-    torch = {name: model for name, model in models.items() if "torch" in name}
+    models = make_models(not arguments.no_compile, capacity)
+    contestants = {name: ours(model, BATCH_SIZE) for name, model in models.items()}
     return {
-        "updates": updates,
-        "parts": torch and measured("parts", measure_parts, models[BASELINE], torch, size[1]),
-        "rivals": {name: rival.about for name, rival in rivals.items()},
+        "updates": measured("updates", measure_updates, contestants, *size),
         "replay": measured("replay", measure_replay, size[1]),
         "memory_mb": measured("memory", measure_memory),
         "images": measured("images", images.measure, *size),
@@ -243,8 +227,6 @@ def main(argv: list[str]) -> int:
     """Measure, print, and write ``speed/rainbow.json`` and ``.md`` below the results folder."""
     words = report.parser("rainbow", __doc__, steps=1000, rounds=5)
     words.add_argument("--no-compile", action="store_true", help="only the default path")
-    text = "interpreter with tianshou and AgileRL"
-    words.add_argument("--rivals", type=Path, default=contest.RIVALS_PYTHON, help=text)
     words.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     arguments = words.parse_args(argv)
     if os.environ.get("OMP_NUM_THREADS") != "1":

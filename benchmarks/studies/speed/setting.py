@@ -1,12 +1,11 @@
-"""The setting in which the speed of Rainbow is measured, ours and others', and the stopwatch.
-
-Rivals import it in an interpreter of their own, which has neither SB3 nor this house's packages.
-"""
+"""The setting in which the speed of learners is measured, and the stopwatch."""
 
 from __future__ import annotations
 
+import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 import gymnasium as gym
@@ -19,15 +18,6 @@ N_ACTIONS: Final = 12
 BATCH_SIZE: Final = 64
 CAPACITY: Final = 1_000_000
 NET_ARCH: Final = (256, 128, 64)
-N_ATOMS: Final = 51
-SUPPORT: Final = (-100.0, 100.0)
-N_STEPS: Final = 3
-GAMMA: Final = 0.99
-ALPHA: Final = 0.6
-BETA: Final = 0.4
-SIGMA0: Final = 0.5
-LEARNING_RATE: Final = 1e-4
-TAU: Final = 1e-3
 EPISODE: Final = 100
 REWARD: Final = 0.1
 
@@ -78,3 +68,45 @@ def seconds_of(action: Callable[[], Any], n_calls: int = 1) -> Seconds:
         action()
     cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
     return Seconds(cpu / n_calls, wall / n_calls)
+
+
+# what so many updates take, with the steps of the env between them ("learn") or alone ("train")
+Contestant = Callable[[str, int], Seconds]
+
+
+def ours(model: Any, batch_size: int) -> Contestant:
+    """An algorithm of SB3's kind that makes an update after each step of all its envs.
+
+    Args:
+        model: trained for a moment, its replay buffer full.
+        batch_size: transitions per update.
+    """
+
+    def act(kind: str, n: int) -> None:
+        if kind == "learn":
+            model.learn(n * model.n_envs, reset_num_timesteps=False)
+        else:
+            for _ in range(n):
+                model.train(1, batch_size)
+        if model.device.type == "cuda":
+            from torch import cuda
+
+            cuda.synchronize()
+
+    act("train", 0)  # what the device still has to do ends before the first timing
+    return lambda kind, n: seconds_of(partial(act, kind, n))
+
+
+def measure_updates(
+    contestants: Mapping[str, Contestant], n_updates: int, rounds: int
+) -> dict[str, dict[str, float]]:
+    """Updates per second of ``learn``, and of ``train`` alone: medians over rounds in turns."""
+    rates: dict[str, dict[str, list[float]]] = {name: {} for name in contestants}
+    for name in list(contestants) * rounds:
+        for kind in ("learn", "train"):
+            for clock, took in contestants[name](kind, n_updates)._asdict().items():
+                rates[name].setdefault(f"{kind}_{clock}", []).append(n_updates / took)
+    return {
+        name: {kind: statistics.median(values) for kind, values in found.items()}
+        for name, found in rates.items()
+    }

@@ -1,26 +1,17 @@
-"""The README's picture, a video and a short animation of one solved episode, and two pages.
+"""The README's picture, a video and a short animation of one solved episode.
 
     python -m benchmarks media
 
 The exact lattice optimum plays, or with --model a policy. Written to results/media: scene.png,
-episode.mp4 and episode.gif, and where there is Chromium viewer.png and report.png, what it shows
-of the browser view and of a report.
+episode.mp4 and episode.gif.
 """
 
 from __future__ import annotations
 
 import argparse
-import shutil
-import socket
-import subprocess
-import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import imageio_ffmpeg
@@ -38,7 +29,6 @@ from coop_env.geometry import GEOMETRIES
 from coop_env.rendering import CAMERAS, frame_view, render_frame
 from coop_env.rendering.bodies import COLOURS
 from coop_env.rendering.scene import Scene
-from coop_env.rendering.viewer import Viewer
 
 Image8 = npt.NDArray[np.uint8]
 Act = Callable[[Observation, npt.NDArray[np.bool_]], int]
@@ -51,16 +41,6 @@ GIF_COLOURS: Final = 144
 VIDEO_FPS: Final = 10  # twice the robots' own pace of one move in 0.2 s
 HOLD_SECONDS: Final = 2.0  # the last picture stays so long
 DEFAULT_SEED: Final = 8
-CHROMIUM: Final = shutil.which("chromium") or shutil.which("chromium-browser")
-PAGE_SIZE: Final = (1200, 760)
-FLAGS: Final = (
-    *("--headless", "--no-sandbox", "--no-first-run", "--disable-sync", "--hide-scrollbars"),
-    *("--disable-gpu", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
-    *("--disable-dev-shm-usage", "--disable-background-networking", "--disable-component-update"),
-)
-DRAWING_SECONDS: Final = 90.0  # ample: software draws it, maybe on a busy machine
-WARNING: Final = 320  # width of viser's, pixels
-PAGE_SECONDS: Final = 240.0  # a page that is not drawn by then never will be
 
 
 def planned_moves(env: CoopInsertionEnv) -> Act:
@@ -176,78 +156,6 @@ def write_animation(path: Path, frames: Sequence[Image8], fps: float) -> None:
     write_atomic(path, lambda file: first.save(file, "GIF", save_all=True, **options))
 
 
-def write_page(path: Path, address: str) -> None:
-    """The top of a page as headless Chromium shows it, drawn without a graphics card.
-
-    Raises:
-        BenchmarkError: Chromium could not be run, or drew nothing.
-    """
-    with TemporaryDirectory() as folder:
-        size = ",".join(map(str, PAGE_SIZE))
-        shot = Path(folder) / "page.png"
-        here = (f"--user-data-dir={folder}", f"--window-size={size}", f"--screenshot={shot}")
-        try:
-            subprocess.run(
-                [str(CHROMIUM), *FLAGS, *here, address],
-                capture_output=True,
-                timeout=PAGE_SECONDS,
-                check=True,
-            )
-            image = Image.open(shot).convert("RGB")
-        except (OSError, subprocess.SubprocessError) as error:
-            raise BenchmarkError(f"no picture of {address}: {error}") from error
-    write_atomic(path, lambda temporary: image.save(temporary, "PNG", optimize=True))
-
-
-@contextmanager
-def framed(address: str) -> Iterator[str]:
-    """A page that shows another and is complete when that one had time to draw.
-
-    The browser view draws by scripts, and Chromium's picture is of the moment of completion. At its
-    left edge viser warns of software drawing, which is the picture's matter alone: cut off.
-    """
-
-    class Frame(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            if self.path != "/":
-                time.sleep(DRAWING_SECONDS)
-            self.send_response(200)
-            self.send_header("Content-Type", "text/html")
-            self.end_headers()
-            style = f"border:0;position:fixed;top:0;left:-{WARNING}px;height:100%;"
-            style += f"width:calc(100% + {WARNING}px)"
-            page = f'<iframe src="{address}" style="{style}"></iframe><img src="/late">'
-            self.wfile.write(page.encode())
-
-        def log_message(self, *_: Any) -> None:
-            """Nothing on stderr."""
-
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Frame)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    try:
-        yield f"http://127.0.0.1:{server.server_port}"
-    finally:
-        server.shutdown()
-        server.server_close()
-
-
-def write_pages(out: Path, env: CoopInsertionEnv, report: Path) -> list[str]:
-    """Pictures of the browser view and of a report; returns the names of those written."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
-    viewer = Viewer(env, port=port)
-    try:
-        with framed(f"http://127.0.0.1:{port}") as address:
-            write_page(out / "viewer.png", address)
-    finally:
-        viewer.close()
-    if not report.is_file():
-        return ["viewer.png"]
-    write_page(out / "report.png", report.resolve().as_uri())
-    return ["viewer.png", "report.png"]
-
-
 def parser(word: str, text: str | None) -> argparse.ArgumentParser:
     """The command line of ``media`` and ``watch``: who plays on which geometry."""
     found = argparse.ArgumentParser(
@@ -287,12 +195,6 @@ def _write_all(arguments: argparse.Namespace, console: Console) -> None:
         f"the video runs at {VIDEO_FPS / env.metadata['render_fps']:g} times that pace"
     )
     names = ["scene.png", "episode.mp4", "episode.gif"]
-    if CHROMIUM is None:
-        console.print("no Chromium here: no pictures of the browser view and of the report")
-    else:
-        names += write_pages(out, env, arguments.report)
-        if not arguments.report.is_file():
-            console.print(f"{arguments.report}: not there, `python -m benchmarks report` writes it")
     for name in names:
         console.print(f"{out / name}  {(out / name).stat().st_size / 1000:.0f} kB")
 
@@ -303,8 +205,6 @@ def main(words: Sequence[str]) -> int:
     line.add_argument("--out", type=Path, default=Path("results/media"), help="folder")
     line.add_argument("--seed", type=int, default=DEFAULT_SEED, help="of the episode's start")
     line.add_argument("--camera", choices=list(CAMERAS), default="iso")
-    page = Path("results/cut/report.html")
-    line.add_argument("--report", type=Path, default=page, help="the page to take a picture of")
     arguments = line.parse_args(words)
     if arguments.seed < 0:
         raise BenchmarkError(f"--seed {arguments.seed}: must not be negative")

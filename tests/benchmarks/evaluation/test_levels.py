@@ -8,15 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from benchmarks.evaluation.evaluate import (
     begin_episodes,
     displaced,
     evaluate_cell,
     levels,
-    play_together,
-    recurrent_chooser,
     with_random_moves,
 )
 from benchmarks.methods.learners import build_model, make_training_env
@@ -34,7 +31,6 @@ def preset() -> Preset:
         name: dataclasses.replace(
             track,
             hyperparameters=dataclasses.replace(track.hyperparameters, **small),
-            recurrent=dataclasses.replace(track.recurrent, lstm_size=8),
         )
         for name, track in whole.tracks.items()
     }
@@ -135,7 +131,7 @@ def test_a_script_that_explores_makes_one_move_of_twenty_at_random() -> None:
     assert np.mean(moves == 4) == pytest.approx(0.025, abs=0.004)
 
 
-@pytest.mark.parametrize("method", ["rainbow", "recurrent_ppo", "greedy", "plan_search", "optimum"])
+@pytest.mark.parametrize("method", ["rainbow", "maskable_ppo", "greedy", "plan_search", "optimum"])
 def test_on_an_uncertain_machine_all_play_at_each_error(method: str, preset: Preset) -> None:
     found = levels(preset, cell(method, "uncertain"))
     assert [level.columns for level in found] == [{"error": 0.0}, {"error": 3.0}]
@@ -168,7 +164,7 @@ def test_training_draws_machines_unless_it_is_nominal(preset: Preset) -> None:
     assert spread["uncertain_nominal"].max() == 0.0
 
 
-@pytest.mark.parametrize("method", ["rainbow", "recurrent_ppo"])
+@pytest.mark.parametrize("method", ["rainbow", "maskable_ppo"])
 def test_rows_say_under_which_error_they_were_played(method: str, preset: Preset) -> None:
     mine = cell(method, "uncertain")
     model = build_model(preset, mine, make_training_env(preset, mine))
@@ -183,32 +179,3 @@ def test_controls_and_planners_play_other_starts(preset: Preset) -> None:
     for method, track in (("greedy", "safe"), ("optimum", "")):
         one, two = (evaluate_cell(preset, cell(method, track), starts=n) for n in (None, 7))
         assert not {row["start"] for row in one} & {row["start"] for row in two}
-
-
-def test_a_recurrent_policy_remembers_each_episode_by_itself(preset: Preset) -> None:
-    """Side by side, with some over before others, the moves are those of each one alone."""
-    mine = cell("recurrent_ppo", "uncertain")
-    model = build_model(preset, mine, make_training_env(preset, mine))
-    arguments: dict[str, Any] = {"sim_to_real": {"base_position_error": 0.003}, "max_moves": 40}
-
-    def courses(count: int, which: list[int]) -> list[dict[str, object]]:
-        episodes = [begin_episodes(arguments, 0, count)[i] for i in which]
-        episodes[0].env.step(0)  # so that one has fewer moves left than the others
-        play_together(recurrent_chooser(model, len(episodes)), episodes, 0.0, 0)
-        return [episode.row() for episode in episodes]
-
-    together = courses(3, [0, 1, 2])
-    assert together[0]["reward"] == pytest.approx(courses(3, [0])[0]["reward"])
-    assert together[0]["energy"] == pytest.approx(courses(3, [0])[0]["energy"])
-
-    seen: list[NDArray[Any]] = []
-    predict = model.predict
-
-    def watch(observations: Any, state: Any, **kwargs: Any) -> Any:
-        seen.append(state[0].copy())
-        return predict(observations, state, **kwargs)
-
-    model.predict = watch  # type: ignore
-    courses(1, [0])
-    assert np.all(seen[0] == 0.0)
-    assert all(np.any(state != 0.0) for state in seen[1:])

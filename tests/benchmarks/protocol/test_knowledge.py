@@ -25,7 +25,6 @@ VISITED = {**SAFE, "mask_visited": 64}
         ("random", {"mask_refused": True}, "paper's", "refused moves"),
         ("dqn", VISITED, "none", "none"),
         ("dqn", {"observation": "markov"}, "none", "filled holes and time"),
-        ("recurrent_ppo", VISITED, "none", "recurrent"),
         ("optimum", None, "none", "its plan"),
         ("plan_search", VISITED, "none", "its plan"),
     ],

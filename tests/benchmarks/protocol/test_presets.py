@@ -22,7 +22,7 @@ def smoke() -> dict[str, Any]:
     return data
 
 
-@pytest.mark.parametrize("name", ["smoke", "quick", "tuning", "paper", "cut", "team"])
+@pytest.mark.parametrize("name", ["smoke", "quick", "grid", "paper", "cut", "team"])
 def test_shipped_presets_expand_to_cells_with_unique_folders(name: str) -> None:
     cells = expand(load_preset(name))
     assert len({cell.id for cell in cells}) == len(cells) > 0
@@ -201,7 +201,7 @@ def test_a_geometry_of_ones_own_reaches_the_runs_settings() -> None:
 
 
 def test_unknown_presets_and_cells_list_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(BenchmarkError, match="paper, quick, shielded, smoke, team, tuning"):
+    with pytest.raises(BenchmarkError, match="grid, paper, quick, shielded, smoke, team"):
         load_preset("fast")
     with pytest.raises(BenchmarkError, match="unknown preset '_tracks'"):
         load_preset("_tracks")
@@ -255,7 +255,7 @@ def test_the_test_starts_are_the_paper_presets_alone() -> None:
     streams = {name: load_preset(name).evaluation.stream for name in preset_names()}
     assert {name for name, stream in streams.items() if stream == "final"} == {"paper"}
     assert {name for name, stream in streams.items() if stream == "test"} == {"cut"}
-    assert min(load_preset("tuning").seeds) > max(load_preset("cut").seeds)
+    assert min(load_preset("grid").seeds) > max(load_preset("cut").seeds)
 
 
 def test_runs_from_before_the_newer_keys_are_still_what_the_preset_says() -> None:

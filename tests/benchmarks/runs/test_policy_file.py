@@ -29,8 +29,7 @@ def preset() -> Preset:
     track = preset.tracks["safe"]
     short: dict[str, Any] = {"n_steps": 16, "batch_size": 16, "n_epochs": 1}
     ppo = dataclasses.replace(track.ppo, **short)
-    recurrent = dataclasses.replace(track.recurrent, **short, lstm_size=32)
-    track = dataclasses.replace(track, ppo=ppo, recurrent=recurrent)
+    track = dataclasses.replace(track, ppo=ppo)
     return dataclasses.replace(preset, tracks={"safe": track})
 
 

@@ -32,7 +32,6 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
         return scenes[:1] + scenes[-8:]
 
     monkeypatch.setattr(media, "play", play)
-    monkeypatch.setattr(media, "CHROMIUM", None)
     for name in ("SCENE_SIZE", "VIDEO_SIZE", "GIF_SIZE"):
         monkeypatch.setattr(media, name, SIZE)
 
@@ -54,7 +53,6 @@ def test_three_files_of_one_solved_episode(
     for path in out.iterdir():
         assert path.name in said
     assert "6 of 6 holes filled" in said
-    assert "no Chromium here" in said
     with Image.open(out / "scene.png") as picture:
         assert picture.size == SIZE
     with Image.open(out / "episode.gif") as animation:
@@ -141,22 +139,3 @@ def test_the_twin_is_shown_where_it_really_is(monkeypatch: pytest.MonkeyPatch) -
         np.testing.assert_allclose(env.scene().tip, env.physics.scene().tip)
     finally:
         viewer.close()
-
-
-@pytest.mark.skipif(media.CHROMIUM is None, reason="no Chromium on this machine")
-def test_a_page_is_pictured_as_a_browser_shows_it(tmp_path: Path) -> None:
-    page = tmp_path / "page.html"
-    page.write_text("<body style='margin:0;background:#0072B2'><p>text</p></body>")
-    media.write_page(tmp_path / "page.png", page.as_uri())
-    with Image.open(tmp_path / "page.png") as picture:
-        assert picture.size == media.PAGE_SIZE
-        assert picture.getpixel((media.PAGE_SIZE[0] - 1, media.PAGE_SIZE[1] - 1)) == (0, 114, 178)
-
-
-def test_a_browser_that_cannot_be_run_is_one_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(media, "CHROMIUM", str(tmp_path / "nowhere"))
-    with pytest.raises(BenchmarkError, match="no picture of about:blank"):
-        media.write_page(tmp_path / "page.png", "about:blank")
-    assert not list(tmp_path.iterdir())

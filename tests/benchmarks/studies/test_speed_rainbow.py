@@ -1,31 +1,24 @@
-"""``python -m benchmarks speed rainbow``: what it measures, and what it says is missing."""
+"""``python -m benchmarks speed rainbow``: what it measures, and what it says."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
-from stable_baselines3 import DQN
 from stable_baselines3.common.env_util import make_vec_env
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.runs.machine import REPOSITORY
 from benchmarks.studies.speed import images
 from benchmarks.studies.speed import rainbow as speed_rainbow
-from benchmarks.studies.speed.contest import (
-    RIVALS,
-    RIVALS_PYTHON,
+from benchmarks.studies.speed.setting import (
+    BATCH_SIZE,
+    CAPACITY,
+    Seconds,
     measure_updates,
     ours,
-    start_rival,
 )
-from benchmarks.studies.speed.parts import measure_parts
-from benchmarks.studies.speed.setting import BATCH_SIZE, CAPACITY, Seconds, StubEnv
 from sb3_rainbow import Rainbow
 
 SMALL = 3 * BATCH_SIZE
@@ -68,92 +61,18 @@ def test_the_memory_of_a_million_transitions_is_the_buffer_s_alone() -> None:
     assert speed_rainbow.measure_memory() == pytest.approx(expected / 1e6, rel=0.1)
 
 
-@pytest.mark.parametrize("name", RIVALS)
-def test_rivals_learn_in_their_own_interpreter(name: str) -> None:
-    python = REPOSITORY / RIVALS_PYTHON
-    if not python.exists():
-        pytest.skip("tianshou and AgileRL are not installed: make rivals")
-    with start_rival(name, SMALL, python) as rival:
-        learn, train = rival("learn", 3), rival("train", 3)
-    assert learn.cpu > 0.0
-    assert train.wall > 0.0
-    # two streams of 128-64-(12 or 1) x 51, noisy, behind 12-256-128: about our own size
-    assert rival.about["parameters"] == pytest.approx(150_000, rel=0.1)
-
-
-STAND_IN = """
-import torch
-from benchmarks.studies.speed import rivals
-
-class StandIn:
-    package, net = "numpy", "a line"
-    network = torch.nn.Linear(3, 2)
-
-    def __init__(self, capacity):
-        assert capacity == 192
-        print("noise of a library")
-
-    def step(self):
-        sum(range(80_000))
-
-    def update(self):
-        sum(range(20_000))
-
-rivals.RIVALS["tianshou"] = StandIn
-rivals.main()
-"""
-
-
-def test_a_rival_is_driven_through_its_pipes(tmp_path: Path) -> None:
-    python = tmp_path / "python"
-    code = STAND_IN.replace('"', '\\"')
-    python.write_text(f'#!/bin/sh\nexec {sys.executable} -c "{code}" "$5" "$6"\n')
-    python.chmod(0o755)
-    with start_rival("tianshou", SMALL, python) as rival:
-        assert rival.about == {"version": np.__version__, "net": "a line", "parameters": 8}
-        few, many = rival("learn", 10), rival("learn", 100)
-        assert 5.0 * few.cpu < many.cpu < 20.0 * few.cpu
-        assert rival("train", 100).cpu < many.cpu <= many.wall + 0.05
-
-
-def test_an_interpreter_without_them_is_one_clear_error() -> None:
-    rival = start_rival("tianshou", SMALL, Path(sys.executable))
-    with pytest.raises(BenchmarkError, match=r"tianshou stopped: .*make rivals"), rival:
-        pass
-
-
-def test_without_rivals_one_line_says_so_and_the_rest_is_measured(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_learner_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(speed_rainbow, "measure_replay", lambda _: {"sample_and_update_us": 1.0})
     monkeypatch.setattr(speed_rainbow, "measure_memory", lambda: 140.0)
     monkeypatch.setattr(images, "measure", lambda n, rounds: {})
-    arguments = argparse.Namespace(
-        rivals=tmp_path / "python", no_compile=True, steps=5, rounds=1, results=tmp_path
-    )
+    arguments = argparse.Namespace(no_compile=True, steps=5, rounds=1, results=tmp_path)
     found = speed_rainbow.measure_cpu(arguments, SMALL)
-    said = capsys.readouterr().err
-    assert said.count("make rivals") == 1
-    assert "tianshou and AgileRL are not measured" in said
-    assert set(found["updates"]) == {"SB3 DQN", "Rainbow", "Rainbow, categorical"}
-    assert found["rivals"] == found["parts"] == {}
-
-
-def test_the_parts_of_an_update_are_less_than_the_whole() -> None:
-    settings: dict[str, Any] = {"learning_starts": 20, "buffer_size": 200, "device": "cpu"}
-    model = Rainbow("MlpPolicy", StubEnv(), cpu_kernels=False, **settings).learn(60)
-    dqn = DQN("MlpPolicy", StubEnv(), **settings).learn(60)
-    found = measure_parts(dqn, {"ours": model}, rounds=3, n_calls=5)
-    assert set(found["SB3 DQN"]) == {"whole update"}
-    parts = dict(found["ours"])
-    whole = parts.pop("whole update")
-    assert parts.pop("their matrix products alone") < parts["loss and gradient"]
-    # generous: the machine may do something else in between
-    assert 0.3 * whole < sum(parts.values()) < 2.0 * whole
+    names = {"SB3 DQN", "sb3-contrib QR-DQN", "Rainbow", "Rainbow, categorical"}
+    assert set(found["updates"]) == names
 
 
 def test_the_report_gives_the_ratios_of_the_rates() -> None:
-    rates = {"SB3 DQN": 500.0, "Rainbow": 600.0, "tianshou": 120.0}
+    rates = {"SB3 DQN": 500.0, "Rainbow": 600.0}
     kinds = ("learn_cpu", "learn_wall", "train_cpu", "train_wall")
     found = {
         "command": "c",
@@ -162,8 +81,6 @@ def test_the_report_gives_the_ratios_of_the_rates() -> None:
         "steps": 1,
         "machine": {"machine": {"processor": "p"}, "commit": "0", "versions": {}},
         "updates": {name: dict.fromkeys(kinds, rate) for name, rate in rates.items()},
-        "rivals": {"tianshou": {"version": "2", "net": "a net", "parameters": 7}},
-        "parts": {"SB3 DQN": {"whole update": 9.0}, "x": {"whole update": 8.0, "noise": 1.4}},
         "replay": {"sample_and_update_us": 10.0, "sample_transitions_us": 20.0},
         "memory_mb": 140.4,
         "images": {"MinAtar": {name: dict.fromkeys(kinds, rate) for name, rate in rates.items()}},
@@ -171,14 +88,9 @@ def test_the_report_gives_the_ratios_of_the_rates() -> None:
     text = " ".join(speed_rainbow.tell(json.loads(json.dumps(found))).split())
     assert "| Rainbow | 600 | 1.20 |" in text
     assert "| Rainbow | SB3 DQN | 1.20 | 1.20 | 1.5 |" in text
-    assert "| Rainbow | tianshou | 5.00 | 5.00 | 4 |" in text
     assert "| Rainbow on MinAtar | SB3 DQN | 1.20 | 1.20 | 0.91 |" in text
     assert "On images, Breakout by preset `minatar`" in text
-    assert "AgileRL" not in text
-    assert "| whole update | 9 | 8 |" in text
-    assert "| noise | | 1 |" in text
     assert "12-action masks: 140 MB." in text
-    assert "tianshou 2: a net, 7 parameters." in text
 
 
 def test_the_gpu_table_at_its_batch_sizes(monkeypatch: pytest.MonkeyPatch) -> None:

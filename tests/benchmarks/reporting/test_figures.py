@@ -1,0 +1,89 @@
+"""Figures of a fabricated store: which there are, what they say, and what they cost."""
+
+from __future__ import annotations
+
+import io
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from benchmarks.__main__ import main
+from benchmarks.reporting.figures.learning import pictures
+from benchmarks.reporting.figures.style import canvas, flat_png
+from benchmarks.reporting.results import Results
+from benchmarks.runs.store import Store
+from tests.benchmarks import fabricated_store
+
+ROOT = Path(__file__).resolve().parents[3]
+PAPER_FIGURES = {
+    "cumulative_reward",
+    "exploration",
+    "holes",
+    "success",
+    "max_q",
+    "loss",
+    "duration",
+}
+
+
+def test_every_figure_is_drawn_and_described(tmp_path: Path) -> None:
+    store = fabricated_store.make_store(tmp_path, [0, 1, 2])
+    assert main(["report", "--preset", "quick", "--results", str(tmp_path)]) == 0
+    found = {picture.name: picture for picture in pictures(Results(store))}
+    assert {path.stem for path in store.figures.iterdir()} == set(found)
+    assert {f"safe_{name}" for name in PAPER_FIGURES} <= set(found)
+    assert {"robustness", "performance_profile", "ablation_comparison"} <= set(found)
+    alts = [picture.alt for picture in found.values()]
+    assert all(len(alt) > 40 for alt in alts)
+    assert len(set(alts)) == len(alts)
+    # the mean of all ten episodes, in five rows of two: 30, and 0, 1, 2 more by seed
+    assert "Rainbow DQN (3 seeds) ends at 31" in found["safe_cumulative_reward"].alt
+    assert "switches at 300 steps" in found["safe_cumulative_reward"].alt
+
+
+def test_a_small_picture_keeps_its_colours() -> None:
+    figure, (axes,) = canvas()
+    for i in range(8):
+        axes.plot([0, 1], [i, i], color=f"C{i}", linewidth=0.6)
+        axes.fill_between([0, 1], i - 0.3, i + 0.3, color=f"C{i}", alpha=0.2)
+    raw = io.BytesIO()
+    figure.savefig(raw, format="png")
+    small = flat_png(raw.getvalue())
+    assert len(small) < 0.7 * len(raw.getvalue())
+    before, after = (
+        np.asarray(Image.open(io.BytesIO(data)).convert("RGB"), dtype=np.int64)
+        for data in (raw.getvalue(), small)
+    )
+    assert np.abs(before - after).max() < 25
+
+
+def test_tables_and_figures_need_no_torch_and_little_time(tmp_path: Path) -> None:
+    store = fabricated_store.make_store(tmp_path, range(5))
+    code = (
+        "import sys; from benchmarks.__main__ import main;"
+        "assert main(['report', '--preset', 'quick', '--results', sys.argv[1]]) == 0;"
+        "heavy = {'torch', 'stable_baselines3', 'sb3_contrib', 'tensorboard'};"
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, cwd=ROOT
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip().endswith("\n[]")
+    # of one core: what else the machine does is not ours
+    assert after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime < 60
+    drawn = {path.stem for path in store.figures.iterdir()}
+    assert {f"safe_{name}" for name in PAPER_FIGURES} <= drawn
+
+
+def test_a_store_without_any_run_has_tables_of_what_is_missing(tmp_path: Path) -> None:
+    store = Store.open(tmp_path, "cut", create=True)
+    assert main(["report", "--preset", "cut", "--results", str(tmp_path)]) == 0
+    assert "missing" in (store.tables / "performance.md").read_text(encoding="utf-8")
+    assert not list(store.figures.glob("*"))
