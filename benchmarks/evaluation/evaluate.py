@@ -19,8 +19,8 @@ from stable_baselines3.common.utils import set_random_seed
 from benchmarks.methods.base import Plan
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.methods.team.env import DecentralizedEnv, each_for_itself, make_env
-from benchmarks.protocol.knowledge import explores, plays_bare
-from benchmarks.protocol.metrics import EXPLORING, OWN_MASKS, PAPER_MASKS, RANDOM_MOVES
+from benchmarks.protocol.knowledge import explores
+from benchmarks.protocol.metrics import EXPLORING, RANDOM_MOVES
 from benchmarks.protocol.plan import CONTROLS, OPTIMUM_AT_ONCE, Cell, own_error
 from benchmarks.protocol.presets import Preset, as_dict
 from benchmarks.protocol.seeding import derive, episode_seeds
@@ -68,8 +68,7 @@ def levels(preset: Preset, cell: Cell) -> list[Level]:
 
     A track with ``sim_to_real`` has its machine at each of the preset's errors, others each level
     of noise (no noise for who sees the true state). Last comes, where the preset asks for it, that
-    of the method as it explores, without noise; in older presets learners that act under
-    ``mask_singularities`` play under the paper's masks instead, without a memory in them.
+    of the method as it explores, without noise.
     """
     track = preset.tracks[cell.track] if cell.track else None
     arguments = env_arguments(preset, cell, track)
@@ -86,14 +85,7 @@ def levels(preset: Preset, cell: Cell) -> list[Level]:
         main = found[0]
     if explores(cell.method, as_dict(preset.evaluation)):
         return [*found, replace(main, noise=0.0, columns={**main.columns, "acting": EXPLORING})]
-    noise = preset.evaluation.noise
-    if track is None or not plays_bare(cell.method, as_dict(track)) or preset.evaluation.exploring:
-        return found
-    bare = {"mask_singularities": False, "mask_visited": 0, "mask_refused": False}
-    return [
-        *(Level(arguments, level, {"masks": OWN_MASKS}) for level in noise),
-        Level({**arguments, **bare}, 0.0, {"masks": PAPER_MASKS}),
-    ]
+    return found
 
 
 def displaced(machine: SimToReal, error: float) -> SimToReal:
@@ -296,7 +288,7 @@ def planner_runner(preset: Preset, cell: Cell) -> Callable[[Episode], None]:
     limits = preset.planner
     if cell.method in ("nominal_plan", "plan_search"):
         return replanning.Replanner(cell.method == "plan_search", limits.node_limit).play
-    uncertain = bool(cell.track)
+    uncertain = bool(cell.track) and preset.tracks[cell.track].sim_to_real is not None
     at_once = cell.method == OPTIMUM_AT_ONCE
     oracle = LatticeOracle(node_limit=limits.node_limit, real=uncertain, at_once=at_once)
     if cell.method == "optimum" or at_once:

@@ -30,6 +30,8 @@ def env_arguments(preset: Preset, cell: Cell, track: Track | None = None) -> dic
     names = ("reward", "observation", "mask_singularities", "mask_visited", "mask_refused")
     given = {name: getattr(track, name) for name in (*names, "collision")}
     given |= {"reward_kwargs": dict(track.reward_kwargs) or None, "sim_to_real": track.sim_to_real}
+    if track.task is not None:
+        given |= {"task": dict(track.task)}
     if track.shield is not None:
         given |= {"shield": track.shield}
     if track.team is not None:

@@ -55,16 +55,3 @@ def explores(method: str, evaluation: Mapping[str, Any]) -> bool:
         evaluation: ``config["evaluation"]`` of a run.
     """
     return bool(evaluation.get("exploring")) and method in EXPLORERS
-
-
-def plays_bare(method: str, track: Mapping[str, Any] | None) -> bool:
-    """Whether a learner is tested once more under the paper's own masks, as it has better ones.
-
-    Args:
-        method: of :data:`benchmarks.protocol.plan.METHODS`.
-        track: as for :func:`knowledge`.
-    """
-    if track is None or method not in LEARNERS or method in UNMASKED:
-        return False
-    other = track.get("sim_to_real") or track.get("team")  # a machine, or moves, of another kind
-    return bool(track.get("mask_singularities")) and not other

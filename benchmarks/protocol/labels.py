@@ -20,6 +20,7 @@ METHODS: Final = {
     "nominal_plan": "Nominal plan, replanned",
     "plan_search": "Nominal plan, then search",
 }
+MASKED_DQN: Final = "Masked DQN"
 ABLATIONS: Final = {
     "full": "Full Rainbow",
     "no_prioritized": "- Prioritized replay",

@@ -61,8 +61,6 @@ EXTRA_METRICS: Final = (
 )
 
 N_HOLES: Final = 6
-OWN_MASKS: Final = "own"  # of the track, in column "masks"
-PAPER_MASKS: Final = "paper"  # the same policy under what the paper masks
 GREEDY: Final = "greedy"  # in column "acting": the best action, always
 # as a learner was trained: with its noise, epsilon or sampling; a script with random moves
 EXPLORING: Final = "exploring"

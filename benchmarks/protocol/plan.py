@@ -171,7 +171,7 @@ def _track(track: Track, method: str) -> dict[str, Any]:
     unused = [key for key, methods in settings_of.items() if method not in methods]
     if method not in LEARNERS:
         unused += ["description", "timesteps", "hyperparameters", "curriculum", "train_nominal"]
-    later = ("sim_to_real", "train_nominal", "mask_refused", "team", "sight")
+    later = ("sim_to_real", "train_nominal", "mask_refused", "team", "sight", "task")
     unused += [key for key in later if not config[key]]
     unused += ["shield"] if config["shield"] is None else []
     unused += ["collision"] if config["collision"] == "refuse" else []
@@ -249,8 +249,11 @@ def _check_planner(preset: Preset, method: str, tracks: list[str]) -> None:
     if not tracks and method not in (*PERFECT_PLANNERS, OPTIMUM_AT_ONCE):
         raise BenchmarkError(f"{where}: method '{method}' needs a track with sim_to_real")
     for name in tracks:
-        if preset.tracks[name].sim_to_real is None or method not in IMPERFECT_PLANNERS:
+        track = preset.tracks[name]
+        known_machine = PERFECT_PLANNERS if track.task else ()
+        allowed = known_machine if track.sim_to_real is None else IMPERFECT_PLANNERS
+        if method not in allowed:
             raise BenchmarkError(
                 f"{where}: method '{method}' plans and takes no track '{name}'; with a track of "
-                f"sim_to_real plan: {known(IMPERFECT_PLANNERS)}"
+                f"task plan: {known(PERFECT_PLANNERS)}; of sim_to_real: {known(IMPERFECT_PLANNERS)}"
             )

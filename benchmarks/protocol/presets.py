@@ -19,6 +19,7 @@ from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.strict import STRICT, Count, Number, Seeds, build, merge, with_config
 from coop_env.errors import ArgumentError
 from coop_env.geometry import GeometryError, RRSGeometry
+from coop_env.simulation.insertion_task import InsertionTask
 from coop_env.simulation.sim_to_real import SimToReal
 from coop_env.simulation.task import TRAIL
 
@@ -48,6 +49,14 @@ def _machine(knobs: dict[str, Any] | None) -> dict[str, Any] | None:
     if machine.base_position_error == 0.0:
         raise ValueError("must have a base_position_error: test errors are in proportion to it")
     return knobs
+
+
+def _task(numbers: dict[str, Any] | None) -> dict[str, Any] | None:
+    try:
+        InsertionTask(**(numbers or {}))
+    except (ArgumentError, TypeError) as error:
+        raise ValueError(str(error)) from error
+    return numbers
 
 
 def _dimensions(values: dict[str, float]) -> dict[str, float]:
@@ -136,7 +145,8 @@ class Curriculum:
 class Track:
     """A reward, the settings of the task and the hyperparameters that go together.
 
-    ``sim_to_real`` has fields of :class:`coop_env.SimToReal`; learners of a track with
+    ``task`` has fields of :class:`coop_env.simulation.insertion_task.InsertionTask` and
+    ``sim_to_real`` of :class:`coop_env.SimToReal`; learners of a track with
     ``train_nominal`` see the nominal machine in training, and the imperfect ones in tests alone.
 
     With ``team`` both robots move at once: commanded by one agent (central), by two whose values
@@ -156,6 +166,7 @@ class Track:
     collision: Literal["refuse", "terminate"] = "refuse"
     sim_to_real: Annotated[dict[str, Any] | None, AfterValidator(_machine)] = None
     train_nominal: bool = False
+    task: Annotated[dict[str, Any] | None, AfterValidator(_task)] = None
     shield: dict[str, Number] | None = None  # fields of ShieldMargin: masks keep these margins
     team: Literal["central", "vdn", "shared", "independent"] | None = None
     sight: bool = False  # of the other robot

@@ -1,10 +1,9 @@
-"""Every comparison that a sentence rests on: paired over the same starts, corrected together."""
+"""Comparisons that a sentence rests on: paired over seeds, and corrected within a question."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -12,47 +11,50 @@ import pandas as pd
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol import labels
-from benchmarks.protocol.metrics import HOLES, METRICS, SUCCESS, Metric
-from benchmarks.protocol.plan import LEARNERS, METHODS
+from benchmarks.protocol.metrics import SUCCESS
+from benchmarks.protocol.plan import LEARNERS
 from benchmarks.reporting.results import Results
-from benchmarks.reporting.rows import Row, best, complete, control_of, row_of, rows
-from benchmarks.reporting.stats import PairedTest, holm, paired_t_test
+from benchmarks.reporting.rows import (
+    Row,
+    best_script,
+    complete,
+    control_of,
+    row_of,
+    rows,
+    scored,
+)
+from benchmarks.reporting.stats import Value, holm, measured, paired_t_test
 
-SCORED: Final = "safe"  # the track whose learner is the headline
-TIME: Final = METRICS["time_first"]
-CONTROL, ABLATION, GEOMETRY, SCRIPT, PAPER = "control", "ablation", "geometry", "script", "paper"
+CONTROL: Final = "Learner against the best script that knows the same"
+MASKED: Final = "Rainbow against masked DQN and other learners"
+ABLATION: Final = "One component removed against all six"
+GEOMETRY: Final = "Initial geometry against optimized"
+SCRIPT: Final = "Learner against the best script on the uncertain machine"
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two rows on the starts they share; ``p`` is corrected over all comparisons of the store.
+    """Success rates of two rows: one difference per seed, so that it speaks of other trainings.
 
-    ``seeds`` is the same test on one mean difference per seed, and ``p_seeds`` its p, corrected:
-    what it says holds for other trainings, what ``p`` says for the networks that were trained.
+    ``difference`` is in points, with Student's interval; ``p`` is two-sided, and ``p_holm``
+    corrected over the comparisons of the same question.
     """
 
-    kind: str
+    question: str
     ours: Row
     theirs: Row
-    metric: Metric
-    test: PairedTest
-    seeds: PairedTest
-    p: float = math.nan
-    p_seeds: float = math.nan
+    difference: Value
+    p: float
+    p_holm: float
 
     @property
     def name(self) -> str:
         """What is compared, in words: without which component, or on which geometry."""
         cell = self.ours.group.runs[0].config["cell"]
         name = self.ours.name
-        if cell["ablation"] != "full":
+        if cell["ablation"] not in ("full", "none"):
             name = f"{labels.ABLATIONS[cell['ablation']]}, {labels.track(self.ours.track)}"
         return name if cell["geometry"] == "optimized" else f"{name}, {cell['geometry']} geometry"
-
-    @property
-    def gain(self) -> float:
-        """By how much ours is better: the difference, or for times its opposite."""
-        return self.test.difference if self.metric in (SUCCESS, HOLES) else -self.test.difference
 
 
 def pair(ours: Row, theirs: Row) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -78,59 +80,71 @@ def pair(ours: Row, theirs: Row) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 def comparisons(results: Results) -> list[Comparison]:
-    """All comparisons of a store, each p corrected by Holm over all of them."""
-    found = [
-        made
-        for kind, ours, theirs, metrics in _pairs(results)
-        for made in _compare(kind, ours, theirs, metrics)
-    ]
-    over_episodes = holm([_p(each.test) for each in found])
-    over_seeds = holm([each.seeds.p for each in found])
-    return [
-        replace(each, p=p, p_seeds=q)
-        for each, p, q in zip(found, over_episodes, over_seeds, strict=True)
-    ]
+    """All comparisons of a store, each p corrected by Holm over those of its question."""
+    found: list[Comparison] = []
+    for question, pairs in _questions(results).items():
+        differences = [_differences(question, *each) for each in pairs]
+        tests = [paired_t_test(each, np.zeros_like(each)) for each in differences]
+        corrected = holm([test.p for test in tests])
+        for (ours, theirs), each, test, p in zip(pairs, differences, tests, corrected, strict=True):
+            value = measured(each, lambda: (np.nan, np.nan))
+            found.append(Comparison(question, ours, theirs, value, test.p, p))
+    return found
 
 
-def _p(test: PairedTest) -> float:
-    """The test's p; where every pair differs by the same, t has no bound and p is 0."""
-    return 0.0 if math.isnan(test.p) and test.n > 1 and test.difference else test.p
+def find(compared: list[Comparison], question: str, ours: Row) -> Comparison | None:
+    """The comparison of a row, if its runs are there."""
+    return next((c for c in compared if (c.question, c.ours) == (question, ours)), None)
 
 
-def _pairs(results: Results) -> Iterator[tuple[str, Row, Row | None, tuple[Metric, ...]]]:
+def _differences(question: str, ours: Row, theirs: Row) -> np.ndarray:
+    """Ours minus theirs in points, (seeds,) of those that both have."""
+    if question != GEOMETRY:  # whose starts are those of either geometry
+        a, b = pair(ours, theirs)
+        column = SUCCESS.column
+        by_seed = 100.0 * (a[column] - b[column]).groupby(level="seed").mean()
+        return np.asarray(by_seed, dtype=np.float64)
+    means = [
+        {run.seed: 100.0 * float(run.test(row.level)[SUCCESS.column].mean())
+         for run in row.group.runs}
+        for row in (ours, theirs)
+    ]  # fmt: skip
+    return np.array([means[0][seed] - means[1][seed] for seed in means[0] if seed in means[1]])
+
+
+def _questions(results: Results) -> dict[str, list[tuple[Row, Row]]]:
+    asked: dict[str, list[tuple[Row, Row]]] = {}
+    for question, ours, theirs in _pairs(results):
+        if theirs is None or not ours.group.n or not theirs.group.n:
+            continue
+        seeds = {run.seed for run in ours.group.runs} & {run.seed for run in theirs.group.runs}
+        if seeds:
+            asked.setdefault(question, []).append((ours, theirs))
+    return asked
+
+
+def _both(row: Row) -> list[Row]:
+    """The row greedily, and as trained if it was tested so."""
+    return [row, row.as_trained()] if row.as_trained() != row else [row]
+
+
+def _pairs(results: Results) -> Iterator[tuple[str, Row, Row | None]]:
     for row in complete(rows(results, LEARNERS)):
-        yield CONTROL, row, control_of(results, row), (SUCCESS, HOLES, TIME)
-    full = row_of(results, "rainbow", SCORED)
-    for method in ("rrt_connect", "dqn"):  # the paper's own comparisons, on the scored track
-        rival = row_of(results, method, SCORED if method in LEARNERS else "")
-        yield PAPER, full, rival, (SUCCESS,)
+        for each in _both(row):
+            yield CONTROL, each, control_of(results, each)
+    track = scored(results)
+    full = row_of(results, "rainbow", track)
+    others = [row_of(results, "rainbow", track, ablation="none")]
+    others += [row_of(results, method, track) for method in LEARNERS if method != "rainbow"]
+    for other in others:
+        for ours, theirs in zip(_both(full), _both(other), strict=False):
+            yield MASKED, ours, theirs
     for ablation in labels.ABLATIONS:
-        if ablation != "full":
-            without = row_of(results, "rainbow", SCORED, ablation=ablation)
-            yield ABLATION, without, full, (SUCCESS,)
-    initial = row_of(results, "rainbow", SCORED, "initial")
-    yield GEOMETRY, initial, control_of(results, initial, "initial"), (SUCCESS,)
+        if ablation not in ("full", "none"):
+            without = row_of(results, "rainbow", track, ablation=ablation)
+            yield ABLATION, without.as_trained(), full.as_trained()
+    initial = row_of(results, "rainbow", track, "initial")
+    yield GEOMETRY, initial.as_trained(), full.as_trained()
     script = best_script(results)
     for row in complete(rows(results, LEARNERS, uncertain=True)):
-        yield SCRIPT, row, script, (SUCCESS,)
-
-
-def best_script(results: Results) -> Row | None:
-    """Of the uncertain machine: the best method that neither learns nor knows the machine."""
-    scripts = [m for m in METHODS if m not in LEARNERS and m != "optimum"]
-    return best(rows(results, scripts, uncertain=True))
-
-
-def _compare(
-    kind: str, ours: Row, theirs: Row | None, metrics: tuple[Metric, ...]
-) -> Iterator[Comparison]:
-    if theirs is None:
-        return
-    a, b = pair(ours, theirs)
-    if not len(a):
-        return
-    for metric in metrics:
-        x, y = metric.scale * a[metric.column], metric.scale * b[metric.column]
-        by_seed = (x - y).groupby(level="seed").mean().dropna()
-        seeds = paired_t_test(by_seed, np.zeros(len(by_seed)))
-        yield Comparison(kind, ours, theirs, metric, paired_t_test(x, y), seeds)
+        yield SCRIPT, row, script

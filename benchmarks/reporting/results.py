@@ -11,7 +11,7 @@ from typing import Any, Final
 import pandas as pd
 
 from benchmarks.protocol import labels
-from benchmarks.protocol.metrics import GREEDY, OWN_MASKS, SUCCESS, Metric
+from benchmarks.protocol.metrics import GREEDY, SUCCESS, Metric
 from benchmarks.protocol.plan import DESIGN, METHODS, expand, own_error
 from benchmarks.protocol.presets import as_dict, load_preset, preset_names
 from benchmarks.reporting.stats import Value, mean_interval, measured, over_seeds, wilson
@@ -19,18 +19,17 @@ from benchmarks.runs.store import RunFolder, Store
 
 TRACK_ORDER: Final = tuple(labels.TRACKS)
 Key = tuple[str, str, str, str]  # method, ablation, geometry, track
-LevelKey = tuple[float, str, float, str]  # noise, masks, error, acting
+LevelKey = tuple[float, float, str]  # noise, error, acting
 
 
 @dataclass(frozen=True)
 class Level:
-    """Under what test episodes were played: noise, masks, and the error of the base in mm.
+    """Under what test episodes were played: noise, the error of the base in mm, way of acting.
 
     An ``error`` of None stands for the bound of the run's own track.
     """
 
     noise: float = 0.0
-    masks: str = OWN_MASKS
     error: float | None = None
     acting: str = GREEDY
 
@@ -53,7 +52,10 @@ class Result:
         """A run from its folder; without a meta.json of its own, it has the one that is given."""
         config = folder.config()
         told = folder.meta() if meta is None else meta
-        return cls(config["cell"]["seed"], config, told, folder, folder.rows("episodes"))
+        rows = folder.rows("episodes")
+        if "masks" in rows:  # older runs were also played under other masks than their own
+            rows = rows[rows["masks"].fillna("own") == "own"].drop(columns="masks")
+        return cls(config["cell"]["seed"], config, told, folder, rows)
 
     @property
     def error(self) -> float:
@@ -64,13 +66,13 @@ class Result:
     def test(self, level: Level = MAIN) -> pd.DataFrame:
         """Test episodes at one level, by episode; not to be written to."""
         error = self.error if level.error is None else level.error
-        key = (level.noise, level.masks, error, level.acting)
+        key = (level.noise, error, level.acting)
         return self.levels.get(key, self.episodes.iloc[:0])
 
     @cached_property
     def levels(self) -> dict[LevelKey, pd.DataFrame]:
-        """Episodes by (noise, masks, error, acting); a column that is missing has its default."""
-        columns: dict[str, Any] = {"masks": OWN_MASKS, "error": self.error, "acting": GREEDY}
+        """Episodes by (noise, error, acting); a column that is missing has its default."""
+        columns: dict[str, Any] = {"error": self.error, "acting": GREEDY}
         rows = self.episodes.assign(
             **{
                 name: self.episodes[name].fillna(own) if name in self.episodes else own
@@ -78,8 +80,8 @@ class Result:
             }
         )
         found = {}
-        for (noise, masks, error, acting), part in rows.groupby(["noise", *columns]):
-            level = (float(str(noise)), str(masks), float(str(error)), str(acting))
+        for (noise, error, acting), part in rows.groupby(["noise", *columns]):
+            level = (float(str(noise)), float(str(error)), str(acting))
             found[level] = part.sort_values("episode").reset_index(drop=True)
         return found
 
@@ -99,6 +101,11 @@ class Group:
         return len(self.runs)
 
     @property
+    def known(self) -> bool:
+        """Whether there are runs, or are to be some."""
+        return bool(self.n or self.planned)
+
+    @property
     def absent(self) -> str:
         """What a cell says where no run is complete."""
         return "missing" if self.planned else "-"
@@ -106,8 +113,8 @@ class Group:
     def value(self, metric: Metric, level: Level = MAIN) -> Value:
         """A metric of each seed's test episodes, over seeds, with a 95 % interval.
 
-        One seed: over its episodes, Wilson's interval of a proportion and else the bootstrap of a
-        mean. Several: the stratified bootstrap over seeds.
+        Several seeds: Student's interval over seeds. One: over its episodes, Wilson's interval of
+        a proportion and else the bootstrap of a mean.
         """
         tests = [rows for rows in (run.test(level) for run in self.runs) if len(rows)]
 
@@ -220,7 +227,7 @@ class Results:
         return [(method, group) for method, group in found if group.n or group.planned]
 
     def levels(self) -> list[LevelKey]:
-        """(noise, masks, error, acting) at which any run was tested, in order."""
+        """(noise, error, acting) at which any run was tested, in order."""
         return sorted({level for run in self.all() for level in run.levels})
 
     def all(self) -> list[Result]:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from benchmarks.protocol import labels
 from benchmarks.protocol.knowledge import Knowledge, knowledge
-from benchmarks.protocol.metrics import HOLES, PAPER_MASKS, Metric
+from benchmarks.protocol.metrics import EXPLORING, HOLES, Metric
 from benchmarks.protocol.plan import CONTROLS, LEARNERS, METHODS, OPTIMUM_AT_ONCE
 from benchmarks.reporting.results import MAIN, Group, Level, Results, excess_over_optimum
 from benchmarks.reporting.stats import Value
 from benchmarks.reporting.tables.table import Cell, Number
 
-# of a policy that is tested under the paper's own masks, which remember nothing
-PAPERS: Final = {"mask_singularities": False, "mask_visited": 0, "mask_refused": False}
 KNOWS: Final = ("Masks", "Memory")  # headers of what stands behind a method's name
+AS_TRAINED: Final = Level(acting=EXPLORING)
+SCORED: Final = ("repaired", "safe")  # tracks of the headline; the first that a store has
 
 
 @dataclass(frozen=True)
@@ -32,23 +32,24 @@ class Row:
     @property
     def knows(self) -> Knowledge:
         """Its masks and memory."""
-        settings = self.settings
-        if settings is not None and self.level.masks == PAPER_MASKS:
-            settings = settings | PAPERS
-        return knowledge(self.method, settings)
+        return knowledge(self.method, self.settings)
 
     @property
     def name(self) -> str:
-        """The method and its track in words."""
-        name = labels.METHODS[self.method]
-        if self.track:
-            name += f", {labels.track(self.track)}"
-        return f"{name}, the paper's masks" if self.level.masks == PAPER_MASKS else name
+        """The method and its track in words; all six components off is a method of its own."""
+        masked = self.group.n and self.group.runs[0].config["cell"]["ablation"] == "none"
+        name = labels.MASKED_DQN if masked else labels.METHODS[self.method]
+        return f"{name}, {labels.track(self.track)}" if self.track else name
 
     @property
     def head(self) -> list[Cell]:
         """The first cells of the row: its name, masks and memory."""
         return [self.name, self.knows.masks, self.knows.memory]
+
+    def as_trained(self) -> Row:
+        """The same runs as their method explores, where they were tested so; else the row."""
+        other = replace(self, level=AS_TRAINED)
+        return other if other.success().n else self
 
     def value(self, metric: Metric) -> Value:
         """A metric of its tests."""
@@ -64,12 +65,18 @@ class Row:
 
     def cell(self, value: Value, digits: int = 1, paper: str = "", suffix: str = "") -> Cell:
         """A value of the row, or the word for its absence."""
-        return cell(self.group, value, digits, paper, suffix)
+        return Number(value, digits, suffix, paper) if self.group.n else self.group.absent
+
+    def tested(self, level: Level) -> Cell:
+        """The success rate at another level, or a dash if it was not tested there."""
+        value = self.group.success(level)
+        return self.cell(value) if value.n or not self.group.n else "-"
 
 
-def cell(group: Group, value: Value, digits: int = 1, paper: str = "", suffix: str = "") -> Cell:
-    """A value of a group, or the word for its absence."""
-    return Number(value, digits, suffix, paper) if group.n else group.absent
+def scored(results: Results) -> str:
+    """The track of a store's headline."""
+    found = [track for track in SCORED if row_of(results, "rainbow", track).group.known]
+    return found[0] if found else SCORED[0]
 
 
 def row_of(
@@ -88,22 +95,18 @@ def rows(
     """All methods that are planned or were run, track by track, then the planners of none.
 
     Of robots that move one at a time: those that move at once have a table of their own.
-    A learner that was also tested under the paper's own masks has a second row for it.
     """
     found, in_turn = [], [method for method in among if method != OPTIMUM_AT_ONCE]
     for track in [t for t in results.tracks() if results.uncertain(t) == uncertain]:
-        for method, _ in results.methods(track, among, geometry):
-            row = row_of(results, method, track, geometry)
-            found.append(row)
-            papers = row_of(results, method, track, geometry, level=Level(masks=PAPER_MASKS))
-            if method in LEARNERS and papers.success().n:
-                found.append(papers)
+        for method in among:
+            found.append(row_of(results, method, track, geometry))
+            if method == "rainbow":
+                found.append(row_of(results, method, track, geometry, "none"))
     if uncertain:  # a method on all tracks of the machine together, the ceiling last
         found.sort(key=lambda row: (row.method == "optimum", METHODS.index(row.method)))
     else:
-        for method, _ in results.methods("", in_turn, geometry):
-            found.append(row_of(results, method, "", geometry))
-    return found
+        found += [row_of(results, method, "", geometry) for method in in_turn]
+    return [row for row in found if row.group.known]
 
 
 def complete(found: Iterable[Row]) -> list[Row]:
@@ -129,9 +132,20 @@ def best(found: Iterable[Row]) -> Row | None:
 
 
 def control_of(results: Results, row: Row, geometry: str = "optimized") -> Row | None:
-    """The best control that knows just what a learner knows; None where none is complete."""
+    """The best control with a learner's masks, memory, ending and way of acting; None if none."""
     found = rows(results, CONTROLS, results.uncertain(row.track), geometry)
-    return best(control for control in found if control.knows == row.knows)
+    alike = [each for each in found if each.knows == row.knows and _ends(each) == _ends(row)]
+    return best(each.as_trained() if row.level == AS_TRAINED else each for each in alike)
+
+
+def _ends(row: Row) -> str:
+    return str((row.settings or {}).get("collision", "refuse"))
+
+
+def best_script(results: Results) -> Row | None:
+    """Of the uncertain machine: the best method that neither learns nor knows the machine."""
+    scripts = [m for m in METHODS if m not in LEARNERS and m != "optimum"]
+    return best(rows(results, scripts, uncertain=True))
 
 
 def references(results: Results, track: str) -> list[Row]:

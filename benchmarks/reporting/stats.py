@@ -187,11 +187,11 @@ def mean_interval(values: ArrayLike) -> tuple[float, float]:
 
 
 def measured(values: Sequence[float], alone: Callable[[], tuple[float, float]]) -> Value:
-    """One number per seed as their mean with its 95 % interval, which ``alone`` gives for one."""
+    """One number per seed as their mean with Student's 95 % interval; of one seed ``alone``'s."""
     value = over_seeds(values)
     if value.n == 0:
         return value
-    low, high = mean_interval(values) if value.n > 1 else alone()
+    low, high = t_interval(value.mean, value.std, value.n) if value.n > 1 else alone()
     return replace(value, low=low, high=high)
 
 

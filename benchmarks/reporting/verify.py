@@ -15,8 +15,8 @@ from typing import Final
 import pandas as pd
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol.knowledge import explores, plays_bare
-from benchmarks.protocol.metrics import EXPLORING, GREEDY, OWN_MASKS, PAPER_MASKS
+from benchmarks.protocol.knowledge import explores
+from benchmarks.protocol.metrics import EXPLORING, GREEDY
 from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.pages import gallery, includes
@@ -179,16 +179,14 @@ def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...],
         found = sorted(column.astype(float).unique().tolist())
         if found != sorted(wanted):
             problems.append(f"episodes.csv has {name} {found}, not {wanted}")
-    bare = plays_bare(cell.method, result.config.get("track")) and not evaluation.get("exploring")
-    wanted_masks = {OWN_MASKS, PAPER_MASKS} if bare else {OWN_MASKS}
-    masks_found = {masks for _, masks, _, _ in result.levels}
-    if masks_found != wanted_masks:
-        problems.append(f"episodes.csv has masks {sorted(masks_found)}, not {sorted(wanted_masks)}")
-    acting = {acting for _, _, _, acting in result.levels}
-    if acting != ({GREEDY, EXPLORING} if explores(cell.method, evaluation) else {GREEDY}):
-        problems.append(f"episodes.csv has acting {sorted(acting)}, as its settings do not say")
-    for (noise, masks, error, acts), episodes in result.levels.items():
-        where = f"noise {noise}, masks {masks}, error {error:g} mm, acting {acts}"
+    acting = {acting for _, _, acting in result.levels}
+    wanted_acting = [EXPLORING, GREEDY] if explores(cell.method, evaluation) else [GREEDY]
+    if sorted(acting) != wanted_acting:
+        problems.append(f"episodes.csv has acting {sorted(acting)}, not {wanted_acting}")
+    task = str(result.config.get("track", {}).get("task"))
+    where_from = (cell.geometry, task, bool(result.error))
+    for (noise, error, acts), episodes in result.levels.items():
+        where = f"noise {noise}, error {error:g} mm, acting {acts}"
         if episodes["episode"].tolist() != list(range(len(seeds))):
             problems.append(
                 f"episodes.csv has {len(episodes)} rows at {where}, not one for each of the "
@@ -197,7 +195,7 @@ def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...],
         elif episodes["reset_seed"].tolist() != seeds:
             problems.append(f"episodes.csv has rows at {where} of other than the test seeds")
         for seed, start in zip(episodes["reset_seed"], episodes["start"].astype(str), strict=True):
-            before = starts.setdefault((cell.geometry, bool(result.error), error, seed), start)
+            before = starts.setdefault((*where_from, error, seed), start)
             if before != start:
                 problems.append(
                     f"episodes.csv: the episode of seed {seed} began at {start}, in another run "

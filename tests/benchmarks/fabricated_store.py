@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from benchmarks.protocol.knowledge import plays_bare
+from benchmarks.protocol.knowledge import explores
 from benchmarks.protocol.plan import Cell, expand, settings
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.protocol.seeding import episode_seeds
@@ -76,26 +76,27 @@ def levels_of(preset: Preset, cell: Cell) -> list[dict[str, Any]]:
     track = preset.tracks.get(cell.track)
     if track is not None and track.sim_to_real:
         return [{"noise": 0.0, "error": error} for error in preset.evaluation.errors]
-    if not cell.learns and not cell.method.endswith("_observed"):
-        return [{"noise": 0.0}]
-    levels = [{"noise": noise, "masks": "own"} for noise in preset.evaluation.noise]
-    if track is not None and plays_bare(cell.method, dataclasses.asdict(track)):
-        levels.append({"noise": 0.0, "masks": "paper"})
+    sees = not cell.learns and not cell.method.endswith("_observed")
+    levels: list[dict[str, Any]] = [
+        {"noise": noise} for noise in ([0.0] if sees else preset.evaluation.noise)
+    ]
+    if explores(cell.method, dataclasses.asdict(preset.evaluation)):
+        levels.append({"noise": 0.0, "acting": "exploring"})
     return levels
 
 
 def fill(store: Store, preset: Preset, cell: Cell, solved: int, moves: int) -> None:
     """A complete run that solves the first ``solved`` episodes.
 
-    One fewer with noise, two fewer under the paper's masks, one more without an error of the base.
+    One fewer with noise, one more exploring, one more without an error of the base.
     """
     run = store.run(cell.id)
     run.begin(settings(preset, cell))
     seeds = episode_seeds(cell.seed, EPISODES, preset.evaluation.stream)
     rows = []
     for level in levels_of(preset, cell):
-        fewer = (level["noise"] > 0) + 2 * (level.get("masks") == "paper")
-        fewer -= level.get("error") == 0.0
+        fewer = int(level["noise"] > 0)
+        fewer -= level.get("error") == 0.0 or level.get("acting") == "exploring"
         rows += [
             {**episode(i, level["noise"], i < solved - fewer, moves), **level, "reset_seed": seed}
             for i, seed in enumerate(seeds)

@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from benchmarks.protocol import labels, paper_values
 from benchmarks.protocol.metrics import N_HOLES
 from benchmarks.protocol.plan import LEARNERS, PLANNERS
-from benchmarks.reporting.compared import SCORED
 from benchmarks.reporting.figures.curves import look
 from benchmarks.reporting.figures.style import Picture, canvas, finish, legend_below
 from benchmarks.reporting.results import MAIN, Group, Level, Results
-from benchmarks.reporting.rows import Row, complete, control_of, references, rows
+from benchmarks.reporting.rows import Row, complete, control_of, references, rows, scored
 from benchmarks.reporting.stats import Value, profile_over_seeds
 from benchmarks.reporting.tables.compare import printed_spread
-from benchmarks.reporting.tables.paper import NOISY, ablated, noise_levels
+from benchmarks.reporting.tables.paper import NOISY, noise_levels
 from benchmarks.reporting.tables.uncertain import error_levels
 
 THRESHOLDS: Final = np.linspace(0.0, 1.0, 101)
@@ -67,7 +66,7 @@ def comparisons(results: Results) -> list[Picture]:
             "Success rate with one component removed: ours with 95 % intervals, the paper's with "
             "its standard deviation.",
             f"Dot chart of success rates. {'; '.join(texts)}.",
-            partial(_ablation_comparison, components, references(results, SCORED)),
+            partial(_ablation_comparison, components, references(results, scored(results))),
         ))  # fmt: skip
     return found
 
@@ -211,7 +210,7 @@ def _alt_of_errors(results: Results) -> str:
 
 def _ablation_rows(results: Results) -> list[tuple[str, str, Value, str]]:
     found = []
-    for track in ablated(results):
+    for track in [scored(results)]:
         for key, title in labels.ABLATIONS.items():
             group = results.group("rainbow", track=track, ablation=key)
             if group.n:

@@ -11,68 +11,65 @@ from pathlib import Path
 from typing import Final
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol.metrics import HOLES
-from benchmarks.protocol.paper_values import PERFORMANCE
 from benchmarks.reporting.pages import blocks
 from benchmarks.reporting.results import Results
-from benchmarks.reporting.rows import KNOWS
 from benchmarks.reporting.tables.paper import build_tables
-from benchmarks.reporting.tables.table import Cell, Table
-from benchmarks.reporting.verdicts import headline_rows, sentences
+from benchmarks.reporting.tables.table import Cell, Number, Table
+from benchmarks.reporting.verdicts import of_six, sentences
 from benchmarks.runs.store import Store
 
 BEGIN: Final = "<!-- results:begin -->"
 END: Final = "<!-- results:end -->"
-SHORT: Final = ("safe", "memory", "printed", "uncertain", "geometry")  # the five of the README
+SHORT: Final = ("performance", "components", "geometry")  # the sentences of the README
 # of the page of science: heading, sentences, tables, figures with what they show
 SECTIONS: Final[tuple[tuple[str, tuple[str, ...], tuple[str, ...], dict[str, str]], ...]] = (
-    ("What reproduces", ("safe", "memory", "printed", "ablation", "geometry"), ("performance",),
+    ("Performance", ("performance",), ("performance", "controls"),
      {"performance_profile": "Share of test episodes above a score"}),
-    ("Where learning pays, and where a script does as well", ("pays",), ("significance",), {}),
+    ("Ablation", ("components",), ("ablation",),
+     {"ablation_comparison": "Success with one component removed"}),
+    ("Geometry", ("geometry",), ("geometry", "design"), {}),
+    ("As printed", ("printed",), (), {}),
+    ("All methods", (), ("leaderboard", "significance"), {}),
+    ("Noise on the observation", (), ("robustness",), {"robustness": "Success over noise"}),
     ("The uncertain machine", ("uncertain",), ("uncertain",),
      {"errors": "Success over the size of the base's displacement"}),
-    ("Noise on the observation", (), ("robustness",), {"robustness": "Success over noise"}),
-    ("One component removed", (), ("ablation",),
-     {"ablation_comparison": "Success with one component removed"}),
-    ("The geometry", (), ("design", "geometry"), {}),
 )  # fmt: skip
 
 
 def short(store: Store, tables: list[Table]) -> str:
-    """What README shows: where it comes from, five sentences, one table."""
-    results, told = Results(store), sentences(Results(store))
-    listed = "\n".join(f"- {told[topic]}" for topic in SHORT if topic in told)
-    parts = [provenance(results, store.folder.name), headline_table(results).markdown(), listed]
-    return "\n\n".join(part.strip() for part in parts if part)
+    """What README shows: three sentences and a table of six rows."""
+    results = Results(store)
+    told = sentences(results)
+    parts = [told[topic] for topic in SHORT if topic in told]
+    return "\n\n".join(part.strip() for part in [*parts, six(results).markdown()])
 
 
-def headline_table(results: Results) -> Table:
-    """Table of at most eight rows: headlines, the best scripts with the same knowledge, ends."""
-    header = ["Method", *KNOWS, "Success (%)", "Paper", "Holes", "Moves over optimum (%)"]
-    made: list[list[Cell]] = []
-    for row in headline_rows(results):
-        printed = {} if results.uncertain(row.track) else PERFORMANCE["success"]
-        paper = printed.get(row.method, "-")
-        cells = [row.cell(row.success()), paper, row.cell(row.value(HOLES), HOLES.digits)]
-        made.append([*row.head, *cells, row.cell(row.excess(results))])
-    title = "Mean ± std over seeds of the test episodes, whose starts are the same for all"
-    return Table("headline", title, header, made, left=(0, 1, 2))
+def six(results: Results) -> Table:
+    """The README's table: success rates, paper and ours."""
+    made: list[list[Cell]] = [
+        [name, paper, Number(value, digits) if value else "missing"]
+        for name, paper, value, digits in of_six(results)
+    ]
+    return Table("six", "Success rate (%) on the test episodes", ["Method", "Paper", "Ours"], made)
 
 
 def science(store: Store, tables: list[Table]) -> str:
     """What docs/results.md shows: sentences, tables and figures by question."""
     results, told = Results(store), sentences(Results(store))
     by_name = {table.name: table for table in tables}
-    parts = [provenance(results, store.folder.name)]
+    parts = []
     for heading, topics, names, figures in SECTIONS:
-        parts.append(f"## {heading}")
-        listed = "\n".join(f"- {told[topic]}" for topic in topics if topic in told)
-        parts += [listed, *(by_name[name].markdown() for name in names)]
+        shown = [told[topic] for topic in topics if topic in told]
+        shown += [by_name[name].markdown() for name in names if by_name[name].rows]
+        if not shown:
+            continue
+        parts += [f"## {heading}", *shown]
         parts += [
             f"![{alt}](../results/{store.folder.name}/figures/{name}.png)"
             for name, alt in figures.items()
             if (store.figures / f"{name}.png").is_file()
         ]
+    parts.append(provenance(results, store.folder.name))
     return "\n\n".join(part.strip() for part in parts if part.strip())
 
 

@@ -6,16 +6,13 @@ from dataclasses import dataclass
 from typing import Final
 
 from benchmarks.protocol.knowledge import Knowledge, knowledge
-from benchmarks.protocol.metrics import HOLES, METRICS
-from benchmarks.protocol.plan import CONTROLS, LEARNERS
-from benchmarks.reporting.results import MAIN, Group, Level, Result, Results, excess_over_optimum
-from benchmarks.reporting.rows import KNOWS, complete, rows
+from benchmarks.protocol.metrics import HOLES
+from benchmarks.reporting.results import Group, Result, Results
+from benchmarks.reporting.rows import AS_TRAINED, KNOWS, complete, rows
 from benchmarks.reporting.tables.table import Cell, Number, Table
 from benchmarks.runs.store import Store
 
-GEOMETRY: Final = "optimized"
 OPTIMUM: Final = "Exact optimum"
-NOISE: Final = 0.01
 
 
 @dataclass(frozen=True)
@@ -23,31 +20,22 @@ class Place:
     """A method on the board."""
 
     name: str
-    kind: str
     knows: Knowledge
     group: Group
-    models: int  # trained networks behind the seeds; 0 for a planner or a control
 
 
 def places(store: Store, results: Results) -> list[Place]:
     """All methods on the nominal machine, the best success first; the optimum above them all."""
-    found = []
-    for row in complete(rows(results)):
-        if row.level != MAIN:
-            continue
-        learns = row.method in LEARNERS
-        kind = "learner" if learns else "control" if row.method in CONTROLS else "planner"
-        found.append(Place(row.name, kind, row.knows, row.group, learns * row.group.n))
+    found = [Place(row.name, row.knows, row.group) for row in complete(rows(results))]
     brought: dict[str, list[Result]] = {}
     for folder in store.entered():
         result = Result.read(folder)
         brought.setdefault(result.config["cell"]["method"], []).append(result)
     for name, runs in brought.items():
         entry = runs[0].config["entry"]
-        models = len({run.config["entry"]["sha256"] for run in runs} - {""})
         group = Group(tuple(sorted(runs, key=lambda run: run.seed)))
         knows = knowledge("", entry) if entry["sha256"] else knowledge("", None)
-        found.append(Place(name, f"brought: {entry['algorithm']}", knows, group, models))
+        found.append(Place(f"{name} (brought: {entry['algorithm']})", knows, group))
     return sorted(found, key=_order)
 
 
@@ -57,40 +45,22 @@ def _order(place: Place) -> tuple[bool, float, float, str]:
 
 
 def leaderboard(store: Store, results: Results) -> Table:
-    """Table "leaderboard": a row per method, ranked by success rate, then by holes filled."""
-    optimum = results.group("optimum", GEOMETRY)
-    all_holes, time_first = METRICS["all_holes"], METRICS["time_first"]
-    rows: list[list[Cell]] = []
+    """Table "leaderboard": a row per method, ranked by greedy success rate, then by holes."""
+    made: list[list[Cell]] = []
     rank = 0
     for place in places(store, results):
-        group = place.group
-        ceiling = place.name == OPTIMUM
+        group, ceiling = place.group, place.name == OPTIMUM
         rank += not ceiling
-        success = group.success()
-        rows.append([
-            "-" if ceiling else str(rank),
-            place.name,
-            "ceiling" if ceiling else place.kind,
-            place.knows.masks,
-            place.knows.memory,
-            Number(success, 1),
-            success.interval_text(1),
+        trained = group.success(AS_TRAINED)
+        made.append([
+            "ceiling" if ceiling else str(rank), place.name, place.knows.masks, place.knows.memory,
+            Number(group.success(), 1), Number(trained, 1) if trained.n else "-",
             Number(group.value(HOLES), HOLES.digits),
-            Number(group.value(all_holes), all_holes.digits),
-            Number(group.value(time_first), time_first.digits),
-            Number(excess_over_optimum(group, optimum), 1),
-            Number(group.success(Level(NOISE)), 1),
-            str(group.n),
-            str(place.models) if place.models else "-",
         ])  # fmt: skip
-    header = [
-        *("Rank", "Method", "Kind", *KNOWS, "Success (%)", "95 % interval"),
-        *("Holes (of 6)", "All six (%)", "First insertion (s)", "Moves over the optimum (%)"),
-        *(f"Success (%), noise {NOISE:g}", "Seeds", "Models"),
-    ]
+    header = ["Rank", "Method", *KNOWS, "Success (%)", "Exploring (%)", HOLES.label]
     notes = [
-        "Optimized geometry, all methods on the same initial states. Models: trained networks "
-        "behind the seeds; where there is one, the spread is that of the test episodes alone.",
+        "Optimized geometry, all methods on the same initial states; success and holes of greedy "
+        "acting. Exploring: learners as they were trained, scripts with 5 % of random moves.",
         "Join with one command: python -m benchmarks evaluate --model FILE --name NAME",
     ]
-    return Table("leaderboard", "Leaderboard", header, rows, notes, left=(0, 1, 2, 3, 4))
+    return Table("leaderboard", "Leaderboard", header, made, notes, left=(1, 2, 3))

@@ -54,10 +54,3 @@ def failure_notes(results: Results) -> list[str]:
             + f"; median planning time {1000 * pooled['plan_seconds'].median():.1f} ms."
         )
     return notes
-
-
-def interval_note(groups: list[Group]) -> str:
-    """Where a table's intervals come from."""
-    if max((group.n for group in groups), default=0) > 1:
-        return "Intervals: stratified bootstrap over seeds."
-    return "Intervals: Wilson's, over the test episodes of the one seed."

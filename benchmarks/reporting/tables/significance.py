@@ -1,44 +1,54 @@
-"""The table of paired tests, which the paper has not."""
+"""The table of comparisons, which the paper has not."""
 
 from __future__ import annotations
 
 import math
 
-from benchmarks.reporting.compared import comparisons
+from benchmarks.protocol.plan import LEARNERS
+from benchmarks.reporting.compared import Comparison, comparisons
 from benchmarks.reporting.results import Results
-from benchmarks.reporting.rows import KNOWS
+from benchmarks.reporting.rows import AS_TRAINED, Row
+from benchmarks.reporting.stats import Value
 from benchmarks.reporting.tables.table import Cell, Table
 
 
-def signed(number: float, digits: int) -> str:
+def signed(number: float, digits: int = 1) -> str:
     """The number with its sign, or a dash."""
     return "-" if math.isnan(number) else f"{number:+.{digits}f}"
 
 
+def difference(value: Value) -> str:
+    """``+3.1 [1.0, 5.2]``: a difference in points with its interval."""
+    interval = value.interval_text(1)
+    return signed(value.mean) + ("" if interval == "-" else f" {interval}")
+
+
+def p_text(value: float) -> str:
+    """A p, or a dash."""
+    return "-" if math.isnan(value) else "< 0.001" if value < 0.001 else f"{value:.2g}"
+
+
+def acting(row: Row) -> str:
+    """A row's way of acting, in words."""
+    if row.level != AS_TRAINED:
+        return "greedily"
+    return "as trained" if row.method in LEARNERS else "5 % random moves"
+
+
 def significance(results: Results) -> Table:
-    """Every comparison that a sentence rests on, paired over the same starts."""
-    header = [
-        *("Method", *KNOWS, "Against", *(f"Its {name.lower()}" for name in KNOWS), "Metric"),
-        *("Difference", "t", "p (Holm)", "Effect d_z", "Pairs", "p over seeds (Holm)", "Seeds"),
-    ]
-    found = comparisons(results)
-    made: list[list[Cell]] = []
-    for each in found:
-        test, digits = each.test, each.metric.digits
-        made.append([
-            each.name, *each.ours.head[1:], *each.theirs.head, each.metric.label,
-            signed(test.difference, digits), signed(test.t, 2), _p(each.p), signed(test.effect, 2),
-            str(test.n), _p(each.p_seeds), str(each.seeds.n),
-        ])  # fmt: skip
+    """Table "significance": every comparison that a sentence rests on, by question."""
+    header = ["Question", "Method", "Against", "Difference (points)", "p", "p (Holm)", "Seeds"]
+    made = [_row(each) for each in comparisons(results)]
     notes = [
-        "Two-sided paired t-tests over test episodes with the same initial state; the time to the "
-        "first insertion pairs only episodes in which both inserted. Holm over all rows.",
-        "p over seeds: the same test on one mean difference per seed. Episodes of a seed share one "
-        "trained network, so only this one speaks of training again; it needs two seeds.",
+        "Success rates, one difference per seed on the same starts (of the geometries: on their "
+        "own): mean with Student's 95 % interval, two-sided paired t-test, Holm within a question.",
     ]
-    title = "Learners against the best control with the same masks and memory, and other pairs"
-    return Table("significance", title, header, made, notes, left=(0, 1, 2, 3, 4, 5, 6))
+    return Table("significance", "Comparisons", header, made, notes, left=(0, 1, 2))
 
 
-def _p(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.2g}"
+def _row(each: Comparison) -> list[Cell]:
+    ours, theirs = (acting(row) for row in (each.ours, each.theirs))
+    return [
+        each.question, f"{each.name}, {ours}", f"{each.theirs.name}, {theirs}",
+        difference(each.difference), p_text(each.p), p_text(each.p_holm), str(each.difference.n),
+    ]  # fmt: skip

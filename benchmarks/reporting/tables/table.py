@@ -98,6 +98,7 @@ class Table:
         environment = "table" if len(self.header) <= NARROW else "table*"
         columns = "".join("l" if i in self.left else "c" for i in range(len(self.header)))
         lines = [
+            r"% needs \usepackage{booktabs}",
             rf"\begin{{{environment}}}[t]",
             rf"    \caption{{{_escape_latex(self.title)}}}",
             rf"    \label{{tab:{self.name}}}",

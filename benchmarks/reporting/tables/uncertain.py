@@ -6,38 +6,30 @@ beats a planner.
 
 from __future__ import annotations
 
-from typing import Final
-
-from benchmarks.protocol.metrics import HOLES, METRICS
+from benchmarks.protocol.metrics import HOLES
 from benchmarks.reporting.results import Level, Results
 from benchmarks.reporting.rows import KNOWS, complete, rows
 from benchmarks.reporting.tables.notes import of_rows, seeds_notes
 from benchmarks.reporting.tables.table import Cell, Table
 
-SHOWN: Final = (HOLES, METRICS["collisions"], METRICS["time_first"])
-
 
 def error_levels(results: Results) -> list[float]:
     """Bounds of the base's displacement, mm, that any run was tested at."""
     tested = [row.group for row in complete(rows(results, uncertain=True))]
-    return sorted(
-        {error for group in tested for run in group.runs for _, _, error, _ in run.levels}
-    )
+    return sorted({error for group in tested for run in group.runs for _, error, _ in run.levels})
 
 
 def uncertain(results: Results) -> Table:
-    """Table "uncertain": each method at its track's own bound, then at each level of error."""
+    """Table "uncertain": each method at its track's own bound, then at the ends."""
     levels = error_levels(results)
-    header = ["Method", *KNOWS, "Success (%)", "95 % interval"]
-    header += [metric.label for metric in SHOWN]
-    header += [f"Success (%) at {level:g} mm" for level in levels]
+    ends = [levels[0], levels[-1]] if levels else []
+    header = ["Method", *KNOWS, "Success (%)", HOLES.label]
+    header += [f"Success (%) at {level:g} mm" for level in ends]
     made: list[list[Cell]] = []
     found = rows(results, uncertain=True)
     for row in found:
-        success = row.success()
-        cells = [row.cell(success), success.interval_text(1)]
-        cells += [row.cell(row.value(metric), metric.digits) for metric in SHOWN]
-        cells += [row.cell(row.group.success(Level(error=level))) for level in levels]
+        cells = [row.cell(row.success()), row.cell(row.value(HOLES), HOLES.digits)]
+        cells += [row.cell(row.group.success(Level(error=level))) for level in ends]
         made.append([*row.head, *cells])
     bounds = sorted({run.error for row in found for run in row.group.runs})
     notes = seeds_notes(of_rows(found))

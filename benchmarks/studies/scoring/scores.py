@@ -201,7 +201,8 @@ def score_again(replay: Replay, console: Console) -> int:
 
 def _same(stored: RunFolder, again: RunFolder) -> bool:
     """Whether the rows are those of the first time."""
-    first, second = (folder.rows("episodes").drop(columns=[*TIMES]) for folder in (stored, again))
+    both = (Result.read(folder, {}).episodes for folder in (stored, again))
+    first, second = (rows.drop(columns=[*TIMES]).reset_index(drop=True) for rows in both)
     return first.equals(second)
 
 

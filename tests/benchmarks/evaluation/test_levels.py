@@ -1,4 +1,4 @@
-"""The levels of a cell: noise, errors of an uncertain machine, and the paper's masks."""
+"""The levels of a cell: noise, errors of an uncertain machine, and ways of acting."""
 
 from __future__ import annotations
 
@@ -61,17 +61,6 @@ def test_what_sees_the_state_is_played_without_noise(
     found = levels(preset, cell(method, track))
     assert [level.noise for level in found] == noise
     assert all(not level.columns for level in found)
-
-
-def test_learners_with_better_masks_play_under_the_papers_too(preset: Preset) -> None:
-    *own, paper = levels(preset, cell("rainbow", "memory"))
-    assert [(level.noise, level.columns) for level in own] == [
-        (0.0, {"masks": "own"}), (0.01, {"masks": "own"}),
-    ]  # fmt: skip
-    assert all(level.arguments["mask_visited"] == 64 for level in own)
-    assert (paper.noise, paper.columns) == (0.0, {"masks": "paper"})
-    changed = {"mask_singularities": False, "mask_visited": 0, "mask_refused": False}
-    assert paper.arguments == own[0].arguments | changed
 
 
 @pytest.mark.parametrize(

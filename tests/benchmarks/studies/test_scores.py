@@ -20,7 +20,7 @@ def replay(results: Path, episodes: int | None, starts: int | None) -> Replay:
 @pytest.mark.parametrize(
     ("method", "track", "found"),
     [
-        ("rainbow", "safe", [{"masks": "own"}, {"masks": "paper"}]),
+        ("rainbow", "safe", [{}]),
         ("greedy_observed", "safe", [{}]),
         ("greedy", "uncertain", [{"error": 3.0}]),
         ("rainbow", "uncertain_nominal", [{"error": 3.0}]),
