@@ -20,7 +20,7 @@ from benchmarks.methods.base import Plan
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.methods.team.env import DecentralizedEnv, each_for_itself, make_env
 from benchmarks.protocol.knowledge import explores
-from benchmarks.protocol.metrics import EXPLORING, RANDOM_MOVES
+from benchmarks.protocol.metrics import EXPLORING, GREEDY, RANDOM_MOVES
 from benchmarks.protocol.plan import CONTROLS, OPTIMUM_AT_ONCE, Cell, own_error
 from benchmarks.protocol.presets import Preset, as_dict
 from benchmarks.protocol.seeding import derive, episode_seeds
@@ -117,7 +117,8 @@ def evaluate_cell(
             noise_seed = derive("noise", cell.seed)
             chooser = _make_chooser(preset, cell, model, level.exploring)(episodes)
             play_together(chooser, episodes, level.noise, noise_seed, part)
-        rows += [episode.row(level.noise) | level.columns for episode in episodes]
+        acting = {"acting": GREEDY} if preset.evaluation.exploring else {}
+        rows += [episode.row(level.noise) | acting | level.columns for episode in episodes]
     return rows
 
 
