@@ -80,6 +80,8 @@ def levels_of(preset: Preset, cell: Cell) -> list[dict[str, Any]]:
     levels: list[dict[str, Any]] = [
         {"noise": noise} for noise in ([0.0] if sees else preset.evaluation.noise)
     ]
+    if preset.evaluation.exploring:
+        levels = [{**level, "acting": "greedy"} for level in levels]
     if explores(cell.method, dataclasses.asdict(preset.evaluation)):
         levels.append({"noise": 0.0, "acting": "exploring"})
     return levels

@@ -27,7 +27,6 @@ SECTIONS: dict[str, type] = {
     "Curriculum": presets.Curriculum,
     "Hyperparameters": presets.Hyperparameters,
     "PPO": presets.PPOSettings,
-    "Recurrent": presets.RecurrentSettings,
     "Controls": presets.Controls,
     "Planner": presets.PlannerSettings,
     "Design": presets.DesignSettings,
