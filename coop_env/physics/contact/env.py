@@ -46,6 +46,9 @@ def make_machine(
         PAPER_TASK if holes is None else as_dataclass("holes", holes, InsertionTask),
         Servos() if servos is None else as_dataclass("servos", servos, Servos),
         task.peg,
+        task.timestep,
+        task.contact_time,
+        task.effector_play,
     )
 
 
