@@ -5,8 +5,7 @@
 Each policy of the whole algorithm that the preset's store holds for the optimized geometry (a fresh
 clone has those of the README's table) becomes a folder of ``hub/<preset>/``: the model, a card with
 command, results and versions, its settings, and the arguments of its environment. The card's return
-is measured anew, on starts of no test; its success is that of the stored test episodes. A policy
-that names code other than Stable-Baselines3's and Rainbow's own is refused before it is loaded.
+is measured anew, on starts of no test; its success is that of the stored test episodes.
 """
 
 from __future__ import annotations
@@ -67,31 +66,32 @@ def package(preset: Preset, cell: Cell, run: RunFolder, folder: Path, episodes: 
     """Write one policy's package to ``folder``, in the place of what is there.
 
     Raises:
-        BenchmarkError: the policy names unknown code, or is none of Rainbow.
+        BenchmarkError: the policy cannot be loaded, or has no form without a pickle.
     """
     from stable_baselines3.common.vec_env import VecMonitor
 
+    from benchmarks.evaluation.model_files import load_stored
     from coop_env.vector.vec_env import CoopInsertionVecEnv
     from sb3_rainbow.zoo import hub
     from sb3_rainbow.zoo.files import ZooError
 
-    try:
-        model = hub.load(run.policy, buffer_size=1, device="cpu")
-    except ZooError as error:
-        raise BenchmarkError(str(error)) from error
+    model = load_stored(run.policy)
     given = env_arguments(preset, cell, preset.tracks[cell.track])
     arguments = {name: value for name, value in given.items() if value}
     env = VecMonitor(CoopInsertionVecEnv(1, seed=derive("fresh", cell.seed), **arguments))
     shutil.rmtree(folder, ignore_errors=True)
-    hub.package(
-        model,
-        ENV_ID,
-        folder,
-        eval_env=env,
-        command=f"python -m benchmarks train --preset {preset.name} --cell {cell.id}",
-        n_eval_episodes=episodes,
-        about=_about(preset, cell, run),
-    )
+    try:
+        hub.package(
+            model,
+            ENV_ID,
+            folder,
+            eval_env=env,
+            command=f"python -m benchmarks train --preset {preset.name} --cell {cell.id}",
+            n_eval_episodes=episodes,
+            about=_about(preset, cell, run),
+        )
+    except ZooError as error:
+        raise BenchmarkError(f"{run.policy}: {error}") from error
     write_text(folder / "env_kwargs.yml", yaml.safe_dump(arguments))
     shutil.copy(run.path / "config.yaml", folder)
 

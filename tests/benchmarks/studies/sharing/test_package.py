@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import json
-import os
-import pickle
 import shutil
 import zipfile
 from pathlib import Path
@@ -17,19 +13,13 @@ import yaml
 
 import coop_env  # noqa: F401 - registers the task
 from benchmarks.__main__ import main
+from benchmarks.evaluation.model_files import load_model
 from benchmarks.runs.store import RunFolder
 from sb3_rainbow import Rainbow
 
 pytest.importorskip("rl_zoo3", reason="rl_zoo3 is not installed (extra zoo)")
 CELL = "rainbow-optimized-safe-s0"
 MODEL = "rainbow-CoopInsertion-v0.zip"
-
-
-class Payload:
-    """Runs code when it is unpickled."""
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return os.mkdir, ("pwned",)
 
 
 @pytest.fixture(scope="module")
@@ -54,15 +44,13 @@ def package(results: Path) -> int:
 def test_a_package_holds_the_policy_and_says_what_it_is(results: Path) -> None:
     from huggingface_hub import ModelCard
 
-    from sb3_rainbow.zoo import hub
-
     assert package(results) == 0
     folder = Path("hub/smoke") / CELL
     assert {path.name for path in folder.iterdir()} == {
         *(MODEL, "README.md", "results.json", "config.yaml", "env_kwargs.yml")
     }
     run = RunFolder(results / "smoke" / "runs" / CELL)
-    stored, packed = Rainbow.load(run.policy, buffer_size=1), hub.load(folder / MODEL)
+    stored, packed = Rainbow.load(run.policy, buffer_size=1), load_model(folder / MODEL)
     arguments = yaml.safe_load((folder / "env_kwargs.yml").read_text("utf-8"))
     assert arguments["mask_singularities"] is True
     env = gymnasium.make("CoopInsertion-v0", **arguments)
@@ -81,25 +69,14 @@ def test_a_package_holds_the_policy_and_says_what_it_is(results: Path) -> None:
     assert yaml.safe_load((folder / "config.yaml").read_text("utf-8")) == run.config()
 
 
-def test_a_policy_that_names_unknown_code_is_refused(
+def test_a_policy_that_is_not_the_runs_is_refused(
     results: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = RunFolder(results / "smoke" / "runs" / CELL)
-    old = run.policy.rename("old.zip")
-    with zipfile.ZipFile(old) as source, zipfile.ZipFile(run.policy, "w") as target:
-        data = json.loads(source.read("data"))
-        pickled = base64.b64encode(pickle.dumps(Payload())).decode()
-        data["anything"] = {":type:": "?", ":serialized:": pickled}
-        for name in source.namelist():
-            target.writestr(name, json.dumps(data) if name == "data" else source.read(name))
+    with zipfile.ZipFile(run.policy, "a") as archive:
+        archive.writestr("more", "")
     assert package(results) == 2
     assert "is not the policy that its meta.json is about" in capsys.readouterr().err
-    meta = run.meta()
-    meta["training"]["policy_sha256"] = run.policy_digest()
-    (run.path / "meta.json").write_text(json.dumps(meta), encoding="utf-8")
-    assert package(results) == 2
-    assert "it wants to run posix.mkdir" in capsys.readouterr().err
-    assert not Path("pwned").exists()
     assert not (Path("hub/smoke") / CELL).exists()
 
 
