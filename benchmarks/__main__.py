@@ -171,6 +171,8 @@ def _add_entry(model: argparse.ArgumentParser) -> None:
     )
     add("--name", default=None, help="on the leaderboard (default: the file's name)")
     add("--algorithm", "--algo", default=None, help="the model's class (default: found out)")
+    add("--trust", action="store_true",
+        help="load a --model that SB3 saved, which runs its author's code")  # fmt: skip
     add("--mask-singularities", action="store_true", help="as the model was trained")
     add("--mask-visited", type=int, default=0, metavar="N", help="as the model was trained")
     add("--replace", action="store_true", help="take the place of another entry of this name")

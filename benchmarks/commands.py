@@ -123,7 +123,7 @@ def evaluate(arguments: argparse.Namespace) -> int:
         if arguments.starts is not None:
             raise BenchmarkError("--starts is for stored policies, not for --model or --planner")
         return _evaluate_entry(arguments)
-    of_entries = ("name", "algorithm", "mask_singularities", "mask_visited", "replace")
+    of_entries = ("name", "algorithm", "trust", "mask_singularities", "mask_visited", "replace")
     given = [word for word in of_entries if getattr(arguments, word)]
     if given:
         raise BenchmarkError(
@@ -146,6 +146,7 @@ def _evaluate_entry(arguments: argparse.Namespace) -> int:
         tuple(arguments.model),
         arguments.algorithm,
         arguments.planner,
+        arguments.trust,
         arguments.mask_singularities,
         arguments.mask_visited,
     )

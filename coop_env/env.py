@@ -130,7 +130,7 @@ class CoopInsertionEnv(Rendered):
         max_moves: moves until truncation; 300 are the paper's 60 s.
         sim_to_real: None, ``"randomized"`` or a
             :class:`~coop_env.simulation.sim_to_real.SimToReal`.
-        render_mode: None, ``"rgb_array"``, ``"human"`` or ``"ansi"``.
+        render_mode: None, ``"rgb_array"`` or ``"ansi"``.
         delta: None, the standard robot, or a :class:`~coop_env.geometry.DeltaGeometry`.
         task: None, the paper's task, or an
             :class:`~coop_env.simulation.insertion_task.InsertionTask`: dome and holes, tolerances,

@@ -62,4 +62,4 @@ print(f"agreement on episodes held out: {(chosen == moves).float().mean():.2f}")
 model.save(f"cloned-{name}-s{seed}")
 # A look at the starts of `quick`, which are for validation; without --episodes it joins the board
 words = ["evaluate", "--model", f"cloned-{name}-s{seed}.zip", "--name", "behaviour-cloning"]
-sys.exit(main([*words, "--mask-singularities", "--episodes", "20"]))
+sys.exit(main([*words, "--trust", "--mask-singularities", "--episodes", "20"]))

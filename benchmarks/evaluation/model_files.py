@@ -1,4 +1,9 @@
-"""Models that SB3 saved: which algorithm wrote a file, and whether it fits the task."""
+"""Models from files: which algorithm wrote one, whether it fits the task, and what loading runs.
+
+A run's policy is built anew from the settings beside it, a packaged model is numbers and words:
+loading these runs nothing. Any other file of SB3's holds pickles, and is loaded only where its
+author is trusted.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +14,16 @@ from typing import Any, Final
 
 import numpy as np
 from gymnasium import spaces
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.save_util import load_from_zip_file
 
 from benchmarks.errors import BenchmarkError, known
-from benchmarks.methods.learners import ALGORITHMS
+from benchmarks.methods.learners import ALGORITHMS, build_small
+from benchmarks.protocol.plan import Cell
+from benchmarks.protocol.presets import Preset, read_yaml
+from benchmarks.protocol.strict import build
 from coop_env.env import CoopInsertionEnv
+from sb3_rainbow.zoo.files import is_model_file
 
 # the module of a saved policy class, from its start -> the algorithm that saves it
 _POLICIES: Final = {
@@ -52,9 +63,10 @@ def detect_algorithm(path: Path) -> str:
     """
     if not path.is_file():
         raise BenchmarkError(f"{path} is missing; give a .zip that model.save() wrote")
+    if is_model_file(path):
+        return "rainbow"
     try:
-        with zipfile.ZipFile(path) as archive:
-            data = json.loads(archive.read("data"))
+        data = _plain_settings(path)
         module = str(data["policy_class"]["__module__"])
     except (zipfile.BadZipFile, KeyError, TypeError, ValueError) as error:
         raise BenchmarkError(
@@ -78,15 +90,62 @@ def detect_algorithm(path: Path) -> str:
     )
 
 
-def load_model(path: Path, algorithm: str | None = None) -> Any:
-    """A model saved by SB3, on the CPU.
+def _plain_settings(path: Path) -> dict[str, Any]:
+    """Settings of a model that SB3 saved; those that are no JSON stay the text of their pickle."""
+    with zipfile.ZipFile(path) as archive:
+        found: dict[str, Any] = json.loads(archive.read("data"))
+    return found
+
+
+def load_stored(path: Path) -> Any:
+    """The policy of a run, on the CPU, built anew from the run's config.yaml.
+
+    Of the file only the policy's arrays are read, by torch's ``weights_only=True``, and how much it
+    explores: its pickles stay closed.
+
+    Args:
+        path: the run's policy.zip.
+
+    Raises:
+        BenchmarkError: the settings are no learner's, or the policy is not theirs.
+    """
+    config = read_yaml(path.with_name("config.yaml"))
+    try:
+        cell = Cell(**config["cell"])
+        data = {
+            **{"name": "stored", "description": "", "seeds": [cell.seed], "runs": []},
+            "evaluation": config["evaluation"],
+            "tracks": {cell.track: config["track"]},
+            "geometries": {cell.geometry: config["dimensions"]} if "dimensions" in config else {},
+        }
+        model = build_small(build(Preset, data, f"{path.parent}: config.yaml"), cell)
+        set_weights(model, path)
+        exploring = float(_plain_settings(path).get("exploration_rate", 0.0))
+    except (KeyError, TypeError, ValueError, RuntimeError, zipfile.BadZipFile) as error:
+        raise BenchmarkError(
+            f"{path} is not what the config.yaml beside it says: {error}"
+        ) from error
+    model.exploration_rate = exploring  # type: ignore[attr-defined]
+    return model
+
+
+def set_weights(model: BaseAlgorithm, path: Path) -> None:
+    """Give a model the policy's arrays of a file that SB3 saved, and open none of its pickles."""
+    _, parameters, _ = load_from_zip_file(path, load_data=False, device="cpu")
+    model.set_parameters({"policy": parameters["policy"]}, exact_match=False)
+
+
+def load_model(path: Path, algorithm: str | None = None, trust: bool = False) -> Any:
+    """A model from a file, on the CPU: a run's policy, a packaged Rainbow, or what SB3 saved.
 
     Args:
         path: the file.
         algorithm: which class loads it; None finds out.
+        trust: whether to load what SB3 saved, which **runs its author's code**.
 
     Raises:
-        BenchmarkError: the algorithm is unknown, or the file is missing or not its model.
+        BenchmarkError: the algorithm is unknown, or the file is missing, not its model, or of an
+            author who has to be trusted.
     """
     choices = algorithms()
     if algorithm is not None and algorithm not in choices:
@@ -94,6 +153,15 @@ def load_model(path: Path, algorithm: str | None = None) -> Any:
     name = detect_algorithm(path) if algorithm is None else algorithm
     if not path.is_file():
         raise BenchmarkError(f"{path} is missing; give a .zip that model.save() wrote")
+    if path.name == "policy.zip" and path.with_name("config.yaml").is_file():
+        return load_stored(path)
+    if is_model_file(path):
+        return _load_packaged(path)
+    if not trust:
+        raise BenchmarkError(
+            f"{path}: a model that SB3 saved runs its author's code when it is loaded; add --trust "
+            "if you made it, or trust who did"
+        )
     try:
         return choices[name].load(path, device="cpu")
     except (
@@ -101,6 +169,17 @@ def load_model(path: Path, algorithm: str | None = None) -> Any:
         zipfile.BadZipFile,
     ) as error:  # fmt: skip
         raise BenchmarkError(f"{path} is no model of '{name}': {error}") from error
+
+
+def _load_packaged(path: Path) -> Any:
+    try:
+        from sb3_rainbow.zoo.model_file import read_model
+    except ImportError as error:
+        raise BenchmarkError(f"{path} needs pip install '.[zoo]': {error}") from error
+    try:
+        return read_model(path, device="cpu")
+    except ValueError as error:
+        raise BenchmarkError(str(error)) from error
 
 
 def fitting_observation(model: Any, path: Path) -> str:

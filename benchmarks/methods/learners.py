@@ -124,6 +124,16 @@ def _build_ppo(track: Track, cell: Cell, env: VecMonitor, device: str) -> BaseAl
     )
 
 
+def build_small(preset: Preset, cell: Cell) -> BaseAlgorithm:
+    """The learner of a cell, untrained and without room for its whole replay buffer."""
+    track = preset.tracks[cell.track]
+    small = min(track.hyperparameters.buffer_size, CHECKED_BUFFER)
+    h = replace(track.hyperparameters, buffer_size=small)
+    tracks = {**preset.tracks, cell.track: replace(track, hyperparameters=h)}
+    mine = replace(preset, tracks=tracks)
+    return build_model(mine, cell, make_training_env(mine, cell))
+
+
 def check_cells(preset: Preset, cells: Sequence[Cell]) -> None:
     """Build each kind of these learning cells once, so that what is impossible fails at once.
 
@@ -132,14 +142,8 @@ def check_cells(preset: Preset, cells: Sequence[Cell]) -> None:
     """
     kinds = {(cell.method, cell.ablation, cell.geometry, cell.track): cell for cell in cells}
     for cell in kinds.values():
-        track = preset.tracks[cell.track]
-        # settings alone are looked at: room for the whole replay buffer is not
-        small = min(track.hyperparameters.buffer_size, CHECKED_BUFFER)
-        h = replace(track.hyperparameters, buffer_size=small)
-        tracks = {**preset.tracks, cell.track: replace(track, hyperparameters=h)}
-        mine = replace(preset, tracks=tracks)
         try:
-            build_model(mine, cell, make_training_env(mine, cell))
+            build_small(preset, cell)
         except (ValueError, TypeError, AssertionError, ZeroDivisionError) as error:
             raise BenchmarkError(
                 f"preset '{preset.name}': cell {cell.id} is impossible: {error}"

@@ -210,7 +210,7 @@ def _map(axes: Axes, rows: pd.DataFrame) -> None:
 
 def main(words: Sequence[str]) -> int:
     """Play, tell, draw."""
-    from benchmarks.methods.learners import ALGORITHMS
+    from benchmarks.evaluation.model_files import load_stored
 
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks failures",
@@ -241,7 +241,7 @@ def main(words: Sequence[str]) -> int:
         for cell in cells:
             run = store.run(cell.id)
             run.check_config(settings(preset, cell))
-            model = ALGORITHMS[cell.method].load(run.policy, device="cpu")
+            model = load_stored(run.policy)
             # the share that it solved in the last tenth of its training, with its exploration
             acting = tail_mean(run.rows("curve"), "success")
             played = play(preset, cell, model, oracle, lambda: bar.advance(job))

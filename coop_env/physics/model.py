@@ -8,12 +8,14 @@ Numbers without another source are of the prototype in section 11 of the specifi
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from coop_env.errors import ArgumentError, check_flag, check_number
 from coop_env.geometry import DELTA, OPTIMIZED, DeltaGeometry, GeometryError, RRSGeometry
@@ -34,7 +36,15 @@ from coop_env.simulation.task import EnvParams, make_params
 
 TIP_SHAPES: Final = ("flat", "capsule")
 TIMESTEP: Final = 0.002
-"""s; a contact's time constant is 2.5 of them, an equality's 2."""
+"""s, unless the task asks for another."""
+CONTACT_TIME: Final = 0.005
+"""Time constant of a contact, s. It sets the forces and is no property of the integration: the dome
+gives way like a critically damped spring that takes so long (``docs/physics.md``)."""
+DELTA_RANGE: Final = (-0.75 * math.pi, 0.75 * math.pi)
+"""Of the Delta's actuated angles, rad: beyond a pose's own limits, short of the arm's own base."""
+LOOP_TIME: Final = 0.004
+"""Time constant of the ties that close loops, s: the stiffest that TIMESTEP can have."""
+_PLAY_DAMPING: Final = 0.005  # of the effector's tilt within its play, N m s/rad
 _DELTA_BITS: Final = {"contype": 1, "conaffinity": 0}  # the Delta's bodies touch the 3-RRS's alone
 _RRS_BITS: Final = {"contype": 0, "conaffinity": 1}
 
@@ -122,13 +132,21 @@ class Peg:
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """All that the model is written from."""
+    """All that the model is written from.
+
+    ``timestep`` and ``contact_time`` in s; ``effector_play``, rad, is by how much the Delta's
+    effector may tilt about x and about y, to both sides, before its rods stop it. Zero keeps it
+    upright.
+    """
 
     rrs: RRSGeometry = OPTIMIZED
     delta: DeltaGeometry = DELTA
     task: InsertionTask = PAPER_TASK
     servos: Servos = Servos()
     peg: Peg = Peg()
+    timestep: float = TIMESTEP
+    contact_time: float = CONTACT_TIME
+    effector_play: float = 0.0
 
     def kernel_params(self) -> EnvParams:
         """The same machine as the kinematic kernels take it.
@@ -181,17 +199,18 @@ def build_mjcf(machine: Machine) -> ET.Element:
     root = ET.Element("mujoco", model="coop_insertion")
     _add(root, "compiler", angle="radian", autolimits="true")
     option = _add(
-        root, "option", timestep=TIMESTEP, integrator="implicitfast", solver="Newton",
-        cone="elliptic", impratio=5,
+        root, "option", timestep=machine.timestep, integrator="implicitfast", solver="Newton",
+        cone="elliptic", impratio=5, ccd_tolerance=1e-8, ccd_iterations=100,
     )  # fmt: skip
+    # by default a peg that slides from one stave to the next may be taken for 3 mm deep in its side
     # a simulation that diverges is to be seen as such; islands cost more than they save here
     _add(option, "flag", autoreset="disable", island="disable")
     default = _add(root, "default")
     _add(
-        default, "geom", solref=[2.5 * TIMESTEP, 1.0], solimp=[0.95, 0.99, 0.0002], condim=3,
+        default, "geom", solref=[machine.contact_time, 1.0], solimp=[0.95, 0.99, 0.0002], condim=3,
         friction=[machine.peg.friction, 0.005, 0.0001], contype=0, conaffinity=0,
     )  # fmt: skip
-    _add(default, "equality", solref=[2.0 * TIMESTEP, 1.0], solimp=[0.99, 0.999, 0.0001])
+    _add(default, "equality", solref=[LOOP_TIME, 1.0], solimp=[0.99, 0.999, 0.0001])
     asset, world = _add(root, "asset"), _add(root, "worldbody")
     _add(world, "light", pos=[0.5, -0.8, 1.6], dir=[-0.3, 0.5, -1.0])
     _add_rrs(world, asset, machine, angles)
@@ -201,14 +220,22 @@ def build_mjcf(machine: Machine) -> ET.Element:
         for i in range(3 - n, 3):
             _add(equality, "connect", site1=f"{robot}_end{i}", site2=f"{robot}_socket{i}")
     servos = machine.servos
-    for robot, kp in (("delta", servos.delta_stiffness), ("rrs", servos.rrs_stiffness)):
+    for robot, kp, at_home, (low, high) in (
+        ("delta", servos.delta_stiffness, angles.theta, DELTA_RANGE),
+        ("rrs", servos.rrs_stiffness, angles.q, (machine.rrs.joint_min, machine.rrs.joint_max)),
+    ):
         for i in range(3):
+            # a position servo whose command counts from home: a model that is opened, with all its
+            # commands at zero, stands still
             _add(
-                actuator, "position", name=f"{robot}_servo{i}", joint=f"{robot}_joint{i}", kp=kp,
-                kv=servos.damping(kp),
+                actuator, "general", name=f"{robot}_servo{i}", joint=f"{robot}_joint{i}",
+                gainprm=kp, biastype="affine",
+                biasprm=[kp * at_home[i], -kp, -servos.damping(kp)],
+                ctrlrange=[low - at_home[i], high - at_home[i]],
                 forcerange=[-servos.torque_limit, servos.torque_limit],
             )  # fmt: skip
     _add_sensors(root)
+    _add(_add(root, "keyframe"), "key", name="home")
     return root
 
 
@@ -257,7 +284,8 @@ def _add_rrs(world: ET.Element, asset: ET.Element, m: Machine, angles: TreeAngle
             base, f"rrs_proximal{i}", m, pos=g.base_radius * RADIAL[i],
             xyaxes=[*(c * RADIAL[i] + s * UP), *TANGENTIAL[i]],
         )  # fmt: skip
-        _hinge(link, f"rrs_joint{i}", (0, -1, 0), angles.q[i], armature=m.servos.armature)
+        _hinge(link, f"rrs_joint{i}", (0, -1, 0), angles.q[i], armature=m.servos.armature,
+               range=[g.joint_min, g.joint_max])  # fmt: skip
         _link(link, g.proximal_length, radius, proximal, **_RRS_BITS)
         c, s = np.cos(angles.elbow[i]), np.sin(angles.elbow[i])
         end = _body(
@@ -283,14 +311,19 @@ def _add_platform(
         xyaxes=[*turn[:, 0], *turn[:, 1]],
     )  # fmt: skip
     _add(body, "joint", name="platform_ball", type="ball", pos=ball)
-    _add(body, "geom", name="platform_disc", type="cylinder", mass=mass,
-         size=[g.platform_radius, m.task.spoke_radius])  # fmt: skip
     for i in range(1, 3):
         _add(body, "site", name=f"rrs_socket{i}", pos=g.platform_radius * RADIAL[i])
     bore = Bore(m.delta.peg_radius + m.peg.clearance, m.peg.chamfer, m.peg.depth)
-    for name, vertices in dome_solids(m.task, bore):
+    solids = dict(dome_solids(m.task, bore))
+    volumes = {name: float(ConvexHull(vertices).volume) for name, vertices in solids.items()}
+    disc = math.pi * g.platform_radius**2 * 2.0 * m.task.spoke_radius
+    density = mass / (disc + sum(volumes.values()))  # plate and dome are of one material
+    _add(body, "geom", name="platform_disc", type="cylinder", mass=density * disc,
+         size=[g.platform_radius, m.task.spoke_radius], **_RRS_BITS)  # fmt: skip
+    for name, vertices in solids.items():
         _add(asset, "mesh", name=name, vertex=vertices)
-        _add(body, "geom", name=name, type="mesh", mesh=name, mass=0, **_RRS_BITS)
+        _add(body, "geom", name=name, type="mesh", mesh=name, mass=density * volumes[name],
+             **_RRS_BITS)  # fmt: skip
 
 
 def _add_delta(world: ET.Element, m: Machine, angles: TreeAngles, home: Floats) -> None:
@@ -307,7 +340,8 @@ def _add_delta(world: ET.Element, m: Machine, angles: TreeAngles, home: Floats) 
             base, f"delta_proximal{i}", m, pos=d.base_radius * RADIAL[i],
             xyaxes=[*(c * RADIAL[i] - s * UP), *TANGENTIAL[i]],
         )  # fmt: skip
-        _hinge(link, f"delta_joint{i}", (0, 1, 0), angles.theta[i], armature=m.servos.armature)
+        _hinge(link, f"delta_joint{i}", (0, 1, 0), angles.theta[i], armature=m.servos.armature,
+               range=DELTA_RANGE)  # fmt: skip
         _link(link, d.proximal_length, radius, proximal)
         c, s = np.cos(angles.swing[i]), np.sin(angles.swing[i])
         end = _body(
@@ -321,6 +355,11 @@ def _add_delta(world: ET.Element, m: Machine, angles: TreeAngles, home: Floats) 
     body = _body(base, "effector", m, pos=home[:3])
     for axis, name, at_home in zip(np.eye(3), "xyz", home[:3], strict=True):
         _add(body, "joint", name=f"effector_{name}", type="slide", axis=axis, ref=float(at_home))
+    if m.effector_play > 0.0:
+        for axis, name in zip(np.eye(3), "xy", strict=False):
+            _add(body, "joint", name=f"effector_play_{name}", type="hinge", axis=axis,
+                 range=[-m.effector_play, m.effector_play], damping=_PLAY_DAMPING,
+                 solreflimit=[LOOP_TIME, 1.0])  # fmt: skip
     _add(body, "geom", type="sphere", size=m.task.effector_radius, mass=effector, **_DELTA_BITS)
     for i in range(3):
         _add(body, "site", name=f"delta_socket{i}", pos=d.effector_radius * RADIAL[i])

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from coop_env.physics.dome import SPOT_WIDTH
-from coop_env.physics.model import TIMESTEP, Machine, build_mjcf, to_xml
+from coop_env.physics.model import DELTA_RANGE, LOOP_TIME, Machine, build_mjcf, to_xml
 
 MODEL: Final = "coop_insertion.xml"
 README: Final = "README.md"
@@ -37,7 +37,9 @@ def describe(machine: Machine) -> str:
         "",
         f"`{MODEL}` is a MuJoCo model of both robots, written by `coop_env.physics.model` from the "
         "same dimensions as the kinematics. Units: m, kg, s, rad. World frame: the 3-RRS's base, z "
-        "up. Each hinge's coordinate is the analytic joint angle; the model opens at home.",
+        "up. Each hinge's coordinate is the analytic joint angle. The model opens at home, as its "
+        "keyframe `home` has it, and stands still there: a servo's command counts from home, the "
+        "joint's `ref`.",
         "",
         "The platform hangs on the 3-RRS's limb 0 by a ball joint and on the other two by "
         "`connect` equalities between sites; the Delta's effector moves on three slides, tied to "
@@ -79,15 +81,26 @@ def rows(m: Machine) -> Iterator[Row]:
     yield "3-RRS: proximal, distal link, platform", _numbers(s.rrs_masses, "kg"), PROTOTYPE
     yield "Delta: proximal link, rod, effector, peg", _numbers(s.delta_masses, "kg"), PROTOTYPE
     yield "inertia of the links", "of solid capsules, a disc, a sphere", "the bodies drawn"
+    yield "platform's mass", "spread over plate and dome by their volumes", "of one material"
     yield "3-RRS: servo stiffness kp", f"{s.rrs_stiffness:g} N m/rad", PROTOTYPE
     yield "Delta: servo stiffness kp", f"{s.delta_stiffness:g} N m/rad", PROTOTYPE
     yield "servo damping kv", f"2 sqrt({s.damping_time:g} kp) N m s/rad", PROTOTYPE
     yield "torque limit, armature", f"{s.torque_limit:g} N m, {s.armature:g} kg m^2", PROTOTYPE
     yield "gravity compensation", "on" if s.gravity_compensation else "off", PROTOTYPE
-    yield "timestep", f"{TIMESTEP:g} s, implicitfast, Newton", PROTOTYPE
+    low, high = m.rrs.joint_min, m.rrs.joint_max
+    yield "3-RRS: range of joints and commands", f"{low:.4g} to {high:.4g} rad", "`RRSGeometry`"
+    low, high = DELTA_RANGE
+    yield "Delta: range of joints and commands", f"{low:.4g} to {high:.4g} rad", "beyond its reach"
+    yield "effector: tilt within its play", f"{m.effector_play:g} rad", "`ContactTask`"
+    yield "timestep", f"{m.timestep:g} s, implicitfast, Newton", PROTOTYPE
+    yield (
+        "collision tolerance",
+        "1e-8 m",
+        "with MuJoCo's 1e-6 a peg on two staves is now and then taken for 3 mm deep in one",
+    )
     yield "friction cone", "elliptic, impratio 5", f"{PROTOTYPE}: a pyramid falsifies contact"
-    yield "contact solref, solimp", "2.5 timesteps, 1; .95 .99 .0002", PROTOTYPE
-    yield "equality solref, solimp", "2 timesteps, 1; .99 .999 .0001", PROTOTYPE
+    yield "contact solref, solimp", f"{m.contact_time:g} s, 1; .95 .99 .0002", PROTOTYPE
+    yield "equality solref, solimp", f"{LOOP_TIME:g} s, 1; .99 .999 .0001", PROTOTYPE
     yield "base plates", "discs 8 mm thick", DRAWN
 
 

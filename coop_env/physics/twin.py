@@ -20,12 +20,12 @@ from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
 from coop_env.physics import kernels
 from coop_env.physics.engine import mujoco
 from coop_env.physics.joints import Floats, platform_mount, tree_angles
-from coop_env.physics.model import TIMESTEP, Machine, build_mjcf, to_xml
+from coop_env.physics.model import Machine, build_mjcf, to_xml
 from coop_env.simulation.collision import peg_tip
 from coop_env.simulation.task import N_AXES, pack
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_SETTLING = 500  # timesteps in which servos have to show that they hold home: 1 s
+_SETTLING = 1.0  # s in which servos have to show that they hold home
 
 
 class Readings(NamedTuple):
@@ -98,6 +98,7 @@ class Twin:
         self._turns: Floats = np.zeros((n, 3, 3))
         self.diverged: NDArray[np.bool_] = np.zeros(n, bool)
         home = self.machine.home()
+        self._home_angles = self.servo_targets(home)
         for row in range(n):
             self.place(row, home)
         self._check_hold(home)
@@ -128,7 +129,7 @@ class Twin:
             raise ArgumentError(f"configuration = {configuration!r}: out of the robots' reach")
         at_home = platform_mount(tree_angles(m.home(), m.rrs, m.delta))
         turn = at_home @ platform_mount(angles).T @ angles.rotation
-        q: Floats = np.empty(self.models[0].nq)
+        q: Floats = np.zeros(self.models[0].nq)
         groups = {"rrs_joint": angles.q, "rrs_elbow": angles.elbow, "delta_joint": angles.theta,
                   "delta_swing": angles.swing, "delta_sway": angles.sway}  # fmt: skip
         for name, values in groups.items():
@@ -184,7 +185,7 @@ class Twin:
         self.states[row] = 0.0
         self.states[row, 1 : 1 + q.size] = q
         self.diverged[row] = False
-        self._data[0].ctrl[:] = self.servo_targets(configuration)
+        self._data[0].ctrl[:] = self.servo_targets(configuration) - self._home_angles
         self._sensors[row] = self.inspect(row)[1].sensordata
         return _readings(self._sensors[row].copy())
 
@@ -209,12 +210,12 @@ class Twin:
 
         Args:
             targets: joint commands (n, 6), held, or (n, steps, 6), rad.
-            steps: timesteps of :data:`~coop_env.physics.model.TIMESTEP`.
+            steps: timesteps of the machine's ``timestep``.
 
         Returns:
             The readings, with leading axes (n, steps).
         """
-        held = np.asarray(targets, np.float64)
+        held = np.asarray(targets, np.float64) - self._home_angles
         held = held[:, None] if held.ndim == 2 else held
         controls = np.ascontiguousarray(np.broadcast_to(held, (self.n, steps, N_AXES)))
         states = np.empty((self.n, steps, self.states.shape[1]))
@@ -227,7 +228,7 @@ class Twin:
         # A rollout that meets a warning of the engine's stands still from there on.
         elapsed = states[:, -1, 0] - self.states[:, 0]
         whole = np.isfinite(states[:, -1]).all(axis=1) & np.isfinite(sensors).all(axis=(1, 2))
-        self.diverged = gone = ~(whole & (elapsed > (steps - 0.5) * TIMESTEP))
+        self.diverged = gone = ~(whole & (elapsed > (steps - 0.5) * self.machine.timestep))
         if gone.any():
             sensors[gone], states[gone, -1] = self._sensors[gone][:, None], self.states[gone]
         self.states, self._sensors = states[:, -1].copy(), sensors[:, -1]
@@ -252,7 +253,7 @@ class Twin:
         """Whether the servos hold home within what the task calls inserted."""
         targets = np.broadcast_to(self.servo_targets(home), (self.n, N_AXES))
         start = self.states.copy()
-        found = last(self.advance(targets, _SETTLING))
+        found = last(self.advance(targets, round(_SETTLING / self.machine.timestep)))
         tip = peg_tip(*home[:3].tolist(), self.machine.kernel_params().delta)
         sag = float(np.linalg.norm(found.tip[0] - tip))
         lean = float(self.platform_error(found, np.broadcast_to(home, (self.n, N_AXES)))[0])

@@ -1,4 +1,4 @@
-"""Pictures of the task: frames, a window, and a view in the browser (extra ``render``).
+"""Pictures of the task: frames, and a view in the browser (extra ``render``).
 
 :mod:`coop_env.rendering.viewer` is the browser view; it needs viser and is imported on its own.
 """
@@ -12,15 +12,12 @@ from coop_env.rendering.camera import CAMERAS, Camera, CameraSpec
 
 if TYPE_CHECKING:
     from coop_env.rendering.frame import frame_view, render_frame
-    from coop_env.rendering.window import open_window
 
-__all__ = ["CAMERAS", "Camera", "CameraSpec", "frame_view", "open_window", "render_frame"]
-
-_DRAWS = {"frame_view": "frame", "render_frame": "frame", "open_window": "window"}
+__all__ = ["CAMERAS", "Camera", "CameraSpec", "frame_view", "render_frame"]
 
 
 def __getattr__(name: str) -> Any:
     """What draws is loaded when it is asked for: the environment needs the scene alone."""
-    if name not in _DRAWS:
+    if name not in ("frame_view", "render_frame"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_DRAWS[name]}"), name)
+    return getattr(importlib.import_module("coop_env.rendering.frame"), name)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -16,19 +15,25 @@ from coop_env.rendering.scene import Scene
 
 
 class Rendered(gym.Env[Any, Any]):
-    """An environment with the modes ``"rgb_array"``, ``"human"`` and ``"ansi"``."""
+    """An environment with the modes ``"rgb_array"`` and ``"ansi"``.
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human", "ansi"]}  # noqa: RUF012 - Gymnasium's own form
+    ``gymnasium.make(..., render_mode="human")`` shows the pictures of the former in a window, by
+    Gymnasium's :class:`~gymnasium.wrappers.HumanRendering` (pygame).
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "ansi"]}  # noqa: RUF012 - Gymnasium's own form
     render_kwargs: Mapping[str, Any] = MappingProxyType({})
-    """``size``, ``camera``, ``panel``, ``samples`` of :func:`coop_env.rendering.render_frame` for
-    the modes ``"rgb_array"`` and ``"human"``; set it on the instance, for a window before reset."""
+    """``size``, ``camera``, ``panel``, ``samples`` of :func:`coop_env.rendering.render_frame`; set
+    it on the instance, for a window before reset."""
     _trace: list[NDArray[Any]]
-    _window: Any = None
 
     def _set_render_mode(self, mode: str | None) -> None:
         modes = self.metadata["render_modes"]
         if mode is not None and mode not in modes:
-            raise ArgumentError(f"render_mode = {mode!r}: must be None or one of {modes}")
+            raise ArgumentError(
+                f"render_mode = {mode!r}: must be None or one of {modes}; for a window "
+                "gymnasium.make(..., render_mode='human')"
+            )
         self.render_mode = mode
         self._trace = []
 
@@ -47,41 +52,16 @@ class Rendered(gym.Env[Any, Any]):
             return None
         if self.render_mode == "ansi":
             return self.scene().describe()
-        if self.render_mode == "human":
-            return self._show()
-        return _rendering("render_frame")(self.scene(), **self.render_kwargs)
+        try:  # imported only when something is to be seen
+            from coop_env.rendering import render_frame
+        except ImportError as error:
+            raise DependencyNotInstalled(
+                f"rendering needs pip install 'sb3-rainbow-coop[render]': {error}"
+            ) from error
+        return render_frame(self.scene(), **self.render_kwargs)
 
     def _follow(self, tip: NDArray[Any], first: bool = False) -> None:
-        """Take note of where the tip is, after a reset or a step, and show it."""
+        """Take note of where the tip is, after a reset or a step."""
         if first:
             self._trace = []
         self._trace.append(tip.copy())
-        self._show()
-
-    def _show(self) -> None:
-        if self.render_mode != "human":
-            return
-        if self._window is None:
-            fps = self.metadata["render_fps"]
-            self._window = _rendering("open_window")(fps, **self.render_kwargs)
-        self._window.show(self.scene())
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What is pickled and copied: everything but the window, which opens anew."""
-        return {**self.__dict__, "_window": None}
-
-
-def _rendering(name: str) -> Any:
-    """A function of :mod:`coop_env.rendering`, imported only when something is to be seen."""
-    try:
-        return getattr(importlib.import_module("coop_env.rendering"), name)
-    except (ImportError, AttributeError) as error:
-        raise DependencyNotInstalled(
-            f"rendering needs pip install 'sb3-rainbow-coop[render]': {error}"
-        ) from error

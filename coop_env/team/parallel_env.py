@@ -182,10 +182,6 @@ class CoopInsertionParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         """As :meth:`coop_env.rendering.modes.Rendered.render`."""
         return self.team.render()
 
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        self.team.close()
-
 
 def _check_agent(agent: str) -> str:
     if agent not in AGENTS:

@@ -175,11 +175,6 @@ class EnvBatch:
         """A frame of each environment, as its ``render_mode`` says."""
         return [env.render() for env in self.envs]
 
-    def close(self) -> None:
-        """Close all windows."""
-        for env in self.envs:
-            env.close()
-
     def get_state(self) -> dict[str, Any]:
         """An exact, picklable snapshot of all environments and of the move taken, if one is."""
         return {

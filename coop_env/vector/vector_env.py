@@ -155,7 +155,3 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
     def render(self) -> tuple[Any, ...] | None:
         """A frame of each environment, as ``render_mode`` says."""
         return tuple(self._batch.render())
-
-    def close_extras(self, **kwargs: Any) -> None:
-        """Close all windows."""
-        self._batch.close()

@@ -164,7 +164,6 @@ class Learner:
                 target.next_values,
                 target.rewards,
                 batch.discounts * (1.0 - batch.dones),
-                self.q_net.support,
                 self.q_net.v_min,
                 self.q_net.v_max,
             )

@@ -69,9 +69,7 @@ def td_target(
         if q_net.head != "categorical":  # values themselves, be it one or the quantiles
             return Target(rewards + discounts * logits, actions, logits, rewards)
         probabilities = F.softmax(logits, dim=1)
-        values = project_distribution(
-            probabilities, rewards, discounts, q_net.support, q_net.v_min, q_net.v_max
-        )
+        values = project_distribution(probabilities, rewards, discounts, q_net.v_min, q_net.v_max)
         return Target(values, actions, probabilities, rewards)
 
 

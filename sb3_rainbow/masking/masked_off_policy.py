@@ -11,7 +11,8 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.type_aliases import MaybeCallback
+from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn
+from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_rainbow.masking.conventions import as_action_masks, capture_terminal_masks
 from sb3_rainbow.masking.transitions import (
@@ -68,6 +69,26 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
             # Only now: who learns without masks may have an env that cannot give them.
             capture_terminal_masks(self.env)
         self._last_action_masks = self._current_masks() if supported else None
+
+    def collect_rollouts(
+        self, env: VecEnv, callback: BaseCallback, *args: Any, **kwargs: Any
+    ) -> RolloutReturn:
+        """As SB3's; the step at which a callback stops the training is stored like any other.
+
+        SB3 drops it, although the env has moved: going on (``reset_num_timesteps=False``), the next
+        transition would lead from the observation before it to the one after the next.
+        """
+        rollout = super().collect_rollouts(env, callback, *args, **kwargs)
+        if not rollout.continue_training:
+            buffer, step = self.replay_buffer, callback.locals
+            assert buffer is not None
+            names = ("buffer_actions", "new_obs", "rewards", "dones", "infos")
+            self._update_info_buffer(step["infos"], step["dones"])
+            self._store_transition(buffer, *(step[name] for name in names))
+            self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
+            self._on_step()
+            self._episode_num += int(step["dones"].sum())
+        return rollout
 
     @property
     def _needs_masks_at_t(self) -> bool:

@@ -26,7 +26,6 @@ def project_distribution(
     probabilities: th.Tensor,
     rewards: th.Tensor,
     discounts: th.Tensor,
-    support: th.Tensor,
     v_min: float,
     v_max: float,
 ) -> th.Tensor:
@@ -41,17 +40,14 @@ def project_distribution(
         probabilities: distribution of Z over the atoms, shape ``(B, N)``.
         rewards: n-step returns, shape ``(B, 1)``.
         discounts: gamma^k, and 0 where the episode terminated, shape ``(B, 1)``.
-        support: the N atoms, evenly spaced from ``v_min`` to ``v_max``, shape ``(N,)``.
-        v_min: lowest atom.
+        v_min: lowest of the N evenly spaced atoms.
         v_max: highest atom.
 
     Returns:
         shape ``(B, N)``, rows sum to 1.
     """
     n_atoms = probabilities.shape[1]
-    delta_z = (v_max - v_min) / (n_atoms - 1)
-    atoms = (rewards + discounts * support).clamp(v_min, v_max)
-    position = ((atoms - v_min) / delta_z).clamp(0, n_atoms - 1)
+    position = _positions(rewards, discounts, n_atoms, v_min, v_max).clamp(0, n_atoms - 1)
     lower = position.floor().clamp(max=n_atoms - 2)
     upper_mass = probabilities * (position - lower)
     index = lower.long()
@@ -61,11 +57,23 @@ def project_distribution(
     return projected
 
 
+def _positions(
+    rewards: th.Tensor, discounts: th.Tensor, n_atoms: int, v_min: float, v_max: float
+) -> th.Tensor:
+    """Where the atoms of ``r + discount * Z`` fall, in atoms above the lowest, ``(B, N)``.
+
+    Relative to ``v_min``: values themselves would leave few digits for what lies between the atoms
+    of a narrow support far from zero.
+    """
+    delta_z = (v_max - v_min) / (n_atoms - 1)
+    offset = (rewards + (discounts - 1.0) * v_min) / delta_z
+    return offset + discounts * th.arange(n_atoms, device=rewards.device, dtype=rewards.dtype)
+
+
 def clipped_share(
     probabilities: th.Tensor,
     rewards: th.Tensor,
     discounts: th.Tensor,
-    support: th.Tensor,
     v_min: float,
     v_max: float,
 ) -> th.Tensor:
@@ -74,9 +82,10 @@ def clipped_share(
     Arguments as in :func:`project_distribution`. A share that does not vanish says that the
     support is too narrow for the returns.
     """
-    atoms = rewards + discounts * support
-    tolerance = 1e-6 * (v_max - v_min)
-    outside = (atoms < v_min - tolerance) | (atoms > v_max + tolerance)
+    n_atoms = probabilities.shape[1]
+    position = _positions(rewards, discounts, n_atoms, v_min, v_max)
+    last, tolerance = n_atoms - 1, 1e-6 * (n_atoms - 1)
+    outside = (position < -tolerance) | (position > last + tolerance)
     return (probabilities * outside).sum(dim=1).mean()
 
 

@@ -15,7 +15,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from sb3_rainbow.masking.conventions import ActionMaskError, innermost_vec_env
 from sb3_rainbow.rainbow import Rainbow
 from sb3_rainbow.resume.checkpoint import is_checkpoint
-from sb3_rainbow.zoo.files import ALGO, ZooError, loading
+from sb3_rainbow.zoo.files import ALGO, ZooError, is_model_file, loading
+from sb3_rainbow.zoo.model_file import read_model
 from sb3_rainbow.zoo.playing import masks_apply
 
 CHECKPOINT = "checkpoint.zip"
@@ -131,6 +132,10 @@ class RainbowExperimentManager(ExperimentManager):
         path = pathlib.Path(self.trained_agent)
         replay = path.with_name("replay_buffer.pkl")
         try:
+            if is_model_file(path):
+                given = {k: v for k, v in hyperparams.items() if not k.startswith("policy")}
+                given |= {"seed": self.seed, "verbose": self.verbose, "device": self.device}
+                return read_model(path, env=env, tensorboard_log=self.tensorboard_log, **given)
             with loading(path):
                 if not is_checkpoint(path) and not replay.exists():
                     # Networks to begin with, and nothing to go on from

@@ -1,4 +1,4 @@
-"""What goes wrong when a file is loaded, in one line."""
+"""Which form a model's file has, and what goes wrong when it is loaded, in one line."""
 
 import os
 import zipfile
@@ -8,10 +8,19 @@ from contextlib import contextmanager
 import stable_baselines3 as sb3
 
 ALGO = "rainbow"  # its name in the zoo, and in the names of files
+SETTINGS = "settings.json"  # in a file that holds no pickle
 
 
 class ZooError(ValueError):
     """What was asked of the zoo cannot be done, and the message says all there is to say."""
+
+
+def is_model_file(path: str | os.PathLike[str]) -> bool:
+    """Whether a file is of the form that is packaged, by what lies in it: it runs nothing."""
+    if not zipfile.is_zipfile(path):
+        return False
+    with zipfile.ZipFile(path) as archive:
+        return SETTINGS in archive.namelist()
 
 
 @contextmanager

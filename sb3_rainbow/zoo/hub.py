@@ -1,42 +1,30 @@
-"""Trained models as repositories of the Hugging Face hub: package, upload, download, load."""
+"""Trained models as repositories of the Hugging Face hub: package, download, load."""
 
 import datetime
-import io
 import json
 import os
 import pathlib
-import shutil
-import tempfile
-from collections.abc import Collection
 from importlib import metadata
 from typing import Any
 
 import numpy as np
-from huggingface_hub import EvalResult, HfApi, ModelCard, ModelCardData, hf_hub_download
+from huggingface_hub import EvalResult, ModelCard, ModelCardData, hf_hub_download
 from huggingface_sb3 import EnvironmentName, ModelName
 from sb3_contrib.common.maskable.evaluation import evaluate_policy
-from sb3_contrib.common.maskable.utils import get_action_masks
 from stable_baselines3.common.utils import get_system_info
-from stable_baselines3.common.vec_env import (
-    VecEnv,
-    VecNormalize,
-    VecVideoRecorder,
-    unwrap_vec_normalize,
-)
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize, unwrap_vec_normalize
 
 from sb3_rainbow.rainbow import Rainbow
-from sb3_rainbow.zoo.files import ALGO, loading
-from sb3_rainbow.zoo.playing import masks_apply
-from sb3_rainbow.zoo.unpickling import check_model, unpickle
-
-# huggingface_sb3's name for it
-VEC_NORMALIZE = "vec_normalize.pkl"
-# What a run needs to go on, and nobody else. The generators' states are tensors, which outside of
-# torch's own files only an unrestricted pickle can hold.
-_OF_THE_RUN = (
-    *("_rng_state", "_last_obs", "_last_original_obs", "_last_episode_starts"),
-    *("_last_action_masks", "ep_info_buffer", "ep_success_buffer", "tensorboard_log"),
+from sb3_rainbow.zoo.files import ALGO, is_model_file, loading
+from sb3_rainbow.zoo.model_file import (
+    read_model,
+    read_statistics,
+    write_model,
+    write_statistics,
 )
+from sb3_rainbow.zoo.playing import masks_apply
+
+VEC_NORMALIZE = "vec_normalize.zip"
 _CARD = """\
 # **Rainbow** playing **{env_id}**
 
@@ -59,8 +47,7 @@ from sb3_rainbow.zoo.hub import load_from_hub
 model = load_from_hub("<organization>/{name}", "{name}.zip")
 ```
 
-It refuses a file that names code other than Stable-Baselines3's and Rainbow's own;
-`Rainbow.load` runs whatever a file names.
+Nothing of the file's is run: it holds numbers, words and arrays.
 
 ## How it was trained
 
@@ -91,7 +78,7 @@ def package(
 
     ``rainbow-<env_id>.zip`` is the model without what only its training needs, ``README.md`` the
     model card with command, results and versions, ``results.json`` the results, and
-    ``vec_normalize.pkl`` the statistics, if there are any.
+    ``vec_normalize.zip`` the statistics, if there are any. No file holds a pickle.
 
     Args:
         model: trained.
@@ -106,15 +93,18 @@ def package(
 
     Returns:
         the model's file.
+
+    Raises:
+        ZooError: naming the settings that only a pickle could hold, such as a network's own class.
     """
     out = pathlib.Path(folder)
     out.mkdir(parents=True, exist_ok=True)
     name = ModelName(ALGO, EnvironmentName(env_id))
     path = out / name.filename
-    model.save(path, exclude=_OF_THE_RUN)
+    write_model(model, path)
     normalizer = unwrap_vec_normalize(eval_env)
     if normalizer is not None:
-        normalizer.save(str(out / VEC_NORMALIZE))
+        write_statistics(normalizer, out / VEC_NORMALIZE)
         normalizer.training = normalizer.norm_reward = False
     masked = masks_apply(model, eval_env)
     returns, _ = evaluate_policy(
@@ -153,115 +143,64 @@ def package(
     return path
 
 
-def record(model: Rainbow, env: VecEnv, folder: str | os.PathLike[str], n_steps: int) -> None:
-    """Write ``replay.mp4``, which the hub shows on a model's page.
-
-    Args:
-        model: trained.
-        env: made with ``render_mode="rgb_array"``; closed afterwards.
-        folder: to write to.
-        n_steps: length of the video.
-    """
-    masked = masks_apply(model, env)
-    with tempfile.TemporaryDirectory() as temporary:
-        recorder = VecVideoRecorder(env, temporary, lambda step: step == 0, n_steps, "replay")
-        obs = recorder.reset()
-        for _ in range(n_steps):
-            masks = get_action_masks(recorder) if masked else None
-            actions, _ = model.predict(obs, deterministic=True, action_masks=masks)  # type: ignore[arg-type]
-            obs, *_ = recorder.step(actions)
-        recorder.close()
-        (video,) = pathlib.Path(temporary).glob("*.mp4")
-        shutil.move(video, pathlib.Path(folder) / "replay.mp4")
-
-
-def push(
-    folder: str | os.PathLike[str], repo_id: str, commit_message: str, token: str | None = None
-) -> str:
-    """Upload what :func:`package` wrote.
-
-    Args:
-        folder: written by :func:`package`.
-        repo_id: organization/name; made if missing.
-        commit_message: of the repository's commit.
-        token: of the hub; None for the one that is logged in.
-
-    Returns:
-        address of the repository.
-    """
-    api = HfApi(token=token)
-    url = api.create_repo(repo_id=repo_id, exist_ok=True)
-    api.upload_folder(
-        repo_id=repo_id, folder_path=pathlib.Path(folder), commit_message=commit_message
-    )
-    return str(url)
-
-
-def load_from_hub(
-    repo_id: str, filename: str, trusted: Collection[str] = (), **kwargs: Any
-) -> Rainbow:
+def load_from_hub(repo_id: str, filename: str, trust: bool = False, **kwargs: Any) -> Rainbow:
     """A model of the hub.
-
-    ``huggingface_sb3.load_from_hub`` downloads only where ``TRUST_REMOTE_CODE`` is set, as what is
-    loaded afterwards may run anything. :func:`load` does not, so nobody need trust anybody.
 
     Args:
         repo_id: organization/name.
         filename: of the model in it, such as ``rainbow-CartPole-v1.zip``.
-        trusted: see :func:`load`.
-        kwargs: of ``Rainbow.load``.
+        trust: see :func:`load`.
+        kwargs: see :func:`load`.
 
     Returns:
         the model.
 
     Raises:
-        ZooError: if it is none of Rainbow, or names code that it may not.
+        ZooError: if it cannot be loaded.
     """
-    return load(hf_hub_download(repo_id, filename), trusted, **kwargs)
+    return load(hf_hub_download(repo_id, filename), trust, **kwargs)
 
 
-def load(path: str | os.PathLike[str], trusted: Collection[str] = (), **kwargs: Any) -> Rainbow:
-    """A model from a file of whom you know nothing.
-
-    As ``Rainbow.load``, but the file may name only what ``sb3_rainbow.zoo.unpickling`` lists.
-    What only the run would go on with, such as the states of its random generators, is left out.
+def load(path: str | os.PathLike[str], trust: bool = False, **kwargs: Any) -> Rainbow:
+    """A model from a file of whom you know nothing: one that :func:`package` wrote runs nothing.
 
     Args:
         path: of the model.
-        trusted: more classes and functions that it may name, such as ``"my_package.layers.Swish"``:
-            they are imported, and may be called with anything.
-        kwargs: of ``Rainbow.load``.
+        trust: True takes a file that ``save`` wrote, too. Loading that one **runs its author's
+            code** with your rights: it holds pickles, and a pickle calls what it names.
+        kwargs: of :func:`sb3_rainbow.zoo.model_file.read_model` (``env``, ``device``, arguments of
+            Rainbow), or of ``Rainbow.load``.
 
     Returns:
         the model.
 
     Raises:
-        ZooError: if it is none of Rainbow, or names code that it may not.
+        ZooError: if it cannot be loaded.
     """
-    with loading(path):
-        # What is checked is what is loaded, whatever happens to the file in between.
-        content = pathlib.Path(path).read_bytes()
-        left_out = {**dict.fromkeys(_OF_THE_RUN), **(kwargs.pop("custom_objects", None) or {})}
-        check_model(io.BytesIO(content), trusted, left_out)
-        return Rainbow.load(io.BytesIO(content), custom_objects=left_out, **kwargs)
+    if trust and not is_model_file(path):
+        with loading(path):
+            return Rainbow.load(pathlib.Path(path), **kwargs)
+    return read_model(path, **kwargs)
 
 
 def load_vec_normalize(
-    path: str | os.PathLike[str], venv: VecEnv, trusted: Collection[str] = ()
+    path: str | os.PathLike[str], venv: VecEnv, trust: bool = False
 ) -> VecNormalize:
     """As ``VecNormalize.load``, from a file of whom you know nothing, for evaluation.
 
     Args:
         path: of the statistics.
         venv: to normalize.
-        trusted: see :func:`load`.
+        trust: True takes a file that ``VecNormalize.save`` wrote, too, which **runs its author's
+            code**.
 
     Raises:
-        ZooError: if the file names code that it may not.
+        ZooError: if it cannot be loaded.
     """
+    if not trust or is_model_file(path):
+        return read_statistics(path, venv)
     with loading(path):
-        normalizer: VecNormalize = unpickle(pathlib.Path(path).read_bytes(), trusted)
-        normalizer.set_venv(venv)
+        normalizer = VecNormalize.load(os.fspath(path), venv)
         normalizer.training = normalizer.norm_reward = False
         return normalizer
 

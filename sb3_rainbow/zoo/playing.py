@@ -12,7 +12,8 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_rainbow.rainbow import Rainbow
 from sb3_rainbow.type_aliases import ObsArray
-from sb3_rainbow.zoo.files import loading
+from sb3_rainbow.zoo.files import is_model_file, loading
+from sb3_rainbow.zoo.model_file import read_model
 
 SelfPlayed = TypeVar("SelfPlayed", bound="PlayedRainbow")
 
@@ -35,6 +36,8 @@ class PlayedRainbow(Rainbow):
     ) -> SelfPlayed:
         """As ``Rainbow.load``, with the smallest replay buffer unless one is asked for.
 
+        A file of the hub's form is read, which runs nothing.
+
         Args:
             path: of the model.
             args: of ``Rainbow.load``.
@@ -43,6 +46,9 @@ class PlayedRainbow(Rainbow):
         Raises:
             ZooError: if it cannot be loaded.
         """
+        if isinstance(path, str | pathlib.Path) and is_model_file(path):
+            kwargs.pop("custom_objects", None)  # for what a pickle names
+            return read_model(path, cls, *args, **kwargs)
         with loading(str(path)):
             return super().load(path, *args, **{"buffer_size": 1, **kwargs})
 

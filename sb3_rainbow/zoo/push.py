@@ -12,16 +12,15 @@ from typing import Any
 
 import torch as th
 import yaml
+from huggingface_hub import HfApi
 from huggingface_sb3 import EnvironmentName, ModelName, ModelRepoId
 from rl_zoo3.exp_manager import ExperimentManager
 from rl_zoo3.utils import StoreDict, get_model_path, get_saved_hyperparams
 from stable_baselines3.common.utils import set_random_seed
-from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_rainbow.rainbow import Rainbow
 from sb3_rainbow.zoo import hub
-from sb3_rainbow.zoo.files import ALGO, ZooError, loading
-from sb3_rainbow.zoo.playing import create_test_env
+from sb3_rainbow.zoo.files import ALGO, ZooError
+from sb3_rainbow.zoo.playing import PlayedRainbow, create_test_env
 
 
 def main() -> None:
@@ -49,21 +48,16 @@ def main() -> None:
     out = pathlib.Path(args.output_folder or pathlib.Path("hub") / name)
     hyperparams, stats = get_saved_hyperparams(str(run / env_name), test_mode=True)
 
-    def make_env(render: bool) -> VecEnv:
-        given = {**env_kwargs, **({"render_mode": "rgb_array"} if render else {})}
-        return create_test_env(
-            env_name.gym_id,
-            n_envs=1 if render else args.n_envs,
-            stats_path=stats,
-            seed=args.seed,
-            should_render=False,
-            hyperparams=dict(hyperparams),
-            env_kwargs=given,
-        )
-
-    env = make_env(render=False)
-    with loading(model_path):
-        model = Rainbow.load(model_path, env=env, device=args.device, seed=args.seed, buffer_size=1)
+    env = create_test_env(
+        env_name.gym_id,
+        n_envs=args.n_envs,
+        stats_path=stats,
+        seed=args.seed,
+        should_render=False,
+        hyperparams=dict(hyperparams),
+        env_kwargs=env_kwargs,
+    )
+    model = PlayedRainbow.load(model_path, env=env, device=args.device, seed=args.seed)
     # As the zoo evaluates: exploring where the game is deterministic
     explores = args.stochastic or (
         ExperimentManager.is_atari(env_name.gym_id) and not args.deterministic
@@ -79,14 +73,14 @@ def main() -> None:
     )
     env.close()
     _copy_run(run, env_name, {**hyperparams.get("env_kwargs", {}), **env_kwargs}, out)
-    if not args.no_render:
-        hub.record(model, make_env(render=True), out, args.n_timesteps)
     print(f"Packaged in {out}")
     if args.no_upload:
         return
     if args.organization is None:
         raise ZooError("--organization says where to upload; --no-upload packages only")
-    print(hub.push(out, ModelRepoId(args.organization, name), args.commit_message))
+    api, repo_id = HfApi(), ModelRepoId(args.organization, name)
+    print(api.create_repo(repo_id, exist_ok=True))
+    api.upload_folder(repo_id=repo_id, folder_path=out, commit_message=args.commit_message)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -100,8 +94,6 @@ def _parser() -> argparse.ArgumentParser:
     add("-m", "--commit-message", default="Initial commit", help="Commit message")
     add("-o", "--output-folder", help="Where to package, by default hub/<repository name>")
     add("--no-upload", action="store_true", help="Package only")
-    add("-n", "--n-timesteps", type=int, default=1000, help="Length of the video")
-    add("--no-render", action="store_true", help="No video")
     add("--n-eval-episodes", type=int, default=10, help="Episodes of the evaluation")
     add("--n-envs", type=int, default=1, help="Environments of the evaluation")
     add("--exp-id", type=int, default=0, help="Experiment ID (0: latest, -1: no exp folder)")

@@ -5,8 +5,9 @@
 Each script's gains are the best of a grid on validation episodes of each level, by success and then
 by time, with errors up to 3 mm. The tests have errors of fixed size to any side, or as the task
 draws them, tilts up to a degree, and friction as the task draws it, or errors of 3 mm and fixed
-friction. Written to ``results/contact/`` and to ``docs/physics.md``; a level that this commit
-measured is not measured again.
+friction. Last, both searches insert with other timesteps, contacts and play. Written to
+``results/contact/`` and to ``docs/physics.md``; a level that this commit measured is not measured
+again.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
@@ -49,6 +51,18 @@ from benchmarks.studies.speed.report import table
 BLOCK: Final = "contact"
 PAGE: Final = "physics.md"
 LEVELS: Final = ("easy", "standard", "hard")
+SENSITIVE: Final = ("standard", "hard")  # a round tip finds its hole anyway
+SEARCHES: Final = ("moment-guided search", "spiral search")
+VARIANTS: Final[dict[str, Row]] = {
+    "timestep 2 ms, contact 5 ms, no play: the task": {},
+    "timestep 1 ms": {"timestep": 0.001},
+    "timestep 1 ms, contact 2.5 ms": {"timestep": 0.001, "contact_time": 0.0025},
+    "contact 10 ms": {"contact_time": 0.010},
+    "contact 20 ms": {"contact_time": 0.020},
+    "play of 0.5 degrees": {"effector_play": math.radians(0.5)},
+}
+"""What the simulation assumes, varied: fields of the task."""
+PRESSED: Final = 20.0  # N
 
 
 def choose(level: str, name: str, episodes: int) -> dict[str, float]:
@@ -88,6 +102,39 @@ def measure(level: str, episodes: int, tick: Callable[[], None]) -> Row:
     return found
 
 
+def sensitivity(level: str, scripts: Row, episodes: int, tick: Callable[[], None]) -> list[Row]:
+    """The searches, as their gains were chosen, under each of :data:`VARIANTS`."""
+    from benchmarks.methods.contact_scripts import SCRIPTS, Gains
+    from coop_env.physics.contact.env import CoopInsertionContactEnv
+    from coop_env.physics.contact.task import resolve_task
+
+    rows = []
+    for variant, fields in VARIANTS.items():
+        env = CoopInsertionContactEnv(replace(resolve_task(level), **fields))
+        for name in (name for name in SEARCHES if name in scripts):
+            script = SCRIPTS[name](env, Gains(**scripts[name]["gains"]))
+            row = {"variant": variant, "script": name, "yields": yields(level, fields)}
+            rows.append(row | play(env, script, "test", episodes))
+        tick()
+    return rows
+
+
+def yields(level: str, fields: Row) -> float:
+    """How far a peg sinks into a hole's flat rim until :data:`PRESSED` N are met, m."""
+    from coop_env.physics.contact.env import CoopInsertionContactEnv
+    from coop_env.physics.contact.task import resolve_task
+    from coop_env.physics.model import Servos
+
+    task = replace(resolve_task(level), **fields, force_limit=PRESSED, max_steps=1000)
+    env = CoopInsertionContactEnv(task, servos=Servos(delta_stiffness=1000.0))
+    env.reset(seed=0, options={"hole": 4, "error": [0.003, 0.0, 0.0, 0.0], "friction": 0.4})
+    over = False
+    while not over:
+        *_, terminated, truncated, _ = env.step([0.0, 0.0, -0.1, 0.0, 0.0, 0.0])
+        over = terminated or truncated
+    return -float(min(env.batch.twin.inspect(0)[1].contact.dist, default=0.0))
+
+
 def _tables(found: Mapping[str, Any]) -> Iterator[str]:
     what = "success (%) / median time of successes (s) / median peak force (N)"
     for level, scripts in found["levels"].items():
@@ -107,6 +154,20 @@ def _tables(found: Mapping[str, Any]) -> Iterator[str]:
     )
 
 
+def _sensitivity(found: Mapping[str, Any]) -> str:
+    return table(
+        f"What the simulation assumes, varied; errors to {TRAINED:g} mm",
+        "level | script | variant | success (%) / median time (s) / median peak force (N) | "
+        f"largest peak (N) | rim yields at {PRESSED:g} N (mm)",
+        [
+            [level, row["script"], row["variant"], in_cell(row), f"{max(row['force']):.1f}",
+             f"{1e3 * row['yields']:.3f}"]
+            for level, rows in found["sensitivity"].items()
+            for row in rows
+        ],
+    )  # fmt: skip
+
+
 def tell(found: Mapping[str, Any]) -> str:
     """The measurements as Markdown."""
     machine, n = found["machine"], found["episodes"]
@@ -120,6 +181,7 @@ def tell(found: Mapping[str, Any]) -> str:
     return "\n\n".join(
         [
             *_tables(found),
+            *([_sensitivity(found)] if found.get("sensitivity") else []),
             f"{n} episodes a cell (all of them successful: {low:.0f} to {high:.0f} %, 95 % "
             f"interval); to {TRAINED:g} mm errors are as the task draws them. "
             f"Gains chosen: {chosen}. Command: `{found['command']}`. "
@@ -152,7 +214,7 @@ def main(words: Sequence[str]) -> int:
         return _film(path, console)
     commit = describe()["commit"]  # what another one measured is measured again
     asked = {"episodes": given.episodes, "defaults": asdict(Gains()), "commit": commit}
-    found = kept(path, asked, {"levels": {}})
+    found = kept(path, asked, {"levels": {}, "sensitivity": {}})
     found |= {
         "command": " ".join(["python -m benchmarks contact", *words]),
         "machine": describe(),
@@ -165,6 +227,11 @@ def main(words: Sequence[str]) -> int:
                 task = progress.add_task(level, total=2 * len(SCRIPTS))
                 tick = partial(progress.advance, task)
                 found["levels"][level] = measure(level, given.episodes, tick)
+                write_text(path, json.dumps(found) + "\n")
+            if level in SENSITIVE and level not in found["sensitivity"]:
+                task = progress.add_task(f"{level}, varied", total=len(VARIANTS))
+                tick, scripts = partial(progress.advance, task), found["levels"][level]
+                found["sensitivity"][level] = sensitivity(level, scripts, given.episodes, tick)
                 write_text(path, json.dumps(found) + "\n")
     publish(path, tell(found), given.docs / PAGE, BLOCK, console)
     return 0

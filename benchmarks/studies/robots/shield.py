@@ -62,7 +62,7 @@ ERRORS: Final = {
 """Bounds of what the machine does not know of itself: base, its tilt, lengths, joints."""
 # learned policies: their name in the table, and their runs
 LEARNED: Final = {
-    "Rainbow": "paper/runs/rainbow-optimized-safe",
+    "Rainbow": "cut/runs/rainbow-optimized-safe",
     "Rainbow trained with it": "shielded/runs/rainbow-optimized-shielded",
 }
 

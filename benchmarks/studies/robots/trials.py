@@ -10,10 +10,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
 
+import gymnasium
 import numpy as np
 from stable_baselines3 import SAC
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.evaluation.model_files import set_weights
+from benchmarks.protocol.presets import read_yaml
 from benchmarks.protocol.seeding import derive
 
 ERRORS: Final = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # mm
@@ -98,10 +101,20 @@ def inserter(results: Path, name: str, seed: int) -> Any:
         command = "run --preset contact" if learned else "contact"
         raise BenchmarkError(f"{path} is missing: run python -m benchmarks {command} first")
     if learned:
-        return Policy(SAC.load(path, device="cpu"))
+        return Policy(_stored_sac(path))
     gains = json.loads(path.read_text(encoding="utf-8"))["levels"][LEVEL][name]["gains"]
     task: Any = SimpleNamespace(task=resolve_task(LEVEL))
     return SCRIPTS[name](task, replace(Gains(), **gains))
+
+
+def _stored_sac(path: Path) -> SAC:
+    """The policy of a run of preset contact, built from its settings; of its file, arrays alone."""
+    config = read_yaml(path.with_name("config.yaml"))
+    env, net = config["task"], config["arguments"]["policy_kwargs"]
+    made = gymnasium.make(env["env"], **env["env_kwargs"])
+    model = SAC("MlpPolicy", made, buffer_size=1, policy_kwargs=net, device="cpu")
+    set_weights(model, path)
+    return model
 
 
 def on_tests(model: Any, env: Any) -> list[Row]:

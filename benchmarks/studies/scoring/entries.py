@@ -54,6 +54,7 @@ _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,60}")
 class Entry:
     """What is brought: models (one for all seeds, or one per seed) or a planner.
 
+    A model that SB3 saved runs its author's code when it is loaded: ``trust`` says to.
     The masks are those of the environment that the method acts in: ``mask_singularities`` and
     ``mask_visited`` as the model was trained with.
     """
@@ -62,6 +63,7 @@ class Entry:
     models: tuple[Path, ...] = ()
     algorithm: str | None = None
     planner: str = ""
+    trust: bool = False
     mask_singularities: bool = False
     mask_visited: int = 0
 
@@ -84,7 +86,7 @@ def prepare(preset: Preset, entry: Entry) -> dict[int, Scorer]:
     _check(preset, entry)
     number = len(preset.seeds)
     files = entry.models if len(entry.models) > 1 else entry.models * number
-    loaded = {path: load_model(path, entry.algorithm) for path in entry.models}
+    loaded = {path: load_model(path, entry.algorithm, entry.trust) for path in entry.models}
     masks: dict[str, Any] = {
         "mask_singularities": entry.mask_singularities,
         "mask_visited": entry.mask_visited,

@@ -106,9 +106,9 @@ class Replay(Insertion):
         stored, tell = self.source.run(cell.id), Teller(folder, stop_requested)
         model = None
         if cell.learns:
-            from benchmarks.methods.learners import ALGORITHMS
+            from benchmarks.evaluation.model_files import load_stored
 
-            model = ALGORITHMS[cell.method].load(stored.policy, device="cpu")
+            model = load_stored(stored.policy)
         rows = evaluate_cell(self.shortened(cell), cell, tell, self.starts, model)
         folder.write_rows("episodes", rows)
         return {key: value for key, value in stored.meta().items() if key != "schema"}

@@ -60,21 +60,21 @@ def planned_moves(env: CoopInsertionEnv) -> Act:
     return lambda observation, masks: moves.pop(0)
 
 
-def policy_moves(path: Path, env: CoopInsertionEnv) -> Act:
-    """Greedy actions of a saved Rainbow.
+def policy_moves(path: Path, env: CoopInsertionEnv, trust: bool = False) -> Act:
+    """Greedy actions of a trained model.
+
+    Args:
+        path: of its file.
+        env: that it is to act in.
+        trust: as :func:`benchmarks.evaluation.model_files.load_model`.
 
     Raises:
-        BenchmarkError: the file is missing, is no Rainbow, or was trained on other observations.
+        BenchmarkError: it cannot be loaded, or was trained on other observations.
     """
     from benchmarks.evaluation.evaluate import model_policy
-    from sb3_rainbow import Rainbow
+    from benchmarks.evaluation.model_files import load_model
 
-    if not path.is_file():
-        raise BenchmarkError(f"--model {path}: there is no such file")
-    try:
-        model = Rainbow.load(path, device="cpu")
-    except Exception as error:  # torch, zipfile and pickle each raise their own kinds
-        raise BenchmarkError(f"--model {path}: not a saved Rainbow ({error})") from error
+    model = load_model(path, trust=trust)
     expected, given = model.observation_space.shape, env.observation_space.shape
     if expected != given:
         raise BenchmarkError(
@@ -164,14 +164,16 @@ def parser(word: str, text: str | None) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     found.add_argument("--geometry", choices=sorted(GEOMETRIES), default="optimized")
-    found.add_argument("--model", type=Path, help="a saved Rainbow instead of the lattice optimum")
+    found.add_argument("--model", type=Path, help="a trained model instead of the lattice optimum")
+    text = "load a --model that SB3 saved, which runs its author's code"
+    found.add_argument("--trust", action="store_true", help=text)
     return found
 
 
 def _write_all(arguments: argparse.Namespace, console: Console) -> None:
     env = CoopInsertionEnv(geometry=arguments.geometry, render_mode="rgb_array")
     model: Path | None = arguments.model
-    choose = planned_moves if model is None else partial(policy_moves, model)
+    choose = planned_moves if model is None else partial(policy_moves, model, trust=arguments.trust)
     scenes = play(env, arguments.seed, choose)
     out, camera = arguments.out, arguments.camera
     write_picture(out / "scene.png", scenes[telling_moment(scenes, camera)], camera)

@@ -89,7 +89,11 @@ def main(words: Sequence[str]) -> int:
     line.add_argument("--results", type=Path, default=Path("results"), help="of the twin's script")
     arguments = line.parse_args(words)
     env = _twin(arguments) if arguments.twin else _kinematic(arguments)
-    act: Act = Optimum(env) if arguments.model is None else policy_moves(arguments.model, env)
+    act: Act = (
+        Optimum(env)
+        if arguments.model is None
+        else policy_moves(arguments.model, env, arguments.trust)
+    )
     try:
         view(env, act, host=arguments.host, port=arguments.port)
     except ViewerError as error:

@@ -46,6 +46,9 @@ def make_machine(
         PAPER_TASK if holes is None else as_dataclass("holes", holes, InsertionTask),
         Servos() if servos is None else as_dataclass("servos", servos, Servos),
         task.peg,
+        task.timestep,
+        task.contact_time,
+        task.effector_play,
     )
 
 
@@ -118,7 +121,7 @@ class CoopInsertionContactEnv(Rendered):
             :class:`~coop_env.simulation.insertion_task.InsertionTask`.
         servos: None, or :class:`~coop_env.physics.model.Servos`. Each of these five may be a plain
             mapping of fields.
-        render_mode: None, ``"rgb_array"``, ``"human"`` or ``"ansi"``; no OpenGL.
+        render_mode: None, ``"rgb_array"`` or ``"ansi"``; no OpenGL.
 
     Raises:
         DependencyNotInstalled: on import, if MuJoCo is missing; it names the extra.
@@ -208,7 +211,7 @@ class CoopInsertionContactEnv(Rendered):
         return twin_scene(self.batch, 0, self._status, self._trace)
 
     def close(self) -> None:
-        """End the simulation, and close the window."""
+        """End the simulation."""
         super().close()
         self.batch.twin.close()
         self._running = False

@@ -21,13 +21,13 @@ from coop_env.geometry import GeometryError
 from coop_env.kinematics import delta, rrs
 from coop_env.kinematics.rotations import roll_pitch, roll_pitch_yaw_matrix
 from coop_env.physics.joints import Floats
-from coop_env.physics.model import TIMESTEP, Machine, Peg
+from coop_env.physics.model import CONTACT_TIME, TIMESTEP, Machine, Peg
 from coop_env.simulation.insertion_task import InsertionTask
 
 STANDARD_PEG: Final = Peg()
 HEAVE_ROOM: Final = 0.005
 """By which heave can go up and down from every start, m."""
-_LARGEST: Final = {"position_error": 0.02, "tilt_error": 0.1}  # m, rad
+_LARGEST: Final = {"position_error": 0.02, "tilt_error": 0.1, "effector_play": 0.1}  # m, rad
 _LARGEST_ERROR: Final = (*(_LARGEST["position_error"],) * 2, *(_LARGEST["tilt_error"],) * 2)
 
 
@@ -50,6 +50,10 @@ class ContactTask:
         angular_step: one increment of roll or pitch, rad.
         heave_step: one increment of heave, m.
         dt: control period, s; whole timesteps of the simulation.
+        timestep: of the simulation, s.
+        contact_time: time constant of a contact, s, which sets the forces; two timesteps at least.
+        effector_play: tilt of the effector about x and about y that the play of its rods allows,
+            to both sides, rad.
         max_steps: control steps until truncation.
         force_limit: a force beyond this in any timestep ends the episode as a failure, N.
         free_force: a peak force up to this costs nothing, N.
@@ -78,6 +82,9 @@ class ContactTask:
     angular_step: float = 0.002
     heave_step: float = 0.0005
     dt: float = 0.05
+    timestep: float = TIMESTEP
+    contact_time: float = CONTACT_TIME
+    effector_play: float = 0.0
     max_steps: int = 80
     force_limit: float = 40.0
     free_force: float = 5.0
@@ -93,7 +100,8 @@ class ContactTask:
         object.__setattr__(self, "peg", peg)
         check_integer("ContactTask.max_steps", self.max_steps, 1)
         may_be_zero = {"position_error", "tilt_error", "force_noise", "moment_noise", "step_cost",
-                       "depth_scale", "force_cost", "insertion_bonus", "failure_cost"}  # fmt: skip
+                       "depth_scale", "force_cost", "insertion_bonus", "failure_cost",
+                       "effector_play"}  # fmt: skip
         for name in (field.name for field in fields(self)):
             if name not in ("peg", "max_steps", "friction"):
                 above, high = name not in may_be_zero, _LARGEST.get(name, 1e4)
@@ -103,9 +111,15 @@ class ContactTask:
         low = check_number("ContactTask.friction[0]", self.friction[0], 0.0, 2.0, above=True)
         high = check_number("ContactTask.friction[1]", self.friction[1], low, 2.0)
         object.__setattr__(self, "friction", (low, high))
-        if abs(self.substeps * TIMESTEP - self.dt) > 1e-9:
+        if abs(self.substeps * self.timestep - self.dt) > 1e-9:
             raise ArgumentError(
-                f"ContactTask.dt = {self.dt!r}: must be a whole number of timesteps of {TIMESTEP} s"
+                f"ContactTask.dt = {self.dt!r}: must be a whole number of timesteps of "
+                f"{self.timestep} s"
+            )
+        if self.contact_time < 2.0 * self.timestep:
+            raise ArgumentError(
+                f"ContactTask.contact_time = {self.contact_time!r}: must be at least two timesteps "
+                f"of {self.timestep} s, or the contact is softer than asked for"
             )
         if self.insertion_depth > peg.depth:
             raise ArgumentError(
@@ -116,7 +130,7 @@ class ContactTask:
     @property
     def substeps(self) -> int:
         """Timesteps of the simulation in a control step."""
-        return max(1, round(self.dt / TIMESTEP))
+        return max(1, round(self.dt / self.timestep))
 
     @property
     def increments(self) -> Floats:

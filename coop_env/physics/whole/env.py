@@ -111,7 +111,7 @@ class CoopInsertionPhysicsEnv(Rendered):
             mapping of fields.
         stage: 0, the four peripheral holes, or 1, all.
         max_steps: control steps until truncation.
-        render_mode: None, ``"rgb_array"``, ``"human"`` or ``"ansi"``; no OpenGL.
+        render_mode: None, ``"rgb_array"`` or ``"ansi"``; no OpenGL.
 
     Raises:
         DependencyNotInstalled: on import, if MuJoCo is missing; it names the extra.
@@ -386,7 +386,7 @@ class CoopInsertionPhysicsEnv(Rendered):
         return replace(found, active=self.active.copy(), filled=self.filled.copy())
 
     def close(self) -> None:
-        """End the simulation, and close the window."""
+        """End the simulation."""
         super().close()
         self.twin.close()
         self._running = False

@@ -192,7 +192,7 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         return replace(self.physics.scene(), trace=trace)
 
     def close(self) -> None:
-        """End the simulation, and close the window."""
+        """End the simulation."""
         super().close()
         self.physics.close()
 

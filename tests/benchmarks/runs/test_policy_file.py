@@ -11,6 +11,7 @@ import torch
 import yaml
 
 from benchmarks.evaluation.evaluate import evaluate_cell
+from benchmarks.evaluation.model_files import load_stored
 from benchmarks.methods.learners import ALGORITHMS, build_model, make_training_env
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import PRESETS, Preset, parse_preset
@@ -43,7 +44,7 @@ def test_the_stored_policy_repeats_the_stored_episodes(
     run = store.run(cell.id)
     assert run.policy.stat().st_size < 400_000
     assert len(run.meta()["training"]["weights_sha256"]) == 64
-    model = ALGORITHMS[method].load(run.policy, device="cpu")
+    model = load_stored(run.policy)
     again = evaluate_cell(preset, cell, model=model)
     stored = run.rows("episodes")
     assert [row["reward"] for row in again] == pytest.approx(stored["reward"].tolist(), rel=1e-6)

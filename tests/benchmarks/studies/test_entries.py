@@ -75,7 +75,8 @@ def board(results: Path) -> pd.DataFrame:
 
 
 def evaluate(results: Path, *words: str) -> int:
-    return main(["evaluate", "--preset", "smoke", "--results", str(results), *words])
+    trust = ["--trust"] if "--model" in words else []
+    return main(["evaluate", "--preset", "smoke", "--results", str(results), *words, *trust])
 
 
 @pytest.mark.parametrize("name", ["ppo", "maskable_ppo"])
@@ -142,6 +143,7 @@ def test_one_model_per_seed_and_a_second_call_scores_nothing(
     )
     files = [str(train("ppo", 0)), str(train("ppo", 1))]
     words = ["evaluate", "--preset", str(preset), "--results", str(tmp_path), "--name", "two"]
+    words.append("--trust")
     assert main([*words, "--model", *files]) == 0
     store = Store.open(tmp_path, "two")
     assert [entry.id for entry in store.entered()] == ["two-optimized-s3", "two-optimized-s4"]

@@ -74,8 +74,8 @@ def test_same_seed_same_picture(tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (["--seed", "-1"], "--seed -1"),
-        (["--model", "nowhere.zip"], "nowhere.zip: there is no such file"),
-        (["--model", __file__], "not a saved Rainbow"),
+        (["--model", "nowhere.zip"], "nowhere.zip is missing"),
+        (["--model", __file__], "is no model of Stable-Baselines3"),
     ],
 )
 def test_bad_arguments_are_one_error_and_nothing_is_written(

@@ -91,7 +91,7 @@ def test_depth_beyond_the_required_one_pays_nothing() -> None:
     """One step from just above the required depth to far below it pays no more than to it."""
     fast = CoopInsertionContactEnv({"depth_step": 0.01})
     fast.reset(seed=0, options={"hole": 4, "error": [0.0] * 4})
-    paid, info, over = 0.0, {"depth": 0.0}, False
+    paid, over = 0.0, False
     while not over:
         *_, terminated, truncated, info = fast.step(PUSH)
         paid += info["reward_terms"]["depth"]

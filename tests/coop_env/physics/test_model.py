@@ -17,7 +17,7 @@ from coop_env import InsertionTask
 from coop_env.errors import ArgumentError
 from coop_env.geometry import DeltaGeometry, GeometryError, RRSGeometry
 from coop_env.physics.dome import Bore, dome_solids, staves
-from coop_env.physics.model import Machine, Peg, Servos
+from coop_env.physics.model import Machine, Peg, Servos, build_mjcf, to_xml
 from coop_env.physics.model_folder import MODEL, README, rows, save_model
 from coop_env.physics.twin import Twin
 from coop_env.simulation.insertion_task import PAPER_TASK
@@ -37,6 +37,77 @@ def test_the_folder_opens_assembled_at_home(tmp_path: Path) -> None:
     text = (tmp_path / "model" / README).read_text("utf-8")
     for name, value, origin in rows(machine):
         assert f"| {name} | {value} | {origin} |" in text
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> mujoco.MjModel:
+    folder = tmp_path_factory.mktemp("model")
+    save_model(Machine(), folder)
+    return mujoco.MjModel.from_xml_path(str(folder / MODEL))
+
+
+@pytest.mark.parametrize("key", [None, "home"])
+def test_opened_in_a_viewer_it_stands_still(opened: mujoco.MjModel, key: str | None) -> None:
+    """A viewer steps what it has loaded, with all commands at zero, or the keyframe."""
+    data = mujoco.MjData(opened)
+    if key is not None:
+        mujoco.mj_resetDataKeyframe(opened, data, opened.key(key).id)
+    mujoco.mj_forward(opened, data)
+    before, height = data.qpos.copy(), data.body("platform").xpos[2]
+    for _ in range(round(10.0 / opened.opt.timestep)):
+        mujoco.mj_step(opened, data)
+    assert data.qpos == pytest.approx(before, abs=1e-6)
+    assert data.body("platform").xpos[2] == pytest.approx(height, abs=1e-6)
+
+
+def test_servos_and_their_joints_have_ranges_around_home(opened: mujoco.MjModel) -> None:
+    g = Machine().rrs
+    assert opened.actuator_ctrllimited.all()
+    for i in range(6):
+        joint = int(opened.actuator_trnid[i, 0])
+        assert opened.jnt_limited[joint]
+        span, home = opened.jnt_range[joint], opened.qpos0[opened.jnt_qposadr[joint]]
+        assert span[0] < home < span[1]
+        assert opened.actuator_ctrlrange[i] + home == pytest.approx(span)
+    assert opened.joint("rrs_joint1").range == pytest.approx([g.joint_min, g.joint_max])
+
+
+def test_the_peg_meets_the_platforms_disc(opened: mujoco.MjModel) -> None:
+    data = mujoco.MjData(opened)
+    disc, peg = opened.geom("platform_disc").id, opened.geom("peg").id
+    x = opened.joint("effector_x").qposadr[0]
+    z = opened.joint("effector_z").qposadr[0]
+    mujoco.mj_forward(opened, data)
+    data.qpos[z] += data.body("platform").xpos[2] - data.site("tip").xpos[2]
+    data.qpos[x] += 0.107  # beside the dome
+    mujoco.mj_forward(opened, data)
+    assert any({*map(int, pair)} == {disc, peg} for pair in data.contact.geom)
+
+
+def test_the_platforms_weight_is_plates_and_domes(opened: mujoco.MjModel) -> None:
+    m = Machine()
+    outer, inner = m.task.dome_radius, m.task.dome_radius - m.peg.depth
+    disc = np.pi * m.rrs.platform_radius**2 * 2.0 * m.task.spoke_radius
+    dome = 2.0 / 3.0 * np.pi * (outer**3 - inner**3)  # half a shell
+    centre = 3.0 / 8.0 * (outer**4 - inner**4) / (outer**3 - inner**3)
+    body = opened.body("platform")
+    assert body.mass == pytest.approx(m.servos.rrs_masses[2])
+    assert body.ipos == pytest.approx([0.0, 0.0, dome * centre / (dome + disc)], abs=2e-3)
+
+
+@pytest.mark.parametrize("play", [0.0, 0.01])
+def test_the_effector_tilts_by_its_play(play: float) -> None:
+    """Pushed at its tip, to the side and hard."""
+    model = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(Machine(effector_play=play))))
+    data = mujoco.MjData(model)
+    for _ in range(500):
+        mujoco.mj_forward(model, data)
+        at, body = data.site("tip").xpos.copy(), model.body("peg").id
+        data.qfrc_applied[:] = 0.0
+        mujoco.mj_applyFT(model, data, [2.0, 0.0, 0.0], np.zeros(3), at, body, data.qfrc_applied)
+        mujoco.mj_step(model, data)
+    lean = np.arccos(min(1.0, data.body("peg").xmat[8]))
+    assert lean == pytest.approx(play, abs=1e-3 * (play > 0.0) + 1e-9)
 
 
 def inside(points: np.ndarray) -> np.ndarray:

@@ -255,21 +255,13 @@ def test_it_is_drawn_as_it_is() -> None:
     assert "2#" in env.render()
 
 
-def test_a_window_shows_the_start_of_each_episode() -> None:
-    class Window:
-        def __init__(self) -> None:
-            self.tips: list[np.ndarray] = []
-
-        def show(self, scene: Any) -> None:
-            self.tips.append(scene.tip)
-
-    env = CoopInsertionPhysicsDiscreteEnv(render_mode="human")
-    env._window = window = Window()
+def test_the_trace_begins_at_the_start_of_each_episode() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(render_mode="ansi")
     for seed in range(2):
         env.reset(seed=seed)
-        np.testing.assert_array_equal(window.tips[-1], env.physics.twin.readings().tip[0])
+        np.testing.assert_array_equal(env.scene().trace, [env.physics.twin.readings().tip[0]])
         env.step(int(np.flatnonzero(env.action_masks())[0]))
-    assert len(window.tips) == 4
+        assert len(env.scene().trace) == 2
 
 
 def test_after_close_there_is_no_step() -> None:

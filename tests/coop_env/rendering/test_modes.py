@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import HumanRendering, RecordVideo
+from gymnasium.wrappers import RecordVideo
 
 import coop_env  # noqa: F401  (registers the ids)
 from coop_env.env import CoopInsertionEnv
-from coop_env.rendering import CAMERAS, open_window, render_frame
-from coop_env.rendering.window import Window
+from coop_env.errors import ArgumentError
+from coop_env.rendering import render_frame
 
 ID = "CoopInsertion-v0"
 
@@ -87,7 +86,7 @@ def test_no_mode_draws_nothing_and_says_so() -> None:
 
 
 def test_metadata_has_the_modes_and_the_robots_own_pace() -> None:
-    assert set(CoopInsertionEnv.metadata["render_modes"]) == {"rgb_array", "human", "ansi"}
+    assert set(CoopInsertionEnv.metadata["render_modes"]) == {"rgb_array", "ansi"}
     assert CoopInsertionEnv.metadata["render_fps"] == 5
 
 
@@ -95,94 +94,21 @@ def test_checker_passes_with_every_mode() -> None:
     check_env(gym.make(ID).unwrapped)
 
 
-@pytest.fixture
-def window() -> Iterator[Window]:
-    opened = open_window(100.0, size=(480, 360))
-    yield opened
-    opened.close()
-
-
-def test_window_shows_the_frame(window: Window) -> None:
+def test_human_mode_is_gymnasiums_window_of_the_frames() -> None:
     import pygame
 
-    env = CoopInsertionEnv()
-    env.reset(seed=0)
-    window.show(env.scene())
-    shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
-    assert np.array_equal(shown, render_frame(env.scene(), size=(480, 360)))
-
-
-def test_keys_choose_the_camera(window: Window) -> None:
-    import pygame
-
-    env = CoopInsertionEnv()
-    env.reset(seed=0)
-    names = list(CAMERAS)
-    pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_1 + names.index("close")))
-    window.show(env.scene())
-    shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
-    assert np.array_equal(shown, render_frame(env.scene(), size=(480, 360), camera="close"))
-
-
-def test_window_that_a_person_closes_stays_closed(window: Window) -> None:
-    import pygame
-
-    env = CoopInsertionEnv()
-    env.reset(seed=0)
-    pygame.event.post(pygame.event.Event(pygame.QUIT))
-    window.show(env.scene())
-    assert not window.is_open
-    window.show(env.scene())
-    window.close()
-    assert not pygame.display.get_init()
-
-
-def test_the_last_of_several_windows_takes_the_display_along() -> None:
-    """As a training environment and one for evaluation have them."""
-    import pygame
-
-    first, second = (CoopInsertionEnv(render_mode="human") for _ in range(2))
-    for env in (first, second):
-        env.reset(seed=0)
-    first.close()
-    second.step(2)
-    pygame.event.post(pygame.event.Event(pygame.QUIT))
-    second.step(2)
-    assert not pygame.display.get_init()
-    second.step(3)
-    second.close()
-
-
-@pytest.mark.parametrize(("fps", "camera"), [(0.0, "iso"), (5.0, "isometric")])
-def test_window_refuses_bad_arguments_before_it_opens(fps: float, camera: str) -> None:
-    import pygame
-
-    with pytest.raises(ValueError, match=r"fps|unknown camera"):
-        open_window(fps, camera=camera)
-    assert not pygame.display.get_init()
-
-
-def test_human_mode_opens_shows_and_closes_cleanly() -> None:
-    import pygame
-
-    env = gym.make(ID, render_mode="human")
-    env.reset(seed=0)
-    first = pygame.surfarray.array3d(pygame.display.get_surface())
-    _step(env)
-    second = pygame.surfarray.array3d(pygame.display.get_surface())
-    assert (first != second).any()
-    assert env.render() is None
-    env.close()
-    assert not pygame.display.get_init()
-    env.close()
-
-
-def test_human_rendering_wrapper_shows_the_frames() -> None:
-    env = HumanRendering(gym.make(ID, render_mode="rgb_array"))
+    with pytest.warns(UserWarning, match="HumanRendering"):
+        env = gym.make(ID, render_mode="human")
+    env.unwrapped.render_kwargs = {"camera": "close", "size": (320, 240)}  # type: ignore[attr-defined]
     env.reset(seed=0)
     _step(env)
-    assert env.render_mode == "human"
+    shown = pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
+    scene = env.unwrapped.scene()  # type: ignore[attr-defined]
+    assert np.array_equal(shown, render_frame(scene, size=(320, 240), camera="close"))
     env.close()
+    assert not pygame.display.get_init()
+    with pytest.raises(ArgumentError, match=r"gymnasium\.make"):
+        CoopInsertionEnv(render_mode="human")
 
 
 def test_record_video_writes_a_file_that_plays(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import torch as th
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from sb3_contrib.common.utils import quantile_huber_loss
+from scipy.stats import entropy
 
 from sb3_rainbow.network.losses import (
     categorical_losses,
@@ -14,13 +15,13 @@ from sb3_rainbow.network.losses import (
     mask_q_values,
     project_distribution,
     quantile_losses,
+    target_entropies,
 )
 
 
 def project(p: list[float], reward: float, discount: float, v_min: float, v_max: float) -> list:
-    support = th.linspace(v_min, v_max, len(p))
     projected = project_distribution(
-        th.tensor([p]), th.tensor([[reward]]), th.tensor([[discount]]), support, v_min, v_max
+        th.tensor([p]), th.tensor([[reward]]), th.tensor([[discount]]), v_min, v_max
     )
     return projected[0].tolist()
 
@@ -89,18 +90,38 @@ def test_the_mean_is_kept_where_nothing_is_clipped() -> None:
     support = th.linspace(-10.0, 10.0, 51)
     rewards = th.linspace(-1.0, 1.0, 8)[:, None]
     discounts = th.full((8, 1), 0.8)
-    projected = project_distribution(p, rewards, discounts, support, -10.0, 10.0)
+    projected = project_distribution(p, rewards, discounts, -10.0, 10.0)
     expected = rewards[:, 0] + 0.8 * (p @ support)
     th.testing.assert_close(projected @ support, expected, atol=1e-4, rtol=1e-4)
 
 
 def test_clipped_share_is_the_mass_outside() -> None:
     p = th.tensor([[0.1, 0.2, 0.3, 0.4], [0.25, 0.25, 0.25, 0.25]])
-    support = th.linspace(-1.0, 2.0, 4)
     rewards, discounts = th.tensor([[1.5], [0.0]]), th.tensor([[1.0], [1.0]])
     # First row: atoms 0.5, 1.5, 2.5, 3.5; second row: unchanged, nothing outside.
-    share = clipped_share(p, rewards, discounts, support, -1.0, 2.0)
+    share = clipped_share(p, rewards, discounts, -1.0, 2.0)
     assert share.item() == pytest.approx((0.7 + 0.0) / 2)
+
+
+def test_a_narrow_support_far_from_zero_loses_no_digits() -> None:
+    """Priorities, against the loop in double precision on the same numbers."""
+    generator = np.random.default_rng(0)
+    v_min, v_max, discount = -100.0, -99.99, np.float32(0.99)
+    target, logits = generator.dirichlet(np.ones(51), 20), generator.normal(size=(20, 51))
+    rewards = (generator.uniform(v_min, v_max, 20) - discount * -99.995).astype(np.float32)
+    projected = project_distribution(
+        th.tensor(target, dtype=th.float32), th.tensor(rewards)[:, None],
+        th.full((20, 1), float(discount)), v_min, v_max,
+    )  # fmt: skip
+    predicted = th.tensor(logits, dtype=th.float32)
+    found = categorical_losses(predicted, projected) - target_entropies(projected)
+    wanted = [
+        entropy(slow_projection(p, float(reward), float(discount), v_min, v_max), q)
+        for p, reward, q in zip(target, rewards, np.exp(logits), strict=True)
+    ]
+    np.testing.assert_allclose(found, wanted, rtol=5e-5)
+    share = clipped_share(th.full((1, 51), 1 / 51), th.zeros(1, 1), th.ones(1, 1), v_min, v_max)
+    assert share.item() == 0.0
 
 
 def test_cross_entropy_per_sample() -> None:

@@ -85,7 +85,7 @@ def test_the_target_network_values_the_choice_and_terminations_end_it() -> None:
     chosen = distribution[th.arange(64), target.next_actions[:, 0]]
     support = th.linspace(-10, 10, 51)
     discounts = batch.discounts * (1 - batch.dones)
-    expected = project_distribution(chosen, batch.rewards, discounts, support, -10.0, 10.0)
+    expected = project_distribution(chosen, batch.rewards, discounts, -10.0, 10.0)
     th.testing.assert_close(target.values, expected)
     ended = batch.dones[:, 0] == 1
     th.testing.assert_close((target.values @ support)[ended], batch.rewards[ended, 0])

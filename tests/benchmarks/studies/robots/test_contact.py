@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks.__main__ import main as command
@@ -46,16 +49,48 @@ def test_searches_press_less_than_a_stiff_push() -> None:
         assert max(found[name]["force"]) < 0.5 * min(found["stiff push"]["force"])
 
 
+def searched(hold: float, episodes: int, **fields: Any) -> dict[str, list[Any]]:
+    """The moment-guided search on the level hard, with these fields of its task."""
+    from benchmarks.methods.contact_scripts import Gains, MomentSearch
+    from coop_env.physics.contact.env import CoopInsertionContactEnv
+    from coop_env.physics.contact.task import LEVELS
+
+    env = CoopInsertionContactEnv(replace(LEVELS["hard"], **fields))
+    return trials.play(env, MomentSearch(env, Gains(hold=hold)), "validate", episodes)
+
+
+def test_half_the_timestep_changes_neither_success_nor_force() -> None:
+    """The contact's time constant is the task's; tied to the timestep it doubled the force."""
+    pytest.importorskip("mujoco", reason="needs the extra physics")
+    n = 16
+    whole, half, tied = (
+        searched(6.0, n, **fields)
+        for fields in ({}, {"timestep": 0.001}, {"timestep": 0.001, "contact_time": 0.0025})
+    )
+    assert abs(sum(whole["success"]) - sum(half["success"])) <= 0.15 * n
+    assert np.median(half["force"]) == pytest.approx(np.median(whole["force"]), rel=0.12)
+    assert np.max(half["force"]) == pytest.approx(np.max(whole["force"]), rel=0.3)
+    assert np.median(tied["force"]) > 1.5 * np.median(whole["force"])
+
+
+def test_a_peg_that_slides_from_one_stave_to_the_next_meets_no_blow() -> None:
+    """Episode 47 met 74 N in a single timestep: taken for 3 mm deep in the next stave's side."""
+    pytest.importorskip("mujoco", reason="needs the extra physics")
+    found = searched(3.0, 48)
+    assert max(found["force"]) < 20.0
+    assert "force" not in found["failure"]
+
+
 def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("mujoco", reason="needs the extra physics")
     from benchmarks.methods import contact_scripts
 
-    monkeypatch.setattr(contact_scripts, "GRIDS", {"compliant push": {"hold": (3.0, 6.0)}})
-    monkeypatch.setattr(
-        contact_scripts, "SCRIPTS", {"compliant push": contact_scripts.CompliantPush}
-    )
+    grids = {"compliant push": {"hold": (3.0, 6.0)}, "moment-guided search": {}}
+    monkeypatch.setattr(contact_scripts, "GRIDS", grids)
+    scripts = {name: contact_scripts.SCRIPTS[name] for name in grids}
+    monkeypatch.setattr(contact_scripts, "SCRIPTS", scripts)
     docs, results = tmp_path / "docs", tmp_path / "results"
     docs.mkdir()
     page = docs / contact.PAGE
@@ -70,6 +105,9 @@ def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
     assert text in page.read_text("utf-8")
     stored = json.loads((results / "contact" / "scripts.json").read_text("utf-8"))
     assert stored["levels"]["standard"]["compliant push"]["errors"][1]["success"] == [True, True]
+    rows = {row["variant"]: row for row in stored["sensitivity"]["standard"]}
+    assert list(rows) == list(contact.VARIANTS)
+    assert rows["contact 20 ms"]["yields"] > rows["contact 10 ms"]["yields"] > 0.0
     report = Report()
     contact.check(report, results, [], docs)
     assert report.problems == []

@@ -1,0 +1,398 @@
+"""Models of Rainbow as files that run nothing: numbers, words and arrays.
+
+A file is a zip of ``settings.json`` and ``arrays.safetensors``; it holds no pickle, and none is
+read. Settings are checked against the signatures of the constructors that take them. A class is
+named, and :data:`CLASSES` has all names there are. The shapes of the arrays are compared with those
+of the network that the settings describe before memory is asked for.
+"""
+
+import inspect
+import json
+import os
+import types
+import zipfile
+from collections.abc import Callable
+from typing import Any, Literal, Union, get_args, get_origin
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from numpy.typing import NDArray
+from safetensors.numpy import load as load_arrays
+from safetensors.numpy import save as save_arrays
+from stable_baselines3.common.buffers import DictReplayBuffer, NStepReplayBuffer, ReplayBuffer
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.torch_layers import CombinedExtractor, FlattenExtractor, NatureCNN
+from stable_baselines3.common.type_aliases import GymEnv, TrainFreq
+from stable_baselines3.common.utils import ConstantSchedule, FloatSchedule, LinearSchedule
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
+from torch import nn
+
+from sb3_rainbow.network.convolutions import NatureConvolutions
+from sb3_rainbow.policies import CnnPolicy, MultiInputPolicy, RainbowPolicy
+from sb3_rainbow.rainbow import Rainbow, SelfRainbow
+from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
+from sb3_rainbow.settings import NETWORK_ARGUMENTS, head_and_support, support_of
+from sb3_rainbow.zoo.files import SETTINGS, ZooError, loading
+
+Arrays = dict[str, NDArray[Any]]
+
+#: What a file may name, by the setting that takes it.
+CLASSES: dict[str, tuple[type, ...]] = {
+    "policy": (RainbowPolicy, CnnPolicy, MultiInputPolicy),
+    "replay_buffer_class": (
+        *(PrioritizedReplayBuffer, ReplayBuffer, DictReplayBuffer),
+        *(NStepReplayBuffer, HerReplayBuffer),
+    ),
+    "activation_fn": (nn.ELU, nn.GELU, nn.LeakyReLU, nn.ReLU, nn.SiLU, nn.Tanh),
+    "features_extractor_class": (
+        *(FlattenExtractor, NatureCNN, CombinedExtractor, NatureConvolutions),
+    ),
+    "optimizer_class": (th.optim.Adam, th.optim.AdamW, th.optim.RMSprop, th.optim.SGD),
+}
+_ARRAYS = "arrays.safetensors"
+_MODEL, _STATISTICS = "Rainbow 1", "VecNormalize 1"
+# Arguments that say where and how to compute, not what
+_OF_THE_MACHINE = {
+    *("self", "env", "tensorboard_log", "verbose", "seed", "device"),
+    *("compile", "mixed_precision", "cpu_kernels", "_init_setup_model"),
+}
+_EPSILON = ("exploration_fraction", "exploration_initial_eps", "exploration_final_eps")
+_COUNTERS: dict[str, type] = {"num_timesteps": int, "_n_updates": int, "exploration_rate": float}
+
+
+def write_model(model: Rainbow, path: str | os.PathLike[str]) -> None:
+    """Write all that acting takes, and the settings of the training.
+
+    The optimizer's averages, the replay buffer and the random generators are left out.
+
+    Args:
+        model: trained.
+        path: of the file.
+
+    Raises:
+        ZooError: naming each setting that has no form without a pickle.
+    """
+    given = {name: getattr(model, name) for name in _hints() if hasattr(model, name)}
+    given |= {"policy": model.policy_class, "train_freq": model.train_freq}
+    if not model._tau_was_chosen:
+        given["tau"] = None
+    if not model._epsilon_was_asked_for:
+        given |= dict.fromkeys(_EPSILON)
+    arrays = {f"policy.{name}": _array(value) for name, value in model.policy.state_dict().items()}
+    unwritable: list[str] = []
+
+    def plain(name: str, value: Any, hint: Any) -> Any:
+        try:
+            found = _plain(name, value)
+            if not _fits(json.loads(json.dumps(found, allow_nan=False)), hint):
+                raise TypeError
+        except (TypeError, ValueError):
+            unwritable.append(f"{name} = {value!r}")
+            return None
+        return found
+
+    hints, of_policy = _hints(), _policy_hints()
+    kwargs = model.policy_kwargs
+    settings = {
+        "format": _MODEL,
+        "arguments": {name: plain(name, value, hints[name]) for name, value in given.items()},
+        "policy_kwargs": {key: plain(key, kwargs[key], of_policy.get(key)) for key in kwargs},
+        "counters": {name: kind(getattr(model, name)) for name, kind in _COUNTERS.items()},
+    }
+    for name in ("observation_space", "action_space"):
+        try:
+            settings[name] = _write_space(getattr(model, name), name, arrays)
+        except TypeError as error:
+            unwritable.append(f"{name} = {error}")
+    if unwritable:
+        raise ZooError(
+            f"the model cannot be packaged, as only a pickle could hold {'; '.join(unwritable)}: "
+            "change that, or share what model.save() writes with who trusts you"
+        )
+    _check_shapes(model, {n: tuple(v.shape) for n, v in model.policy.state_dict().items()})
+    _write(path, settings, arrays)
+
+
+def read_model(
+    path: str | os.PathLike[str],
+    kind: type[SelfRainbow] = Rainbow,  # type: ignore[assignment]
+    env: GymEnv | None = None,
+    device: th.device | str = "auto",
+    **changed: Any,
+) -> SelfRainbow:
+    """A model that :func:`write_model` wrote.
+
+    Args:
+        path: of the file.
+        kind: of the model.
+        env: to go on learning in.
+        device: torch device.
+        changed: arguments of the constructor that differ from those in the file. A ``buffer_size``
+            that nobody gives is the smallest.
+
+    Raises:
+        ZooError: if it is none, or damaged, or does not fit together.
+    """
+    with loading(path):
+        settings, arrays = _read(path, _MODEL)
+        found = {name: settings.pop(name) for name in ("arguments", "policy_kwargs", "counters")}
+        arguments = _checked(found["arguments"], _hints())
+        policy_kwargs = _checked(found["policy_kwargs"], _policy_hints())
+        counters = _checked(found["counters"], _COUNTERS)
+        own_spaces = {name: _read_space(value, name, arrays) for name, value in settings.items()}
+        support = support_of(
+            *head_and_support(*map(arguments.get, ("distributional", "v_min", "v_max")))
+        )
+        model = kind(
+            env=None,  # type: ignore[arg-type]
+            device=device,
+            policy_kwargs=policy_kwargs,
+            _init_setup_model=False,
+            **{**arguments, "buffer_size": 1, **changed},
+        )
+        model.observation_space = own_spaces["observation_space"]
+        model.action_space = own_spaces["action_space"]  # type: ignore[assignment]
+        model._support, model.n_envs = support, 1
+        weights = {name.removeprefix("policy."): array for name, array in arrays.items()}
+        _check_shapes(model, {name: array.shape for name, array in weights.items()})
+        if env is not None:
+            wrapped = kind._wrap_env(env, model.verbose)
+            model.n_envs = wrapped.num_envs
+            model.set_env(wrapped)
+        model._setup_model()
+        tensors = {name: th.from_numpy(array.copy()) for name, array in weights.items()}
+        model.set_parameters({"policy": tensors}, exact_match=False)  # type: ignore[dict-item]
+        for name, value in counters.items():
+            setattr(model, name, value)
+        return model
+
+
+def write_statistics(normalizer: VecNormalize, path: str | os.PathLike[str]) -> None:
+    """Write what ``VecNormalize`` has seen, and how it normalizes.
+
+    Args:
+        normalizer: from a training.
+        path: of the file.
+    """
+    arrays = {
+        f"{name}.{part}": np.asarray(getattr(statistics, part), np.float64)
+        for name, statistics in _statistics(normalizer).items()
+        for part in ("mean", "var", "count")
+    }
+    settings = {name: getattr(normalizer, name) for name in _normalizer_hints()}
+    _write(path, {"format": _STATISTICS, "arguments": settings}, arrays)
+
+
+def read_statistics(path: str | os.PathLike[str], venv: VecEnv) -> VecNormalize:
+    """A ``VecNormalize`` for evaluation, as :func:`write_statistics` wrote it.
+
+    Args:
+        path: of the file.
+        venv: to normalize.
+
+    Raises:
+        ZooError: if it holds none, or those of other observations.
+    """
+    with loading(path):
+        settings, arrays = _read(path, _STATISTICS)
+        arguments = _checked(settings["arguments"], _normalizer_hints())
+        normalizer = VecNormalize(venv, training=False, **arguments)
+        normalizer.norm_reward = False
+        for name, statistics in _statistics(normalizer).items():
+            for part in ("mean", "var", "count"):
+                array = arrays[f"{name}.{part}"]
+                if array.shape != np.shape(getattr(statistics, part)):
+                    raise ValueError(f"{name}.{part} has shape {array.shape}")
+                setattr(statistics, part, array.copy() if array.shape else float(array))
+        return normalizer
+
+
+def _statistics(normalizer: VecNormalize) -> dict[str, RunningMeanStd]:
+    found = {"returns": normalizer.ret_rms}
+    if normalizer.norm_obs:
+        of_observations: Any = normalizer.obs_rms
+        if not isinstance(of_observations, dict):
+            of_observations = {"": of_observations}
+        found |= {f"observations.{key}": value for key, value in of_observations.items()}
+    return found
+
+
+def _write(path: str | os.PathLike[str], settings: dict[str, Any], arrays: Arrays) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr(SETTINGS, json.dumps(settings, indent=1, allow_nan=False) + "\n")
+        archive.writestr(_ARRAYS, save_arrays(arrays))
+
+
+def _read(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, Any], Arrays]:
+    """Settings, without their format, and arrays."""
+    with zipfile.ZipFile(path) as archive:
+        if SETTINGS not in archive.namelist():
+            raise ValueError(
+                "it was not packaged. A file that model.save() or VecNormalize.save() wrote can "
+                "run its author's code when it is loaded; if you trust them, pass trust=True"
+            )
+        if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
+            raise ValueError("it is compressed, which no packaged file is")
+        settings = json.loads(archive.read(SETTINGS), parse_constant=_refuse)
+        found = settings.pop("format")
+        if found != kind:
+            raise ValueError(f"its format is {found!r}, expected {kind!r}")
+        return settings, load_arrays(archive.read(_ARRAYS))
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"{constant} is no number")
+
+
+def _hints() -> dict[str, Any]:
+    """Constructor arguments of Rainbow that a file holds, and their types in JSON."""
+    found = _hints_of(Rainbow.__init__, _OF_THE_MACHINE | {"policy_kwargs"})
+    return {**found, "learning_rate": float | dict[str, float], "train_freq": tuple[int, str]}
+
+
+def _policy_hints() -> dict[str, Any]:
+    left_out = {"self", "observation_space", "action_space", "lr_schedule", *NETWORK_ARGUMENTS}
+    return _hints_of(RainbowPolicy.__init__, left_out)
+
+
+def _normalizer_hints() -> dict[str, Any]:
+    return _hints_of(VecNormalize.__init__, {"self", "venv", "training"})
+
+
+def _hints_of(function: Callable[..., Any], left_out: set[str]) -> dict[str, Any]:
+    return {
+        name: str | None if name in CLASSES else parameter.annotation
+        for name, parameter in inspect.signature(function).parameters.items()
+        if name not in left_out
+    }
+
+
+def _checked(found: dict[str, Any], hints: dict[str, Any]) -> dict[str, Any]:
+    """Settings as a constructor takes them."""
+    for name, value in found.items():
+        if name not in hints:
+            raise ValueError(f"unknown setting {name}")
+        if not _fits(value, hints[name]):
+            raise ValueError(f"{name} cannot be {value!r}")
+    return {name: _from_plain(name, value) for name, value in found.items()}
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    """Whether a value of JSON is of a type."""
+    kind, of = get_origin(hint), get_args(hint)
+    if kind in (Union, types.UnionType):
+        return any(_fits(value, one) for one in of)
+    if kind is Literal:
+        return isinstance(value, str) and value in of
+    if kind is list:
+        return isinstance(value, list) and all(_fits(each, of[0]) for each in value)
+    if kind is tuple:
+        return isinstance(value, list) and len(value) == len(of) and all(map(_fits, value, of))
+    if kind is dict:
+        return isinstance(value, dict) and all(_fits(each, of[1]) for each in value.values())
+    if hint is float:
+        return type(value) in (int, float)
+    return hint is Any or type(value) is (types.NoneType if hint is None else hint)
+
+
+def _plain(name: str, value: Any) -> Any:
+    """A setting as JSON has it.
+
+    Raises:
+        TypeError: if it has no such form.
+    """
+    if name in CLASSES and value is not None:
+        if value not in CLASSES[name]:
+            raise TypeError(value)
+        return value.__name__
+    if isinstance(value, FloatSchedule):
+        value = value.value_schedule
+    if isinstance(value, ConstantSchedule):
+        return value.val
+    if type(value).__name__ == "SimpleLinearSchedule":  # the zoo's
+        value = LinearSchedule(value.initial_value, 0.0, 1.0)
+    if isinstance(value, LinearSchedule):
+        return vars(value)
+    if isinstance(value, TrainFreq):
+        return [value.frequency, value.unit.value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _from_plain(name: str, value: Any) -> Any:
+    if name in CLASSES and value is not None:
+        named = {kind.__name__: kind for kind in CLASSES[name]}
+        if value not in named:
+            raise ValueError(f"{name} cannot be {value!r}; known: {', '.join(named)}")
+        return named[value]
+    if name == "learning_rate" and isinstance(value, dict):
+        return LinearSchedule(**value)
+    return tuple(value) if name == "train_freq" else value
+
+
+def _array(tensor: th.Tensor) -> NDArray[Any]:
+    return np.ascontiguousarray(tensor.detach().cpu().numpy())
+
+
+def _write_space(space: spaces.Space[Any], name: str, arrays: Arrays) -> dict[str, Any]:
+    """A space as JSON has it; the bounds of boxes go to the arrays."""
+    kind = type(space)
+    found: dict[str, Any] = {"type": kind.__name__}
+    if kind is spaces.Box:
+        arrays |= {f"{name}.low": space.low, f"{name}.high": space.high}  # type: ignore[attr-defined]
+    elif kind is spaces.Discrete:
+        found |= {"n": int(space.n), "start": int(space.start)}  # type: ignore[attr-defined]
+    elif kind is spaces.MultiDiscrete:
+        found |= {"nvec": space.nvec.tolist(), "start": space.start.tolist()}  # type: ignore[attr-defined]
+    elif kind is spaces.MultiBinary:
+        found["n"] = space.n  # type: ignore[attr-defined]
+    elif kind is spaces.Dict:
+        parts = space.spaces.items()  # type: ignore[attr-defined]
+        found["spaces"] = {key: _write_space(part, f"{name}.{key}", arrays) for key, part in parts}
+    else:
+        raise TypeError(space)
+    return found
+
+
+def _read_space(found: dict[str, Any], name: str, arrays: Arrays) -> spaces.Space[Any]:
+    match found:
+        case {"type": "Box"}:
+            low, high = arrays.pop(f"{name}.low"), arrays.pop(f"{name}.high")
+            return spaces.Box(low.copy(), high.copy(), dtype=low.dtype.type)
+        case {"type": "Discrete", "n": int(n), "start": int(start)}:
+            return spaces.Discrete(n, start=start)
+        case {"type": "MultiDiscrete", "nvec": list(nvec), "start": list(start)}:
+            return spaces.MultiDiscrete(nvec, start=start)
+        case {"type": "MultiBinary", "n": int(n) | list(n)}:
+            return spaces.MultiBinary(n)
+        case {"type": "Dict", "spaces": dict(parts)}:
+            # a sequence, whose order stays
+            read = {key: _read_space(part, f"{name}.{key}", arrays) for key, part in parts.items()}
+            return spaces.Dict(list(read.items()))
+    raise ValueError(f"{name} cannot be {found!r}")
+
+
+def _check_shapes(model: Rainbow, found: dict[str, tuple[int, ...]]) -> None:
+    """Refuse weights of another network than the model's settings describe.
+
+    Raises:
+        ZooError: naming one that differs.
+    """
+    # on torch's device without memory, where a network of any size costs nothing
+    blank: Any = type("Blank", (model.policy_class,), {"device": th.device("meta")})
+    network = {name: getattr(model, name) for name in NETWORK_ARGUMENTS}
+    with th.device("meta"):
+        policy = blank(
+            model.observation_space,
+            model.action_space,
+            ConstantSchedule(0.0),
+            **network,
+            **model.policy_kwargs,
+        )
+    wanted = {name: tuple(value.shape) for name, value in policy.state_dict().items()}
+    for name in sorted(wanted.keys() | found.keys()):
+        if wanted.get(name) != found.get(name):
+            raise ZooError(
+                f"{name} has shape {found.get(name)}, the settings say {wanted.get(name)}"
+            )

@@ -1,0 +1,96 @@
+"""Models from files: what is stored here runs nothing, what a stranger saved asks for trust."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from stable_baselines3 import SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.type_aliases import TrainFrequencyUnit
+
+from benchmarks.__main__ import main
+from benchmarks.errors import BenchmarkError
+from benchmarks.evaluation.model_files import load_model, load_stored
+from benchmarks.studies.robots.trials import inserter
+from coop_env.env import CoopInsertionEnv
+from sb3_rainbow import Rainbow
+from tests.sb3_rainbow.zoo.crafted import CRAFTED, tampered
+
+RESULTS = Path(__file__).resolve().parents[3] / "results"
+POLICIES = sorted(RESULTS.glob("*/runs/rainbow-*-s0/policy.zip"))
+
+
+def sampled(model: BaseAlgorithm, number: int) -> NDArray[np.float32]:
+    """Random observations (number, size)."""
+    size = model.observation_space.shape
+    assert size is not None
+    return np.random.default_rng(0).random((number, *size), np.float32)
+
+
+@pytest.mark.parametrize("path", POLICIES, ids=lambda path: path.parent.name)
+def test_a_stored_policy_acts_as_it_was_saved(path: Path) -> None:
+    safe, saved = load_stored(path), Rainbow.load(path, device="cpu")
+    rows = sampled(saved, 200)
+    wanted, _ = saved.predict(rows, deterministic=True)
+    np.testing.assert_array_equal(safe.predict(rows, deterministic=True)[0], wanted)
+    assert len(set(wanted.tolist())) > 1
+    assert safe.exploration_rate == saved.exploration_rate
+    assert safe.observation_space == saved.observation_space
+
+
+def test_the_stored_policy_with_contact_acts_as_it_was_saved() -> None:
+    pytest.importorskip("mujoco")
+    saved = SAC.load(RESULTS / "classic/contact/runs/standard-sac-s0/policy.zip", device="cpu")
+    policy = inserter(RESULTS, "SAC", 0)
+    rows = sampled(saved, 50)
+    np.testing.assert_array_equal(policy(rows), saved.predict(rows, deterministic=True)[0])
+
+
+@pytest.mark.parametrize("which", CRAFTED)
+def test_what_a_stored_policy_pickles_stays_closed(
+    which: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(POLICIES[0].with_name("config.yaml"), tmp_path)
+    bad = dict.fromkeys(("anything", "observation_space", "policy_kwargs"), CRAFTED[which])
+    path = tampered(POLICIES[0], tmp_path / "policy.zip", bad)
+    before = [dict(vars(kind)) for kind in (TrainFrequencyUnit, RunningMeanStd)]
+    assert load_model(path).observation_space == load_stored(POLICIES[0]).observation_space
+    assert [dict(vars(kind)) for kind in (TrainFrequencyUnit, RunningMeanStd)] == before
+    assert not Path("pwned").exists()
+
+
+@pytest.mark.parametrize("which", CRAFTED)
+def test_a_strangers_model_asks_for_trust(
+    which: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = tampered(POLICIES[0], tmp_path / "my.zip", {"anything": CRAFTED[which]})
+    assert main(["evaluate", "--preset", "smoke", "--model", str(path), "--episodes", "1"]) == 2
+    error = capsys.readouterr().err
+    assert "runs its author's code when it is loaded; add --trust" in error
+    assert not Path("pwned").exists()
+
+
+def test_a_policy_beside_other_settings_is_one_error(tmp_path: Path) -> None:
+    shutil.copy(POLICIES[0], tmp_path / "policy.zip")
+    text = POLICIES[0].with_name("config.yaml").read_text("utf-8")
+    for old, new in (("- 128", "- 127"), ("alpha: 0.6", "alpha: much"), ("cell:", "cells:")):
+        (tmp_path / "config.yaml").write_text(text.replace(old, new), "utf-8")
+        with pytest.raises(BenchmarkError):
+            load_model(tmp_path / "policy.zip")
+
+
+def test_a_packaged_model_needs_no_trust(tmp_path: Path) -> None:
+    model_file = pytest.importorskip("sb3_rainbow.zoo.model_file")
+    env = CoopInsertionEnv()
+    model = Rainbow("MlpPolicy", env, buffer_size=100, device="cpu")
+    model_file.write_model(model, tmp_path / "mine.zip")
+    observation, _ = env.reset(seed=0)
+    wanted = model.predict(observation, deterministic=True)[0]
+    assert load_model(tmp_path / "mine.zip").predict(observation, deterministic=True)[0] == wanted
