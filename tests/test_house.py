@@ -178,7 +178,7 @@ def test_no_room_is_crowded() -> None:
 
 
 def test_only_the_batched_envs_touch_sb3() -> None:
-    allowed = ("coop_env.vector.vec_env", "coop_env.team.vec_env")
+    allowed = ("coop_env.vector.vec_env",)
     wrong = [
         f"{name} imports {target}"
         for name, path in SOURCES.items()

@@ -27,8 +27,8 @@ from coop_env.simulation.joint import N_CHOICES, N_JOINT
 from coop_env.team.agents import AGENTS
 from coop_env.team.joint_env import CoopInsertionJointEnv
 from coop_env.team.vec_env import CoopInsertionJointVecEnv, CoopInsertionTeamVecEnv
-from coop_env.vector.env_batch import EnvBatch
 from coop_env.vector.vec_env import CoopInsertionVecEnv
+from coop_env.vector.vector_env import CoopInsertionVectorEnv
 
 SINGLE: Final = "single, gymnasium.make, Python loop"
 BARE: Final = "single, without Gymnasium's wrappers"
@@ -88,13 +88,12 @@ def _batch_loop(env: Any, steps: int, choices: int = 12, agents: int = 1) -> Cal
     return loop
 
 
-def _kernel_loop(env: EnvBatch, steps: int) -> Callable[[], None]:
+def _kernel_loop(env: CoopInsertionVectorEnv, steps: int) -> Callable[[], None]:
     """The step kernel on a batch without resets and infos: moves to and fro from the start."""
-    n = len(env.envs)
-    actions = _drawn(n, steps)
+    actions = _drawn(env.num_envs, steps)
     actions[1::2] = actions[: len(actions[1::2]) * 2 : 2] ^ 1
-    env.reset(range(n), [None] * n)
-    arguments = env.packed, env.observation, env.outcomes, env.rows
+    env.reset(seed=0)
+    arguments = env.packed, env.transform, env.outcomes, env.rows
 
     def loop() -> None:
         for row in actions:
@@ -120,7 +119,7 @@ def measure_steps(steps: int, rounds: int) -> dict[str, float]:
         "batch of 64, every option": _batch_loop(batch(64, **EVERY_OPTION), steps),
         JOINT: _batch_loop(CoopInsertionJointVecEnv(64, seed=0), steps, N_JOINT),
         TEAM: _batch_loop(CoopInsertionTeamVecEnv(64, seed=0), steps, N_CHOICES, len(AGENTS)),
-        KERNEL: _kernel_loop(EnvBatch(64), steps),
+        KERNEL: _kernel_loop(CoopInsertionVectorEnv(64), steps),
     }
     return report.in_turns(loops, rounds, unit=1e-6 * steps)
 

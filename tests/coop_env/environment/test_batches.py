@@ -16,7 +16,6 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, CoopInsertionVectorEnv
 from coop_env.errors import ArgumentError, ResetOptionError
-from coop_env.vector.env_batch import EnvBatch
 
 NOISY: dict[str, Any] = {
     "sim_to_real": "randomized",
@@ -225,8 +224,8 @@ def test_attributes_and_calls_reach_each_environment() -> None:
 
 
 def test_a_shallow_copy_of_a_batch_leaves_the_original_its_rows() -> None:
-    batch = EnvBatch(2)
-    batch.reset([0, 1], [None, None])
+    batch = CoopInsertionVectorEnv(2)
+    batch.reset(seed=0)
     other = copy.copy(batch)
     other.take(np.array([0, 0]))
     other.move()
