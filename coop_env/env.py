@@ -427,13 +427,7 @@ def check_action(action: Any, n_actions: int = N_ACTIONS, name: str = "action") 
     """
     if isinstance(action, np.ndarray) and action.ndim == 0:
         action = action[()]
-    if (
-        not isinstance(action, (int, np.integer))
-        or isinstance(action, bool)
-        or not 0 <= action < n_actions
-    ):
-        raise ActionError(f"{name} = {action!r}: must be an integer 0 to {n_actions - 1}")
-    return int(action)
+    return check_integer(name, action, 0, n_actions - 1, error=ActionError)
 
 
 def check_snapshot(snapshot: Mapping[str, Any], own: Mapping[str, Any]) -> None:
