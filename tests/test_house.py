@@ -224,3 +224,5 @@ def test_the_version_is_the_same_wherever_it_stands() -> None:
     setup.read(ROOT / "setup.cfg")
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert cited["version"] == setup["metadata"]["version"]
+    page = (ROOT / "docs" / "citing.md").read_text(encoding="utf-8")
+    assert f"version = {{{cited['version']}}}" in page
