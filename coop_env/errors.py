@@ -95,9 +95,9 @@ def check_flag(name: str, value: Any) -> bool:
     Raises:
         ArgumentError: it is something else, 0 and 1 included.
     """
-    if not isinstance(value, bool):
+    if not isinstance(value, bool | np.bool_):
         raise ArgumentError(f"{name} = {value!r}: must be True or False")
-    return value
+    return bool(value)
 
 
 def as_dataclass(name: str, value: Any, kind: type[T]) -> T:

@@ -17,7 +17,6 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from coop_env.compilation import report_compilation
 from coop_env.env import CoopInsertionEnv, check_snapshot
 from coop_env.errors import ActionError, ArgumentError, ResetOptionError, check_integer
 from coop_env.simulation import batch
@@ -204,7 +203,6 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         self.env_class.step_batch(
             self.states, self.actions, self.packed, self.transform, self.outcomes, self.rows
         )
-        report_compilation()
         if self.render_mode is not None:
             for env in self.envs:
                 env._follow(env._tip())

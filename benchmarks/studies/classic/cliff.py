@@ -20,7 +20,7 @@ from benchmarks.protocol.seeding import derive
 from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.environments.named import BlindCliffWalkEnv
 from benchmarks.studies.classic.plan import Cell
-from benchmarks.studies.classic.presets import CliffVariant, Preset
+from benchmarks.studies.classic.presets import CliffVariant, Preset, spelled_out
 from sb3_rainbow import Rainbow
 
 TOLERANCE: Final = 1e-3  # mean squared error of Q below which it counts as learned, the paper's
@@ -46,7 +46,7 @@ def transitions(states: int, rng: np.random.Generator) -> Iterator[Transition]:
 def build(variant: CliffVariant, replay: str, states: int, seed: int) -> Rainbow:
     """The learner, with its memory filled."""
     env = BlindCliffWalkEnv(states)
-    arguments = dict(variant.rainbow)
+    arguments = spelled_out(variant.rainbow)
     policy = {**arguments.pop("policy_kwargs", {})}
     policy["optimizer_class"] = OPTIMIZERS[variant.optimizer]
     model = Rainbow(

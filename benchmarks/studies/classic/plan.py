@@ -85,8 +85,9 @@ def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
     arguments = task.pop("methods")[cell.method]
     for words in ("seeds", "title", "goal", "published", "random", "human"):
         del task[words]
-    if task["guide"] is None:
-        del task["guide"]
+    for word in ("guide", "bare"):
+        if not task[word]:
+            del task[word]
     return {
         "cell": asdict(cell),
         "task": task,

@@ -41,6 +41,7 @@ from benchmarks.studies.classic.presets import (
     Preset,
     Task,
     algorithm_of,
+    spelled_out,
 )
 from sb3_rainbow import Rainbow
 from sb3_rainbow.network.noisy_linear import NoisyLinear
@@ -83,6 +84,8 @@ def build_model(task: Task, method: str, seed: int) -> BaseAlgorithm:
     algorithm = class_of(task, method)
     if issubclass(algorithm, Rainbow):
         arguments.pop(FADES, None)  # for a callback
+        if not task.bare:
+            arguments = spelled_out(arguments)
     accepted = inspect.signature(algorithm).parameters
     for name in arguments:
         if name not in accepted:
