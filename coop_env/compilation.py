@@ -23,8 +23,8 @@ from filelock import FileLock
 from numba.core import event
 
 _DECLARES = re.compile(r"^from .* import .*\bnjit$", re.MULTILINE)
-# What compiles, and how long it takes at most
-_WHAT = "kinematics, collisions, moves: up to 10 s of a processor core"
+# What compiles, and how long that takes
+_WHAT = "kinematics, collisions, moves: up to a minute of a processor core"
 
 
 class _Announcer(event.Listener):

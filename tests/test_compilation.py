@@ -73,7 +73,7 @@ def test_a_cold_cache_is_announced_once(tmp_path: Path, package: str, code: str)
     told = run(code, tmp_path, **places)
     assert told.startswith(f"{package}: compiling kernels (")
     assert told.endswith(
-        " s of a processor core), once after an install: then they come from numba's cache"
+        " of a processor core), once after an install: then they come from numba's cache"
     )
     assert run(code, tmp_path, **places) == ""
 

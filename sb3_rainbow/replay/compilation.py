@@ -18,8 +18,8 @@ from numba.core import event
 
 _PACKAGE = __name__.partition(".")[0]
 _DECLARES = re.compile(r"^from .* import .*\bnjit$", re.MULTILINE)
-# What compiles, and how long it takes at most
-_WHAT = "replay, networks and updates: up to 15 s of a processor core"
+# What compiles, and how long that takes
+_WHAT = "replay, networks and updates: about 15 s of a processor core"
 
 
 class _Announcer(event.Listener):

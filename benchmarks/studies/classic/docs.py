@@ -1,4 +1,4 @@
-"""The results in docs/rainbow.md, written by a command, and the check that they are up to date."""
+"""Results on the pages of Rainbow, written by a command, and the check that they are up to date."""
 
 from __future__ import annotations
 

@@ -143,11 +143,14 @@ def test_docs_say_which_runs_they_show(preset: Preset, store: Store) -> None:
         docs.rewrite("a page", results, "r")
 
 
-def test_the_page_shows_the_stored_runs() -> None:
+@pytest.mark.parametrize(
+    ("page_name", "one"), [("rainbow_results", "basics"), ("rainbow_searches", "tuning_control")]
+)
+def test_the_page_shows_the_stored_runs(page_name: str, one: str) -> None:
     root = ROOT / "results" / "classic"
-    page = (ROOT / "docs" / "rainbow.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / f"{page_name}.md").read_text(encoding="utf-8")
     shown = re.findall(r"<!-- classic-(\w+):begin", page)
-    assert "basics" in shown
+    assert one in shown
     for name in shown:
         results = Results(load_preset(name), Store.open(root, name))
         assert docs.rewrite(page, results, f"../results/classic/{name}") == page
