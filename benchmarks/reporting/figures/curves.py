@@ -24,7 +24,8 @@ Curve = NDArray[np.float64]
 def look(group: Group) -> tuple[str, str]:
     """Colour and line style of a group's method and track."""
     cell = group.runs[0].config["cell"]
-    return METHOD_COLOURS.get(cell["method"], PALETTE[-1]), TRACK_STYLES.get(cell["track"], "-.")
+    method = "masked_dqn" if cell["ablation"] == "none" else cell["method"]
+    return METHOD_COLOURS.get(method, PALETTE[-1]), TRACK_STYLES.get(cell["track"], "-.")
 
 
 def curve_frames(group: Group) -> list[pd.DataFrame]:

@@ -82,6 +82,8 @@ def write_figures(store: Store) -> list[tuple[Picture, Path]]:
 def _learning(results: Results, track: str) -> list[Picture]:
     """The paper's seven learning figures of one track."""
     groups = {labels.METHODS[method]: group for method, group in results.methods(track, LEARNERS)}
+    if (masked := results.group("rainbow", track=track, ablation="none")).n:
+        groups[labels.MASKED_DQN] = masked
     if not any(curve_frames(group) for group in groups.values()):
         return []
     section = f"Learning, {labels.track(track)}"

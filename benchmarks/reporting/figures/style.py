@@ -36,7 +36,8 @@ PALETTE: Final = (
 )
 # one colour per method and one style per track, in every figure; controls from Tol's muted colours
 METHOD_COLOURS: Final = {
-    "rainbow": PALETTE[0], "dqn": PALETTE[1], "maskable_ppo": PALETTE[2], "qrdqn": PALETTE[2],
+    "rainbow": PALETTE[0], "dqn": PALETTE[1], "masked_dqn": PALETTE[5],
+    "maskable_ppo": PALETTE[2], "qrdqn": PALETTE[2],
     "rrt_connect": PALETTE[3], "rrt_lattice": PALETTE[4], "optimum": PALETTE[6],
     "random": "#DDDDDD", "greedy": "#999933",
     "greedy_observed": "#DDCC77", "lookahead": "#882255", "lookahead_observed": "#AA4499",
@@ -45,7 +46,8 @@ METHOD_COLOURS: Final = {
     "bc": PALETTE[6],
 }  # fmt: skip
 TRACK_STYLES: Final = {
-    "": "-", "safe": "-", "memory": "--", "reward": "-.", "printed": ":", "uncertain": "-",
+    "": "-", "repaired": "-", "terminal": "--",
+    "safe": "-", "memory": "--", "reward": "-.", "printed": ":", "uncertain": "-",
     "uncertain_nominal": "--",
 }  # fmt: skip
 STYLE: Final[Any] = {
