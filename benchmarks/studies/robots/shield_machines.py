@@ -101,8 +101,8 @@ def attack(env: CoopInsertionEnv, moves: int, rng: np.random.Generator) -> dict[
             room = env.params.rrs.heave_max - env.params.rrs.heave_min + 3.0 * steps[2]
             near = near[over & (near[:, 2] > near[:, 2].max() - room)]
         if len(near) and len(rrs):
-            some = (part[rng.integers(len(part), size=SAMPLE)] for part in (near, rrs))
-            found += check_product(shield, env.params, *some, looks=LOOKS)
+            one, other = (part[rng.integers(len(part), size=SAMPLE)] for part in (near, rrs))
+            found += check_product(shield, env.params, one, other, looks=LOOKS)
         if found.moves >= moves:
             break
     return {"moves": found.moves, "harmful": found.harmful}

@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.reporting.verify import Report
 from benchmarks.studies.robots import shield
-from benchmarks.studies.robots.shield_machines import at_the_margin, attack, draw_machine
+from benchmarks.studies.robots.shield_machines import ERRORS, at_the_margin, attack, draw_machine
 from coop_env import CoopInsertionEnv
 from coop_env.shield import KinematicShield
 from coop_env.shield.certificate import Certificate, check_product, lattice
@@ -40,7 +40,7 @@ def test_the_command_writes_what_it_prints_and_goes_on(
     assert text in page.read_text("utf-8")
     parts = json.loads((results / "shield" / "shield.json").read_text("utf-8"))["parts"]
     assert parts["certificate"]["sampled"]["harmful"] == 0
-    for name in shield.ERRORS:
+    for name in ERRORS:
         assert parts[f"{name}: shielded"]["collisions"] == 0
         assert parts[f"{name}: shielded"]["moves"] == 200
     bare, guarded = (row for row in parts["prices"] if row["masks"] == "paper's")
@@ -96,7 +96,7 @@ def test_no_certified_move_harms_another_machine(machine: dict[str, Any] | None)
 
 
 def test_the_margin_covers_the_worst_machine_within_its_bounds_and_no_worse_one() -> None:
-    covered, beyond = (at_the_margin(real, 40) for real in shield.ERRORS.values())
+    covered, beyond = (at_the_margin(real, 40) for real in ERRORS.values())
     assert covered == {"configurations": 40, "harmed": 0}
     assert beyond["harmed"] > 20
 
