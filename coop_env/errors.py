@@ -6,7 +6,7 @@ Each is a ``ValueError`` whose message names the value and the mend.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from numbers import Real
 from typing import Any, TypeVar
@@ -87,6 +87,11 @@ def check_integer(
     ):
         raise error(f"{name} = {value!r}: must be an integer from {low} to {high}{hint}")
     return int(value)
+
+
+def is_list(value: Any) -> bool:
+    """Whether a value is a collection of entries: neither text nor a mapping."""
+    return isinstance(value, Iterable) and not isinstance(value, (str, bytes, Mapping))
 
 
 def check_flag(name: str, value: Any) -> bool:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.design.kernels import flood, survey
+from coop_env.errors import is_list
 from coop_env.geometry import INITIAL, OPTIMIZED, RRSGeometry
 from coop_env.kinematics.rrs_kernels import RRSParams, make_params
 
@@ -72,7 +73,7 @@ class DesignProblem:
     over_heaves: str = "min"
 
     def __post_init__(self) -> None:
-        if not np.iterable(self.heaves) or not len(tuple(self.heaves)):
+        if not is_list(self.heaves) or not len(tuple(self.heaves)):
             raise DesignError(f"heaves = {self.heaves!r}: must be heights, the home heave first")
         object.__setattr__(self, "heaves", tuple(self.heaves))
         positive = {
@@ -115,6 +116,8 @@ class DesignProblem:
     def geometry(self, lambda1: float, lambda2: float) -> RRSGeometry:
         """The machine of a design vector, with this problem's scale and limits.
 
+        It can heave as the paper's designs do, and to all of this problem's heaves.
+
         Raises:
             GeometryError: the paper's constraints are broken.
         """
@@ -125,8 +128,8 @@ class DesignProblem:
             distal_length=self.distal_length,
             joint_min=self.joint_min,
             joint_max=self.joint_max,
-            heave_min=min(self.heaves),
-            heave_max=max(self.heaves) + 1e-9,
+            heave_min=min(INITIAL.heave_min, *self.heaves),
+            heave_max=max(INITIAL.heave_max, *self.heaves),
             home_heave=self.home_heave,
         )
 
@@ -196,7 +199,8 @@ def workspace_area(
 
     With several heaves, the least or the mean over them (``problem.over_heaves``).
 
-    >>> from coop_env.geometry import INITIAL, OPTIMIZED
+    >>> from coop_env.errors import is_list
+    from coop_env.geometry import INITIAL, OPTIMIZED
     >>> round(workspace_area(INITIAL), 2), round(workspace_area(OPTIMIZED), 2)
     (0.82, 1.16)
     """

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coop_env.compilation import njit
 from coop_env.shield.kernels import free_share, is_certified
 from coop_env.shield.shield import KinematicShield
-from coop_env.simulation.collision import ceiling
+from coop_env.simulation.collision import ceiling, lowest
 from coop_env.simulation.state import VALID, configuration_status
 from coop_env.simulation.task import N_AXES, EnvParams, pack, unpack
 
@@ -120,6 +120,13 @@ def lattice(params: EnvParams, origin: Floats) -> tuple[Floats, Floats]:
     return grids[0].reshape(-1, 3), grids[1].reshape(-1, 3)
 
 
+def near_points(shield: KinematicShield, params: EnvParams, delta: Floats) -> NDArray[np.bool_]:
+    """Which of the Delta's points (n, 3) are within a move of where it may meet the 3-RRS."""
+    tight = shield.margin.tighten(params)
+    top = ceiling(params.rrs.heave_max, params) + params.layout["step"][2]
+    return np.array([lowest(z, tight) < top for z in delta[:, 2].tolist()], bool)
+
+
 def certify_lattice(
     shield: KinematicShield,
     params: EnvParams,
@@ -128,13 +135,12 @@ def certify_lattice(
 ) -> Certificate:
     """All moves of the lattice through a configuration: a superset of what can be reached.
 
-    Where the peg hangs above all of the 3-RRS the robots do not concern each other, and each
-    robot's points are looked at beside one of the other's.
+    Where all of the Delta hangs above all of the 3-RRS the robots do not concern each other, and
+    each robot's points are looked at beside one of the other's.
     """
     delta, rrs = lattice(params, origin)
-    tip = delta[:, 2] + params.delta.base_height - params.delta.peg_length
-    top = ceiling(params.rrs.heave_max, params) + params.layout["step"][2]
-    low, high = delta[tip < top], delta[tip >= top]
+    near = near_points(shield, params, delta)
+    low, high = delta[near], delta[~near]
     home = np.array([[0.0, 0.0, origin[5]]])
     alone = np.array([p for p in high if shield.is_certified([*p, *home[0]])][:1])
     total = check_product(shield, params, high, home)

@@ -10,7 +10,7 @@ import numpy as np
 from coop_env.compilation import njit
 from coop_env.kinematics import delta_kernels, rrs_kernels
 from coop_env.simulation.collision import (
-    ceiling,
+    below_ceiling,
     collides_elsewhere,
     in_opening,
     peg_meets_dome,
@@ -42,7 +42,7 @@ def is_certified(c: Configuration, p: EnvParams, reach: float, clearance: float)
             return False
     if is_singular(rrs_kernels.signed_sigma_min(pose, q, p.rrs), p):
         return False
-    if clearance < 0.0 or peg_tip(c[0], c[1], c[2], p.delta)[2] >= ceiling(pose.z, p):
+    if clearance < 0.0 or not below_ceiling(c, p):
         return True
     if peg_meets_dome(c[0], c[1], c[2], pose, p):
         # the true tip, of which `p` has the grown one, must be as far inside of the lead-in

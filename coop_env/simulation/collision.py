@@ -157,7 +157,7 @@ def _thickest(p: EnvParams) -> float:
 
 
 @njit(cache=True)
-def _lowest(z: float, p: EnvParams) -> float:
+def lowest(z: float, p: EnvParams) -> float:
     """Height below which there is nothing of the Delta, m: that of the tip, unless it is short."""
     return min(peg_tip(0.0, 0.0, z, p.delta)[2], z + p.delta.base_height - _thickest(p))
 
@@ -165,13 +165,13 @@ def _lowest(z: float, p: EnvParams) -> float:
 @njit(cache=True)
 def below_ceiling(c: tuple[float, float, float, float, float, float], p: EnvParams) -> bool:
     """Whether anything of the Delta reaches low enough to touch anything of the 3-RRS."""
-    return _lowest(c[2], p) < ceiling(c[5], p)
+    return lowest(c[2], p) < ceiling(c[5], p)
 
 
 @njit(cache=True)
 def collides(x: float, y: float, z: float, theta: Row, pose: Pose, q: Row, p: EnvParams) -> bool:
     """Whether the two robots touch; ``theta`` and ``q`` must be the joint angles of the poses."""
-    if _lowest(z, p) >= ceiling(pose.z, p):
+    if lowest(z, p) >= ceiling(pose.z, p):
         return False
     tip = peg_tip(x, y, z, p.delta)
     # The bore takes the peg, and the chamfer is as much wider all round as its width.

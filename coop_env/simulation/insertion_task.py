@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from coop_env.errors import ArgumentError, check_integer, check_number
+from coop_env.errors import ArgumentError, check_integer, check_number, is_list
 
 MAX_HOLES: Final = 32
 
@@ -127,10 +127,7 @@ class InsertionTask:
     @property
     def hole_normals(self) -> tuple[tuple[float, float, float], ...]:
         """Outward unit normals in the platform's frame; mouths lie on the dome along them."""
-        return tuple(
-            (math.sin(p) * math.cos(a), math.sin(p) * math.sin(a), math.cos(p))
-            for p, a in self.holes
-        )
+        return tuple(_normal(polar, azimuth) for polar, azimuth in self.holes)
 
     def active_holes(self, stage: int) -> tuple[int, ...]:
         """1 for each hole that is active at the curriculum's stage 0 or 1, 0 for the others."""
@@ -148,13 +145,13 @@ def _of(name: str) -> str:
 
 
 def _pair(name: str, value: Any) -> tuple[Any, Any]:
-    if isinstance(value, str) or not isinstance(value, Iterable) or len(both := list(value)) != 2:
+    if not is_list(value) or len(both := list(value)) != 2:
         raise ArgumentError(f"{name} = {value!r}: must be two numbers")
     return both[0], both[1]
 
 
 def _holes(value: Any) -> tuple[tuple[float, float], ...]:
-    if isinstance(value, str) or not isinstance(value, Iterable):
+    if not is_list(value):
         raise ArgumentError(f"{_of('holes')} = {value!r}: must be pairs of polar angle and azimuth")
     found = []
     for i, pair in enumerate(value):
@@ -168,9 +165,17 @@ def _holes(value: Any) -> tuple[tuple[float, float], ...]:
         )
     if not 1 <= len(found) <= MAX_HOLES:
         raise ArgumentError(f"{_of('holes')} are {len(found)}: must be 1 to {MAX_HOLES}")
-    if len(set(found)) < len(found):
-        raise ArgumentError(f"{_of('holes')} = {found}: one is named twice")
+    for i, one in enumerate(found):  # by where they are: angles name the pole in many ways
+        for j, other in enumerate(found[:i]):
+            if math.dist(_normal(*one), _normal(*other)) < 1e-9:
+                raise ArgumentError(f"{_of('holes')}[{j}] = {other} and [{i}] = {one} are the same")
     return tuple(found)
+
+
+def _normal(polar: float, azimuth: float) -> tuple[float, float, float]:
+    """Outward unit normal of a hole, in the platform's frame."""
+    s = math.sin(polar)
+    return s * math.cos(azimuth), s * math.sin(azimuth), math.cos(polar)
 
 
 PAPER_TASK: Final = InsertionTask()

@@ -5,14 +5,14 @@ Both are built in a scratch row, so a start that fails leaves the environment as
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.compilation import njit
-from coop_env.errors import ResetOptionError, check_integer
+from coop_env.errors import ResetOptionError, check_integer, is_list
 from coop_env.kinematics import rrs_kernels
 from coop_env.simulation import dynamics, state
 from coop_env.simulation.sim_to_real import SimToReal, draw_machine
@@ -150,7 +150,7 @@ def _filled(value: Any, active: NDArray[np.uint8]) -> NDArray[np.uint8]:
     filled = np.zeros(active.size, np.uint8)
     if value is None:
         return filled
-    if isinstance(value, str) or not isinstance(value, Iterable):
+    if not is_list(value):
         raise ResetOptionError(f"filled = {value!r}: must be a collection of hole indices")
     for item in value:
         filled[_hole_index(item, "an entry of filled", active.size)] = 1

@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env.base_vec_env import (
 from coop_env.env import CoopInsertionEnv, check_snapshot
 from coop_env.errors import check_integer
 from coop_env.simulation import batch
-from coop_env.vector.vector_env import CoopInsertionVectorEnv, check_seed, set_attribute
+from coop_env.vector.vector_env import CoopInsertionVectorEnv, check_seed, set_attributes
 
 StepReturn = tuple[
     NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]
@@ -169,8 +169,8 @@ class CoopInsertionVecEnv(VecEnv):
         Raises:
             ArgumentError: the environments have no such attribute to set.
         """
-        for env in self._targets(indices):
-            set_attribute(env, attr_name, value)
+        targets = self._targets(indices)
+        set_attributes(targets, attr_name, [value] * len(targets))
 
     def _targets(self, indices: VecEnvIndices) -> list[Any]:
         return [self.envs[i // self.rows_each] for i in self._get_indices(indices)]

@@ -268,13 +268,13 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
 
         Raises:
             ArgumentError: the environments have no such attribute, or the list another length.
+                Whatever is raised, nothing was set.
         """
         if not isinstance(values, (list, tuple)):
             values = [values] * self.num_envs
         if len(values) != self.num_envs:
             raise ArgumentError(f"{len(values)} values for {self.num_envs} environments")
-        for env, value in zip(self.envs, values, strict=True):
-            set_attribute(env, name, value)
+        set_attributes(self.envs, name, values)
 
     def render(self) -> tuple[Any, ...] | None:
         """A frame of each environment, as ``render_mode`` says."""
@@ -316,17 +316,24 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
             )
 
 
-def set_attribute(env: CoopInsertionEnv, name: str, value: Any) -> None:
-    """Set an attribute of an environment that has it.
+def set_attributes(envs: Sequence[Any], name: str, values: Sequence[Any]) -> None:
+    """Set an attribute of environments that have it, a value each; of all of them or of none.
 
     Raises:
-        ArgumentError: it has not, or it cannot be set.
+        ArgumentError: one has not, or it cannot be set.
     """
+    done: list[tuple[Any, Any]] = []
     try:
-        getattr(env, name)
-        setattr(env, name, value)
-    except AttributeError as error:
-        raise ArgumentError(f"attribute {name!r} cannot be set: {error}") from error
+        before = [getattr(env, name) for env in envs]
+        for env, old, value in zip(envs, before, values, strict=True):
+            setattr(env, name, value)
+            done.append((env, old))
+    except Exception as error:
+        for env, old in done:
+            setattr(env, name, old)
+        if isinstance(error, AttributeError):
+            raise ArgumentError(f"attribute {name!r} cannot be set: {error}") from error
+        raise
 
 
 def check_actions(actions: Any, n: int, n_actions: int) -> NDArray[Any]:

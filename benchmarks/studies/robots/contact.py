@@ -5,7 +5,7 @@
 Each script's gains are the best of a grid on validation episodes of each level, by success and then
 by time, with errors up to 3 mm. The tests have errors of fixed size to any side, or as the task
 draws them, tilts up to a degree, and friction as the task draws it, or errors of 3 mm and fixed
-friction. Last, both searches insert with other timesteps, contacts and play. Written to
+friction. With ``--vary`` both searches insert with other timesteps, contacts and play. Written to
 ``results/contact/`` and to ``docs/physics.md``; a level that this commit measured is not measured
 again.
 """
@@ -49,6 +49,7 @@ from benchmarks.studies.robots.trials import (
 from benchmarks.studies.speed.report import table
 
 BLOCK: Final = "contact"
+VARIED: Final = "contact-varied"
 PAGE: Final = "physics.md"
 LEVELS: Final = ("easy", "standard", "hard")
 SENSITIVE: Final = ("standard", "hard")  # a round tip finds its hole anyway
@@ -154,18 +155,25 @@ def _tables(found: Mapping[str, Any]) -> Iterator[str]:
     )
 
 
-def _sensitivity(found: Mapping[str, Any]) -> str:
-    return table(
+def tell_varied(found: Mapping[str, Any]) -> str:
+    """The searches under each of :data:`VARIANTS` as Markdown."""
+    machine = found["machine"]
+    varied = table(
         f"What the simulation assumes, varied; errors to {TRAINED:g} mm",
         "level | script | variant | success (%) / median time (s) / median peak force (N) | "
         f"largest peak (N) | rim yields at {PRESSED:g} N (mm)",
         [
             [level, row["script"], row["variant"], in_cell(row), f"{max(row['force']):.1f}",
              f"{1e3 * row['yields']:.3f}"]
-            for level, rows in found["sensitivity"].items()
+            for level, rows in found["levels"].items()
             for row in rows
         ],
     )  # fmt: skip
+    return (
+        f"{varied}\n\n{found['episodes']} episodes a row, as the task draws them, with the gains "
+        f"of the tables above. Command: `{found['command']}`. {machine['machine']['processor']}, "
+        f"commit {machine['commit'][:9]}."
+    )
 
 
 def tell(found: Mapping[str, Any]) -> str:
@@ -181,7 +189,6 @@ def tell(found: Mapping[str, Any]) -> str:
     return "\n\n".join(
         [
             *_tables(found),
-            *([_sensitivity(found)] if found.get("sensitivity") else []),
             f"{n} episodes a cell (all of them successful: {low:.0f} to {high:.0f} %, 95 % "
             f"interval); to {TRAINED:g} mm errors are as the task draws them. "
             f"Gains chosen: {chosen}. Command: `{found['command']}`. "
@@ -203,6 +210,7 @@ def main(words: Sequence[str]) -> int:
     line.add_argument(
         "--film", action="store_true", help="draw a video of one insertion, and no more"
     )
+    line.add_argument("--vary", action="store_true", help="vary what is assumed, and no more")
     line.add_argument("--levels", nargs="+", choices=LEVELS, default=list(LEVELS))
     given = line.parse_args(list(words))
     try:
@@ -212,9 +220,11 @@ def main(words: Sequence[str]) -> int:
     console, path = Console(soft_wrap=True), given.results / "contact" / "scripts.json"
     if given.film:
         return _film(path, console)
+    if given.vary:
+        return _vary(path, given, words, console)
     commit = describe()["commit"]  # what another one measured is measured again
     asked = {"episodes": given.episodes, "defaults": asdict(Gains()), "commit": commit}
-    found = kept(path, asked, {"levels": {}, "sensitivity": {}})
+    found = kept(path, asked, {"levels": {}})
     found |= {
         "command": " ".join(["python -m benchmarks contact", *words]),
         "machine": describe(),
@@ -228,12 +238,32 @@ def main(words: Sequence[str]) -> int:
                 tick = partial(progress.advance, task)
                 found["levels"][level] = measure(level, given.episodes, tick)
                 write_text(path, json.dumps(found) + "\n")
-            if level in SENSITIVE and level not in found["sensitivity"]:
-                task = progress.add_task(f"{level}, varied", total=len(VARIANTS))
-                tick, scripts = partial(progress.advance, task), found["levels"][level]
-                found["sensitivity"][level] = sensitivity(level, scripts, given.episodes, tick)
-                write_text(path, json.dumps(found) + "\n")
     publish(path, tell(found), given.docs / PAGE, BLOCK, console)
+    return 0
+
+
+def _vary(path: Path, given: Any, words: Sequence[str], console: Console) -> int:
+    """The searches, with the gains that were stored, under each of :data:`VARIANTS`.
+
+    Raises:
+        BenchmarkError: no gains are stored.
+    """
+    if not path.is_file():
+        raise BenchmarkError(f"{path} is missing: run python -m benchmarks contact first")
+    stored = json.loads(path.read_text(encoding="utf-8"))["levels"]
+    found: Row = {
+        "command": " ".join(["python -m benchmarks contact", *words]),
+        "machine": describe(),
+        "episodes": given.episodes,
+        "levels": {},
+    }
+    with Progress(console=console, refresh_per_second=2) as progress:
+        for level in (level for level in SENSITIVE if level in given.levels and level in stored):
+            tick = partial(progress.advance, progress.add_task(level, total=len(VARIANTS)))
+            found["levels"][level] = sensitivity(level, stored[level], given.episodes, tick)
+    path = path.with_name("varied.json")
+    write_text(path, json.dumps(found) + "\n")
+    publish(path, tell_varied(found), given.docs / PAGE, VARIED, console)
     return 0
 
 
@@ -253,3 +283,4 @@ def _film(path: Path, console: Console) -> int:
 def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
     """Verify that the tables, here and in the docs, follow from the stored episodes."""
     check_tables(report, results / "contact/scripts.json", tell, docs / PAGE, BLOCK)
+    check_tables(report, results / "contact/varied.json", tell_varied, docs / PAGE, VARIED)

@@ -7,7 +7,8 @@ that the shield allows may harm the nominal machine, on its way or at its end. T
 (`SimToReal`), and an adversary takes of the allowed moves one with the least margins left. Last,
 random, adversarial and learned policies play validation starts with and without the shield: its
 interventions, and what it costs, in moves and (with MuJoCo) by increments in contact. Written to
-``results/shield/`` and to ``docs/shield.md``.
+``results/shield/`` and to ``docs/shield.md``. With ``--machines`` it is random machines instead
+whose moves are looked at, and machines at the corners of their errors' bounds.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.reporting.verify import Report
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
+from benchmarks.studies.robots import shield_machines
 from benchmarks.studies.robots.pages import check_tables, kept, publish
+from benchmarks.studies.robots.shield_machines import ERRORS
 from benchmarks.studies.robots.trials import LEVEL, inserter, play
 from benchmarks.studies.speed.report import table
 from coop_env import CoopInsertionEnv, SimToReal
@@ -50,16 +53,6 @@ PAGE: Final = "shield.md"
 TASK: Final[dict[str, Any]] = {"reward": "progress"}
 SAMPLE: Final = 30  # points of each robot, of a sampled lattice
 LADDER: Final = (1.3, 1.7, 2.2, 3.0, 4.0)  # the adversary measures what is left in margins
-ERRORS: Final = {
-    "1 mm, 0.1 degrees, links 0.02 %": SimToReal(
-        base_position_error=0.001, base_tilt_error=math.radians(0.1), link_length_error=0.0002
-    ),
-    "2 mm, 0.2 degrees, links 0.05 %, play 0.05 degrees": SimToReal(
-        base_position_error=0.002, base_tilt_error=math.radians(0.2), link_length_error=0.0005,
-        backlash=math.radians(0.05),
-    ),
-}  # fmt: skip
-"""Bounds of what the machine does not know of itself: base, its tilt, lengths, joints."""
 # learned policies: their name in the table, and their runs
 LEARNED: Final = {
     "Rainbow": "cut/runs/rainbow-optimized-safe",
@@ -341,7 +334,10 @@ def main(words: Sequence[str]) -> int:
     add("--episodes", type=at_least(1), default=20, help="for each policy and seed")
     add("--seeds", type=at_least(2), default=5)
     add("--full", action=argparse.BooleanOptionalAction, default=True, help="one lattice in full")
+    add("--machines", type=at_least(1), help="look at so many random machines, and at no more")
     given = line.parse_args(list(words))
+    if given.machines is not None:
+        return shield_machines.measure(given.machines, given.results, given.docs, words)
     folder, console = given.results / "shield", Console(soft_wrap=True)
     asked = {
         name: getattr(given, name) for name in ("phases", "moves", "episodes", "seeds", "full")
@@ -382,3 +378,4 @@ def _parts(given: argparse.Namespace) -> dict[str, Callable[[Tick], Any]]:
 def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
     """Verify that the tables, here and in the docs, follow from what was measured."""
     check_tables(report, results / "shield/shield.json", tell, docs / PAGE, BLOCK)
+    shield_machines.check(report, results, docs)

@@ -16,6 +16,7 @@ from coop_env.errors import (
     as_dataclass,
     check_integer,
     check_number,
+    is_list,
 )
 from coop_env.geometry import GeometryError
 from coop_env.kinematics import delta, rrs
@@ -275,7 +276,7 @@ def check_error(value: Any) -> tuple[float, float, float, float]:
         ResetOptionError: it is not four numbers, or one is out of range.
     """
     try:
-        numbers = [float(v) for v in value]
+        numbers = [float(v) for v in value] if is_list(value) else []
     except (TypeError, ValueError) as error:
         raise ResetOptionError(f"error = {value!r}: must be four numbers") from error
     if len(numbers) != 4:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from coop_env import design
+from coop_env import CoopInsertionEnv, design
 from coop_env.design import DesignError, DesignProblem, Samples
 from coop_env.geometry import INITIAL, GeometryError, RRSGeometry
 
@@ -143,3 +143,14 @@ def test_the_initial_lambdas_are_the_default_start() -> None:
     found = design.optimize(DesignProblem(cells=30))
     assert tuple(found.path[0, :2]) == pytest.approx(INITIAL.lambdas[:2])
     assert found.lambda1 + found.lambda2 + found.lambda3 == pytest.approx(4.0)
+
+
+def test_what_is_found_can_heave() -> None:
+    """In a range as narrow as a nanometre no start of the task could."""
+    found = design.optimize(DesignProblem(cells=30, heaves=(0.231,)), max_evaluations=30).geometry
+    assert found.home_heave == 0.231
+    assert (found.heave_min, found.heave_max) == (INITIAL.heave_min, INITIAL.heave_max)
+    heaves = [CoopInsertionEnv(found).reset(seed=seed)[0][5] for seed in range(8)]
+    assert np.ptp(heaves) > 0.1
+    with pytest.raises(DesignError, match="heaves"):
+        DesignProblem(heaves={0.21: 1})  # type: ignore[arg-type]

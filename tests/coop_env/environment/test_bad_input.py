@@ -100,6 +100,7 @@ def test_a_geometry_without_start_states_is_told_not_searched_for_ever() -> None
         ({"target": True}, "target = True"),
         ({"filled": 3}, "filled = 3"),
         ({"filled": "all"}, "filled = 'all'"),
+        ({"filled": {0: False}}, "filled = {0: False}"),
         ({"filled": [7]}, "7"),
         ({"filled": range(6)}, "leaves no active hole"),
         ({"filled": [2], "target": 2}, "target = 2"),

@@ -208,7 +208,10 @@ def test_a_wider_singular_margin_ends_episodes_sooner() -> None:
         ({"start_clearance": (0.15, 0.05)}, r"start_clearance\[1\] = 0.05: must be at least 0.15"),
         ({"holes": []}, "holes are 0: must be 1 to 32"),
         ({"holes": [(0.0, 0.1 * k) for k in range(33)]}, "holes are 33"),
-        ({"holes": [(0.1, 0.0), (0.1, 0.0)]}, "named twice"),
+        ({"holes": [(0.1, 0.0), (0.1, 0.0)]}, "are the same"),
+        ({"holes": [(0.0, 0.0), (0.0, 1.0)]}, "are the same"),  # the pole
+        ({"holes": [(0.1, -math.pi), (0.1, math.pi)]}, "are the same"),
+        ({"holes": {0.1: 0.0}}, "must be pairs"),
         ({"holes": [(2.0, 0.0)]}, r"holes\[0\] polar angle = 2.0"),
         ({"holes": [0.1, 0.2]}, r"holes\[0\] = 0.1: must be two numbers"),
         ({"holes": "six"}, "holes = 'six'"),

@@ -305,7 +305,8 @@ def test_moves_that_are_none(action: Any) -> None:
     "options",
     [
         {"hole": 6}, {"hole": True}, {"hole": np.array([1, 2])},
-        {"error": [0.0, 0.0]}, {"error": [np.nan] * 4},
+        {"error": [0.0, 0.0]}, {"error": [np.nan] * 4}, {"error": dict.fromkeys(range(4))},
+        {"error": {0.0: 1, 0.001: 1, 0.002: 1, 0.003: 1}},
         {"error": [0.1, 0, 0, 0]}, {"friction": 0.0}, {"force": 1}, 7,
     ],
 )  # fmt: skip

@@ -94,7 +94,11 @@ def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
     docs, results = tmp_path / "docs", tmp_path / "results"
     docs.mkdir()
     page = docs / contact.PAGE
-    page.write_text("# Page\n\n<!-- contact:begin -->\n<!-- contact:end -->\n", encoding="utf-8")
+    page.write_text(
+        "# Page\n\n<!-- contact:begin -->\n<!-- contact:end -->\n"
+        "<!-- contact-varied:begin -->\n<!-- contact-varied:end -->\n",
+        encoding="utf-8",
+    )
     words = ["--results", str(results), "--docs", str(docs), "--episodes", "2"]
     assert contact.main([*words, "--levels", "standard"]) == 0
     capsys.readouterr()
@@ -105,7 +109,9 @@ def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
     assert text in page.read_text("utf-8")
     stored = json.loads((results / "contact" / "scripts.json").read_text("utf-8"))
     assert stored["levels"]["standard"]["compliant push"]["errors"][1]["success"] == [True, True]
-    rows = {row["variant"]: row for row in stored["sensitivity"]["standard"]}
+    assert contact.main([*words, "--vary"]) == 0
+    varied = json.loads((results / "contact" / "varied.json").read_text("utf-8"))
+    rows = {row["variant"]: row for row in varied["levels"]["standard"]}
     assert list(rows) == list(contact.VARIANTS)
     assert rows["contact 20 ms"]["yields"] > rows["contact 10 ms"]["yields"] > 0.0
     report = Report()

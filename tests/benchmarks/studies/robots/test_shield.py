@@ -5,12 +5,14 @@ from __future__ import annotations
 import importlib.util
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks.reporting.verify import Report
 from benchmarks.studies.robots import shield
+from benchmarks.studies.robots.shield_machines import ERRORS, at_the_margin, attack, draw_machine
 from coop_env import CoopInsertionEnv
 from coop_env.shield import KinematicShield
 from coop_env.shield.certificate import Certificate, check_product, lattice
@@ -38,7 +40,7 @@ def test_the_command_writes_what_it_prints_and_goes_on(
     assert text in page.read_text("utf-8")
     parts = json.loads((results / "shield" / "shield.json").read_text("utf-8"))["parts"]
     assert parts["certificate"]["sampled"]["harmful"] == 0
-    for name in shield.ERRORS:
+    for name in ERRORS:
         assert parts[f"{name}: shielded"]["collisions"] == 0
         assert parts[f"{name}: shielded"]["moves"] == 200
     bare, guarded = (row for row in parts["prices"] if row["masks"] == "paper's")
@@ -78,3 +80,37 @@ def test_a_certificate_finds_what_a_shield_without_margins_lets_through() -> Non
     assert bold.points > kept.points
     assert bold.harmful > 0
     assert kept + kept == Certificate(*(2 * n for n in kept))
+
+
+@pytest.mark.parametrize(
+    "machine", [{"delta": {"peg_length": 0.005}}, {"task": {"effector_radius": 0.12}}, None]
+)
+def test_no_certified_move_harms_another_machine(machine: dict[str, Any] | None) -> None:
+    """A short peg hangs above all of the 3-RRS while the effector does not."""
+    rng = np.random.default_rng(0)
+    env = draw_machine(rng) if machine is None else CoopInsertionEnv(**machine)
+    env.reset(seed=1)
+    found = attack(env, 10_000, rng)
+    assert found["moves"] >= 10_000
+    assert found["harmful"] == 0
+
+
+def test_the_margin_covers_the_worst_machine_within_its_bounds_and_no_worse_one() -> None:
+    covered, beyond = (at_the_margin(real, 40) for real in ERRORS.values())
+    assert covered == {"configurations": 40, "harmed": 0}
+    assert beyond["harmed"] > 20
+
+
+def test_the_search_over_machines_is_a_command(tmp_path: Path) -> None:
+    page = tmp_path / shield.PAGE
+    page.write_text(
+        "<!-- shield-machines:begin -->\n<!-- shield-machines:end -->\n", encoding="utf-8"
+    )
+    words = ["--results", str(tmp_path), "--docs", str(tmp_path), "--machines", "1"]
+    assert shield.main(words) == 0
+    found = json.loads((tmp_path / "shield" / "machines.json").read_text("utf-8"))
+    assert found["search"]["harmful"] == 0
+    assert "| harmed" in page.read_text("utf-8").replace("  ", "")
+    report = Report()
+    shield.check(report, tmp_path, [], tmp_path)
+    assert report.problems == []
