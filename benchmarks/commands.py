@@ -43,6 +43,7 @@ MODULES: Final = {
     "media": "viewing.media",
     "physics": "robots.physics",
     "shield": "robots.shield",
+    "trajectory": "trajectory",
     "transfer": "robots.transfer",
     "watch": "viewing.watch",
 }
@@ -51,7 +52,7 @@ DELEGATED: Final = ("speed", *MODULES)
 CHECKED: Final = (
     *("design.docs", "design.codesign.tell", "audit", "failures", "classic.docs"),
     *("robots.physics", "robots.contact", "robots.shield", "robots.transfer"),
-    "sharing.data_page",
+    *("sharing.data_page", "trajectory"),
 )
 SPEED: Final = {
     "env": "benchmarks.studies.speed.env",

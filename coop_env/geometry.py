@@ -15,6 +15,14 @@ from typing import Any, Final
 
 from coop_env.errors import ArgumentError, as_dataclass, check_number
 
+MAX_JOINT_VELOCITY: Final = 2.61
+"""rad/s. The paper names no drives. These limits are published for joints 6 and 7 of the Franka
+Panda (Franka Control Interface, robot limits), whose torque of 12 N m is nearest to the twin's."""
+MAX_JOINT_ACCELERATION: Final = 20.0
+"""rad/s^2, from the same table."""
+MAX_JOINT_JERK: Final = 10_000.0
+"""rad/s^3, from the same table."""
+
 
 class GeometryError(ValueError):
     """A geometry that cannot be built or assembled; the message names the value and the mend."""
@@ -33,7 +41,8 @@ class RRSGeometry:
 
     Lengths in m, angles in rad. ``base_radius`` and ``platform_radius`` run from the centre to the
     revolute and to the spherical joints. The lengths obey the paper's equation (constraints):
-    ``platform_radius < base_radius < 2 eta``.
+    ``platform_radius < base_radius < 2 eta``. What an actuated joint may do stands in rad/s,
+    rad/s^2 and rad/s^3; :data:`MAX_JOINT_VELOCITY` says where the numbers come from.
 
     Raises:
         GeometryError: a length or limit is not finite, out of order, or breaks the constraints.
@@ -49,10 +58,16 @@ class RRSGeometry:
     heave_min: float = 0.21
     heave_max: float = 0.25
     home_heave: float = 0.21
+    max_joint_velocity: float = MAX_JOINT_VELOCITY
+    max_joint_acceleration: float = MAX_JOINT_ACCELERATION
+    max_joint_jerk: float = MAX_JOINT_JERK
 
     def __post_init__(self) -> None:
         _check(
             self,
+            "max_joint_velocity",
+            "max_joint_acceleration",
+            "max_joint_jerk",
             "base_radius",
             "proximal_length",
             "platform_radius",
@@ -126,10 +141,12 @@ class DeltaGeometry:
 
     ``proximal_length`` is the paper's active rod l_a, ``distal_length`` its passive rod l_p;
     the radii run from the centre to the joints. ``base_height`` places the Delta's base frame
-    above the 3-RRS's on their common axis. The peg hangs ``peg_length`` below the effector.
+    above the 3-RRS's on their common axis. The peg hangs ``peg_length`` below the effector. What
+    an actuated joint may do stands in rad/s, rad/s^2 and rad/s^3, see :data:`MAX_JOINT_VELOCITY`.
 
     Raises:
-        GeometryError: a length is not finite and positive, or the robot cannot be assembled.
+        GeometryError: a length or limit is not finite and positive, or the robot cannot be
+            assembled.
     """
 
     base_radius: float = 0.12
@@ -139,6 +156,9 @@ class DeltaGeometry:
     base_height: float = 0.85
     peg_length: float = 0.08
     peg_radius: float = 0.004
+    max_joint_velocity: float = MAX_JOINT_VELOCITY
+    max_joint_acceleration: float = MAX_JOINT_ACCELERATION
+    max_joint_jerk: float = MAX_JOINT_JERK
 
     def __post_init__(self) -> None:
         _check(self, *self.__slots__)

@@ -20,11 +20,13 @@ STEPS = 200  # of the notebook's trainings: past their first updates
 SHORT = {
     "behaviour_cloning": ("1", r"held out: 0\.\d\d\n(.*\n)*Nothing", ["cloned-optimum-small-s0"]),
     "cartpole": ("300", r"return after 300 steps: \d+\.\d ± \d", ["rainbow_cartpole"]),
+    "drive_a_machine": ("0", r"filled: \d+ moves in \d\.\d\d s.*\ntip \d\.\d mm", []),
     "exact_resume": ("384", r"goes on at step 192 of 384\nweights equal to the bit: True", []),
     "images": ("150", r"share of balls caught: [01]\.\d\d", []),
     "insertion": ("320", r"of 20\nholes filled: \d\.\d\d of 6", ["rainbow_insertion"]),
     "masks": ("500", r"reach the goal: [01]\.\d\d; falls into water, ever: 0$", []),
     "own_3rrs": ("2", r"Rb 0\.\d+.*\n(.*\n){2}own: the optimum inserts from [012] of 2 starts", []),
+    "own_delta": ("1", r"47 moves: \d\.\d\d s by .*\nmoves that are not free on their way:", []),
     "own_method": ("1", r"climb, seed 0, noise 0: Success .*\n(.*\n)*Nothing was stored", []),
     "prioritized_dqn": ("500", r"priorities from (\S+) to (?!\1)\S+\nreturn after 500", []),
 }

@@ -25,14 +25,15 @@ ROOT = Path(__file__).resolve().parent.parent
 SHIPPED = ("setup.cfg", "pyproject.toml", "README.md", "LICENSE")
 PACKAGES = ("sb3_rainbow", "coop_env", "benchmarks")
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-# all but what needs an extra: pictures (`render`), MuJoCo (`physics`), PettingZoo (`team`), `zoo`
+# all but what needs an extra: pictures (`render`), MuJoCo (`physics`), PettingZoo (`team`),
+# `trajectory`, `zoo`
 EVERY_MODULE = """
 import importlib, importlib.util, pkgutil, sys
 import coop_env, sb3_rainbow
 for package in (sb3_rainbow, coop_env):
     assert package.__file__.startswith(sys.prefix), package.__file__
     for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-        extras = ("coop_env.rendering.", "coop_env.physics.", "coop_env.team.parallel_env")
+        extras = ("coop_env.rendering.", "coop_env.physics.", "coop_env.exports", "coop_env.team.p")
         if not module.name.startswith((*extras, "sb3_rainbow.zoo.")):
             importlib.import_module(module.name)
 assert importlib.util.find_spec("benchmarks") is None

@@ -1,0 +1,265 @@
+"""Episodes as joint trajectories: to files for a controller, and on the twin's servos.
+
+    python -m benchmarks trajectory
+    python -m benchmarks trajectory --export FOLDER [--model PATH] [--start 0] [--blend]
+
+Without --export, the optimum and a stored Rainbow play the same test starts. Their ways become
+trajectories, stop-and-go and blended, and the twin drives each to the first insertion. Written to
+``results/trajectory/``: ``trajectory.csv``, ``trajectory.md``, ``trajectory.png``, ``meta.json``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+import yaml
+from gymnasium.error import DependencyNotInstalled
+from numpy.typing import NDArray
+from rich.console import Console
+
+from benchmarks.errors import BenchmarkError, at_least
+from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.protocol.seeding import episode_seeds
+from benchmarks.reporting.figures.style import save
+from benchmarks.reporting.pages import blocks
+from benchmarks.reporting.verify import Report, check_file
+from benchmarks.runs.machine import describe
+from benchmarks.runs.store import write_csv, write_text
+from coop_env.env import CoopInsertionEnv
+from coop_env.geometry import GEOMETRIES
+from coop_env.simulation.insertion_task import PAPER_TASK
+from coop_env.trajectory import Trajectory, make_trajectory
+
+if TYPE_CHECKING:
+    from coop_env.physics.driver import TwinDriver
+
+PAGE: Final = "trajectory.md"
+BLOCK: Final = "trajectory"
+MODEL: Final = Path("cut/runs/rainbow-optimized-safe-s0/policy.zip")
+SEEN: Final = ("observation", "mask_singularities", "mask_visited", "mask_refused")
+"""What of a track decides a policy's view of the nominal task."""
+FORCE_LIMIT: Final = 40.0  # N, as in the contact task
+
+MEASURED: Final = (
+    *("seconds_first", "seconds", "blocked_first", "blocked", "error", "error_rms", "torque"),
+    *("force", "inserted"),
+)
+"""Columns of a start with an insertion, which others leave empty."""
+
+Play = Callable[[CoopInsertionEnv], Iterator[int]]
+Row = dict[str, Any]
+
+
+class Way(NamedTuple):
+    """Configurations (n, 6) of an episode, the hole aimed at first, moves made to fill it, or 0."""
+
+    configurations: NDArray[np.float64]
+    target: int
+    first: int
+    holes: int
+
+
+def optimum(env: CoopInsertionEnv) -> Iterator[int]:
+    """Moves of the exact optimum, hole by hole, as far as there is a plan."""
+    for plan in LatticeOracle().plan_episode(env):
+        yield from () if plan.moves is None else map(int, plan.moves)
+
+
+def stored(path: Path) -> tuple[dict[str, Any], Play]:
+    """The environment's arguments of a stored policy, and its greedy moves.
+
+    Raises:
+        BenchmarkError: the file is missing, is no model, or is not of the single-agent task.
+    """
+    from benchmarks.evaluation.evaluate import model_policy
+    from benchmarks.evaluation.model_files import fitting_observation, load_model
+
+    model = load_model(path)
+    arguments: dict[str, Any] = {"observation": fitting_observation(model, path)}
+    if (config := path.with_name("config.yaml")).is_file():
+        found = yaml.safe_load(config.read_text(encoding="utf-8"))
+        arguments |= {name: found["track"][name] for name in SEEN if name in found["track"]}
+        arguments["geometry"] = found["cell"]["geometry"]
+        if arguments["geometry"] not in GEOMETRIES:
+            raise BenchmarkError(f"{path}: give a policy on one of {sorted(GEOMETRIES)}")
+    act = model_policy(model)
+
+    def play(env: CoopInsertionEnv) -> Iterator[int]:
+        while env.running:
+            yield int(act(env.observe()[None], env.action_masks()[None])[0])
+
+    return arguments, play
+
+
+def played(arguments: dict[str, Any], play: Play, seed: int) -> Way:
+    """The way of one episode, and what it filled; a move that was refused adds nothing to it."""
+    env = CoopInsertionEnv(**arguments)
+    _, info = env.reset(seed=seed)
+    target, first, holes, way = int(info["target"]), 0, 0, [env.configuration]
+    for move in play(env):
+        _, _, terminated, truncated, info = env.step(move)
+        if not (info["violation"] or info["singular"]):
+            way.append(env.configuration)
+        holes += bool(info["inserted"])
+        first = first or (len(way) - 1 if info["inserted"] else 0)
+        if terminated or truncated:
+            break
+    return Way(np.array(way), target, first, holes)
+
+
+def rows_of(method: str, way: Way, number: int, driver: TwinDriver) -> Iterator[Row]:
+    """What each kind of trajectory comes to, to the first insertion and for the whole episode."""
+    geometry = driver.twin.machine.rrs
+    for kind, blend in (("stop-and-go", False), ("blended", True)):
+        row: Row = {"method": method, "kind": kind, "start": number}
+        row |= {"moves_first": way.first, "moves": len(way.configurations) - 1, "holes": way.holes}
+        row |= dict.fromkeys(MEASURED, math.nan)
+        if way.first:
+            whole = make_trajectory(way.configurations, geometry, blend=blend)
+            first = make_trajectory(way.configurations[: way.first + 1], geometry, blend=blend)
+            driver.place(way.configurations[0])
+            driver.command(first)
+            distance, angle = driver.miss(way.target)
+            inserted = distance < PAPER_TASK.tolerance and angle < PAPER_TASK.angle_tolerance
+            errors = np.abs(driver.errors)
+            row |= {
+                "seconds_first": first.duration,
+                "seconds": whole.duration,
+                "blocked_first": len(first.blocked()),
+                "blocked": len(whole.blocked()),
+                "error": 1e3 * float(errors.max()),
+                "error_rms": 1e3 * float(np.sqrt(np.mean(errors**2))),
+                "torque": float(np.abs(driver.torques).max()),
+                "force": float(np.linalg.norm(driver.force())),
+                "inserted": inserted,
+            }
+        yield row
+
+
+def tell(rows: pd.DataFrame) -> str:
+    """The rows as two Markdown tables."""
+    first, whole = [], []
+    for (method, kind), all_of in rows.groupby(["method", "kind"], sort=False):
+        done = all_of[all_of["moves_first"] > 0]
+        free, name = done["blocked_first"] == 0, f"{method} | {kind}"
+        gentle = int((done["force"] <= FORCE_LIMIT).sum())
+        first.append(
+            f"| {name} | {len(done)} of {len(all_of)} | {done['moves_first'].mean():.1f} "
+            f"| {PAPER_TASK.dt * done['moves_first'].mean():.1f} "
+            f"| {done['seconds_first'].mean():.2f} | {int(free.sum())} "
+            f"| {done['error'].median():.1f} / {done['error'].max():.1f} "
+            f"| {done['error_rms'].mean():.1f} | {done['torque'].max():.1f} "
+            f"| {int(done['inserted'].sum())} | {gentle} |"
+        )
+        whole.append(
+            f"| {name} | {done['holes'].mean():.2f} | {done['moves'].mean():.1f} "
+            f"| {PAPER_TASK.dt * done['moves'].mean():.1f} | {done['seconds'].mean():.2f} "
+            f"| {int((done['blocked'] == 0).sum())} | {int(done['blocked'].sum())} |"
+        )
+    heads = (
+        "| method | trajectory | starts with an insertion | moves to it | s by moves | s | ways "
+        "free | error, mrad: median / largest peak | rms | peak torque, N m | inserted on the twin "
+        f"| at most {FORCE_LIMIT:.0f} N |",
+        "| method | trajectory | holes | moves | s by moves | s | episodes free | moves blocked |",
+    )
+    tables = (
+        "\n".join([head, "|---" * (head.count("|") - 1) + "|", *lines])
+        for head, lines in zip(heads, (first, whole), strict=True)
+    )
+    titles = ("To the first insertion", "The whole episode, of the same starts")
+    return "\n\n".join(f"{t}\n\n{table}" for t, table in zip(titles, tables, strict=True)) + "\n"
+
+
+def export(folder: Path, trajectory: Trajectory, console: Console) -> None:
+    """Write a trajectory as CSV, as YAML of a JointTrajectory and as a picture."""
+    folder.mkdir(parents=True, exist_ok=True)
+    trajectory.to_csv(folder / "trajectory.csv")
+    trajectory.to_yaml(folder / "joint_trajectory.yaml")
+    save(trajectory.plot(), folder / "trajectory.png")
+    console.print(f"{trajectory.duration:.2f} s in {len(trajectory.stops) - 1} moves")
+    for move, reason in trajectory.blocked():
+        console.print(f"move {move} is not free: on its way there is {reason}")
+    console.print(f"Written to {folder}", markup=False)
+
+
+def main(words: Sequence[str]) -> int:
+    """Export one episode, or measure all and write the tables."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks trajectory", description=__doc__)
+    add = parser.add_argument
+    add("--export", type=Path, metavar="FOLDER", help="where one episode's files go")
+    add("--model", type=Path, help="policy of a run; with --export, the optimum is the default")
+    add("--start", type=at_least(0), default=0, help="number of the test start to export")
+    add("--blend", action="store_true", help="export blended moves")
+    add("--starts", type=at_least(1), default=100, help="of the tables")
+    add("--results", type=Path, default=Path("results"))
+    add("--docs", type=Path, default=Path("docs"), help=f"folder of {PAGE}")
+    given = parser.parse_args(list(words))
+    console = Console(soft_wrap=True)
+    try:
+        if given.export is None:
+            return _measure(given, console, words)
+        nominal: tuple[dict[str, Any], Play] = ({"geometry": "optimized"}, optimum)
+        arguments, play = nominal if given.model is None else stored(given.model)
+        seed = list(episode_seeds(0, given.start + 1, "test"))[-1]
+        way = played(arguments, play, seed)
+        geometry = arguments.get("geometry", "optimized")
+        if len(way.configurations) < 2:
+            raise BenchmarkError(f"start {given.start}: no move was made; choose another --start")
+        export(given.export, make_trajectory(way.configurations, geometry, blend=given.blend),
+               console)  # fmt: skip
+    except DependencyNotInstalled as missing:
+        raise BenchmarkError(str(missing)) from missing
+    return 0
+
+
+def _measure(given: argparse.Namespace, console: Console, words: Sequence[str]) -> int:
+    from coop_env.physics.driver import TwinDriver
+    from coop_env.physics.model import Machine
+
+    model = given.results / MODEL if given.model is None else given.model
+    players = {"optimum": ({"geometry": "optimized"}, optimum), "Rainbow": stored(model)}
+    folder, rows = given.results / "trajectory", []
+    picture: Trajectory | None = None
+    for method, (arguments, play) in players.items():
+        driver = TwinDriver(Machine(rrs=GEOMETRIES[arguments.get("geometry", "optimized")]))
+        for number, seed in enumerate(episode_seeds(0, given.starts, "test")):
+            way = played(arguments, play, seed)
+            rows += rows_of(method, way, number, driver)
+            if picture is None and way.first:
+                picture = make_trajectory(way.configurations[: way.first + 1])
+    write_csv(folder / "trajectory.csv", rows)
+    text = tell(pd.read_csv(folder / "trajectory.csv"))  # what is told follows from what is stored
+    write_text(folder / "trajectory.md", text)
+    if picture is not None:
+        save(picture.plot(), folder / "trajectory.png")
+    record = {
+        **describe(), "starts": given.starts, "model": model.as_posix(),
+        "command": " ".join(["python -m benchmarks trajectory", *words]),
+    }  # fmt: skip
+    write_text(folder / "meta.json", json.dumps(record, indent=1, sort_keys=True) + "\n")
+    page = given.docs / PAGE
+    if page.is_file():
+        blocks.rewrite(page, lambda old: blocks.fill(old, BLOCK, lambda _: text))
+    console.print(text, markup=False)
+    console.print(f"Written to {folder}", markup=False)
+    return 0
+
+
+def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
+    """Verify that the tables, here and in the docs, follow from the rows."""
+    path, page = results / "trajectory/trajectory.csv", docs / PAGE
+    if not path.is_file():
+        return
+    text = tell(pd.read_csv(path))
+    found = check_file(path.with_suffix(".md"), text, f"the rows of {path.name}")
+    if page.is_file():
+        shown = blocks.fill(page.read_text(encoding="utf-8"), BLOCK, lambda _: text)
+        found += check_file(page, shown, f"the rows of {path}")
+    report.add(f"{path.parent}: tables, and their block in {docs}", found)

@@ -1,0 +1,154 @@
+"""The machine as SDF, which can say what URDF cannot: links that close loops.
+
+Two models in one world, each with all its joints: six rods with a universal joint at the knee and a
+ball at the wrist hold the Delta's effector level, three balls hold the platform. Every joint's zero
+is at home. Masses and inertias are those of the twin's MJCF, a forearm's halved between its rods.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from coop_env.exports.meshes import SIDES, Link, links, save_stl
+from coop_env.geometry import DeltaGeometry, RRSGeometry
+from coop_env.physics.engine import mujoco
+from coop_env.physics.joints import tree_angles
+from coop_env.physics.model import DELTA_RANGE, Machine, build_mjcf, to_xml
+
+Floats = NDArray[np.float64]
+VERSION: Final = "1.9"
+FILE: Final = "coop_insertion.sdf"
+MESHES: Final = "meshes"
+
+
+def save_sdf(folder: Path, machine: Machine | None = None) -> Path:
+    """Write ``coop_insertion.sdf`` and the meshes it names into a folder; returns the file.
+
+    Raises:
+        GeometryError: a robot cannot be assembled.
+    """
+    m = Machine() if machine is None else machine
+    save_stl(folder / MESHES, m)
+    root = build_sdf(m)
+    ET.indent(root)
+    path = folder / FILE
+    path.write_text(ET.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
+    return path
+
+
+def build_sdf(machine: Machine) -> ET.Element:
+    """The world with both robots.
+
+    Raises:
+        GeometryError: a robot cannot be assembled.
+    """
+    root = ET.Element("sdf", version=VERSION)
+    world = ET.SubElement(root, "world", name="coop_insertion")
+    model = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(machine)))
+    found = links(machine)
+    for robot, tip in (("delta", "effector"), ("rrs", "platform")):
+        body = ET.SubElement(world, "model", name=robot)
+        _joint(body, f"{robot}_mount", "fixed", "world", f"{robot}_base")
+        for link in found:
+            if link.name.startswith(robot) or link.name == tip:
+                _add_link(body, link, model)
+        _add_joints(body, robot, machine)
+    return root
+
+
+def _text(parent: ET.Element, tag: str, values: float | Floats | Sequence[float]) -> ET.Element:
+    element = ET.SubElement(parent, tag)
+    element.text = " ".join(f"{v:.12g}" for v in np.ravel(np.asarray(values, np.float64)))
+    return element
+
+
+def _add_link(body: ET.Element, link: Link, model: Any) -> None:
+    element = ET.SubElement(body, "link", name=link.name)
+    turn = Rotation.from_matrix(link.rotation).as_euler("xyz")  # about fixed axes, as SDF has it
+    _text(element, "pose", [*link.position, *turn])
+    mass, centre, inertia = _inertia(link.name, model)
+    inertial = ET.SubElement(element, "inertial")
+    _text(inertial, "pose", [*centre, 0.0, 0.0, 0.0])
+    _text(inertial, "mass", mass)
+    tensor = ET.SubElement(inertial, "inertia")
+    for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
+        _text(tensor, f"i{'xyz'[i]}{'xyz'[j]}", inertia[i, j])
+    for kind in ("visual", "collision"):
+        shape = ET.SubElement(ET.SubElement(element, kind, name=kind), "geometry")
+        ET.SubElement(ET.SubElement(shape, "mesh"), "uri").text = f"{MESHES}/{link.name}.stl"
+
+
+def _inertia(link: str, model: Any) -> tuple[float, Floats, Floats]:
+    """Mass, centre (3,) and inertia (3, 3) about it, of the MJCF's bodies that make up a link."""
+    rod = link.startswith("delta_rod")
+    names = [link.split("_left")[0].split("_right")[0], *(["peg"] if link == "effector" else [])]
+    masses, centres, tensors = [], [], []
+    for b in (model.body(name).id for name in names):
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.body_iquat[b])
+        axes = turn.reshape(3, 3)
+        masses.append(float(model.body_mass[b]))
+        centres.append(np.array(model.body_ipos[b]))
+        tensors.append(axes @ np.diag(model.body_inertia[b]) @ axes.T)
+    mass = sum(masses)
+    centre = np.average(centres, axis=0, weights=masses)
+    inertia = np.zeros((3, 3))
+    for part, at, tensor in zip(masses, centres, tensors, strict=True):
+        d = at - centre
+        inertia += tensor + part * (d @ d * np.eye(3) - np.outer(d, d))
+    return (0.5 * mass, centre, 0.5 * inertia) if rod else (mass, centre, inertia)
+
+
+def _joint(body: ET.Element, name: str, kind: str, parent: str, child: str) -> ET.Element:
+    element = ET.SubElement(body, "joint", name=name, type=kind)
+    ET.SubElement(element, "parent").text = parent
+    ET.SubElement(element, "child").text = child
+    return element
+
+
+def _turning(
+    joint: ET.Element, tag: str, xyz: Sequence[float], limits: dict[str, float] | None = None
+) -> None:
+    """An axis in the child's frame; without limits nothing drives it."""
+    axis = ET.SubElement(joint, tag)
+    _text(axis, "xyz", xyz)
+    element = ET.SubElement(axis, "limit")
+    for name, value in ({"effort": 0.0} if limits is None else limits).items():
+        _text(element, name, value)
+
+
+def _ball(body: ET.Element, name: str, link: str, at: float, child: str) -> None:
+    """A ball at the far end of a link, which closes a loop in all limbs but one."""
+    joint = _joint(body, name, "ball", link, child)
+    _text(joint, "pose", [at, 0.0, 0.0, 0.0, 0.0, 0.0]).set("relative_to", link)
+
+
+def _add_joints(body: ET.Element, robot: str, m: Machine) -> None:
+    geometry: DeltaGeometry | RRSGeometry = m.delta if robot == "delta" else m.rrs
+    angles = tree_angles(m.home(), m.rrs, m.delta)
+    home = angles.theta if robot == "delta" else angles.q
+    low, high = DELTA_RANGE if robot == "delta" else (m.rrs.joint_min, m.rrs.joint_max)
+    drive = {"effort": m.servos.torque_limit, "velocity": geometry.max_joint_velocity}
+    axis = (0, 1, 0) if robot == "delta" else (0, -1, 0)
+    for i in range(3):
+        link = f"{robot}_proximal{i}"
+        motor = _joint(body, f"{robot}_joint{i}", "revolute", f"{robot}_base", link)
+        _turning(motor, "axis", axis, {"lower": low - home[i], "upper": high - home[i], **drive})
+        if robot == "rrs":
+            elbow = _joint(body, f"rrs_elbow{i}", "revolute", link, f"rrs_distal{i}")
+            _turning(elbow, "axis", axis)
+            _ball(body, f"rrs_ball{i}", f"rrs_distal{i}", m.rrs.distal_length, "platform")
+            continue
+        for side in SIDES:
+            rod = f"delta_rod{i}_{side}"
+            knee = _joint(body, f"delta_knee{i}_{side}", "universal", link, rod)
+            _turning(knee, "axis", axis)
+            _turning(knee, "axis2", (0, 0, 1))
+            _ball(body, f"delta_wrist{i}_{side}", rod, m.delta.distal_length, "effector")

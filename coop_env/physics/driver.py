@@ -1,0 +1,259 @@
+"""A machine behind three methods, the twin as the first of them, and a policy that drives it."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from coop_env.env import CoopInsertionEnv
+from coop_env.errors import ArgumentError, ResetOptionError
+from coop_env.kinematics import delta, rrs
+from coop_env.physics.joints import Floats
+from coop_env.physics.model import Machine
+from coop_env.physics.twin import Twin
+from coop_env.simulation.task import N_AXES
+from coop_env.trajectory import Trajectory, make_trajectory
+
+SETTLING: Final = 0.1
+"""s for which the twin holds a trajectory's end before its command is over."""
+MEMORIES: Final = ("mask_visited", "mask_refused", "sim_to_real")
+Policy = Callable[[Any, Any], Any]
+"""From an observation and its action masks to an action."""
+
+
+class DriverError(RuntimeError):
+    """A machine that does not answer, or answers nonsense; its last command holds."""
+
+
+class Driver(Protocol):
+    """What drives a machine: the real one is a class of these three methods."""
+
+    def command(self, trajectory: Trajectory) -> None:
+        """Carry the trajectory out, from where the machine stands; returns at its end."""
+
+    def joints(self) -> Floats:
+        """Measured angles (6,) of the joints of ``coop_env.trajectory.JOINTS``, rad."""
+
+    def force(self) -> Floats:
+        """The largest force on the peg since the last command, (3,), world frame, N."""
+
+
+class TwinDriver:
+    """The simulated machine as a :class:`Driver`.
+
+    Servos are led by positions, and by velocities as far as they damp these.
+
+    Args:
+        machine: what is simulated; None, the standard one.
+        configuration: where it stands at first (6,); None, at home.
+        base: where the 3-RRS's base really stands, as for :meth:`Twin.place`.
+        friction: of the peg.
+
+    Raises:
+        ArgumentError: the configuration is out of reach.
+    """
+
+    def __init__(
+        self,
+        machine: Machine | None = None,
+        configuration: ArrayLike | None = None,
+        base: ArrayLike | None = None,
+        friction: float | None = None,
+    ) -> None:
+        self.twin = Twin(machine)
+        servos = self.twin.machine.servos
+        self._kp = np.repeat([servos.delta_stiffness, servos.rrs_stiffness], 3)
+        self._kv = np.repeat(
+            [servos.damping(servos.delta_stiffness), servos.damping(servos.rrs_stiffness)], 3
+        )
+        self._weight: Floats
+        self.place(
+            self.twin.machine.home() if configuration is None else configuration, base, friction
+        )
+        self._force: Floats = np.zeros(3)
+        self.errors: Floats = np.zeros((0, N_AXES))
+        """Measured minus commanded angles (samples, 6) of the last trajectory, rad."""
+        self.torques: Floats = np.zeros((0, N_AXES))
+        """Of the six servos by their law (samples, 6) in the last trajectory, N m."""
+
+    def place(
+        self, configuration: ArrayLike, base: ArrayLike | None = None, friction: float | None = None
+    ) -> None:
+        """Set the machine down at rest; arguments as for the class.
+
+        Raises:
+            ArgumentError: the configuration is out of reach.
+        """
+        self._weight = self.twin.place(0, configuration, base, friction).wrench[:3]
+
+    def command(self, trajectory: Trajectory) -> None:
+        """Lead the servos along the trajectory and hold its end for a tenth of a second.
+
+        Raises:
+            DriverError: the simulation diverged.
+        """
+        dt = self.twin.machine.timestep
+        times = np.arange(0.0, trajectory.duration + SETTLING, dt)
+        led = trajectory.positions + self._kv / self._kp * trajectory.velocities
+        led, wanted = (
+            np.column_stack([np.interp(times, trajectory.times, column) for column in values.T])
+            for values in (led, trajectory.positions)
+        )
+        found = self.twin.advance(led[None, 1:], len(led) - 1)
+        if self.twin.diverged[0]:
+            raise DriverError("the simulation diverged")
+        angles, forces = found.joints[0], found.wrench[0, :, :3] - self._weight
+        self._force = forces[np.argmax(np.linalg.norm(forces, axis=1))]
+        self.errors = (angles - wanted[:-1])[times[:-1] <= trajectory.duration]
+        rates = np.gradient(angles, dt, axis=0)
+        limit = self.twin.machine.servos.torque_limit
+        self.torques = np.clip(self._kp * (led[1:] - angles) - self._kv * rates, -limit, limit)
+
+    def joints(self) -> Floats:
+        """Measured angles (6,), rad."""
+        joints: Floats = self.twin.readings().joints[0]
+        return joints
+
+    def force(self) -> Floats:
+        """The largest force on the peg since the last command, without its weight, (3,), N."""
+        return self._force
+
+    def miss(self, hole: int) -> tuple[float, float]:
+        """Where the peg really is: m from its tip to a hole's mouth, rad between their axes."""
+        now, task = self.twin.readings(), self.twin.machine.task
+        normal = now.rotation[0] @ task.hole_normals[hole]
+        gap = now.tip[0] - now.platform[0] - task.dome_radius * normal
+        return float(np.linalg.norm(gap)), float(np.arccos(np.clip(normal[2], -1.0, 1.0)))
+
+
+class Replayed(NamedTuple):
+    """How a policy drove a machine; ``stopped`` is ``"filled"`` or says why it went no further."""
+
+    stopped: str
+    filled: list[int]
+    moves: int
+    seconds: float
+    force: float  # the largest, N
+    error: float  # the largest at the end of a move, rad
+
+
+def replay(
+    policy: Policy,
+    driver: Driver,
+    machine: Machine | None = None,
+    *,
+    target: int,
+    holes: int | None = None,
+    max_moves: int = 300,
+    force_limit: float = 40.0,
+    error_limit: float = 0.05,
+    patience: float = 2.0,
+    **arguments: Any,
+) -> Replayed:
+    """Let a policy of the kinematic task drive a machine, move by move, by what it reports.
+
+    Before each move the measured joints give the configuration, and that observation and masks. A
+    move is commanded only if it is valid and the whole way of its trajectory is free.
+
+    Args:
+        policy: from observation and action masks to an action.
+        driver: of the machine.
+        machine: its nominal dimensions; None, the standard ones.
+        target: the first hole to fill.
+        holes: how many to fill; None, all.
+        max_moves: that are made at most.
+        force_limit: N; beyond it the machine is not moved any more.
+        error_limit: rad by which a joint may miss the end of a move.
+        patience: s that an answer may take, and a command more than its trajectory.
+        arguments: of :class:`~coop_env.env.CoopInsertionEnv`, as the policy was trained, but the
+            dimensions and what needs a memory.
+
+    Raises:
+        DriverError: no answer came in time, or none of six finite angles or three finite forces.
+        ArgumentError: an argument is unknown or needs a memory of moves.
+    """
+    if wrong := [name for name in MEMORIES if arguments.get(name)]:
+        raise ArgumentError(f"{wrong[0]}: a replay knows of no move but the present one")
+    m = Machine() if machine is None else machine
+    geometries: dict[str, Any] = {"geometry": m.rrs, "delta": m.delta, "task": m.task}
+    env = CoopInsertionEnv(**geometries, **arguments)
+    wanted_holes = len(m.task.holes) if holes is None else holes
+    filled: list[int] = []
+    seconds = force = error = 0.0
+    where, moves = _stand(driver, m, m.home(), patience), 0
+
+    def end(stopped: str) -> Replayed:
+        return Replayed(stopped, filled, moves, seconds, force, error)
+
+    while moves < max_moves:
+        try:
+            start = {"configuration": where, "target": target, "filled": filled}
+            observation, _ = env.reset(options=start)
+        except ResetOptionError as refused:
+            return end(f"the machine stands where it must not: {refused}")
+        *_, info = env.step(policy(observation, env.action_masks()))
+        if info["violation"] or info["singular"]:
+            return end("the move is not allowed")
+        way = make_trajectory([where, env.configuration], m.rrs, m.delta, m.task)
+        if blocked := way.blocked():
+            return end(f"on the way there is {blocked[0][1]}")
+        _ask(driver.command, way, seconds=way.duration + patience)
+        moves, seconds = moves + 1, seconds + way.duration
+        felt = float(np.linalg.norm(_numbers(driver.force, 3, patience)))
+        where = _stand(driver, m, env.configuration, patience)
+        off = float(np.abs(_numbers(driver.joints, N_AXES, patience) - way.positions[-1]).max())
+        force, error = max(force, felt), max(error, off)
+        if felt > force_limit:
+            return end(f"a force of {felt:.3g} N")
+        if off > error_limit:
+            return end(f"a joint is {off:.3g} rad off its command")
+        if info["inserted"]:
+            filled.append(int(info["inserted_hole"]))
+        if len(filled) >= wanted_holes:
+            return end("filled")
+        target = int(env.state["target"])
+    return end("no moves are left")
+
+
+def _stand(driver: Driver, m: Machine, near: Sequence[float] | Floats, patience: float) -> Floats:
+    """The configuration (6,) of the measured joints, the 3-RRS's branch followed from ``near``."""
+    angles, before = _numbers(driver.joints, N_AXES, patience), np.asarray(near, np.float64)
+    pose = rrs.forward(angles[3:], before[3:], m.rrs).pose
+    found = np.concatenate([delta.forward(angles[:3], m.delta).position, pose])
+    found[5] = np.clip(found[5], m.rrs.heave_min, m.rrs.heave_max)  # it rests at a limit
+    return found
+
+
+def _numbers(call: Callable[[], Any], n: int, seconds: float) -> Floats:
+    found = np.asarray(_ask(call, seconds=seconds), np.float64)
+    if found.shape != (n,) or not np.isfinite(found).all():
+        raise DriverError(f"the machine answered {found.tolist()}: must be {n} finite numbers")
+    return found
+
+
+def _ask(call: Callable[..., Any], *arguments: Any, seconds: float) -> Any:
+    """What a call returns or raises, waited for so long in a thread of its own."""
+    answers: queue.SimpleQueue[tuple[bool, Any]] = queue.SimpleQueue()
+
+    def work() -> None:
+        try:
+            answers.put((True, call(*arguments)))
+        except Exception as error:
+            answers.put((False, error))
+
+    threading.Thread(target=work, daemon=True).start()
+    try:
+        fine, answer = answers.get(timeout=seconds)
+    except queue.Empty:
+        raise DriverError(
+            f"the machine did not answer {call.__name__} within {seconds:.3g} s; its last command "
+            "holds"
+        ) from None
+    if not fine:
+        raise answer
+    return answer

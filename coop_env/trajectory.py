@@ -1,0 +1,326 @@
+"""From configurations to trajectories of the six actuated joints that keep their limits.
+
+The profiles are ruckig's (extra ``trajectory``). A way between two configurations is checked where
+the trajectory is sampled: reach, collision and singularity by the environment's own kernel.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from gymnasium.error import DependencyNotInstalled
+from numpy.typing import ArrayLike, NDArray
+
+from coop_env.compilation import njit
+from coop_env.errors import ArgumentError, as_dataclass, check_flag, check_number
+from coop_env.geometry import DeltaGeometry, RRSGeometry, resolve_delta, resolve_rrs
+from coop_env.kinematics import delta_kernels, rrs_forward_kernels
+from coop_env.simulation import rewards, state
+from coop_env.simulation.insertion_task import PAPER_TASK, InsertionTask
+from coop_env.simulation.task import N_AXES, make_params, pack, unpack
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+
+JOINTS: Final = (*(f"delta_joint{i}" for i in range(3)), *(f"rrs_joint{i}" for i in range(3)))
+"""The actuated joints by name, as in the twin's MJCF: theta of the Delta, q of the 3-RRS."""
+TIMESTEP: Final = 0.002
+"""s between two samples."""
+REASONS: Final = {
+    state.INVALID: "beyond reach or joint limits",
+    state.COLLISION: "a collision",
+    state.SINGULAR: "a singularity",
+}
+_SAME: Final = 1e-12  # rad
+
+
+class TrajectoryError(ValueError):
+    """No trajectory leads along the configurations; the message names the first that fails."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Samples of the six joints of :data:`JOINTS`, evenly spaced; the first is at rest at 0 s.
+
+    Attributes:
+        times: (T,), s.
+        positions: (T, 6), rad.
+        velocities: (T, 6), rad/s.
+        accelerations: (T, 6), rad/s^2.
+        configurations: (T, 6), where the joints put both robots; NaN where the links cannot close.
+        status: (T,), 0 where the sample is free, else a key of :data:`REASONS`.
+        stops: (n,), the samples at which the n given configurations are met.
+    """
+
+    times: Floats
+    positions: Floats
+    velocities: Floats
+    accelerations: Floats
+    configurations: Floats
+    status: NDArray[np.int64]
+    stops: NDArray[np.int64]
+
+    @property
+    def duration(self) -> float:
+        """Of the whole, s."""
+        return float(self.times[-1])
+
+    def blocked(self) -> list[tuple[int, str]]:
+        """Ways that are not free: number of the move, from 0, and the first reason on it."""
+        found: dict[int, str] = {}
+        for sample in np.flatnonzero(self.status):
+            move = max(int(np.searchsorted(self.stops, sample)) - 1, 0)
+            found.setdefault(move, REASONS[int(self.status[sample])])
+        return list(found.items())
+
+    def to_csv(self, path: Path) -> None:
+        """Write time, positions, velocities and accelerations, a row a sample; SI units."""
+        kinds = ("position", "velocity", "acceleration")
+        columns = np.column_stack([self.times, self.positions, self.velocities, self.accelerations])
+        with path.open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(["time", *(f"{joint}_{kind}" for kind in kinds for joint in JOINTS)])
+            writer.writerows([[f"{v:.9g}" for v in row] for row in columns])
+
+    def to_joint_trajectory(self) -> dict[str, Any]:
+        """The fields of ROS 2's ``trajectory_msgs/msg/JointTrajectory``, plain numbers and lists.
+
+        ``rosidl_runtime_py.set_message_fields(JointTrajectory(), ...)`` takes it.
+        """
+        return {
+            "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
+            "joint_names": list(JOINTS),
+            "points": [
+                {
+                    "positions": self.positions[i].tolist(),
+                    "velocities": self.velocities[i].tolist(),
+                    "accelerations": self.accelerations[i].tolist(),
+                    "effort": [],
+                    "time_from_start": dict(
+                        zip(("sec", "nanosec"), divmod(round(1e9 * t), 10**9), strict=True)
+                    ),
+                }
+                for i, t in enumerate(self.times.tolist())
+            ],
+        }
+
+    def to_yaml(self, path: Path) -> None:
+        """Write :meth:`to_joint_trajectory` as YAML.
+
+        Raises:
+            DependencyNotInstalled: PyYAML is missing; it names the extra.
+        """
+        try:
+            import yaml
+        except ImportError as error:
+            raise _missing(error) from error
+        dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # ten times faster, where there is C
+        style: dict[str, Any] = {"sort_keys": False, "default_flow_style": None}
+        text = yaml.dump(self.to_joint_trajectory(), Dumper=dumper, **style)
+        path.write_text(text, encoding="utf-8")
+
+    def plot(self) -> Figure:
+        """Positions, velocities and accelerations over time; a dotted line at each configuration.
+
+        Raises:
+            DependencyNotInstalled: matplotlib is missing; it names the extra.
+        """
+        try:
+            from matplotlib.figure import Figure
+        except ImportError as error:
+            raise _missing(error) from error
+        figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+        rows = (
+            ("angle, rad", self.positions),
+            ("velocity, rad/s", self.velocities),
+            ("acceleration, rad/s²", self.accelerations),
+        )
+        for axes, (label, values) in zip(figure.subplots(3, 1, sharex=True), rows, strict=True):
+            for stop in self.times[self.stops]:
+                axes.axvline(stop, color="0.85", linewidth=0.6)
+            for k, joint in enumerate(JOINTS):
+                style = {"color": f"C{k % 3}", "linestyle": "-" if k < 3 else "--"}
+                axes.plot(self.times, values[:, k], linewidth=1.0, label=joint, **style)
+            axes.set_ylabel(label)
+        handles, labels = figure.axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, ncols=6, fontsize="small", loc="outside upper center")
+        figure.axes[-1].set_xlabel("time, s")
+        return figure
+
+
+def make_trajectory(
+    configurations: ArrayLike,
+    geometry: str | RRSGeometry | Mapping[str, Any] = "optimized",
+    delta: DeltaGeometry | Mapping[str, Any] | None = None,
+    task: InsertionTask | Mapping[str, Any] | None = None,
+    *,
+    blend: bool = False,
+    move_time: float | None = None,
+) -> Trajectory:
+    """The fastest trajectory through configurations under the geometries' joint limits.
+
+    Stop-and-go rests at each configuration, and all joints move in proportion between two. Blended,
+    a joint that goes on in the same direction passes a configuration with the harmonic mean of its
+    two mean velocities, and one that turns round rests there. Every configuration is met exactly;
+    whether the ways between them are free is in ``status`` and :meth:`Trajectory.blocked`.
+
+    Args:
+        configurations: (n, 6), at least two: x, y, z of the effector, roll, pitch, heave; m, rad.
+        geometry: the 3-RRS, as the environment takes it.
+        delta: the Delta, likewise.
+        task: whose bodies collide, likewise.
+        blend: whether moves are blended.
+        move_time: s that each move takes; None, as long as the limits ask for.
+
+    Raises:
+        DependencyNotInstalled: ruckig is missing; it names the extra.
+        ArgumentError: an argument is of the wrong form.
+        GeometryError: a limit or a length makes no sense.
+        TrajectoryError: a configuration is out of reach, or the limits admit no trajectory of a
+            move in its time.
+    """
+    rrs, robot = resolve_rrs(geometry), resolve_delta(delta)
+    bodies = PAPER_TASK if task is None else as_dataclass("task", task, InsertionTask)
+    points = np.array(configurations, np.float64)
+    if points.ndim != 2 or points.shape[1] != N_AXES or len(points) < 2:
+        raise ArgumentError(f"configurations of shape {points.shape}: must be (n, 6), n at least 2")
+    check_flag("blend", blend)
+    if move_time is not None:
+        move_time = max(1, round(check_number("move_time", move_time, 0.0, above=True) / TIMESTEP))
+        move_time *= TIMESTEP
+    packed = pack(make_params(rrs, rewards.make_reward("progress"), delta=robot, task=bodies))
+    joints, reached = _joints(points, packed)
+    if not reached.all():
+        index = int(np.argmin(reached))
+        raise TrajectoryError(
+            f"configuration {index} of {len(points)}, {points[index].tolist()}, is out of reach"
+        )
+    limits = np.array(
+        [
+            [getattr(owner, f"max_joint_{kind}") for owner in (robot, rrs) for _ in range(3)]
+            for kind in ("velocity", "acceleration", "jerk")
+        ]
+    )
+    rest = np.zeros_like(joints)
+    moves = _profiles(joints, rest, limits, move_time)
+    if blend:
+        means = np.diff(joints, axis=0) / np.array([max(m.shape[1] - 1, 1) for m in moves])[:, None]
+        moves = _profiles(joints, _passing(means / TIMESTEP), limits, move_time)
+    stops = np.cumsum([0, *(move.shape[1] - 1 for move in moves)])
+    parts = [moves[0][:, :1], *(move[:, 1:] for move in moves)]
+    positions, velocities, accelerations = np.concatenate(parts, axis=1)
+    found, status = _follow(positions, points[0], packed)
+    times = TIMESTEP * np.arange(len(positions))
+    return Trajectory(times, positions, velocities, accelerations, found, status, stops)
+
+
+def _passing(means: Floats) -> Floats:
+    """Velocities (n + 1, 6) at the ends of n moves with these mean ones (n, 6), rad/s."""
+    before, after = means[:-1], means[1:]
+    product = before * after
+    passing = np.zeros((len(means) + 1, N_AXES))
+    np.divide(2.0 * product, before + after, out=passing[1:-1], where=product > 0.0)
+    return passing
+
+
+def _profiles(
+    joints: Floats, velocities: Floats, limits: Floats, move_time: float | None
+) -> list[Floats]:
+    """Positions, velocities and accelerations (3, samples, 6) of each move, both ends included.
+
+    Args:
+        joints: (n, 6), rad.
+        velocities: at them (n, 6), rad/s.
+        limits: of velocity, acceleration and jerk, (3, 6).
+        move_time: as in :func:`make_trajectory`, in whole samples.
+    """
+    try:
+        import ruckig
+    except ImportError as error:
+        raise _missing(error) from error
+    solver, profile = ruckig.Ruckig(N_AXES, TIMESTEP), ruckig.Trajectory(N_AXES)
+    wanted = ruckig.InputParameter(N_AXES)
+    wanted.max_velocity, wanted.max_acceleration, wanted.max_jerk = limits.tolist()
+    wanted.duration_discretization = ruckig.DurationDiscretization.Discrete
+    if move_time is not None:
+        wanted.minimum_duration = move_time
+    moves = []
+    for k in range(len(joints) - 1):
+        if np.abs(joints[k + 1] - joints[k]).max() < _SAME:  # a move that was not made
+            moves.append(np.stack([joints[k : k + 1], velocities[k : k + 1], 0.0 * joints[:1]]))
+            continue
+        straight = not (velocities[k].any() or velocities[k + 1].any())
+        kind = ruckig.Synchronization
+        wanted.synchronization = kind.Phase if straight else kind.Time
+        wanted.current_position, wanted.target_position = joints[k].tolist(), joints[k + 1].tolist()
+        wanted.current_velocity = velocities[k].tolist()
+        wanted.target_velocity = velocities[k + 1].tolist()
+        try:
+            done = solver.calculate(wanted, profile) == ruckig.Result.Working
+        except (ValueError, ruckig.RuckigError):  # an error that its enumeration does not know
+            done = False
+        if not done:
+            raise TrajectoryError(f"move {k}: these joint limits admit no trajectory")
+        steps = round(profile.duration / TIMESTEP)
+        if move_time is not None and steps > round(move_time / TIMESTEP):
+            raise TrajectoryError(
+                f"move {k} takes {profile.duration:.3g} s at these joint limits, and has "
+                f"{move_time:.3g} s: raise move_time or the limits"
+            )
+        samples = np.array([profile.at_time(TIMESTEP * i)[:3] for i in range(steps + 1)])
+        moves.append(np.swapaxes(samples, 0, 1))
+        moves[-1][0, -1] = joints[k + 1]
+    return moves
+
+
+@njit(cache=True)
+def _joints(configurations: np.ndarray, packed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Joint angles (n, 6) of configurations (n, 6), rad, and which can be taken (n,)."""
+    p = unpack(packed)
+    joints = np.empty_like(configurations)
+    reached = np.zeros(len(configurations), np.bool_)
+    for i in range(len(configurations)):
+        c = configurations[i]
+        reached[i], theta, _, q = state.joint_angles((c[0], c[1], c[2], c[3], c[4], c[5]), p)
+        for k in range(3):
+            joints[i, k], joints[i, 3 + k] = theta[k], q[k]
+    return joints, reached
+
+
+@njit(cache=True)
+def _follow(
+    joints: np.ndarray, start: np.ndarray, packed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Configurations (n, 6) and status (n,) of joints (n, 6), followed from a configuration (6,).
+
+    Beyond a sample at which the links cannot close, nothing is known: all is out of reach.
+    """
+    p = unpack(packed)
+    found = np.full_like(joints, np.nan)
+    status = np.full(len(joints), state.INVALID)
+    roll, pitch, heave = start[3], start[4], start[5]
+    for i in range(len(joints)):
+        a = joints[i]
+        ok_delta, e = delta_kernels.forward((a[0], a[1], a[2]), p.delta)
+        ok_rrs, pose, _ = rrs_forward_kernels.forward((a[3], a[4], a[5]), roll, pitch, heave, p.rrs)
+        if not (ok_delta and ok_rrs):
+            break
+        roll, pitch, heave = pose
+        for k in range(3):
+            found[i, k], found[i, 3 + k] = e[k], pose[k]
+        c = (e[0], e[1], e[2], roll, pitch, heave)
+        status[i] = state.configuration_status(c, p)
+    return found, status
+
+
+def _missing(error: ImportError) -> DependencyNotInstalled:
+    return DependencyNotInstalled(
+        f"trajectories need pip install 'sb3-rainbow-coop[trajectory]': {error}"
+    )

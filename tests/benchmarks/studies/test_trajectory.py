@@ -1,0 +1,74 @@
+"""``python -m benchmarks trajectory`` exports an episode, measures many, and can be checked."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
+pytest.importorskip("ruckig", reason="ruckig is not installed (extra trajectory)")
+
+from benchmarks.__main__ import main as command
+from benchmarks.reporting.verify import Report
+from benchmarks.studies import trajectory
+
+ROOT = Path(__file__).resolve().parents[3]
+MODEL = ROOT / "results" / trajectory.MODEL
+
+
+@pytest.mark.parametrize("words", [[], ["--blend"], ["--model", str(MODEL)]])
+def test_one_episode_is_exported(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "episode"
+    assert command(["trajectory", "--export", str(folder), "--start", "0", *words]) == 0
+    rows = pd.read_csv(folder / "trajectory.csv")
+    text = (folder / "joint_trajectory.yaml").read_text("utf-8")
+    assert text.count("time_from_start:") == len(rows)
+    assert (folder / "trajectory.png").stat().st_size > 0
+    assert f"{rows['time'].iloc[-1]:.2f} s in " in capsys.readouterr().out
+
+
+def test_the_tables_follow_from_the_rows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    docs, results = tmp_path / "docs", tmp_path / "results"
+    docs.mkdir()
+    page = docs / trajectory.PAGE
+    page.write_text("# P\n\n<!-- trajectory:begin -->\n<!-- trajectory:end -->\n", encoding="utf-8")
+    places = ["--results", str(results), "--docs", str(docs), "--model", str(MODEL)]
+    assert command(["trajectory", "--starts", "2", *places]) == 0
+    text = (results / "trajectory" / "trajectory.md").read_text("utf-8")
+    assert text.strip() in page.read_text("utf-8")
+    assert text.strip() in capsys.readouterr().out
+    rows = pd.read_csv(results / "trajectory" / "trajectory.csv")
+    assert len(rows) == 8
+    done = rows[rows["moves_first"] > 0]
+    optimum = done[done["method"] == "optimum"]
+    assert len(optimum) > 0
+    # the shorter of two trajectories of one way, and a way is no longer to its first insertion
+    pairs = done.pivot(index=["method", "start"], columns="kind", values="seconds_first")
+    assert (pairs["blended"] <= pairs["stop-and-go"] + 1e-9).all()
+    assert (done["seconds_first"] <= done["seconds"] + 1e-9).all()
+    report = Report()
+    trajectory.check(report, results, [], docs)
+    assert report.problems == []
+    page.write_text(page.read_text("utf-8").replace("optimum", "other"), encoding="utf-8")
+    report = Report()
+    trajectory.check(report, results, [], docs)
+    assert report.problems
+
+
+def test_what_cannot_be_exported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    missing = ["--model", str(tmp_path / "none.zip")]
+    assert command(["trajectory", "--export", str(tmp_path / "e"), *missing]) == 2
+    assert "none.zip is missing" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "ruckig", None)
+    assert command(["trajectory", "--export", str(tmp_path / "e")]) == 2
+    assert "sb3-rainbow-coop[trajectory]" in capsys.readouterr().err
+    assert not (tmp_path / "e").exists()

@@ -1,0 +1,169 @@
+"""The twin behind the protocol of a machine, and policies that drive a machine through it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
+pytest.importorskip("ruckig", reason="ruckig is not installed (extra trajectory)")
+
+from coop_env import InsertionTask
+from coop_env.errors import ArgumentError
+from coop_env.physics.driver import Driver, DriverError, Replayed, TwinDriver, replay
+from coop_env.physics.model import Machine
+from coop_env.trajectory import Trajectory, make_trajectory
+
+MACHINE = Machine(task=InsertionTask(holes=((0.0, 0.0),)))  # one hole, upright at home
+DOWN = 5
+LAG = np.array([0.004, 0.004, 0.004, 0.0, 0.0, 0.0])
+ERROR_BOUND = 0.02
+"""rad by which the twin may be off on its way, as docs/trajectory.md says."""
+
+
+class Obedient:
+    """A machine that is at once where it was commanded to."""
+
+    def __init__(self) -> None:
+        self.at = make_trajectory([MACHINE.home()] * 2).positions[0]
+        self.felt: object = np.zeros(3)
+        self.commands: list[Trajectory] = []
+
+    def command(self, trajectory: Trajectory) -> None:
+        self.commands.append(trajectory)
+        self.at = trajectory.positions[-1]
+
+    def joints(self) -> np.ndarray:
+        return self.at
+
+    def force(self) -> object:
+        return self.felt
+
+
+def drive(driver: Driver, action: int = DOWN, **arguments: float) -> Replayed:
+    return replay(lambda observation, masks: action, driver, MACHINE, target=0, **arguments)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("blend", [False, True])
+def test_the_twin_follows_within_the_stated_bound(blend: bool) -> None:
+    """Both robots, far above the dome; the links of each are moved at the limits."""
+    home = Machine().home()
+    home[[2, 5]] += 0.05, 0.01  # a way from a limit to another may leave it in between
+    turns = np.array([0.02, -0.02, 0.02, 0.03, -0.03, 0.02])
+    way = [home, *(home + turns * np.tri(6)[k] for k in range(6)), home]
+    planned = make_trajectory(way, blend=blend)
+    assert planned.blocked() == []
+    driver = TwinDriver(configuration=home)
+    driver.command(planned)
+    assert len(driver.errors) == len(planned.times)
+    assert 1e-4 < np.abs(driver.errors).max() < ERROR_BOUND
+    assert np.abs(driver.joints() - planned.positions[-1]).max() < 1e-3
+    assert 0.05 < np.abs(driver.torques).max() < 0.5 * Machine().servos.torque_limit
+    assert np.linalg.norm(driver.force()) < 1.0  # the peg's own inertia: it touches nothing
+
+
+def test_a_policy_fills_a_hole_of_the_twin() -> None:
+    driver = TwinDriver(MACHINE)
+    found = drive(driver)
+    assert (found.stopped, found.filled) == ("filled", [0])
+    distance, angle = driver.miss(0)
+    assert distance < MACHINE.task.tolerance
+    assert angle < MACHINE.task.angle_tolerance
+    drop = MACHINE.home()[2] + MACHINE.delta.base_height - MACHINE.delta.peg_length
+    drop -= MACHINE.rrs.home_heave + MACHINE.task.dome_radius
+    assert found.moves == np.ceil((drop - MACHINE.task.tolerance) / 0.02)
+    assert found.error < 1e-3
+
+
+def test_the_policy_sees_what_the_machine_reports() -> None:
+    """A machine that lags: the next move begins, and is seen, where it stands."""
+    seen, driver = [], Obedient()
+    honest = driver.command
+
+    def lag(trajectory: Trajectory) -> None:
+        honest(trajectory)
+        driver.at = driver.at + LAG
+
+    driver.command = lag  # type: ignore[method-assign]
+    found = replay(
+        lambda observation, masks: seen.append(observation) or DOWN,  # type: ignore[func-returns-value]
+        driver, MACHINE, target=0, holes=1, max_moves=2, normalize=False,
+    )  # fmt: skip
+    assert found.moves == 2
+    assert found.error == pytest.approx(0.004)
+    step = seen[0][2] - seen[1][2]
+    assert step > 0.02 + 0.0005  # deeper than the move
+    assert driver.commands[1].positions[0] == pytest.approx(
+        driver.commands[0].positions[-1] + LAG, abs=1e-9
+    )
+
+
+def test_it_stops_at_limits() -> None:
+    driver = Obedient()
+    driver.felt = np.array([0.0, 0.0, 50.0])
+    found = drive(driver)
+    assert (found.stopped, found.moves) == ("a force of 50 N", 1)
+    driver = Obedient()
+    driver.command = lambda trajectory: driver.commands.append(trajectory)  # type: ignore[method-assign]
+    assert drive(driver, error_limit=0.01).stopped.startswith("a joint is 0.0")
+    assert len(driver.commands) == 1
+    assert drive(Obedient(), max_moves=1).stopped == "no moves are left"
+
+
+def test_moves_that_are_not_free_are_not_commanded() -> None:
+    driver = Obedient()
+    wide = replace(MACHINE, task=replace(MACHINE.task, linear_step=0.2))
+    found = replay(lambda observation, masks: 0, driver, wide, target=0)
+    assert (found.stopped, driver.commands) == ("the move is not allowed", [])
+    # beside the dome, low: the other side can be reached, the way there leads through it
+    beside = MACHINE.home()
+    beside[[0, 2]] = -0.14, MACHINE.rrs.home_heave + 0.09
+    beside[2] += MACHINE.delta.peg_length - MACHINE.delta.base_height
+    driver.at = make_trajectory([beside, beside]).positions[0]
+    found = replay(lambda observation, masks: 0, driver, wide, target=0)
+    assert (found.stopped, driver.commands) == ("on the way there is a collision", [])
+
+
+def test_a_machine_that_stops_answering() -> None:
+    driver, wait = Obedient(), threading.Event()
+    driver.force = lambda: wait.wait(30.0)  # type: ignore[method-assign,return-value]
+    began = time.monotonic()
+    with pytest.raises(DriverError, match=r"within 0\.3 s; its last command holds"):
+        drive(driver, patience=0.3)
+    assert time.monotonic() - began < 5.0
+    wait.set()
+    assert len(driver.commands) == 1
+    assert driver.at == pytest.approx(driver.commands[0].positions[-1])
+
+
+def test_a_machine_that_answers_nonsense() -> None:
+    driver = Obedient()
+    driver.felt = [1.0, float("nan"), 0.0]
+    with pytest.raises(DriverError, match="must be 3 finite numbers"):
+        drive(driver)
+    driver.at = driver.at[:5]
+    with pytest.raises(DriverError, match="must be 6 finite numbers"):
+        drive(driver)
+
+
+def test_an_error_of_the_driver_is_its_own() -> None:
+    driver = Obedient()
+    driver.command = lambda trajectory: 1 / 0  # type: ignore[method-assign,assignment,return-value]
+    with pytest.raises(ZeroDivisionError):
+        drive(driver)
+
+
+def test_a_machine_that_stands_where_it_must_not() -> None:
+    driver = Obedient()
+    low = MACHINE.home() - [0.0, 0.0, 0.12, 0.0, 0.0, 0.0]
+    driver.at = make_trajectory([low, low]).positions[0]
+    assert drive(driver).stopped.startswith("the machine stands where it must not")
+
+
+def test_what_needs_a_memory_is_refused() -> None:
+    with pytest.raises(ArgumentError, match="mask_visited"):
+        drive(Obedient(), mask_visited=3)

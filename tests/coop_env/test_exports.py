@@ -1,0 +1,166 @@
+"""Meshes and SDF, loaded back by their libraries and held against MJCF and kinematics."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
+pytest.importorskip("trimesh", reason="trimesh is not installed (extra trajectory)")
+
+import mujoco
+import trimesh
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from coop_env import CoopInsertionEnv
+from coop_env.errors import ArgumentError
+from coop_env.exports import links, save_glb, save_sdf, save_stl
+from coop_env.geometry import DeltaGeometry
+from coop_env.kinematics import delta, rrs
+from coop_env.physics.model import Machine, build_mjcf, to_xml
+from coop_env.rendering.bodies import bodies
+
+OWN = Machine(delta=DeltaGeometry(proximal_length=0.22, distal_length=0.48, base_height=0.9))
+ROD_SPACING = 0.017  # as the renderer draws it
+
+
+def drawn(machine: Machine) -> np.ndarray:
+    """All vertices of the renderer's picture at home but for the arrow, world frame, m."""
+    env = CoopInsertionEnv(machine.rrs, delta=machine.delta, task=machine.task)
+    env.reset(options={"configuration": machine.home()})
+    parts = [part for part in bodies(env.scene()) if not part.shines]
+    return np.concatenate([p.mesh.vertices @ p.rotation.T + p.position for p in parts])
+
+
+@pytest.mark.parametrize("machine", [Machine(), OWN])
+def test_stl_of_all_links_put_together_is_the_picture(machine: Machine, tmp_path: Path) -> None:
+    paths = save_stl(tmp_path / "m", machine)
+    assert sorted(path.name for path in (tmp_path / "m").iterdir()) == sorted(
+        path.name for path in paths
+    )
+    corners = []
+    for link in links(machine):
+        mesh = trimesh.load_mesh(tmp_path / "m" / f"{link.name}.stl")
+        corners.append(mesh.vertices @ link.rotation.T + link.position)
+    placed, wanted = np.concatenate(corners), drawn(machine)
+    assert placed.min(axis=0) == pytest.approx(wanted.min(axis=0), abs=1e-6)
+    assert placed.max(axis=0) == pytest.approx(wanted.max(axis=0), abs=1e-6)
+    for some, others in ((placed, wanted), (wanted, placed)):  # the same corners, in any order
+        assert cKDTree(others).query(some)[0].max() < 1e-6
+
+
+def test_millimetres_are_a_thousand_times_as_many(tmp_path: Path) -> None:
+    for path in save_stl(tmp_path / "m"):
+        if path.stem in ("platform", "delta_rod0_left"):
+            small = trimesh.load_mesh(path)
+            large = trimesh.load_mesh(save_stl(tmp_path / "mm", unit="mm")[0].parent / path.name)
+            assert large.extents == pytest.approx(1000.0 * small.extents, rel=1e-5)
+    rod = trimesh.load_mesh(tmp_path / "mm" / "delta_rod0_left.stl")
+    balls = 2 * 7.2
+    assert rod.extents[0] == pytest.approx(1000.0 * Machine().delta.distal_length + balls, abs=0.2)
+    assert rod.is_watertight
+    with pytest.raises(ArgumentError, match="unit = 'inch'"):
+        save_stl(tmp_path / "no", unit="inch")
+    assert not (tmp_path / "no").exists()
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("mm", 1000.0)])
+def test_glb_is_the_machine_at_home(unit: str, scale: float, tmp_path: Path) -> None:
+    save_glb(tmp_path / "a.glb", unit=unit)
+    scene, wanted = trimesh.load_scene(tmp_path / "a.glb"), scale * drawn(Machine())
+    assert scene.bounds[0] == pytest.approx(wanted.min(axis=0), abs=1e-6 * scale)
+    assert scene.bounds[1] == pytest.approx(wanted.max(axis=0), abs=1e-6 * scale)
+    found = links()
+    assert set(scene.geometry) == {link.name for link in found}
+    for link in found:
+        pose, _ = scene.graph[link.name]
+        assert pose[:3, 3] == pytest.approx(scale * link.position, abs=1e-6 * scale)
+        assert pose[:3, :3] == pytest.approx(link.rotation, abs=1e-6)
+
+
+@pytest.mark.parametrize("machine", [Machine(), OWN])
+def test_frames_are_those_of_the_mjcf(machine: Machine) -> None:
+    model = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(machine)))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    for link in links(machine):
+        rod, _, side = link.name.partition("_rod")
+        body = data.body(f"{rod}_rod{side[0]}" if side else link.name)
+        assert link.rotation == pytest.approx(body.xmat.reshape(3, 3), abs=1e-9)
+        sideways = ROD_SPACING * (-1.0 if link.name.endswith("left") else 1.0) if side else 0.0
+        wanted = body.xpos + sideways * link.rotation[:, 1]
+        assert link.position == pytest.approx(wanted, abs=1e-9)
+
+
+def poses(model: ET.Element) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    found = {}
+    for link in model.iter("link"):
+        numbers = np.array(str(link.findtext("pose")).split(), float)
+        found[link.attrib["name"]] = (
+            Rotation.from_euler("xyz", numbers[3:]).as_matrix(),
+            numbers[:3],
+        )
+    return found
+
+
+def test_sdf_closes_its_loops_and_weighs_what_the_mjcf_does(tmp_path: Path) -> None:
+    machine = OWN
+    root = ET.parse(save_sdf(tmp_path, machine)).getroot()
+    for uri in root.iter("uri"):
+        assert (tmp_path / str(uri.text)).is_file()
+    freedom = {"fixed": 0, "revolute": 1, "universal": 2, "ball": 3}
+    home = machine.home()
+    pose = rrs.limb_points(home[3:], machine.rrs)[:, 2]
+    wrists = delta.limb_points(home[:3], machine.delta)[:, 2]
+    for model in root.iter("model"):
+        places = poses(model)
+        joints = list(model.iter("joint"))
+        free = 6 * len(places) - sum(6 - freedom[joint.attrib["type"]] for joint in joints)
+        assert free == 3  # Chebyshev, Gruebler and Kutzbach
+        assert Counter(joint.attrib["name"] for joint in joints).most_common(1)[0][1] == 1
+        for joint in joints:
+            parent, child = str(joint.findtext("parent")), str(joint.findtext("child"))
+            assert parent in {*places, "world"}
+            assert child in places
+            if joint.attrib["type"] != "ball":
+                continue
+            rotation, position = places[parent]
+            end = position + rotation[:, 0] * float(str(joint.findtext("pose")).split()[0])
+            limb = int(joint.attrib["name"].split("_")[1][-1])
+            if child == "platform":
+                assert end == pytest.approx(pose[limb], abs=1e-9)
+            else:
+                sideways = ROD_SPACING * (-1.0 if "left" in joint.attrib["name"] else 1.0)
+                wanted = wrists[limb] + sideways * rotation[:, 1]
+                assert end - [0.0, 0.0, machine.delta.base_height] == pytest.approx(
+                    wanted, abs=1e-9
+                )
+    mjcf = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(machine)))
+    masses = [float(str(mass.text)) for mass in root.iter("mass")]
+    assert sum(masses) == pytest.approx(mjcf.body_mass.sum())
+    for tensor in root.iter("inertia"):
+        i = {part.tag: float(str(part.text)) for part in tensor}
+        matrix = [[i["ixx"], i["ixy"], i["ixz"]], [i["ixy"], i["iyy"], i["iyz"]],
+                  [i["ixz"], i["iyz"], i["izz"]]]  # fmt: skip
+        one, two, three = np.linalg.eigvalsh(matrix)
+        assert one > 0.0
+        assert one + two >= three * (1.0 - 1e-9)
+
+
+def test_sdf_is_read_by_libsdformat(tmp_path: Path) -> None:
+    """Drake's parser is libsdformat."""
+    pytest.importorskip("pydrake", reason="drake is not installed")
+    from pydrake.multibody.parsing import Parser
+    from pydrake.multibody.plant import MultibodyPlant
+
+    plant = MultibodyPlant(1e-3)
+    models = Parser(plant).AddModels(str(save_sdf(tmp_path)))
+    assert [plant.GetModelInstanceName(model) for model in models] == ["delta", "rrs"]
+    kinds = Counter(plant.get_joint(i).type_name() for i in plant.GetJointIndices())
+    assert kinds == {"weld": 2, "revolute": 9, "universal": 6, "ball_rpy": 9}
+    assert plant.num_actuators() == 6

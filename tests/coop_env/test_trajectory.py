@@ -1,0 +1,212 @@
+"""Trajectories: limits, end points, ways that are not free, files, and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("ruckig", reason="ruckig is not installed (extra trajectory)")
+
+from gymnasium.error import DependencyNotInstalled
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from coop_env import CoopInsertionEnv, InsertionTask
+from coop_env.errors import ArgumentError
+from coop_env.geometry import DELTA, OPTIMIZED, DeltaGeometry, GeometryError, RRSGeometry
+from coop_env.kinematics import delta, rrs
+from coop_env.trajectory import JOINTS, TIMESTEP, Trajectory, TrajectoryError, make_trajectory
+
+SLOW = DeltaGeometry(max_joint_velocity=0.5, max_joint_acceleration=3.0, max_joint_jerk=90.0)
+HOME = np.array([0.0, 0.0, -0.35, 0.0, 0.0, 0.23])
+
+
+def walk(seed: int, moves: int) -> np.ndarray:
+    """Configurations (moves + 1, 6) of random valid moves of the task."""
+    env = CoopInsertionEnv(mask_singularities=True)
+    env.reset(seed=seed)
+    rng = np.random.default_rng(seed)
+    found = [env.configuration]
+    for _ in range(moves):
+        env.step(rng.choice(np.flatnonzero(env.action_masks())))
+        found.append(env.configuration)
+    return np.array(found)
+
+
+def angles(configurations: np.ndarray) -> np.ndarray:
+    """Joints (n, 6) by the kinematics."""
+    theta = delta.inverse(configurations[:, :3]).theta
+    return np.concatenate([theta, rrs.inverse(configurations[:, 3:]).q], axis=1)
+
+
+def lowered() -> Trajectory:
+    return make_trajectory([HOME, HOME - [0.0, 0.0, 0.02, 0.0, 0.0, 0.0]])
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10**6), moves=st.integers(1, 15), blend=st.booleans())
+def test_no_sample_exceeds_a_limit_and_every_configuration_is_met(
+    seed: int, moves: int, blend: bool
+) -> None:
+    way = walk(seed, moves)
+    found = make_trajectory(way, delta=SLOW, blend=blend)
+    limits = np.array(
+        [
+            [getattr(owner, f"max_joint_{kind}") for owner in (SLOW, OPTIMIZED) for _ in range(3)]
+            for kind in ("velocity", "acceleration", "jerk")
+        ]
+    )
+    jerk = np.diff(found.accelerations, axis=0) / TIMESTEP
+    for values, limit in zip((found.velocities, found.accelerations, jerk), limits, strict=True):
+        assert (np.abs(values) <= limit * (1.0 + 1e-6)).all()
+    assert found.positions[found.stops] == pytest.approx(angles(way), abs=1e-9)
+    placed = found.configurations[found.stops]
+    known = np.isfinite(placed).all(axis=1)
+    assert placed[known] == pytest.approx(way[known], abs=1e-9)
+    assert known.all() or (blend and found.blocked())  # a joint that makes way may leave the reach
+    assert found.velocities[[0, -1]] == pytest.approx(0.0, abs=1e-9)
+    if not blend:
+        assert found.velocities[found.stops] == pytest.approx(0.0, abs=1e-9)
+    # samples belong together: the mean of two velocities leads from one position to the next
+    means = 0.5 * (found.velocities[1:] + found.velocities[:-1])
+    left = np.diff(found.positions, axis=0) - TIMESTEP * means
+    assert np.abs(left).max() < limits[2].max() * TIMESTEP**3 / 6.0
+    assert np.diff(found.times) == pytest.approx(TIMESTEP)
+
+
+def test_between_two_stops_all_joints_move_in_proportion() -> None:
+    found = make_trajectory(walk(3, 1))
+    share = (found.positions - found.positions[0]) / np.ptp(found.positions, axis=0).max()
+    way = found.positions[-1] - found.positions[0]
+    moving = np.abs(way) > 1e-6
+    assert moving.any()
+    scaled = share[:, moving] / way[moving]
+    assert np.abs(scaled - scaled[:, :1]).max() < 1e-9
+
+
+def test_blended_moves_pass_without_a_stop() -> None:
+    way = HOME + np.outer(np.arange(5), [0.0, 0.0, -0.02, 0.0, 0.0, 0.0])
+    stops, blended = make_trajectory(way), make_trajectory(way, blend=True)
+    assert blended.duration < 0.75 * stops.duration
+    assert (np.abs(blended.velocities[blended.stops[1:-1], :3]) > 0.2).all()
+    back = make_trajectory([way[0], way[1], way[0]], blend=True)
+    assert back.velocities[back.stops] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_move_that_was_not_made_takes_no_time() -> None:
+    once, twice = make_trajectory([HOME, HOME]), make_trajectory([HOME, *lowered_ends(), HOME])
+    assert (once.duration, once.stops.tolist()) == (0.0, [0, 0])
+    assert twice.duration == pytest.approx(2.0 * lowered().duration, abs=TIMESTEP)
+
+
+def lowered_ends() -> list[np.ndarray]:
+    low = HOME - [0.0, 0.0, 0.02, 0.0, 0.0, 0.0]
+    return [low, low]
+
+
+def test_a_way_through_the_dome_is_not_free() -> None:
+    """Both ends are free: the tip stands beside the dome at the height of its middle."""
+    beside = HOME.copy()
+    beside[2] = 0.23 + 0.09 + DELTA.peg_length - DELTA.base_height
+    ends = [beside + x * np.eye(6)[0] for x in (0.14, 0.14 - 1e-3, -0.14)]
+    found = make_trajectory(ends)
+    assert found.status[found.stops].tolist() == [0, 0, 0]
+    assert found.blocked() == [(1, "a collision")]
+    tips = found.configurations[:, :3] + [0.0, 0.0, DELTA.base_height - DELTA.peg_length - 0.23]
+    inside = np.linalg.norm(tips, axis=1) < 0.09
+    assert inside.any()
+    assert (found.status[inside] != 0).all()
+    assert lowered().blocked() == []
+
+
+def test_the_clock_of_the_paper_is_kept_or_refused() -> None:
+    way = walk(1, 6)
+    assert make_trajectory(way, move_time=0.2).duration == pytest.approx(1.2, abs=1e-9)
+    with pytest.raises(TrajectoryError, match=r"move 0 takes 0\.\d+ s .* has 0\.02 s"):
+        make_trajectory(way, move_time=0.02)
+
+
+def test_limits_that_admit_nothing() -> None:
+    still = {"max_joint_velocity": 1e-9, "max_joint_acceleration": 1e-9, "max_joint_jerk": 1e-9}
+    with pytest.raises(TrajectoryError, match="move 0: these joint limits admit no trajectory"):
+        make_trajectory([HOME, lowered_ends()[0]], delta=still)
+
+
+def test_a_configuration_out_of_reach_is_named() -> None:
+    way = walk(0, 4)
+    way[2, 0] = 0.5
+    with pytest.raises(TrajectoryError, match=r"configuration 2 of 5, .* is out of reach"):
+        make_trajectory(way)
+    way[2, 0] = np.nan
+    with pytest.raises(TrajectoryError, match="configuration 2 of 5"):
+        make_trajectory(way)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("inf"), float("nan")])
+@pytest.mark.parametrize("kind", ["velocity", "acceleration", "jerk"])
+def test_limits_that_make_no_sense(kind: str, value: float) -> None:
+    name = f"max_joint_{kind}"
+    with pytest.raises(GeometryError, match=name):
+        DeltaGeometry(**{name: value})
+    with pytest.raises(GeometryError, match=name):
+        RRSGeometry(**{**OPTIMIZED.as_dict(), name: value})
+
+
+def test_arguments_of_the_wrong_form() -> None:
+    for wrong in (HOME, [HOME], [[0.0] * 5] * 2):
+        with pytest.raises(ArgumentError, match="configurations of shape"):
+            make_trajectory(wrong)
+    with pytest.raises(ArgumentError, match="move_time"):
+        make_trajectory([HOME, HOME], move_time=0.0)
+    with pytest.raises(ArgumentError, match="task"):
+        make_trajectory([HOME, HOME], task=3)  # type: ignore[arg-type]
+    task = InsertionTask(dome_radius=0.05)
+    assert make_trajectory([HOME, HOME], task=task).duration == 0.0
+
+
+def test_the_csv_holds_every_sample(tmp_path: Path) -> None:
+    found = lowered()
+    found.to_csv(tmp_path / "t.csv")
+    with (tmp_path / "t.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [float(row["time"]) for row in rows] == pytest.approx(found.times)
+    for kind, values in (("position", found.positions), ("acceleration", found.accelerations)):
+        read = [[float(row[f"{joint}_{kind}"]) for joint in JOINTS] for row in rows]
+        assert read == pytest.approx(values, abs=1e-7)
+
+
+def test_the_yaml_is_a_joint_trajectory(tmp_path: Path) -> None:
+    """Fields as trajectory_msgs/msg/JointTrajectory.msg and JointTrajectoryPoint.msg name them."""
+    found = lowered()
+    found.to_yaml(tmp_path / "t.yaml")
+    message = yaml.safe_load((tmp_path / "t.yaml").read_text("utf-8"))
+    assert message == found.to_joint_trajectory()
+    assert list(message) == ["header", "joint_names", "points"]
+    assert message["joint_names"] == list(JOINTS)
+    for point in message["points"]:
+        assert list(point) == [
+            "positions", "velocities", "accelerations", "effort", "time_from_start"
+        ]  # fmt: skip
+        assert all(type(v) is float for v in point["positions"] + point["accelerations"])
+    stamps = [point["time_from_start"] for point in message["points"]]
+    assert all(type(v) is int for stamp in stamps for v in stamp.values())
+    seconds = [stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps]
+    assert seconds == pytest.approx(found.times, abs=1e-9)
+
+
+def test_the_picture_shows_all_six_joints(tmp_path: Path) -> None:
+    figure = lowered().plot()
+    assert [len(axes.lines) for axes in figure.axes] == [8, 8, 8]  # with the two configurations
+    figure.savefig(tmp_path / "t.png")
+    assert (tmp_path / "t.png").stat().st_size > 0
+
+
+def test_without_ruckig_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ruckig", None)
+    with pytest.raises(DependencyNotInstalled, match=r"\[trajectory\]"):
+        lowered()
