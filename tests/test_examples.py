@@ -62,10 +62,7 @@ def test_an_example_does_what_it_says(name: str, tmp_path: Path) -> None:
     assert re.search(said, printed, re.MULTILINE), printed
     for model in left:
         assert Rainbow.load(tmp_path / model, buffer_size=1).policy is not None
-    assert {path.name for path in tmp_path.iterdir()} <= {
-        "build",
-        "results",
-    }  # git ignores the first
+    assert {path.name for path in tmp_path.iterdir()} <= {"build", "results"}
 
 
 def test_the_notebook_runs(tmp_path: Path) -> None:
