@@ -22,7 +22,7 @@ import numba
 from filelock import FileLock
 from numba.core import event
 
-_DECLARES = re.compile(r"^from .* import .*\bnjit$", re.MULTILINE)
+_DECLARES = re.compile(r"^from .* import .*\b(njit|intrinsic)$", re.MULTILINE)
 # What compiles, and how long that takes
 _WHAT = "kinematics, collisions, moves: up to a minute of a processor core"
 

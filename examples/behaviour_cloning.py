@@ -59,7 +59,9 @@ observations, masks, moves = columns(episodes[:held_out])
 with torch.no_grad():
     chosen = model.q_net(observations).masked_fill(~masks, -torch.inf).argmax(dim=1)
 print(f"agreement on episodes held out: {(chosen == moves).float().mean():.2f}")
-model.save(f"cloned-{name}-s{seed}")
+Path("build").mkdir(exist_ok=True)
+file = f"build/cloned-{name}-s{seed}.zip"
+model.save(file)
 # A look at the starts of `quick`, which are for validation; without --episodes it joins the board
-words = ["evaluate", "--model", f"cloned-{name}-s{seed}.zip", "--name", "behaviour-cloning"]
+words = ["evaluate", "--model", file, "--name", "behaviour-cloning"]
 sys.exit(main([*words, "--trust", "--mask-singularities", "--episodes", "20"]))

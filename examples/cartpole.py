@@ -3,6 +3,7 @@
 """
 
 import sys
+from pathlib import Path
 
 import gymnasium as gym
 from stable_baselines3.common.evaluation import evaluate_policy
@@ -14,7 +15,8 @@ steps = int(sys.argv[1]) if len(sys.argv) > 1 else 50_000
 
 model = Rainbow("MlpPolicy", "CartPole-v1", seed=0)
 model.learn(steps)
-model.save("rainbow_cartpole")
+Path("build").mkdir(exist_ok=True)
+model.save("build/rainbow_cartpole")
 
 mean, std = evaluate_policy(model, Monitor(gym.make("CartPole-v1")), n_eval_episodes=20)
 print(f"return after {steps} steps: {mean:.1f} ± {std:.1f}")

@@ -12,7 +12,7 @@ from coop_env import CoopInsertionVecEnv
 from sb3_rainbow import Rainbow
 
 steps = int(sys.argv[1]) if len(sys.argv) > 1 else 20_000
-CHECKPOINT = Path("half.ckpt")
+CHECKPOINT = Path("build/half.ckpt")
 
 
 class SaveOnce(BaseCallback):
@@ -33,6 +33,7 @@ def make_env() -> CoopInsertionVecEnv:
     return CoopInsertionVecEnv(8, seed=0, reward="progress")
 
 
+CHECKPOINT.parent.mkdir(exist_ok=True)
 CHECKPOINT.unlink(missing_ok=True)
 whole = Rainbow("MlpPolicy", make_env(), seed=0).learn(steps, callback=SaveOnce())
 resumed = Rainbow.load_checkpoint(CHECKPOINT, make_env())

@@ -3,6 +3,7 @@
 """
 
 import sys
+from pathlib import Path
 
 from sb3_contrib.common.maskable.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor
@@ -31,7 +32,8 @@ model = Rainbow(
     seed=0,
 )
 model.learn(steps)
-model.save("rainbow_insertion")
+Path("build").mkdir(exist_ok=True)
+model.save("build/rainbow_insertion")
 
 filled: list[int] = []
 evaluate_policy(

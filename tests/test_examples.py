@@ -18,12 +18,16 @@ NOTEBOOK = ROOT / "examples" / "rainbow.ipynb"
 STEPS = 200  # of the notebook's trainings: past their first updates
 # the short form's number, what is printed, what is left behind
 SHORT = {
-    "behaviour_cloning": ("1", r"held out: 0\.\d\d\n(.*\n)*Nothing", ["cloned-optimum-small-s0"]),
-    "cartpole": ("300", r"return after 300 steps: \d+\.\d ± \d", ["rainbow_cartpole"]),
+    "behaviour_cloning": (
+        "1",
+        r"held out: 0\.\d\d\n(.*\n)*Nothing",
+        ["build/cloned-optimum-small-s0"],
+    ),
+    "cartpole": ("300", r"return after 300 steps: \d+\.\d ± \d", ["build/rainbow_cartpole"]),
     "drive_a_machine": ("0", r"filled: \d+ moves in \d\.\d\d s.*\ntip \d\.\d mm", []),
     "exact_resume": ("384", r"goes on at step 192 of 384\nweights equal to the bit: True", []),
     "images": ("150", r"share of balls caught: [01]\.\d\d", []),
-    "insertion": ("320", r"of 20\nholes filled: \d\.\d\d of 6", ["rainbow_insertion"]),
+    "insertion": ("320", r"of 20\nholes filled: \d\.\d\d of 6", ["build/rainbow_insertion"]),
     "masks": ("500", r"reach the goal: [01]\.\d\d; falls into water, ever: 0$", []),
     "own_3rrs": ("2", r"Rb 0\.\d+.*\n(.*\n){2}own: the optimum inserts from [012] of 2 starts", []),
     "own_delta": ("1", r"47 moves: \d\.\d\d s by .*\nmoves that are not free on their way:", []),
@@ -58,6 +62,7 @@ def test_an_example_does_what_it_says(name: str, tmp_path: Path) -> None:
     assert re.search(said, printed, re.MULTILINE), printed
     for model in left:
         assert Rainbow.load(tmp_path / model, buffer_size=1).policy is not None
+    assert {path.name for path in tmp_path.iterdir()} <= {"build", "results"}
 
 
 def test_the_notebook_runs(tmp_path: Path) -> None:

@@ -7,15 +7,15 @@ base frame (m), then the platform's tilt (rad) and height (m).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Sequence
+from itertools import count
+from typing import Any, Final, NamedTuple, get_type_hints
 
 import numpy as np
-from numba import from_dtype
+from numba import from_dtype, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from coop_env.compilation import njit
 from coop_env.errors import ArgumentError
 from coop_env.geometry import DELTA, DeltaGeometry, GeometryError, RRSGeometry
 from coop_env.kinematics import delta_kernels, rrs_kernels
@@ -167,36 +167,30 @@ def pack(p: EnvParams) -> NDArray[np.float64]:
     return np.concatenate([numbers, np.array([p.layout], LAYOUT).view(np.float64)])
 
 
-@intrinsic
-def _layout_at(_: Any, vector: Any, offset: Any) -> Any:
-    """The record of :data:`LAYOUT` that begins at an entry of a vector; no copy."""
+def _unpack(_: Any, vector: Any) -> Any:
+    parts = [_numba_type(kind) for kind in (RRSParams, DeltaParams, TaskParams, RewardParams)]
     record = from_dtype(LAYOUT)
+    whole = types.NamedTuple([*parts, record], EnvParams)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        array = context.make_array(signature.args[0])(context, builder, arguments[0])
-        first = builder.gep(array.data, [arguments[1]])
-        return builder.bitcast(first, context.get_value_type(record))
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        places = (builder.gep(data, [context.get_constant(types.intp, i)]) for i in count())
 
-    return record(vector, offset), generate
+        def take(kind: Any) -> Any:
+            return context.cast(builder, builder.load(next(places)), types.float64, kind)
+
+        made = [context.make_tuple(builder, p, [take(kind) for kind in p.types]) for p in parts]
+        layout = builder.bitcast(next(places), context.get_value_type(record))
+        return context.make_tuple(builder, whole, [*made, layout])
+
+    return whole(vector), generate
 
 
-@njit(cache=True, inline="always")  # numba returns no tuple that holds a record
-def unpack(v: np.ndarray) -> EnvParams:
-    """The inverse of :func:`pack`; the layout stays where it is."""
-    return EnvParams(
-        RRSParams(v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10] != 0.0, v[11]),
-        DeltaParams(v[12], v[13], v[14], v[15], v[16], v[17], v[18], v[19]),
-        TaskParams(
-            v[20],
-            v[21],
-            v[22],
-            int(v[23]),
-            v[24] != 0.0,
-            int(v[25]),
-            v[26] != 0.0,
-            v[27] != 0.0,
-            v[28] != 0.0,
-        ),
-        RewardParams(v[29] != 0.0, v[30], v[31], v[32], v[33], v[34], v[35], v[36], v[37]),
-        _layout_at(v, 38),  # type: ignore[call-arg]  # numba hands over the context itself
-    )
+unpack: Callable[[NDArray[np.float64]], EnvParams] = intrinsic(_unpack)  # type: ignore[assignment]
+"""The inverse of :func:`pack` within kernels, field by field; the layout stays where it is."""
+
+
+def _numba_type(kind: Any) -> Any:
+    """A named tuple of floats, ints and bools, as numba knows it."""
+    numbers = {float: types.float64, int: types.int64, bool: types.boolean}
+    return types.NamedTuple([numbers[hint] for hint in get_type_hints(kind).values()], kind)

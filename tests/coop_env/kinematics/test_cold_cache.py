@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from coop_env import compilation
+
 CALL = """
 import numpy as np
 from coop_env.geometry import OPTIMIZED
@@ -31,3 +33,10 @@ def test_processes_that_compile_at_once_leave_a_sound_cache(tmp_path: Path) -> N
     printed.append(later.communicate(timeout=200)[0])
     assert [process.returncode for process in [*first, later]] == [0, 0, 0]
     assert len(set(printed)) == 1
+
+
+def test_what_kernels_inline_is_looked_at_for_changes_too() -> None:
+    """An intrinsic lives on in its callers' caches as a kernel does."""
+    sources = Path(compilation.__file__).parent / "simulation"
+    assert compilation._newest_kernel(sources, "task.py") > 0.0
+    assert compilation._newest_kernel(sources, "insertion_task.py") == 0.0
