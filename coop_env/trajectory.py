@@ -217,7 +217,7 @@ def make_trajectory(
     parts = [moves[0][:, :1], *(move[:, 1:] for move in moves)]
     positions, velocities, accelerations = np.concatenate(parts, axis=1)
     found, status = _follow(positions, points[0], packed)
-    times = TIMESTEP * np.arange(len(positions))
+    times = TIMESTEP * np.arange(len(positions), dtype=np.float64)
     return Trajectory(times, positions, velocities, accelerations, found, status, stops)
 
 

@@ -87,7 +87,7 @@ def comparisons(results: Results) -> list[Comparison]:
         tests = [paired_t_test(each, np.zeros_like(each)) for each in differences]
         corrected = holm([test.p for test in tests])
         for (ours, theirs), each, test, p in zip(pairs, differences, tests, corrected, strict=True):
-            value = measured(each, lambda: (np.nan, np.nan))
+            value = measured([float(x) for x in each], lambda: (np.nan, np.nan))
             found.append(Comparison(question, ours, theirs, value, test.p, p))
     return found
 

@@ -225,7 +225,8 @@ def _measure(given: argparse.Namespace, console: Console, words: Sequence[str]) 
 
     model = given.results / MODEL if given.model is None else given.model
     players = {"optimum": ({"geometry": "optimized"}, optimum), "Rainbow": stored(model)}
-    folder, rows = given.results / "trajectory", []
+    folder = given.results / "trajectory"
+    rows: list[dict[str, object]] = []
     picture: Trajectory | None = None
     for method, (arguments, play) in players.items():
         driver = TwinDriver(Machine(rrs=GEOMETRIES[arguments.get("geometry", "optimized")]))

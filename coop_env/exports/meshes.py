@@ -126,7 +126,8 @@ def _joined(parts: list[Body], rotation: Floats, position: Floats) -> Any:
     for part in parts:
         world = part.mesh.vertices @ part.rotation.T + part.position
         mesh = trimesh.Trimesh((world - position) @ rotation, part.mesh.faces)
-        mesh.visual.face_colors = [*(round(255 * c) for c in part.colour), 255]
+        colour = [*(round(255 * c) for c in part.colour), 255]
+        mesh.visual = trimesh.visual.ColorVisuals(mesh, face_colors=colour)
         meshes.append(mesh)
     return trimesh.util.concatenate(meshes)
 

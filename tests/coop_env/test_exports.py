@@ -51,7 +51,7 @@ def test_stl_of_all_links_put_together_is_the_picture(machine: Machine, tmp_path
     assert placed.min(axis=0) == pytest.approx(wanted.min(axis=0), abs=1e-6)
     assert placed.max(axis=0) == pytest.approx(wanted.max(axis=0), abs=1e-6)
     for some, others in ((placed, wanted), (wanted, placed)):  # the same corners, in any order
-        assert cKDTree(others).query(some)[0].max() < 1e-6
+        assert np.max(cKDTree(others).query(some)[0]) < 1e-6
 
 
 def test_millimetres_are_a_thousand_times_as_many(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ class Obedient:
 
     def __init__(self) -> None:
         self.at = make_trajectory([MACHINE.home()] * 2).positions[0]
-        self.felt: object = np.zeros(3)
+        self.felt: Any = np.zeros(3)
         self.commands: list[Trajectory] = []
 
     def command(self, trajectory: Trajectory) -> None:
@@ -40,7 +41,7 @@ class Obedient:
     def joints(self) -> np.ndarray:
         return self.at
 
-    def force(self) -> object:
+    def force(self) -> Any:
         return self.felt
 
 
@@ -130,7 +131,7 @@ def test_moves_that_are_not_free_are_not_commanded() -> None:
 
 def test_a_machine_that_stops_answering() -> None:
     driver, wait = Obedient(), threading.Event()
-    driver.force = lambda: wait.wait(30.0)  # type: ignore[method-assign,return-value]
+    driver.force = lambda: wait.wait(30.0)  # type: ignore[method-assign]
     began = time.monotonic()
     with pytest.raises(DriverError, match=r"within 0\.3 s; its last command holds"):
         drive(driver, patience=0.3)
@@ -152,7 +153,7 @@ def test_a_machine_that_answers_nonsense() -> None:
 
 def test_an_error_of_the_driver_is_its_own() -> None:
     driver = Obedient()
-    driver.command = lambda trajectory: 1 / 0  # type: ignore[method-assign,assignment,return-value]
+    driver.command = lambda trajectory: 1 / 0  # type: ignore[method-assign,assignment]
     with pytest.raises(ZeroDivisionError):
         drive(driver)
 

@@ -342,7 +342,7 @@ def test_sb3_contribs_evaluation_and_callback(tmp_path: Any) -> None:
 def test_masks_left_out_of_a_prediction_are_told_once(tmp_path: Any) -> None:
     model = small_model(DummyVecEnv([make_clock])).learn(60)
     model.save(tmp_path / "m")
-    obs = model.env.reset()  # type: ignore[union-attr]
+    obs: Any = model.env.reset()  # type: ignore[union-attr]
     for asked in (model, Rainbow.load(tmp_path / "m")):
         with pytest.warns(UserWarning, match="MaskableEvalCallback"):
             asked.predict(obs)
