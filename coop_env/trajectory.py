@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 JOINTS: Final = (*(f"delta_joint{i}" for i in range(3)), *(f"rrs_joint{i}" for i in range(3)))
-"""The actuated joints by name, as in the twin's MJCF: theta of the Delta, q of the 3-RRS."""
+"""The actuated joints by name, as in the twin's MJCF; theta of the Delta, q of the 3-RRS."""
 TIMESTEP: Final = 0.002
 """s between two samples."""
 REASONS: Final = {
@@ -55,7 +55,7 @@ class Trajectory:
         velocities: (T, 6), rad/s.
         accelerations: (T, 6), rad/s^2.
         configurations: (T, 6), where the joints put both robots; NaN where the links cannot close.
-        status: (T,), 0 where the sample is free, else a key of :data:`REASONS`.
+        status: (T,), 0 where the sample is free, else a key of ``REASONS``.
         stops: (n,), the samples at which the n given configurations are met.
     """
 

@@ -65,7 +65,7 @@ class Rainbow(ResumableAlgorithm):
     for 200 million frames of Atari, learn nothing: a higher rate, more updates, a target network
     that follows sooner, quantiles in the place of a support, and a little noise beside SB3's
     epsilon, because noise alone tries some actions too seldom. ``Rainbow(..., **HESSEL)`` has
-    theirs (:data:`sb3_rainbow.HESSEL`).
+    theirs (``sb3_rainbow.HESSEL``).
 
     Args:
         policy: "MlpPolicy", "CnnPolicy", "MultiInputPolicy", or a policy class.

@@ -22,7 +22,7 @@ from coop_env.trajectory import Trajectory, make_trajectory
 SETTLING: Final = 0.1
 """s for which the twin holds a trajectory's end before its command is over."""
 MEMORIES: Final = ("mask_visited", "mask_refused", "sim_to_real")
-Policy = Callable[[Any, Any], Any]
+MachinePolicy = Callable[[Any, Any], Any]
 """From an observation and its action masks to an action."""
 
 
@@ -51,7 +51,7 @@ class TwinDriver:
     Args:
         machine: what is simulated; None, the standard one.
         configuration: where it stands at first (6,); None, at home.
-        base: where the 3-RRS's base really stands, as for :meth:`Twin.place`.
+        base: where the 3-RRS's base really stands, as for ``Twin.place``.
         friction: of the peg.
 
     Raises:
@@ -143,7 +143,7 @@ class Replayed(NamedTuple):
 
 
 def replay(
-    policy: Policy,
+    policy: MachinePolicy,
     driver: Driver,
     machine: Machine | None = None,
     *,

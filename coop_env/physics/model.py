@@ -38,12 +38,12 @@ TIP_SHAPES: Final = ("flat", "capsule")
 TIMESTEP: Final = 0.002
 """s, unless the task asks for another."""
 CONTACT_TIME: Final = 0.005
-"""Time constant of a contact, s. It sets the forces and is no property of the integration: the dome
+"""Time constant of a contact, s. It sets the forces and is no property of the integration. The dome
 gives way like a critically damped spring that takes so long (``docs/physics.md``)."""
 DELTA_RANGE: Final = (-0.75 * math.pi, 0.75 * math.pi)
-"""Of the Delta's actuated angles, rad: beyond a pose's own limits, short of the arm's own base."""
+"""Of the Delta's actuated angles, rad, beyond a pose's own limits, short of the arm's own base."""
 LOOP_TIME: Final = 0.004
-"""Time constant of the ties that close loops, s: the stiffest that TIMESTEP can have."""
+"""Time constant of the ties that close loops, s; the stiffest that TIMESTEP can have."""
 _PLAY_DAMPING: Final = 0.005  # of the effector's tilt within its play, N m s/rad
 _DELTA_BITS: Final = {"contype": 1, "conaffinity": 0}  # the Delta's bodies touch the 3-RRS's alone
 _RRS_BITS: Final = {"contype": 0, "conaffinity": 1}

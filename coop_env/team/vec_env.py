@@ -84,10 +84,10 @@ class CoopInsertionTeamVecEnv(CoopInsertionVecEnv):
         return shared.reshape(_N * len(rows), -1)
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Take the actions (2 n_teams,) of the next :meth:`step_wait`.
+        """Take the actions (2 n_teams,) of the next ``step_wait``.
 
         Raises:
-            ResetNeeded: :meth:`reset` was never called.
+            ResetNeeded: ``reset`` was never called.
             ActionError: the shape is wrong, or an entry is no integer 0 to 6.
         """
         choices = check_actions(actions, self.num_envs, joint.N_CHOICES)
