@@ -57,6 +57,7 @@ docs: $(STAMP) ## The site, in build/docs/index.html
 
 figures: $(STAMP) ## Regenerate the figures and numbers of README, design, results and learning
 	@$(BIN)/python -m benchmarks design
+	@$(BIN)/python -m benchmarks report --preset paper
 	@$(BIN)/python -m benchmarks report --preset cut
 	@$(BIN)/python -m benchmarks media
 	@$(BIN)/python -m benchmarks audit

@@ -14,15 +14,17 @@ from benchmarks.reporting.results import Results
 from benchmarks.runs.store import Store
 
 PICTURES: Final = (
-    ("Both robots, and the view", "media", "media/[es]*"),
+    ("Both robots, and the view", "media", "media/*"),
     ("Geometric optimization", "design", "design/figures/*"),
     ("What rewards pay for", "audit", "audit/*"),
-    ("The paper's protocol", "figures --preset cut", "cut/figures/*"),
+    ("The paper at its own scale", "figures --preset paper", "paper/figures/*"),
+    ("The first runs, cut short", "figures --preset cut", "cut/figures/*"),
     ("Failures, safe", "failures --preset cut --track safe", "cut/failures/*-safe.*"),
     ("Failures, memory", "failures --preset cut --track memory", "cut/failures/*-memory.*"),
     ("Design and team", "codesign", "codesign/figures/*"),
     ("Insertion in contact", "contact --film", "contact/*"),
     ("Learners in contact", "classic figures --preset contact", "classic/contact/figures/*"),
+    ("A trajectory for a controller", "trajectory", "trajectory/*"),
     ("Two robots at once", "figures --preset team", "team/figures/*"),
     ("Control tasks", "classic figures --preset control", "classic/control/figures/*"),
     (

@@ -35,8 +35,23 @@ def places(store: Store, results: Results) -> list[Place]:
         entry = runs[0].config["entry"]
         group = Group(tuple(sorted(runs, key=lambda run: run.seed)))
         knows = knowledge("", entry) if entry["sha256"] else knowledge("", None)
-        found.append(Place(f"{name} (brought: {entry['algorithm']})", knows, group))
+        found.append(Place(name, knows, group))
     return sorted(found, key=_order)
+
+
+def brought_notes(store: Store) -> list[str]:
+    """Who was brought, and how many trained networks are behind the seeds."""
+    found: dict[str, tuple[str, set[str]]] = {}
+    for folder in store.entered():
+        config = folder.config()
+        algorithm, models = config["entry"]["algorithm"], {config["entry"]["sha256"]} - {""}
+        name = config["cell"]["method"]
+        found[name] = (algorithm, found.get(name, ("", set()))[1] | models)
+    told = [
+        f"{name} ({algorithm}" + (f", models: {len(models)})" if models else ")")
+        for name, (algorithm, models) in found.items()
+    ]
+    return [f"Brought: {', '.join(told)}."] if told else []
 
 
 def _order(place: Place) -> tuple[bool, float, float, str]:
@@ -53,7 +68,7 @@ def leaderboard(store: Store, results: Results) -> Table:
         rank += not ceiling
         trained = group.success(AS_TRAINED)
         made.append([
-            "ceiling" if ceiling else str(rank), place.name, place.knows.masks, place.knows.memory,
+            "-" if ceiling else str(rank), place.name, place.knows.masks, place.knows.memory,
             Number(group.success(), 1), Number(trained, 1) if trained.n else "-",
             Number(group.value(HOLES), HOLES.digits),
         ])  # fmt: skip
@@ -61,6 +76,7 @@ def leaderboard(store: Store, results: Results) -> Table:
     notes = [
         "Optimized geometry, all methods on the same initial states; success and holes of greedy "
         "acting. Exploring: learners as they were trained, scripts with 5 % of random moves.",
+        *brought_notes(store),
         "Join with one command: python -m benchmarks evaluate --model FILE --name NAME",
     ]
     return Table("leaderboard", "Leaderboard", header, made, notes, left=(1, 2, 3))

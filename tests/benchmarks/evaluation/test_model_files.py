@@ -33,6 +33,7 @@ def sampled(model: BaseAlgorithm, number: int) -> NDArray[np.float32]:
 
 
 @pytest.mark.parametrize("path", POLICIES, ids=lambda path: path.parent.name)
+@pytest.mark.filterwarnings("ignore:The model was trained under action masks")
 def test_a_stored_policy_acts_as_it_was_saved(path: Path) -> None:
     safe, saved = load_stored(path), Rainbow.load(path, device="cpu")
     rows = sampled(saved, 200)

@@ -59,10 +59,9 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert done.returncode == 0, done.stdout + done.stderr
     for title in (
         "Geometric optimization",
-        "Performance on the test episodes",
+        "Performance, safe",
         "Rainbow with one component removed",
-        "Before and after the optimization",
-        "under observation noise",
+        "Effect of the design stage on Rainbow",
         "Tables (CSV, Markdown, LaTeX)",
     ):
         assert title in done.stdout
@@ -270,7 +269,7 @@ def test_a_lost_process_and_ctrl_c_end_at_once(results: Path, tmp_path: Path) ->
         assert told in out
         assert "Traceback" not in out
         assert done.returncode == (1 if number == signal.SIGKILL else 130)
-        assert out.count("Performance on the test episodes") == 0
+        assert out.count("Performance, safe") == 0
         _, alive = psutil.wait_procs(players, timeout=30)
         assert not alive
 
@@ -296,7 +295,7 @@ def test_other_starts_are_starts_of_their_own(
     for starts in ("1", "2"):
         assert main([*words, "--starts", starts]) == 0
         out = capsys.readouterr().out
-        assert "Performance on the test episodes" in out
+        assert "Performance, safe" in out
         folder = tmp_path / "again" / f"starts-{starts}" / "smoke" / "runs"
         runs = [pd.read_csv(path) for path in sorted(folder.glob("*/episodes.csv"))]
         assert len(runs) == 5

@@ -89,8 +89,8 @@ def test_a_model_joins_the_leaderboard_with_one_command(
     assert f"my-{name}" in out
     assert "leaderboard.md" in out
     row = board(tmp_path).loc[f"my-{name}"]
-    assert row["Kind"] == f"brought: {name}"
-    assert (row["Seeds"], row["Models"]) == ("1", "1")
+    assert row["Rank"] == "1"
+    assert f"Brought: my-{name} ({name}, models: 1)." in out
     store = Store.open(tmp_path, "smoke")
     (entry,) = store.entered()
     assert entry.config()["entry"]["observation"] == "paper"
@@ -158,8 +158,7 @@ def test_one_model_per_seed_and_a_second_call_scores_nothing(
     assert main([*words, "--model", files[1]]) == 2
     assert "choose another --name, or --replace it" in capsys.readouterr().err
     assert main([*words, "--model", files[1], "--replace"]) == 0
-    table = pd.read_csv(store.tables / "leaderboard.csv", dtype=str)
-    assert table["Models"].tolist() == ["1"]
+    assert "models: 1)" in (store.tables / "leaderboard.md").read_text(encoding="utf-8")
     assert main([*words, "--model", *files, files[0]]) == 2
     assert "3 models for 2 seeds" in capsys.readouterr().err
 
@@ -248,7 +247,6 @@ def test_a_planner_joins_too_and_equals_the_harness_s_own(planners: Path) -> Non
         )
     table = board(planners)
     assert table.loc["mine", "Success (%)"] == "100.0"
-    assert table.loc["mine", "Models"] == "-"
     assert check_runs(store) == []
 
 

@@ -231,7 +231,9 @@ class StandardizedExtractor(BaseFeaturesExtractor):
 
 def test_extractors_with_a_state_are_left_to_torch() -> None:
     def uses_kernels(policy: type[MlpPolicy], space: spaces.Space, **kwargs: Any) -> bool:
-        made = policy(space, spaces.Discrete(2), lambda _: 1e-3, **kwargs)
+        made = policy(
+            space, spaces.Discrete(2), lambda _: 1e-3, distributional="quantile", **kwargs
+        )
         shortcuts = Learner(made, double_q=True, max_grad_norm=1.0).shortcuts
         return shortcuts is not None and shortcuts.kernels is not None
 

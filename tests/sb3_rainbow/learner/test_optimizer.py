@@ -37,7 +37,9 @@ def make_model(path: str, monkeypatch: pytest.MonkeyPatch, **kwargs: Any) -> Rai
         monkeypatch.setattr(
             th, "compile", lambda f, **kwargs: compiled(f, backend="eager", fullgraph=True)
         )
-    settings = {**FAST, "cpu_kernels": path == "kernels", "compile": path == "compiled", **kwargs}
+    plain = {"learning_rate": 1e-4, "gradient_steps": 1}
+    ways = {"cpu_kernels": path == "kernels", "compile": path == "compiled"}
+    settings: dict[str, Any] = {**FAST, **plain, **ways, **kwargs}
     return Rainbow("MlpPolicy", "CartPole-v1", **settings)
 
 

@@ -121,6 +121,7 @@ def test_a_package_holds_model_card_and_results() -> None:
         (SimpleMultiObsEnv, {"policy": "MultiInputPolicy"}),
     ],
 )
+@pytest.mark.filterwarnings("ignore:.*of the returns lie outside of the support")
 def test_a_packaged_model_is_the_model(
     env: str | Callable[[], gym.Env[Any, Any]], settings: dict[str, Any]
 ) -> None:
