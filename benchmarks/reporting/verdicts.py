@@ -74,7 +74,9 @@ def performance(results: Results, compared: list[Comparison]) -> str:
     script = find(compared, CONTROL, ours)
     masked = find(compared, MASKED, ours)
     success = ours.success()
-    told = f"Rainbow inserts in {_show(success)} % of the test episodes"
+    n, planned = ours.group.n, ours.group.planned
+    so_far = f" ({n} of {planned} seeds so far)" if n < planned else ""
+    told = f"Rainbow{so_far} inserts in {_show(success)} % of the test episodes"
     if ours != greedy:
         told += f" as trained, {_show(greedy.success())} greedily"
     told += f" (paper {PERFORMANCE['success']['rainbow']}"

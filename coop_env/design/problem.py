@@ -199,8 +199,7 @@ def workspace_area(
 
     With several heaves, the least or the mean over them (``problem.over_heaves``).
 
-    >>> from coop_env.errors import is_list
-    from coop_env.geometry import INITIAL, OPTIMIZED
+    >>> from coop_env.geometry import INITIAL, OPTIMIZED
     >>> round(workspace_area(INITIAL), 2), round(workspace_area(OPTIMIZED), 2)
     (0.82, 1.16)
     """

@@ -34,6 +34,7 @@ PICTURES: Final = (
     ),
     ("MinAtar", "classic figures --preset minatar", "classic/minatar/figures/*"),
     ("Atari", "classic figures --preset atari100k", "classic/atari100k/figures/*"),
+    ("The bare line", "classic figures --preset defaults", "classic/defaults/figures/*"),
     ("Masks and priorities", "classic figures --preset basics", "classic/basics/figures/*"),
 )
 ENDS: Final = (".png", ".gif")
