@@ -19,6 +19,7 @@ for move in () if moves is None else moves:
     env.step(move)
     way.append(env.configuration)
 trajectory = make_trajectory(way, delta=mine)
-trajectory.to_yaml(Path("own_delta.yaml"))
+Path("build").mkdir(exist_ok=True)
+trajectory.to_yaml(Path("build", "own_delta.yaml"))
 print(f"{len(way) - 1} moves: {trajectory.duration:.2f} s by the drives' limits")
 print(f"moves that are not free on their way: {trajectory.blocked() or 'none'}")

@@ -406,6 +406,6 @@ def test_the_documented_example_runs(
     short = 'MaskablePPO("MlpPolicy", env, n_steps=64, batch_size=64'
     exec(code.replace("200_000", "64").replace('MaskablePPO("MlpPolicy", env', short), {})
     words = command.split()[3:]
-    assert words[:3] == ["evaluate", "--model", "my_ppo.zip"]
+    assert words[:5] == ["evaluate", "--preset", "cut", "--model", "my_ppo.zip"]
     assert main([*words, "--preset", "smoke", "--results", str(tmp_path)]) == 0
     assert "my-ppo" in board(tmp_path).index

@@ -47,7 +47,8 @@ def test_rates_are_medians_over_the_rounds() -> None:
 
 @pytest.mark.parametrize("kind", ["learn", "train"])
 def test_updates_are_counted_whatever_the_number_of_games(kind: str) -> None:
-    model = Rainbow("MlpPolicy", make_vec_env("CartPole-v1", 4), train_freq=1, learning_starts=8)
+    one = {"train_freq": 1, "gradient_steps": 1}
+    model = Rainbow("MlpPolicy", make_vec_env("CartPole-v1", 4), learning_starts=8, **one)
     model.learn(40)
     before = model._n_updates
     ours(model, 8)(kind, 5)
