@@ -309,7 +309,7 @@ def test_a_complete_cell_is_skipped_and_its_policy_loads(preset: Preset, tmp_pat
     stamps = {path: path.stat().st_mtime_ns for path in run.path.iterdir()}
     assert run_cell(Insertion(preset), cell, store)
     assert {path: path.stat().st_mtime_ns for path in run.path.iterdir()} == stamps
-    model = ALGORITHMS["rainbow"].load(run.policy, device="cpu")
+    model: Any = ALGORITHMS["rainbow"].load(run.policy, device="cpu")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         seen, masks = np.full(12, 0.5, np.float32), np.ones(12, np.bool_)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from stable_baselines3.common.env_util import make_vec_env
@@ -47,7 +48,7 @@ def test_rates_are_medians_over_the_rounds() -> None:
 
 @pytest.mark.parametrize("kind", ["learn", "train"])
 def test_updates_are_counted_whatever_the_number_of_games(kind: str) -> None:
-    one = {"train_freq": 1, "gradient_steps": 1}
+    one: dict[str, Any] = {"train_freq": 1, "gradient_steps": 1}
     model = Rainbow("MlpPolicy", make_vec_env("CartPole-v1", 4), learning_starts=8, **one)
     model.learn(40)
     before = model._n_updates
