@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.__main__ import main as command
+from benchmarks.cli import main as command
 from benchmarks.reporting.verify import Report
 from benchmarks.studies.robots import contact, trials
 
@@ -133,5 +133,5 @@ def test_without_mujoco_the_extra_is_named(
         if name.startswith(("coop_env.physics", "benchmarks.methods.contact_scripts")):
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    assert command(["contact"]) == 2
+    assert command(["study", "contact"]) == 2
     assert "sb3-rainbow-coop[physics]" in capsys.readouterr().err

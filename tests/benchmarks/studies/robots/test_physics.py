@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.__main__ import main as command
+from benchmarks.cli import main as command
 from benchmarks.reporting.verify import Report
 from benchmarks.studies.robots import physics
 
@@ -48,5 +48,5 @@ def test_without_mujoco_the_extra_is_named(
 ) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     monkeypatch.delitem(sys.modules, "coop_env.physics.engine", raising=False)
-    assert command(["physics"]) == 2
+    assert command(["study", "physics"]) == 2
     assert "sb3-rainbow-coop[physics]" in capsys.readouterr().err

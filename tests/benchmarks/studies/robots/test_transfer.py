@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.__main__ import main as command
+from benchmarks.cli import main as command
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import derive
@@ -142,5 +142,5 @@ def test_without_mujoco_the_extra_is_named(
         if name.startswith("coop_env.physics"):
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    assert command(["transfer"]) == 2
+    assert command(["study", "transfer"]) == 2
     assert "sb3-rainbow-coop[physics]" in capsys.readouterr().err
