@@ -13,7 +13,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FL
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= Agg
 
-.PHONY: help env results test pytest lint type format docs figures dist clean
+.PHONY: help env results test pytest examples lint type format docs figures dist clean
 .DEFAULT_GOAL := help
 
 help: ## Say what there is
@@ -37,6 +37,9 @@ test: lint type pytest ## Lint, types, tests
 
 pytest: $(STAMP) ## Tests alone
 	@$(BIN)/python -m pytest -q -n auto --dist loadfile --max-worker-restart 0
+
+examples: $(STAMP) ## Every block of README and docs whole, its score as the page prints it: an hour, weekly
+	WHOLE=1 $(BIN)/python -m pytest -q tests/test_docs.py -k blocks --timeout 7200
 
 lint: $(STAMP) ## ruff
 	@$(BIN)/ruff check .

@@ -40,6 +40,8 @@ _HOMES = {
     "SimToReal": "coop_env.simulation.sim_to_real",
 }
 
+__version__ = "0.1.0"
+
 __all__ = [
     "GEOMETRIES",
     "INITIAL",
@@ -54,6 +56,7 @@ __all__ = [
     "InsertionTask",
     "RRSGeometry",
     "SimToReal",
+    "__version__",
     "parallel_env",
 ]
 
@@ -104,6 +107,10 @@ def parallel_env(sight: bool = False, **arguments: Any) -> CoopInsertionParallel
     from coop_env.team.parallel_env import CoopInsertionParallelEnv
 
     return CoopInsertionParallelEnv(sight, **arguments)
+
+
+def __dir__() -> list[str]:
+    return __all__
 
 
 def __getattr__(name: str) -> Any:

@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numba
@@ -24,38 +23,39 @@ from filelock import FileLock
 from numba.core import event
 
 _DECLARES = re.compile(r"^from .* import .*\bnjit$", re.MULTILINE)
-# Nobody wonders about less, in seconds.
-_NOTICED = 1.5
+# What compiles, and how long that takes
+_WHAT = "kinematics, collisions, moves: up to a minute of a processor core"
 
 
-class _Stopwatch(event.Listener):
-    """Seconds in which this package's kernels compiled; to load them from the cache is none."""
+class _Announcer(event.Listener):
+    """Says on stderr that this package's kernels begin to compile, once a process.
 
-    seconds = 0.0
+    numba tells of compilations alone: what comes from its cache is none.
+    """
+
     cached = True
-    _depth = 0
-    _started = 0.0
-
-    def notify(self, event: Any) -> None:
-        # A function made by exec, such as numba's own constructors of jitclasses, has no module.
-        module = event.data["dispatcher"].py_func.__module__ or ""
-        if module.startswith(f"{__package__}."):
-            super().notify(event)
+    _said = False
 
     def on_start(self, event: Any) -> None:
-        # A kernel compiles those that it calls on the way: the outermost counts.
-        if self._depth == 0:
-            self._started = perf_counter()
-        self._depth += 1
+        # A function made by exec, such as numba's own constructors of jitclasses, has no module.
+        module = event.data["dispatcher"].py_func.__module__ or ""
+        if self._said or not module.startswith(f"{__package__}."):
+            return
+        self._said = True
+        again = (
+            "once after an install: then they come from numba's cache"
+            if self.cached
+            else "in every process anew, as no folder for numba's cache can be written: set "
+            "NUMBA_CACHE_DIR to one that can"
+        )
+        print(f"{__package__}: compiling kernels ({_WHAT}), {again}", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
-        self._depth -= 1
-        if self._depth == 0:
-            self.seconds += perf_counter() - self._started
+        pass
 
 
-_stopwatch = _Stopwatch()
-event.register("numba:compile", _stopwatch)
+_announcer = _Announcer()
+event.register("numba:compile", _announcer)
 
 
 _looked: set[Path] = set()
@@ -102,7 +102,7 @@ def _cached_where_possible(decorator: Any) -> Any:
             except (OSError, RuntimeError) as error:
                 if isinstance(error, RuntimeError) and "no locator available" not in str(error):
                     raise
-                _stopwatch.cached = False
+                _announcer.cached = False
                 return decorator(*arguments, **{**options, "cache": False})(function)
 
         return decorate
@@ -112,20 +112,6 @@ def _cached_where_possible(decorator: Any) -> Any:
 
 njit = _cached_where_possible(numba.njit)
 guvectorize = _cached_where_possible(numba.guvectorize)
-
-
-def report_compilation() -> None:
-    """Say on stderr how long kernels have compiled since the last report, if anyone noticed."""
-    if _stopwatch.seconds < _NOTICED:
-        return
-    again = (
-        "once after an install: from now on they come from numba's cache"
-        if _stopwatch.cached
-        else "in every process anew, as no folder for numba's cache can be written: set "
-        "NUMBA_CACHE_DIR to one that can"
-    )
-    seconds, _stopwatch.seconds = _stopwatch.seconds, 0.0
-    print(f"{__package__}: compiled kernels in {seconds:.1f} s, {again}", file=sys.stderr)
 
 
 @contextmanager

@@ -10,7 +10,6 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from coop_env.compilation import report_compilation
 from coop_env.errors import (
     ActionError,
     ArgumentError,
@@ -331,7 +330,6 @@ class CoopInsertionEnv(Rendered):
         self._states[:] = states
         self._started = True
         observe_batch(self._states, self._packed, self._observation, self._rows)
-        report_compilation()
         batch.write_reset_outcome(self._states[0], self._outcomes[0])
         self._set_down()
         if self.render_mode is not None:
@@ -359,7 +357,6 @@ class CoopInsertionEnv(Rendered):
         self.step_batch(
             self._states, self._actions, self._packed, self._observation, self._outcomes, self._rows
         )
-        report_compilation()
         outcome: Any = self._outcomes.item(0)
         if self.render_mode is not None:
             self._follow(self._tip())
@@ -427,13 +424,7 @@ def check_action(action: Any, n_actions: int = N_ACTIONS, name: str = "action") 
     """
     if isinstance(action, np.ndarray) and action.ndim == 0:
         action = action[()]
-    if (
-        not isinstance(action, (int, np.integer))
-        or isinstance(action, bool)
-        or not 0 <= action < n_actions
-    ):
-        raise ActionError(f"{name} = {action!r}: must be an integer 0 to {n_actions - 1}")
-    return int(action)
+    return check_integer(name, action, 0, n_actions - 1, error=ActionError)
 
 
 def check_snapshot(snapshot: Mapping[str, Any], own: Mapping[str, Any]) -> None:

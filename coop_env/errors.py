@@ -66,18 +66,26 @@ def check_number(
     return number
 
 
-def check_integer(name: str, value: Any, low: int, high: int = LARGEST, *, hint: str = "") -> int:
+def check_integer(
+    name: str,
+    value: Any,
+    low: int,
+    high: int = LARGEST,
+    *,
+    hint: str = "",
+    error: type[ValueError] = ArgumentError,
+) -> int:
     """The value as an int within ``low`` to ``high``.
 
     Raises:
-        ArgumentError: it is no integer or out of the range; ``hint`` says what the numbers mean.
+        error: it is no integer or out of the range; ``hint`` says what the numbers mean.
     """
     if (
         isinstance(value, bool)
         or not isinstance(value, (int, np.integer))
         or not low <= value <= high
     ):
-        raise ArgumentError(f"{name} = {value!r}: must be an integer from {low} to {high}{hint}")
+        raise error(f"{name} = {value!r}: must be an integer from {low} to {high}{hint}")
     return int(value)
 
 
@@ -87,9 +95,9 @@ def check_flag(name: str, value: Any) -> bool:
     Raises:
         ArgumentError: it is something else, 0 and 1 included.
     """
-    if not isinstance(value, bool):
+    if not isinstance(value, bool | np.bool_):
         raise ArgumentError(f"{name} = {value!r}: must be True or False")
-    return value
+    return bool(value)
 
 
 def as_dataclass(name: str, value: Any, kind: type[T]) -> T:

@@ -12,16 +12,7 @@ from sb3_rainbow import Rainbow
 
 steps = int(sys.argv[1]) if len(sys.argv) > 1 else 50_000
 
-model = Rainbow(
-    "MlpPolicy",
-    "CartPole-v1",
-    learning_rate=5e-4,
-    batch_size=64,
-    tau=5e-3,
-    train_freq=1,
-    sigma0=0.2,
-    seed=0,
-)
+model = Rainbow("MlpPolicy", "CartPole-v1", seed=0)
 model.learn(steps)
 model.save("rainbow_cartpole")
 

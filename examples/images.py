@@ -42,7 +42,9 @@ class Catch(gym.Env[np.ndarray, np.int64]):
         return np.kron(board, np.ones((PIXELS, PIXELS), np.uint8))[None]
 
 
-model = Rainbow("CnnPolicy", Catch(), learning_rate=3e-4, buffer_size=20_000, tau=5e-3, seed=0)
+model = Rainbow(
+    "CnnPolicy", Catch(), learning_rate=3e-4, buffer_size=20_000, gradient_steps=1, seed=0
+)
 model.learn(steps)
 share, _ = evaluate_policy(model, Monitor(Catch()), n_eval_episodes=100)
 print(f"share of balls caught: {share:.2f}")

@@ -26,7 +26,7 @@ def away_from_holes(env: gym.Env) -> NDArray[np.bool_]:
 
 lake = gym.make("FrozenLake-v1", map_name="8x8", is_slippery=False)
 env = Monitor(ActionMasker(lake, away_from_holes))
-model = Rainbow("MlpPolicy", env, learning_rate=1e-3, tau=5e-3, seed=0)
+model = Rainbow("MlpPolicy", env, seed=0)
 model.learn(steps)
 
 # sb3-contrib's tools for masks work as they do with MaskablePPO

@@ -7,8 +7,12 @@ from sb3_rainbow.rainbow import Rainbow
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.replay.callbacks import PrioritizedReplayCallback
 from sb3_rainbow.replay.sum_tree import SumTree
+from sb3_rainbow.settings import HESSEL
+
+__version__ = "0.1.0"
 
 __all__ = [
+    "HESSEL",
     "CnnPolicy",
     "MlpPolicy",
     "MultiInputPolicy",
@@ -18,4 +22,9 @@ __all__ = [
     "Rainbow",
     "SumTree",
     "TerminalActionMask",
+    "__version__",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -47,6 +47,9 @@ class RainbowPolicy(AsVector, BasePolicy):
         optimizer_kwargs: its keyword arguments besides the learning rate.
         noisy_layers: ``"last_two"``, ``"head"`` or ``"all"``.
         dueling: see ``RainbowNetwork``, as for the parameters that follow.
+
+    Raises:
+        ValueError: without ``distributional``, which Rainbow hands over and no other algorithm.
     """
 
     q_net: RainbowNetwork
@@ -68,11 +71,16 @@ class RainbowPolicy(AsVector, BasePolicy):
         dueling: bool = True,
         noisy: bool = True,
         sigma0: float = 0.5,
-        distributional: Distributional = True,
+        distributional: Distributional | None = None,
         n_atoms: int = 51,
         v_min: float = -100.0,
         v_max: float = 100.0,
     ) -> None:
+        if distributional is None:
+            raise ValueError(
+                f"{type(self).__name__} needs distributional, which Rainbow hands to it: a file of "
+                "Rainbow is loaded by Rainbow.load, and no other algorithm can use its policies"
+            )
         super().__init__(
             observation_space,
             action_space,
@@ -107,7 +115,9 @@ class RainbowPolicy(AsVector, BasePolicy):
         self.q_net = self.make_q_net()
         self.q_net_target = self.make_q_net()
         self.q_net_target.load_state_dict(self.q_net.state_dict())
-        self.q_net_target.requires_grad_(False)
+        online = set(map(id, self.q_net.parameters()))  # of which a shared extractor has some
+        for parameter in self.q_net_target.parameters():
+            parameter.requires_grad_(id(parameter) in online)
         self.q_net_target.set_training_mode(False)
         kwargs = dict(self.optimizer_kwargs)
         if self.optimizer_class in _WITH_FUSED_KERNEL and not kwargs.keys() & _NOT_WITH_FUSED:
@@ -253,6 +263,8 @@ class RainbowPolicy(AsVector, BasePolicy):
 class CnnPolicy(RainbowPolicy):
     """:class:`RainbowPolicy` for images: by default the network of Hessel et al. (2018), 512 noisy
     units for the value and as many for the advantages, after the convolutions of ``NatureCNN``.
+    With ``features_extractor_kwargs=dict(features_dim=...)`` it is DQN's: ``NatureCNN``, then the
+    head.
     """
 
     def __init__(
@@ -264,7 +276,10 @@ class CnnPolicy(RainbowPolicy):
         **kwargs: Any,
     ) -> None:
         if len(args) < 3:
-            kwargs.setdefault("features_extractor_class", NatureConvolutions)
+            # a size asks for the layer that has it
+            sized = "features_dim" in (kwargs.get("features_extractor_kwargs") or {})
+            extractor = NatureCNN if sized else NatureConvolutions
+            kwargs.setdefault("features_extractor_class", extractor)
         super().__init__(observation_space, action_space, lr_schedule, *args, **kwargs)
 
 

@@ -13,7 +13,7 @@ from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule, TensorDict
-from stable_baselines3.common.utils import ConstantSchedule, LinearSchedule
+from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
 
 from sb3_rainbow.learner.denormals import flush_denormals
@@ -21,15 +21,14 @@ from sb3_rainbow.learner.learner import Learner, as_batch
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy, RainbowPolicy
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
-from sb3_rainbow.replay.compilation import report_compilation
 from sb3_rainbow.replay.parameters import check_buffer_size, smallest_buffer
 from sb3_rainbow.replay.transfer import from_device
 from sb3_rainbow.resume.resumable import ResumableAlgorithm
 from sb3_rainbow.settings import (
-    DEFAULT_EXPLORATION,
     NETWORK_ARGUMENTS,
     check_settings,
     check_support_of_file,
+    default_learning_rate,
     default_tau,
     head_and_support,
     served_by,
@@ -47,21 +46,36 @@ _CLIPPED_TO_WARN = 0.3
 _DIAGNOSTICS_INTERVAL = 100
 
 
+_MISSING_MASKS = (
+    "The model was trained under action masks and is asked for actions without them, so it may "
+    "choose what the env forbids: pass predict(action_masks=...), and evaluate with "
+    "sb3_contrib.common.maskable.evaluation.evaluate_policy and "
+    "sb3_contrib.common.maskable.callbacks.MaskableEvalCallback"
+)
+
+
 class Rainbow(ResumableAlgorithm):
     """Rainbow DQN (Hessel et al. 2018, https://arxiv.org/abs/1710.02298) with action masks.
 
     Six extensions of DQN, each of which can be off: ``double_q``, ``dueling``, ``prioritized``,
-    ``n_steps`` (off: 1), ``noisy`` (off: epsilon-greedy), ``distributional`` (off: Huber loss on
-    scalar Q-values). The arguments up to ``device`` are those of SB3's ``DQN``, in its order.
+    ``n_steps`` (off: 1), ``noisy`` (off: epsilon-greedy alone), ``distributional`` (off: Huber loss
+    on scalar Q-values). The arguments up to ``device`` are those of SB3's ``DQN``, in its order.
+
+    The defaults are for small tasks, of some ten thousand steps, where Hessel et al.'s, which are
+    for 200 million frames of Atari, learn nothing: a higher rate, more updates, a target network
+    that follows sooner, quantiles in the place of a support, and a little noise beside SB3's
+    epsilon, because noise alone tries some actions too seldom. ``Rainbow(..., **HESSEL)`` has
+    theirs (:data:`sb3_rainbow.HESSEL`).
 
     Args:
         policy: "MlpPolicy", "CnnPolicy", "MultiInputPolicy", or a policy class.
         env: environment to learn from, or the name of a registered one.
         learning_rate: learning rate, or a function of the remaining progress (from 1 to 0).
+            ``None`` (default) is 1e-3, with ``CnnPolicy`` 1e-4.
         buffer_size: transitions in the replay buffer, over all envs.
         learning_starts: steps of random (allowed) actions before learning starts.
         batch_size: transitions per update.
-        tau: Polyak coefficient of the target network, 1 for a copy. ``None`` (default) is 0.001, or
+        tau: Polyak coefficient of the target network, 1 for a copy. ``None`` (default) is 0.01, or
             with a ``target_update_interval`` SB3's 1.
         gamma: discount factor.
         train_freq: steps between two rounds of updates, or a tuple such as ``(2, "episode")``.
@@ -76,10 +90,10 @@ class Rainbow(ResumableAlgorithm):
             returns 1, with a warning.
         target_update_interval: ``None`` (default) moves the target network by ``tau`` after every
             update; a number does so every that many steps of the env, as SB3's DQN.
-        exploration_fraction: fraction of training over which epsilon falls; ``None`` (default) is
-            0.1. Where none of these three is given, there is no epsilon beside the noise.
-        exploration_initial_eps: epsilon at the start; ``None`` is 1.0.
-        exploration_final_eps: epsilon at the end; ``None`` is 0.05.
+        exploration_fraction: fraction of training over which epsilon falls.
+        exploration_initial_eps: epsilon at the start. With this and the next at 0 there is no
+            epsilon beside the noise.
+        exploration_final_eps: epsilon at the end.
         max_grad_norm: gradient norm to clip to, None for no clipping.
         stats_window_size: episodes to average the logged statistics over.
         tensorboard_log: folder of the TensorBoard log.
@@ -96,11 +110,11 @@ class Rainbow(ResumableAlgorithm):
         distributional: learn the distribution of returns: ``"quantile"`` as ``n_atoms`` quantiles,
             which need no support (QR-DQN's), ``"categorical"`` or True over ``n_atoms`` values from
             ``v_min`` to ``v_max`` (Hessel et al.'s), False not at all. ``None`` (default) is
-            ``"categorical"`` where ``v_min`` or ``v_max`` is given, ``"quantile"`` elsewhere.
+            ``"categorical"`` where ``v_min`` and ``v_max`` are given, ``"quantile"`` elsewhere.
         n_atoms: atoms of the support, or quantiles.
-        v_min: lowest return of the support; ``None`` (default) is -100 for the categorical head,
-            which fits rewards in [-1, 1] and gamma 0.99.
-        v_max: highest return of the support; ``None`` is 100.
+        v_min: lowest return of the categorical head's support. It and ``v_max`` are given both, or
+            neither: then they are -100 and 100, which fit rewards in [-1, 1] and gamma 0.99.
+        v_max: highest return of the support.
         sigma0: initial scale of the noisy layers.
         alpha: exponent of the priorities.
         beta_start: importance-sampling exponent at the start of training.
@@ -112,9 +126,8 @@ class Rainbow(ResumableAlgorithm):
         use_masking: "auto" uses ``action_masks()`` where the env has it.
         compile: one graph of target and loss by ``torch.compile``; the first update then takes some
             seconds. Without a compiler, one warning and no effect.
-        mixed_precision: bfloat16 in the loss, on CUDA only.
-        cpu_kernels: update ReLU perceptrons on the CPU by compiled kernels, in half the time of
-            torch's operations; they take precedence over ``compile``.
+        cpu_kernels: update ReLU perceptrons on the CPU by compiled kernels, in about a fifth of the
+            time of torch's operations; they take precedence over ``compile``.
         _init_setup_model: whether to build the network at the creation of the instance.
 
     Raises:
@@ -127,7 +140,8 @@ class Rainbow(ResumableAlgorithm):
         "MultiInputPolicy": MultiInputPolicy,
     }
     exploration_schedule: Schedule
-    _epsilon_was_asked_for: bool = False  # as in files from before it could be
+    _epsilon_was_asked_for: bool = True  # False in files from when the noise alone was the default
+    _warned_of_missing_masks: bool = False
     q_net: RainbowNetwork
     q_net_target: RainbowNetwork
     policy: RainbowPolicy
@@ -136,22 +150,22 @@ class Rainbow(ResumableAlgorithm):
         self,
         policy: str | type[RainbowPolicy],
         env: GymEnv | str,
-        learning_rate: float | Schedule = 1e-4,
+        learning_rate: float | Schedule | None = None,
         buffer_size: int = 1_000_000,
         learning_starts: int = 100,
-        batch_size: int = 32,
+        batch_size: int = 64,
         tau: float | None = None,
         gamma: float = 0.99,
         train_freq: int | tuple[int, str] = 4,
-        gradient_steps: int = 1,
+        gradient_steps: int = 4,
         replay_buffer_class: type[ReplayBuffer] | None = None,
         replay_buffer_kwargs: dict[str, Any] | None = None,
         optimize_memory_usage: bool = False,
         n_steps: int | None = None,
         target_update_interval: int | None = None,
-        exploration_fraction: float | None = None,
-        exploration_initial_eps: float | None = None,
-        exploration_final_eps: float | None = None,
+        exploration_fraction: float = 0.1,
+        exploration_initial_eps: float = 1.0,
+        exploration_final_eps: float = 0.05,
         max_grad_norm: float | None = 10.0,
         stats_window_size: int = 100,
         tensorboard_log: str | None = None,
@@ -167,14 +181,13 @@ class Rainbow(ResumableAlgorithm):
         n_atoms: int = 51,
         v_min: float | None = None,
         v_max: float | None = None,
-        sigma0: float = 0.5,
+        sigma0: float = 0.1,
         alpha: float = 0.6,
         beta_start: float = 0.4,
         beta_end: float = 1.0,
         advantage_learning: float = 0.0,
         use_masking: UseMasking = "auto",
         compile: bool = False,
-        mixed_precision: bool = False,
         cpu_kernels: bool = True,
         _init_setup_model: bool = True,
     ) -> None:
@@ -185,7 +198,7 @@ class Rainbow(ResumableAlgorithm):
         super().__init__(
             policy,
             env,
-            learning_rate,
+            default_learning_rate(policy) if learning_rate is None else learning_rate,
             buffer_size,
             learning_starts,
             batch_size,
@@ -208,8 +221,6 @@ class Rainbow(ResumableAlgorithm):
             supported_action_spaces=(spaces.Discrete,),
             support_multi_env=True,
         )
-        given = (exploration_initial_eps, exploration_final_eps, exploration_fraction)
-        self._epsilon_was_asked_for = any(value is not None for value in given)
         self.exploration_initial_eps = exploration_initial_eps
         self.exploration_final_eps = exploration_final_eps
         self.exploration_fraction = exploration_fraction
@@ -229,7 +240,6 @@ class Rainbow(ResumableAlgorithm):
         self.advantage_learning = advantage_learning
         self.use_masking = use_masking
         self.compile = compile
-        self.mixed_precision = mixed_precision
         self.cpu_kernels = cpu_kernels
 
         self._n_calls = 0
@@ -252,7 +262,12 @@ class Rainbow(ResumableAlgorithm):
         self._support = support_of(self.distributional, self.v_min, self.v_max)
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
-        self.exploration_schedule = self._make_exploration_schedule()
+        if self.noisy and not self._epsilon_was_asked_for:
+            self.exploration_initial_eps = self.exploration_final_eps = 0.0
+        self._epsilon_was_asked_for = True
+        self.exploration_schedule = LinearSchedule(
+            self.exploration_initial_eps, self.exploration_final_eps, self.exploration_fraction
+        )
         if self.replay_buffer is None:
             self.replay_buffer = self._make_replay_buffer()
         self.policy = self.policy_class(  # type: ignore[assignment]
@@ -264,14 +279,6 @@ class Rainbow(ResumableAlgorithm):
         ).to(self.device)
         self._convert_train_freq()
         self._create_aliases()
-
-    def _make_exploration_schedule(self) -> Schedule:
-        for name, default in DEFAULT_EXPLORATION.items():
-            if getattr(self, name) is None:
-                setattr(self, name, default)
-        if self.noisy and not self._epsilon_was_asked_for:
-            return ConstantSchedule(0.0)
-        return LinearSchedule(*(getattr(self, name) for name in DEFAULT_EXPLORATION))
 
     def _make_replay_buffer(self) -> ReplayBuffer:
         if self.replay_buffer_class is None:
@@ -307,7 +314,6 @@ class Rainbow(ResumableAlgorithm):
             self.max_grad_norm,
             self.advantage_learning,
             self.compile,
-            self.mixed_precision,
             self.cpu_kernels,
         )
 
@@ -337,6 +343,9 @@ class Rainbow(ResumableAlgorithm):
         Raises:
             ValueError: for masks of another shape, or with a row that allows nothing.
         """
+        if action_masks is None and self._masking and not self._warned_of_missing_masks:
+            self._warned_of_missing_masks = True
+            warnings.warn(_MISSING_MASKS, stacklevel=2)
         actions, state = self.policy.predict(
             observation, state, episode_start, deterministic, action_masks
         )
@@ -408,7 +417,6 @@ class Rainbow(ResumableAlgorithm):
                     losses.append(mean_loss)
                 else:
                     losses.append(loss)
-        report_compilation()
         logs_due = self._n_updates % _DIAGNOSTICS_INTERVAL < gradient_steps
         self._n_updates += gradient_steps
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
@@ -483,7 +491,7 @@ class Rainbow(ResumableAlgorithm):
         smallest that is not.
         """
         given = {**(custom_objects or {}), **kwargs}
-        if any(given.get(name) is not None for name in DEFAULT_EXPLORATION):
+        if given.keys() & {"exploration_initial_eps", "exploration_final_eps"}:
             kwargs["_epsilon_was_asked_for"] = True
         if "tau" in kwargs:
             kwargs["_tau_was_chosen"] = kwargs["tau"] is not None
@@ -518,7 +526,8 @@ class Rainbow(ResumableAlgorithm):
         super().set_parameters(parameters, exact_match, device)
 
     def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "q_net", "q_net_target", "_learner"]
+        own = ("q_net", "q_net_target", "_learner", "_warned_of_missing_masks")
+        return [*super()._excluded_save_params(), *own]
 
     def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
         return ["policy", "policy.optimizer"], []

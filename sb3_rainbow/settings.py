@@ -15,7 +15,7 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.save_util import open_path
 
 from sb3_rainbow.network.rainbow_network import head_of
-from sb3_rainbow.policies import RainbowPolicy
+from sb3_rainbow.policies import CnnPolicy, RainbowPolicy
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.replay.parameters import check_replay_parameters
 from sb3_rainbow.type_aliases import Distributional, UseMasking
@@ -26,13 +26,26 @@ NETWORK_ARGUMENTS = frozenset(
 )
 
 DEFAULT_N_STEPS = 3
-# SB3's DQN's
-DEFAULT_EXPLORATION = {
-    "exploration_initial_eps": 1.0,
-    "exploration_final_eps": 0.05,
-    "exploration_fraction": 0.1,
-}
 DEFAULT_SUPPORT = (-100.0, 100.0)
+
+HESSEL: dict[str, Any] = {
+    "learning_rate": 6.25e-5,
+    "learning_starts": 20_000,
+    "batch_size": 32,
+    "train_freq": 4,
+    "gradient_steps": 1,
+    "target_update_interval": 8_000,
+    "exploration_initial_eps": 0.0,
+    "exploration_final_eps": 0.0,
+    "distributional": "categorical",
+    "v_min": -10.0,
+    "v_max": 10.0,
+    "sigma0": 0.5,
+    "alpha": 0.5,
+    "policy_kwargs": {"noisy_layers": "all", "optimizer_kwargs": {"eps": 1.5e-4}},
+}
+"""Hessel et al.'s settings (2018, table 1), for images of Atari, whose frames come four to a step
+and whose rewards are clipped to [-1, 1]: ``Rainbow("CnnPolicy", env, **HESSEL)``."""
 
 
 class SettingsMismatchError(ValueError, RuntimeError):
@@ -88,15 +101,31 @@ def served_by(
 
 def default_tau(target_update_interval: int | None) -> float:
     """A small step after every update, or SB3's whole copy at every interval."""
-    return 1e-3 if target_update_interval is None else 1.0
+    return 1e-2 if target_update_interval is None else 1.0
+
+
+def default_learning_rate(policy: str | type[BasePolicy]) -> float:
+    """SB3's for images, of which the defaults were not searched, and a perceptron's."""
+    of_images = isinstance(policy, type) and issubclass(policy, CnnPolicy)
+    return 1e-4 if of_images or policy == "CnnPolicy" else 1e-3
 
 
 def head_and_support(
     distributional: Distributional | None, v_min: float | None, v_max: float | None
 ) -> tuple[Distributional, float, float]:
-    """The head where nobody asked for one, and the support's ends where nobody gave them."""
+    """The head where nobody asked for one, and the support's ends where nobody gave them.
+
+    Raises:
+        ValueError: for one end of the support without the other.
+    """
+    uses_support = distributional is None or head_of(distributional) == "categorical"
+    if uses_support and (v_min is None) != (v_max is None):
+        given, missing = ("v_min", "v_max") if v_max is None else ("v_max", "v_min")
+        raise ValueError(
+            f"{given} without {missing}: pass both for the categorical head, neither for quantiles"
+        )
     if distributional is None:
-        distributional = "quantile" if v_min is None and v_max is None else "categorical"
+        distributional = "quantile" if v_min is None else "categorical"
     low, high = DEFAULT_SUPPORT
     return distributional, low if v_min is None else v_min, high if v_max is None else v_max
 
@@ -150,7 +179,6 @@ class Settings(Protocol):
     distributional: Distributional
     gamma: float
     max_grad_norm: float | None
-    mixed_precision: bool
     n_envs: int
     n_steps: int
     policy_class: type[BasePolicy]
@@ -203,8 +231,6 @@ def check_settings(model: Settings) -> None:
             f"Rainbow needs a policy derived from RainbowPolicy, got {model.policy_class}; was "
             "the file saved by another algorithm?"
         )
-    if model.mixed_precision and model.device.type != "cuda":
-        raise ValueError(f"mixed_precision needs a CUDA device, got {model.device}")
     clashing = NETWORK_ARGUMENTS & set(model.policy_kwargs)
     if clashing:
         raise ValueError(

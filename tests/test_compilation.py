@@ -18,29 +18,34 @@ ROOT = Path(__file__).resolve().parent.parent
 # Every kernel of the package is declared, and a few compile.
 LEARN = """
 from sb3_rainbow import Rainbow
-from sb3_rainbow.replay import compilation
-compilation._NOTICED = 0.1
 settings = {"learning_starts": 20, "buffer_size": 100, "cpu_kernels": False}
 Rainbow("MlpPolicy", "CartPole-v1", device="cpu", **settings).learn(60)
 """
 TREE = """
 import numpy as np
 from sb3_rainbow import SumTree
-from sb3_rainbow.replay import compilation
-compilation._NOTICED = 0.1
 tree = SumTree(4)
 tree.set(np.arange(4), np.ones(4))
 tree.sample(2)
-compilation.report_compilation()
+"""
+BEFORE = """
+import sys
+import numpy as np
+from numba.core import dispatcher
+from sb3_rainbow import SumTree
+compile = dispatcher._FunctionCompiler.compile
+def told(*arguments):
+    dispatcher._FunctionCompiler.compile = compile
+    print("numba begins", file=sys.stderr)
+    return compile(*arguments)
+dispatcher._FunctionCompiler.compile = told
+SumTree(4).set(np.arange(4), np.ones(4))
 """
 KINEMATICS = """
 import numpy as np
-from coop_env import compilation
-compilation._NOTICED = 0.1
 import coop_env.env
 from coop_env.kinematics import delta
 print(delta.jacobian(np.array([0.0, 0.0, -0.5])).shape)
-compilation.report_compilation()
 """
 
 
@@ -59,16 +64,32 @@ def run(code: str, folder: Path, **environment: str) -> str:
         timeout=200,
     )
     assert done.returncode == 0, done.stderr
-    return "".join(line for line in done.stderr.splitlines() if "compiled" in line)
+    return "".join(line for line in done.stderr.splitlines() if "compiling" in line)
 
 
 @pytest.mark.parametrize(("package", "code"), [("sb3_rainbow", LEARN), ("coop_env", KINEMATICS)])
-def test_a_cold_cache_is_reported_once(tmp_path: Path, package: str, code: str) -> None:
+def test_a_cold_cache_is_announced_once(tmp_path: Path, package: str, code: str) -> None:
     places = {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
     told = run(code, tmp_path, **places)
-    assert told.startswith(f"{package}: compiled kernels in ")
-    assert told.endswith(" s, once after an install: from now on they come from numba's cache")
+    assert told.startswith(f"{package}: compiling kernels (")
+    assert told.endswith(
+        " of a processor core), once after an install: then they come from numba's cache"
+    )
     assert run(code, tmp_path, **places) == ""
+
+
+def test_it_is_announced_before_it_begins(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", BEFORE],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_OPT": "1"},
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    first, second = done.stderr.splitlines()
+    assert first.startswith("sb3_rainbow: compiling kernels (replay")
+    assert second == "numba begins"
 
 
 @pytest.mark.parametrize(
@@ -90,7 +111,7 @@ def test_where_nothing_can_be_written(
     if archived:
         place = Path(shutil.make_archive(str(place), "zip", place))
     told = run(code, tmp_path, PYTHONPATH=str(place), HOME=os.devnull)
-    assert told.startswith(f"{package}: compiled kernels in ")
+    assert told.startswith(f"{package}: compiling kernels (")
     assert told.endswith("set NUMBA_CACHE_DIR to one that can")
 
 

@@ -13,12 +13,21 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted((ROOT / "docs").glob("*.md"))
+WHOLE = "WHOLE" in os.environ  # as `make examples` runs them: trainings whole, scores compared
+if WHOLE:
+    PAGES.append(ROOT / "README.md")
 STEPS = 300  # of a training: past its first updates
+SCORE = re.compile(r"^print\(.*\)  # (-?[\d.]+)", re.MULTILINE)  # what a page says that is printed
+NEAR = 0.95  # of the score, on another machine
 SHORTER = (
-    (r"learn\([\d_]+", f"learn({STEPS}"),
-    (r"range\(500\)", "range(2)"),  # episodes
-    (r"range\(5_000\)", "range(200)"),  # steps of a script
-    (r"n_envs=8", "n_envs=2"),
+    ()
+    if WHOLE
+    else (
+        (r"learn\([\d_]+", f"learn({STEPS}"),
+        (r"range\(500\)", "range(2)"),  # episodes
+        (r"range\(5_000\)", "range(200)"),  # steps of a script
+        (r"n_envs=8", "n_envs=2"),
+    )
 )
 
 
@@ -61,9 +70,12 @@ def test_the_site_builds(tmp_path: Path) -> None:
     "page", [p for p in PAGES if "```python" in p.read_text("utf-8")], ids=lambda page: page.stem
 )
 def test_the_blocks_of_a_page_run(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """From top to bottom, as a reader would type them; those of the README, `test_install` runs."""
+    """Each alone, as a script; those of the README, `test_install` runs."""
     if page.stem == "physics":
         pytest.importorskip("mujoco", reason="needs the extra physics")
     blocks = python_blocks(page.read_text(encoding="utf-8"))
@@ -71,12 +83,16 @@ def test_the_blocks_of_a_page_run(
     monkeypatch.setenv("MINARI_DATASETS_PATH", "")  # a page sets it; it is as it was afterwards
     Path("results").mkdir()
     Path("results/data").symlink_to(ROOT / "results" / "data")  # what pages read
-    names: dict[str, Any] = {}
     reasons = []
     for number, (block, reason) in enumerate(blocks, start=1):
         if reason:
             reasons.append(f"block {number}: {reason}")
         else:
+            names: dict[str, Any] = {"__name__": "__main__"}
+            capsys.readouterr()
             exec(compile(block, f"{page.name}, block {number}", "exec"), names)
+            printed = re.findall(r"^-?[\d.]+", capsys.readouterr().out, re.MULTILINE)
+            for score, wanted in zip(printed, SCORE.findall(block), strict=False):
+                assert not WHOLE or float(score) >= NEAR * float(wanted)
     if reasons:
         pytest.skip("; ".join(reasons))

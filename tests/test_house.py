@@ -13,6 +13,9 @@ from pathlib import Path
 import pytest
 import yaml
 
+import coop_env
+import sb3_rainbow
+
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("sb3_rainbow", "coop_env", "benchmarks")
 
@@ -166,7 +169,7 @@ def test_rooms_keep_to_themselves(prefix: str) -> None:
 
 
 def test_only_the_batched_envs_touch_sb3() -> None:
-    allowed = ("coop_env.vector.vec_env", "coop_env.team.vec_env")
+    allowed = ("coop_env.vector.vec_env",)
     wrong = [
         f"{name} imports {target}"
         for name, path in SOURCES.items()
@@ -211,4 +214,9 @@ def test_the_version_is_the_same_wherever_it_stands() -> None:
     setup = configparser.ConfigParser()
     setup.read(ROOT / "setup.cfg")
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    assert cited["version"] == setup["metadata"]["version"]
+    page = (ROOT / "docs" / "citing.md").read_text(encoding="utf-8")
+    assert f"version = {{{cited['version']}}}" in page
+    stated = {cited["version"], setup["metadata"]["version"]}
+    assert stated == {coop_env.__version__} == {sb3_rainbow.__version__}
+    for package in (coop_env, sb3_rainbow):
+        assert set(dir(package)) == set(package.__all__)

@@ -143,7 +143,7 @@ def test_the_readme_runs_where_only_the_wheel_and_its_needs_are(
                 (site / top.name).symlink_to(top)
     empty.mkdir()
     blocks = [block for block, reason in python_blocks(README) if not reason]
-    assert len(blocks) == 3
+    assert len(blocks) == 2
     program = "".join(f"exec({block!r}, {{}})\n" for block in [EVERY_MODULE, *blocks])
     done = subprocess.run(
         [home / "bin" / "python", "-c", program],
@@ -154,7 +154,7 @@ def test_the_readme_runs_where_only_the_wheel_and_its_needs_are(
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert [path.name for path in empty.iterdir()] == ["rainbow_cartpole.zip"]
+    assert not list(empty.iterdir())
 
 
 def needed(requirements: list[str]) -> set[str]:

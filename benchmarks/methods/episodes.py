@@ -28,7 +28,8 @@ def env_arguments(preset: Preset, cell: Cell, track: Track | None = None) -> dic
         at_once = {"team": "central"} if cell.method == OPTIMUM_AT_ONCE else {}
         return {"geometry": geometry, "reward": "progress", **at_once}
     names = ("reward", "observation", "mask_singularities", "mask_visited", "mask_refused")
-    given = {name: getattr(track, name) for name in (*names, "collision")}
+    given = {name: getattr(track, name) for name in names}
+    given |= {"collision": track.collision} if track.collision != "refuse" else {}
     given |= {"reward_kwargs": dict(track.reward_kwargs) or None, "sim_to_real": track.sim_to_real}
     if track.task is not None:
         given |= {"task": dict(track.task)}

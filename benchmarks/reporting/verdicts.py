@@ -217,6 +217,8 @@ def _points(comparison: Comparison) -> str:
 
 
 def _significant(comparison: Comparison) -> str:
+    if comparison.difference.n < 2:
+        return "on one seed"
     return {
         SAME: "no clear difference",
         BETTER: "a clear gain",

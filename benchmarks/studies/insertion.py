@@ -23,7 +23,7 @@ class Insertion(Experiment[Cell]):
     """Cells of a preset, which is loaded if its name or its file's path is given."""
 
     # the paper's tables; the others are written beside them
-    printed = ("performance", "controls", "ablation", "geometry", "design", "team")
+    printed = ("performance", "controls", "ablation", "geometry", "design", "team", "difficulty")
 
     def __init__(self, preset: Preset | str) -> None:
         self.preset = load_preset(preset) if isinstance(preset, str) else preset

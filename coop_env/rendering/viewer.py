@@ -20,6 +20,7 @@ import numpy.typing as npt
 from coop_env.env import CoopInsertionEnv
 from coop_env.errors import ResetOptionError
 from coop_env.geometry import GEOMETRIES
+from coop_env.rendering.bodies import bodies
 from coop_env.rendering.browser import (
     ANGLES,
     Stage,
@@ -65,9 +66,13 @@ class Viewer:
         host: str = "127.0.0.1",
         port: int = 8080,
     ) -> None:
+        self.env = env
+        self._observation, _ = env.reset()
+        scene = env.scene()
+        bodies(scene, scene.trace)  # what compiles for it has compiled before anyone can look
+        env.action_masks()
         self._server = open_server(host, port)
         self.port = port
-        self.env = env
         self._act = act
         self._make_env = make_env
         self._lock = threading.RLock()  # the browser's events come on threads of their own
@@ -76,7 +81,7 @@ class Viewer:
         self._stage = Stage(self._server)
         self._set_scene()
         self._build_panel()
-        self.reset()
+        self._show("")
         self._player = threading.Thread(target=self._play_loop, daemon=True)
         self._player.start()
 
@@ -265,6 +270,7 @@ def view(
     port: int = 8080,
 ) -> None:
     """Show an environment in the browser until interrupted; see :class:`Viewer`."""
+    print("building the scene", flush=True)
     viewer = Viewer(env, act, make_env=make_env, host=host, port=port)
     print(f"open http://{host}:{port} in a browser; Ctrl-C ends", flush=True)
     try:

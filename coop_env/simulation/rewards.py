@@ -45,17 +45,6 @@ PROGRESS_DEFAULTS: Final[Mapping[str, float | None]] = MappingProxyType(
 )
 """Keys of ``reward_kwargs`` with ``reward="progress"``. None: the printed bonus; no discount."""
 
-TUNED: Final[Mapping[str, float | None]] = MappingProxyType(
-    {
-        "step_cost": 0.05,
-        "distance_scale": 50.0,
-        "angle_scale": 15.0,
-        "insertion_bonus": 20.0,
-        "violation_penalty": 1.0,
-    }
-)
-"""A tenth of the default dense term with a constant bonus, for a narrow value support."""
-
 
 def make_reward(kind: str, kwargs: Mapping[str, float | None] | None = None) -> RewardParams:
     """A reward's name and scales as the kernel takes them.

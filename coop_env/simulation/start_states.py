@@ -142,14 +142,8 @@ def _draw_until_accepted(
     )
 
 
-def _hole_index(value: object, what: str, n_holes: int) -> int:
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, (int, np.integer))
-        or not 0 <= value < n_holes
-    ):
-        raise ResetOptionError(f"{what} = {value!r}: must be a hole, an integer 0 to {n_holes - 1}")
-    return int(value)
+def _hole_index(value: object, name: str, n_holes: int) -> int:
+    return check_integer(name, value, 0, n_holes - 1, hint=": a hole", error=ResetOptionError)
 
 
 def _filled(value: Any, active: NDArray[np.uint8]) -> NDArray[np.uint8]:

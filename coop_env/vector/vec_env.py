@@ -1,4 +1,4 @@
-"""The batched environment as SB3's ``VecEnv``; :mod:`coop_env.vector.env_batch` moves it."""
+"""The batched environment as SB3's ``VecEnv``: :mod:`coop_env.vector.vector_env` moves it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from gymnasium import Wrapper
+from gymnasium import Wrapper, spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import (
     VecEnv,
@@ -14,8 +14,9 @@ from stable_baselines3.common.vec_env.base_vec_env import (
 )
 
 from coop_env.env import CoopInsertionEnv, check_snapshot
+from coop_env.errors import check_integer
 from coop_env.simulation import batch
-from coop_env.vector.env_batch import EnvBatch, check_seed
+from coop_env.vector.vector_env import CoopInsertionVectorEnv, check_seed, set_attribute
 
 StepReturn = tuple[
     NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]
@@ -34,25 +35,36 @@ class CoopInsertionVecEnv(VecEnv):
         seed: environment i gets ``seed + i`` at the first reset; None draws one.
         kwargs: as for :class:`~coop_env.env.CoopInsertionEnv`.
 
+    Attributes:
+        env_class: the environments' class.
+        rows_each: rows of each environment, one for each of its agents.
+
     Raises:
         ArgumentError: ``n_envs`` is no positive integer, or a keyword is wrong.
     """
 
     env_class: ClassVar[type[CoopInsertionEnv]] = CoopInsertionEnv
+    rows_each: ClassVar[int] = 1
 
     def __init__(self, n_envs: int, seed: int | None = None, **kwargs: Any) -> None:
-        self._batch = EnvBatch(n_envs, self.env_class, **kwargs)
-        first = self.envs[0]
-        self.render_mode = first.render_mode
-        self.metadata = first.metadata
-        super().__init__(int(n_envs), first.observation_space, first.action_space)
+        n = check_integer("n_envs", n_envs, 1)
+        self._vector = CoopInsertionVectorEnv(n, env_class=self.env_class, **kwargs)
+        super().__init__(n * self.rows_each, *self._make_spaces())
         if seed is not None:
             self.seed(seed)
 
+    def _make_spaces(self) -> tuple[spaces.Box, spaces.Discrete]:
+        """Spaces of a row's observation and action."""
+        return self.envs[0].observation_space, self.envs[0].action_space
+
     @property
-    def envs(self) -> list[CoopInsertionEnv]:
+    def envs(self) -> list[Any]:
         """The environments that work on the batch's rows."""
-        return self._batch.envs
+        return self._vector.envs
+
+    def _observed(self, rows: NDArray[np.float32]) -> NDArray[np.float32]:
+        """What the agents see (n * rows_each, size) of environments' observations (n, fields)."""
+        return rows.copy()
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seeds of the next reset: environment i gets ``seed + i``; None draws one.
@@ -60,36 +72,47 @@ class CoopInsertionVecEnv(VecEnv):
         Raises:
             ArgumentError: the seed is no integer, or negative.
         """
-        return super().seed(check_seed(seed))
+        seeds = list(super().seed(check_seed(seed)))
+        self._seeds = self._spread(seeds[: len(self.envs)])
+        return self._seeds
+
+    def _spread(self, each: Sequence[Any]) -> list[Any]:
+        """For each row what its environment has."""
+        return [own for own in each for _ in range(self.rows_each)]
 
     def set_options(self, options: Any = None) -> None:
-        """Reset options of the next reset: one mapping for all, or a list with one for each.
+        """Reset options of the next reset: a mapping for all, or a list, one for each environment.
 
         Raises:
             ResetOptionError: an option is malformed, or names a state that cannot be taken; the
                 options set before are kept.
         """
-        super().set_options([own or {} for own in self._batch.check_options(options)])
+        given = [own or {} for own in self._vector.check_options(options)]
+        super().set_options(self._spread(given))
 
     def reset(self) -> NDArray[np.float32]:
         """Reset every environment, with the seeds and options set since the last reset."""
-        self._batch.reset(self._seeds, self._options)
-        self.reset_infos = batch.make_infos(self._batch.outcomes)
+        self._vector.start(self._seeds[:: self.rows_each], self._options[:: self.rows_each])
+        self.reset_infos = self._spread_infos(batch.make_infos(self._vector.outcomes))
         self._reset_seeds()
         self._reset_options()
-        return self._batch.rows.copy()
+        return self._observed(self._vector.rows)
+
+    def _spread_infos(self, infos: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """A dictionary for each row: SB3's wrappers write into them."""
+        return infos if self.rows_each == 1 else [dict(info) for info in self._spread(infos)]
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Take the actions (n_envs,) of the next :meth:`step_wait`.
+        """Take the actions (num_envs,) of the next :meth:`step_wait`.
 
         Raises:
             ResetNeeded: :meth:`reset` was never called.
             ActionError: the shape is wrong, or an entry is no integer of the action space.
         """
-        self._batch.take(actions)
+        self._vector.take(actions)
 
     def step(self, actions: NDArray[Any]) -> StepReturn:
-        """Move ``actions (n_envs,)``: observations, rewards, dones, infos."""
+        """Move ``actions (num_envs,)``: observations, rewards, dones, infos."""
         self.step_async(actions)
         return self.step_wait()
 
@@ -100,49 +123,57 @@ class CoopInsertionVecEnv(VecEnv):
             ResetNeeded: :meth:`reset` was never called.
             NoAsyncCallError: there was no :meth:`step_async` since the last call.
         """
-        ended = self._batch.move()
-        outcomes = self._batch.outcomes
+        ended = self._vector.move()
+        outcomes, k = self._vector.outcomes, self.rows_each
         rewards = outcomes["reward"].astype(np.float32)
-        infos = batch.make_infos(outcomes)
-        dones = np.zeros(self.num_envs, bool)
+        infos = self._spread_infos(batch.make_infos(outcomes))
+        dones = np.zeros(len(self.envs), bool)
         dones[ended] = True
         for i in ended.tolist():
-            self._restart(i, infos[i], bool(outcomes["truncated"][i]))
-        return self._batch.rows.copy(), rewards, dones, infos
+            self._restart(i, infos[k * i : k * (i + 1)], bool(outcomes["truncated"][i]))
+        if k > 1:
+            rewards, dones = rewards.repeat(k), dones.repeat(k)
+        return self._observed(self._vector.rows), rewards, dones, infos
 
-    def _restart(self, i: int, info: dict[str, Any], truncated: bool) -> None:
-        info["TimeLimit.truncated"] = truncated
-        info["terminal_observation"] = self._batch.rows[i].copy()
-        info["terminal_action_mask"] = self.envs[i].action_masks()
-        _, self.reset_infos[i] = self.envs[i].reset()
+    def _restart(self, i: int, infos: list[dict[str, Any]], truncated: bool) -> None:
+        observations = self._observed(self._vector.rows[i : i + 1])
+        masks = self.envs[i].action_masks().reshape(self.rows_each, -1)
+        for k, info in enumerate(infos):
+            info["TimeLimit.truncated"] = truncated
+            info["terminal_observation"] = observations[k]
+            info["terminal_action_mask"] = masks[k]
+        first = self.envs[i].reset()[1]
+        n = self.rows_each
+        self.reset_infos[n * i : n * (i + 1)] = self._spread_infos([first])
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Action masks of all environments, (n_envs, actions)."""
-        return self._batch.action_masks()
+        """Action masks of all rows, (num_envs, actions)."""
+        return self._vector.action_masks().reshape(self.num_envs, -1)
 
     def env_method(
         self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
     ) -> list[Any]:
-        """Call a method of the environments; see :class:`~coop_env.env.CoopInsertionEnv`."""
-        if method_name == "action_masks" and indices is None:
-            return list(self.action_masks())
+        """Call a method of the rows' environments; ``action_masks`` gives each row its own."""
+        if method_name == "action_masks":
+            masks = self.action_masks()
+            return list(masks if indices is None else masks[list(self._get_indices(indices))])
         return [getattr(env, method_name)(*args, **kwargs) for env in self._targets(indices)]
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """An attribute of each environment."""
+        """An attribute of each row's environment."""
         return [getattr(env, attr_name) for env in self._targets(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute (``stage``, say) of the environments.
+        """Set an attribute (``stage``, say) of the rows' environments.
 
         Raises:
             ArgumentError: the environments have no such attribute to set.
         """
         for env in self._targets(indices):
-            self._batch.set_attr(env, attr_name, value)
+            set_attribute(env, attr_name, value)
 
-    def _targets(self, indices: VecEnvIndices) -> list[CoopInsertionEnv]:
-        return [self.envs[i] for i in self._get_indices(indices)]
+    def _targets(self, indices: VecEnvIndices) -> list[Any]:
+        return [self.envs[i // self.rows_each] for i in self._get_indices(indices)]
 
     def env_is_wrapped(
         self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
@@ -154,21 +185,25 @@ class CoopInsertionVecEnv(VecEnv):
         """A frame of each environment, None without ``render_mode="rgb_array"``."""
         if self.render_mode != "rgb_array":
             return [None for _ in self.envs]
-        return self._batch.render()
+        return [env.render() for env in self.envs]
 
     def close(self) -> None:
         """Nothing is open that needs closing."""
 
     def get_state(self) -> dict[str, Any]:
         """An exact, picklable snapshot of all environments, to resume from."""
-        own = {"seeds": list(self._seeds), "options": list(self._options)}
-        return {**self._batch.get_state(), **own}
+        k = self.rows_each
+        return {
+            **self._vector.get_state(),
+            "seeds": list(self._seeds[::k]),
+            "options": list(self._options[::k]),
+        }
 
     def set_state(self, snapshot: Mapping[str, Any]) -> NDArray[np.float32]:
         """Return to a snapshot of :meth:`get_state`.
 
         Returns:
-            The observations (n_envs, size) of those states, with the noise they had. An SB3
+            The observations (num_envs, size) of those states, with the noise they had. An SB3
             algorithm that is to go on from here must take them for its ``_last_obs``.
 
         Raises:
@@ -176,7 +211,7 @@ class CoopInsertionVecEnv(VecEnv):
         """
         check_snapshot(snapshot, self.get_state())
         own = {"seeds", "options"}
-        self._batch.set_state({key: snapshot[key] for key in snapshot if key not in own})
-        self._seeds = list(snapshot["seeds"])
-        self._options = list(snapshot["options"])
-        return self._batch.rows.copy()
+        self._vector.set_state({key: snapshot[key] for key in snapshot if key not in own})
+        self._seeds = self._spread(snapshot["seeds"])
+        self._options = self._spread(snapshot["options"])
+        return self._observed(self._vector.rows)

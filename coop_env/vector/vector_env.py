@@ -1,23 +1,32 @@
-"""The batched environment as Gymnasium's ``VectorEnv``, what ``gymnasium.make_vec`` makes."""
+"""Many environments moved by one kernel call, as Gymnasium's ``VectorEnv``.
+
+Each row of the batch belongs to a :class:`~coop_env.env.CoopInsertionEnv` that works on it in
+place; ``reset``, options, stages and attributes go through that object, so that there is no second
+copy of any rule. Only the moves are made all at once. :mod:`coop_env.vector.vec_env` is SB3's side.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, ClassVar
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from gymnasium.error import NoAsyncCallError, ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from coop_env.env import CoopInsertionEnv
-from coop_env.errors import ArgumentError, check_integer
+from coop_env.env import CoopInsertionEnv, check_snapshot
+from coop_env.errors import ActionError, ArgumentError, ResetOptionError, check_integer
 from coop_env.simulation import batch
-from coop_env.vector.env_batch import EnvBatch, seeds_of
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Step = tuple[NDArray[np.float32], Floats, Bools, Bools, dict[str, Any]]
+
+LARGEST_SEED = 2**63 - 1
+_SHARED = ("packed", "transform", "states", "outcomes", "rows")
 
 
 class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
@@ -27,14 +36,19 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
     observation and ``info``, and ``infos`` has the last ones in ``final_obs`` and ``final_info``,
     and ``final_action_mask`` (num_envs, actions), each with its ``_`` mask of the rows that ended.
 
+    Pickled or copied it plays on as the original: states, observations, random generators, stages
+    and a move that is taken but not made.
+
     Args:
         num_envs: number of environments.
         max_episode_steps: Gymnasium's limit, which ``make_vec`` gives; the smaller of it and
             ``max_moves`` holds, as with ``gymnasium.make``.
+        env_class: the environments' class; None takes the attribute of that name.
         kwargs: as for :class:`~coop_env.env.CoopInsertionEnv`.
 
     Raises:
-        ArgumentError: ``num_envs`` is no positive integer, or a keyword is wrong.
+        ArgumentError: ``num_envs`` is no positive integer, a keyword is wrong, or the class moves
+            or resets in a way of its own, of which a batch would know nothing.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own form
@@ -42,18 +56,32 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
 
-    env_class: ClassVar[type[CoopInsertionEnv]] = CoopInsertionEnv
+    env_class: type[CoopInsertionEnv] = CoopInsertionEnv
 
     def __init__(
-        self, num_envs: int = 1, max_episode_steps: int | None = None, **kwargs: Any
+        self,
+        num_envs: int = 1,
+        max_episode_steps: int | None = None,
+        env_class: type[CoopInsertionEnv] | None = None,
+        **kwargs: Any,
     ) -> None:
         if max_episode_steps is not None:
             limit = check_integer("max_episode_steps", max_episode_steps, 1)
             moves = check_integer("max_moves", kwargs.get("max_moves", limit), 1)
             kwargs["max_moves"] = min(moves, limit)
-        self._batch = EnvBatch(num_envs, self.env_class, **kwargs)
+        self.env_class = env_class or self.env_class
+        for name in ("reset", "step", "action_masks"):
+            if getattr(self.env_class, name) is not getattr(CoopInsertionEnv, name):
+                raise ArgumentError(
+                    f"{self.env_class.__name__} has a {name}() of its own, which a batch would "
+                    "pass by: take Gymnasium's SyncVectorEnv or SB3's DummyVecEnv of single ones"
+                )
+        self.num_envs = check_integer("num_envs", num_envs, 1)
+        self.envs = [self.env_class(**kwargs) for _ in range(self.num_envs)]
+        self.actions = np.zeros(self.num_envs, np.int64)
+        self.pending = False
+        self._share_rows()
         first = self.envs[0]
-        self.num_envs = int(num_envs)
         self.render_mode = first.render_mode
         self.metadata = {**type(self).metadata, "render_fps": first.metadata["render_fps"]}
         self.single_observation_space = first.observation_space
@@ -61,10 +89,70 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         self.observation_space = batch_space(first.observation_space, self.num_envs)
         self.action_space = batch_space(first.action_space, self.num_envs)
 
+    def _share_rows(self) -> None:
+        """Move what the environments hold into rows of one array each, and let them work there."""
+        first, n = self.envs[0], self.num_envs
+        self.packed, self.transform = first._packed, first._observation
+        self.states = np.zeros(n, first._states.dtype)
+        self.outcomes = np.zeros(n, first._outcomes.dtype)
+        self.rows = np.zeros((n, self.transform.shape[1]), np.float32)
+        for i, env in enumerate(self.envs):
+            row = slice(i, i + 1)
+            env._attach(self.states[row], self.outcomes[row], self.rows[row])
+        self._started = False
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name not in _SHARED}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._share_rows()
+
+    def __copy__(self) -> CoopInsertionVectorEnv:
+        return copy.deepcopy(self)  # two batches cannot have the same environments' rows
+
     @property
-    def envs(self) -> list[CoopInsertionEnv]:
-        """The environments that work on the batch's rows."""
-        return self._batch.envs
+    def started(self) -> bool:
+        """Whether every environment was reset."""
+        self._started = self._started or all(env._started for env in self.envs)
+        return self._started
+
+    def _require_start(self) -> None:
+        if not self.started:
+            raise ResetNeeded("call reset() first: there are no running episodes")
+
+    def check_options(self, options: Any) -> list[Any]:
+        """One reset option for each environment, from one for all or a list of them.
+
+        Raises:
+            ResetOptionError: an option is malformed or does not fit its environment's stage, or the
+                list has another length.
+        """
+        n = self.num_envs
+        if options is None or isinstance(options, Mapping):
+            options = [options] * n
+        if not isinstance(options, (list, tuple)) or len(options) != n:
+            raise ResetOptionError(
+                f"options = {options!r}: must be a mapping or a list of {n} of them"
+            )
+        for env, own in zip(self.envs, options, strict=True):
+            env.check_options(own)
+        return list(options)
+
+    def start(self, seeds: Sequence[int | None], options: Sequence[Any]) -> None:
+        """Start all episodes; all options are checked before the first environment is touched.
+
+        Raises:
+            ResetOptionError: an option is malformed, or names a state that cannot be taken.
+        """
+        starts = [env.check_options(own) for env, own in zip(self.envs, options, strict=True)]
+        drawn = [
+            env._draw(start, seed)
+            for env, start, seed in zip(self.envs, starts, seeds, strict=True)
+        ]
+        for env, states in zip(self.envs, drawn, strict=True):
+            env._begin(states)
+        self.pending = False
 
     def reset(
         self,
@@ -82,12 +170,43 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
             ResetOptionError: an option is malformed, or names a state that cannot be taken.
             ArgumentError: a seed is no integer, is negative, or the list has another length.
         """
-        given = self._batch.check_options(options)
+        given = self.check_options(options)
         seeds = seeds_of(seed, self.num_envs)
         if seed is not None and not isinstance(seed, Sequence):
             super().reset(seed=seeds[0])
-        self._batch.reset(seeds, given)
-        return self._batch.rows.copy(), batch.make_columns(self._batch.outcomes)
+        self.start(seeds, given)
+        return self.rows.copy(), batch.make_columns(self.outcomes)
+
+    def take(self, actions: Any) -> None:
+        """Take the actions (num_envs,) of the next :meth:`move`.
+
+        Raises:
+            ResetNeeded: an environment was never reset.
+            ActionError: the shape is wrong, or an entry is no integer of the action space.
+        """
+        self._require_start()
+        n_actions = int(self.envs[0].action_space.n)
+        self.actions[:] = check_actions(actions, self.num_envs, n_actions)
+        self.pending = True
+
+    def move(self) -> NDArray[np.int64]:
+        """Make the moves taken; the indices of the episodes that end with them.
+
+        Raises:
+            ResetNeeded: an environment was never reset.
+            NoAsyncCallError: no actions were taken since the last move.
+        """
+        if not self.pending:
+            self._require_start()
+            raise NoAsyncCallError("step_wait() without step_async(): no actions", "step")
+        self.pending = False
+        self.env_class.step_batch(
+            self.states, self.actions, self.packed, self.transform, self.outcomes, self.rows
+        )
+        if self.render_mode is not None:
+            for env in self.envs:
+                env._follow(env._tip())
+        return np.flatnonzero(self.outcomes["terminated"] | self.outcomes["truncated"])
 
     def step(self, actions: NDArray[Any]) -> Step:
         """Move ``actions (num_envs,)``; environments whose episode ends are reset.
@@ -99,25 +218,25 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
             ResetNeeded: :meth:`reset` was never called.
             ActionError: the shape is wrong, or an entry is no integer of the action space.
         """
-        self._batch.take(actions)
-        ended = self._batch.move()
-        outcomes = self._batch.outcomes
-        rewards = outcomes["reward"].copy()
-        terminated, truncated = outcomes["terminated"].copy(), outcomes["truncated"].copy()
+        self.take(actions)
+        ended = self.move()
+        rewards = self.outcomes["reward"].copy()
+        terminated = self.outcomes["terminated"].copy()
+        truncated = self.outcomes["truncated"].copy()
         infos = self._restart(ended) if ended.size else {}
-        infos.update(batch.make_columns(outcomes))
-        return self._batch.rows.copy(), rewards, terminated, truncated, infos
+        infos.update(batch.make_columns(self.outcomes))
+        return self.rows.copy(), rewards, terminated, truncated, infos
 
     def _restart(self, ended: NDArray[np.int64]) -> dict[str, Any]:
         """Start the next episodes of the environments given; what the last ones ended with."""
         these = np.zeros(self.num_envs, bool)
         these[ended] = True
-        final = np.zeros_like(self._batch.outcomes)
-        final[ended] = self._batch.outcomes[ended]
+        final = np.zeros_like(self.outcomes)
+        final[ended] = self.outcomes[ended]
         observations = np.full(self.num_envs, None, object)
-        masks = self._batch.action_masks() & these[:, None]
+        masks = self.action_masks() & these[:, None]
         for i in ended.tolist():
-            observations[i] = self._batch.rows[i].copy()
+            observations[i] = self.rows[i].copy()
             self.envs[i].reset()
         infos = {
             "final_obs": observations,
@@ -126,9 +245,14 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         }
         return infos | {f"_{key}": these.copy() for key in infos}
 
-    def action_masks(self) -> NDArray[np.bool_]:
-        """Action masks of all environments, (num_envs, actions)."""
-        return self._batch.action_masks()
+    def action_masks(self) -> Bools:
+        """Action masks of all environments, (num_envs, actions).
+
+        Raises:
+            ResetNeeded: an environment was never reset.
+        """
+        self._require_start()
+        return self.envs[0]._masks_of(self.states)
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Call a method of each environment; an attribute is returned as it is."""
@@ -150,8 +274,95 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         if len(values) != self.num_envs:
             raise ArgumentError(f"{len(values)} values for {self.num_envs} environments")
         for env, value in zip(self.envs, values, strict=True):
-            self._batch.set_attr(env, name, value)
+            set_attribute(env, name, value)
 
     def render(self) -> tuple[Any, ...] | None:
         """A frame of each environment, as ``render_mode`` says."""
-        return tuple(self._batch.render())
+        return tuple(env.render() for env in self.envs)
+
+    def get_state(self) -> dict[str, Any]:
+        """An exact, picklable snapshot of all environments and of the move taken, if one is."""
+        return {
+            "params": self.envs[0].get_state()["params"],
+            "states": self.states.copy(),
+            "observations": self.rows.copy(),
+            "actions": self.actions.copy(),
+            "pending": self.pending,
+            "started": [env._started for env in self.envs],
+            "stages": [env.stage for env in self.envs],
+            "rngs": [env.np_random.bit_generator.state for env in self.envs],
+        }
+
+    def set_state(self, snapshot: Mapping[str, Any]) -> None:
+        """Return to a snapshot of :meth:`get_state`.
+
+        Raises:
+            StateError: the snapshot is of another batch: other arguments, another ``num_envs``.
+        """
+        check_snapshot(snapshot, self.get_state())
+        self.actions[:], self.pending = snapshot["actions"], snapshot["pending"]
+        self._started = False
+        keys = ("started", "stages", "rngs")
+        for i, (started, stage, rng) in enumerate(zip(*(snapshot[k] for k in keys), strict=True)):
+            self.envs[i].set_state(
+                {
+                    "params": snapshot["params"],
+                    "states": snapshot["states"][i : i + 1],
+                    "observations": snapshot["observations"][i : i + 1],
+                    "started": started,
+                    "stage": stage,
+                    "rng": rng,
+                }
+            )
+
+
+def set_attribute(env: CoopInsertionEnv, name: str, value: Any) -> None:
+    """Set an attribute of an environment that has it.
+
+    Raises:
+        ArgumentError: it has not, or it cannot be set.
+    """
+    try:
+        getattr(env, name)
+        setattr(env, name, value)
+    except AttributeError as error:
+        raise ArgumentError(f"attribute {name!r} cannot be set: {error}") from error
+
+
+def check_actions(actions: Any, n: int, n_actions: int) -> NDArray[Any]:
+    """The actions (n,) of a batch, integers from 0 to ``n_actions - 1``.
+
+    Raises:
+        ActionError: the shape is wrong, or an entry is something else.
+    """
+    actions = np.asarray(actions)
+    if actions.shape != (n,) or actions.dtype.kind not in "iu":
+        raise ActionError(
+            f"actions have shape {actions.shape} and type {actions.dtype}: must be {n} integers"
+        )
+    if actions.min() < 0 or actions.max() >= n_actions:
+        raise ActionError(f"actions = {actions!r}: must lie within 0 to {n_actions - 1}")
+    return actions
+
+
+def check_seed(seed: Any) -> int | None:
+    """A seed of numpy's generators, or None.
+
+    Raises:
+        ArgumentError: it is no integer, or negative.
+    """
+    return None if seed is None else check_integer("seed", seed, 0, LARGEST_SEED)
+
+
+def seeds_of(seed: int | Sequence[int | None] | None, n: int) -> list[int | None]:
+    """The seeds of n environments: ``seed + i``, entry i of a list, or None.
+
+    Raises:
+        ArgumentError: a seed is no integer, is negative, or the list has another length.
+    """
+    if isinstance(seed, Sequence):
+        if len(seed) != n:
+            raise ArgumentError(f"seed = {seed!r}: {len(seed)} seeds for {n} environments")
+        return [check_seed(each) for each in seed]
+    first = check_seed(seed)
+    return [None if first is None else first + i for i in range(n)]

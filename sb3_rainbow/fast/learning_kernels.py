@@ -142,7 +142,8 @@ def quantile_slopes(
     priorities: Vector,
     slope: Matrix,
 ) -> None:
-    """As :func:`~sb3_rainbow.network.losses.quantile_losses`; the priorities are the losses.
+    """As :func:`~sb3_rainbow.network.losses.quantile_losses`; the priorities are the absolute
+    errors of the means.
 
     Args:
         slope: result, of the losses' weighted mean in the quantiles, ``(B, N)``.
@@ -155,7 +156,9 @@ def quantile_slopes(
         for j in range(n):
             target[j] = returns[b, 0] + discount * target_quantiles[b, j]
         scale = share * weights[b] / np.float32(batch)
-        loss = np.float32(0.0)
+        loss = gap = np.float32(0.0)
+        for j in range(n):
+            gap += target[j] - quantiles[b, j]
         for i in range(n):
             above = (np.float32(i) + np.float32(0.5)) * share
             value, part, rise = quantiles[b, i], np.float32(0.0), np.float32(0.0)
@@ -168,7 +171,7 @@ def quantile_slopes(
             loss += part
             slope[b, i] = -rise * scale
         losses[b] = loss * share
-        priorities[b] = losses[b]
+        priorities[b] = abs(gap) * share
 
 
 @njit(cache=True)

@@ -4,7 +4,7 @@ All arrays are float32 and C-ordered; matrices of weights are ``(outputs, inputs
 one vector of parameters with a table of where each layer lies in it, one row per layer:
 
     inputs, outputs, noisy (0 or 1), offset among the parameters, offset among the noise, offset
-    among the effective weights, offset (per sample) among the hidden units
+    among the effective weights, offset (per sample) among the hidden units, outputs per noise
 
 A layer's parameters are weight and bias, or, where it is noisy, the means of the weight, its
 sigmas, then those of the bias. Its effective weight and bias include the noise of the moment; a
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from sb3_rainbow.replay.compilation import njit
 
-INPUTS, OUTPUTS, NOISY, PARAMETERS, NOISE, EFFECTIVE, HIDDEN = range(7)
+INPUTS, OUTPUTS, NOISY, PARAMETERS, NOISE, EFFECTIVE, HIDDEN, SHARED = range(8)
 
 Vector = NDArray[np.float32]
 Matrix = NDArray[np.float32]
@@ -29,10 +29,21 @@ FAST = {"reassoc", "contract", "nsz", "arcp"}
 
 
 @njit(cache=True)
-def scale_noise(noise: Vector) -> None:
-    """As :func:`~sb3_rainbow.network.noisy_linear.scale_noise_`, in place."""
-    for i in range(noise.shape[0]):
-        noise[i] = math.copysign(math.sqrt(abs(noise[i])), noise[i])
+def scale_noise(noise: Matrix, table: Table) -> None:
+    """As :func:`~sb3_rainbow.network.noisy_linear.scale_noise_` and ``share_noise_``, in place.
+
+    Args:
+        noise: ``(B, n)``, each row that of all layers.
+    """
+    for b in range(noise.shape[0]):
+        row = noise[b]
+        for i in range(row.shape[0]):
+            row[i] = math.copysign(math.sqrt(abs(row[i])), row[i])
+        for layer in range(table.shape[0]):
+            shared = table[layer, SHARED]
+            first = table[layer, NOISE] + table[layer, INPUTS]
+            for j in range(table[layer, NOISY] * table[layer, OUTPUTS] if shared > 1 else 0):
+                row[first + j] = row[first + j - j % shared]
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

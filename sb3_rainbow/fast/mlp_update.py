@@ -134,7 +134,7 @@ class MlpUpdate:
         """As ``Learner.update``."""
         for noise, drawn in zip(self._noises, self._drawn, strict=True):
             noise.normal_()
-            kernels.scale_noise(drawn)
+            kernels.scale_noise(drawn[None], self.table)
         n = batch.actions.shape[0]
         weights = np.ones(n, np.float32) if batch.weights is None else batch.weights.numpy()
         slope, losses, priorities = self._slopes(batch, weights, double_q, advantage_learning)
@@ -184,8 +184,8 @@ class MlpUpdate:
             noise = noise.new_empty(n * len(noise))
             drawn = noise.numpy()
         noise.normal_()
-        kernels.scale_noise(drawn)
         rows = drawn.reshape(n, len(self._drawn[0]))
+        kernels.scale_noise(rows, self.table)
         streams = kernels.noisy_streams(self._values[0], rows, self.table, features)
         return self._best_of_streams(streams, action_masks)
 

@@ -86,7 +86,8 @@ def table_of(net: RainbowNetwork) -> NDArray[np.int64]:
         assert isinstance(layer, NoisyLinear | nn.Linear)
         noisy = isinstance(layer, NoisyLinear)
         n_in, n_out = layer.in_features, layer.out_features
-        rows.append([n_in, n_out, int(noisy), parameters, noise, effective, hidden])
+        shared = layer.outputs_per_noise if noisy else 1
+        rows.append([n_in, n_out, int(noisy), parameters, noise, effective, hidden, shared])
         size = (n_in + 1) * n_out
         parameters += 2 * size if noisy else size
         noise += n_in + n_out if noisy else 0

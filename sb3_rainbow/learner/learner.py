@@ -31,7 +31,6 @@ class Learner:
         advantage_learning: share of the action's advantage that is added to its target.
         max_grad_norm: gradient norm to clip to, None for no clipping.
         compile_loss: whether ``torch.compile`` makes one graph of target, loss and gradient.
-        mixed_precision: whether to compute the loss in bfloat16 where that is safe (CUDA).
         cpu_kernels: whether compiled kernels take over where they can.
     """
 
@@ -42,14 +41,12 @@ class Learner:
         max_grad_norm: float | None,
         advantage_learning: float = 0.0,
         compile_loss: bool = False,
-        mixed_precision: bool = False,
         cpu_kernels: bool = True,
     ) -> None:
         self.policy = policy
         self.double_q = double_q
         self.advantage_learning = advantage_learning
         self.max_grad_norm = max_grad_norm
-        self.mixed_precision = mixed_precision
         self.shortcuts: Shortcuts | None = None
         if Shortcuts is not None:
             self.shortcuts = Shortcuts(policy, self._loss, compile_loss, cpu_kernels)
@@ -115,8 +112,7 @@ class Learner:
         self, q_net: RainbowNetwork, q_net_target: RainbowNetwork, batch: Batch
     ) -> tuple[th.Tensor, th.Tensor]:
         """Weighted mean loss with gradient, and priorities ``(B,)``."""
-        with th.autocast(q_net.device.type, th.bfloat16, enabled=self.mixed_precision):
-            return mean_loss(q_net, q_net_target, batch, self.double_q, self.advantage_learning)
+        return mean_loss(q_net, q_net_target, batch, self.double_q, self.advantage_learning)
 
     def act(
         self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None

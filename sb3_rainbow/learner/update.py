@@ -81,8 +81,8 @@ def td_losses(
     Categorical: the cross-entropy, and the Kullback-Leibler divergence (Hessel et al. 2018,
     section "Multi-step learning"), whose gradients are the same. They differ by the target's
     entropy, which says how uncertain the return is and not what is left to learn: as priorities,
-    cross-entropies are all but uniform. Quantiles: their Huber loss. Scalar: the Huber loss, and
-    the absolute error.
+    cross-entropies are all but uniform. Quantiles: their Huber loss, and, for the same reason, the
+    absolute error of their mean. Scalar: the Huber loss, and the absolute error.
 
     Args:
         target: the ``values`` of a :class:`Target`.
@@ -96,8 +96,8 @@ def td_losses(
         divergences = losses.detach() - target_entropies(target)
         return losses, divergences.clamp(min=0.0)
     if q_net.head == "quantile":
-        losses = quantile_losses(taken, target)
-        return losses, losses.detach()
+        errors = taken.detach().mean(dim=1) - target.mean(dim=1)
+        return quantile_losses(taken, target), errors.abs()
     losses = huber_losses(taken[:, 0], target[:, 0])
     return losses, (taken - target)[:, 0].detach().abs()
 

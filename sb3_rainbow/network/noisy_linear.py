@@ -17,6 +17,14 @@ def scale_noise_(noise: th.Tensor) -> th.Tensor:
     return th.copysign(noise.abs().sqrt_(), noise, out=noise)
 
 
+def share_noise_(noise: th.Tensor, n_outputs: int) -> th.Tensor:
+    """Give each ``n_outputs`` outputs in a row the noise of the first of them, in place."""
+    if n_outputs > 1:
+        groups = noise.unflatten(-1, (-1, n_outputs))
+        groups.copy_(groups[..., :1].clone())
+    return noise
+
+
 class NoisyLinear(nn.Module):
     """Linear layer with factorized Gaussian noise on weights and biases (Fortunato et al. 2018).
 
@@ -32,6 +40,9 @@ class NoisyLinear(nn.Module):
         in_features: size of each input.
         out_features: size of each output.
         sigma0: initial noise scale; every sigma starts at ``sigma0 / sqrt(in_features)``.
+        outputs_per_noise: outputs in a row that share their output noise. The quantiles of an
+            action do: with noise of their own, their mean, which chooses the action, would hardly
+            move.
     """
 
     epsilon_in: th.Tensor
@@ -40,11 +51,14 @@ class NoisyLinear(nn.Module):
     epsilon_rows: tuple[th.Tensor, th.Tensor] | None = None
     _silent: bool = False
 
-    def __init__(self, in_features: int, out_features: int, sigma0: float = 0.5) -> None:
+    def __init__(
+        self, in_features: int, out_features: int, sigma0: float = 0.5, outputs_per_noise: int = 1
+    ) -> None:
         super().__init__()
         self.in_features = in_features
         self.out_features = out_features
         self.sigma0 = sigma0
+        self.outputs_per_noise = outputs_per_noise
         self.weight_mu = nn.Parameter(th.empty(out_features, in_features))
         self.weight_sigma = nn.Parameter(th.empty(out_features, in_features))
         self.bias_mu = nn.Parameter(th.empty(out_features))
@@ -67,7 +81,7 @@ class NoisyLinear(nn.Module):
         """Draw new noise from torch's global generator, the same for all rows of a batch."""
         self.epsilon_rows = None
         scale_noise_(self.epsilon_in.normal_())
-        scale_noise_(self.epsilon_out.normal_())
+        share_noise_(scale_noise_(self.epsilon_out.normal_()), self.outputs_per_noise)
 
     @th.no_grad()
     def noise_magnitude(self) -> th.Tensor:

@@ -18,7 +18,7 @@ from torch.nn import functional as F
 
 from sb3_rainbow.network.convolutions import gains_by_channels_last, put_channels_last
 from sb3_rainbow.network.losses import mask_q_values
-from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_, silenced
+from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_, share_noise_, silenced
 from sb3_rainbow.network.shared_memory import AsVector, separate, share
 from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers, Prepared
 
@@ -150,7 +150,7 @@ class RainbowNetwork(AsVector, BasePolicy):
         first_noisy = depth - n_noisy
         n_out = self.n_actions * self.n_atoms
         if streams:
-            self.layers = self._make_layers([self.features_dim, *shared], 0, first_noisy)
+            self.layers = self._make_layers([self.features_dim, *shared], 0, first_noisy, False)
             sizes = [[self.features_dim, *shared][-1], *streams]
             if self.dueling:
                 self.value_layers = self._make_layers(
@@ -162,12 +162,19 @@ class RainbowNetwork(AsVector, BasePolicy):
             self.layers = self._make_layers([self.features_dim, *shared, n_out], 0, first_noisy)
         self.activation = self.activation_fn()
 
-    def _make_layers(self, sizes: list[int], depth: int, first_noisy: int) -> nn.ModuleList:
+    def _make_layers(
+        self, sizes: list[int], depth: int, first_noisy: int, with_head: bool = True
+    ) -> nn.ModuleList:
         """Layers between these sizes; the first of them lies ``depth`` layers deep."""
-        return nn.ModuleList(
-            NoisyLinear(n_in, n_out, self.sigma0) if i >= first_noisy else nn.Linear(n_in, n_out)
-            for i, (n_in, n_out) in enumerate(pairwise(sizes), start=depth)
-        )
+        layers: list[nn.Module] = []
+        for i, (n_in, n_out) in enumerate(pairwise(sizes), start=depth):
+            if i < first_noisy:
+                layers.append(nn.Linear(n_in, n_out))
+                continue
+            is_head = with_head and i == depth + len(sizes) - 2
+            shared = self.n_atoms if is_head and self.head == "quantile" else 1
+            layers.append(NoisyLinear(n_in, n_out, self.sigma0, shared))
+        return nn.ModuleList(layers)
 
     def prepare(self, obs: PyTorchObs) -> PyTorchObs:
         """Observations scaled or one-hot, once for all passes of an update.
@@ -258,7 +265,9 @@ class RainbowNetwork(AsVector, BasePolicy):
             if not isinstance(layer, NoisyLinear):
                 continue
             if _draws_plainly(layer):
-                layer.epsilon_rows = None if n_envs == 1 else (next(parts), next(parts))
+                rows = next(parts), next(parts)
+                share_noise_(rows[1], layer.outputs_per_noise)
+                layer.epsilon_rows = None if n_envs == 1 else rows
             else:
                 layer.reset_noise()
         for layer in self._layers_called_by_others():

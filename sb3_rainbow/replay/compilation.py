@@ -11,7 +11,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numba
@@ -19,38 +18,39 @@ from numba.core import event
 
 _PACKAGE = __name__.partition(".")[0]
 _DECLARES = re.compile(r"^from .* import .*\bnjit$", re.MULTILINE)
-# Nobody wonders about less, in seconds.
-_NOTICED = 1.5
+# What compiles, and how long that takes
+_WHAT = "replay, networks and updates: about 15 s of a processor core"
 
 
-class _Stopwatch(event.Listener):
-    """Seconds in which this package's kernels compiled; to load them from the cache is none."""
+class _Announcer(event.Listener):
+    """Says on stderr that this package's kernels begin to compile, once a process.
 
-    seconds = 0.0
+    numba tells of compilations alone: what comes from its cache is none.
+    """
+
     cached = True
-    _depth = 0
-    _started = 0.0
-
-    def notify(self, event: Any) -> None:
-        # A function made by exec, such as numba's own constructors of jitclasses, has no module.
-        module = event.data["dispatcher"].py_func.__module__ or ""
-        if module.startswith(f"{_PACKAGE}."):
-            super().notify(event)
+    _said = False
 
     def on_start(self, event: Any) -> None:
-        # A kernel compiles those that it calls on the way: the outermost counts.
-        if self._depth == 0:
-            self._started = perf_counter()
-        self._depth += 1
+        # A function made by exec, such as numba's own constructors of jitclasses, has no module.
+        module = event.data["dispatcher"].py_func.__module__ or ""
+        if self._said or not module.startswith(f"{_PACKAGE}."):
+            return
+        self._said = True
+        again = (
+            "once after an install: then they come from numba's cache"
+            if self.cached
+            else "in every process anew, as no folder for numba's cache can be written: set "
+            "NUMBA_CACHE_DIR to one that can"
+        )
+        print(f"{_PACKAGE}: compiling kernels ({_WHAT}), {again}", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
-        self._depth -= 1
-        if self._depth == 0:
-            self.seconds += perf_counter() - self._started
+        pass
 
 
-_stopwatch = _Stopwatch()
-event.register("numba:compile", _stopwatch)
+_announcer = _Announcer()
+event.register("numba:compile", _announcer)
 
 
 _looked: set[Path] = set()
@@ -96,21 +96,7 @@ def njit(**options: Any) -> Callable[[Callable], Any]:
         except (OSError, RuntimeError) as error:
             if isinstance(error, RuntimeError) and "no locator available" not in str(error):
                 raise
-            _stopwatch.cached = False
+            _announcer.cached = False
             return numba.njit(**{**options, "cache": False})(function)
 
     return decorate
-
-
-def report_compilation() -> None:
-    """Say on stderr how long kernels have compiled since the last report, if anyone noticed."""
-    if _stopwatch.seconds < _NOTICED:
-        return
-    again = (
-        "once after an install: from now on they come from numba's cache"
-        if _stopwatch.cached
-        else "in every process anew, as no folder for numba's cache can be written: set "
-        "NUMBA_CACHE_DIR to one that can"
-    )
-    seconds, _stopwatch.seconds = _stopwatch.seconds, 0.0
-    print(f"{_PACKAGE}: compiled kernels in {seconds:.1f} s, {again}", file=sys.stderr)

@@ -200,7 +200,9 @@ class NStepRing(ReplayBuffer):
             return
         if stored is None:
             n_actions = int(cast(spaces.Discrete, self.action_space).n)
-            stored = np.ones((self.buffer_size, self.n_envs, n_actions), dtype=np.bool_)
+            # zeros take no memory before they are written to, and every row that is drawn was
+            stored = np.zeros((self.buffer_size, self.n_envs, n_actions), dtype=np.bool_)
+            stored[: self.size()] = True
             setattr(self, name, stored)
             warn_of_memory(self.nbytes)
         stored[pos] = masks

@@ -56,9 +56,8 @@ _MODEL, _STATISTICS = "Rainbow 1", "VecNormalize 1"
 # Arguments that say where and how to compute, not what
 _OF_THE_MACHINE = {
     *("self", "env", "tensorboard_log", "verbose", "seed", "device"),
-    *("compile", "mixed_precision", "cpu_kernels", "_init_setup_model"),
+    *("compile", "cpu_kernels", "_init_setup_model"),
 }
-_EPSILON = ("exploration_fraction", "exploration_initial_eps", "exploration_final_eps")
 _COUNTERS: dict[str, type] = {"num_timesteps": int, "_n_updates": int, "exploration_rate": float}
 
 
@@ -78,8 +77,6 @@ def write_model(model: Rainbow, path: str | os.PathLike[str]) -> None:
     given |= {"policy": model.policy_class, "train_freq": model.train_freq}
     if not model._tau_was_chosen:
         given["tau"] = None
-    if not model._epsilon_was_asked_for:
-        given |= dict.fromkeys(_EPSILON)
     arrays = {f"policy.{name}": _array(value) for name, value in model.policy.state_dict().items()}
     unwritable: list[str] = []
 

@@ -51,6 +51,27 @@ def test_identity(switches: dict[str, Any]) -> None:
     assert np.mean(mean) > 95
 
 
+def test_the_bare_line_passes_sb3s_own_threshold_on_its_bandit() -> None:
+    env = DummyVecEnv([lambda: IdentityEnv(4)])
+    model = Rainbow("MlpPolicy", env, gamma=0.4, seed=3, learning_starts=0).learn(2500)
+    mean, _ = evaluate_policy(model, env, n_eval_episodes=20, warn=False)
+    assert np.mean(mean) > 90
+
+
+def test_the_defaults_learn_sb3s_bit_flipping_with_hindsight() -> None:
+    model = Rainbow(
+        "MultiInputPolicy",
+        BitFlippingEnv(n_bits=8, continuous=False),
+        replay_buffer_class=HerReplayBuffer,
+        prioritized=False,
+        n_steps=1,
+        stats_window_size=50,
+        seed=0,
+    )
+    model.learn(3000)
+    assert np.mean(model.ep_success_buffer or [0]) > 0.9
+
+
 def test_identity_with_masks_and_several_envs() -> None:
     env = DummyVecEnv(
         [lambda: InvalidActionEnvDiscrete(dim=10, n_invalid_actions=5) for _ in range(4)]

@@ -27,11 +27,12 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from torch import nn
 
-from sb3_rainbow import PrioritizedReplayBuffer, Rainbow
+from sb3_rainbow import HESSEL, NoisyLinear, PrioritizedReplayBuffer, Rainbow
 
 FAST: dict[str, Any] = {
     "learning_starts": 20,
     "train_freq": 4,
+    "gradient_steps": 1,
     "buffer_size": 500,
     "batch_size": 8,
     "seed": 0,
@@ -261,19 +262,13 @@ def test_beta_runs_linearly_from_start_to_end() -> None:
     np.testing.assert_allclose(found, 0.2 + 0.6 * np.arange(100) / 100, atol=1e-9)
 
 
-def test_epsilon_greedy_follows_sb3s_schedule_only_without_noise() -> None:
-    plain = record(Rainbow("MlpPolicy", "CartPole-v1", noisy=False, **FAST), 300)
-    assert plain["rollout/exploration_rate"][0] > plain["rollout/exploration_rate"][-1] == 0.05
-    noisy = record(Rainbow("MlpPolicy", "CartPole-v1", **FAST), 300)
-    assert set(noisy["rollout/exploration_rate"]) == {0.0}
-
-
-def test_epsilon_beside_the_noise_is_there_for_who_asks(tmp_path: Any) -> None:
-    settings: dict[str, Any] = {**FAST, "exploration_final_eps": 0.25}
+@pytest.mark.parametrize("noisy", [True, False])
+def test_epsilon_follows_sb3s_schedule_beside_the_noise_or_alone(noisy: bool) -> None:
+    settings: dict[str, Any] = {**FAST, "noisy": noisy}
     logged = record(Rainbow("MlpPolicy", "CartPole-v1", **settings), 300)
     rates = logged["rollout/exploration_rate"]
-    assert rates[0] > rates[-1] == 0.25
-    assert logged["train/noise_magnitude"][-1] > 0.0
+    assert rates[0] > rates[-1] == 0.05
+    assert ("train/noise_magnitude" in logged) == noisy
     always = {**settings, "exploration_initial_eps": 1.0, "exploration_final_eps": 1.0}
     model = Rainbow("MlpPolicy", "CartPole-v1", **always)
     model.learn(40)
@@ -281,12 +276,22 @@ def test_epsilon_beside_the_noise_is_there_for_who_asks(tmp_path: Any) -> None:
     actions, _ = model.predict(obs)  # all by chance
     assert 120 < actions.sum() < 280
     assert len(set(model.predict(obs, deterministic=True)[0])) == 1
-    Rainbow("MlpPolicy", "CartPole-v1", **FAST).save(tmp_path / "m")
-    files: list[tuple[dict[str, Any], float]] = [({}, 0.0), ({"exploration_final_eps": 0.5}, 0.5)]
-    for given, rate in files:
-        loaded = Rainbow.load(tmp_path / "m", gym.make("CartPole-v1"), **given)
-        loaded.learn(40)
-        assert loaded.exploration_rate == rate
+    off = {**settings, "exploration_initial_eps": 0.0, "exploration_final_eps": 0.0}
+    logged = record(Rainbow("MlpPolicy", "CartPole-v1", **off), 300)
+    assert set(logged["rollout/exploration_rate"]) == {0.0}
+
+
+def test_hessel_et_als_settings_are_those_of_their_table() -> None:
+    env = make_vec_env("CartPole-v1", n_envs=1)
+    model = Rainbow("MlpPolicy", env, buffer_size=1000, **HESSEL)
+    assert model.q_net.head == "categorical"
+    assert (model.n_atoms, model.v_min, model.v_max, model.n_steps) == (51, -10.0, 10.0, 3)
+    assert (model.alpha, model.beta_start, model.tau) == (0.5, 0.4, 1.0)
+    assert model.exploration_schedule(1.0) == model.exploration_schedule(0.0) == 0.0
+    assert all(isinstance(layer, NoisyLinear) for layer in model.q_net.layers)
+    assert {layer.sigma0 for layer in model.q_net.layers} == {0.5}
+    assert model.policy.optimizer.param_groups[0]["eps"] == 1.5e-4
+    assert Rainbow("MlpPolicy", env, buffer_size=1000).learning_rate == 1e-3
 
 
 def test_noise_explores_and_deterministic_predictions_do_not() -> None:
@@ -311,7 +316,7 @@ def test_the_target_moves_at_every_update_or_at_an_interval() -> None:
 
 
 def test_tau_is_sb3s_where_the_target_moves_at_sb3s_interval() -> None:
-    assert Rainbow("MlpPolicy", "CartPole-v1", **FAST).tau == 1e-3
+    assert Rainbow("MlpPolicy", "CartPole-v1", **FAST).tau == 1e-2
     copies = Rainbow("MlpPolicy", "CartPole-v1", target_update_interval=32, **FAST)
     assert copies.tau == 1.0
     copies.learn(32)
@@ -376,6 +381,8 @@ def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
         ({"beta_start": -0.5}, "beta must lie in .0, 1., got -0.5"),
         ({"beta_end": 1.5}, "beta_end must lie in .0, 1., got 1.5"),
         ({"v_min": 5.0, "v_max": 5.0}, "v_min must be below v_max"),
+        ({"v_min": 0.0}, "v_min without v_max: pass both"),
+        ({"v_max": 9.0, "distributional": True}, "v_max without v_min: pass both"),
         ({"buffer_size": 3}, "buffer_size=3 is too small"),
         ({"policy_kwargs": {"n_atoms": 11}}, "Pass n_atoms to Rainbow itself"),
     ],

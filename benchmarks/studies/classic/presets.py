@@ -33,6 +33,15 @@ ALGORITHMS: Final = {
     **DISCRETE, "sac": "SAC", "crossq": "CrossQ", "td3": "TD3", "ppo": "PPO",
     "bc": "Behaviour cloning",
 }  # fmt: skip
+#: Rainbow's defaults when the suites' settings were chosen, which leave some of them unsaid
+FORMER_DEFAULTS: Final = {
+    "learning_rate": 1e-4,
+    "batch_size": 32,
+    "gradient_steps": 1,
+    "sigma0": 0.5,
+    "exploration_initial_eps": 0.0,
+    "exploration_final_eps": 0.0,
+}
 #: what plays without learning
 CONTROLS: Final = {"random": "Random", "held": "One action", "script": "Script"}
 
@@ -49,6 +58,19 @@ def algorithm_of(method: str) -> str:
             f"methods: unknown method '{method}'; known: {known(ALGORITHMS)}, and <one>_<variant>"
         )
     return algorithm
+
+
+def spelled_out(arguments: dict[str, Any]) -> dict[str, Any]:
+    """Rainbow's arguments with its :data:`FORMER_DEFAULTS` where they say nothing.
+
+    Then there was no epsilon beside the noise unless one of its three arguments was given.
+    """
+    former = dict(FORMER_DEFAULTS)
+    if not arguments.get("noisy", True) or any("exploration" in name for name in arguments):
+        del former["exploration_initial_eps"], former["exploration_final_eps"]
+    if not {"tau", "target_update_interval"} & arguments.keys():
+        former["tau"] = 1e-3
+    return {**former, **arguments}
 
 
 def label(method: str) -> str:
@@ -88,6 +110,7 @@ class Task:
     seeds: Seeds | None = None  # instead of the preset's
     published: dict[str, Number] = field(default_factory=dict)  # others' means, by whose they are
     guide: Guide | None = None
+    bare: bool = False  # Rainbow has its present defaults where the settings say nothing
     random: Number | None = None  # mean returns of a random player and of a human one
     human: Number | None = None
 
@@ -202,8 +225,9 @@ def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
     arguments = task.pop("methods")[cell.method]
     for words in ("seeds", "title", "goal", "published", "random", "human"):
         del task[words]
-    if task["guide"] is None:
-        del task["guide"]
+    for word in ("guide", "bare"):
+        if not task[word]:
+            del task[word]
     return {
         "cell": asdict(cell),
         "task": task,

@@ -78,6 +78,8 @@ def build_model(task: Task, method: str, seed: int) -> BaseAlgorithm:
     if guide is not None and (own := arguments.pop("guide", {})):
         guide = build(Guide, {**as_dict(guide), **own}, f"{task.title}: {method}: guide")
     algorithm = class_of(task, method)
+    if issubclass(algorithm, Rainbow) and not task.bare:
+        arguments = spelled_out(arguments)
     accepted = inspect.signature(algorithm).parameters
     for name in arguments:
         if name not in accepted:

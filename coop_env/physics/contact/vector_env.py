@@ -23,7 +23,7 @@ from coop_env.physics.contact.env import (
 )
 from coop_env.physics.contact.task import ContactOptions, check_options, resolve_task
 from coop_env.simulation.task import N_ACTIONS, N_AXES
-from coop_env.vector.env_batch import seeds_of
+from coop_env.vector.vector_env import seeds_of
 
 Bools = NDArray[np.bool_]
 Step = tuple[NDArray[np.float32], NDArray[np.float64], Bools, Bools, dict[str, Any]]

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import pickle
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env as gymnasium_check
-from stable_baselines3.common.env_checker import check_env as sb3_check
 
-import coop_env
 from coop_env import CoopInsertionEnv, CoopInsertionVecEnv
 from coop_env.simulation.state import STATE
 
@@ -28,12 +23,6 @@ def rollout(env: CoopInsertionEnv, n: int, seed: int) -> list[tuple[Any, ...]]:
             obs, info = env.reset()
             log.append((obs.tobytes(), repr(info)))
     return log
-
-
-def test_checkers_accept_the_registered_environment() -> None:
-    env = gym.make("CoopInsertion-v0").unwrapped
-    gymnasium_check(env, skip_render_check=True)
-    sb3_check(env)
 
 
 def test_a_seed_repeats_the_whole_course() -> None:
@@ -75,51 +64,6 @@ def test_a_move_and_its_reverse_cancel_to_the_last_bit() -> None:
         assert env.state["q"].tobytes() == start["q"].tobytes()
 
 
-def test_batch_is_bit_identical_to_single_environments() -> None:
-    n, seed = 5, 11
-    batch = CoopInsertionVecEnv(n, seed=seed, reward="progress", max_moves=40)
-    singles = [CoopInsertionEnv(reward="progress", max_moves=40) for _ in range(n)]
-    observations = batch.reset()
-    for i, env in enumerate(singles):
-        assert observations[i].tobytes() == env.reset(seed=seed + i)[0].tobytes()
-    rng = np.random.default_rng(0)
-    for _ in range(300):
-        actions = rng.integers(12, size=n)
-        observations, rewards, dones, infos = batch.step(actions)
-        masks = batch.env_method("action_masks")
-        for i, env in enumerate(singles):
-            obs, reward, terminated, truncated, info = env.step(actions[i])
-            assert rewards[i] == np.float32(reward)
-            assert dones[i] == (terminated or truncated)
-            assert {k: infos[i][k] for k in info} == info
-            if dones[i]:
-                assert infos[i]["TimeLimit.truncated"] == truncated
-                assert infos[i]["terminal_observation"].tobytes() == obs.tobytes()
-                assert infos[i]["terminal_action_mask"].tolist() == env.action_masks().tolist()
-                obs, _ = env.reset()
-            assert observations[i].tobytes() == obs.tobytes()
-            assert masks[i].tolist() == env.action_masks().tolist()
-
-
-def test_a_snapshot_resumes_exactly() -> None:
-    batch = CoopInsertionVecEnv(4, seed=0)
-    batch.reset()
-    rng = np.random.default_rng(0)
-    moves = rng.integers(12, size=(200, 4))
-    for actions in moves[:50]:
-        batch.step(actions)
-    snapshot = pickle.loads(pickle.dumps(batch.get_state()))
-    expected = [batch.step(actions)[:3] for actions in moves[50:]]
-    other = CoopInsertionVecEnv(4, seed=99)
-    other.reset()
-    other.set_state(snapshot)
-    for actions, (obs, rewards, dones) in zip(moves[50:], expected, strict=True):
-        got = other.step(actions)
-        assert got[0].tobytes() == obs.tobytes()
-        assert got[1].tobytes() == rewards.tobytes()
-        assert got[2].tolist() == dones.tolist()
-
-
 def test_rows_have_no_padding_so_that_bytes_compare() -> None:
     sizes = [STATE[name].itemsize for name in STATE.names or ()]
     assert sum(sizes) == STATE.itemsize
@@ -133,8 +77,3 @@ def test_the_stage_changes_at_the_next_reset() -> None:
     assert all(state["active"].sum() == 4 for state in batch.get_attr("state"))
     batch.reset()
     assert all(state["active"].sum() == 6 for state in batch.get_attr("state"))
-
-
-def test_the_package_names_what_it_offers() -> None:
-    for name in coop_env.__all__:
-        assert getattr(coop_env, name) is not None

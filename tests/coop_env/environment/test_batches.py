@@ -14,9 +14,14 @@ from gymnasium.error import NoAsyncCallError, ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
-from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, CoopInsertionVectorEnv
+from coop_env import (
+    CoopInsertionEnv,
+    CoopInsertionJointEnv,
+    CoopInsertionJointVecEnv,
+    CoopInsertionVecEnv,
+    CoopInsertionVectorEnv,
+)
 from coop_env.errors import ArgumentError, ResetOptionError
-from coop_env.vector.env_batch import EnvBatch
 
 NOISY: dict[str, Any] = {
     "sim_to_real": "randomized",
@@ -35,6 +40,57 @@ def courses(env: Any, n: int) -> list[bytes]:
         step = env.step(rng.integers(12, size=env.num_envs))
         shown += [x.tobytes() for x in step[:-1]] + [env.action_masks().tobytes()]
     return shown
+
+
+@pytest.mark.parametrize(
+    ("single", "vec_form", "arguments"),
+    [
+        (CoopInsertionEnv, CoopInsertionVecEnv, {"reward": "progress", "max_moves": 40}),
+        (CoopInsertionEnv, CoopInsertionVecEnv, {**NOISY, "mask_singularities": True}),
+        (
+            CoopInsertionJointEnv,
+            CoopInsertionJointVecEnv,
+            {"max_moves": 12, "mask_singularities": True},
+        ),
+    ],
+)
+def test_both_batches_are_single_environments_in_rows(
+    single: Any, vec_form: Any, arguments: dict[str, Any]
+) -> None:
+    n, seed = 4, 5
+    singles = [single(**arguments) for _ in range(n)]
+    vec, vector = (
+        vec_form(n, seed, **arguments),
+        CoopInsertionVectorEnv(n, None, single, **arguments),
+    )
+    rows = vec.reset()
+    assert vector.reset(seed=seed)[0].tobytes() == rows.tobytes()
+    for i, env in enumerate(singles):
+        assert env.reset(seed=seed + i)[0].tobytes() == rows[i].tobytes()
+    rng, violations, ends = np.random.default_rng(0), 0, 0
+    for _ in range(200):
+        actions = rng.integers(singles[0].action_space.n, size=n)
+        rows, rewards, dones, infos = vec.step(actions)
+        others, floats, terminated, truncated, _ = vector.step(actions)
+        assert others.tobytes() == rows.tobytes()
+        assert floats.astype(np.float32).tobytes() == rewards.tobytes()
+        assert (terminated | truncated).tolist() == dones.tolist()
+        masks = vec.env_method("action_masks")
+        np.testing.assert_array_equal(masks, vector.action_masks())
+        for i, env in enumerate(singles):
+            row, reward, ended, cut, info = env.step(actions[i])
+            assert rewards[i] == np.float32(reward)
+            assert dones[i] == (ended or cut)
+            assert {k: infos[i][k] for k in info} == info
+            violations, ends = violations + info["violation"], ends + dones[i]
+            if dones[i]:
+                assert infos[i]["TimeLimit.truncated"] == cut
+                assert infos[i]["terminal_observation"].tobytes() == row.tobytes()
+                assert infos[i]["terminal_action_mask"].tolist() == env.action_masks().tolist()
+                row, _ = env.reset()
+            assert rows[i].tobytes() == row.tobytes()
+            assert masks[i].tolist() == env.action_masks().tolist()
+    assert min(violations, ends) > 10
 
 
 @pytest.mark.parametrize("duplicate", COPIES, ids=["deepcopy", "pickle"])
@@ -225,8 +281,8 @@ def test_attributes_and_calls_reach_each_environment() -> None:
 
 
 def test_a_shallow_copy_of_a_batch_leaves_the_original_its_rows() -> None:
-    batch = EnvBatch(2)
-    batch.reset([0, 1], [None, None])
+    batch = CoopInsertionVectorEnv(2)
+    batch.reset(seed=0)
     other = copy.copy(batch)
     other.take(np.array([0, 0]))
     other.move()

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, CoopInsertionVectorEnv, SimToReal
+from coop_env import CoopInsertionEnv, SimToReal
 
 MACHINE = SimToReal(base_position_error=0.01, base_tilt_error=math.radians(3.0))
 DISPLACED: dict[str, Any] = {"sim_to_real": MACHINE, "mask_singularities": True}
@@ -114,33 +114,6 @@ def test_a_reset_forgets_and_a_snapshot_remembers() -> None:
     env.set_state(snapshot)
     for twin in (env, *copies):
         assert np.array_equal(twin.action_masks(), remembered)
-
-
-@pytest.mark.parametrize("form", [CoopInsertionVecEnv, CoopInsertionVectorEnv])
-def test_a_batch_is_its_single_environments(form: Any) -> None:
-    kwargs: dict[str, Any] = {**DISPLACED, "mask_refused": True, "mask_visited": 64}
-    batch = form(3, **kwargs)
-    singles = [CoopInsertionEnv(**kwargs) for _ in range(3)]
-    rng = np.random.default_rng(2)
-    if form is CoopInsertionVecEnv:
-        batch.seed(5)
-        batch.reset()
-    else:
-        batch.reset(seed=5)
-    for i, env in enumerate(singles):
-        env.reset(seed=5 + i)
-    running, refused = [True] * 3, 0
-    while any(running):
-        actions = np.array([descend(env, rng) for env in singles])
-        batch.step(actions)
-        for i, env in enumerate(singles):
-            if running[i]:
-                *_, terminated, truncated, info = env.step(int(actions[i]))
-                refused += info["collision"]
-                running[i] = not (terminated or truncated)
-            if running[i]:
-                assert np.array_equal(batch.action_masks()[i], env.action_masks())
-    assert refused > 0
 
 
 def test_on_a_machine_as_modelled_it_changes_nothing_but_what_is_refused() -> None:

@@ -196,6 +196,7 @@ def test_a_wider_singular_margin_ends_episodes_sooner() -> None:
         ("tight", "'tight': must be a InsertionTask or a mapping"),
         ({"tolerance": 0.0}, r"tolerance = 0.0: must be above 0 and at most 0.1"),
         ({"tolerance": math.nan}, "tolerance = nan"),
+        ({"tolerance": 10**400}, "tolerance"),
         ({"tolerance": "5 mm"}, "tolerance = '5 mm': must be a number"),
         ({"tolerance": True}, "tolerance = True: must be a number"),
         ({"angle_tolerance": 5.0}, "angle_tolerance = 5.0.*at most 1.57"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.methods.oracle import LatticeOracle
-from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, SimToReal
+from coop_env import CoopInsertionEnv, SimToReal
 from coop_env.kinematics import rrs
 from coop_env.kinematics.rotations import roll_pitch
 from coop_env.simulation.machine import gaussian, uniform
@@ -182,24 +182,6 @@ def test_randomized_machines_differ_between_episodes_and_repeat_with_the_seed() 
     assert {int(m["latency"]) for m in machines} == {0, 1}
     assert len({float(m["backlash"]) for m in machines}) == 20
     assert all(m["insertion_probability"] >= RANDOMIZED.insertion_probability for m in machines)
-
-
-def test_the_batch_is_bit_identical_with_every_knob_turned() -> None:
-    batch = CoopInsertionVecEnv(3, seed=5, sim_to_real="randomized", max_moves=50)
-    singles = [CoopInsertionEnv(sim_to_real="randomized", max_moves=50) for _ in range(3)]
-    rows = batch.reset()
-    for i, env in enumerate(singles):
-        assert rows[i].tobytes() == env.reset(seed=5 + i)[0].tobytes()
-    rng = np.random.default_rng(0)
-    for _ in range(150):
-        actions = rng.integers(12, size=3)
-        rows, rewards, _, _ = batch.step(actions)
-        for i, env in enumerate(singles):
-            obs, reward, terminated, truncated, _ = env.step(actions[i])
-            if terminated or truncated:
-                obs, _ = env.reset()
-            assert rows[i].tobytes() == obs.tobytes()
-            assert rewards[i] == np.float32(reward)
 
 
 def test_the_rows_generator_is_uniform_and_normal() -> None:

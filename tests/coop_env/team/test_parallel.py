@@ -150,7 +150,7 @@ def test_done_agents_do_not_act() -> None:
         ({"delta": 0, "rrs": 0, "ur5": 0}, "one for each of"),
         ([0, 0], "one for each of"),
         (None, "one for each of"),
-        ({"delta": 7, "rrs": 0}, r"actions\['delta'\] = 7: must be an integer 0 to 6"),
+        ({"delta": 7, "rrs": 0}, r"actions\['delta'\] = 7: must be an integer from 0 to 6"),
         ({"delta": 0, "rrs": -1}, r"actions\['rrs'\] = -1"),
         ({"delta": float("nan"), "rrs": 0}, r"actions\['delta'\] = nan"),
         ({"delta": 0, "rrs": True}, r"actions\['rrs'\] = True"),

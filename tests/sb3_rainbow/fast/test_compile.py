@@ -201,8 +201,3 @@ def test_compiled_losses_are_the_eager_ones(tmp_path: Any) -> None:
     for name, value in plain.policy.state_dict().items():
         np.testing.assert_allclose(model.policy.state_dict()[name], value, rtol=1e-3, atol=1e-5)
     assert Rainbow.load(tmp_path / "m").compile is True
-
-
-def test_mixed_precision_wants_a_gpu() -> None:
-    with pytest.raises(ValueError, match="mixed_precision needs a CUDA device, got cpu"):
-        Rainbow("MlpPolicy", "CartPole-v1", mixed_precision=True, device="cpu")

@@ -34,7 +34,7 @@ def make_image_learner(cpu_kernels: bool, **kwargs: Any) -> Learner:
     space = spaces.Box(0, 255, (2, 36, 36), np.uint8)
     advantage_learning = kwargs.pop("advantage_learning", 0.0)
     double_q = kwargs.pop("double_q", True)
-    kwargs = {"v_min": -4.0, "v_max": 4.0, "n_atoms": 11, **kwargs}
+    kwargs = {"distributional": True, "v_min": -4.0, "v_max": 4.0, "n_atoms": 11, **kwargs}
     # A large epsilon, so that Adam does not blow up the rounding of tiny gradients
     kwargs["optimizer_kwargs"] = {"eps": 1e-2}
     policy = CnnPolicy(space, spaces.Discrete(N_ACTIONS), lambda _: 1e-3, **kwargs)

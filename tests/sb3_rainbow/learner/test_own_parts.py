@@ -100,6 +100,39 @@ class BarePolicy(BeforePolicy):
     kind = Bare
 
 
+class OneLayer(BaseFeaturesExtractor):
+    """An extractor that learns."""
+
+    def __init__(self, observation_space: spaces.Space) -> None:
+        super().__init__(observation_space, 8)
+        self.layer = nn.Linear(4, 8)
+
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        features: th.Tensor = self.layer(observations)
+        return features
+
+
+class SharedPolicy(MlpPolicy):
+    """Both networks see through one extractor."""
+
+    shared: BaseFeaturesExtractor
+
+    def make_features_extractor(self) -> BaseFeaturesExtractor:
+        if not hasattr(self, "shared"):
+            self.shared = super().make_features_extractor()
+        return self.shared
+
+
+def test_an_extractor_that_both_networks_share_learns() -> None:
+    model = make(SharedPolicy, policy_kwargs={"features_extractor_class": OneLayer})
+    layer: Any = model.q_net.features_extractor.layer
+    assert model.policy.q_net_target.features_extractor is model.q_net.features_extractor
+    before = layer.weight.detach().clone()
+    model.learn(60)
+    assert not th.equal(before, layer.weight)
+    assert not any(p.requires_grad for p in model.policy.q_net_target.layers.parameters())
+
+
 def test_noise_of_a_subclass_is_drawn_and_silenced() -> None:
     model = make(BeforePolicy)
     net = model.q_net
@@ -180,7 +213,7 @@ def test_none_means_to_load_what_it_means_to_the_constructor(tmp_path: Any) -> N
     model.save(tmp_path / "model")
     path = tmp_path / "model.zip"
     loaded = Rainbow.load(path, tau=None, prioritized=None, n_steps=None)
-    assert (loaded.tau, loaded.prioritized, loaded.n_steps) == (1e-3, True, 3)
+    assert (loaded.tau, loaded.prioritized, loaded.n_steps) == (1e-2, True, 3)
     assert Rainbow.load(path, tau=None, target_update_interval=100).tau == 1.0
     assert Rainbow.load(path).tau == 0.5
     assert isinstance(loaded.action_space, spaces.Discrete)

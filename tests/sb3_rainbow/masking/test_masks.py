@@ -1,5 +1,6 @@
 """Masks wherever an action is chosen or valued, and the masks that autoreset hides."""
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -336,3 +337,19 @@ def test_sb3_contribs_evaluation_and_callback(tmp_path: Any) -> None:
     mean: Any = evaluate_policy(model, env, n_eval_episodes=4)[0]  # type: ignore[arg-type]
     assert 0 <= mean <= 5
     assert get_action_masks(env).shape == (2, N_ACTIONS)
+
+
+def test_masks_left_out_of_a_prediction_are_told_once(tmp_path: Any) -> None:
+    model = small_model(DummyVecEnv([make_clock])).learn(60)
+    model.save(tmp_path / "m")
+    obs = model.env.reset()  # type: ignore[union-attr]
+    for asked in (model, Rainbow.load(tmp_path / "m")):
+        with pytest.warns(UserWarning, match="MaskableEvalCallback"):
+            asked.predict(obs)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            asked.predict(obs)
+            asked.predict(obs, action_masks=np.ones(asked.action_space.n, bool))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        small_model(DummyVecEnv([make_clock]), use_masking=False).predict(obs)

@@ -14,6 +14,7 @@ from torch import nn
 from sb3_rainbow import NoisyLinear
 from sb3_rainbow.learner.learner import Learner
 from sb3_rainbow.learner.update import of_actions
+from sb3_rainbow.network.convolutions import NatureConvolutions
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy
 from sb3_rainbow.type_aliases import Batch
@@ -25,7 +26,7 @@ OBSERVATIONS = th.randn(6, 4, generator=th.Generator().manual_seed(0))
 
 def make_policy(**kwargs: Any) -> MlpPolicy:
     kwargs = {"net_arch": [32, 24, 16], "v_min": -5.0, "v_max": 5.0, **kwargs}
-    return MlpPolicy(OBS, ACTIONS, lambda _: 1e-3, **kwargs)
+    return MlpPolicy(OBS, ACTIONS, lambda _: 1e-3, **{"distributional": True, **kwargs})
 
 
 def make_net(**kwargs: Any) -> RainbowNetwork:
@@ -71,6 +72,31 @@ def test_initial_sigma_and_mean_ranges() -> None:
     th.testing.assert_close(layer.bias_sigma.data, th.full((100,), 0.3 / 8))
     assert layer.weight_mu.abs().max() <= 1 / 8
     assert layer.weight_mu.std().item() == pytest.approx(1 / 8 / np.sqrt(3), rel=0.05)
+
+
+def test_quantiles_explore_as_values_do() -> None:
+    # The standard deviation of a Q-value under fresh noise, of fresh networks
+    spread = {}
+    for head in (False, "quantile"):  # a categorical one's is in proportion to its support
+        th.manual_seed(0)
+        net = make_net(distributional=head, net_arch=[64, 64])
+        samples = []
+        with th.no_grad():
+            for _ in range(400):
+                net.reset_noise()
+                samples.append(net(OBSERVATIONS, noisy=True))
+        # differences of actions: what all have in common chooses none
+        values = th.stack(samples)
+        spread[head] = float((values - values.mean(dim=2, keepdim=True)).std(dim=0).mean())
+    assert spread["quantile"] == pytest.approx(spread[False], rel=0.2)
+
+
+def test_quantiles_of_an_action_share_their_output_noise() -> None:
+    layer = make_net(distributional="quantile", n_atoms=5).layers[-1]
+    assert isinstance(layer, NoisyLinear)
+    bias = noise_of(layer)[1].view(4, 5)
+    th.testing.assert_close(bias, bias[:, :1].expand(-1, 5))
+    assert bias[:, 0].std() > 0.1
 
 
 @pytest.mark.parametrize("training", [True, False])
@@ -199,7 +225,9 @@ def test_which_layers_are_noisy(noisy_layers: Any, expected: list[bool]) -> None
 
 def test_after_nature_cnn_there_is_a_noisy_head_alone() -> None:
     space = spaces.Box(0, 255, (3, 36, 36), np.uint8)
-    policy = CnnPolicy(space, ACTIONS, lambda _: 1e-3, features_extractor_class=NatureCNN)
+    policy = CnnPolicy(
+        space, ACTIONS, lambda _: 1e-3, distributional=True, features_extractor_class=NatureCNN
+    )
     assert [isinstance(layer, NoisyLinear) for layer in policy.q_net.layers] == [True]
 
 
@@ -245,6 +273,7 @@ def test_the_papers_net() -> None:
         lambda _: 1e-4,
         net_arch=[256, 128, 64],
         activation_fn=nn.ReLU,
+        distributional=True,
     )
     shapes: list[Any] = [(x.in_features, x.out_features) for x in policy.q_net.layers]
     assert shapes == [(12, 256), (256, 128), (128, 64), (64, 13 * 51)]
@@ -319,7 +348,7 @@ def test_a_dict_without_streams_is_a_list(net_arch: dict[str, list[int]]) -> Non
         ({"net_arch": [8.5]}, "net_arch must be a list of sizes or "),
         ({"net_arch": {"streams": 4}}, "net_arch must be a list of sizes or "),
         ({"distributional": "quantiles"}, "'categorical' or 'quantile', got 'quantiles'"),
-        ({"distributional": None}, "got None"),
+        ({"distributional": None}, r"needs distributional.* loaded by Rainbow\.load"),
         ({"distributional": "quantile", "n_atoms": 0}, "n_atoms must be.*at least 1, got 0"),
     ],
     ids=str,
@@ -347,7 +376,9 @@ def test_a_prediction_in_inference_mode_leaves_a_copy_able_to_learn() -> None:
 
 @pytest.mark.parametrize("extractor", [None, NatureCNN])
 def test_weights_of_images_go_into_a_vector_and_back(extractor: type[NatureCNN] | None) -> None:
-    kwargs = {} if extractor is None else {"features_extractor_class": extractor}
+    kwargs: dict[str, Any] = {"distributional": True}
+    if extractor is not None:
+        kwargs["features_extractor_class"] = extractor
     space = spaces.Box(0, 255, (1, 40, 40), np.uint8)
     one, other = (CnnPolicy(space, ACTIONS, lambda _: 1e-3, **kwargs) for _ in range(2))
     vector = one.parameters_to_vector()
@@ -363,15 +394,21 @@ def test_weights_of_images_go_into_a_vector_and_back(extractor: type[NatureCNN] 
     )
 
 
-def test_a_size_of_features_that_convolutions_lack_is_refused_with_the_mend() -> None:
+def test_a_size_of_features_asks_for_dqns_extractor() -> None:
     space = spaces.Box(0, 255, (1, 40, 40), np.uint8)
+    given: dict[str, Any] = {"features_extractor_kwargs": {"features_dim": 64}}
+    net = CnnPolicy(space, ACTIONS, lambda _: 1e-3, distributional=True, **given).q_net
+    assert type(net.features_extractor) is NatureCNN
+    assert [layer.in_features for layer in net.layers] == [64]
+    given["features_extractor_class"] = NatureConvolutions
     with pytest.raises(ValueError, match=r"features_dim=64.*streams=\[64\].*NatureCNN"):
-        CnnPolicy(space, ACTIONS, lambda _: 1e-3, features_extractor_kwargs={"features_dim": 64})
+        CnnPolicy(space, ACTIONS, lambda _: 1e-3, distributional=True, **given)
 
 
 def test_images_have_the_published_network_by_default() -> None:
     """Hessel et al. 2018: after the convolutions, two streams of 512 noisy units, and no more."""
-    policy = CnnPolicy(spaces.Box(0, 255, (4, 84, 84), np.uint8), ACTIONS, lambda _: 1e-3)
+    space = spaces.Box(0, 255, (4, 84, 84), np.uint8)
+    policy = CnnPolicy(space, ACTIONS, lambda _: 1e-3, distributional=True)
     net = policy.q_net
     linear = [m for m in net.modules() if isinstance(m, nn.Linear | NoisyLinear)]
     assert [(m.in_features, m.out_features) for m in linear] == [

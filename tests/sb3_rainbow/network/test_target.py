@@ -25,7 +25,7 @@ def make_policy(**kwargs: Any) -> MlpPolicy:
         net_arch=[16],
         v_min=-10.0,
         v_max=10.0,
-        **kwargs,
+        **{"distributional": True, **kwargs},
     )
     # Networks that disagree, so that it shows who chose.
     for parameter in policy.q_net_target.parameters():

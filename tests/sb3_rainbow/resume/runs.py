@@ -17,6 +17,7 @@ FAST: dict[str, Any] = {
     "learning_rate": 1e-3,
     "learning_starts": 40,
     "train_freq": 2,
+    "gradient_steps": 1,
     "buffer_size": 300,
     "batch_size": 8,
     "policy_kwargs": {"net_arch": [16, 16]},
