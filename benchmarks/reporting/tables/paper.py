@@ -17,6 +17,7 @@ from benchmarks.reporting.compared import ABLATION, comparisons, find
 from benchmarks.reporting.results import Group, Level, Results
 from benchmarks.reporting.rows import Row, complete, control_of, row_of, rows, scored
 from benchmarks.reporting.stats import Value, t_interval
+from benchmarks.reporting.tables.difficulty import difficulty, tracks_of
 from benchmarks.reporting.tables.geometric import design
 from benchmarks.reporting.tables.leaderboard import leaderboard
 from benchmarks.reporting.tables.notes import failure_notes, of_rows, seeds_notes
@@ -35,6 +36,8 @@ GREEDILY: Final = "Success rate, greedily (%)"
 def build_tables(store: Store) -> list[Table]:
     """All tables of a store, the paper's first."""
     results = Results(store)
+    if tracks_of(results):  # a preset about the task has no headline
+        return [difficulty(results)]
     return [
         performance(results),
         controls(results),

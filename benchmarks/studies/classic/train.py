@@ -40,6 +40,7 @@ from benchmarks.studies.classic.presets import (
     Preset,
     Task,
     algorithm_of,
+    spelled_out,
 )
 from sb3_rainbow import Rainbow
 

@@ -16,6 +16,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.protocol import labels
 from benchmarks.protocol.paper_values import ABLATION
 from benchmarks.protocol.plan import Cell
+from benchmarks.protocol.presets import load_preset
 from benchmarks.reporting.compared import ABLATION as ABLATION_QUESTION
 from benchmarks.reporting.compared import comparisons
 from benchmarks.reporting.figures.learning import pictures
@@ -191,6 +192,15 @@ def test_comparisons_are_corrected_within_their_question(full: Store) -> None:
     assert one.p_holm == one.p  # the others' differences are all equal and have no p
     table = find(full, "significance")
     assert any(row[1] == "- Dueling head, repaired, as trained" for row in table.texts())
+
+
+def test_the_tables_of_tasks_have_a_row_for_each(tmp_path: Path) -> None:
+    (table,) = build_tables(fabricated_store.make_store(tmp_path, [0], "difficulty"))
+    rows = {row[0]: row[1:] for row in table.texts()}
+    # scripts solve one episode more with random moves; no row of a geometry that was not asked for
+    assert rows["tolerance 5 mm"] == ["100.0", "100.0", "50.0", "80.0", "90.0"]
+    assert rows["step 5 mm"][:3] == ["-", "-", "50.0"]
+    assert len(rows) == len(load_preset("difficulty").tracks)
 
 
 def test_excess_counts_only_starts_that_both_solved(make_store: MakeStore) -> None:
