@@ -16,7 +16,7 @@ from benchmarks.protocol.metrics import N_HOLES
 from benchmarks.protocol.plan import LEARNERS, PLANNERS
 from benchmarks.reporting.figures.curves import look
 from benchmarks.reporting.figures.style import Picture, canvas, finish, legend_below
-from benchmarks.reporting.results import MAIN, Group, Level, Results
+from benchmarks.reporting.results import Group, Level, Results
 from benchmarks.reporting.rows import Row, complete, control_of, references, rows, scored
 from benchmarks.reporting.stats import Value, profile_over_seeds
 from benchmarks.reporting.tables.compare import printed_spread
@@ -85,7 +85,7 @@ def _speeds(group: Group, optimum: Group) -> list[NDArray[np.float64]]:
 
 def _drawn(results: Results) -> dict[str, Group]:
     """Learners, of the controls the best of each knowledge, and planners, by name."""
-    found = [row for row in complete(rows(results)) if row.level == MAIN]
+    found = complete(rows(results))
     learners = [row for row in found if row.method in LEARNERS]
     controls = [control_of(results, row) for row in learners]
     planners = [row for row in found if row.method in PLANNERS]
@@ -95,7 +95,7 @@ def _drawn(results: Results) -> dict[str, Group]:
 
 def _on_uncertain(results: Results) -> dict[str, Group]:
     found = complete(rows(results, uncertain=True))
-    return {row.name: row.group for row in found if row.level == MAIN}
+    return {row.name: row.group for row in found}
 
 
 def _profile_scores(results: Results) -> list[tuple[str, Mapping[str, Scores]]]:
@@ -140,7 +140,7 @@ def _alt_of_profiles(results: Results) -> str:
 
 def _robustness_lines(results: Results) -> dict[str, Group]:
     found = complete(rows(results, NOISY))
-    return {row.name: row.group for row in found if row.level == MAIN}
+    return {row.name: row.group for row in found}
 
 
 def _robustness(results: Results) -> Figure:

@@ -8,7 +8,7 @@ from typing import Final
 from benchmarks.protocol import labels
 from benchmarks.protocol.metrics import HOLES, METRICS
 from benchmarks.protocol.plan import METHODS, OPTIMUM_AT_ONCE
-from benchmarks.reporting.results import MAIN, Group, Results, excess_over_optimum
+from benchmarks.reporting.results import Group, Results, excess_over_optimum
 from benchmarks.reporting.rows import Row, complete, row_of, rows
 from benchmarks.reporting.stats import Value, mean_interval, measured
 from benchmarks.reporting.tables.notes import seeds_notes
@@ -29,7 +29,7 @@ def team(results: Results) -> list[Table]:
     at_once = at_once_rows(results)
     if not at_once:
         return []
-    found = [("full", row) for row in rows(results) if row.level == MAIN]
+    found = [("full", row) for row in rows(results)]
     for ablation in _ablations(results)[1:]:
         row = row_of(results, "rainbow", IN_TURN, ablation=ablation)
         found += [(ablation, row)] if row.group.n or row.group.planned else []
