@@ -42,6 +42,12 @@ class Row:
         return f"{name}, {labels.track(self.track)}" if self.track else name
 
     @property
+    def acting_name(self) -> str:
+        """The name, and of a script that makes random moves this."""
+        explores = self.level == AS_TRAINED and self.method in CONTROLS
+        return f"{self.name}, 5 % random moves" if explores else self.name
+
+    @property
     def head(self) -> list[Cell]:
         """The first cells of the row: its name, masks and memory."""
         return [self.name, self.knows.masks, self.knows.memory]
@@ -149,8 +155,11 @@ def best_script(results: Results) -> Row | None:
 
 
 def references(results: Results, track: str) -> list[Row]:
-    """What bounds the learners of a track: the best control that knows as much, and the optimum."""
-    control = control_of(results, row_of(results, "rainbow", track))
+    """What bounds the learners of a track: the best control that knows as much, and the optimum.
+
+    The control acts as learners do in training, with random moves, where it was tested so.
+    """
+    control = control_of(results, row_of(results, "rainbow", track).as_trained())
     of = track if results.uncertain(track) else ""
     optimum = Row("optimum", of, optimum_of(results, track), results.settings(of))
     return complete([*([control] if control else []), optimum])

@@ -17,7 +17,7 @@ from benchmarks.protocol.plan import LEARNERS, PLANNERS
 from benchmarks.reporting.figures.curves import look
 from benchmarks.reporting.figures.style import Picture, canvas, finish, legend_below
 from benchmarks.reporting.results import Group, Level, Results
-from benchmarks.reporting.rows import Row, complete, control_of, references, rows, scored
+from benchmarks.reporting.rows import Row, complete, control_of, references, row_of, rows, scored
 from benchmarks.reporting.stats import Value, profile_over_seeds
 from benchmarks.reporting.tables.compare import printed_spread
 from benchmarks.reporting.tables.paper import NOISY, noise_levels
@@ -63,8 +63,8 @@ def comparisons(results: Results) -> list[Picture]:
         ]
         found.append(Picture(
             "ablation_comparison", section,
-            "Success rate with one component removed: ours with 95 % intervals, the paper's with "
-            "its standard deviation.",
+            "Success rate with one component removed: ours (as trained, where tested so) with 95 % "
+            "intervals, the paper's with its standard deviation.",
             f"Dot chart of success rates. {'; '.join(texts)}.",
             partial(_ablation_comparison, components, references(results, scored(results))),
         ))  # fmt: skip
@@ -212,10 +212,10 @@ def _ablation_rows(results: Results) -> list[tuple[str, str, Value, str]]:
     found = []
     for track in [scored(results)]:
         for key, title in labels.ABLATIONS.items():
-            group = results.group("rainbow", track=track, ablation=key)
-            if group.n:
+            row = row_of(results, "rainbow", track, ablation=key).as_trained()
+            if row.group.n:
                 paper = paper_values.ABLATION.get(key, "")
-                found.append((labels.track(track), title, group.success(), paper))
+                found.append((labels.track(track), title, row.success(), paper))
     return found
 
 
@@ -243,9 +243,9 @@ def _ablation_comparison(
     )  # fmt: skip
     for i, row in enumerate(references):
         axes.axvline(row.success().mean, color="0.4", linestyle=("--", ":")[i],
-                     linewidth=0.9, label=row.name)  # fmt: skip
+                     linewidth=0.9, label=row.acting_name)  # fmt: skip
     axes.set_yticks(range(len(titles)), titles)
     axes.invert_yaxis()
     finish(axes, "", "Success rate (%)")
-    legend_below(figure, [axes], 4)
+    legend_below(figure, [axes], 2)
     return figure

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.protocol import labels
 from benchmarks.protocol.metrics import HOLES, N_HOLES, SUCCESS, Metric
-from benchmarks.protocol.plan import LEARNERS
+from benchmarks.protocol.plan import ABLATIONS, LEARNERS
 from benchmarks.protocol.presets import rows_of
 from benchmarks.reporting.figures.comparisons import comparisons
 from benchmarks.reporting.figures.curves import (
@@ -198,7 +198,8 @@ def _alt_of_curves(groups: Groups, column: str, label: str) -> str:
 
 def _coloured(groups: Groups) -> list[tuple[str, Group, str]]:
     """Methods in their own colours; ablations and geometries one after the other."""
-    methods = {title: METHOD_COLOURS.get(key) for key, title in labels.METHODS.items()}
+    titles = {**labels.METHODS, "masked_dqn": labels.MASKED_DQN}
+    methods = {title: METHOD_COLOURS.get(key) for key, title in titles.items()}
     return [
         (name, group, methods.get(name) or f"C{i}")
         for i, (name, group) in enumerate(groups.items())
@@ -235,7 +236,7 @@ def _mark_bounds(axes: Axes, bounds: Sequence[Row], metric: Metric, full: float 
     """Where the best control of the track and the optimum are, on the test episodes."""
     for row, line in zip(bounds, ("--", ":"), strict=False):
         level = row.value(metric).mean / full
-        axes.axhline(level, color="0.4", linestyle=line, linewidth=0.9, label=row.name)
+        axes.axhline(level, color="0.4", linestyle=line, linewidth=0.9, label=row.acting_name)
 
 
 def _mark_support(axes: Axes, groups: Groups) -> None:
@@ -269,8 +270,11 @@ def _quantity(group: Group) -> str:
     cells = [run.config["cell"] for run in group.runs]
     if not all(cell["method"] in ("rainbow", "dqn") for cell in cells):
         return ""
-    greedy = any(c["method"] == "dqn" or c["ablation"] == "no_noisy" for c in cells)
-    return "epsilon" if greedy else "noise magnitude"
+    quiet = any(
+        cell["method"] == "dqn" or not ABLATIONS[cell["ablation"]].get("noisy", True)
+        for cell in cells
+    )
+    return "epsilon" if quiet else "noise magnitude"
 
 
 def _holes(groups: Groups, bounds: Sequence[Row]) -> Figure:
