@@ -56,14 +56,14 @@ docs: $(STAMP) ## The site, in build/docs/index.html
 	@$(BIN)/python -m sphinx -W --keep-going -q docs build/docs
 
 figures: $(STAMP) ## Regenerate the figures and numbers of README, design, results and learning
-	@$(BIN)/python -m benchmarks design
+	@$(BIN)/python -m benchmarks study design
 	@$(BIN)/python -m benchmarks report --preset paper
 	@$(BIN)/python -m benchmarks report --preset cut
-	@$(BIN)/python -m benchmarks media
-	@$(BIN)/python -m benchmarks audit
-	@$(BIN)/python -m benchmarks failures --preset cut --track safe
-	@$(BIN)/python -m benchmarks failures --preset cut --track memory
-	@$(BIN)/python -m benchmarks readme
+	@$(BIN)/python -m benchmarks study media
+	@$(BIN)/python -m benchmarks study audit
+	@$(BIN)/python -m benchmarks study failures --preset cut --track safe
+	@$(BIN)/python -m benchmarks study failures --preset cut --track memory
+	@$(BIN)/python -m benchmarks report
 
 dist: $(STAMP) ## Wheel and sdist in dist/, each installed into an empty environment and tried
 	@rm -rf dist build/dist && mkdir -p build/dist

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterable
 
+TRUSTED = "load a --model that SB3 saved, which runs its author's code"  # of --trust
+
 
 class BenchmarkError(ValueError):
     """Bad input: the message names the value and the mend, and nothing has been written."""

@@ -11,11 +11,11 @@ import numpy as np
 import torch
 from torch.nn.functional import cross_entropy
 
-from benchmarks.__main__ import main
+from benchmarks.cli import main
 from sb3_rainbow import Rainbow
 
 epochs = int(sys.argv[1]) if len(sys.argv) > 1 else 10
-# another dataset of `python -m benchmarks data`, such as optimum, and another seed
+# another dataset of `python -m benchmarks study data`, such as optimum, and another seed
 name = sys.argv[2] if len(sys.argv) > 2 else "optimum-small"
 seed = int(sys.argv[3]) if len(sys.argv) > 3 else 0
 data = Path(__file__).resolve().parent.parent / "results" / "data"

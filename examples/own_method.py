@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 
-from benchmarks.__main__ import main
+from benchmarks.cli import main
 from coop_env import CoopInsertionEnv
 
 

@@ -29,7 +29,7 @@ FLOORS = {
         "benchmarks.runs",
         "benchmarks.reporting",
         "benchmarks.studies",
-        "benchmarks.commands",
+        "benchmarks.cli",
         "benchmarks.__main__",
     ),
     "coop_env": (

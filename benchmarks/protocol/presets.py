@@ -294,15 +294,10 @@ def parse_preset(data: dict[str, Any], name: str, where: str) -> Preset:
     """Check and build a preset from what its file holds; ``where`` is named in errors."""
     if "name" in data:
         raise BenchmarkError(f"{where}: unknown key 'name'; the file's name is the preset's name")
-    tracks = data.get("tracks", {})
-    if not isinstance(tracks, dict):
-        raise BenchmarkError(f"{where}: tracks: expected a mapping, found {tracks!r}")
     library = read_yaml(PRESETS / "_tracks.yaml")
     full = {}
-    for track, override in tracks.items():
-        if override is not None and not isinstance(override, dict):
-            raise BenchmarkError(f"{where}: tracks: {track}: expected a mapping: {override!r}")
-        override = dict(override or {})
+    for track, given in mapping(data.get("tracks"), f"{where}: tracks").items():
+        override = mapping(given, f"{where}: tracks: {track}")
         base = override.pop("base", track)
         if base != track and base not in library:
             raise BenchmarkError(
@@ -310,6 +305,17 @@ def parse_preset(data: dict[str, Any], name: str, where: str) -> Preset:
             )
         full[track] = merge(_from_library(library, base), override)
     return build(Preset, {**data, "name": name, "tracks": full}, where)
+
+
+def mapping(value: object, where: str) -> dict[str, Any]:
+    """A copy of a mapping that YAML holds; nothing is an empty one.
+
+    Raises:
+        BenchmarkError: it is something else.
+    """
+    if value is not None and not isinstance(value, dict):
+        raise BenchmarkError(f"{where}: expected a mapping, found {value!r}")
+    return dict(value or {})
 
 
 def _from_library(library: dict[str, Any], name: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Check that stored runs are what their settings say, and that tables and pages follow from them.
+"""Check that stored runs are what their settings say, and that tables follow from them.
 
 Every number is made again from the rows of the runs and compared as text; nothing is trained. The
 studies check their own data with what is here and add it to the same :class:`Report`.
@@ -6,8 +6,7 @@ studies check their own data with what is here and add it to the same :class:`Re
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -19,14 +18,10 @@ from benchmarks.protocol.knowledge import explores
 from benchmarks.protocol.metrics import EXPLORING, GREEDY
 from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.seeding import episode_seeds
-from benchmarks.reporting.pages import gallery, includes
-from benchmarks.reporting.pages.readme import render
 from benchmarks.reporting.results import Result
-from benchmarks.reporting.tables.paper import build_tables
 from benchmarks.reporting.tables.table import Table
 from benchmarks.runs.store import RunFolder, Store
 
-WRITTEN_BY: Final = re.compile(r"<!-- written by: python -m benchmarks readme --preset (\S+) -->")
 TABLE_FILES: Final = (".csv", ".md", ".tex")
 
 
@@ -43,75 +38,12 @@ class Report:
         self.problems += problems
 
 
-def verify_all(results: Path, presets: list[str], readme: Path, docs: Path) -> Report:
-    """Check the stores of ``presets`` (all under ``results`` if none is named), README and docs.
-
-    Args:
-        results: the results folder.
-        presets: stores to check.
-        readme: checked if it holds the block of one of these stores.
-        docs: folder of pages; what they include is checked.
-
-    Raises:
-        BenchmarkError: a store is missing or of another schema.
-    """
-    report = Report()
-    names = presets or store_names(results)
-    if not names and not any(results.glob("*/*/store.json")):
-        raise BenchmarkError(f"{results} has no results; run: python -m benchmarks run")
-    pages = [path for path in (readme, *sorted(docs.glob("*.md"))) if path.is_file()]
-    blocks = presets_of(readme)
-    for name in names:
-        store = Store.open(results, name)
-        found = check_runs(store)
-        if not found:  # rows that cannot be trusted make no tables
-            found = verify(store, pages)
-        policies = sum(run.policy.is_file() for run in store.completed())
-        what = f"{store.folder}: tables of {len(store.completed())} runs, {policies} policies"
-        report.add(what, found)
-        report.checked += [
-            f"{page}: its results, of preset {name}" for page in pages if name in presets_of(page)
-        ]
-    if not any(name in names for name in blocks):
-        report.checked.append(f"{readme}: shows none of these presets, not checked")
-    report.problems += [
-        f"{readme} shows preset '{name}', but {results / name} has no results"
-        for name in blocks
-        if not presets and name not in names
-    ]
-    for path in pages:
-        of = {Path(name).parts[1] for name in includes.included(path.read_text(encoding="utf-8"))}
-        if of and (not presets or of.intersection(presets)):
-            report.add(f"{path}: what it includes", check_includes(results, path))
-    if not presets and (path := docs / gallery.PAGE) in pages:
-        text = path.read_text(encoding="utf-8")
-        wanted = gallery.render(text, results, gallery.others_of(path))
-        report.add(f"{path}: its pictures", check_file(path, wanted, "the pictures in results"))
-    return report
-
-
 def store_names(results: Path) -> list[str]:
-    """The presets that have a store under ``results``."""
+    """The stores right below ``results``."""
     return sorted(path.parent.name for path in results.glob("*/store.json"))
 
 
-def verify(store: Store, pages: Sequence[Path] = ()) -> list[str]:
-    """Recompute every table of one store; returns one sentence for each thing that disagrees.
-
-    Args:
-        store: the results to check.
-        pages: README and others, whose block of results is checked if it is of this store.
-    """
-    tables = build_tables(store)
-    problems = check_tables(store.tables, tables)
-    for page in pages:
-        if store.folder.name in presets_of(page):
-            wanted = render(page.read_text(encoding="utf-8"), store, tables)
-            problems += check_file(page, wanted, "the stored episodes")
-    return problems
-
-
-def check_tables(folder: Path, tables: list[Table]) -> list[str]:
+def check_tables(folder: Path, tables: Iterable[Table]) -> list[str]:
     """Whether ``folder`` holds these tables in all their forms, and no other."""
     problems = []
     made = set()
@@ -129,13 +61,6 @@ def check_tables(folder: Path, tables: list[Table]) -> list[str]:
         if path.suffix in TABLE_FILES and path not in made
     ]
     return problems
-
-
-def presets_of(readme: Path) -> list[str]:
-    """The presets whose results a page shows."""
-    if not readme.is_file():
-        return []
-    return WRITTEN_BY.findall(readme.read_text(encoding="utf-8"))
 
 
 def check_runs(store: Store) -> list[str]:
@@ -213,15 +138,6 @@ def _levels(result: Result, cell: Cell) -> dict[str, list[float]]:
     brought = bool(result.config.get("entry", {}).get("sha256"))
     observed = cell.learns or brought or cell.method.endswith("_observed")
     return {"noise": evaluation["noise"] if observed else [0.0]}  # the others see the true state
-
-
-def check_includes(results: Path, path: Path) -> list[str]:
-    """Whether the files that a page includes are still what the page shows."""
-    try:
-        wanted = includes.render(path.read_text(encoding="utf-8"), results, str(path))
-    except BenchmarkError as error:
-        return [str(error)]
-    return check_file(path, wanted, "the files that it includes")
 
 
 def check_file(path: Path, wanted: str, source: str) -> list[str]:

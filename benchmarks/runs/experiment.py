@@ -34,12 +34,12 @@ class Experiment(ABC, Generic[C]):
 
     Args:
         name: of the store; ``place`` is the folder in which the store lies, below that of all
-            results, and ``command`` the word that runs it.
+            results.
         recipe: the class's arguments, as JSON can hold them, by which another process makes it.
     """
 
     place: ClassVar[str] = ""
-    command: ClassVar[str] = "run"
+    printed: ClassVar[Sequence[str]] = ()  # names of the tables that a run prints
     #: a run's small files, its TensorBoard events, its model twice
     run_bytes: ClassVar[int] = 20_000_000
 
@@ -48,15 +48,7 @@ class Experiment(ABC, Generic[C]):
 
     @abstractmethod
     def cells(self) -> Sequence[C]:
-        """The cells that are known at the start, in the order in which they are to begin."""
-
-    def more(self) -> Sequence[C]:
-        """Cells that came into being since, asked for when there is room; none ends the matter."""
-        return ()
-
-    def to_come(self) -> int:
-        """How many cells :meth:`more` has yet to give."""
-        return 0
+        """The cells, in the order in which they are to begin."""
 
     def find(self, cell_id: str) -> C:
         """The cell of that id.
@@ -110,16 +102,30 @@ class Experiment(ABC, Generic[C]):
         """What came of a complete run, for its line on the console."""
         return ""
 
-    def ended(self, cell: C) -> str:
-        """Take note that a cell is complete; returns what is to be told of it, if anything."""
-        return ""
+    def tables(self, store: Store) -> Sequence[Any]:
+        """The tables of the complete runs."""
+        return ()
 
-    @abstractmethod
-    def write_tables(self, store: Store, console: Console) -> Any:
+    def pictures(self, store: Store) -> Sequence[Any]:
+        """The figures of the complete runs."""
+        return ()
+
+    def problems(self, store: Store) -> list[str]:
+        """A sentence for each stored run that is not what its settings say."""
+        return []
+
+    def write_tables(self, store: Store, console: Console) -> None:
         """Write the tables of the complete runs, and print the main ones."""
+        for table in self.tables(store):
+            table.write(store.tables)
+            if table.name in self.printed and table.rows:
+                console.print(table.markdown(), markup=False, highlight=False)
+        console.print(f"Tables (CSV, Markdown, LaTeX): {store.tables}")
 
-    def write_figures(self, store: Store, console: Console) -> Any:
+    def write_figures(self, store: Store, console: Console) -> None:
         """Draw the figures of the complete runs."""
+        if drawn := [picture.write(store.figures) for picture in self.pictures(store)]:
+            console.print(f"Figures: {len(drawn)} in {store.figures}")
 
     def report(self, store: Store, console: Console) -> None:
         """Everything that is made of the complete runs."""
@@ -128,4 +134,4 @@ class Experiment(ABC, Generic[C]):
 
     def open_store(self, results: Path, create: bool = False) -> Store:
         """The experiment's store; errors as those of :meth:`~benchmarks.runs.store.Store.open`."""
-        return Store.open(results / self.place, self.name, create, self.command)
+        return Store.open(results / self.place, self.name, create)

@@ -75,12 +75,11 @@ def check_disk(experiment: Experiment[C], store: Store, todo: Sequence[C], slots
     """
     # a checkpoint is written beside the last one
     sizes = sorted((2 * experiment.checkpoint_bytes(cell) for cell in todo), reverse=True)
-    number = len(todo) + experiment.to_come()
-    needed = experiment.run_bytes * number + sum(sizes[:slots])
+    needed = experiment.run_bytes * len(todo) + sum(sizes[:slots])
     free = shutil.disk_usage(store.folder).free
     if free < needed:
         raise BenchmarkError(
-            f"{store.folder}: {needed / 1e9:.1f} GB may be needed for {number} runs, "
+            f"{store.folder}: {needed / 1e9:.1f} GB may be needed for {len(todo)} runs, "
             f"{free / 1e9:.1f} GB are free; make room, use another --results folder or fewer --jobs"
         )
 
@@ -118,7 +117,6 @@ class Harness(Generic[C]):
     def run(self) -> Outcome:
         """Run every missing cell; Ctrl-C or SIGTERM lets the running ones save and stop."""
         self._admit(self.experiment.cells())
-        self._have_ready(self.backend.slots)
         if not self._queue:
             return self._outcome(False)
         todo = list(self._queue)
@@ -161,14 +159,8 @@ class Harness(Generic[C]):
             # what earlier calls have done counts as done, not as fast work
             self._shares[cell.id] = folder.progress()[0]
 
-    def _have_ready(self, number: int) -> None:
-        """Ask for more cells until so many wait, or there are none."""
-        while len(self._queue) < number and (new := self.experiment.more()):
-            self._admit(new)
-
     def _loop(self, progress: Progress, overall: TaskID) -> None:
         while True:
-            self._have_ready(self.backend.slots - len(self._children))
             while self._queue and len(self._children) < self.backend.slots:
                 self._children.append(self._start(self._queue.popleft(), progress))
             if not self._children:
@@ -212,16 +204,14 @@ class Harness(Generic[C]):
             self._report(child)
 
     def _tell(self, progress: Progress, overall: TaskID) -> None:
-        """How far everything is; cells to come count as much as those known do on average."""
-        known, to_come = len(self._units), self.experiment.to_come()
-        total = sum(self._units.values())
+        """How far everything is."""
         waiting = len(self._queue) + sum(child.job.place() is None for child in self._children)
         progress.update(
             overall,
-            description=f"all {known + to_come} runs",
-            total=total * (1.0 + to_come / known),
+            description=f"all {len(self._units)} runs",
+            total=sum(self._units.values()),
             completed=sum(share * self._units[name] for name, share in self._shares.items()),
-            note=f"{waiting + to_come} wait" if waiting + to_come else "",
+            note=f"{waiting} wait" if waiting else "",
         )
 
     def _report(self, child: _Child[C]) -> None:
@@ -241,8 +231,6 @@ class Harness(Generic[C]):
             self._say(
                 f"{folder.id}: a checkpoint could not be read and is kept as {kept}", "yellow"
             )
-        if news := self.experiment.ended(child.cell):
-            self._say(news)
 
     def _say(self, text: str, style: str | None = None) -> None:
         self.console.print(text, style=style, markup=False)

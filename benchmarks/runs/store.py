@@ -261,10 +261,8 @@ class Store:
         self._part: Collection[str] | None = None
 
     @classmethod
-    def open(
-        cls, root: Path | str, preset: str, create: bool = False, command: str = "run"
-    ) -> Store:
-        """Open a store, and with ``create`` make it; ``command`` is what fills it.
+    def open(cls, root: Path | str, preset: str, create: bool = False) -> Store:
+        """Open a store, and with ``create`` make it.
 
         Raises:
             BenchmarkError: the folder is missing, or of another schema version.
@@ -285,8 +283,7 @@ class Store:
             write_text(marker, json.dumps({"schema": SCHEMA}) + "\n")
         else:
             raise BenchmarkError(
-                f"{store.folder} has no results; "
-                f"run: python -m benchmarks {command} --preset {preset}"
+                f"{store.folder} has no results; run: python -m benchmarks run --preset {preset}"
             )
         return store
 

@@ -20,7 +20,6 @@ from benchmarks.protocol.presets import Preset
 from benchmarks.runs.callbacks import CurriculumCallback, CurveRecorder
 from benchmarks.runs.checkpoint import Kept, Watch, learn
 from benchmarks.runs.store import RunFolder
-from coop_env.vector.vec_env import CoopInsertionVecEnv
 from sb3_rainbow.learner.denormals import flush_denormals
 
 
@@ -45,9 +44,9 @@ def train(
         how = f"success {np.mean(curve.recent):.0%}" if curve.recent else "warming up"
         return f"{how}, stage {curriculum.stage}"
 
-    assert isinstance(env.venv, CoopInsertionVecEnv)
+    envs: Any = env.venv
     kept: dict[str, Kept] = {
-        "env": env.venv,
+        "env": envs,
         "monitor": _Monitor(env),
         "curriculum": curriculum,
         "curve": curve,

@@ -1,7 +1,5 @@
 """What each reward pays for: the return of farming it against the return of doing the task.
 
-    python -m benchmarks audit
-
 Scripted policies play the same validation starts under each reward, on the first track of the
 preset that has it. *Insert* follows the exact optimum hole after hole, *insert one* stops at the
 first. *Farm* looks on the optimum's way to the first hole, and two moves off it, for the place
@@ -13,9 +11,7 @@ Beside them stands what the trained policies of a preset came to. Written to ``r
 
 from __future__ import annotations
 
-import argparse
 import json
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -23,10 +19,8 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.progress import Progress
 
-from benchmarks.errors import BenchmarkError
+from benchmarks.errors import BenchmarkError, at_least
 from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.methods.scripts import SCRIPTS, Moves, Simulator, moves_of
@@ -34,11 +28,12 @@ from benchmarks.protocol import labels
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.protocol.seeding import episode_seeds
+from benchmarks.reporting.blocks import Block
 from benchmarks.reporting.figures.style import canvas, save, style
 from benchmarks.reporting.results import Results, in_order, tail_mean
-from benchmarks.reporting.verify import Report, check_file
-from benchmarks.runs import machine
+from benchmarks.runs.machine import describe
 from benchmarks.runs.store import Store, write_csv, write_text
+from benchmarks.studies.base import Part, Study, Tick
 from coop_env.env import CoopInsertionEnv
 
 CELL: Final = ("track", "method", "ablation", "geometry", "seed")
@@ -54,11 +49,8 @@ def of_each_reward(preset: Preset) -> Preset:
     return replace(preset, tracks={name: preset.tracks[name] for name in found.values()})
 
 
-def scripted(preset: Preset, starts: int, tell: Callable[[], None] = lambda: None) -> pd.DataFrame:
-    """One row per track, script and validation start: return, discounted return, holes, moves.
-
-    ``tell`` is called after each start of a track.
-    """
+def scripted(preset: Preset, starts: int, tick: Tick = lambda share: None) -> pd.DataFrame:
+    """One row per track, script and validation start: return, discounted return, holes, moves."""
     oracle = LatticeOracle()
     rows = []
     for name, track in preset.tracks.items():
@@ -73,7 +65,7 @@ def scripted(preset: Preset, starts: int, tell: Callable[[], None] = lambda: Non
                 moves = moves_of(script, env, simulator, plans, seed)
                 row = {"track": name, "script": script, "start": number}
                 rows.append(row | _returns(env, simulator, moves, track.hyperparameters.gamma))
-            tell()
+            tick(len(rows) / (len(SCRIPTS) * starts * len(preset.tracks)))
     return pd.DataFrame(rows)
 
 
@@ -163,46 +155,44 @@ def markdown(rows: pd.DataFrame) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main(words: Sequence[str]) -> int:
-    """Play the scripts, read the learners, write the table and the figure."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks audit", description=__doc__)
-    parser.add_argument("--preset", default="cut", help="whose tracks and stored learners")
-    parser.add_argument("--results", type=Path, default=Path("results"))
-    parser.add_argument("--starts", type=int, default=100, help="validation starts for each script")
-    arguments = parser.parse_args(list(words))
-    if arguments.starts < 1:
-        raise BenchmarkError(f"--starts {arguments.starts}: must be 1 or above")
-    preset = of_each_reward(load_preset(arguments.preset))
-    console = Console(soft_wrap=True)
-    with Progress(console=console) as bar:
-        job = bar.add_task("scripted policies", total=len(preset.tracks) * arguments.starts)
-        rows = scripted(preset, arguments.starts, lambda: bar.advance(job))
-    try:
-        learners = learned(Store.open(arguments.results, preset.name))
-    except BenchmarkError:
-        learners = pd.DataFrame(columns=LEARNED)
-    folder = arguments.results / "audit"
-    write_csv(folder / "scripted.csv", _records(rows))
-    write_csv(folder / "learned.csv", _records(learners))
-    rows = pd.read_csv(folder / "scripted.csv")  # what is told follows from what is stored
-    write_text(folder / "scripted.md", markdown(rows))
-    with style():
-        save(draw(rows, learners), folder / "audit.png")
-    record = {**machine.describe(), "starts": arguments.starts, "preset": preset.name}
-    write_text(folder / "meta.json", json.dumps(record, indent=1, sort_keys=True) + "\n")
-    console.print(markdown(rows), markup=False, highlight=False)
-    console.print(f"Audit: {folder}")
-    return 0
+class Audit(Study):
+    """What each reward pays for."""
+
+    name = "audit"
+    options = {  # noqa: RUF012
+        "--preset": {"default": "cut", "help": "whose tracks and stored learners"},
+        "--starts": {"type": at_least(1), "default": 100, "help": "validation starts per script"},
+    }
+
+    def parts(self) -> dict[str, Part]:
+        return {"scripted policies": self._scripted}
+
+    def _scripted(self, tick: Tick) -> None:
+        preset = of_each_reward(load_preset(self.given.preset))
+        rows = scripted(preset, self.given.starts, tick)
+        write_csv(self.folder / "scripted.csv", _records(rows))
+        try:
+            learners = learned(Store.open(self.results, preset.name))
+        except BenchmarkError:
+            learners = pd.DataFrame(columns=LEARNED)
+        write_csv(self.folder / "learned.csv", _records(learners))
+        record = {**describe(), "starts": self.given.starts, "preset": preset.name}
+        write_text(self.folder / "meta.json", json.dumps(record, indent=1, sort_keys=True) + "\n")
+
+    def finish(self) -> None:
+        rows, learners = (pd.read_csv(self.folder / f"{n}.csv") for n in ("scripted", "learned"))
+        with style():
+            save(draw(rows, learners), self.folder / "audit.png")
+
+    @classmethod
+    def files(cls, results: Path) -> dict[Path, str]:
+        path = results / "audit" / "scripted.csv"
+        return {path.with_suffix(".md"): markdown(pd.read_csv(path))} if path.is_file() else {}
+
+    @classmethod
+    def blocks(cls, results: Path) -> dict[str, Block]:
+        return {}  # pages include the file
 
 
 def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
     return [{str(k): v for k, v in row.items()} for row in frame.to_dict("records")]
-
-
-def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
-    """Verify that the table of the scripted policies follows from their episodes."""
-    path = results / "audit" / "scripted.csv"
-    if path.is_file():
-        wanted = markdown(pd.read_csv(path))
-        found = check_file(path.with_suffix(".md"), wanted, f"the rows of {path.name}")
-        report.add(f"{path.parent}: table", found)

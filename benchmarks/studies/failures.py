@@ -1,7 +1,5 @@
 """Where a learned policy fails, why, and by how much it is slower than the optimum.
 
-    python -m benchmarks failures --preset cut [--track safe] [--method rainbow]
-
 The stored policies of all seeds play their test episodes again, up to the first insertion, beside
 the exact optimum. A failure is *infeasible* if no sequence of moves inserts from that start,
 *singular* if the episode ended by a singularity, *cycle* if the last moves ran through the same few
@@ -15,8 +13,8 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,8 +23,6 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import Progress
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.evaluate import begin_episodes, model_policy
@@ -34,11 +30,12 @@ from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.protocol.plan import LEARNERS, Cell, expand, settings
 from benchmarks.protocol.presets import Preset, load_preset
+from benchmarks.reporting.blocks import Block
 from benchmarks.reporting.figures.style import canvas, save, style
 from benchmarks.reporting.results import tail_mean
 from benchmarks.reporting.stats import wilson
-from benchmarks.reporting.verify import Report, check_file
-from benchmarks.runs.store import Store, write_csv, write_text
+from benchmarks.runs.store import Store, write_csv
+from benchmarks.studies.base import Part, Study, Tick
 from coop_env.kinematics.rotations import tilt_azimuth
 
 CAUSES: Final = ("infeasible", "singular", "cycle", "wandering")
@@ -49,7 +46,7 @@ COLOURS: Final = {"infeasible": "0.6", "singular": "C3", "cycle": "C1", "wanderi
 
 
 def play(
-    preset: Preset, cell: Cell, model: Any, oracle: LatticeOracle, tell: Callable[[], None]
+    preset: Preset, cell: Cell, model: Any, oracle: LatticeOracle, tick: Tick = lambda share: None
 ) -> list[dict[str, object]]:
     """One row per test episode of a cell's seed."""
     arguments = env_arguments(preset, cell, preset.tracks[cell.track])
@@ -92,7 +89,7 @@ def play(
                 "cause": cause,
             }
         )
-        tell()
+        tick(len(rows) / tests.episodes)
     return rows
 
 
@@ -208,62 +205,62 @@ def _map(axes: Axes, rows: pd.DataFrame) -> None:
     axes.legend(frameon=True)
 
 
-def main(words: Sequence[str]) -> int:
-    """Play, tell, draw."""
-    from benchmarks.evaluation.model_files import load_stored
+class Failures(Study):
+    """Where stored policies fail, and why."""
 
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks failures",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--preset", default="cut")
-    parser.add_argument("--results", type=Path, default=Path("results"))
-    parser.add_argument("--track", default="safe")
-    parser.add_argument("--method", default="rainbow", choices=LEARNERS)
-    parser.add_argument("--geometry", default="optimized")
-    arguments = parser.parse_args(list(words))
-    preset = load_preset(arguments.preset)
-    store = Store.open(arguments.results, preset.name)
-    wanted = Cell(arguments.method, "full", arguments.geometry, arguments.track, 0)
-    alike = (cell for cell in expand(preset) if replace(cell, seed=0) == wanted)
-    cells = sorted(cell for cell in alike if store.run(cell.id).has_policy())
-    if not cells:
-        raise BenchmarkError(
-            f"{store.folder} has no stored policy of {arguments.method}, track {arguments.track}, "
-            f"geometry {arguments.geometry}; run: python -m benchmarks run --preset {preset.name}"
-        )
-    console = Console(soft_wrap=True)
-    oracle = LatticeOracle(real=preset.tracks[arguments.track].sim_to_real is not None)
-    rows: list[dict[str, object]] = []
-    with Progress(console=console) as bar:
-        job = bar.add_task("test episodes", total=len(cells) * preset.evaluation.episodes)
-        for cell in cells:
-            run = store.run(cell.id)
-            run.check_config(settings(preset, cell))
-            model = load_stored(run.policy)
-            # the share that it solved in the last tenth of its training, with its exploration
-            acting = tail_mean(run.rows("curve"), "success")
-            played = play(preset, cell, model, oracle, lambda: bar.advance(job))
-            rows += [{**row, "acting": acting} for row in played]
-    name = f"{arguments.method}-{arguments.track}"
-    if arguments.geometry != "optimized":
-        name += f"-{arguments.geometry}"
-    folder = store.folder / "failures"
-    write_csv(folder / f"{name}.csv", rows)
-    frame = read(folder / f"{name}.csv")  # what is told follows from what is stored
-    write_text(folder / f"{name}.md", summary(frame))
-    with style():
-        save(draw(frame), folder / f"{name}.png")
-    console.print(summary(frame), markup=False, highlight=False)
-    console.print(f"Failures: {folder}")
-    return 0
+    name = "failures"
+    options = {  # noqa: RUF012
+        "--preset": {"default": "cut", "help": "whose stored policies"},
+        "--track": {"default": "safe", "help": "their track"},
+        "--method": {"default": "rainbow", "choices": LEARNERS, "help": "the learner"},
+        "--geometry": {"default": "optimized", "help": "of the 3-RRS"},
+    }
 
+    def __init__(self, given: argparse.Namespace) -> None:
+        super().__init__(given)
+        self.preset = load_preset(given.preset)
+        self.store = Store.open(self.results, self.preset.name)
+        self.folder = self.store.folder / "failures"
+        wanted = Cell(given.method, "full", given.geometry, given.track, 0)
+        alike = (cell for cell in expand(self.preset) if replace(cell, seed=0) == wanted)
+        self.cells = sorted(cell for cell in alike if self.store.run(cell.id).has_policy())
+        if not self.cells:
+            raise BenchmarkError(
+                f"{self.store.folder} has no stored policy of {given.method}, track {given.track}, "
+                f"geometry {given.geometry}; run: python -m benchmarks run --preset "
+                f"{self.preset.name}"
+            )
+        for cell in self.cells:
+            self.store.run(cell.id).check_config(settings(self.preset, cell))
+        self.rows: list[dict[str, object]] = []
 
-def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
-    """Verify that the summaries of failures in the presets' stores follow from their rows."""
-    for name in presets:
-        for path in sorted((results / name / "failures").glob("*.csv")):
-            wanted = summary(read(path))
-            found = check_file(path.with_suffix(".md"), wanted, f"the rows of {path.name}")
-            report.add(f"{path}: summary", found)
+    def parts(self) -> dict[str, Part]:
+        return {cell.id: partial(self._play, cell) for cell in self.cells}
+
+    def _play(self, cell: Cell, tick: Tick) -> None:
+        from benchmarks.evaluation.model_files import load_stored
+
+        run = self.store.run(cell.id)
+        model = load_stored(run.policy)
+        # the share that it solved in the last tenth of its training, with its exploration
+        acting = tail_mean(run.rows("curve"), "success")
+        oracle = LatticeOracle(real=self.preset.tracks[cell.track].sim_to_real is not None)
+        played = play(self.preset, cell, model, oracle, tick)
+        self.rows += [{**row, "acting": acting} for row in played]
+
+    def finish(self) -> None:
+        name = f"{self.given.method}-{self.given.track}"
+        if self.given.geometry != "optimized":
+            name += f"-{self.given.geometry}"
+        write_csv(self.folder / f"{name}.csv", self.rows)
+        with style():
+            save(draw(read(self.folder / f"{name}.csv")), self.folder / f"{name}.png")
+
+    @classmethod
+    def files(cls, results: Path) -> dict[Path, str]:
+        paths = sorted(results.glob("*/failures/*.csv"))
+        return {path.with_suffix(".md"): summary(read(path)) for path in paths}
+
+    @classmethod
+    def blocks(cls, results: Path) -> dict[str, Block]:
+        return {}  # pages include the files

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from rich.console import Console
 
 from benchmarks.protocol import plan
 from benchmarks.protocol.plan import DESIGN, Cell
@@ -24,6 +21,9 @@ if TYPE_CHECKING:
 
 class Insertion(Experiment[Cell]):
     """Cells of a preset, which is loaded if its name or its file's path is given."""
+
+    # the paper's tables; the others are written beside them
+    printed = ("performance", "controls", "ablation", "geometry", "design", "team", "difficulty")
 
     def __init__(self, preset: Preset | str) -> None:
         self.preset = load_preset(preset) if isinstance(preset, str) else preset
@@ -119,23 +119,18 @@ class Insertion(Experiment[Cell]):
         clean = Result.read(folder, {}).test()
         return f", success {100 * clean['success'].mean():.0f} % of {len(clean)} test episodes"
 
-    def write_tables(self, store: Store, console: Console) -> list[Table]:
-        """Write all tables, and print those that the paper has."""
-        from benchmarks.reporting.tables.paper import PRINTED, build_tables, write_tables
+    def tables(self, store: Store) -> list[Table]:
+        from benchmarks.reporting.tables.paper import build_tables
 
-        built = build_tables(store)
-        write_tables(store, built)
-        for table in built:
-            if table.name in PRINTED and table.rows:
-                console.print(table.markdown(), markup=False, highlight=False)
-        console.print(f"Tables (CSV, Markdown, LaTeX): {store.tables}")
-        return built
+        return build_tables(store)
 
-    def write_figures(self, store: Store, console: Console) -> list[tuple[Picture, Path]]:
-        """Draw the learning figures."""
-        from benchmarks.reporting.figures.learning import write_figures
+    def pictures(self, store: Store) -> list[Picture]:
+        from benchmarks.reporting.figures.learning import pictures
+        from benchmarks.reporting.results import Results
 
-        drawn = write_figures(store)
-        if drawn:
-            console.print(f"Figures: {store.figures}")
-        return drawn
+        return pictures(Results(store))
+
+    def problems(self, store: Store) -> list[str]:
+        from benchmarks.reporting.verify import check_runs
+
+        return check_runs(store)

@@ -1,19 +1,18 @@
 """Episodes as joint trajectories: to files for a controller, and on the twin's servos.
 
-    python -m benchmarks trajectory
-    python -m benchmarks trajectory --export FOLDER [--model PATH] [--start 0] [--blend]
+    python -m benchmarks study trajectory
+    python -m benchmarks study trajectory --export FOLDER [--model PATH] [--start 0] [--blend]
 
 Without --export, the optimum and a stored Rainbow play the same test starts. Their ways become
-trajectories, stop-and-go and blended, and the twin drives each to the first insertion. Written to
-``results/trajectory/``: ``trajectory.csv``, ``trajectory.md``, ``trajectory.png``, ``meta.json``.
+trajectories, stop-and-go and blended, and the twin drives each to the first insertion.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
+from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -28,10 +27,8 @@ from benchmarks.errors import BenchmarkError, at_least
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.figures.style import save
-from benchmarks.reporting.pages import blocks
-from benchmarks.reporting.verify import Report, check_file
 from benchmarks.runs.machine import describe
-from benchmarks.runs.store import write_csv, write_text
+from benchmarks.studies.base import Measured, Part, Tick, source
 from coop_env.env import CoopInsertionEnv
 from coop_env.geometry import GEOMETRIES
 from coop_env.simulation.insertion_task import PAPER_TASK
@@ -40,8 +37,6 @@ from coop_env.trajectory import Trajectory, make_trajectory
 if TYPE_CHECKING:
     from coop_env.physics.driver import TwinDriver
 
-PAGE: Final = "trajectory.md"
-BLOCK: Final = "trajectory"
 MODEL: Final = Path("cut/runs/rainbow-optimized-safe-s0/policy.zip")
 SEEN: Final = ("observation", "mask_singularities", "mask_visited", "mask_refused")
 """What of a track decides a policy's view of the nominal task."""
@@ -52,6 +47,8 @@ MEASURED: Final = (
     *("force", "inserted"),
 )
 """Columns of a start with an insertion, which others leave empty."""
+
+OPTIMUM: Final = "optimum"
 
 Play = Callable[[CoopInsertionEnv], Iterator[int]]
 Row = dict[str, Any]
@@ -70,6 +67,9 @@ def optimum(env: CoopInsertionEnv) -> Iterator[int]:
     """Moves of the exact optimum, hole by hole, as far as there is a plan."""
     for plan in LatticeOracle().plan_episode(env):
         yield from () if plan.moves is None else map(int, plan.moves)
+
+
+NOMINAL: Final[tuple[dict[str, Any], Play]] = ({"geometry": "optimized"}, optimum)
 
 
 def stored(path: Path) -> tuple[dict[str, Any], Play]:
@@ -143,7 +143,7 @@ def rows_of(method: str, way: Way, number: int, driver: TwinDriver) -> Iterator[
         yield row
 
 
-def tell(rows: pd.DataFrame) -> str:
+def tables(rows: pd.DataFrame) -> str:
     """The rows as two Markdown tables."""
     first, whole = [], []
     for (method, kind), all_of in rows.groupby(["method", "kind"], sort=False):
@@ -169,16 +169,17 @@ def tell(rows: pd.DataFrame) -> str:
         f"| at most {FORCE_LIMIT:.0f} N |",
         "| method | trajectory | holes | moves | s by moves | s | episodes free | moves blocked |",
     )
-    tables = (
+    both = (
         "\n".join([head, "|---" * (head.count("|") - 1) + "|", *lines])
         for head, lines in zip(heads, (first, whole), strict=True)
     )
     titles = ("To the first insertion", "The whole episode, of the same starts")
-    return "\n\n".join(f"{t}\n\n{table}" for t, table in zip(titles, tables, strict=True)) + "\n"
+    return "\n\n".join(f"{t}\n\n{table}" for t, table in zip(titles, both, strict=True))
 
 
-def export(folder: Path, trajectory: Trajectory, console: Console) -> None:
+def export(folder: Path, trajectory: Trajectory) -> None:
     """Write a trajectory as CSV, as YAML of a JointTrajectory and as a picture."""
+    console = Console(soft_wrap=True)
     folder.mkdir(parents=True, exist_ok=True)
     trajectory.to_csv(folder / "trajectory.csv")
     trajectory.to_yaml(folder / "joint_trajectory.yaml")
@@ -189,78 +190,76 @@ def export(folder: Path, trajectory: Trajectory, console: Console) -> None:
     console.print(f"Written to {folder}", markup=False)
 
 
-def main(words: Sequence[str]) -> int:
-    """Export one episode, or measure all and write the tables."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks trajectory", description=__doc__)
-    add = parser.add_argument
-    add("--export", type=Path, metavar="FOLDER", help="where one episode's files go")
-    add("--model", type=Path, help="policy of a run; with --export, the optimum is the default")
-    add("--start", type=at_least(0), default=0, help="number of the test start to export")
-    add("--blend", action="store_true", help="export blended moves")
-    add("--starts", type=at_least(1), default=100, help="of the tables")
-    add("--results", type=Path, default=Path("results"))
-    add("--docs", type=Path, default=Path("docs"), help=f"folder of {PAGE}")
-    given = parser.parse_args(list(words))
-    console = Console(soft_wrap=True)
-    try:
-        if given.export is None:
-            return _measure(given, console, words)
-        nominal: tuple[dict[str, Any], Play] = ({"geometry": "optimized"}, optimum)
-        arguments, play = nominal if given.model is None else stored(given.model)
-        seed = list(episode_seeds(0, given.start + 1, "test"))[-1]
-        way = played(arguments, play, seed)
-        geometry = arguments.get("geometry", "optimized")
-        if len(way.configurations) < 2:
-            raise BenchmarkError(f"start {given.start}: no move was made; choose another --start")
-        export(given.export, make_trajectory(way.configurations, geometry, blend=given.blend),
-               console)  # fmt: skip
-    except DependencyNotInstalled as missing:
-        raise BenchmarkError(str(missing)) from missing
-    return 0
-
-
-def _measure(given: argparse.Namespace, console: Console, words: Sequence[str]) -> int:
+def measure(method: str, model: Path, starts: int, tick: Tick) -> list[Row]:
+    """The trajectories of so many test starts, driven by the twin."""
     from coop_env.physics.driver import TwinDriver
     from coop_env.physics.model import Machine
 
-    model = given.results / MODEL if given.model is None else given.model
-    players = {"optimum": ({"geometry": "optimized"}, optimum), "Rainbow": stored(model)}
-    folder = given.results / "trajectory"
-    rows: list[dict[str, object]] = []
-    picture: Trajectory | None = None
-    for method, (arguments, play) in players.items():
-        driver = TwinDriver(Machine(rrs=GEOMETRIES[arguments.get("geometry", "optimized")]))
-        for number, seed in enumerate(episode_seeds(0, given.starts, "test")):
-            way = played(arguments, play, seed)
-            rows += rows_of(method, way, number, driver)
-            if picture is None and way.first:
-                picture = make_trajectory(way.configurations[: way.first + 1])
-    write_csv(folder / "trajectory.csv", rows)
-    text = tell(pd.read_csv(folder / "trajectory.csv"))  # what is told follows from what is stored
-    write_text(folder / "trajectory.md", text)
-    if picture is not None:
-        save(picture.plot(), folder / "trajectory.png")
-    record = {
-        **describe(), "starts": given.starts, "model": model.as_posix(),
-        "command": " ".join(["python -m benchmarks trajectory", *words]),
-    }  # fmt: skip
-    write_text(folder / "meta.json", json.dumps(record, indent=1, sort_keys=True) + "\n")
-    page = given.docs / PAGE
-    if page.is_file():
-        blocks.rewrite(page, lambda old: blocks.fill(old, BLOCK, lambda _: text))
-    console.print(text, markup=False)
-    console.print(f"Written to {folder}", markup=False)
-    return 0
+    arguments, play = NOMINAL if method == OPTIMUM else stored(model)
+    driver = TwinDriver(Machine(rrs=GEOMETRIES[arguments.get("geometry", "optimized")]))
+    rows: list[Row] = []
+    for number, seed in enumerate(episode_seeds(0, starts, "test")):
+        rows += rows_of(method, played(arguments, play, seed), number, driver)
+        tick((number + 1) / starts)
+    return rows
 
 
-def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
-    """Verify that the tables, here and in the docs, follow from the rows."""
-    path, page = results / "trajectory/trajectory.csv", docs / PAGE
-    if not path.is_file():
-        return
-    text = tell(pd.read_csv(path))
-    found = check_file(path.with_suffix(".md"), text, f"the rows of {path.name}")
-    if page.is_file():
-        shown = blocks.fill(page.read_text(encoding="utf-8"), BLOCK, lambda _: text)
-        found += check_file(page, shown, f"the rows of {path}")
-    report.add(f"{path.parent}: tables, and their block in {docs}", found)
+class TrajectoryStudy(Measured):
+    """Joint trajectories of episodes, on the twin; or the files of one."""
+
+    name, file = "trajectory", "trajectory/trajectory.json"
+    needs = ("mujoco", "ruckig", "trajectory")
+    options = {  # noqa: RUF012
+        "--export": {"type": Path, "metavar": "FOLDER", "help": "place of one episode's files"},
+        "--model": {
+            "type": Path,
+            "help": f"policy of a run (default: {MODEL}; with --export the exact optimum)",
+        },
+        "--start": {"type": at_least(0), "default": 0, "help": "number of the start to export"},
+        "--blend": {"action": "store_true", "help": "blended moves in what is exported"},
+        "--starts": {"type": at_least(1), "default": 100, "help": "test starts of the tables"},
+    }
+
+    @classmethod
+    def main(cls, words: Sequence[str]) -> int:
+        given = cls.parser().parse_args(list(words))
+        if given.export is None:
+            return super().main(words)
+        try:
+            cls._export(given)
+        except DependencyNotInstalled as missing:
+            raise BenchmarkError(str(missing)) from missing
+        return 0
+
+    @staticmethod
+    def _export(given: Namespace) -> None:
+        arguments, play = NOMINAL if given.model is None else stored(given.model)
+        seed = list(episode_seeds(0, given.start + 1, "test"))[-1]
+        way = played(arguments, play, seed)
+        if len(way.configurations) < 2:
+            raise BenchmarkError(f"start {given.start}: no move was made; choose another --start")
+        geometry = arguments.get("geometry", "optimized")
+        export(given.export, make_trajectory(way.configurations, geometry, blend=given.blend))
+
+    def asked(self) -> dict[str, Any]:
+        model = self.given.results / MODEL if self.given.model is None else self.given.model
+        kept = {"model": model.as_posix(), "starts": self.given.starts}
+        return {**kept, "commit": describe()["commit"]}
+
+    def measures(self) -> dict[str, Part]:
+        asked = self.asked()
+        place = (Path(asked["model"]), asked["starts"])
+        return {name: partial(measure, name, *place) for name in (OPTIMUM, "Rainbow")}
+
+    def finish(self) -> None:
+        arguments, play = NOMINAL
+        for seed in episode_seeds(0, self.given.starts, "test"):
+            if (way := played(arguments, play, seed)).first:
+                trajectory = make_trajectory(way.configurations[: way.first + 1])
+                save(trajectory.plot(), self.folder / "trajectory.png")
+                return
+
+    @staticmethod
+    def tell(found: dict[str, Any]) -> str:
+        rows = pd.DataFrame([row for part in found["parts"].values() for row in part])
+        return f"{tables(rows)}\n\n{source(found)}"

@@ -30,42 +30,32 @@ Scores = Sequence[NDArray[np.float64]]  # of each seed's test episodes
 
 def comparisons(results: Results) -> list[Picture]:
     """Figures of the test episodes, over all tracks."""
-    section = "Comparison"
     found = [
         Picture(
-            "performance_profile", section,
+            "performance_profile",
             "Performance profiles: share of test episodes above a score, with 95 % bands over "
             "seeds. Left: holes filled of six. Right: the optimum's moves to the first insertion "
             "over the method's, 0 without an insertion.",
-            _alt_of_profiles(results),
             partial(_profiles, results),
         ),
         Picture(
-            "robustness", section,
+            "robustness",
             "Success rate over observation noise, with 95 % intervals, and the paper's two values.",
-            _alt_of_robustness(results),
             partial(_robustness, results),
         ),
     ]  # fmt: skip
     if error_levels(results):
         found.append(Picture(
-            "errors", section,
+            "errors",
             "Success rate on the uncertain machine over the bound of its base's displacement, the "
             "tilt in proportion, with 95 % intervals.",
-            _alt_of_errors(results),
             partial(_errors, results),
         ))  # fmt: skip
-    components = _ablation_rows(results)
-    if components:
-        texts = [
-            f"{track} {title} {value.text(1)} %" + (f", the paper {paper}" if paper else "")
-            for track, title, value, paper in components
-        ]
+    if components := _ablation_rows(results):
         found.append(Picture(
-            "ablation_comparison", section,
+            "ablation_comparison",
             "Success rate with one component removed: ours (as trained, where tested so) with 95 % "
             "intervals, the paper's with its standard deviation.",
-            f"Dot chart of success rates. {'; '.join(texts)}.",
             partial(_ablation_comparison, components, references(results, scored(results))),
         ))  # fmt: skip
     return found
@@ -129,15 +119,6 @@ def _profiles(results: Results) -> Figure:
     return figure
 
 
-def _alt_of_profiles(results: Results) -> str:
-    _, methods = _profile_scores(results)[0]
-    half = [
-        f"{name} {100 * float(profile_over_seeds(scores, [0.5])[0][0]):.0f} %"
-        for name, scores in methods.items()
-    ]
-    return f"Two step charts. More than half of the holes filled: {', '.join(half)} of episodes."
-
-
 def _robustness_lines(results: Results) -> dict[str, Group]:
     found = complete(rows(results, NOISY))
     return {row.name: row.group for row in found}
@@ -177,15 +158,6 @@ def _error_bars(
     )  # fmt: skip
 
 
-def _alt_of_robustness(results: Results) -> str:
-    levels = noise_levels(results)
-    parts = [
-        f"{name} {', '.join(f'{group.success(Level(x)).text(1)} % at {x:g}' for x in levels)}"
-        for name, group in _robustness_lines(results).items()
-    ]
-    return f"Line chart of the success rate over observation noise. {'; '.join(parts)}."
-
-
 def _errors(results: Results) -> Figure:
     figure, (axes,) = canvas(size=(7.0, 5.2))
     levels = error_levels(results)
@@ -196,16 +168,6 @@ def _errors(results: Results) -> Figure:
     finish(axes, "Success rate (%)", "Bound of the base's displacement (mm)")
     legend_below(figure, [axes], 2)
     return figure
-
-
-def _alt_of_errors(results: Results) -> str:
-    levels = error_levels(results)
-    parts = []
-    for name, group in _on_uncertain(results).items():
-        values = [group.success(Level(error=level)) for level in (levels[0], levels[-1])]
-        parts.append(f"{name} {values[0].text(1)} to {values[1].text(1)} %")
-    ends = f"from {levels[0]:g} to {levels[-1]:g} mm"
-    return f"Line chart of the success rate over the base's error, {ends}: {'; '.join(parts)}."
 
 
 def _ablation_rows(results: Results) -> list[tuple[str, str, Value, str]]:

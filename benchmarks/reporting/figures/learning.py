@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import Final
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -22,13 +20,10 @@ from benchmarks.reporting.figures.curves import (
     draw_curve,
     draw_stages,
     mark_switches,
-    seed_curves,
-    switches,
 )
 from benchmarks.reporting.figures.style import METHOD_COLOURS, PALETTE, Picture, canvas, finish
 from benchmarks.reporting.results import Group, Results
 from benchmarks.reporting.rows import Row, complete, references, rows
-from benchmarks.runs.store import Store
 
 STAGE_0_HOLES: Final = 4
 WIDE: Final = 50  # episodes of the moving average where many lines share the axes
@@ -74,11 +69,6 @@ def pictures(results: Results) -> list[Picture]:
     return found
 
 
-def write_figures(store: Store) -> list[tuple[Picture, Path]]:
-    """Draw all figures of a store; returns them with their paths."""
-    return [(picture, picture.write(store.figures)) for picture in pictures(Results(store))]
-
-
 def _learning(results: Results, track: str) -> list[Picture]:
     """The paper's seven learning figures of one track."""
     groups = {labels.METHODS[method]: group for method, group in results.methods(track, LEARNERS)}
@@ -86,28 +76,21 @@ def _learning(results: Results, track: str) -> list[Picture]:
         groups[labels.MASKED_DQN] = masked
     if not any(curve_frames(group) for group in groups.values()):
         return []
-    section = f"Learning, {labels.track(track)}"
-    bounds = references(results, track)
+    bounds, of = references(results, track), labels.track(track)
     found = [
         Picture(
             f"{track}_{name}",
-            section,
-            f"{caption}, {labels.track(track)}.",
-            _alt_of_curves(groups, column, label),
+            f"{caption}, {of}.",
             partial(_curves, groups, column, label, log, name in RAW, bounds=bounds),
         )
         for name, (column, label, log, caption) in CURVES.items()
     ]
     found.insert(1, Picture(
-        f"{track}_exploration", section,
-        f"Learning rate, and noise magnitude or epsilon, {labels.track(track)}.",
-        _alt_of_curves({n: g for n, g in groups.items() if _quantity(g)}, "noise", "Exploration"),
+        f"{track}_exploration", f"Learning rate, and noise magnitude or epsilon, {of}.",
         partial(_exploration, groups),
     ))  # fmt: skip
     found.insert(2, Picture(
-        f"{track}_holes", section,
-        f"Holes per episode by stage of the curriculum, {labels.track(track)}.",
-        _alt_of_curves(groups, "holes", "Holes per episode"),
+        f"{track}_holes", f"Holes per episode by stage of the curriculum, {of}.",
         partial(_holes, groups, bounds),
     ))  # fmt: skip
     return found
@@ -130,9 +113,7 @@ def _variants(results: Results, track: str) -> list[Picture]:
     ):
         if sum(bool(curve_frames(group)) for group in groups.values()) > 1:
             found.append(Picture(
-                f"{track}_{name}", f"Learning, {labels.track(track)}",
-                f"{caption}, {labels.track(track)}.",
-                _alt_of_curves(groups, "success", "Success rate"),
+                f"{track}_{name}", f"{caption}, {labels.track(track)}.",
                 partial(_curves, groups, "success", "Success rate", window=WIDE,
                         band=name == "geometry", bounds=references(results, track)),
             ))  # fmt: skip
@@ -152,19 +133,8 @@ def _teams(results: Results) -> list[Picture]:
     ablation = max(found, key=lambda name: len(found[name]))
     if not (groups := found[ablation]):
         return []
-    ends = [
-        f"{labels.track(track)} ends at {values[:, -1].mean():.3g}"
-        for track, group in groups.items()
-        if (values := seed_curves(curve_frames(group), "success", WIDE)[1]).size
-    ]
-    return [
-        Picture(
-            "team_success", "Learning, both robots at once",
-            f"{labels.ABLATIONS[ablation]}: success rate over training, last fifty episodes.",
-            f"Line chart of success rate over ticks: {', '.join(ends)}.",
-            partial(_over_ticks, results, groups),
-        )
-    ]  # fmt: skip
+    caption = f"{labels.ABLATIONS[ablation]}: success rate over training, last fifty episodes."
+    return [Picture("team_success", caption, partial(_over_ticks, results, groups))]
 
 
 def _over_ticks(results: Results, groups: Groups) -> Figure:
@@ -180,20 +150,6 @@ def _over_ticks(results: Results, groups: Groups) -> Figure:
         draw_curve(axes, frames, "success", labels.track(track), colour, line, False, window=WIDE)
     finish(axes, "Success rate", "Ticks")
     return figure
-
-
-def _alt_of_curves(groups: Groups, column: str, label: str) -> str:
-    """What a chart of curves shows, in words: where each line ends and when the stage changed."""
-    parts = []
-    for name, group in groups.items():
-        _, values = seed_curves(curve_frames(group), column)
-        if values.size:
-            seeds = "1 seed" if len(values) == 1 else f"{len(values)} seeds"
-            parts.append(f"{name} ({seeds}) ends at {values[:, -1].mean():.3g}")
-        steps = switches(group)
-        if steps:
-            parts.append(f"its curriculum switches at {np.mean(steps):.0f} steps")
-    return f"Line chart of {label.lower()} over environment steps: {', '.join(parts)}."
 
 
 def _coloured(groups: Groups) -> list[tuple[str, Group, str]]:

@@ -74,12 +74,10 @@ def style() -> AbstractContextManager[None]:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure that can be drawn: its file's name, what stands under it, and what it shows."""
+    """A figure that can be drawn: its file's name, and what stands under it."""
 
     name: str
-    section: str
     caption: str
-    alt: str
     draw: Callable[[], Figure]
 
     def write(self, folder: Path) -> Path:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 from benchmarks.protocol import labels, paper_values
@@ -28,10 +27,6 @@ from benchmarks.reporting.tables.team import team
 from benchmarks.reporting.tables.uncertain import uncertain
 from benchmarks.runs.store import Store
 
-# those of the paper, which a run prints; the others are written beside them
-PRINTED: Final = (
-    *("performance", "controls", "ablation", "geometry", "design", "team", "difficulty"),
-)
 NOISY: Final = (*LEARNERS, "greedy_observed", "lookahead_observed")  # what sees the observation
 ENDS: Final = ("initial", "optimized")
 COMPARED: Final = ("rrt_connect", "dqn", "rainbow")  # the paper's columns
@@ -55,12 +50,6 @@ def build_tables(store: Store) -> list[Table]:
         uncertain(results),
         *team(results),
     ]
-
-
-def write_tables(store: Store, tables: list[Table] | None = None) -> list[Path]:
-    """Write every table as CSV, Markdown and LaTeX."""
-    built = build_tables(store) if tables is None else tables
-    return [path for table in built for path in table.write(store.tables)]
 
 
 def performance(results: Results) -> Table:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -148,6 +149,11 @@ class Table:
     def forms(self) -> dict[str, str]:
         """File suffix to contents."""
         return {".csv": self.csv(), ".md": self.markdown(), ".tex": self.latex()}
+
+
+def plain(title: str, header: str, rows: Iterable[Iterable[str]]) -> str:
+    """A table of texts as Markdown, the header's columns parted by `` | ``."""
+    return Table("", title, header.split(" | "), [list(row) for row in rows]).markdown().strip()
 
 
 _PARTS = ("mean", "std", "n", "low", "high")

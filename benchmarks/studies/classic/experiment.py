@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Final
-
-from rich.console import Console
+from typing import TYPE_CHECKING, Any, Final
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.presets import absolute
 from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.classic import plan
-from benchmarks.studies.classic.environments.atari import PREFIX
-from benchmarks.studies.classic.plan import CLIFF, CONTROL, LEARN, Cell
-from benchmarks.studies.classic.presets import Preset, algorithm_of, load_preset
+from benchmarks.studies.classic import presets
+from benchmarks.studies.classic.atari import PREFIX
+from benchmarks.studies.classic.presets import (
+    CONTROL,
+    LEARN,
+    Cell,
+    Preset,
+    algorithm_of,
+    load_preset,
+)
+
+if TYPE_CHECKING:
+    from benchmarks.reporting.figures.style import Picture
+    from benchmarks.reporting.tables.table import Table
 
 # of a transition in a checkpointed replay buffer: two images of 10 x 10 x 7; a stack of frames
 TRANSITION_BYTES: Final = 1_600
@@ -24,7 +32,8 @@ ATARI_BYTES: Final = 60_000
 class Classic(Experiment[Cell]):
     """Cells of a preset of the classic tasks, loaded if its name or its file's path is given."""
 
-    place = command = "classic"
+    place = "classic"
+    printed = ("scores", "controls", "normalized", "together", "contact", "friction")
 
     def __init__(self, preset: Preset | str) -> None:
         self.preset = load_preset(preset) if isinstance(preset, str) else preset
@@ -32,10 +41,10 @@ class Classic(Experiment[Cell]):
         super().__init__(self.preset.name, preset=absolute(name))
 
     def cells(self) -> Sequence[Cell]:
-        return plan.expand(self.preset)
+        return presets.expand(self.preset)
 
     def settings(self, cell: Cell) -> dict[str, Any]:
-        return plan.settings(self.preset, cell)
+        return presets.settings(self.preset, cell)
 
     def check(self, todo: Sequence[Cell]) -> None:
         from benchmarks.studies.classic.train import build_model
@@ -54,7 +63,7 @@ class Classic(Experiment[Cell]):
             env.close()
 
     def units(self, config: dict[str, Any]) -> int:
-        return plan.units_of(config)
+        return presets.units_of(config)
 
     def kinds(self, config: dict[str, Any]) -> Iterator[tuple[str, ...]]:
         cell = config["cell"]
@@ -78,36 +87,31 @@ class Classic(Experiment[Cell]):
     def run(
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
     ) -> dict[str, Any] | None:
-        """Train and test a learner, test a control, or walk the cliff; on the CPU."""
-        from benchmarks.studies.classic.cliff import run_cliff
-        from benchmarks.studies.classic.environments.playing import run_control
+        """Train and test a learner, or test a control; on the CPU."""
+        from benchmarks.studies.classic.playing import run_control
         from benchmarks.studies.classic.train import run_learner
 
-        run = {LEARN: run_learner, CONTROL: run_control, CLIFF: run_cliff}[cell.kind]
+        run = run_learner if cell.kind == LEARN else run_control
         training = run(self.preset, cell, folder, stop_requested)
         return None if training is None else {"training": training}
 
     def verdict(self, folder: RunFolder) -> str:
-        if folder.has_rows("episodes"):
-            rows = folder.rows("episodes")
-            return f", return {rows['return'].mean():.1f} over {len(rows)} test episodes"
-        return f", {len(folder.rows('updates'))} seeds"
+        rows = folder.rows("episodes")
+        return f", return {rows['return'].mean():.1f} over {len(rows)} test episodes"
 
-    def write_tables(self, store: Store, console: Console) -> None:
-        """Write all tables and print the two main ones."""
-        from benchmarks.studies.classic.docs import SHOWN
+    def tables(self, store: Store) -> list[Table]:
         from benchmarks.studies.classic.results import Results
         from benchmarks.studies.classic.tables import build_tables
 
-        for table in build_tables(Results(self.preset, store)):
-            table.write(store.tables)
-            if table.name in SHOWN:
-                console.print(table.markdown(), markup=False, highlight=False)
-        console.print(f"Tables (CSV, Markdown, LaTeX): {store.tables}")
+        return build_tables(Results(self.preset, store))
 
-    def write_figures(self, store: Store, console: Console) -> None:
-        from benchmarks.studies.classic.figures import write_figures
+    def pictures(self, store: Store) -> list[Picture]:
+        from benchmarks.studies.classic.figures import pictures
         from benchmarks.studies.classic.results import Results
 
-        write_figures(Results(self.preset, store), store)
-        console.print(f"Figures: {store.figures}")
+        return pictures(Results(self.preset, store))
+
+    def problems(self, store: Store) -> list[str]:
+        from benchmarks.studies.classic.results import Results
+
+        return Results(self.preset, store).problems()

@@ -1,44 +1,36 @@
-"""Learning curves and the cliff walk, from stored data alone."""
+"""Learning curves, from stored data alone."""
 
 from __future__ import annotations
 
 import math
-import textwrap
-from pathlib import Path
 from typing import Final
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.reporting.figures.style import (
     METHOD_COLOURS,
     PALETTE,
+    Picture,
     canvas,
     legend_below,
-    save,
-    style,
 )
-from benchmarks.runs.store import Store
-from benchmarks.studies.classic.plan import REPLAYS
 from benchmarks.studies.classic.presets import label
 from benchmarks.studies.classic.results import Results
 from benchmarks.studies.robots.contact_report import draw, levels
 
-REPLAY_COLOURS: Final = {"prioritized": PALETTE[0], "uniform": PALETTE[1]}
+CURVES: Final = "Return of the last greedy policy over training"
+CONTACT: Final = "Success, time and force over the hole's displacement"
 
 
-def write_figures(results: Results, store: Store) -> list[Path]:
-    """Draw what the stored runs can show; returns the paths."""
-    paths = []
-    with style():
-        # of a search the curves would be more than can be told apart
-        if results.preset.tasks and not results.preset.search:
-            paths.append(save(_curves(results), store.figures / "curves.png"))
-        if levels(results):
-            paths.append(save(draw(results), store.figures / "contact.png"))
-        if results.preset.cliff:
-            paths.append(save(_cliff(results), store.figures / "cliff.png"))
-    return paths
+def pictures(results: Results) -> list[Picture]:
+    """What the stored runs can show."""
+    found = []
+    # of a search the curves would be more than can be told apart
+    if results.preset.tasks and not results.preset.search:
+        found.append(Picture("curves", CURVES, lambda: _curves(results)))
+    if levels(results):
+        found.append(Picture("contact", CONTACT, lambda: draw(results)))
+    return found
 
 
 def _curves(results: Results) -> Figure:
@@ -70,27 +62,4 @@ def _curves(results: Results) -> Figure:
     for axes in grid[::columns]:
         axes.set_ylabel("return")
     legend_below(figure, grid)
-    return figure
-
-
-def _cliff(results: Results) -> Figure:
-    variants = results.preset.cliff
-    figure, panels = canvas(1, len(variants), (3.2 * len(variants), 2.8))
-    for axes, (key, variant) in zip(panels, variants.items(), strict=True):
-        for replay in REPLAYS:
-            found = {n: results.updates(key, replay, n) for n in variant.states}
-            shown = {n: np.minimum(u, variant.limit) for n, u in found.items() if u is not None}
-            if not shown:
-                continue
-            quartiles = np.array([np.percentile(u, [25, 50, 75]) for u in shown.values()])
-            colour, states = REPLAY_COLOURS[replay], list(shown)
-            axes.plot(states, quartiles[:, 1], "o-", color=colour, label=replay, markersize=3.5)
-            axes.fill_between(states, quartiles[:, 0], quartiles[:, 2], color=colour, alpha=0.2)
-        axes.axhline(variant.limit, color="0.5", linestyle=":", linewidth=1.0)
-        axes.set_yscale("log")
-        axes.set_xticks(variant.states)
-        axes.set_title(textwrap.fill(variant.title, 32))
-        axes.set_xlabel("states")
-    panels[0].set_ylabel("updates (median, quartiles)")
-    panels[0].legend()
     return figure

@@ -1,18 +1,20 @@
-"""Presets of the classic tasks: YAML with strict keys; ``_library.yaml`` holds them in full."""
+"""Presets of the public tasks, and which cells each holds.
+
+YAML with strict keys, as the insertion task's; ``_library.yaml`` holds the tasks in full.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol import presets
-from benchmarks.protocol.presets import preset_file, read_yaml
+from benchmarks.protocol.presets import as_dict, mapping, preset_file, read_yaml
 from benchmarks.protocol.strict import (
     STRICT,
     Count,
-    Counts,
     Names,
     Number,
     Seeds,
@@ -20,9 +22,10 @@ from benchmarks.protocol.strict import (
     merge,
     with_config,
 )
+from benchmarks.studies.classic.atari import PREFIX
+from benchmarks.studies.classic.controls import SCRIPTS
 
 PRESETS: Final = Path(__file__).parent / "presets"
-DEFAULT_PRESET: Final = "quick"
 CONTACT: Final = "coop_env:CoopInsertionContact-v0"
 #: learning algorithms; a method is one of them, or with settings of its own ``<one>_<variant>``
 DISCRETE: Final = {"rainbow": "Rainbow", "dqn": "DQN", "qrdqn": "QR-DQN"}
@@ -114,21 +117,6 @@ class Task:
 
 @with_config(STRICT)
 @dataclass(frozen=True)
-class CliffVariant:
-    """One learner of the blind cliff walk, with prioritized replay and without."""
-
-    title: str
-    states: Counts
-    measure: Literal["learned", "solved"]
-    limit: Count  # updates after which a run is given up
-    seeds: Count
-    rainbow: dict[str, Any]  # constructor arguments
-    optimizer: Literal["adam", "sgd"] = "adam"
-    check_every: Count = 20  # updates
-
-
-@with_config(STRICT)
-@dataclass(frozen=True)
 class Preset:
     """What runs, with which settings."""
 
@@ -137,7 +125,6 @@ class Preset:
     seeds: Seeds
     final_episodes: Count
     tasks: dict[str, Task]
-    cliff: dict[str, CliffVariant] = field(default_factory=dict)
     methods: Names = field(default_factory=lambda: list(DISCRETE))
     controls: Names = field(default_factory=list)  # a script only where a task has one
     checkpoint_seconds: Number = 60.0
@@ -156,25 +143,15 @@ def load_preset(name: str) -> Preset:
         BenchmarkError: there is no such preset, or the file has an unknown or impossible key.
     """
     path = preset_file(name, PRESETS, "known presets of classic")
-    library = read_yaml(PRESETS / "_library.yaml")
+    library = read_yaml(PRESETS / "_library.yaml")["tasks"]
     # keys that begin with x- hold what others refer to
     data = {key: value for key, value in read_yaml(path).items() if not str(key).startswith("x-")}
-    for section in ("tasks", "cliff"):
-        chosen = data.get(section) or {}
-        if not isinstance(chosen, dict):
-            raise BenchmarkError(f"{path.name}: {section}: expected a mapping, found {chosen!r}")
-        data[section] = {}
-        for key, override in chosen.items():
-            given = {} if override is None else override
-            if not isinstance(given, dict):
-                raise BenchmarkError(
-                    f"{path.name}: {section}: {key}: expected a mapping, found {given!r}"
-                )
-            if not given and key not in library[section]:
-                raise BenchmarkError(
-                    f"{path.name}: {section}: unknown '{key}'; known: {known(library[section])}"
-                )
-            data[section][key] = merge(library[section].get(key, {}), given)
+    data["tasks"] = mapping(data.get("tasks"), f"{path.name}: tasks")
+    for key, override in data["tasks"].items():
+        given = mapping(override, f"{path.name}: tasks: {key}")
+        if not given and key not in library:
+            raise BenchmarkError(f"{path.name}: tasks: unknown '{key}'; known: {known(library)}")
+        data["tasks"][key] = merge(library.get(key, {}), given)
     preset = build(Preset, {**data, "name": path.stem}, path.name)
     if preset.search and preset.controls:
         raise BenchmarkError(f"{path.name}: controls: a search compares settings, it has none")
@@ -192,3 +169,68 @@ def load_preset(name: str) -> Preset:
                     f"{path.name}: tasks: {key}: methods has no settings for '{method}'"
                 )
     return preset
+
+
+LEARN: Final = "learn"
+CONTROL: Final = "control"
+# roughly the seconds of an environment step with its share of updates, for progress bars alone
+STEP_COST: Final = {"qrdqn": 2.0, "sac": 4.0, "crossq": 4.0, "td3": 3.0}
+ATARI_COST: Final = 10.0  # times as much
+CONTROL_COST: Final = 20.0  # of an episode that is tested
+
+
+@dataclass(frozen=True, order=True)
+class Cell:
+    """One run: a method or a control on a task with a seed, its ``number``."""
+
+    kind: str  # learn or control
+    task: str
+    method: str
+    number: int
+
+    @property
+    def id(self) -> str:
+        """The run's folder name, unique within a preset."""
+        return f"{self.task}-{self.method}-s{self.number}"
+
+
+def expand(preset: Preset) -> list[Cell]:
+    """All cells, the first seeds of all tasks first, so that an early stop leaves whole rows."""
+    cells = []
+    for key, task in preset.tasks.items():
+        for seed in preset.seeds if task.seeds is None else task.seeds:
+            cells += [Cell(LEARN, key, method, seed) for method in preset.methods]
+            for control in preset.controls:
+                if control != "script" or task.env in SCRIPTS:
+                    cells.append(Cell(CONTROL, key, control, seed))
+    return sorted(cells, key=lambda cell: (cell.number, -units_of(settings(preset, cell))))
+
+
+def units_of(config: dict[str, Any]) -> int:
+    """A rough cost of a run by its settings, for progress bars and the order of runs."""
+    cell, task = config["cell"], config["task"]
+    cost = ATARI_COST if task["env"].startswith(PREFIX) else 1.0
+    if cell["kind"] == CONTROL:
+        return round(cost * CONTROL_COST * config["final_episodes"])
+    cost *= STEP_COST.get(algorithm_of(cell["method"]), 1.0)
+    return max(1, round(task["timesteps"] * cost))
+
+
+def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
+    """Everything that decides the cell's result, as plain YAML types: the run's config.yaml."""
+    task = as_dict(preset.tasks[cell.task])
+    if cell.kind == CONTROL:
+        played = {key: task[key] for key in ("env", "env_kwargs", "eval_episodes")}
+        return {"cell": asdict(cell), "task": played, "final_episodes": preset.final_episodes}
+    arguments = task.pop("methods")[cell.method]
+    for words in ("seeds", "title", "goal", "published", "random", "human"):
+        del task[words]
+    for word in ("guide", "bare"):
+        if not task[word]:
+            del task[word]
+    return {
+        "cell": asdict(cell),
+        "task": task,
+        "arguments": arguments,
+        "final_episodes": preset.final_episodes,
+    }

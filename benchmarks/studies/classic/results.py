@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.stats import Value, means, over_seeds, stratified_bootstrap, t_interval
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.classic.plan import CLIFF, CONTROL, LEARN, expand, settings
-from benchmarks.studies.classic.presets import Preset
+from benchmarks.studies.classic.presets import CONTROL, LEARN, Preset, expand, settings
 
 Array = NDArray[np.float64]
-REPETITIONS = 2_000  # of the bootstrap
 
 
 @dataclass(frozen=True)
@@ -47,23 +45,6 @@ class Run:
         return float(reached["timesteps"].iloc[0]) if len(reached) else math.nan
 
 
-@dataclass(frozen=True)
-class Ratio:
-    """Updates under uniform replay over updates under prioritized replay, on one walk.
-
-    Medians over ``n`` seeds, and their ratio with a bootstrap interval over seeds, drawn in pairs.
-    ``censored`` says how many of the runs hit the limit, which then stands for their number, so
-    that the ratio is a bound.
-    """
-
-    states: int
-    n: int
-    uniform: float
-    prioritized: float
-    censored: dict[str, int]
-    ratio: Value
-
-
 class Results:
     """The complete runs of a preset."""
 
@@ -72,7 +53,6 @@ class Results:
         self.root = store.folder.parent.parent  # of all results
         self.folders: list[RunFolder] = []
         self._runs: dict[tuple[str, str], list[Run]] = {}
-        self._updates: dict[tuple[str, str, int], pd.DataFrame] = {}
         self.missing: list[str] = []
         self.n_controls = 0
         for cell in expand(preset):
@@ -83,9 +63,6 @@ class Results:
                 continue
             self.folders.append(folder)
             self.n_controls += cell.kind == CONTROL
-            if cell.kind == CLIFF:
-                self._updates[cell.task, cell.method, cell.number] = folder.rows("updates")
-                continue
             curve = folder.rows("curve") if cell.kind == LEARN else pd.DataFrame()
             episodes = folder.rows("episodes")
             run = Run(cell.number, folder.meta(), curve, episodes, folder)
@@ -146,29 +123,6 @@ class Results:
         ])  # fmt: skip
         return grid, returns.mean(axis=0), ends[:, 0], ends[:, 1]
 
-    def updates(self, variant: str, replay: str, states: int) -> Array | None:
-        """What the variant measures, by seed; infinity where a run hit the limit."""
-        rows = self._updates.get((variant, replay, states))
-        if rows is None:
-            return None
-        measured = rows.sort_values("seed")[self.preset.cliff[variant].measure]
-        return np.asarray(measured.fillna(math.inf), dtype=np.float64)
-
-    def ratio(self, variant: str, states: int) -> Ratio | None:
-        """How many times fewer updates prioritized replay takes."""
-        limit = float(self.preset.cliff[variant].limit)
-        censored, samples = {}, []
-        for replay in ("uniform", "prioritized"):
-            updates = self.updates(variant, replay, states)
-            if updates is None:
-                return None
-            censored[replay] = int(np.isinf(updates).sum())
-            samples.append(np.minimum(updates, limit))
-        pairs = np.stack(samples, axis=1)
-        uniform, prioritized = (float(median) for median in np.median(pairs, axis=0))
-        value = bootstrap_ratio(pairs)
-        return Ratio(states, len(pairs), uniform, prioritized, censored, value)
-
 
 def student(scores: Sequence[float]) -> Value:
     """Mean of one number per seed, with Student's 95 % interval from three seeds on.
@@ -180,13 +134,3 @@ def student(scores: Sequence[float]) -> Value:
         return value
     low, high = t_interval(value.mean, value.std, value.n)
     return replace(value, low=low, high=high)
-
-
-def bootstrap_ratio(pairs: Array, seed: int = 0) -> Value:
-    """Ratio of the medians of two columns of pairs (n, 2), with its 95 % percentile interval."""
-    median = np.median(pairs, axis=0)
-    n = len(pairs)
-    rows = np.random.default_rng(seed).integers(n, size=(REPETITIONS, n))
-    draws = np.median(pairs[rows], axis=1)
-    low, high = np.quantile(draws[:, 0] / draws[:, 1], [0.025, 0.975])
-    return Value(float(median[0] / median[1]), math.nan, n, float(low), float(high))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
+from benchmarks.reporting.blocks import provenance
 from benchmarks.reporting.stats import (
     interquartile_mean,
     over_seeds,
@@ -11,11 +13,17 @@ from benchmarks.reporting.stats import (
     stratified_bootstrap,
 )
 from benchmarks.reporting.tables.table import Cell, Number, Table
-from benchmarks.studies.classic.environments.named import MASKED_IDENTITY
-from benchmarks.studies.classic.presets import Preset, label
-from benchmarks.studies.classic.results import Ratio, Results
+from benchmarks.runs.store import Store
+from benchmarks.studies.classic.envs import MASKED_IDENTITY
+from benchmarks.studies.classic.presets import label, load_preset
+from benchmarks.studies.classic.results import Results
 from benchmarks.studies.robots.contact_report import build_contact_tables
 
+# tables of the page, each with its figure
+SHOWN: Final = {
+    **{"scores": "curves", "controls": "", "normalized": "", "together": ""},
+    **{"contact": "contact", "friction": ""},
+}
 _INTERVAL = "Student's 95 % interval, of three seeds or more"
 _MASKS = (
     "The masked identity task: only Rainbow reads masks; to DQN and QR-DQN an action that is not "
@@ -27,14 +35,14 @@ _CONTROLS = {
     "held": "One action: all the time the one that is best on the episodes by which a learner is "
     "tested during training.",
     "script": "Script: a few lines by hand on a learner's observation "
-    "(`benchmarks/studies/classic/environments/controls.py`).",
+    "(`benchmarks/studies/classic/controls.py`).",
 }
 
 
 def build_tables(results: Results) -> list[Table]:
     """All tables that the stored runs can fill."""
     if results.preset.search:
-        return [_search(results), _settings(results.preset)]
+        return [_search(results)]
     tables = []
     if results.preset.tasks:
         tables.append(_scores(results))
@@ -46,10 +54,24 @@ def build_tables(results: Results) -> list[Table]:
         tasks = [k for k, task in results.preset.tasks.items() if task.env != MASKED_IDENTITY]
         if len(tasks) > 1 and len(results.preset.methods) > 1:
             tables.append(_together(results, tasks))
-        tables += [*build_contact_tables(results), _speed(results), _settings(results.preset)]
-    if results.preset.cliff:
-        tables.append(_cliff(results))
+        tables += [*build_contact_tables(results), _speed(results)]
     return tables
+
+
+def page(store: Store) -> str:
+    """The block of a store: where its runs come from, the main tables, each with its figure."""
+    results = Results(load_preset(store.folder.name), store)
+    root, missing = f"../results/classic/{store.folder.name}", len(results.missing)
+    parts = [provenance(store.folder.name, results.folders, missing, results.n_controls)]
+    tables = {table.name: table for table in build_tables(results)}
+    for name, figure in SHOWN.items():
+        if name in tables:
+            parts.append(tables[name].markdown().rstrip())
+            if figure and not results.preset.search:
+                parts.append(f"![{tables[name].title}]({root}/figures/{figure}.png)")
+    if others := [f"[{name}]({root}/tables/{name}.md)" for name in tables if name not in SHOWN]:
+        parts.append("More: " + ", ".join(others) + ".")
+    return "\n\n".join(parts)
 
 
 def _scores(results: Results) -> Table:
@@ -203,65 +225,3 @@ def _speed(results: Results) -> Table:
             "got there (mean ± standard deviation).",
         ],
     )
-
-
-def _settings(preset: Preset) -> Table:
-    rows: list[list[Cell]] = []
-    for task in preset.tasks.values():
-        for method in preset.methods:
-            arguments = task.methods[method]
-            words = [f"{key}={_value(value)}" for key, value in sorted(arguments.items())]
-            if task.n_envs > 1:
-                words.append(f"(n_envs={task.n_envs})")
-            rows.append([task.title, label(method), ", ".join(words)])
-    return Table(
-        "settings",
-        "Settings: what differs from each constructor's defaults",
-        ["Task", "Method", "Arguments"],
-        rows,
-    )
-
-
-def _value(value: object) -> str:
-    if isinstance(value, dict):
-        return "dict(" + ", ".join(f"{k}={_value(v)}" for k, v in value.items()) + ")"
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _cliff(results: Results) -> Table:
-    rows: list[list[Cell]] = []
-    for key, variant in results.preset.cliff.items():
-        for states in variant.states:
-            ratio = results.ratio(key, states)
-            if ratio is not None:
-                rows.append(_cliff_row(variant.title, ratio))
-    return Table(
-        "cliff",
-        "Blind cliff walk: updates until it is learned, uniform and prioritized replay",
-        ["Learner", "States", "Transitions", "Uniform", "Prioritized", "Ratio", "Seeds"],
-        rows,
-        [
-            "Medians over seeds; ratio of the medians [95 % bootstrap interval over seeds]. Runs "
-            "that hit the limit of updates count with it: with uniform replay the ratio is then a "
-            "lower bound (>), with prioritized replay an upper one (<), with both neither (~).",
-            "Learned: mean squared error of all Q-values below 0.001 (of PER alone); the greedy "
-            "policy right in every state, for good (of all of Rainbow, whose n-step returns of a "
-            "random policy are not the optimal ones).",
-        ],
-    )
-
-
-def _cliff_row(title: str, ratio: Ratio) -> list[Cell]:
-    late = bool(ratio.censored["uniform"]), bool(ratio.censored["prioritized"])
-    mark = {(True, True): "~", (True, False): ">", (False, True): "<"}.get(late, "")
-    value = ratio.ratio
-    often = {replay: ">" if 2 * n >= ratio.n else "" for replay, n in ratio.censored.items()}
-    return [
-        title,
-        str(ratio.states),
-        f"{2 ** (ratio.states + 1) - 2:,}",
-        f"{often['uniform']}{ratio.uniform:,.0f}",
-        f"{often['prioritized']}{ratio.prioritized:,.0f}",
-        f"{mark}{value.mean:.1f} [{value.low:.1f}, {value.high:.1f}]",
-        str(ratio.n),
-    ]

@@ -12,7 +12,6 @@ from typing import Any, Final
 
 import gymnasium as gym
 import numpy as np
-import torch
 from gymnasium import spaces
 from sb3_contrib import QRDQN, CrossQ
 from stable_baselines3 import DQN, PPO, SAC, TD3
@@ -31,12 +30,12 @@ from benchmarks.protocol.strict import build
 from benchmarks.runs import policy_file
 from benchmarks.runs.checkpoint import Kept, Watch, learn
 from benchmarks.runs.store import RunFolder
-from benchmarks.studies.classic.environments.features import extractor_of
-from benchmarks.studies.classic.environments.playing import evaluate, make_env, test
-from benchmarks.studies.classic.plan import Cell
+from benchmarks.studies.classic.features import extractor_of
+from benchmarks.studies.classic.playing import evaluate, make_env, test
 from benchmarks.studies.classic.presets import (
     CONTACT,
     DISCRETE,
+    Cell,
     Guide,
     Preset,
     Task,
@@ -44,13 +43,11 @@ from benchmarks.studies.classic.presets import (
     spelled_out,
 )
 from sb3_rainbow import Rainbow
-from sb3_rainbow.network.noisy_linear import NoisyLinear
 
 CLASSES: Final[dict[str, type[BaseAlgorithm]]] = {
     "rainbow": Rainbow, "dqn": DQN, "qrdqn": QRDQN,
     "sac": SAC, "crossq": CrossQ, "td3": TD3, "ppo": PPO,
 }  # fmt: skip
-FADES: Final = "noise_fades"  # a setting of Rainbow's that is none of its constructor's
 LINEAR: Final = "lin_"  # rl-baselines3-zoo's word for a rate that falls to 0
 
 
@@ -82,10 +79,8 @@ def build_model(task: Task, method: str, seed: int) -> BaseAlgorithm:
     if guide is not None and (own := arguments.pop("guide", {})):
         guide = build(Guide, {**as_dict(guide), **own}, f"{task.title}: {method}: guide")
     algorithm = class_of(task, method)
-    if issubclass(algorithm, Rainbow):
-        arguments.pop(FADES, None)  # for a callback
-        if not task.bare:
-            arguments = spelled_out(arguments)
+    if issubclass(algorithm, Rainbow) and not task.bare:
+        arguments = spelled_out(arguments)
     accepted = inspect.signature(algorithm).parameters
     for name in arguments:
         if name not in accepted:
@@ -185,31 +180,6 @@ class Tester(BaseCallback):
         self.rows, self._next, self.seconds = state
 
 
-class FadingNoise(BaseCallback):
-    """Has the sigmas of Rainbow's noisy layers fall to nothing, linearly beside what is learned."""
-
-    def __init__(self, timesteps: int) -> None:
-        super().__init__()
-        self.timesteps = timesteps
-        self._seen = 0
-
-    def _on_training_start(self) -> None:
-        self._seen = self.model.num_timesteps
-
-    def _on_step(self) -> bool:
-        return True
-
-    @torch.no_grad()
-    def _on_rollout_start(self) -> None:
-        now = self.model.num_timesteps
-        left, before = self.timesteps - now, self.timesteps - self._seen
-        self._seen = now
-        for layer in self.model.policy.modules():
-            if isinstance(layer, NoisyLinear):
-                layer.weight_sigma.mul_(left / before)
-                layer.bias_sigma.mul_(left / before)
-
-
 class _Envs:
     """Training environments in the midst of their episodes; a world of Box2D cannot be kept."""
 
@@ -255,11 +225,7 @@ def run_learner(
     discrete = isinstance(fresh.action_space, spaces.Discrete)
     algorithm = class_of(task, cell.method)
     logger = configure(str(folder.tensorboard), ["tensorboard"])
-    callbacks: list[BaseCallback] = [tester]
-    if task.methods[cell.method].get(FADES):
-        # before the watch, whose checkpoints thus hold what has faded already
-        callbacks.append(FadingNoise(task.timesteps))
-    model = learn(watch, algorithm, envs.env, lambda: fresh, callbacks, logger)
+    model = learn(watch, algorithm, envs.env, lambda: fresh, [tester], logger)
     if model is None:
         return None
     tester.model = model

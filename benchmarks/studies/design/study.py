@@ -1,245 +1,207 @@
-"""The computations behind ``python -m benchmarks design``: each returns rows of plain numbers."""
+"""The geometric optimization: the paper's table and figures, and analyses beyond them.
+
+All is computed afresh and written to ``results/design/``; --figures-only redraws from what is
+stored there. Blocks of ``docs/kinematics.md`` and ``docs/design.md`` are of the same data.
+
+table.csv               the paper's table of design results, ours beside it
+runs.csv paths.csv      the optimizer's runs (start, end, evaluations), every design they tried
+atlas.csv               A_w over (lambda1, lambda2)
+optima.csv              the best designs found, by method, and for bands of heave
+heave.csv               A_w by heave
+threshold.csv           A_w and the optimum by threshold on sigma_min
+slopes.csv              change of A_w per millimetre of each length
+tolerances.csv          A_w with all lengths off by a tolerance
+trajectory.csv          joint angles along the test trajectory
+validation.csv          what the designs do along it
+pose_model.csv          what the paper's pose model costs, by tilt
+pose_model_design.csv   the table's figures under either pose model
+maps.npz                fields over (roll, pitch, heave) behind the figures
+"""
 
 from __future__ import annotations
 
-import math
+import argparse
 import time
-from collections.abc import Callable, Sequence
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
 
-import numpy as np
+import pandas as pd
+import yaml
 
-from benchmarks.methods.geometric_design import Row
-from benchmarks.studies.design import reference as design_reference
-from coop_env import design
-from coop_env.design import DesignProblem, Optimum
-from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, RRSGeometry
-from coop_env.kinematics import rrs
-from coop_env.kinematics.rotations import angle_between, roll_pitch
-from coop_env.simulation.insertion_task import PAPER_TASK
+from benchmarks.errors import BenchmarkError, at_least
+from benchmarks.methods.geometric_design import measured_runs, run_rows, table_rows
+from benchmarks.reporting.blocks import Block
+from benchmarks.reporting.tables.geometric import design_table
+from benchmarks.reporting.tables.table import Table
+from benchmarks.runs.machine import describe
+from benchmarks.studies.base import Part, Study, Tick
+from benchmarks.studies.design import analyses
+from benchmarks.studies.design.store import DesignStore
 
-BANDS: Final = {
-    "0.20-0.22": (0.20, 0.205, 0.21, 0.215, 0.22),
-    "0.20-0.25": (0.20, 0.205, 0.21, 0.22, 0.23, 0.24, 0.25),
-    "0.21-0.25": (0.21, 0.22, 0.23, 0.24, 0.25),
+COLUMNS: Final[dict[str, dict[str, list[list[str]]]]] = yaml.safe_load(
+    Path(__file__).with_name("blocks.yaml").read_text(encoding="utf-8")
+)
+DESIGNS: Final = {
+    "nelder_mead": "Nelder-Mead",
+    "differential_evolution": "differential evolution",
+    "atlas": "best cell of the atlas",
 }
-ROBUST: Final = "0.20-0.25"
-MAP_HEAVES: Final = (0.21, 0.22, 0.23, 0.24, 0.25)
 
 
-def atlas_rows(step: float, progress: Callable[[float], None]) -> list[Row]:
-    """A_w in steps of lambda over the designs that meet the constraints."""
-    found = design.atlas(
-        lambda1=np.arange(0.5, 2.0 - 1e-9, step),
-        lambda2=np.arange(0.10, 3.40 + 1e-9, step),
-        progress=lambda done, of: progress(done / of),
+class Design(Study):
+    """The geometric optimization."""
+
+    name = "design"
+    options = {  # noqa: RUF012
+        "--runs": {"type": at_least(1), "default": 10, "help": "runs of the optimizer"},
+        "--atlas-step": {"type": float, "default": 0.02, "help": "grid of lambda, 0.005 to 0.5"},
+        "--figures-only": {"action": "store_true", "help": "redraw from stored data"},
+    }
+
+    def __init__(self, given: argparse.Namespace) -> None:
+        super().__init__(given)
+        self.store, self.began = DesignStore(self.results), time.monotonic()
+        if not 0.005 <= given.atlas_step <= 0.5:
+            raise BenchmarkError(f"--atlas-step {given.atlas_step}: must lie in 0.005 to 0.5")
+        if given.figures_only and not self.store.is_complete():
+            raise BenchmarkError(
+                f"{self.store.path} holds no study; run: python -m benchmarks study design"
+            )
+
+    def parts(self) -> Mapping[str, Part]:
+        if self.given.figures_only:
+            return {}
+        return {
+            "optimizer's runs": self._runs,
+            "atlas": self._atlas,
+            "global optimum, bands of heave": self._optima,
+            "sensitivity": self._sensitivity,
+            "test trajectory, pose models, maps": self._trajectory,
+        }
+
+    def _write(self, **rows: Any) -> None:
+        for name, found in rows.items():
+            self.store.write_rows(name, found)
+
+    def _runs(self, tick: Tick) -> None:
+        measured = measured_runs(self.given.runs, tick)
+        runs, paths = run_rows(measured)
+        self._write(table=table_rows(measured), runs=runs, paths=paths)
+
+    def _atlas(self, tick: Tick) -> None:
+        self.atlas = analyses.atlas_rows(self.given.atlas_step, tick)
+        self._write(atlas=self.atlas)
+
+    def _optima(self, tick: Tick) -> None:
+        optima = analyses.optima(self.atlas, tick)
+        self.robust = optima[f"band {analyses.ROBUST}"][0]
+        self._write(optima=analyses.optimum_rows(optima))
+
+    def _sensitivity(self, tick: Tick) -> None:
+        slopes, tolerances = analyses.tolerance_rows(self.robust)
+        self._write(
+            heave=analyses.heave_rows(self.robust), threshold=analyses.threshold_rows(),
+            slopes=slopes, tolerances=tolerances,
+        )  # fmt: skip
+
+    def _trajectory(self, tick: Tick) -> None:
+        trajectory, validation = analyses.trajectory_rows(self.robust)
+        self._write(
+            trajectory=trajectory, validation=validation, pose_model=analyses.pose_model_rows(),
+            pose_model_design=analyses.pose_model_design_rows(),
+        )  # fmt: skip
+        self.store.write_maps(analyses.map_arrays())
+        made = {"runs": self.given.runs, "atlas_step": self.given.atlas_step}
+        made["seconds"] = round(time.monotonic() - self.began, 1)
+        self.store.write_meta({**describe(), **made})
+
+    def finish(self) -> None:
+        from benchmarks.studies.design.figures import write_figures
+
+        write_figures(self.store)
+
+    @classmethod
+    def blocks(cls, results: Path) -> dict[str, Block]:
+        store = DesignStore(results)
+        if not store.is_complete():
+            return {}
+        found: dict[str, Block] = {
+            "design-table": lambda _: table(store).markdown(),
+            "design-provenance": lambda _: _provenance(store),
+        }
+        return found | {name: partial(_columns, store, name) for name in COLUMNS}
+
+    @classmethod
+    def problems(cls, results: Path) -> list[str]:
+        store = DesignStore(results)
+        if not store.is_complete():
+            return []
+        rows = {row["metric"]: row for row in store.rows("table").to_dict("records")}
+        runs, found = store.rows("runs"), []
+        for end, column in (("initial", "a_w_initial"), ("optimized", "a_w")):
+            stored, wanted = float(rows["workspace"][f"{end}_mean"]), float(runs[column].mean())
+            if abs(stored - wanted) > 1e-6:
+                found.append(
+                    f"{store.path / 'table.csv'} gives {stored:.7g} as the {end} workspace, the "
+                    f"mean of runs.csv is {wanted:.7g}"
+                )
+        return found
+
+
+def table(store: DesignStore) -> Table:
+    """The paper's table, ours beside it, with the reasons under it."""
+    return design_table(store.rows("table"), int(store.meta()["runs"]))
+
+
+def _columns(store: DesignStore, name: str, _: str) -> str:
+    return "\n\n".join(
+        _markdown(PREPARED.get(rows, lambda frame: frame)(store.rows(rows)), columns)
+        for rows, columns in COLUMNS[name].items()
     )
-    return [
-        {"lambda1": float(a), "lambda2": float(b), "a_w": float(found.value[i, j])}
-        for i, a in enumerate(found.lambda1)
-        for j, b in enumerate(found.lambda2)
-        if np.isfinite(found.value[i, j])
-    ]
 
 
-def optima(
-    atlas: Sequence[Row], progress: Callable[[float], None]
-) -> dict[str, tuple[RRSGeometry, int]]:
-    """The best designs by method at home's heave, and for each band of heave, with evaluations."""
-    problem = DesignProblem()
-    cell = max(atlas, key=lambda row: float(str(row["a_w"])))
-    lambdas = float(str(cell["lambda1"])), float(str(cell["lambda2"]))
-    found = {
-        "nelder_mead": _told(design.optimize(problem)),
-        "differential_evolution": _told(design.optimize_globally(problem, generations=20)),
-        "atlas": (problem.geometry(*lambdas), 0),
-    }
-    progress(0.4)
-    for k, (name, heaves) in enumerate(BANDS.items()):
-        band = design.at_heaves(problem, heaves)
-        rough = design.optimize_globally(band, generations=8, population=8)
-        local = design.optimize(band)
-        found[f"band {name}"] = _told(max((rough, local), key=lambda best: best.value))
-        progress(0.4 + 0.2 * (k + 1))
-    return found
+def _markdown(frame: pd.DataFrame, columns: Sequence[Sequence[str]]) -> str:
+    """Columns (key, heading, format) of a frame as a Markdown table."""
+    lines = ["| " + " | ".join(heading for _, heading, _ in columns) + " |"]
+    lines.append("|" + "|".join("---:" if form else "---" for _, _, form in columns) + "|")
+    for row in frame.to_dict("records"):
+        cells = [format(row[key], form) if form else str(row[key]) for key, _, form in columns]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
 
 
-def _told(best: Optimum) -> tuple[RRSGeometry, int]:
-    return best.geometry, best.evaluations
+def _optima(frame: pd.DataFrame) -> pd.DataFrame:
+    lengths = ["base_radius", "proximal_length", "platform_radius"]
+    return frame.assign(design=frame["design"].replace(DESIGNS), **1e3 * frame[lengths])
 
 
-def optimum_rows(found: dict[str, tuple[RRSGeometry, int]]) -> list[Row]:
-    """For each of :func:`optima`: lambdas, lengths, A_w at home and the least over each band."""
-    rows: list[Row] = []
-    given = {"initial": (INITIAL, 0), "printed optimum (fit)": (OPTIMIZED, 0)}
-    for name, (g, evaluations) in {**given, **found}.items():
-        row: Row = {"design": name}
-        row |= {f"lambda{i}": value for i, value in enumerate(g.lambdas, start=1)}
-        for length in ("base_radius", "proximal_length", "platform_radius"):
-            row[length] = getattr(g, length)
-        row |= {"evaluations": evaluations, "a_w_home": design.workspace_area(g)}
-        for band, heaves in BANDS.items():
-            row[f"a_w {band}"] = float(design.over_heaves(g, heaves).min())
-        rows.append(row)
-    return rows
+def _heave(frame: pd.DataFrame) -> pd.DataFrame:
+    """Every centimetre, and all near home."""
+    whole = (frame["heave"] * 1e4).round().astype(int) % 100 == 0
+    return frame[whole | ((frame["heave"] - 0.21).abs() < 0.006)]
 
 
-def heave_rows(robust: RRSGeometry) -> list[Row]:
-    """A_w by heave of the initial, the optimized and the robust design."""
-    heaves = np.round(np.arange(0.190, 0.2601, 0.0025), 4)
-    areas = [design.over_heaves(g, heaves) for g in (INITIAL, OPTIMIZED, robust)]
-    return [
-        {"heave": float(h), "initial": float(a), "optimized": float(b), "robust": float(c)}
-        for h, a, b, c in zip(heaves, *areas, strict=True)
-    ]
+def _range(frame: pd.DataFrame) -> pd.DataFrame:
+    ends = zip(frame["joint_low"], frame["joint_high"], strict=True)
+    return frame.assign(range=[f"[{low:.1f}, {high:.1f}]" for low, high in ends])
 
 
-def threshold_rows() -> list[Row]:
-    """A_w by threshold on sigma_min, and the optimum for each."""
-    thresholds = [0.05, 0.10, 0.15, 0.20, 0.25, 0.30, 0.40]
-    sweep = design.over_thresholds([INITIAL, OPTIMIZED], thresholds)
-    keys = ("threshold", "initial", "optimized", "reoptimized", "lambda1", "lambda2")
-    found = np.column_stack((thresholds, sweep.given, sweep.optimum, sweep.lambdas))
-    return [dict(zip(keys, row, strict=True)) for row in found.tolist()]
+# what is told of stored rows beyond their columns
+PREPARED: Final[dict[str, Callable[[pd.DataFrame], pd.DataFrame]]] = {
+    "optima": _optima,
+    "heave": _heave,
+    "threshold": lambda rows: rows.assign(gain=100.0 * (rows["optimized"] / rows["initial"] - 1.0)),
+    "validation": _range,
+    "pose_model": lambda rows: rows.assign(lost=100.0 * rows["lost"] / 180.0),
+    "pose_model_design": _range,
+}
 
 
-def tolerance_rows(robust: RRSGeometry, draws: int = 100) -> tuple[list[Row], list[Row]]:
-    """Slopes of A_w by length, and its distribution under tolerances."""
-    designs = {"initial": INITIAL, "optimized": OPTIMIZED, "robust": robust}
-    slopes: list[Row] = [{"design": name, **design.slopes(g)} for name, g in designs.items()]
-    rows: list[Row] = []
-    for name, g in designs.items():
-        for tolerance in (1e-4, 5e-4, 1e-3, 2e-3):
-            areas = design.under_tolerances(g, tolerance, draws)
-            rows.append({
-                "design": name, "tolerance_mm": 1e3 * tolerance, "mean": float(areas.mean()),
-                "std": float(areas.std(ddof=1)), "least": float(areas.min()),
-            })  # fmt: skip
-    return slopes, rows
-
-
-def trajectory_rows(robust: RRSGeometry) -> tuple[list[Row], list[Row]]:
-    """The test trajectory's poses and joint angles, and the report of each design."""
-    path = design.cone_trajectory()
-    reports = {
-        name: design.validate(g, path)
-        for name, g in (("initial", INITIAL), ("optimized", OPTIMIZED), ("robust", robust))
-    }
-    rows: list[Row] = []
-    for i in range(0, len(path.time), 4):
-        roll, pitch, heave = path.poses[i].tolist()
-        row: Row = {"time": float(path.time[i]), "roll": roll, "pitch": pitch, "heave": heave}
-        for name in ("initial", "optimized"):
-            row.update({f"q{k} {name}": float(reports[name].q[i, k]) for k in range(3)})
-        rows.append(row)
-    angles = ("joint_low", "joint_high", "excursion", "peak_rate", "peak_acceleration")
-    others = ("log_jerk", "sigma_min", "kappa_max", "forward_error")
-    summary: list[Row] = [
-        {"design": name, "valid": report.valid}
-        | {key: math.degrees(getattr(report, key)) for key in angles}
-        | {key: getattr(report, key) for key in others}
-        for name, report in reports.items()
-    ]
-    return rows, summary
-
-
-def pose_model_rows() -> list[Row]:
-    """What the paper's pose costs on the optimized design, worst over azimuth, by tilt.
-
-    The last columns command the real machine with the angles that the paper's model gives, and
-    ask forward kinematics where it goes.
-    """
-    azimuth = np.radians(np.arange(0.0, 360.0, 2.0))
-    rows: list[Row] = []
-    for tilt in (5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0):
-        lean = math.radians(tilt)
-        level = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
-        n = np.insert(math.sin(lean) * level, 2, math.cos(lean), axis=-1)
-        poses = np.concatenate([roll_pitch(n), np.full((len(azimuth), 1), 0.21)], axis=-1)
-        exact, paper = rrs.platform_pose(poses), rrs.platform_pose(poses, pose_model="paper")
-        reached = rrs.forward(rrs.inverse(poses, pose_model="paper").q, poses)
-        there = rrs.platform_pose(reached.pose)
-        off = np.linalg.norm(exact.position - paper.position, axis=-1)
-        rows.append({
-            "tilt": tilt,
-            "plane_mm": 1e3 * _worst(rrs.plane_offset(poses, pose_model="paper")),
-            "centre_mm": 1e3 * _worst(off),
-            "yaw_deg": math.degrees(_worst(rrs.parasitic(poses)[:, 2])),
-            **_hole_errors("", exact, paper),
-            "lost": int((~reached.converged).sum()),
-            **_hole_errors("reached_", there, paper),
-        })  # fmt: skip
-    return rows
-
-
-def pose_model_design_rows() -> list[Row]:
-    """The table's figures of both designs, with the mechanism's pose and with the paper's."""
-    rows: list[Row] = []
-    for model in ("exact", "paper"):
-        for name, g in GEOMETRIES.items():
-            found = design.measure(g, DesignProblem(pose_model=model))
-            rows.append({
-                "pose_model": model, "design": name, "a_w": found.area,
-                "sigma_cone": found.sigma_cone, "max_angle": math.degrees(found.max_angle),
-                "kappa_variation": 100.0 * found.kappa_variation,
-                "joint_low": math.degrees(found.joint_low),
-                "joint_high": math.degrees(found.joint_high),
-            })  # fmt: skip
-    return rows
-
-
-def _worst(values: np.ndarray) -> float:
-    return float(np.nanmax(np.abs(values)))
-
-
-def _hole_errors(prefix: str, a: rrs.PlatformPose, b: rrs.PlatformPose) -> Row:
-    """Largest distance (mm) and angle (degrees) between one hole of the dome in two poses."""
-    directions = np.array(PAPER_TASK.hole_normals)
-    normals = [np.einsum("nij,hj->nhi", pose.rotation, directions) for pose in (a, b)]
-    holes = [
-        pose.position[:, None] + PAPER_TASK.dome_radius * normal
-        for pose, normal in zip((a, b), normals, strict=True)
-    ]
-    apart = np.linalg.norm(holes[0] - holes[1], axis=-1)
-    angle = _worst(angle_between(normals[0], normals[1]))
-    return {f"{prefix}hole_mm": 1e3 * _worst(apart), f"{prefix}hole_deg": math.degrees(angle)}
-
-
-def speed_rows(repeats: int = 9) -> list[Row]:
-    """Best time of one A_w map: flood fill, full map, and numpy with batched SVD; turn about."""
-    timed: dict[str, Callable[[RRSGeometry], object]] = {
-        "A_w alone (flood fill)": design.workspace_area,
-        "full map of sigma_min and kappa": design.workspace_map,
-        "numpy, batched SVD": design_reference.workspace_map,
-    }
-    rows: list[Row] = []
-    for geometry_name, geometry in GEOMETRIES.items():
-        best = dict.fromkeys(timed, math.inf)
-        for _ in range(repeats):
-            for name, function in timed.items():
-                start = time.perf_counter()
-                function(geometry)
-                best[name] = min(best[name], time.perf_counter() - start)
-        slowest = best["numpy, batched SVD"]
-        rows += [
-            {"geometry": geometry_name, "method": name, "ms": 1e3 * s, "times_faster": slowest / s}
-            for name, s in best.items()
-        ]
-    return rows
-
-
-def map_arrays() -> dict[str, np.ndarray]:
-    """sigma_min, 1 / kappa and the component, of both designs over (heave, roll, pitch)."""
-    problem = DesignProblem()
-    arrays: dict[str, np.ndarray] = {
-        "angles_deg": np.degrees(problem.centres()).astype(np.float32),
-        "heaves": np.array(MAP_HEAVES),
-    }
-    for name, g in GEOMETRIES.items():
-        maps = [design.workspace_map(g, problem, heave=heave) for heave in MAP_HEAVES]
-        arrays[f"sigma_{name}"] = np.stack([m.sigma for m in maps]).astype(np.float16)
-        arrays[f"manipulability_{name}"] = np.stack([1.0 / m.kappa for m in maps]).astype(
-            np.float16
-        )
-        arrays[f"inside_{name}"] = np.stack([m.inside for m in maps])
-    return arrays
+def _provenance(store: DesignStore) -> str:
+    meta = store.meta()
+    return (
+        f"Computed in {meta['seconds']:.0f} s on one core of {meta['machine']['processor']}, at "
+        f"commit {str(meta['commit'])[:9]}{' with uncommitted changes' if meta['dirty'] else ''}."
+    )

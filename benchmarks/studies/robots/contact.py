@@ -1,40 +1,28 @@
 """Scripts on the contact task: success, time and force over the hole's error and over friction.
 
-    python -m benchmarks contact
+    python -m benchmarks study contact
 
 Each script's gains are the best of a grid on validation episodes of each level, by success and then
 by time, with errors up to 3 mm. The tests have errors of fixed size to any side, or as the task
 draws them, tilts up to a degree, and friction as the task draws it, or errors of 3 mm and fixed
-friction. With ``--vary`` both searches insert with other timesteps, contacts and play. Written to
-``results/contact/`` and to ``docs/physics.md``; a level that this commit measured is not measured
-again.
+friction. Last, both searches insert with other timesteps, contacts and play, and a film is drawn.
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from functools import partial
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from gymnasium.error import DependencyNotInstalled
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
-from rich.progress import TimeElapsedColumn as Elapsed
-from rich.progress import TimeRemainingColumn as Remaining
 
-from benchmarks.errors import BenchmarkError, at_least
+from benchmarks.errors import at_least
 from benchmarks.reporting.stats import wilson
-from benchmarks.reporting.verify import Report
-from benchmarks.runs.machine import describe
-from benchmarks.runs.store import write_text
-from benchmarks.studies.robots.pages import check_tables, kept, publish
+from benchmarks.reporting.tables.table import plain
+from benchmarks.studies.base import Measured, Part, Tick, source
 from benchmarks.studies.robots.trials import (
     CONDITIONS,
     EPISODES,
@@ -46,11 +34,7 @@ from benchmarks.studies.robots.trials import (
     play,
     shown,
 )
-from benchmarks.studies.speed.report import table
 
-BLOCK: Final = "contact"
-VARIED: Final = "contact-varied"
-PAGE: Final = "physics.md"
 LEVELS: Final = ("easy", "standard", "hard")
 SENSITIVE: Final = ("standard", "hard")  # a round tip finds its hole anyway
 SEARCHES: Final = ("moment-guided search", "spiral search")
@@ -83,27 +67,27 @@ def choose(level: str, name: str, episodes: int) -> dict[str, float]:
     return {key: getattr(best[1], key) for key in grid}
 
 
-def measure(level: str, episodes: int, tick: Callable[[], None]) -> Row:
+def measure(level: str, episodes: int, tick: Tick) -> Row:
     """All scripts of a level: their gains and their test episodes."""
     from benchmarks.methods.contact_scripts import SCRIPTS, Gains
     from coop_env.physics.contact.env import CoopInsertionContactEnv
 
     env = CoopInsertionContactEnv(level)
     found: Row = {}
-    for name, make in SCRIPTS.items():
+    for done, (name, make) in enumerate(SCRIPTS.items()):
         gains = choose(level, name, episodes)
-        tick()
+        tick((done + 0.5) / len(SCRIPTS))
         script = make(env, replace(Gains(), **gains))
         found[name] = {
             "gains": gains,
             "errors": [play(env, script, "test", episodes, error) for error in CONDITIONS],
             "frictions": [play(env, script, "test", episodes, TRAINED, f) for f in FRICTIONS],
         }
-        tick()
+        tick((done + 1) / len(SCRIPTS))
     return found
 
 
-def sensitivity(level: str, scripts: Row, episodes: int, tick: Callable[[], None]) -> list[Row]:
+def sensitivity(level: str, scripts: Row, episodes: int, tick: Tick) -> list[Row]:
     """The searches, as their gains were chosen, under each of :data:`VARIANTS`."""
     from benchmarks.methods.contact_scripts import SCRIPTS, Gains
     from coop_env.physics.contact.env import CoopInsertionContactEnv
@@ -116,7 +100,7 @@ def sensitivity(level: str, scripts: Row, episodes: int, tick: Callable[[], None
             script = SCRIPTS[name](env, Gains(**scripts[name]["gains"]))
             row = {"variant": variant, "script": name, "yields": yields(level, fields)}
             rows.append(row | play(env, script, "test", episodes))
-        tick()
+        tick(len(rows) / (len(VARIANTS) * len(SEARCHES)))
     return rows
 
 
@@ -136,151 +120,85 @@ def yields(level: str, fields: Row) -> float:
     return -float(min(env.batch.twin.inspect(0)[1].contact.dist, default=0.0))
 
 
-def _tables(found: Mapping[str, Any]) -> Iterator[str]:
+def _tables(parts: Mapping[str, Any]) -> Iterator[str]:
     what = "success (%) / median time of successes (s) / median peak force (N)"
-    for level, scripts in found["levels"].items():
-        yield table(
+    for level in (level for level in LEVELS if level in parts):
+        yield plain(
             f"Scripts, level `{level}`, over the hole's displacement: {what}",
             "script | " + " | ".join(map(shown, CONDITIONS)) + " | failures",
             [
                 [name, *map(in_cell, one["errors"]), causes(one["errors"])]
-                for name, one in scripts.items()
+                for name, one in parts[level].items()
             ],
         )
-    standard = found["levels"].get("standard", {})
-    yield table(
+    yield plain(
         f"Scripts, level `standard`, {TRAINED:g} mm, over friction: {what}",
         "script | " + " | ".join(f"{f:g}" for f in FRICTIONS),
-        [[name, *map(in_cell, one["frictions"])] for name, one in standard.items()],
+        [
+            [name, *map(in_cell, one["frictions"])]
+            for name, one in parts.get("standard", {}).items()
+        ],
     )
-
-
-def tell_varied(found: Mapping[str, Any]) -> str:
-    """The searches under each of :data:`VARIANTS` as Markdown."""
-    machine = found["machine"]
-    varied = table(
+    varied = {level: parts.get(f"{level}, varied", []) for level in SENSITIVE}
+    if not any(varied.values()):
+        return
+    yield plain(
         f"What the simulation assumes, varied; errors to {TRAINED:g} mm",
         "level | script | variant | success (%) / median time (s) / median peak force (N) | "
         f"largest peak (N) | rim yields at {PRESSED:g} N (mm)",
         [
             [level, row["script"], row["variant"], in_cell(row), f"{max(row['force']):.1f}",
              f"{1e3 * row['yields']:.3f}"]
-            for level, rows in found["levels"].items()
+            for level, rows in varied.items()
             for row in rows
         ],
     )  # fmt: skip
-    return (
-        f"{varied}\n\n{found['episodes']} episodes a row, as the task draws them, with the gains "
-        f"of the tables above. Command: `{found['command']}`. {machine['machine']['processor']}, "
-        f"commit {machine['commit'][:9]}."
-    )
 
 
-def tell(found: Mapping[str, Any]) -> str:
-    """The measurements as Markdown."""
-    machine, n = found["machine"], found["episodes"]
-    low, high = (100.0 * share for share in wilson(n, n))
-    chosen = "; ".join(
-        f"{level}, {name}: " + ", ".join(f"{key} {value:g}" for key, value in one["gains"].items())
-        for level, scripts in found["levels"].items()
-        for name, one in scripts.items()
-        if one["gains"]
-    )
-    return "\n\n".join(
-        [
-            *_tables(found),
+class Contact(Measured):
+    """Scripts that insert in contact."""
+
+    name, file, needs = "contact", "contact/scripts.json", ("mujoco", "physics")
+    options = {  # noqa: RUF012
+        "--episodes": {"type": at_least(2), "default": EPISODES, "help": "episodes of each cell"},
+    }
+
+    def asked(self) -> dict[str, Any]:
+        from benchmarks.methods.contact_scripts import Gains
+
+        return super().asked() | {"defaults": asdict(Gains())}
+
+    def measures(self) -> dict[str, Part]:
+        n, kept = self.given.episodes, self.found["parts"]
+        return {
+            **{level: partial(measure, level, n) for level in LEVELS},
+            **{
+                f"{level}, varied": lambda tick, of=level: sensitivity(of, kept[of], n, tick)  # type: ignore[misc]
+                for level in SENSITIVE
+            },
+        }
+
+    def finish(self) -> None:
+        from benchmarks.methods.contact_scripts import Gains
+        from benchmarks.studies.robots.film import write_film
+
+        script = self.found["parts"]["standard"].get("moment-guided search", {"gains": {}})
+        write_film(self.folder, replace(Gains(), **script["gains"]))
+
+    @staticmethod
+    def tell(found: dict[str, Any]) -> str:
+        parts, n = found["parts"], found["asked"]["episodes"]
+        low, high = (100.0 * share for share in wilson(n, n))
+        chosen = "; ".join(
+            f"{level}, {name}: "
+            + ", ".join(f"{key} {value:g}" for key, value in one["gains"].items())
+            for level in (level for level in LEVELS if level in parts)
+            for name, one in parts[level].items()
+            if one["gains"]
+        )
+        note = (
             f"{n} episodes a cell (all of them successful: {low:.0f} to {high:.0f} %, 95 % "
             f"interval); to {TRAINED:g} mm errors are as the task draws them. "
-            f"Gains chosen: {chosen}. Command: `{found['command']}`. "
-            f"{machine['machine']['processor']}, commit {machine['commit'][:9]}.",
-        ]
-    )
-
-
-def main(words: Sequence[str]) -> int:
-    """Measure, print, write ``contact/`` below the results folder and the block of the docs."""
-    line = argparse.ArgumentParser(
-        prog="python -m benchmarks contact",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    line.add_argument("--results", type=Path, default=Path("results"))
-    line.add_argument("--docs", type=Path, default=Path("docs"), help=f"folder of {PAGE}")
-    line.add_argument("--episodes", type=at_least(2), default=EPISODES, help="of each cell")
-    line.add_argument(
-        "--film", action="store_true", help="draw a video of one insertion, and no more"
-    )
-    line.add_argument("--vary", action="store_true", help="vary what is assumed, and no more")
-    line.add_argument("--levels", nargs="+", choices=LEVELS, default=list(LEVELS))
-    given = line.parse_args(list(words))
-    try:
-        from benchmarks.methods.contact_scripts import SCRIPTS, Gains
-    except DependencyNotInstalled as missing:
-        raise BenchmarkError(str(missing)) from missing
-    console, path = Console(soft_wrap=True), given.results / "contact" / "scripts.json"
-    if given.film:
-        return _film(path, console)
-    if given.vary:
-        return _vary(path, given, words, console)
-    commit = describe()["commit"]  # what another one measured is measured again
-    asked = {"episodes": given.episodes, "defaults": asdict(Gains()), "commit": commit}
-    found = kept(path, asked, {"levels": {}})
-    found |= {
-        "command": " ".join(["python -m benchmarks contact", *words]),
-        "machine": describe(),
-        "episodes": given.episodes,
-    }
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), Elapsed(), Remaining())
-    with Progress(*columns, console=console, refresh_per_second=2) as progress:
-        for level in given.levels:
-            if level not in found["levels"]:
-                task = progress.add_task(level, total=2 * len(SCRIPTS))
-                tick = partial(progress.advance, task)
-                found["levels"][level] = measure(level, given.episodes, tick)
-                write_text(path, json.dumps(found) + "\n")
-    publish(path, tell(found), given.docs / PAGE, BLOCK, console)
-    return 0
-
-
-def _vary(path: Path, given: Any, words: Sequence[str], console: Console) -> int:
-    """The searches, with the gains that were stored, under each of :data:`VARIANTS`.
-
-    Raises:
-        BenchmarkError: no gains are stored.
-    """
-    if not path.is_file():
-        raise BenchmarkError(f"{path} is missing: run python -m benchmarks contact first")
-    stored = json.loads(path.read_text(encoding="utf-8"))["levels"]
-    found: Row = {
-        "command": " ".join(["python -m benchmarks contact", *words]),
-        "machine": describe(),
-        "episodes": given.episodes,
-        "levels": {},
-    }
-    with Progress(console=console, refresh_per_second=2) as progress:
-        for level in (level for level in SENSITIVE if level in given.levels and level in stored):
-            tick = partial(progress.advance, progress.add_task(level, total=len(VARIANTS)))
-            found["levels"][level] = sensitivity(level, stored[level], given.episodes, tick)
-    path = path.with_name("varied.json")
-    write_text(path, json.dumps(found) + "\n")
-    publish(path, tell_varied(found), given.docs / PAGE, VARIED, console)
-    return 0
-
-
-def _film(path: Path, console: Console) -> int:
-    """A film of the moment-guided search, with the gains that were stored."""
-    from benchmarks.methods.contact_scripts import Gains
-    from benchmarks.studies.robots.film import write_film
-
-    stored = json.loads(path.read_text(encoding="utf-8"))["levels"] if path.is_file() else {}
-    gains = stored.get("standard", {}).get("moment-guided search", {}).get("gains", {})
-    console.print("Drawing: some ten seconds", markup=False)
-    for written in write_film(path.parent, replace(Gains(), **gains)):
-        console.print(f"{written}  {written.stat().st_size / 1000:.0f} kB", markup=False)
-    return 0
-
-
-def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
-    """Verify that the tables, here and in the docs, follow from the stored episodes."""
-    check_tables(report, results / "contact/scripts.json", tell, docs / PAGE, BLOCK)
-    check_tables(report, results / "contact/varied.json", tell_varied, docs / PAGE, VARIED)
+            f"Gains chosen: {chosen}. {source(found)}"
+        )
+        return "\n\n".join([*_tables(parts), note])

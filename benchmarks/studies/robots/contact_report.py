@@ -51,11 +51,11 @@ def _equal(column: pd.Series[Any], value: float | None) -> pd.Series[bool]:
 
 
 def _scripts(results: Results, level: str) -> dict[str, Any]:
-    """The scripts' episodes of a level, where ``python -m benchmarks contact`` has stored them."""
+    """The scripts' episodes of a level, where the study ``contact`` has stored them."""
     path = results.root / "contact" / "scripts.json"
     if not path.is_file():
         return {}
-    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))["levels"]
+    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))["parts"]
     return found.get(level, {})
 
 

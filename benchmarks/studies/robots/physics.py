@@ -6,31 +6,22 @@ actions are random, drawn beforehand, with a bias downwards so that the peg meet
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from gymnasium.error import DependencyNotInstalled
 
-from benchmarks.errors import BenchmarkError, at_least
-from benchmarks.reporting.pages import blocks
-from benchmarks.reporting.verify import Report
-from benchmarks.runs.machine import describe
-from benchmarks.runs.store import write_text
-from benchmarks.studies.robots.pages import check_tables
-from benchmarks.studies.speed import report
+from benchmarks.errors import at_least
+from benchmarks.reporting.tables.table import plain
+from benchmarks.studies.base import Measured, Part, source
+from benchmarks.studies.speed.timing import in_turns, options, resident_mb
 from coop_env.geometry import GEOMETRIES
 
 if TYPE_CHECKING:
     from coop_env.physics.contact.env import CoopInsertionContactEnv
     from coop_env.physics.contact.vector_env import CoopInsertionContactVectorEnv
 
-BLOCK: Final = "physics"
-PAGE: Final = "physics.md"
 BATCH: Final = 16
 SINGLE: Final = "single"
 ENGINE: Final = "engine alone, as many timesteps"
@@ -122,7 +113,7 @@ def measure_speed(steps: int, rounds: int) -> dict[str, float]:
         },
         ENGINE: engine,
     }
-    return {name: steps / each for name, each in report.in_turns(loops, rounds).items()}
+    return {name: steps / each for name, each in in_turns(loops, rounds).items()}
 
 
 def measure_memory(steps: int) -> float:
@@ -133,95 +124,74 @@ def measure_memory(steps: int) -> float:
     chunk = max(1, steps // 10)
     loop = _single_loop(env, chunk)
     loop()
-    before = report.resident_mb()
+    before = resident_mb()
     for _ in range(10):
         loop()
-    return report.resident_mb() - before
+    return resident_mb() - before
 
 
-def tell(found: dict[str, Any]) -> str:
-    """The measurements as Markdown."""
-    machine, rate = found["machine"], found["steps_per_second"]
-    rows = []
-    for geometry, errors in found["errors"].items():
-        for name, error in errors.items():
-            unit, factor, goal = ERRORS[name]
-            median, largest = (f"{factor * error[which]:.2g}" for which in ("median", "largest"))
-            wanted = "" if goal is None else f"{goal:g}"
-            rows.append([geometry, f"{NAMES[name]}, {unit}", median, largest, wanted])
-    per_core = {name: rate[name] / rate[SINGLE] for name in BATCHES}
-    speeds = [
-        [name, f"{value:,.0f}", f"{per_core[name]:.2f}" if name in per_core else "",
-         f"{STEPS_PER_SECOND:,.0f}" if name == SINGLE else f"{PER_CORE} of single"
-         if name in per_core else ""]
-        for name, value in rate.items()
-    ]  # fmt: skip
-    return "\n\n".join(
-        [
-            report.table(
-                f"Twin against kinematics, {found['poses']:,} random valid poses",
-                "geometry | error | median | largest | goal, at most",
-                rows,
-            ),
-            report.table(
-                "Control steps a CPU second (one is 25 timesteps)",
-                "form | steps/s | per core, of single | goal, at least",
-                speeds,
-            ),
-            f"Memory over {found['memory_steps']:,} control steps: {found['memory_mb']:+.1f} MB. "
-            f"Command: `{found['command']}`. {machine['machine']['processor']}, load "
-            f"{found['load']:.1f}, commit {machine['commit'][:9]}, MuJoCo {found['mujoco']}; speed "
-            f"is the median of {found['rounds']} rounds of {found['steps']:,} control steps.",
-        ]
-    )
+class Physics(Measured):
+    """The twin: its errors, its speed, its model folder."""
 
-
-def main(words: Sequence[str]) -> int:
-    """Measure, print, write ``physics/`` below the results folder and the block of the docs."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks physics", description=__doc__)
-    add = parser.add_argument
-    add("--results", type=Path, default=Path("results"))
-    add("--docs", type=Path, default=Path("docs"), help=f"folder of {PAGE}")
-    add("--poses", type=at_least(1), default=1000, help="for each geometry")
-    add("--steps", type=at_least(BATCH), default=800, help="control steps per round")
-    add("--rounds", type=at_least(1), default=7)
-    add("--memory-steps", type=at_least(10), default=20_000)
-    given = parser.parse_args(list(words))
-    try:
-        from coop_env.physics.engine import mujoco
-    except DependencyNotInstalled as missing:
-        raise BenchmarkError(str(missing)) from missing
-    from coop_env.physics.model import Machine
-    from coop_env.physics.model_folder import save_model
-
-    folder = given.results / "physics"
-    found: dict[str, Any] = {
-        "command": " ".join(["python -m benchmarks physics", *words]),
-        "machine": describe(),
-        "mujoco": mujoco.__version__,
-        "poses": given.poses,
-        "steps": given.steps,
-        "rounds": given.rounds,
-        "memory_steps": given.memory_steps,
-        "errors": {
-            name: report.measured(f"errors, {name}", measure_errors, name, given.poses)
-            for name in GEOMETRIES
+    name, file, needs = "physics", "physics/physics.json", ("mujoco", "physics")
+    options = {  # noqa: RUF012
+        "--poses": {"type": at_least(1), "default": 1000, "help": "poses of each geometry"},
+        **options(steps=800, rounds=7),
+        "--memory-steps": {
+            "type": at_least(10), "default": 20_000, "help": "control steps of the memory test",
         },
-        "load": os.getloadavg()[0],
-        "steps_per_second": report.measured("speed", measure_speed, given.steps, given.rounds),
-        "memory_mb": report.measured("memory", measure_memory, given.memory_steps),
-    }
-    write_text(folder / "physics.json", json.dumps(found, indent=1) + "\n")
-    write_text(folder / "physics.md", tell(found) + "\n")
-    save_model(Machine(), folder / "model")
-    page = given.docs / PAGE
-    if page.is_file():
-        blocks.rewrite(page, lambda text: blocks.fill(text, BLOCK, lambda _: tell(found)))
-    print(tell(found))
-    print(f"Written to {folder}")
-    return 0
+    }  # fmt: skip
 
+    def measures(self) -> dict[str, Part]:
+        given = self.given
+        return {
+            **{
+                f"errors, {name}": lambda _, of=name: measure_errors(of, given.poses)  # type: ignore[misc]
+                for name in GEOMETRIES
+            },
+            "load": lambda _: os.getloadavg()[0],
+            "speed": lambda _: measure_speed(given.steps, given.rounds),
+            "memory": lambda _: measure_memory(given.memory_steps),
+        }
 
-def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
-    """Verify that the tables, here and in the docs, follow from what was measured."""
-    check_tables(report, results / "physics/physics.json", tell, docs / PAGE, BLOCK)
+    def finish(self) -> None:
+        from coop_env.physics.model import Machine
+        from coop_env.physics.model_folder import save_model
+
+        save_model(Machine(), self.folder / "model")
+
+    @staticmethod
+    def tell(found: dict[str, Any]) -> str:
+        asked, parts = found["asked"], found["parts"]
+        rows = []
+        for geometry in GEOMETRIES:
+            for name, error in parts[f"errors, {geometry}"].items():
+                unit, factor, goal = ERRORS[name]
+                median, largest = (f"{factor * error[of]:.2g}" for of in ("median", "largest"))
+                wanted = "" if goal is None else f"{goal:g}"
+                rows.append([geometry, f"{NAMES[name]}, {unit}", median, largest, wanted])
+        rate, load = parts["speed"], f", load {parts['load']:.1f}"
+        per_core = {name: rate[name] / rate[SINGLE] for name in BATCHES}
+        speeds = [
+            [name, f"{value:,.0f}", f"{per_core[name]:.2f}" if name in per_core else "",
+             f"{STEPS_PER_SECOND:,.0f}" if name == SINGLE else f"{PER_CORE} of single"
+             if name in per_core else ""]
+            for name, value in rate.items()
+        ]  # fmt: skip
+        return "\n\n".join(
+            [
+                plain(
+                    f"Twin against kinematics, {asked['poses']:,} random valid poses",
+                    "geometry | error | median | largest | goal, at most",
+                    rows,
+                ),
+                plain(
+                    "Control steps a CPU second (one is 25 timesteps)",
+                    "form | steps/s | per core, of single | goal, at least",
+                    speeds,
+                ),
+                f"Memory over {asked['memory_steps']:,} control steps: {parts['memory']:+.1f} MB. "
+                f"{source(found, load)} Speed is the median of "
+                f"{asked['rounds']} rounds of {asked['steps']:,} control steps.",
+            ]
+        )

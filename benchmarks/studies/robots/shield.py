@@ -1,23 +1,21 @@
 """What the shield is worth: a certificate over the lattice, an adversary, and its price.
 
-    python -m benchmarks shield
+    python -m benchmarks study shield
 
 The lattice through one start state is looked at in full, and so many others in a sample: no move
 that the shield allows may harm the nominal machine, on its way or at its end. Then the machine errs
 (`SimToReal`), and an adversary takes of the allowed moves one with the least margins left. Last,
 random, adversarial and learned policies play validation starts with and without the shield: its
-interventions, and what it costs, in moves and (with MuJoCo) by increments in contact. Written to
-``results/shield/`` and to ``docs/shield.md``. With ``--machines`` it is random machines instead
-whose moves are looked at, and machines at the corners of their errors' bounds.
+interventions, and what it costs, in moves and (with MuJoCo) by increments in contact. Random
+machines are looked at too, and the worst within the bounds of their errors.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from functools import partial
 from itertools import product
@@ -27,29 +25,19 @@ from typing import Any, Final
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn
-from rich.progress import TimeElapsedColumn as Elapsed
-from rich.progress import TimeRemainingColumn as Remaining
 
 from benchmarks.errors import BenchmarkError, at_least
 from benchmarks.evaluation.evaluate import model_policy
 from benchmarks.evaluation.model_files import load_model
 from benchmarks.protocol.seeding import derive, episode_seeds
-from benchmarks.reporting.verify import Report
-from benchmarks.runs.machine import describe
-from benchmarks.runs.store import write_text
-from benchmarks.studies.robots import shield_machines
-from benchmarks.studies.robots.pages import check_tables, kept, publish
-from benchmarks.studies.robots.shield_machines import ERRORS
+from benchmarks.reporting.tables.table import plain
+from benchmarks.studies.base import Measured, Part, Tick, source
+from benchmarks.studies.robots.shield_machines import CONFIGURATIONS, ERRORS, at_the_margin, search
 from benchmarks.studies.robots.trials import LEVEL, inserter, play
-from benchmarks.studies.speed.report import table
 from coop_env import CoopInsertionEnv, SimToReal
 from coop_env.shield import KinematicShield, ShieldMargin, ShieldWrapper
 from coop_env.shield.certificate import NOTHING, certify_lattice, check_product, lattice
 
-BLOCK: Final = "shield"
-PAGE: Final = "shield.md"
 TASK: Final[dict[str, Any]] = {"reward": "progress"}
 SAMPLE: Final = 30  # points of each robot, of a sampled lattice
 LADDER: Final = (1.3, 1.7, 2.2, 3.0, 4.0)  # the adversary measures what is left in margins
@@ -61,7 +49,6 @@ LEARNED: Final = {
 
 Masks = NDArray[np.bool_]
 Choice = Callable[[NDArray[Any], Masks, Any], int]
-Tick = Callable[[float], None]
 
 
 class Adversary:
@@ -258,58 +245,6 @@ def _rng(seed: int) -> np.random.Generator:
     return np.random.default_rng(derive("fresh", 15, seed))
 
 
-def tell(found: dict[str, Any]) -> str:
-    """The measurements as Markdown."""
-    machine, asked, parts = found["machine"], found["asked"], found["parts"]
-    names = {"full": "one start's, in full", "sampled": f"{asked['phases']:,} starts', sampled"}
-    looked = [
-        [names[key], *(f"{one[what]:,}" for what in ("points", "moves", "harmful", "dead_ends"))]
-        for key, one in parts["certificate"].items()
-    ]
-    harms = [
-        [name, "yes" if way == "shielded" else "no"]
-        + [f"{parts[f'{name}: {way}'][what]:,}" for what in ("moves", "collisions", "singular")]
-        for name in ERRORS
-        for way in ("bare", "shielded")
-    ]
-    costs = [
-        [row["policy"], row["masks"], "yes" if row["shield"] else "no",
-         *_numbers(row, success=1, holes=2, time=1, harm=2, interventions=1)]
-        for row in parts["prices"]
-    ]  # fmt: skip
-    touched = [
-        [row["policy"], "yes" if row["shield"] else "no",
-         *_numbers(row, success=1, harm=2, interventions=1)]
-        for row in parts["contact"]
-    ]  # fmt: skip
-    margin = ", ".join(f"{name} {value:.3g}" for name, value in asked["margin"].items())
-    return "\n\n".join(
-        [
-            table(
-                "Certificate: moves that the shield allows, on the nominal machine",
-                "lattice | configurations | moves | harmful | dead ends", looked,
-            ),
-            table(
-                "An adversary on machines that err, by the bounds of their errors",
-                "errors | shield | moves | collisions | singular", harms,
-            ),
-            table(
-                f"Price: {asked['seeds']} seeds, {asked['episodes']} validation starts each",
-                "policy | its masks | shield | success (%) | holes | time to the first (s) | "
-                "harmful moves | interventions", costs,
-            ),
-            table(
-                f"The same in contact, level `{LEVEL}`, by increments",
-                "policy | shield | success (%) | force or snap | interventions", touched,
-            ),
-            f"Mean ± std over seeds, of means an episode; a harmful move collides, or ends the "
-            f"episode by a singularity. Margins (rad, m): {margin}. Command: "
-            f"`{found['command']}`. {machine['machine']['processor']}, commit "
-            f"{machine['commit'][:9]}.",
-        ]
-    )  # fmt: skip
-
-
 def _numbers(row: dict[str, Any], **digits: int) -> list[str]:
     """Mean and standard deviation over seeds, with so many digits of each."""
     return [
@@ -320,62 +255,115 @@ def _numbers(row: dict[str, Any], **digits: int) -> list[str]:
     ]
 
 
-def main(words: Sequence[str]) -> int:
-    """Measure, print, write ``shield/`` below the results folder and the block of the docs."""
-    line = argparse.ArgumentParser(
-        prog="python -m benchmarks shield", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
-    add = line.add_argument
-    add("--results", type=Path, default=Path("results"))
-    add("--docs", type=Path, default=Path("docs"), help=f"folder of {PAGE}")
-    add("--phases", type=at_least(1), default=1000, help="sampled lattices")
-    add("--moves", type=at_least(1), default=1_000_000, help="of the adversary, for each machine")
-    add("--episodes", type=at_least(1), default=20, help="for each policy and seed")
-    add("--seeds", type=at_least(2), default=5)
-    add("--full", action=argparse.BooleanOptionalAction, default=True, help="one lattice in full")
-    add("--machines", type=at_least(1), help="look at so many random machines, and at no more")
-    given = line.parse_args(list(words))
-    if given.machines is not None:
-        return shield_machines.measure(given.machines, given.results, given.docs, words)
-    folder, console = given.results / "shield", Console(soft_wrap=True)
-    asked = {
-        name: getattr(given, name) for name in ("phases", "moves", "episodes", "seeds", "full")
-    }
-    asked |= {"margin": asdict(ShieldMargin()), "commit": describe()["commit"]}
-    found = kept(folder / "shield.json", asked, {"parts": {}})
-    found |= {"command": " ".join(["python -m benchmarks shield", *words]), "machine": describe()}
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), Elapsed(), Remaining())
-    with Progress(*columns, console=console, refresh_per_second=2) as progress:
-        for name, measure in _parts(given).items():
-            if name not in found["parts"]:
-                task = progress.add_task(name, total=1.0)
-                tick = partial(_advance, progress, task)
-                found["parts"][name] = measure(tick)
-                write_text(folder / "shield.json", json.dumps(found, indent=1) + "\n")
-    publish(folder / "shield.json", tell(found), given.docs / PAGE, BLOCK, console)
-    return 0
+def _other_machines(parts: dict[str, Any]) -> Iterator[str]:
+    if "machines" in parts:
+        yield plain(
+            "Random machines: moves that the shield allows where the robots may meet",
+            "machines | moves | harmful",
+            [[f"{parts['machines'][key]:,}" for key in ("machines", "moves", "harmful")]],
+        )
+        yield plain(
+            "The worst machine within the bounds of its errors, its model at the margin",
+            "errors | configurations | harmed",
+            [
+                [name, f"{one['configurations']:,}", f"{one['harmed']:,}"]
+                for name in ERRORS
+                for one in [parts[f"{name}: margin"]]
+            ],
+        )
 
 
-def _advance(progress: Progress, task: TaskID, share: float) -> None:
-    progress.update(task, completed=share)
+class Shield(Measured):
+    """The shield: its certificate, an adversary, its price, other machines."""
 
+    name, file = "shield", "shield/shield.json"
+    options = {  # noqa: RUF012
+        "--phases": {"type": at_least(1), "default": 1000, "help": "sampled lattices"},
+        "--moves": {
+            "type": at_least(1), "default": 1_000_000, "help": "the adversary's, on each machine",
+        },
+        "--episodes": {"type": at_least(1), "default": 20, "help": "of each policy and seed"},
+        "--seeds": {"type": at_least(2), "default": 5, "help": "number of seeds"},
+        "--full": {
+            "action": argparse.BooleanOptionalAction, "default": True,
+            "help": "one lattice in full",
+        },
+        "--machines": {"type": at_least(1), "default": 20, "help": "random machines"},
+    }  # fmt: skip
 
-def _parts(given: argparse.Namespace) -> dict[str, Callable[[Tick], Any]]:
-    """The measurements by name; each is stored as it is done."""
-    parts: dict[str, Callable[[Tick], Any]] = {
-        "prices": lambda tick: prices(given.results, given.episodes, given.seeds, tick),
-        "contact": lambda tick: in_contact(given.results, given.episodes, given.seeds, tick),
-        "certificate": lambda tick: certificates(given.phases, given.full, tick),
-    }
-    bare = max(1, given.moves // 100)
-    for name, real in ERRORS.items():
-        parts[f"{name}: bare"] = partial(harm_of, real, bare, False)
-        parts[f"{name}: shielded"] = partial(harm_of, real, given.moves, True)
-    return parts
+    def asked(self) -> dict[str, Any]:
+        return super().asked() | {"margin": asdict(ShieldMargin())}
 
+    def measures(self) -> dict[str, Part]:
+        given = self.given
+        sample = (given.results, given.episodes, given.seeds)
+        bare = max(1, given.moves // 100)
+        return {
+            "prices": partial(prices, *sample),
+            "contact": partial(in_contact, *sample),
+            "certificate": partial(certificates, given.phases, given.full),
+            **{
+                f"{name}: {way}": partial(harm_of, real, *of_way)
+                for name, real in ERRORS.items()
+                for way, of_way in {"bare": (bare, False), "shielded": (given.moves, True)}.items()
+            },
+            "machines": partial(search, given.machines),
+            **{
+                f"{name}: margin": lambda _, of=real: at_the_margin(of, CONFIGURATIONS)  # type: ignore[misc]
+                for name, real in ERRORS.items()
+            },
+        }
 
-def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
-    """Verify that the tables, here and in the docs, follow from what was measured."""
-    check_tables(report, results / "shield/shield.json", tell, docs / PAGE, BLOCK)
-    shield_machines.check(report, results, docs)
+    @staticmethod
+    def tell(found: dict[str, Any]) -> str:
+        """The measurements as Markdown."""
+        asked, parts = found["asked"], found["parts"]
+        names = {"full": "one start's, in full", "sampled": f"{asked['phases']:,} starts', sampled"}
+        looked = [
+            [
+                names[key],
+                *(f"{one[what]:,}" for what in ("points", "moves", "harmful", "dead_ends")),
+            ]
+            for key, one in parts["certificate"].items()
+        ]
+        harms = [
+            [name, "yes" if way == "shielded" else "no"]
+            + [f"{parts[f'{name}: {way}'][what]:,}" for what in ("moves", "collisions", "singular")]
+            for name in ERRORS
+            for way in ("bare", "shielded")
+        ]
+        costs = [
+            [row["policy"], row["masks"], "yes" if row["shield"] else "no",
+             *_numbers(row, success=1, holes=2, time=1, harm=2, interventions=1)]
+            for row in parts["prices"]
+        ]  # fmt: skip
+        touched = [
+            [row["policy"], "yes" if row["shield"] else "no",
+             *_numbers(row, success=1, harm=2, interventions=1)]
+            for row in parts["contact"]
+        ]  # fmt: skip
+        margin = ", ".join(f"{name} {value:.3g}" for name, value in asked["margin"].items())
+        return "\n\n".join(
+            [
+                plain(
+                    "Certificate: moves that the shield allows, on the nominal machine",
+                    "lattice | configurations | moves | harmful | dead ends", looked,
+                ),
+                plain(
+                    "An adversary on machines that err, by the bounds of their errors",
+                    "errors | shield | moves | collisions | singular", harms,
+                ),
+                plain(
+                    f"Price: {asked['seeds']} seeds, {asked['episodes']} validation starts each",
+                    "policy | its masks | shield | success (%) | holes | time to the first (s) | "
+                    "harmful moves | interventions", costs,
+                ),
+                plain(
+                    f"The same in contact, level `{LEVEL}`, by increments",
+                    "policy | shield | success (%) | force or snap | interventions", touched,
+                ),
+                *_other_machines(parts),
+                f"Mean ± std over seeds, of means an episode; a harmful move collides, or ends the "
+                f"episode by a singularity. Margins (rad, m): {margin}. {source(found)}",
+            ]
+        )  # fmt: skip

@@ -7,24 +7,15 @@ asked where the shield's model stands at the margin.
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Sequence
 from itertools import product
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import Progress
 
 from benchmarks.protocol.seeding import derive
-from benchmarks.reporting.verify import Report
-from benchmarks.runs.machine import describe
-from benchmarks.runs.store import write_text
-from benchmarks.studies.robots.pages import check_tables, publish
-from benchmarks.studies.speed.report import table
+from benchmarks.studies.base import Tick
 from coop_env import CoopInsertionEnv, SimToReal
 from coop_env.errors import ResetOptionError
 from coop_env.geometry import DELTA, OPTIMIZED
@@ -34,7 +25,6 @@ from coop_env.simulation import dynamics
 from coop_env.simulation.insertion_task import PAPER_TASK
 from coop_env.simulation.state import VALID
 
-Tick = Callable[[float], None]
 Floats = NDArray[np.float64]
 
 ERRORS: Final = {
@@ -48,8 +38,6 @@ ERRORS: Final = {
 }  # fmt: skip
 """Bounds of what the machine does not know of itself: base, its tilt, lengths, joints."""
 
-BLOCK: Final = "shield-machines"
-PAGE: Final = "shield.md"
 MOVES: Final = 10_000  # of each machine
 CONFIGURATIONS: Final = 2_000  # at the margin
 LOOKS: Final = 23  # at each way
@@ -169,50 +157,3 @@ def _status(env: CoopInsertionEnv, base: Floats, longer: float) -> int:
          d.base_radius, d.effector_radius, d.proximal_length, d.distal_length]
     )  # fmt: skip
     return int(dynamics.settle(states[0], env.params))
-
-
-def tell(found: dict[str, Any]) -> str:
-    """The measurements as Markdown."""
-    searched, machine = found["search"], found["machine"]
-    return "\n\n".join(
-        [
-            table(
-                "Random machines: moves that the shield allows where the robots may meet",
-                "machines | moves | harmful",
-                [[f"{searched[key]:,}" for key in ("machines", "moves", "harmful")]],
-            ),
-            table(
-                "The worst machine within the bounds of its errors, its model at the margin",
-                "errors | configurations | harmed",
-                [
-                    [name, f"{one['configurations']:,}", f"{one['harmed']:,}"]
-                    for name, one in found["at the margin"].items()
-                ],
-            ),
-            f"Command: `{found['command']}`. {machine['machine']['processor']}, commit "
-            f"{machine['commit'][:9]}.",
-        ]
-    )
-
-
-def measure(machines: int, results: Path, docs: Path, words: Sequence[str]) -> int:
-    """Look at random machines and at the corners of the bounds; print and write what was found."""
-    path, console = results / "shield" / "machines.json", Console(soft_wrap=True)
-    found: dict[str, Any] = {
-        "command": " ".join(["python -m benchmarks shield", *words]),
-        "machine": describe(),
-    }
-    with Progress(console=console, refresh_per_second=2) as progress:
-        task = progress.add_task("random machines", total=1.0)
-        found["search"] = search(machines, lambda share: progress.update(task, completed=share))
-        found["at the margin"] = {
-            name: at_the_margin(real, CONFIGURATIONS) for name, real in ERRORS.items()
-        }
-    write_text(path, json.dumps(found, indent=1) + "\n")
-    publish(path, tell(found), docs / PAGE, BLOCK, console)
-    return 0
-
-
-def check(report: Report, results: Path, docs: Path) -> None:
-    """Verify that the tables, here and in the docs, follow from what was measured."""
-    check_tables(report, results / "shield/machines.json", tell, docs / PAGE, BLOCK)

@@ -1,52 +1,41 @@
 """Policies and planners of the kinematic task in the simulated machine: the sim-to-sim table.
 
-    python -m benchmarks transfer
+    python -m benchmarks study transfer
 
 The exact optimum, RRT-Connect, and under the same masks with the same memory the two-move lookahead
 and Rainbow's stored policies play the same test starts in the kinematic task, in the twin without
 errors of the machine, in the twin with them, and there with a script or a learner that inserts
 where they have arrived. Plans are made on the nominal model, run open loop, and made anew for each
 hole; a player stops where a plan does not bring it to its hole.
-The scripts have the gains that ``python -m benchmarks contact`` chose; what has learned to insert
-is of preset ``contact``, a policy for each seed. Written to ``results/transfer/`` and to
-``docs/physics.md``; a cell that this commit measured is not measured again.
+The scripts have the gains that the study ``contact`` chose; what has learned to insert is of preset
+``contact``, a policy for each seed.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from shlex import quote
 from typing import Any, Final
 
 import numpy as np
-from gymnasium.error import DependencyNotInstalled
-from rich.console import Console
-from rich.progress import Progress
 
-from benchmarks.errors import BenchmarkError, at_least
+from benchmarks.errors import at_least
 from benchmarks.methods.controls import Choose, control
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.reporting.stats import wilson
-from benchmarks.reporting.verify import Report
-from benchmarks.runs.machine import describe
-from benchmarks.runs.store import write_text
-from benchmarks.studies.robots.pages import check_tables, kept, publish
+from benchmarks.reporting.tables.table import plain
+from benchmarks.studies.base import Measured, Part, Tick, source
 from benchmarks.studies.robots.trials import LEVEL, inserter
-from benchmarks.studies.speed.report import table
 from coop_env.env import CoopInsertionEnv
 
-BLOCK: Final = "transfer"
-PAGE: Final = "physics.md"
 PRESET: Final = "cut"
 SEEDS: Final = 5
 EPISODES: Final = 10  # of each seed
@@ -210,20 +199,24 @@ class Watched(Episode):
         return info
 
 
-def _tables(cells: Mapping[str, Mapping[str, Row]]) -> Iterator[str]:
-    names = [name for name in PLAYERS if name in cells]
-    worlds = [world for world in WORLDS if any(world in cells[name] for name in names)]
-    shown: dict[str, Callable[[Row], str]] = {
+def _cell(name: str, world: str, results: Path, episodes: int, tick: Tick) -> Row:
+    """A cell, in a process of its own: OMPL takes one seed per process."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(measure, name, world, results, episodes).result()
+
+
+def _tables(parts: Mapping[str, Row]) -> Iterator[str]:
+    said: dict[str, Callable[[Row], str]] = {
         "Success (%) / first hole filled (%) / holes filled": _shares,
         "Why the first hole was not filled, episodes": _causes,
         "Median time of the first hole (s) / median peak force (N)": _medians,
     }
-    for title, cell in shown.items():
+    for title, cell in said.items():
         rows = [
-            [name, *(cell(cells[name][w]) if w in cells[name] else "-" for w in worlds)]
-            for name in names
+            [name, *(cell(parts[key]) for world in WORLDS if (key := f"{name}: {world}") in parts)]
+            for name in PLAYERS
         ]
-        yield table(title, " | ".join(["player", *worlds]), rows)
+        yield plain(title, " | ".join(["player", *WORLDS]), rows)
 
 
 def _shares(row: Row) -> str:
@@ -242,76 +235,34 @@ def _medians(row: Row) -> str:
     return f"{time} / {np.median(row['force']):.1f}"
 
 
-def tell(found: Mapping[str, Any]) -> str:
-    """The measurements as Markdown."""
-    machine, n = found["machine"], SEEDS * found["asked"]["episodes"]
-    low, high = (100.0 * share for share in wilson(n, n))
-    return "\n\n".join(
-        [
-            *_tables(found["cells"]),
-            f"{n} episodes a cell, on the same test starts for all (all of them successful: "
-            f"{low:.0f} to {high:.0f} %, 95 % interval); success: at least one hole. Without a "
-            "script (+) a hole counts as in the kinematic task, within its tolerance; with one "
-            "when the peg is 10 mm deep in the bore. "
-            f"Command: `{found['command']}`. {machine['machine']['processor']}, commit "
-            f"{machine['commit'][:9]}.",
-        ]
-    )
+class Transfer(Measured):
+    """Players of the kinematic task in the twin."""
 
+    name, file, needs = "transfer", "transfer/transfer.json", ("mujoco", "ompl", "physics")
+    options = {  # noqa: RUF012
+        "--episodes": {
+            "type": at_least(1), "default": EPISODES, "help": f"episodes of each of {SEEDS} seeds",
+        },
+    }  # fmt: skip
 
-def main(words: Sequence[str]) -> int:
-    """Measure, print, write ``transfer/`` below the results folder and the block of the docs."""
-    line = argparse.ArgumentParser(
-        prog="python -m benchmarks transfer",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    add = line.add_argument
-    add("--results", type=Path, default=Path("results"))
-    add("--docs", type=Path, default=Path("docs"), help=f"folder of {PAGE}")
-    add("--episodes", type=at_least(1), default=EPISODES, help=f"of each of {SEEDS} seeds")
-    add("--jobs", type=at_least(1), default=1, help="processes")
-    add("--players", nargs="+", choices=[*PLAYERS], default=[*PLAYERS])
-    add("--worlds", nargs="+", choices=WORLDS, default=[*WORLDS])
-    given = line.parse_args(list(words))
-    try:
-        import coop_env.physics.engine  # noqa: F401
-    except DependencyNotInstalled as missing:
-        raise BenchmarkError(str(missing)) from missing
-    console, path = Console(soft_wrap=True), given.results / "transfer" / "transfer.json"
-    asked = {"episodes": given.episodes, "commit": describe()["commit"]}
-    found = kept(path, asked, {"cells": {}})
-    found |= {
-        "command": " ".join(["python -m benchmarks transfer", *map(quote, words)]),
-        "machine": describe(),
-    }
-    todo = [
-        (name, world)
-        for name in given.players
-        for world in given.worlds
-        if world not in found["cells"].get(name, {})
-    ]
-    with Progress(console=console, refresh_per_second=2) as progress:
-        task = progress.add_task("cells", total=len(todo))
-        for (name, world), row in _measured(todo, given.results, given.episodes, given.jobs):
-            found["cells"].setdefault(name, {})[world] = row
-            write_text(path, json.dumps(found) + "\n")
-            progress.advance(task)
-    publish(path, tell(found), given.docs / PAGE, BLOCK, console)
-    return 0
+    def measures(self) -> dict[str, Part]:
+        place = (self.results, self.given.episodes)
+        return {
+            f"{name}: {world}": partial(_cell, name, world, *place)
+            for name in PLAYERS
+            for world in WORLDS
+        }
 
-
-def _measured(
-    todo: Sequence[tuple[str, str]], results: Path, episodes: int, jobs: int
-) -> Iterator[tuple[tuple[str, str], Row]]:
-    """Cells as they are done, each in a process of its own: OMPL takes one seed per process."""
-    context = get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context, max_tasks_per_child=1) as pool:
-        running = {pool.submit(measure, *cell, results, episodes): cell for cell in todo}
-        for done in as_completed(running):
-            yield running[done], done.result()
-
-
-def check(report: Report, results: Path, presets: list[str], docs: Path) -> None:
-    """Verify that the tables, here and in the docs, follow from the stored episodes."""
-    check_tables(report, results / "transfer/transfer.json", tell, docs / PAGE, BLOCK)
+    @staticmethod
+    def tell(found: dict[str, Any]) -> str:
+        n = SEEDS * found["asked"]["episodes"]
+        low, high = (100.0 * share for share in wilson(n, n))
+        return "\n\n".join(
+            [
+                *_tables(found["parts"]),
+                f"{n} episodes a cell, on the same test starts for all (all of them successful: "
+                f"{low:.0f} to {high:.0f} %, 95 % interval); success: at least one hole. Without a "
+                "script (+) a hole counts as in the kinematic task, within its tolerance; with one "
+                f"when the peg is 10 mm deep in the bore. {source(found)}",
+            ]
+        )

@@ -102,7 +102,7 @@ def inserter(results: Path, name: str, seed: int) -> Any:
         raise BenchmarkError(f"{path} is missing: run python -m benchmarks {command} first")
     if learned:
         return Policy(_stored_sac(path))
-    gains = json.loads(path.read_text(encoding="utf-8"))["levels"][LEVEL][name]["gains"]
+    gains = json.loads(path.read_text(encoding="utf-8"))["parts"][LEVEL][name]["gains"]
     task: Any = SimpleNamespace(task=resolve_task(LEVEL))
     return SCRIPTS[name](task, replace(Gains(), **gains))
 

@@ -22,9 +22,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
-from rich.progress import TimeElapsedColumn as Elapsed
-from rich.progress import TimeRemainingColumn as Remaining
+from rich.progress import Progress
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.evaluation.evaluate import (
@@ -44,6 +42,7 @@ from benchmarks.protocol.plan import DESIGN, METHODS, PERFECT_PLANNERS, Cell
 from benchmarks.protocol.presets import Preset, as_dict
 from benchmarks.runs.cell import run_once
 from benchmarks.runs.store import RunFolder, Store
+from benchmarks.studies.base import bar
 from benchmarks.studies.scoring.scores import in_words
 
 GEOMETRY: Final = "optimized"
@@ -116,6 +115,28 @@ def prepare(preset: Preset, entry: Entry) -> dict[int, Scorer]:
     return {seed: scorer(seed, path) for seed, path in zip(preset.seeds, paths, strict=True)}
 
 
+def score(
+    preset: Preset, results: Path, entry: Entry, console: Console, replace: bool = False
+) -> None:
+    """Score an entry, write the tables, and show the leaderboard.
+
+    Raises:
+        BenchmarkError: as :func:`prepare` and :func:`join`.
+    """
+    from benchmarks.reporting.tables.paper import build_tables
+
+    scorers = prepare(preset, entry)
+    store = Store.open(results, preset.name, create=True)
+    with store.lock():
+        folders = join(preset, store, entry, scorers, console, replace)
+        built = {table.name: table for table in build_tables(store)}
+        for table in built.values():
+            table.write(store.tables)
+    console.print(built["leaderboard"].markdown(), markup=False, highlight=False)
+    console.print(f"Episodes: {', '.join(map(str, folders))}")
+    console.print(f"Leaderboard (CSV, Markdown, LaTeX): {store.tables / 'leaderboard.md'}")
+
+
 def join(
     preset: Preset, store: Store, entry: Entry, scorers: dict[int, Scorer], console: Console,
     replace: bool = False,
@@ -140,8 +161,7 @@ def join(
     todo = [(folder, scorer) for folder, scorer in found if not folder.is_complete()]
     if len(todo) < len(found):
         console.print(f"{len(found) - len(todo)} of {len(found)} seeds were scored already")
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), Elapsed(), Remaining())
-    with Progress(*columns, console=console, refresh_per_second=2) as progress:
+    with bar(console) as progress:
         for folder, scorer in todo:
             _score(folder, scorer, preset.name, progress)
     return [folder.path for folder, _ in found]

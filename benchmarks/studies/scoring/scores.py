@@ -1,13 +1,13 @@
-"""Policies, controls and planners play once more; the tables are built from what they do then.
+"""Policies, controls and planners play once more.
 
     python -m benchmarks evaluate --preset paper
     python -m benchmarks evaluate --preset paper --starts 2026
 
-The first plays the test episodes and says whether every episode and every cell of every table came
-out as stored. The second plays episodes that begin elsewhere: any whole number stands for starts of
-its own, none of which was ever trained on or looked at. It takes minutes: a few episodes per seed,
-without noise and on the track's own machine, as the headline has them. Nothing of the store is
-changed; the episodes and tables go to ``results/again/``.
+The first plays the test episodes and says whether each came out as stored. The second plays
+episodes that begin elsewhere: any whole number stands for starts of its own, none of which was ever
+trained on or looked at. It takes minutes: a few episodes per seed, without noise and on the track's
+own machine, as the headline has them. Nothing of the store is changed; the episodes go to
+``results/again/``.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import dataclasses
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import pandas as pd
 from rich.console import Console
@@ -26,6 +26,7 @@ from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS
 from benchmarks.protocol.plan import DESIGN, Cell, own_error
 from benchmarks.protocol.presets import Preset
 from benchmarks.reporting.results import Result
+from benchmarks.reporting.tables.table import plain
 from benchmarks.runs.backends import default_jobs
 from benchmarks.runs.cell import Teller
 from benchmarks.runs.experiment import StopRequested
@@ -33,13 +34,9 @@ from benchmarks.runs.harness import Harness
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.insertion import Insertion
 
-if TYPE_CHECKING:
-    from benchmarks.reporting.tables.table import Table
-
 AGAIN: Final = "again"
 FRESH_EPISODES: Final = 20  # per seed of other starts: five seeds tell +-0.1 of a rate, in minutes
 TIMES: Final = ("plan_seconds",)  # columns that differ from one play to the next
-SHOWN: Final = ("performance", "ablation", "geometry", "robustness")
 
 
 class Replay(Insertion):
@@ -132,47 +129,23 @@ class Replay(Insertion):
     def verdict(self, folder: RunFolder) -> str:
         return "; " + next(in_words(Result.read(folder, {}).test(), "now"))
 
-    def fresh_store(self) -> Store:
-        """A store beside the first, with the settings and the training of what is to play."""
-        which = "test" if self.starts is None else f"starts-{self.starts}"
-        root = self.results / AGAIN / which
-        if (root / self.name).exists():
-            shutil.rmtree(root / self.name)
-        again = Store.open(root, self.name, create=True)
-        if self.source.entries.is_dir():
-            shutil.copytree(self.source.entries, again.entries)
-        played = {cell.id for cell in self._cells}
-        for run in self.source.part({*played, DESIGN}).completed():
-            files = ["config.yaml", "curve.csv", "design.csv"]
-            if run.id not in played:
-                files.append("meta.json")  # which completes it; the others have to play first
-            again.run(run.id).path.mkdir(parents=True)
-            for path in (run.path / name for name in files):
-                if path.is_file():
-                    shutil.copy(path, again.run(run.id).path)
-        return again
-
-    def write_tables(self, store: Store, console: Console) -> list[Table]:
-        """Tables of this time, and how they and the episodes compare with those of the first."""
-        from benchmarks.reporting.tables.paper import build_tables, write_tables
-
-        built = build_tables(store)
-        write_tables(store, built)
-        for table in built:
-            if table.name in SHOWN:
-                console.print(table.markdown(), markup=False, highlight=False)
+    def compare(self, store: Store, console: Console) -> None:
+        """Success of each run, stored and now, and how many came out as stored to the episode."""
+        rows, equal = [], 0
+        for cell in self._cells:
+            first, again = (Result.read(s.run(cell.id), {}) for s in (self.source, store))
+            equal += _same(first.episodes, again.episodes)
+            rates = [100.0 * one.test()["success"].mean() for one in (first, again)]
+            rows.append([cell.id, *(f"{rate:.1f}" for rate in rates)])
+        told = plain("Success (%) of the played runs", "run | stored | now", rows)
+        console.print(told, markup=False, highlight=False)
         if self.starts is None and self.episodes is None:
-            names = [cell.id for cell in self._cells]
-            equal = sum(_same(self.source.run(name), store.run(name)) for name in names)
-            console.print(f"Runs whose every episode came out as stored: {equal} of {len(names)}")
-            first = build_tables(self.source.part({*names, DESIGN}))
-            console.print(_compare(first, built), markup=False, highlight=False)
-        console.print(f"Episodes and tables of this time: {store.folder}")
-        return built
+            console.print(f"Runs whose every episode came out as stored: {equal} of {len(rows)}")
+        console.print(f"Episodes of this time: {store.folder}")
 
 
 def score_again(replay: Replay, console: Console) -> int:
-    """Play what a store holds once more, and build its tables from that.
+    """Play what a store holds once more.
 
     Returns:
         The command's exit code.
@@ -187,7 +160,10 @@ def score_again(replay: Replay, console: Console) -> int:
         )
     jobs = min(default_jobs(), len(replay.cells()))
     console.print(f"{len(replay.cells())} runs play again, {jobs} at a time; Ctrl-C ends it")
-    again = replay.fresh_store()
+    which = "test" if replay.starts is None else f"starts-{replay.starts}"
+    root = replay.results / AGAIN / which
+    shutil.rmtree(root / replay.name, ignore_errors=True)
+    again = Store.open(root, replay.name, create=True)
     outcome = Harness(replay, again, jobs, console).run()
     if outcome.interrupted:
         console.print("Interrupted; the store is as it was")
@@ -195,40 +171,14 @@ def score_again(replay: Replay, console: Console) -> int:
     if outcome.failed:
         console.print(f"Failed: {', '.join(outcome.failed)}; the store is as it was")
         return 1
-    replay.write_tables(again, console)
+    replay.compare(again, console)
     return 0
 
 
-def _same(stored: RunFolder, again: RunFolder) -> bool:
+def _same(stored: pd.DataFrame, again: pd.DataFrame) -> bool:
     """Whether the rows are those of the first time."""
-    both = (Result.read(folder, {}).episodes for folder in (stored, again))
-    first, second = (rows.drop(columns=[*TIMES]).reset_index(drop=True) for rows in both)
+    first, second = (rows.drop(columns=[*TIMES]) for rows in (stored, again))
     return first.equals(second)
-
-
-def _compare(stored: list[Table], again: list[Table]) -> str:
-    cells = differing = 0
-    lines: list[str] = []
-    for one, two in zip(stored, again, strict=True):
-        first, second = _by_label(one), _by_label(two)
-        for key in dict.fromkeys([*first, *second]):
-            cells += 1
-            a, b = first.get(key, "nothing"), second.get(key, "nothing")
-            if a != b:
-                differing += 1
-                lines.append(f"  {one.name}, {', '.join(key)}: {a} stored, {b} now")
-    head = f"Cells of the tables that came out as stored: {cells - differing} of {cells}"
-    return "\n".join([head, *lines])
-
-
-def _by_label(table: Table) -> dict[tuple[str, ...], str]:
-    """Every cell of a table under its row's labels and its column."""
-    labels = {"leaderboard": (1,)}.get(table.name, table.left)
-    return {
-        (*(row[i] for i in labels), name): text
-        for row in table.texts()
-        for name, text in zip(table.header, row, strict=True)
-    }
 
 
 def in_words(rows: pd.DataFrame, name: str) -> Iterator[str]:

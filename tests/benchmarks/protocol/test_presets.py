@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from benchmarks.__main__ import main
+from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import ABLATIONS, CONTROLS, GEOMETRIES, expand, settings
 from benchmarks.protocol.presets import PRESETS, Controls, load_preset, parse_preset, preset_names
@@ -318,5 +318,5 @@ def test_a_file_in_the_place_of_the_results_is_one_line(
 @pytest.mark.parametrize("words", [["rainbow", "--steps", "-1"], ["env", "--starts", "0"]])
 def test_speed_of_nothing_is_refused(words: list[str]) -> None:
     with pytest.raises(SystemExit) as caught:
-        main(["speed", *words])
+        main(["study", f"speed-{words[0]}", *words[1:]])
     assert caught.value.code == 2

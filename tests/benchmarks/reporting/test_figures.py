@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from benchmarks.__main__ import main
+from benchmarks.cli import main
 from benchmarks.reporting.figures.learning import pictures
 from benchmarks.reporting.figures.style import canvas, flat_png
 from benchmarks.reporting.results import Results
@@ -30,19 +30,15 @@ PAPER_FIGURES = {
 }
 
 
-def test_every_figure_is_drawn_and_described(tmp_path: Path) -> None:
+def test_every_figure_is_drawn_under_a_caption_of_its_own(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, [0, 1, 2])
     assert main(["report", "--preset", "quick", "--results", str(tmp_path)]) == 0
     found = {picture.name: picture for picture in pictures(Results(store))}
     assert {path.stem for path in store.figures.iterdir()} == set(found)
     assert {f"safe_{name}" for name in PAPER_FIGURES} <= set(found)
     assert {"robustness", "performance_profile", "ablation_comparison"} <= set(found)
-    alts = [picture.alt for picture in found.values()]
-    assert all(len(alt) > 40 for alt in alts)
-    assert len(set(alts)) == len(alts)
-    # the mean of all ten episodes, in five rows of two: 30, and 0, 1, 2 more by seed
-    assert "Rainbow DQN (3 seeds) ends at 31" in found["safe_cumulative_reward"].alt
-    assert "switches at 300 steps" in found["safe_cumulative_reward"].alt
+    captions = [picture.caption for picture in found.values()]
+    assert len(set(captions)) == len(captions)
 
 
 def test_a_small_picture_keeps_its_colours() -> None:
@@ -64,8 +60,9 @@ def test_a_small_picture_keeps_its_colours() -> None:
 def test_tables_and_figures_need_no_torch_and_little_time(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, range(5))
     code = (
-        "import sys; from benchmarks.__main__ import main;"
-        "assert main(['report', '--preset', 'quick', '--results', sys.argv[1]]) == 0;"
+        "import sys; from benchmarks.cli import main;"
+        "words = ['--preset', 'quick', '--results', sys.argv[1]];"
+        "assert main(['tables', *words]) == main(['figures', *words]) == 0;"
         "heavy = {'torch', 'stable_baselines3', 'sb3_contrib', 'tensorboard'};"
         "print(sorted(heavy & set(sys.modules)))"
     )

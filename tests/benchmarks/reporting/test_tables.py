@@ -20,17 +20,25 @@ from benchmarks.protocol.presets import load_preset
 from benchmarks.reporting.compared import ABLATION as ABLATION_QUESTION
 from benchmarks.reporting.compared import comparisons
 from benchmarks.reporting.figures.learning import pictures
-from benchmarks.reporting.pages.readme import BEGIN, END, rewrite
 from benchmarks.reporting.results import Results, excess_over_optimum
 from benchmarks.reporting.rows import control_of, row_of
 from benchmarks.reporting.stats import Value
-from benchmarks.reporting.tables.paper import PRINTED, build_tables, write_tables
+from benchmarks.reporting.tables.paper import build_tables
 from benchmarks.reporting.tables.table import Number, Table
-from benchmarks.reporting.verify import verify
+from benchmarks.reporting.verify import check_tables
 from benchmarks.runs.store import Store
+from benchmarks.studies.insertion import Insertion
 from tests.benchmarks import fabricated_store
 
 MakeStore = Callable[[list[int]], Store]
+
+
+def write_tables(store: Store) -> list[Path]:
+    return [path for table in build_tables(store) for path in table.write(store.tables)]
+
+
+def verify(store: Store) -> list[str]:
+    return check_tables(store.tables, build_tables(store))
 
 
 @pytest.fixture
@@ -218,45 +226,12 @@ def test_tables_are_written_in_three_forms_that_agree_and_repeat(make_store: Mak
 
 def test_an_empty_store_gives_tables_of_dashes(tmp_path: Path) -> None:
     store = Store.open(tmp_path, "quick", create=True)
-    assert {table.name for table in build_tables(store)} >= {*PRINTED} - {"team", "difficulty"}
+    assert {table.name for table in build_tables(store)} >= {*Insertion.printed} - {
+        "team",
+        "difficulty",
+    }
     write_tables(store)
     assert verify(store) == []
-
-
-def test_verify_is_green_and_red_after_one_digit(make_store: MakeStore, tmp_path: Path) -> None:
-    store = make_store([0])
-    write_tables(store)
-    readme = tmp_path / "README.md"
-    readme.write_text(f"# Title\n\n{BEGIN}\n{END}\n\nThe end.\n", encoding="utf-8")
-    assert rewrite(readme, store)
-    assert not rewrite(readme, store)
-    assert verify(store, [readme]) == []
-    path = store.tables / "ablation.md"
-    path.write_text(path.read_text("utf-8").replace("90.0", "91.0", 1), encoding="utf-8")
-    (problem,) = verify(store, [readme])
-    assert "ablation.md" in problem
-    assert "91.0" in problem
-    write_tables(store)
-    readme.write_text(readme.read_text("utf-8").replace("90.0", "91.0", 1), encoding="utf-8")
-    (problem,) = verify(store, [readme])
-    assert "README.md" in problem
-
-
-def test_the_readme_keeps_what_is_outside_the_block(make_store: MakeStore, tmp_path: Path) -> None:
-    readme = tmp_path / "README.md"
-    with pytest.raises(BenchmarkError, match="missing"):
-        rewrite(readme, make_store([0]))
-    readme.write_text("no markers", encoding="utf-8")
-    store = Store.open(tmp_path / "results", "quick")
-    with pytest.raises(BenchmarkError, match="no block"):
-        rewrite(readme, store)
-    readme.write_text(f"above\n{BEGIN}\nold\n{END}\nbelow\n", encoding="utf-8")
-    rewrite(readme, store)
-    text = readme.read_text(encoding="utf-8")
-    assert text.startswith("above\n")
-    assert text.endswith("\nbelow\n")
-    assert "old" not in text
-    assert text.count("| Rainbow, initial geometry") == 1
 
 
 def test_figures_are_drawn_and_repeat(make_store: MakeStore, tmp_path: Path) -> None:
@@ -271,7 +246,7 @@ def test_figures_are_drawn_and_repeat(make_store: MakeStore, tmp_path: Path) -> 
 def test_tables_and_figures_do_without_torch() -> None:
     code = (
         "import sys, benchmarks.reporting.tables.paper, benchmarks.reporting.figures.learning;"
-        "import benchmarks.reporting.verify, benchmarks.reporting.pages.readme;"
+        "import benchmarks.reporting.verify, benchmarks.reporting.science;"
         "print([m for m in ('torch', 'stable_baselines3', 'sb3_contrib') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

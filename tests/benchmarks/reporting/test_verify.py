@@ -12,48 +12,54 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from benchmarks.__main__ import main
+from benchmarks.cli import main
 from benchmarks.protocol.plan import expand
 from benchmarks.protocol.presets import load_preset
-from benchmarks.reporting.pages.includes import included, rewrite_all
-from benchmarks.reporting.pages.readme import BEGIN, END, rewrite
-from benchmarks.reporting.tables.paper import build_tables, write_tables
-from benchmarks.reporting.verify import Report, check_runs, check_tables, verify, verify_all
+from benchmarks.reporting import blocks
+from benchmarks.reporting.tables.paper import build_tables
+from benchmarks.reporting.verify import check_runs, check_tables
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.design import docs as design_docs
+from benchmarks.studies import catalogue
+from benchmarks.studies.design.study import Design
 from tests.benchmarks.fabricated_store import make_store
 
 ROOT = Path(__file__).resolve().parents[3]
 RESULTS = ROOT / "results"
 
 
+BEGIN = "<!-- results:begin results/quick -->"
+END = "<!-- results:end -->"
+SCIENCE = "<!-- science:begin results/quick -->"
 PAGES = {
-    "README.md": "# Title\n\n<!-- results:begin -->\n<!-- results:end -->\n\nThe end.\n",
-    "docs/results.md": "# Results\n\n<!-- science:begin -->\n<!-- science:end -->\n",
+    "README.md": f"# Title\n\n{BEGIN}\n{END}\n\nThe end.\n",
+    "docs/results.md": f"# Results\n\n{SCIENCE}\n<!-- science:end -->\n",
 }
+
+
+def verify(store: Store) -> list[str]:
+    return check_tables(store.tables, build_tables(store))
 
 
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
-    """Results of preset quick, two pages about them, the committed design and docs."""
-    unneeded = shutil.ignore_patterns("figures", "results.md", "gallery.md")
+    """Results of preset quick, two pages about them, the committed design and its pages."""
+    unneeded = shutil.ignore_patterns("figures")
     shutil.copytree(RESULTS / "design", tmp_path / "results" / "design", ignore=unneeded)
-    shutil.copytree(ROOT / "docs", tmp_path / "docs", ignore=unneeded)
-    for page in (tmp_path / "docs").glob("*.md"):
-        for name in included(page.read_text(encoding="utf-8")):
-            (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(ROOT / name, tmp_path / name)
+    (tmp_path / "docs").mkdir()
+    for name in ("design.md", "kinematics.md"):
+        shutil.copy(ROOT / "docs" / name, tmp_path / "docs" / name)
     store = make_store(tmp_path / "results", [0])
-    write_tables(store)
+    for table in build_tables(store):
+        table.write(store.tables)
     for name, text in PAGES.items():
         (tmp_path / name).write_text(text, encoding="utf-8")
-        rewrite(tmp_path / name, store)
+    results = tmp_path / "results"
+    blocks.rewrite(results, catalogue.all_blocks(results))
     return tmp_path
 
 
 def words(folder: Path) -> list[str]:
-    places = {"--results": "results", "--readme": "README.md", "--docs": "docs"}
-    return ["verify", *(text for k, v in places.items() for text in (k, str(folder / v)))]
+    return ["verify", "--results", str(folder / "results")]
 
 
 def learners(store: Store) -> list[RunFolder]:
@@ -79,10 +85,10 @@ def test_the_committed_results_are_what_their_episodes_say(
     code = main(words(ROOT))
     out, err = capsys.readouterr()
     assert code == 0, err
-    for name in sorted(path.parent.name for path in RESULTS.glob("*/store.json")):
-        assert f"{RESULTS / name}: tables of" in out
-    assert f"{ROOT / 'README.md'}: its results" in out
-    assert f"{RESULTS / 'design'}: table, and its blocks" in out
+    for name, folder in catalogue.stores(RESULTS).items():
+        assert f"{folder}: tables of" in out, name
+    for page in ("README.md", "docs/results.md", "docs/design.md", "docs/rainbow.md"):
+        assert f"{ROOT / page}: its blocks" in out
 
 
 def test_one_digit_of_any_table_is_seen(copy: Path) -> None:
@@ -106,13 +112,13 @@ def test_one_digit_of_a_page_is_seen(
 ) -> None:
     path = copy / page
     rng = random.Random(1)
-    begin = next(mark for mark in (BEGIN, "<!-- science:begin -->") if mark in path.read_text())
+    begin = next(mark for mark in (BEGIN, SCIENCE) if mark in path.read_text())
     for _ in range(3):
         kept = path.read_bytes()
         line = change_digit(path, rng, begin, end)
         assert main(words(copy)) == 1
         err = capsys.readouterr().err
-        assert f"{path} differs from the stored episodes (line {line}: stored " in err
+        assert f"{path} differs from stored data (line {line}: stored " in err
         assert "1 difference found" in err
         path.write_bytes(kept)
     assert main(words(copy)) == 0
@@ -127,30 +133,30 @@ def test_text_outside_the_readmes_block_is_free(copy: Path) -> None:
 
 
 def check_design(copy: Path) -> list[str]:
-    report = Report()
-    design_docs.check(report, copy / "results", [], copy / "docs")
-    assert len(report.checked) == 1
-    return report.problems
+    results = copy / "results"
+    known = Design.blocks(results)
+    pages = [problem for _, found in blocks.check(results, known) for problem in found]
+    return Design.problems(results) + pages
 
 
-def blocks() -> Iterator[tuple[str, str]]:
+def of_design() -> Iterator[tuple[str, str]]:
     for path in sorted((ROOT / "docs").glob("*.md")):
         text = path.read_text(encoding="utf-8")
-        for name in design_docs.BLOCKS:
+        for name in Design.blocks(RESULTS):
             if f"<!-- {name}:begin" in text:
                 yield path.name, name
 
 
 def test_one_digit_of_any_generated_block_of_the_docs_is_seen(copy: Path) -> None:
     rng = random.Random(2)
-    found = list(blocks())
+    found = list(of_design())
     assert len(found) >= 10
     for page, name in found:
         path = copy / "docs" / page
         kept = path.read_bytes()
         line = change_digit(path, rng, f"<!-- {name}:begin", f"<!-- {name}:end")
         (problem,) = check_design(copy)
-        assert problem.startswith(f"{path} differs from the data in")
+        assert problem.startswith(f"{path} differs from stored data")
         assert f"(line {line}: stored" in problem
         path.write_bytes(kept)
 
@@ -255,20 +261,13 @@ def test_a_table_that_nothing_makes_is_named(copy: Path) -> None:
     assert "old.md is made by no table" in old
 
 
-def test_the_readme_is_rewritten_for_the_preset_that_it_shows(copy: Path) -> None:
+def test_a_report_rewrites_the_readme(copy: Path) -> None:
     readme = copy / "README.md"
     before = readme.read_bytes()
     change_digit(readme, random.Random(0), BEGIN, END)
     assert readme.read_bytes() != before
-    places = ["--results", str(copy / "results"), "--readme", str(readme)]
-    assert main(["readme", *places]) == 0
+    assert main(["report", "--preset", "quick", "--results", str(copy / "results")]) == 0
     assert readme.read_bytes() == before
-
-
-def test_a_readme_without_its_results_is_named(copy: Path) -> None:
-    shutil.move(copy / "results" / "quick", copy / "results" / "slow")
-    report = verify_all(copy / "results", [], copy / "README.md", copy / "docs")
-    assert any("shows preset 'quick', but" in problem for problem in report.problems)
 
 
 def test_nothing_to_verify_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -276,26 +275,15 @@ def test_nothing_to_verify_is_an_error(tmp_path: Path, capsys: pytest.CaptureFix
     assert "has no results" in capsys.readouterr().err
 
 
-def test_the_classic_tables_must_follow_from_their_runs(tmp_path: Path) -> None:
-    from benchmarks.studies.classic import docs as block
-    from benchmarks.studies.classic.presets import load_preset
-    from benchmarks.studies.classic.results import Results
-    from benchmarks.studies.classic.tables import build_tables
-
-    store = Store.open(tmp_path / "results" / "classic", "quick", create=True)
-    classic = Results(load_preset("quick"), store)  # no run yet: dashes, and the settings
-    for table in build_tables(classic):
+def test_the_public_tasks_tables_must_follow_from_their_runs(tmp_path: Path) -> None:
+    store = Store.open(tmp_path / "results" / "classic", "public", create=True)
+    public = catalogue.experiment("public")  # no run yet: dashes
+    for table in public.tables(store):
         table.write(store.tables)
-    page = tmp_path / "docs" / "rainbow.md"
-    page.parent.mkdir()
-    page.write_text(f"{block.begin('quick')}\n<!-- classic-quick:end -->\n", encoding="utf-8")
-    (problem,) = block.check_store(store.folder, page.parent)
-    assert problem.startswith(f"{page} differs from the runs in")
-    block.write(page, classic, "../results/classic/quick")
-    assert block.check_store(store.folder, page.parent) == []
-    change_digit(store.tables / "settings.md", random.Random(4))
-    (problem,) = block.check_store(store.folder, page.parent)
-    assert "settings.md differs" in problem
+    assert catalogue.verify(tmp_path / "results", ["public"]).problems == []
+    change_digit(store.tables / "scores.md", random.Random(4))
+    (problem,) = catalogue.verify(tmp_path / "results", ["public"]).problems
+    assert "scores.md differs" in problem
 
 
 def test_an_included_file_that_changed_is_seen(
@@ -305,16 +293,17 @@ def test_an_included_file_that_changed_is_seen(
     part.parent.mkdir(exist_ok=True)
     part.write_text("95 %\n", encoding="utf-8")
     page = copy / "docs" / "more.md"
-    begin = "<!-- include:begin results/audit/part.md (written by: python -m benchmarks readme) -->"
-    page.write_text(f"{begin}\n<!-- include:end -->\n", encoding="utf-8")
-    rewrite_all(page.parent, copy / "results")
+    page.write_text(
+        "<!-- include:begin results/audit/part.md -->\n<!-- include:end -->\n", encoding="utf-8"
+    )
+    blocks.rewrite(copy / "results", {"include": blocks.include(copy / "results")})
     assert main(words(copy)) == 0
     part.write_text("96 %\n", encoding="utf-8")
     assert main(words(copy)) == 1
-    assert f"{page} differs from the files that it includes" in capsys.readouterr().err
+    assert f"{page} differs from stored data" in capsys.readouterr().err
     part.unlink()
     assert main(words(copy)) == 1
-    assert "which is no file of" in capsys.readouterr().err
+    assert "is no file of" in capsys.readouterr().err
 
 
 def test_the_policies_in_git_are_few(tmp_path: Path) -> None:

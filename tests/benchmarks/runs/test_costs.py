@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 import yaml
 
-from benchmarks.__main__ import main
+from benchmarks.cli import main
 from benchmarks.protocol.plan import expand, settings, units_of
 from benchmarks.protocol.presets import PRESETS, Preset, parse_preset
 from benchmarks.runs.costs import GUESSED_RATE, Cost, costs, duration, wall_seconds
 from benchmarks.runs.store import Store
 from benchmarks.studies.classic.experiment import Classic
-from benchmarks.studies.classic.plan import LEARN
+from benchmarks.studies.classic.presets import LEARN
 from benchmarks.studies.insertion import Insertion
 
 

@@ -19,7 +19,7 @@ import pytest
 import yaml
 from rich.console import Console
 
-from benchmarks.__main__ import main
+from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import expand
 from benchmarks.protocol.presets import PRESETS, parse_preset

@@ -18,7 +18,7 @@ import psutil
 import pytest
 import yaml
 
-from benchmarks.__main__ import main
+from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.presets import PRESETS, load_preset
 from benchmarks.runs.cell import run_cell

@@ -6,7 +6,6 @@ import contextlib
 import errno
 import importlib
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -19,7 +18,7 @@ import psutil
 import pytest
 import yaml
 
-from benchmarks.__main__ import main
+from benchmarks.cli import main
 from benchmarks.protocol.presets import PRESETS
 from benchmarks.runs.store import SCHEMA, Store
 
@@ -55,7 +54,7 @@ def harness(*words: str) -> subprocess.CompletedProcess[str]:
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("results")
-    done = harness("--preset", "smoke", "--results", str(folder), "--jobs", "2")
+    done = harness("run", "--preset", "smoke", "--results", str(folder), "--jobs", "2")
     assert done.returncode == 0, done.stdout + done.stderr
     for title in (
         "Geometric optimization",
@@ -131,14 +130,13 @@ def test_a_second_call_trains_nothing_and_changes_no_result(results: Path) -> No
     assert {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()} == tables
 
 
-def test_plan_verify_curves_and_evaluate(
-    results: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_plan_verify_and_evaluate(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
     place = ["--preset", "smoke", "--results", str(results)]
     assert main(["plan", *place]) == 0
     out = capsys.readouterr().out
     assert out.count("complete") == 5
-    assert main(["verify", *place, "--readme", str(tmp_path / "none.md")]) == 0
+    assert main(["verify", *place]) == 0
+    capsys.readouterr()
     policy = results / "smoke" / "runs" / "dqn-optimized-safe-s0" / "policy.zip"
     words = ["--model", str(policy), "--algorithm", "dqn", "--episodes", "1"]
     assert main(["evaluate", *place, *words]) == 0
@@ -159,7 +157,6 @@ def test_what_is_stored_comes_out_again(
     assert main(place) == 0
     out = capsys.readouterr().out
     assert "Runs whose every episode came out as stored: 4 of 5" in out
-    assert re.search(r"leaderboard, Rainbow DQN, safe, .*Holes per episode.* stored, .* now", out)
     again = tmp_path / "again" / "test" / "smoke"
     played = pd.read_csv(again / "runs" / rows.parent.name / "episodes.csv")
     pd.testing.assert_frame_equal(played, first)
@@ -167,25 +164,8 @@ def test_what_is_stored_comes_out_again(
     assert main(place) == 0
     out = capsys.readouterr().out
     assert "Runs whose every episode came out as stored: 5 of 5" in out
-    cells = re.search(r"Cells of the tables that came out as stored: (\d+) of (\d+)", out)
-    assert cells is not None
-    assert cells[1] == cells[2]
     files[rows] = rows.read_bytes()
     assert {p: p.read_bytes() for p in (tmp_path / "smoke").rglob("*") if p.is_file()} == files
-
-
-def test_an_entry_is_compared_with_itself(
-    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    shutil.copytree(results / "smoke", tmp_path / "smoke")
-    place = ["--preset", "smoke", "--results", str(tmp_path)]
-    assert main(["evaluate", *place, "--planner", "optimum", "--name", "mine"]) == 0
-    assert main(["tables", *place]) == 0
-    capsys.readouterr()
-    assert main(["evaluate", *place]) == 0
-    cells = re.search(r"that came out as stored: (\d+) of (\d+)\n", capsys.readouterr().out)
-    assert cells is not None
-    assert cells[1] == cells[2]
 
 
 def test_runs_without_their_policy_are_complete_and_left_out_of_the_replay(
@@ -201,9 +181,6 @@ def test_runs_without_their_policy_are_complete_and_left_out_of_the_replay(
     assert "Left out, their policy is not here: 1 runs" in out
     assert "Left out, not run yet: 1 runs" in out
     assert "Runs whose every episode came out as stored: 3 of 3" in out
-    cells = re.search(r"that came out as stored: (\d+) of (\d+)\n", out)
-    assert cells is not None
-    assert cells[1] == cells[2]
     # and what is complete without its policy is not run again
     planned = "rrt_connect-optimized-s0"
     shutil.copytree(results / "smoke" / "runs" / planned, runs / planned)
@@ -221,8 +198,8 @@ def test_a_policy_plays_only_under_its_own_settings(
     preset["tracks"]["safe"]["mask_visited"] = 8
     changed = tmp_path / "smoke.yaml"
     changed.write_text(yaml.safe_dump(preset), encoding="utf-8")
-    for command in ("evaluate", "failures"):
-        words = [command, "--preset", str(changed), "--results", str(results)]
+    for command in (["evaluate"], ["study", "failures"]):
+        words = [*command, "--preset", str(changed), "--results", str(results)]
         assert main(words) == 2
         assert "track.mask_visited: 0 -> 8" in capsys.readouterr().err
 
@@ -267,7 +244,7 @@ def test_a_lost_process_and_ctrl_c_end_at_once(results: Path, tmp_path: Path) ->
         assert told in out
         assert "Traceback" not in out
         assert done.returncode == (1 if number == signal.SIGKILL else 130)
-        assert out.count("Performance, safe") == 0
+        assert "Success (%) of the played runs" not in out
         _, alive = psutil.wait_procs(players, timeout=30)
         assert not alive
 
@@ -293,7 +270,7 @@ def test_other_starts_are_starts_of_their_own(
     for starts in ("1", "2"):
         assert main([*words, "--starts", starts]) == 0
         out = capsys.readouterr().out
-        assert "Performance, safe" in out
+        assert "Success (%) of the played runs" in out
         folder = tmp_path / "again" / f"starts-{starts}" / "smoke" / "runs"
         runs = [pd.read_csv(path) for path in sorted(folder.glob("*/episodes.csv"))]
         assert len(runs) == 5
@@ -312,7 +289,7 @@ def test_verify_is_red_after_a_change(
     table = tmp_path / "smoke" / "tables" / "performance.csv"
     table.write_text(table.read_text(encoding="utf-8").replace("100", "101", 1), encoding="utf-8")
     words = ["--preset", "smoke", "--results", str(tmp_path)]
-    assert main(["verify", *words, "--readme", str(tmp_path / "none.md")]) == 1
+    assert main(["verify", *words]) == 1
     assert "performance.csv" in capsys.readouterr().err
 
 
@@ -323,7 +300,7 @@ def test_verify_is_red_after_a_change(
         (["plan", "--preset", "_tracks"], "unknown preset"),
         (["train", "--preset", "smoke", "--cell", "ppo-s0"], "has no cell 'ppo-s0'"),
         (["tables", "--preset", "smoke"], "has no results"),
-        (["speed", "light"], "known: env, rainbow"),
+        (["study", "light"], "unknown study 'light'; known: audit, codesign"),
         (["evaluate", "--preset", "smoke", "--name", "x"], "--name belongs to a --model"),
         (["evaluate", "--preset", "smoke", "--model", "no.zip"], "no.zip is missing"),
         (
@@ -354,7 +331,7 @@ def test_results_of_another_version_are_left_alone(
     folder = tmp_path / "smoke"
     folder.mkdir()
     (folder / "store.json").write_text('{"schema": 99}', encoding="utf-8")
-    assert main(["--preset", "smoke", "--results", str(tmp_path)]) == 2
+    assert main(["run", "--preset", "smoke", "--results", str(tmp_path)]) == 2
     assert "schema 99" in capsys.readouterr().err
     assert [path.name for path in folder.iterdir()] == ["store.json"]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from benchmarks.__main__ import main
+from benchmarks.cli import main
 from benchmarks.protocol.plan import expand, settings
 from benchmarks.protocol.presets import load_preset
 from benchmarks.reporting.results import Results

@@ -42,7 +42,7 @@ class FileOperations:
 
 def run(request: dict[str, Any]) -> None:
     """In the fork: the command, and nothing of the server's after it."""
-    from benchmarks.__main__ import main
+    from benchmarks.cli import main
 
     log = os.open(request["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(log, 1)

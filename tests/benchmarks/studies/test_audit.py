@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 import torch as th
 
-from benchmarks.__main__ import main
+from benchmarks.cli import main
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.methods.scripts import SCRIPTS, Simulator
 from benchmarks.protocol.plan import expand
@@ -77,10 +77,10 @@ def test_both_commands_write_what_they_say(
     preset = load_preset("smoke")
     store = Store.open(tmp_path, "smoke", create=True)
     words = ["--preset", "smoke", "--results", str(tmp_path)]
-    assert main(["failures", *words]) == 2
+    assert main(["study", "failures", *words]) == 2
     assert "no stored policy of rainbow, track safe" in capsys.readouterr().err
     assert run_cell(Insertion(preset), Insertion(preset).find("rainbow-optimized-safe-s0"), store)
-    assert main(["failures", *words]) == 0
+    assert main(["study", "failures", *words]) == 0
     folder = store.folder / "failures"
     rows = pd.read_csv(folder / "rainbow-safe.csv")
     assert len(rows) == preset.evaluation.episodes
@@ -91,11 +91,12 @@ def test_both_commands_write_what_they_say(
     assert "last tenth" not in failures.summary(failures.read(folder / "rainbow-safe.csv"))
     known = failures.read(folder / "rainbow-safe.csv").assign(acting=0.5)
     assert "with exploration: 50.0 %" in failures.summary(known)
-    assert main(["audit", *words, "--starts", "1"]) == 0
+    assert main(["study", "audit", *words, "--starts", "1"]) == 0
     learned = pd.read_csv(tmp_path / "audit" / "learned.csv")
     assert learned["method"].tolist() == ["rainbow"]
     assert (tmp_path / "audit" / "audit.png").stat().st_size > 10_000
-    assert main(["audit", *words, "--starts", "0"]) == 2
+    with pytest.raises(SystemExit):
+        main(["study", "audit", *words, "--starts", "0"])
 
 
 def test_the_action_gap_is_that_of_the_allowed_actions_over_the_support() -> None:
@@ -128,8 +129,8 @@ def test_causes_are_told_apart() -> None:
 
     plain = dataclasses.replace(preset.tracks["safe"], mask_singularities=False, mask_visited=0)
     preset = dataclasses.replace(preset, tracks={"safe": plain})
-    rows = failures.play(preset, cell, Model([4, 5]), LatticeOracle(), lambda: None)
+    rows = failures.play(preset, cell, Model([4, 5]), LatticeOracle())
     assert {row["cause"] for row in rows} <= {"cycle", "infeasible"}
     assert any(row["cause"] == "cycle" for row in rows)
-    rows = failures.play(preset, cell, Model([6]), LatticeOracle(), lambda: None)
+    rows = failures.play(preset, cell, Model([6]), LatticeOracle())
     assert {row["cause"] for row in rows} <= {"singular", "cycle", "infeasible"}

@@ -15,13 +15,13 @@ import sb3_contrib
 import stable_baselines3
 from gymnasium import spaces
 
-from benchmarks.__main__ import main
+from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.evaluate import begin_episodes, model_policy, run_policy
 from benchmarks.evaluation.model_files import detect_algorithm
 from benchmarks.methods.episodes import Episode
 from benchmarks.protocol.seeding import derive, episode_seeds
-from benchmarks.reporting.tables.paper import write_tables
+from benchmarks.reporting.tables.paper import build_tables
 from benchmarks.reporting.verify import check_runs
 from benchmarks.runs.store import Store
 from benchmarks.studies.scoring.entries import plan_and_follow
@@ -109,7 +109,7 @@ def test_a_model_joins_the_leaderboard_with_one_command(
     assert noisy["moves"].tolist() == [row["moves"] for row in expected]
     assert noisy["energy"].tolist() == pytest.approx([row["energy"] for row in expected], rel=1e-6)
     assert check_runs(store) == []
-    assert main(["verify", "--preset", "smoke", "--results", str(tmp_path), "--readme", "-"]) == 0
+    assert main(["verify", "--preset", "smoke", "--results", str(tmp_path)]) == 0
 
 
 def test_masks_go_to_who_knows_them(train: Callable[..., Path]) -> None:
@@ -375,16 +375,17 @@ def test_an_entry_leaves_the_presets_own_tables_alone(
     train: Callable[..., Path], tmp_path: Path
 ) -> None:
     store = fabricated_store.make_store(tmp_path, [0], "smoke")
-    write_tables(store)
+    for table in build_tables(store):
+        table.write(store.tables)
     before = {path.name: path.read_bytes() for path in store.tables.iterdir()}
     assert evaluate(tmp_path, "--model", str(train("ppo")), "--name", "mine") == 0
     after = {path.name: path.read_bytes() for path in store.tables.iterdir()}
     changed = {name for name in after if after[name] != before.get(name)}
     assert changed == {f"leaderboard{suffix}" for suffix in (".csv", ".md", ".tex")}
-    table = pd.read_csv(store.tables / "leaderboard.csv", dtype=str)
-    assert table["Method"].iloc[0] == "Exact optimum"
-    assert table["Method"].iloc[-1] == "mine"
-    ranks = table["Rank"].tolist()
+    rows = pd.read_csv(store.tables / "leaderboard.csv", dtype=str)
+    assert rows["Method"].iloc[0] == "Exact optimum"
+    assert rows["Method"].iloc[-1] == "mine"
+    ranks = rows["Rank"].tolist()
     assert ranks == ["-", *[str(rank) for rank in range(1, len(ranks))]]
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.__main__ import main
+from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
-from benchmarks.studies.viewing import media, watch
+from benchmarks.studies import media, watch
 from coop_env.env import CoopInsertionEnv
 from coop_env.rendering.scene import Scene
 from coop_env.rendering.viewer import Act, Viewer
@@ -43,16 +43,14 @@ def test_three_files_of_one_solved_episode(
     out = tmp_path / "media"
     out.mkdir()
     (out / "scene.png").write_bytes(b"old")
-    assert main(["media", "--out", str(out)]) == 0
+    assert main(["study", "media", "--results", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert sorted(path.name for path in out.iterdir()) == [
         "episode.gif",
         "episode.mp4",
         "scene.png",
     ]
-    for path in out.iterdir():
-        assert path.name in said
-    assert "6 of 6 holes filled" in said
+    assert str(out) in said
     with Image.open(out / "scene.png") as picture:
         assert picture.size == SIZE
     with Image.open(out / "episode.gif") as animation:
@@ -64,16 +62,15 @@ def test_three_files_of_one_solved_episode(
 @pytest.mark.usefixtures("short")
 def test_same_seed_same_picture(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        assert main(["media", "--out", str(tmp_path / name), "--seed", "3"]) == 0
+        assert main(["study", "media", "--results", str(tmp_path / name), "--seed", "3"]) == 0
     for name in ("scene.png", "episode.gif"):
-        first, second = (tmp_path / folder / name for folder in ("a", "b"))
+        first, second = (tmp_path / folder / "media" / name for folder in ("a", "b"))
         assert first.read_bytes() == second.read_bytes()
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--seed", "-1"], "--seed -1"),
         (["--model", "nowhere.zip"], "nowhere.zip is missing"),
         (["--model", __file__], "is no model of Stable-Baselines3"),
     ],
@@ -82,7 +79,7 @@ def test_bad_arguments_are_one_error_and_nothing_is_written(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "media"
-    assert main(["media", *arguments, "--out", str(out)]) == 2
+    assert main(["study", "media", *arguments, "--results", str(tmp_path)]) == 2
     assert message in capsys.readouterr().err
     assert not out.exists()
 
@@ -90,14 +87,14 @@ def test_bad_arguments_are_one_error_and_nothing_is_written(
 def test_unsolvable_episode_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     env = CoopInsertionEnv(max_moves=3)
     env.reset(seed=0)
-    with pytest.raises(BenchmarkError, match=r"timeout.*another --seed"):
-        media.planned_moves(env)
+    with pytest.raises(BenchmarkError, match="no plan from here"):
+        media.play(env, 0, media.Optimum)
 
 
 def test_optimum_plans_anew_where_it_is_put() -> None:
     env = CoopInsertionEnv()
     observation, _ = env.reset(seed=8)
-    play = watch.Optimum(env)
+    play = media.Optimum(env)
     for _ in range(5):
         observation, *_ = env.step(play(observation, env.action_masks()))
     observation, _ = env.reset(seed=10)

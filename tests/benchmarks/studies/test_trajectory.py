@@ -1,7 +1,8 @@
-"""``python -m benchmarks trajectory`` exports an episode, measures many, and can be checked."""
+"""``study trajectory`` exports an episode, measures many, and can be checked."""
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
@@ -11,9 +12,10 @@ import pytest
 pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
 pytest.importorskip("ruckig", reason="ruckig is not installed (extra trajectory)")
 
-from benchmarks.__main__ import main as command
-from benchmarks.reporting.verify import Report
+from benchmarks.cli import main as command
+from benchmarks.reporting import blocks
 from benchmarks.studies import trajectory
+from benchmarks.studies.trajectory import TrajectoryStudy
 
 ROOT = Path(__file__).resolve().parents[3]
 MODEL = ROOT / "results" / trajectory.MODEL
@@ -24,7 +26,7 @@ def test_one_episode_is_exported(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "episode"
-    assert command(["trajectory", "--export", str(folder), "--start", "0", *words]) == 0
+    assert command(["study", "trajectory", "--export", str(folder), "--start", "0", *words]) == 0
     rows = pd.read_csv(folder / "trajectory.csv")
     text = (folder / "joint_trajectory.yaml").read_text("utf-8")
     assert text.count("time_from_start:") == len(rows)
@@ -37,14 +39,15 @@ def test_the_tables_follow_from_the_rows(
 ) -> None:
     docs, results = tmp_path / "docs", tmp_path / "results"
     docs.mkdir()
-    page = docs / trajectory.PAGE
+    page = docs / "trajectory.md"
     page.write_text("# P\n\n<!-- trajectory:begin -->\n<!-- trajectory:end -->\n", encoding="utf-8")
-    places = ["--results", str(results), "--docs", str(docs), "--model", str(MODEL)]
-    assert command(["trajectory", "--starts", "2", *places]) == 0
+    places = ["--results", str(results), "--model", str(MODEL)]
+    assert command(["study", "trajectory", "--starts", "2", *places]) == 0
     text = (results / "trajectory" / "trajectory.md").read_text("utf-8")
     assert text.strip() in page.read_text("utf-8")
     assert text.strip() in capsys.readouterr().out
-    rows = pd.read_csv(results / "trajectory" / "trajectory.csv")
+    stored = json.loads((results / "trajectory" / "trajectory.json").read_text("utf-8"))
+    rows = pd.DataFrame([row for part in stored["parts"].values() for row in part])
     assert len(rows) == 8
     done = rows[rows["moves_first"] > 0]
     optimum = done[done["method"] == "optimum"]
@@ -53,22 +56,18 @@ def test_the_tables_follow_from_the_rows(
     pairs = done.pivot(index=["method", "start"], columns="kind", values="seconds_first")
     assert (pairs["blended"] <= pairs["stop-and-go"] + 1e-9).all()
     assert (done["seconds_first"] <= done["seconds"] + 1e-9).all()
-    report = Report()
-    trajectory.check(report, results, [], docs)
-    assert report.problems == []
+    assert not any(found for _, found in blocks.check(results, TrajectoryStudy.blocks(results)))
     page.write_text(page.read_text("utf-8").replace("optimum", "other"), encoding="utf-8")
-    report = Report()
-    trajectory.check(report, results, [], docs)
-    assert report.problems
+    assert any(found for _, found in blocks.check(results, TrajectoryStudy.blocks(results)))
 
 
 def test_what_cannot_be_exported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     missing = ["--model", str(tmp_path / "none.zip")]
-    assert command(["trajectory", "--export", str(tmp_path / "e"), *missing]) == 2
+    assert command(["study", "trajectory", "--export", str(tmp_path / "e"), *missing]) == 2
     assert "none.zip is missing" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "ruckig", None)
-    assert command(["trajectory", "--export", str(tmp_path / "e")]) == 2
+    assert command(["study", "trajectory", "--export", str(tmp_path / "e")]) == 2
     assert "sb3-rainbow-coop[trajectory]" in capsys.readouterr().err
     assert not (tmp_path / "e").exists()

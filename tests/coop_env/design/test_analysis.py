@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.studies.design import reference
 from coop_env import design
 from coop_env.design import (
     DesignError,
@@ -19,6 +18,7 @@ from coop_env.design import (
 )
 from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED
 from coop_env.kinematics import rrs
+from tests.coop_env.kinematics import reference
 
 COARSE = DesignProblem(cells=60)
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
-from benchmarks.studies.design import reference
 from coop_env import design
 from coop_env.design import DesignError, DesignProblem
 from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, RRSGeometry
 from coop_env.kinematics import rrs
+from tests.coop_env.kinematics import reference
 
 
 def test_the_papers_headline() -> None:

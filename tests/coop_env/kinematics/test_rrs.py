@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.studies.design import reference
 from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED
 from coop_env.kinematics import rrs, rrs_kernels
 from coop_env.kinematics.rotations import torsion_of
+from tests.coop_env.kinematics import reference
 
 POSE_FUNCTIONS: list[Callable[..., np.ndarray]] = [
     rrs.parasitic,

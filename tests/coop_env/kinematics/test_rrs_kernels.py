@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.studies.design import reference
 from coop_env.geometry import GEOMETRIES, RRSGeometry
 from coop_env.kinematics import rrs_kernels as kernels
+from tests.coop_env.kinematics import reference
 
 GOLDEN = Path(__file__).with_name("rrs_golden.csv")
 PARAMS = {name: kernels.make_params(g) for name, g in GEOMETRIES.items()}

@@ -13,17 +13,16 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.classic.environments.controls import (
+from benchmarks.studies.classic.controls import (
     SCRIPTS,
     _heading,
     at_random,
     held,
     scripted,
 )
-from benchmarks.studies.classic.environments.playing import evaluate, make_env, run_control
 from benchmarks.studies.classic.experiment import Classic
-from benchmarks.studies.classic.plan import CONTROL, Cell, expand
-from benchmarks.studies.classic.presets import Task, load_preset
+from benchmarks.studies.classic.playing import evaluate, make_env, run_control
+from benchmarks.studies.classic.presets import CONTROL, Cell, Task, expand, load_preset
 
 pytest.importorskip("minatar", reason="needs the extra 'classic'")
 

@@ -1,9 +1,8 @@
-"""The tasks of `benchmarks classic`: Gymnasium's and SB3's checks, seeds, masks, closed form."""
+"""The tasks of the public presets: Gymnasium's and SB3's checks, seeds, masks, closed form."""
 
 from __future__ import annotations
 
 import importlib.util
-import itertools
 import sys
 import warnings
 from typing import Any
@@ -16,10 +15,8 @@ from gymnasium.utils.env_checker import check_env as gymnasium_check
 from stable_baselines3.common.env_checker import check_env as sb3_check
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.studies.classic.cliff import transitions
-from benchmarks.studies.classic.environments.atari import NowAndThenRandom
-from benchmarks.studies.classic.environments.named import (
-    BlindCliffWalkEnv,
+from benchmarks.studies.classic.atari import NowAndThenRandom
+from benchmarks.studies.classic.envs import (
     MaskedIdentityEnv,
     MinAtarEnv,
     make,
@@ -84,7 +81,7 @@ def test_minatar_is_truncated_at_its_limit() -> None:
 
 
 def test_the_small_cnn_is_a_convolution() -> None:
-    from benchmarks.studies.classic.environments.features import SmallCnn
+    from benchmarks.studies.classic.features import SmallCnn
 
     space = gym.spaces.Box(0, 255, (2, 10, 10), np.uint8)
     extractor = SmallCnn(space)
@@ -121,44 +118,6 @@ def test_masked_identity_passes_both_checks_and_masks_allow_the_right_action() -
     assert allowed.min() > 60
     assert allowed.max() < 140
     assert env.step(np.int64((state + 1) % 12))[1] == 0.0
-
-
-def test_the_cliff_walk_passes_both_checks() -> None:
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*(render|spec).*")
-        gymnasium_check(BlindCliffWalkEnv(5), skip_render_check=True)
-        sb3_check(BlindCliffWalkEnv(5))
-
-
-@pytest.mark.parametrize("states", [1, 2, 5, 8])
-def test_one_of_all_sequences_is_rewarded(states: int) -> None:
-    returns = []
-    for actions in itertools.product((0, 1), repeat=states):
-        env = BlindCliffWalkEnv(states)
-        env.reset()
-        total = 0.0
-        for action in actions:
-            _, reward, ended, _, _ = env.step(np.int64(action))
-            total += reward
-            if ended:
-                break
-        returns.append(total)
-    assert sorted(returns) == [0.0] * (2**states - 1) + [1.0]
-
-
-@pytest.mark.parametrize("states", [2, 5, 9])
-def test_values_are_those_of_value_iteration_over_the_memory(states: int) -> None:
-    env = BlindCliffWalkEnv(states)
-    memory = list(transitions(states, np.random.default_rng(0)))
-    # the paper's count of the relevant experience
-    assert len(memory) == 2 ** (states + 1) - 2
-    assert sum(reward for _, _, _, reward, _ in memory) == 1.0
-    values = np.zeros((states, 2))
-    for _ in range(states + 1):
-        for state, action, following, reward, ended in memory:
-            rest = 0.0 if ended else env.gamma * values[following].max()
-            values[state, action] = reward + rest
-    np.testing.assert_allclose(env.optimal_values(), values, atol=1e-12)
 
 
 def test_unknown_tasks_are_named() -> None:

@@ -1,10 +1,9 @@
-"""Tables, figures and docs of `benchmarks classic`, from stored runs whose numbers are known."""
+"""Tables, figures and the block of the public tasks, from stored runs whose numbers are known."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from pathlib import Path
 
 import numpy as np
@@ -14,45 +13,39 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.stats import Value
 from benchmarks.runs.store import Store
-from benchmarks.studies.classic import docs
-from benchmarks.studies.classic.figures import write_figures
-from benchmarks.studies.classic.plan import CLIFF, CONTROL, LEARN, expand, settings
-from benchmarks.studies.classic.presets import Preset, load_preset
-from benchmarks.studies.classic.results import Results, bootstrap_ratio, student
-from benchmarks.studies.classic.tables import _cliff_row, build_tables
+from benchmarks.studies.classic.figures import pictures
+from benchmarks.studies.classic.presets import (
+    CONTROL,
+    LEARN,
+    Preset,
+    expand,
+    load_preset,
+    settings,
+)
+from benchmarks.studies.classic.results import Results, student
+from benchmarks.studies.classic.tables import build_tables, page
 
-ROOT = Path(__file__).resolve().parents[4]
 SCORES = {"rainbow": 30.0, "dqn": 20.0, "qrdqn": 10.0, "random": 1.0, "held": 2.0, "script": 33.0}
 
 
 @pytest.fixture(scope="module")
 def preset() -> Preset:
-    return load_preset("quick")
+    return load_preset("public")
 
 
 @pytest.fixture(scope="module")
 def store(preset: Preset, tmp_path_factory: pytest.TempPathFactory) -> Store:
-    """Runs with made-up rows: a seed adds one to every return; one cliff run is never done."""
-    store = Store.open(tmp_path_factory.mktemp("results"), "quick", create=True)
+    """Runs with made-up rows: a seed adds one to every return."""
+    store = Store.open(tmp_path_factory.mktemp("results"), "public", create=True)
     for cell in expand(preset):
         run = store.run(cell.id)
-        if cell.kind == CLIFF:
-            seeds = range(preset.cliff[cell.task].seeds)
-            factor = 1 if cell.method == "prioritized" else cell.number
-            late = cell.number == 12 and cell.method == "uniform"
-            updates = [None if late and s == 0 else 100 * factor + 20 * s for s in seeds]
-            rows: list[dict[str, object]] = [
-                {"seed": s, "learned": u, "solved": u} for s, u in zip(seeds, updates, strict=True)
-            ]
-            run.write_rows("updates", rows)
-        else:
-            final = SCORES[cell.method] + cell.number
-            run.write_rows("episodes", [{"episode": i, "return": final + i} for i in (-1, 0, 1)])
-            curve: list[dict[str, object]] = [
-                {"timesteps": t, "return_mean": final * t / 1000} for t in (0, 500, 1000)
-            ]
-            if cell.kind == LEARN:
-                run.write_rows("curve", curve)
+        final = SCORES[cell.method] + cell.number
+        run.write_rows("episodes", [{"episode": i, "return": final + i} for i in (-1, 0, 1)])
+        curve: list[dict[str, object]] = [
+            {"timesteps": t, "return_mean": final * t / 1000} for t in (0, 500, 1000)
+        ]
+        if cell.kind == LEARN:
+            run.write_rows("curve", curve)
         training = {"updates": 7, "cpu_seconds": 60.0, "wall_seconds": 120.0}
         machine = {"commit": "f" * 40, "dirty": False, "machine": {"processor": "abacus"}}
         run.write_meta({"training": training, **machine})
@@ -79,89 +72,26 @@ def test_scores_are_means_over_seeds_with_an_interval(preset: Preset, store: Sto
     np.testing.assert_allclose(curve[1], [0.0, 15.25, 30.5])
 
 
-def test_a_run_at_the_limit_makes_the_ratio_a_bound(preset: Preset, store: Store) -> None:
-    results = Results(preset, store)
-    ratio = results.ratio("alone", 8)
-    assert ratio is not None
-    # seeds 0 to 9: medians 100 * 8 + 90 and 100 + 90
-    assert (ratio.uniform, ratio.prioritized) == (890.0, 190.0)
-    assert ratio.ratio.mean == pytest.approx(890 / 190)
-    assert ratio.ratio.low < ratio.ratio.mean < ratio.ratio.high
-    late = results.ratio("alone", 12)
-    assert late is not None
-    assert late.censored == {"uniform": 1, "prioritized": 0}
-    (table,) = [t for t in build_tables(results) if t.name == "cliff"]
-    shown = {(row[0], row[1]): row for row in table.texts()}
-    title = preset.cliff["alone"].title
-    assert shown[title, "8"][5].startswith("4.7 [")
-    assert shown[title, "12"][5].startswith(">")
-    slow = dataclasses.replace(late, censored={"uniform": 0, "prioritized": late.n})
-    *_, prioritized, ratio_shown, _ = _cliff_row(title, slow)
-    assert str(prioritized).startswith(">")
-    assert str(ratio_shown).startswith("<")
-    both = dataclasses.replace(late, censored={"uniform": 1, "prioritized": 1})
-    assert str(_cliff_row(title, both)[5]).startswith("~")
-
-
-def test_the_ratio_s_interval_covers_what_it_should() -> None:
-    """Of many samples of pairs with a known ratio of medians, about 95 % cover it."""
-    rng = np.random.default_rng(0)
-    covered = 0
-    for trial in range(200):
-        pairs = np.exp(rng.normal([[math.log(5.0), 0.0]], 0.5, size=(20, 2)))
-        value = bootstrap_ratio(pairs, seed=trial)
-        covered += value.low <= 5.0 <= value.high
-    assert 180 <= covered <= 200
-
-
 def test_every_panel_is_drawn_and_the_same_data_gives_the_same_file(
     preset: Preset, store: Store
 ) -> None:
     results = Results(preset, store)
-    paths = write_figures(results, store)
-    assert [path.name for path in paths] == ["curves.png", "cliff.png"]
+    paths = [picture.write(store.figures) for picture in pictures(results)]
+    assert [path.name for path in paths] == ["curves.png"]
     first = [path.read_bytes() for path in paths]
-    assert [path.read_bytes() for path in write_figures(results, store)] == first
+    again = [picture.write(store.figures) for picture in pictures(results)]
+    assert [path.read_bytes() for path in again] == first
 
 
-def test_docs_say_which_runs_they_show(preset: Preset, store: Store) -> None:
-    results = Results(preset, store)
-    page = docs.rewrite(
-        "a\n<!-- classic-quick:begin x -->\nold\n<!-- classic-quick:end -->\nb\n", results, "r"
-    )
-    assert page.startswith("a\n")
-    assert page.endswith("\nb\n")
-    assert "old" not in page
+def test_the_block_says_which_runs_it_shows(preset: Preset, store: Store) -> None:
+    text = page(store)
     cells = expand(preset)
     controls = sum(cell.kind == CONTROL for cell in cells)
     told = f"{len(cells) - controls} runs and {controls} of controls, {len(cells)} CPU minutes"
-    assert told in page
-    assert "abacus" in page
-    assert "(r/figures/cliff.png)" in page
-    assert docs.rewrite(page, results, "r") == page
-    with pytest.raises(BenchmarkError, match="no block between"):
-        docs.rewrite("a page", results, "r")
-
-
-@pytest.mark.parametrize(
-    ("page_name", "one"), [("rainbow_results", "basics"), ("rainbow_searches", "tuning_control")]
-)
-def test_the_page_shows_the_stored_runs(page_name: str, one: str) -> None:
-    root = ROOT / "results" / "classic"
-    page = (ROOT / "docs" / f"{page_name}.md").read_text(encoding="utf-8")
-    shown = re.findall(r"<!-- classic-(\w+):begin", page)
-    assert one in shown
-    for name in shown:
-        results = Results(load_preset(name), Store.open(root, name))
-        assert docs.rewrite(page, results, f"../results/classic/{name}") == page
-
-
-def test_a_preset_leaves_the_blocks_of_others_alone(preset: Preset, store: Store) -> None:
-    other = "<!-- classic-control:begin x -->\nkept\n<!-- classic-control:end -->\n"
-    mine = "<!-- classic-quick:begin -->\n<!-- classic-quick:end -->\n"
-    page = docs.rewrite(other + mine, Results(preset, store), "r")
-    assert page.startswith(other)
-    assert f"{preset.final_episodes} test episodes per seed" in page
+    assert told in text
+    assert "abacus" in text
+    assert "(../results/classic/public/figures/curves.png)" in text
+    assert f"{preset.final_episodes} test episodes per seed" in text
 
 
 def test_published_marks_stand_beside_the_scores(tmp_path: Path) -> None:
@@ -221,12 +151,9 @@ def test_runs_that_are_not_what_the_preset_says_are_named(tmp_path: Path) -> Non
 
 def test_one_task_is_not_compared_with_itself(preset: Preset, store: Store) -> None:
     for tasks in ({"masked_identity"}, {"cartpole"}):
-        alone = dataclasses.replace(
-            preset, tasks={key: preset.tasks[key] for key in tasks}, cliff={}
-        )
+        alone = dataclasses.replace(preset, tasks={key: preset.tasks[key] for key in tasks})
         assert [table.name for table in build_tables(Results(alone, store))] == [
             "scores",
             "controls",
             "steps",
-            "settings",
         ]

@@ -1,4 +1,4 @@
-"""Runs of `benchmarks classic`: the protocol, exact resuming, the command from end to end."""
+"""Runs of the public tasks: the protocol, exact resuming, the command from end to end."""
 
 from __future__ import annotations
 
@@ -12,23 +12,25 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-import torch
 import yaml
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from benchmarks.__main__ import main
+from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.classic.cliff import measure
-from benchmarks.studies.classic.environments.playing import evaluate
 from benchmarks.studies.classic.experiment import Classic
-from benchmarks.studies.classic.plan import Cell, expand
-from benchmarks.studies.classic.presets import PRESETS, CliffVariant, Preset, load_preset
-from benchmarks.studies.classic.train import FadingNoise, build_model, run_learner
-from sb3_rainbow.network.noisy_linear import NoisyLinear
+from benchmarks.studies.classic.playing import evaluate
+from benchmarks.studies.classic.presets import (
+    PRESETS,
+    Cell,
+    Preset,
+    expand,
+    load_preset,
+)
+from benchmarks.studies.classic.train import build_model, run_learner
 
 TASKS = ("cartpole", "masked_identity", "breakout")
 
@@ -67,32 +69,6 @@ def test_a_run_that_was_stopped_twice_is_the_run_that_was_not(
     assert summary["timesteps"] >= preset.tasks[task].timesteps
     for cut, expected in zip(finished(folder), finished(whole), strict=True):
         pd.testing.assert_frame_equal(cut, expected)
-
-
-def test_noise_that_fades_falls_with_the_steps_that_are_left(
-    preset: Preset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sigmas: list[float] = []
-    measured = FadingNoise._on_rollout_start
-
-    def note(callback: FadingNoise) -> None:
-        measured(callback)
-        layers = [m for m in callback.model.policy.modules() if isinstance(m, NoisyLinear)]
-        sigmas.append(float(torch.stack([each.noise_magnitude() for each in layers]).mean()))
-
-    monkeypatch.setattr(FadingNoise, "_on_rollout_start", note)
-    task = preset.tasks["cartpole"]
-    # nothing is learned, so that what is left of the noise is a straight line
-    rainbow = {"learning_starts": 10_000, "noise_fades": True}
-    fading = dataclasses.replace(task, methods={**task.methods, "rainbow": rainbow})
-    preset = dataclasses.replace(preset, tasks={"cartpole": fading})
-    cell, folder = Cell("learn", "cartpole", "rainbow", 0), RunFolder(tmp_path / "run")
-    assert run_learner(preset, cell, folder, stop_after(50)) is None
-    assert run_learner(preset, cell, folder) is not None
-    twice = 600 // 4 + 1  # a round of four steps is begun again where it was cut
-    assert len(sigmas) == twice
-    steps = 4 * np.array([*range(51), *range(50, 150)])
-    np.testing.assert_allclose(sigmas, sigmas[0] * (1.0 - steps / 600.0), rtol=1e-4)
 
 
 def test_box2d_begins_a_new_episode_and_goes_on(tmp_path: Path) -> None:
@@ -166,7 +142,7 @@ def test_how_often_a_policy_is_tested_changes_nothing(preset: Preset, tmp_path: 
 
 
 def test_no_test_episode_is_one_of_training_or_validation() -> None:
-    for name in ("quick", "control", "minatar"):
+    for name in ("public", "control", "minatar"):
         preset = load_preset(name)
         for cell in expand(preset):
             if cell.kind != "learn":
@@ -213,65 +189,27 @@ def test_only_rainbow_reads_the_masks(preset: Preset) -> None:
     assert scores["dqn"] < 6.0
 
 
-RAINBOW: dict[str, Any] = {
-    **dict.fromkeys(("double_q", "dueling", "noisy", "distributional"), False),
-    **{"n_steps": 1, "tau": 1.0, "batch_size": 32, "learning_rate": 1e-2},
-    **{"beta_start": 0.4, "beta_end": 0.4, "policy_kwargs": {"net_arch": []}},
-}
-ALONE: dict[str, Any] = {
-    "title": "alone",
-    "states": [10],
-    "measure": "learned",
-    "limit": 4000,
-    "seeds": 3,
-    "rainbow": RAINBOW,
-}
-
-
-def test_prioritized_replay_learns_the_cliff_walk_in_fewer_updates() -> None:
-    variant = CliffVariant(**ALONE)
-    updates = {
-        replay: [measure(variant, replay, 10, seed)[0] or variant.limit for seed in range(3)]
-        for replay in ("prioritized", "uniform")
-    }
-    assert max(updates["prioritized"]) < variant.limit
-    assert np.median(updates["uniform"]) > 1.3 * np.median(updates["prioritized"])
-
-
-def test_full_weights_undo_what_priorities_do() -> None:
-    """beta = 1 under plain gradient descent: each update is uniform replay's, only smaller."""
-    plain = {**ALONE, "optimizer": "sgd", "limit": 3000}
-    learners = {}
-    for beta in (0.0, 1.0):
-        rainbow = {**RAINBOW, "learning_rate": 0.25, "beta_start": beta, "beta_end": beta}
-        variant = CliffVariant(**{**plain, "rainbow": rainbow})
-        learners[beta] = measure(variant, "prioritized", 8, 0)[0]
-    assert learners[0.0] is not None
-    assert learners[1.0] is None or learners[1.0] > 3 * learners[0.0]
-
-
 def test_a_complete_run_is_kept_and_other_settings_are_refused(
     preset: Preset, tmp_path: Path
 ) -> None:
     store = Store.open(tmp_path, "tiny", create=True)
-    cell = Classic(preset).find("cliff-alone-uniform-n3")
+    cell = Classic(preset).find("masked_identity-random-s0")
     assert run_cell(Classic(preset), cell, store)
     stamp = (store.run(cell.id).path / "meta.json").stat().st_mtime_ns
     assert run_cell(Classic(preset), cell, store)
     assert (store.run(cell.id).path / "meta.json").stat().st_mtime_ns == stamp
-    other = dataclasses.replace(preset.cliff["alone"], limit=500)
-    with pytest.raises(BenchmarkError, match="limit: 400 -> 500"):
-        run_cell(Classic(dataclasses.replace(preset, cliff={"alone": other})), cell, store)
+    with pytest.raises(BenchmarkError, match="final_episodes: 3 -> 4"):
+        run_cell(Classic(dataclasses.replace(preset, final_episodes=4)), cell, store)
 
 
 def test_the_command_from_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     data = yaml.safe_load((PRESETS / "tiny.yaml").read_text(encoding="utf-8"))
-    data |= {"methods": ["rainbow"], "cliff": {"alone": {**data["cliff"]["alone"], "states": [3]}}}
+    data |= {"methods": ["rainbow"]}
     data["tasks"] = {"masked_identity": data["tasks"]["masked_identity"]}
     path = tmp_path / "few.yaml"
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
-    words = ["--preset", str(path), "--results", str(tmp_path / "results"), "--workers", "1"]
-    assert main(["classic", *words]) == 0
+    words = ["--preset", str(path), "--results", str(tmp_path / "results"), "--jobs", "1"]
+    assert main(["run", *words]) == 0
     told = capfd.readouterr().out
     assert "masked_identity-rainbow-s0: done in" in told
     assert "Masked identity" in told
@@ -282,36 +220,23 @@ def test_the_command_from_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixtur
     assert meta["training"]["timesteps"] == 300
     assert "sb3-contrib" in meta["versions"]
     assert sum(p.stat().st_size for p in (folder / "runs").rglob("*.*")) < 20_000
-
-    page = tmp_path / "page.md"
-    page.write_text("before\n<!-- classic-few:begin -->\n<!-- classic-few:end -->\nafter\n")
-    assert main(["classic", "docs", *words, "--page", str(page)]) == 0
-    text = page.read_text(encoding="utf-8")
-    assert text.startswith("before\n")
-    assert text.endswith("after\n")
-    assert "results/classic/few/figures/curves.png" in text
-    assert main(["classic", "docs", *words, "--page", str(page)]) == 0
-    assert page.read_text(encoding="utf-8") == text
-    capfd.readouterr()
-    assert main(["classic", "plan", *words]) == 0
+    assert main(["plan", *words]) == 0
     told = capfd.readouterr().out
-    assert "5 cells of preset 'few'" in told
+    assert "3 cells of preset 'few'" in told
     assert ", 0 to run" in told
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--preset", "none"], "unknown preset 'none'"),
-        (["tables"], "has no results; run: python -m benchmarks classic"),
-        (["train"], "train needs --cell"),
+        (["tables"], "has no results; run: python -m benchmarks run --preset tiny"),
         (["train", "--cell", "x"], "has no cell 'x'"),
     ],
 )
 def test_bad_words_are_one_clear_error(
     words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["classic", *words, "--results", str(tmp_path)]) == 2
+    assert main([*words, "--preset", "tiny", "--results", str(tmp_path)]) == 2
     told = capsys.readouterr().err
     assert told.startswith("error: ")
     assert message in told
@@ -329,11 +254,9 @@ def test_bad_words_are_one_clear_error(
         ({"tasks": {"cartpole": 5}}, "tasks: cartpole: expected a mapping, found 5"),
         ({"controls": ["held"], "search": True}, "controls: a search compares settings"),
         ({"controls": ["oracle"]}, "controls: unknown 'oracle'; known: held, random, script"),
-        ({"cliff": {"alone": {"states": [8, 8]}}}, "must be some, and differ"),
         ({"methods": ["rainbow_x"]}, "methods has no settings for 'rainbow_x'"),
         ({"sedes": [1]}, "unknown key 'sedes'"),
         ({"tasks": {"cartpole": {"timesteps": 0}}}, "timesteps = 0 must be above 0"),
-        ({"cliff": {"alone": {"measure": "guessed"}}}, "measure = 'guessed'"),
     ],
 )
 def test_bad_presets_are_refused(change: dict[str, object], message: str, tmp_path: Path) -> None:
@@ -368,14 +291,14 @@ def test_what_cannot_be_built_is_said_before_anything_runs(
     change: dict[str, Any], message: str, preset: Preset
 ) -> None:
     task = dataclasses.replace(preset.tasks["cartpole"], **change)
-    one = Classic(dataclasses.replace(preset, tasks={"cartpole": task}, methods=["dqn"], cliff={}))
+    one = Classic(dataclasses.replace(preset, tasks={"cartpole": task}, methods=["dqn"]))
     with pytest.raises(BenchmarkError, match=f"CartPole-v1: dqn cannot be built: .*{message}"):
         one.check(one.cells())
 
 
 def test_a_check_before_the_start_leaves_the_settings_as_they_are() -> None:
     """SB3 writes the optimizer's class into policy_kwargs, which no config.yaml can hold."""
-    preset = load_preset("quick")
+    preset = load_preset("public")
     before = repr(preset)
     for name in ("cartpole", "breakout"):
         for method in preset.methods:

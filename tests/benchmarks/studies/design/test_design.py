@@ -1,4 +1,4 @@
-"""``python -m benchmarks design``: the table, the generated pages and the figures."""
+"""``python -m benchmarks study design``: the table, the generated pages and the figures."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.errors import BenchmarkError
+from benchmarks.cli import main
 from benchmarks.methods.geometric_design import measured_runs, run_rows, table_rows
 from benchmarks.protocol import paper_values
 from benchmarks.reporting.figures.style import save, style
-from benchmarks.studies.design import command
-from benchmarks.studies.design import docs as design_docs
+from benchmarks.studies.design import analyses as design_study
 from benchmarks.studies.design import figures as design_figures
-from benchmarks.studies.design import study as design_study
 from benchmarks.studies.design.store import DesignStore
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -62,15 +60,8 @@ def test_the_stored_table_is_what_the_command_would_write() -> None:
             assert mean == pytest.approx(float(str(row[f"{name}_mean"])), rel=0.05)
     assert meta["seconds"] < 120.0
     names = [path.stem for path in STORED.path.glob("*.csv")]
-    assert len(names) == 14
+    assert len(names) == 13
     assert all(len(STORED.rows(name)) for name in names)
-
-
-@pytest.mark.parametrize("page", ["design.md", "kinematics.md"])
-def test_the_pages_hold_what_is_stored(page: str) -> None:
-    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
-    assert design_docs.rewrite(text, STORED) == text, "run: python -m benchmarks design"
-    assert text.count(":begin (written by") >= 1
 
 
 def test_every_figure_the_pages_show_is_there_and_small() -> None:
@@ -82,25 +73,23 @@ def test_every_figure_the_pages_show_is_there_and_small() -> None:
 
 
 def test_figures_and_pages_come_from_stored_data_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store = DesignStore(tmp_path)
-    store.path.mkdir()
+    store = DesignStore(tmp_path / "results")
+    store.path.mkdir(parents=True)
     for path in STORED.path.iterdir():
         if path.is_file():
             (store.path / path.name).write_bytes(path.read_bytes())
-    page = tmp_path / "page.md"
+    page = tmp_path / "docs" / "page.md"
+    page.parent.mkdir()
     text, codesign, rest = (
         (ROOT / "docs" / "design.md").read_text("utf-8").partition("<!-- codesign")
     )
     page.write_text(text.replace("1.164", "9.999") + codesign + rest)
-    monkeypatch.setattr(command, "run", lambda *_: pytest.fail("it computed"))
-    arguments = ["--figures-only", "--results", str(tmp_path), "--docs", str(tmp_path)]
-    assert command.main(arguments) == 0
+    monkeypatch.setattr(design_study, "atlas_rows", lambda *_: pytest.fail("it computed"))
+    assert main(["study", "design", "--figures-only", "--results", str(tmp_path / "results")]) == 0
     assert "9.999" not in page.read_text("utf-8")
-    printed = capsys.readouterr().out
-    assert "Orientation workspace" in printed
-    assert str(store.path) in printed
+    assert "Orientation workspace" in page.read_text("utf-8")
     assert len(list(store.figures.glob("*.png"))) == 5
 
 
@@ -122,12 +111,10 @@ def test_maps_are_the_designs(tmp_path: Path) -> None:
     assert np.nanmin(sigma[maps["inside_optimized"][0]]) >= 0.149
 
 
-def test_bad_input_is_named(tmp_path: Path) -> None:
-    empty = ["--results", str(tmp_path), "--docs", str(tmp_path)]
-    with pytest.raises(BenchmarkError, match="--runs 0"):
-        command.main(["--runs", "0", *empty])
-    with pytest.raises(BenchmarkError, match="--atlas-step"):
-        command.main(["--atlas-step", "7", *empty])
-    with pytest.raises(BenchmarkError, match="run: python -m benchmarks design"):
-        command.main(["--figures-only", *empty])
-    assert not (tmp_path / "design" / "figures").exists()
+def test_bad_input_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["study", "design", "--results", str(tmp_path)]
+    assert main([*words, "--atlas-step", "7"]) == 2
+    assert "--atlas-step" in capsys.readouterr().err
+    assert main([*words, "--figures-only"]) == 2
+    assert "run: python -m benchmarks study design" in capsys.readouterr().err
+    assert not (tmp_path / "design").exists()

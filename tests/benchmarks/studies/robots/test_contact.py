@@ -1,4 +1,4 @@
-"""Scripts insert as their names say, and ``python -m benchmarks contact`` can be checked."""
+"""Scripts insert as their names say, and ``python -m benchmarks study contact`` can be checked."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.__main__ import main as command
-from benchmarks.reporting.verify import Report
+from benchmarks.cli import main as command
+from benchmarks.reporting import blocks
 from benchmarks.studies.robots import contact, trials
+from benchmarks.studies.robots.contact import Contact
 
 
 def test_each_script_finds_what_it_can() -> None:
@@ -93,34 +94,29 @@ def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
     monkeypatch.setattr(contact_scripts, "SCRIPTS", scripts)
     docs, results = tmp_path / "docs", tmp_path / "results"
     docs.mkdir()
-    page = docs / contact.PAGE
-    page.write_text(
-        "# Page\n\n<!-- contact:begin -->\n<!-- contact:end -->\n"
-        "<!-- contact-varied:begin -->\n<!-- contact-varied:end -->\n",
-        encoding="utf-8",
-    )
-    words = ["--results", str(results), "--docs", str(docs), "--episodes", "2"]
-    assert contact.main([*words, "--levels", "standard"]) == 0
+    monkeypatch.setattr(contact, "LEVELS", ("standard",))
+    monkeypatch.setattr(contact, "SENSITIVE", ("standard",))
+    page = docs / "physics.md"
+    page.write_text("# Page\n\n<!-- contact:begin -->\n<!-- contact:end -->\n", encoding="utf-8")
+    words = ["--results", str(results), "--episodes", "2"]
+    assert Contact.main(words) == 0
+    assert (results / "contact" / "insertion.gif").stat().st_size > 0
     capsys.readouterr()
-    monkeypatch.setattr(contact, "measure", None)  # it is not called again
-    assert contact.main([*words, "--levels", "standard"]) == 0
+    monkeypatch.setattr(contact, "measure", pytest.fail)  # it is not called again
+    monkeypatch.setattr(Contact, "finish", lambda self: None)
+    assert Contact.main(words) == 0
     text = (results / "contact" / "scripts.md").read_text("utf-8").strip()
     assert text in capsys.readouterr().out
     assert text in page.read_text("utf-8")
     stored = json.loads((results / "contact" / "scripts.json").read_text("utf-8"))
-    assert stored["levels"]["standard"]["compliant push"]["errors"][1]["success"] == [True, True]
-    assert contact.main([*words, "--vary"]) == 0
-    varied = json.loads((results / "contact" / "varied.json").read_text("utf-8"))
-    rows = {row["variant"]: row for row in varied["levels"]["standard"]}
+    level = stored["parts"]["standard"]
+    assert level["compliant push"]["errors"][1]["success"] == [True, True]
+    rows = {row["variant"]: row for row in stored["parts"]["standard, varied"]}
     assert list(rows) == list(contact.VARIANTS)
     assert rows["contact 20 ms"]["yields"] > rows["contact 10 ms"]["yields"] > 0.0
-    report = Report()
-    contact.check(report, results, [], docs)
-    assert report.problems == []
+    assert not any(found for _, found in blocks.check(results, Contact.blocks(results)))
     page.write_text(page.read_text("utf-8").replace("compliant", "soft"), encoding="utf-8")
-    report = Report()
-    contact.check(report, results, [], docs)
-    assert report.problems
+    assert any(found for _, found in blocks.check(results, Contact.blocks(results)))
 
 
 def test_episodes_are_the_same_for_all_and_no_validation() -> None:
@@ -139,5 +135,5 @@ def test_without_mujoco_the_extra_is_named(
         if name.startswith(("coop_env.physics", "benchmarks.methods.contact_scripts")):
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    assert command(["contact"]) == 2
+    assert command(["study", "contact"]) == 2
     assert "sb3-rainbow-coop[physics]" in capsys.readouterr().err

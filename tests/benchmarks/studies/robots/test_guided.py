@@ -12,12 +12,11 @@ import pytest
 import torch
 from gymnasium import spaces
 
-from benchmarks.__main__ import main
+from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.runs.store import RunFolder
-from benchmarks.studies.classic.environments.playing import make_env
-from benchmarks.studies.classic.plan import Cell
-from benchmarks.studies.classic.presets import Guide, Preset, Task, load_preset
+from benchmarks.studies.classic.playing import make_env
+from benchmarks.studies.classic.presets import Cell, Guide, Preset, Task, load_preset
 from benchmarks.studies.classic.train import build_model, class_of, run_learner
 from benchmarks.studies.robots import trials
 from benchmarks.studies.robots.guided import Guided

@@ -1,4 +1,4 @@
-"""``python -m benchmarks physics`` measures, stores, prints, and its tables can be checked."""
+"""``study physics`` measures, stores, prints, and its tables can be checked."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.__main__ import main as command
-from benchmarks.reporting.verify import Report
-from benchmarks.studies.robots import physics
+from benchmarks.cli import main as command
+from benchmarks.reporting import blocks
+from benchmarks.studies.robots.physics import Physics
 
 SMALL = ["--poses", "4", "--steps", "16", "--rounds", "1", "--memory-steps", "20"]
 
@@ -21,26 +21,21 @@ def test_the_command_writes_what_it_prints(
     pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
     docs, results = tmp_path / "docs", tmp_path / "results"
     docs.mkdir()
-    page = docs / physics.PAGE
+    page = docs / "physics.md"
     page.write_text("# Page\n\n<!-- physics:begin -->\n<!-- physics:end -->\n", encoding="utf-8")
-    places = ["--results", str(results), "--docs", str(docs)]
-    assert physics.main([*places, *SMALL]) == 0
+    assert Physics.main(["--results", str(results), *SMALL]) == 0
     folder = results / "physics"
     text = (folder / "physics.md").read_text("utf-8")
-    assert capsys.readouterr().out.startswith(text.strip())
+    assert text.strip() in capsys.readouterr().out
     assert text.strip() in page.read_text("utf-8")
     assert (folder / "model" / "coop_insertion.xml").is_file()
     found = json.loads((folder / "physics.json").read_text("utf-8"))
-    for errors in found["errors"].values():
-        assert 0.0 < errors["tip"]["largest"] < 5e-5
-    assert min(found["steps_per_second"].values()) > 0.0
-    report = Report()
-    physics.check(report, results, [], docs)
-    assert report.problems == []
+    for geometry in ("initial", "optimized"):
+        assert 0.0 < found["parts"][f"errors, {geometry}"]["tip"]["largest"] < 5e-5
+    assert min(found["parts"]["speed"].values()) > 0.0
+    assert not any(found for _, found in blocks.check(results, Physics.blocks(results)))
     page.write_text(page.read_text("utf-8").replace("tip of the peg", "tip"), encoding="utf-8")
-    report = Report()
-    physics.check(report, results, [], docs)
-    assert report.problems
+    assert any(found for _, found in blocks.check(results, Physics.blocks(results)))
 
 
 def test_without_mujoco_the_extra_is_named(
@@ -48,5 +43,5 @@ def test_without_mujoco_the_extra_is_named(
 ) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     monkeypatch.delitem(sys.modules, "coop_env.physics.engine", raising=False)
-    assert command(["physics"]) == 2
+    assert command(["study", "physics"]) == 2
     assert "sb3-rainbow-coop[physics]" in capsys.readouterr().err

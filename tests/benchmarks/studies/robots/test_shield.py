@@ -1,4 +1,4 @@
-"""``python -m benchmarks shield`` measures, goes on where it stopped, and can be checked."""
+"""``python -m benchmarks study shield`` measures, goes on where it stopped, and can be checked."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.reporting.verify import Report
+from benchmarks.reporting import blocks
 from benchmarks.studies.robots import shield
+from benchmarks.studies.robots.shield import Shield
 from benchmarks.studies.robots.shield_machines import ERRORS, at_the_margin, attack, draw_machine
 from coop_env import CoopInsertionEnv
 from coop_env.shield import KinematicShield
 from coop_env.shield.certificate import Certificate, check_product, lattice
 
 SMALL = ["--phases", "3", "--moves", "200", "--episodes", "1", "--seeds", "2", "--no-full"]
+SMALL += ["--machines", "1"]
 
 
 def test_the_command_writes_what_it_prints_and_goes_on(
@@ -25,16 +27,17 @@ def test_the_command_writes_what_it_prints_and_goes_on(
 ) -> None:
     docs, results = tmp_path / "docs", tmp_path / "results"
     docs.mkdir()
-    page = docs / shield.PAGE
+    page = docs / "shield.md"
     page.write_text("# Page\n\n<!-- shield:begin -->\n<!-- shield:end -->\n", encoding="utf-8")
-    words = ["--results", str(results), "--docs", str(docs), *SMALL]
+    monkeypatch.setattr(shield, "CONFIGURATIONS", 20)
+    words = ["--results", str(results), *SMALL]
     with monkeypatch.context() as patched:
         patched.setattr(shield, "harm_of", _interrupted)
         with pytest.raises(KeyboardInterrupt):
-            shield.main(words)
+            Shield.main(words)
     with monkeypatch.context() as patched:
         patched.setattr(shield, "prices", _interrupted)  # was done before
-        assert shield.main(words) == 0
+        assert Shield.main(words) == 0
     text = (results / "shield" / "shield.md").read_text("utf-8").strip()
     assert text in capsys.readouterr().out
     assert text in page.read_text("utf-8")
@@ -51,13 +54,10 @@ def test_the_command_writes_what_it_prints_and_goes_on(
         bare, guarded = parts["contact"]
         assert bare["policy"] == guarded["policy"] == "random"
         assert guarded["success"] == [0.0, 0.0]
-    report = Report()
-    shield.check(report, results, [], docs)
-    assert report.problems == []
+    assert parts["machines"]["harmful"] == 0
+    assert not any(found for _, found in blocks.check(results, Shield.blocks(results)))
     page.write_text(page.read_text("utf-8").replace("Certificate", "Proof"), encoding="utf-8")
-    report = Report()
-    shield.check(report, results, [], docs)
-    assert report.problems
+    assert any(found for _, found in blocks.check(results, Shield.blocks(results)))
 
 
 def _interrupted(*_: object) -> None:
@@ -99,18 +99,3 @@ def test_the_margin_covers_the_worst_machine_within_its_bounds_and_no_worse_one(
     covered, beyond = (at_the_margin(real, 40) for real in ERRORS.values())
     assert covered == {"configurations": 40, "harmed": 0}
     assert beyond["harmed"] > 20
-
-
-def test_the_search_over_machines_is_a_command(tmp_path: Path) -> None:
-    page = tmp_path / shield.PAGE
-    page.write_text(
-        "<!-- shield-machines:begin -->\n<!-- shield-machines:end -->\n", encoding="utf-8"
-    )
-    words = ["--results", str(tmp_path), "--docs", str(tmp_path), "--machines", "1"]
-    assert shield.main(words) == 0
-    found = json.loads((tmp_path / "shield" / "machines.json").read_text("utf-8"))
-    assert found["search"]["harmful"] == 0
-    assert "| harmed" in page.read_text("utf-8").replace("  ", "")
-    report = Report()
-    shield.check(report, tmp_path, [], tmp_path)
-    assert report.problems == []

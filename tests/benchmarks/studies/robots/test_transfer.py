@@ -1,4 +1,4 @@
-"""Kinematic players on the twin, and ``python -m benchmarks transfer``, which can be checked."""
+"""Kinematic players on the twin, and ``study transfer``, which can be checked."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.__main__ import main as command
+from benchmarks.cli import main as command
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import derive
-from benchmarks.reporting.verify import Report
+from benchmarks.reporting import blocks
 from benchmarks.studies.robots import transfer
+from benchmarks.studies.robots.transfer import Transfer
 from benchmarks.studies.robots.trials import inserter
 
 RESULTS = Path("results")
@@ -104,35 +105,32 @@ def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
     }  # fmt: skip
     asked: list[tuple[str, str]] = []
 
-    def measured(todo: Any, *_: Any) -> Any:
-        asked.extend(todo)
-        return ((each, cell) for each in todo)
+    def measured(name: str, world: str, *_: Any) -> Any:
+        asked.append((name, world))
+        if len(asked) == 3:
+            raise KeyboardInterrupt
+        return cell
 
-    monkeypatch.setattr(transfer, "_measured", measured)
+    monkeypatch.setattr(transfer, "_cell", measured)
     docs, results = tmp_path / "docs", tmp_path / "results"
     docs.mkdir()
-    page = docs / transfer.PAGE
+    page = docs / "physics.md"
     page.write_text("# Page\n\n<!-- transfer:begin -->\n<!-- transfer:end -->\n", encoding="utf-8")
-    words = ["--results", str(results), "--docs", str(docs)]
-    assert transfer.main([*words, "--worlds", "twin"]) == 0
-    assert len(asked) == len(transfer.PLAYERS)
-    capsys.readouterr()
-    assert transfer.main(words) == 0
-    assert len(asked) == len(transfer.PLAYERS) * len(transfer.WORLDS)
+    words = ["--results", str(results)]
+    with pytest.raises(KeyboardInterrupt):
+        Transfer.main(words)
+    assert Transfer.main(words) == 0
+    assert len(asked) == len(transfer.PLAYERS) * len(transfer.WORLDS) + 1  # the third once more
     text = (results / "transfer" / "transfer.md").read_text("utf-8").strip()
     assert text in capsys.readouterr().out
     assert text in page.read_text("utf-8")
     assert "50 / 50 / 3.00" in text
     assert "snap 1" in text
     stored = json.loads((results / "transfer" / "transfer.json").read_text("utf-8"))
-    assert stored["cells"]["RRT-Connect"]["twin"] == cell
-    report = Report()
-    transfer.check(report, results, [], docs)
-    assert report.problems == []
+    assert stored["parts"]["RRT-Connect: twin"] == cell
+    assert not any(found for _, found in blocks.check(results, Transfer.blocks(results)))
     page.write_text(page.read_text("utf-8").replace("snap", "slip"), encoding="utf-8")
-    report = Report()
-    transfer.check(report, results, [], docs)
-    assert report.problems
+    assert any(found for _, found in blocks.check(results, Transfer.blocks(results)))
 
 
 def test_without_mujoco_the_extra_is_named(
@@ -142,5 +140,5 @@ def test_without_mujoco_the_extra_is_named(
         if name.startswith("coop_env.physics"):
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    assert command(["transfer"]) == 2
+    assert command(["study", "transfer"]) == 2
     assert "sb3-rainbow-coop[physics]" in capsys.readouterr().err

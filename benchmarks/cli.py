@@ -1,0 +1,269 @@
+"""Trains, plans, tests, compares and reports.
+
+Exit codes: 0 done, 1 a run failed or a check found a difference, 2 bad input, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from rich.console import Console
+
+from benchmarks.errors import TRUSTED, BenchmarkError, at_least
+from benchmarks.protocol.presets import DEFAULT_PRESET, load_preset, preset_names
+from benchmarks.runs.backends import BACKENDS
+from benchmarks.studies import catalogue
+
+if TYPE_CHECKING:
+    from benchmarks.runs.experiment import Experiment
+    from benchmarks.runs.store import Store
+
+Given = argparse.Namespace
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if not words:
+        parser().print_help()
+        return 0
+    if words[0] == "study" and len(words) > 1 and not words[1].startswith("-"):
+        return _guarded(lambda: catalogue.run_study(words[1], words[2:]))
+    given = parser().parse_args(words)
+    command: Callable[[Given], int | None] = given.command
+    return _guarded(lambda: command(given) or 0)
+
+
+def _guarded(action: Callable[[], int]) -> int:
+    try:
+        return action()
+    except BenchmarkError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except (NotADirectoryError, FileExistsError, PermissionError) as error:
+        if error.filename is None:
+            raise
+        print(f"error: {error.strerror}: {error.filename}; name another place", file=sys.stderr)
+        return 2
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        print(
+            f"error: {error.strerror}: {error.filename or 'the results folder'}; make room, the "
+            "same command goes on",
+            file=sys.stderr,
+        )
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+def _open(given: Given, create: bool = False) -> tuple[Experiment[Any], Store]:
+    one = catalogue.experiment(given.preset)  # a bad one is an error before anything is written
+    return one, one.open_store(given.results, create)
+
+
+def run(given: Given) -> int:
+    """Everything: what is missing is run, then tables and figures are written."""
+    from benchmarks.runs.harness import Harness, open_backend
+
+    console, (one, store) = Console(soft_wrap=True), _open(given, create=True)
+    place = (given.address, given.gpus_per_run)
+    device = given.device or ("cuda" if given.gpus_per_run else "cpu")
+    with store.lock(), open_backend(given.backend, given.jobs, *place) as backend:
+        console.print(f"{backend.describe()}, networks on {device}", markup=False)
+        outcome = Harness(one, store, backend, console, device).run()
+        return outcome.close(store, console, lambda: one.report(store, console))
+
+
+def plan(given: Given) -> None:
+    """The cells of a preset, whether they are complete, and what they cost."""
+    from benchmarks.runs.backends import default_jobs
+    from benchmarks.runs.costs import print_plan
+
+    jobs = default_jobs() if given.jobs is None else given.jobs
+    one = catalogue.experiment(given.preset)
+    print_plan(one, given.results, jobs, Console(soft_wrap=True))
+
+
+def train(given: Given) -> int:
+    """One cell in this process; for a debugger, or a scheduler of one's own."""
+    from benchmarks.runs.cell import run_here
+
+    one = catalogue.experiment(given.preset)
+    one.find(given.cell)  # before anything is written
+    store, device = one.open_store(given.results, create=True), given.device or "cpu"
+    return run_here(one, store, given.cell, given.parent, given.wait, device)
+
+
+def cell(given: Given) -> int:
+    """One cell of any experiment, as the harness starts it."""
+    from benchmarks.runs.cell import opened, run_here
+
+    one, store = opened(given.experiment, given.recipe, given.store)
+    return run_here(one, store, given.cell, given.parent, given.wait, given.device or "cpu")
+
+
+def evaluate(given: Given) -> int:
+    """Score a model or planner of one's own for the leaderboard, or stored policies again."""
+    if given.model or given.planner:
+        if given.starts is not None:
+            raise BenchmarkError("--starts is for stored policies, not for --model or --planner")
+        return _evaluate_entry(given)
+    of_entries = ("name", "algorithm", "trust", "mask_singularities", "mask_visited", "replace")
+    if found := [word for word in of_entries if getattr(given, word)]:
+        raise BenchmarkError(
+            f"--{found[0].replace('_', '-')} belongs to a --model or --planner, which is not given"
+        )
+    from benchmarks.studies.scoring.scores import Replay, score_again
+
+    replay = Replay(given.preset, given.results, given.episodes, given.starts)
+    return score_again(replay, Console(soft_wrap=True))
+
+
+def _evaluate_entry(given: Given) -> int:
+    from benchmarks.studies.scoring.entries import Entry, glance, score
+
+    preset = load_preset(given.preset)
+    source = given.model[0].stem if given.model else given.planner.partition(":")[2]
+    entry = Entry(
+        given.name or source or given.planner, tuple(given.model), given.algorithm, given.planner,
+        given.trust, given.mask_singularities, given.mask_visited,
+    )  # fmt: skip
+    if given.episodes is None:
+        score(preset, given.results, entry, Console(soft_wrap=True), given.replace)
+        return 0
+    for line in glance(preset, entry, given.episodes):
+        print(line)
+    print("Nothing was stored: the leaderboard needs all test episodes")
+    return 0
+
+
+def _of_stored(method: str) -> Callable[[Given], None]:
+    def command(given: Given) -> None:
+        one, store = _open(given)
+        with store.lock():
+            getattr(one, method)(store, Console(soft_wrap=True))
+
+    return command
+
+
+def report(given: Given) -> None:
+    """Tables and figures of a preset, then the blocks of all pages beside the results folder."""
+    from benchmarks.reporting import blocks
+
+    _of_stored("report")(given)
+    for page in blocks.rewrite(given.results, catalogue.all_blocks(given.results)):
+        print(f"{page}: rewritten")
+
+
+def verify(given: Given) -> int:
+    """Recompute every table and block; exit code 1 if one disagrees with the stored data."""
+    found = catalogue.verify(given.results, [given.preset] if given.preset else [])
+    for line in found.checked:
+        print(line)
+    for problem in found.problems:
+        print(problem, file=sys.stderr)
+    if number := len(found.problems):
+        print(f"{number} difference{'s' if number > 1 else ''} found", file=sys.stderr)
+        return 1
+    print("Everything agrees with the stored data")
+    return 0
+
+
+def watch(given: Given) -> None:
+    """The optimum or a policy in the browser."""
+    from benchmarks.studies.watch import watch as show
+
+    show(given)
+
+
+def studies(given: Given) -> None:
+    """All studies, a line for each."""
+    for name, (_, text) in sorted(catalogue.STUDIES.items()):
+        print(f"{name:15} {text}")
+
+
+RESULTS: Final = (("--results",), {"type": Path, "default": Path("results"), "help": "folder"})
+PRESET: Final = (
+    ("--preset",),
+    {"default": DEFAULT_PRESET, "help": f"{', '.join(preset_names())}, one of the public tasks', "
+     f"or the path of a .yaml file (default: {DEFAULT_PRESET})"},
+)  # fmt: skip
+DEVICE: Final = (
+    ("--device",),
+    {"choices": ("cpu", "cuda"), "help": "place of the networks (default: cpu, with GPUs cuda)"},
+)
+JOBS: Final = (("--jobs",), {"type": at_least(1), "help": "number of processes (default: cores)"})
+CELL: Final = (
+    (("--cell",), {"required": True, "help": "id of the cell, as `plan` lists it"}),
+    (("--parent",), {"type": int, "help": argparse.SUPPRESS}),  # the harness
+    (("--wait",), {"type": float, "default": 0.0, "help": "s to wait for another process"}),
+)
+CLUSTER: Final = (
+    (("--backend",), {"choices": BACKENDS, "default": BACKENDS[0], "help": "place of processes"}),
+    (("--address",), {"help": "address of the Ray cluster, 'auto' for the one at hand"}),
+    (("--gpus-per-run",), {"type": float, "default": 0.0, "help": "GPUs of a run (Ray)"}),
+)
+TRUST: Final = (("--trust",), {"action": "store_true", "help": TRUSTED})
+ENTRY: Final = (
+    (("--model",), {"type": Path, "nargs": "+", "metavar": "FILE", "default": [],
+     "help": ".zip of any SB3 or sb3-contrib algorithm: one, or one per seed"}),
+    (("--planner",), {"default": "", "metavar": "NAME",
+     "help": "rrt_connect, rrt_lattice, optimum, or module:function of your own"}),
+    (("--name",), {"help": "name on the leaderboard (default: the file's)"}),
+    (("--algorithm", "--algo"), {"help": "class of the model (default: the file's)"}),
+    TRUST,
+    (("--mask-singularities",), {"action": "store_true", "help": "as the model was trained"}),
+    (("--mask-visited",), {"type": int, "default": 0, "metavar": "N", "help": "as it was trained"}),
+    (("--replace",), {"action": "store_true", "help": "another entry of this name gives way"}),
+    (("--episodes",), {"type": at_least(1), "metavar": "N",
+     "help": "test episodes per seed, for a look: nothing joins the leaderboard"}),
+    (("--starts",), {"type": at_least(0), "metavar": "NUMBER",
+     "help": "of stored policies: other starts than the test episodes', 20 episodes per seed"}),
+)  # fmt: skip
+WATCH: Final = (
+    (("--geometry",), {"choices": ("initial", "optimized"), "default": "optimized",
+     "help": "of the 3-RRS"}),
+    (("--model",), {"type": Path, "help": "a trained model instead of the optimum"}),
+    TRUST,
+    (("--twin",), {"action": "store_true", "help": "masses, servos and contact (MuJoCo)"}),
+    (("--host",), {"default": "127.0.0.1", "help": "address to listen on"}),
+    (("--port",), {"type": int, "default": 8080, "help": "port to listen on"}),
+)  # fmt: skip
+OF_ONE: Final = (("--preset",), {"help": "one preset (default: all with results, and all pages)"})
+HIDDEN: Final[tuple[Any, ...]] = tuple(((name,), {}) for name in ("experiment", "recipe"))
+#: verb -> function, help, arguments
+VERBS: Final[dict[str, tuple[Callable[[Given], Any], str, tuple[Any, ...]]]] = {
+    "run": (run, "missing runs, then tables and figures",
+            (PRESET, RESULTS, JOBS, DEVICE, *CLUSTER)),
+    "plan": (plan, "cells of a preset, their state and cost", (PRESET, RESULTS, JOBS)),
+    "train": (train, "one cell in this process", (PRESET, RESULTS, *CELL, DEVICE)),
+    "evaluate": (evaluate, "a --model or --planner of your own on the leaderboard, or stored "
+                 "policies again", (PRESET, RESULTS, *ENTRY)),
+    "tables": (_of_stored("write_tables"), "tables from stored runs", (PRESET, RESULTS)),
+    "figures": (_of_stored("write_figures"), "figures from stored runs", (PRESET, RESULTS)),
+    "report": (report, "tables, figures, README and docs from stored data", (PRESET, RESULTS)),
+    "verify": (verify, "comparison of tables, README and docs with stored data", (OF_ONE, RESULTS)),
+    "watch": (watch, "the optimum or a policy in the browser", (RESULTS, *WATCH)),
+    "study": (studies, "one of the studies: study NAME --help; alone, their names", ()),
+    "cell": (cell, "", (*HIDDEN, (("store",), {"type": Path}), *CELL, DEVICE)),
+}  # fmt: skip
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of all verbs."""
+    found = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    verbs = found.add_subparsers(required=True, metavar="verb")
+    for name, (command, text, arguments) in VERBS.items():
+        words: dict[str, Any] = {"help": text, "description": text} if text else {}
+        verb = verbs.add_parser(name, **words)
+        for flags, settings in arguments:
+            verb.add_argument(*flags, **settings)
+        verb.set_defaults(command=command)
+    return found

@@ -1,0 +1,160 @@
+"""Generated blocks of pages: what stands between two markers is written from stored data.
+
+    <!-- shield:begin (written by: python -m benchmarks study shield) -->
+    <!-- shield:end -->
+
+A block is a function from what its first marker says beside the name to its text; the words of the
+marker up to the bracket are its arguments. Pages are the README and ``docs/`` beside the results
+folder. `report` and every study fill their blocks, `verify` compares.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.reporting.verify import check_file
+from benchmarks.runs.store import RunFolder, write_text
+
+Block = Callable[[str], str]
+#: by name; one of which the data are missing raises KeyError, and stays as it is
+Blocks = Mapping[str, Block]
+
+GALLERY: Final = (
+    ("Both robots, and the view", "study media", "media/*"),
+    ("Geometric optimization", "study design", "design/figures/*"),
+    ("What rewards pay for", "study audit", "audit/*"),
+    ("The paper at its own scale", "figures --preset paper", "paper/figures/*"),
+    ("The first runs, cut short", "figures --preset cut", "cut/figures/*"),
+    ("Failures, safe", "study failures --preset cut --track safe", "cut/failures/*-safe.*"),
+    ("Failures, memory", "study failures --preset cut --track memory", "cut/failures/*-memory.*"),
+    ("Design and team", "study codesign", "codesign/figures/*"),
+    ("Insertion in contact", "study contact --film", "contact/*"),
+    ("Learners in contact", "figures --preset contact", "classic/contact/figures/*"),
+    ("A trajectory for a controller", "study trajectory", "trajectory/*"),
+    ("Two robots at once", "figures --preset team", "team/figures/*"),
+    ("Control tasks", "figures --preset control", "classic/control/figures/*"),
+    ("LunarLander for longer", "figures --preset lunarlander300k",
+     "classic/lunarlander300k/figures/*"),
+    ("MinAtar", "figures --preset minatar", "classic/minatar/figures/*"),
+    ("Atari", "figures --preset atari100k", "classic/atari100k/figures/*"),
+    ("The bare line", "figures --preset defaults", "classic/defaults/figures/*"),
+    ("Masks", "figures --preset basics", "classic/basics/figures/*"),
+)  # fmt: skip
+ENDS: Final = (".png", ".gif")
+
+
+def pattern(name: str) -> re.Pattern[str]:
+    """Matches each block of that name: its first marker, what the marker says, its second one."""
+    return re.compile(
+        rf"(<!-- {re.escape(name)}:begin ?(.*?) ?-->)\n.*?(<!-- {re.escape(name)}:end -->)",
+        re.DOTALL,
+    )
+
+
+def render(page: str, blocks: Blocks) -> str:
+    """A page with its blocks written afresh; those of which the data are missing stay."""
+
+    def write(match: re.Match[str], body: Block) -> str:
+        try:
+            return f"{match[1]}\n\n{body(match[2].partition('(')[0].strip()).strip()}\n\n{match[3]}"
+        except KeyError:
+            return match[0]
+
+    for name, body in blocks.items():
+        page = pattern(name).sub(lambda match, body=body: write(match, body), page)  # type: ignore[misc]
+    return page
+
+
+def pages_of(results: Path) -> list[Path]:
+    """The README and the pages of ``docs/`` beside a results folder."""
+    root = results.resolve().parent
+    return [p for p in (root / "README.md", *sorted((root / "docs").glob("*.md"))) if p.is_file()]
+
+
+def rewrite(results: Path, blocks: Blocks) -> list[Path]:
+    """Fill the blocks of all pages; returns the pages that changed."""
+    changed = []
+    for path in pages_of(results):
+        old = path.read_text(encoding="utf-8")
+        if (new := render(old, blocks)) != old:
+            write_text(path, new)
+            changed.append(path)
+    return changed
+
+
+def check(results: Path, blocks: Blocks) -> Iterator[tuple[str, list[str]]]:
+    """For each page with such a block: what was looked at, and what differs."""
+    for path in pages_of(results):
+        text = path.read_text(encoding="utf-8")
+        if any(pattern(name).search(text) for name in blocks):
+            try:
+                yield f"{path}: its blocks", check_file(path, render(text, blocks), "stored data")
+            except BenchmarkError as error:
+                yield f"{path}: its blocks", [f"{path}: {error}"]
+
+
+def include(results: Path) -> Block:
+    """The block that holds a Markdown file of ``results/``, named in its marker."""
+
+    def read(said: str) -> str:
+        path = results.joinpath(*Path(said).parts[1:])
+        if not said.startswith("results/") or ".." in said or not path.is_file():
+            raise BenchmarkError(f"{said} is no file of {results}")
+        return path.read_text(encoding="utf-8")
+
+    return read
+
+
+def gallery(results: Path, captions: Mapping[str, str]) -> Block:
+    """The block of all pictures, each under the command that writes it.
+
+    ``captions`` are by path below ``results``; where there is none, another page's words for the
+    picture are taken, or its name.
+    """
+
+    def body(_: str) -> str:
+        said = dict(_shown(path for path in pages_of(results) if path.name != "gallery.md"))
+        sections = []
+        for title, command, glob in GALLERY:
+            cells = []
+            for path in sorted(p for p in results.glob(glob) if p.suffix in ENDS):
+                name = path.relative_to(results).as_posix()
+                plain = re.sub(r"\W|_", " ", path.stem).capitalize()
+                caption = captions.get(name) or said.get(name) or plain
+                cells.append(f"![{caption}](../results/{name})<br>{caption}")
+            if cells:
+                cells += [""] * (len(cells) % 2)
+                rows = [f"| {a} | {b} |" for a, b in zip(cells[::2], cells[1::2], strict=True)]
+                table = "\n".join(["| | |", "|---|---|", *rows])
+                sections.append(f"## {title}\n\n    python -m benchmarks {command}\n\n{table}")
+        return "\n\n".join(sections)
+
+    return body
+
+
+def _shown(pages: Iterable[Path]) -> Iterator[tuple[str, str]]:
+    """Pictures that pages show: path below ``results``, words."""
+    for page in pages:
+        for text, name in re.findall(r"!\[([^\]]+)\]\([./]*results/([^)]+)\)", page.read_text()):
+            yield name, text
+
+
+def provenance(preset: str, runs: Sequence[RunFolder], missing: int = 0, controls: int = 0) -> str:
+    """How many runs, of which so many of controls, how long, at which commit, on which machine."""
+    if not runs:
+        return f"Preset `{preset}`: no run is complete."
+    metas = [run.meta() for run in runs]
+    minutes = sum(run.cpu_seconds() for run in runs) / 60.0
+    commits = sorted({str(meta["commit"])[:9] for meta in metas})
+    dirty = " with uncommitted changes" if any(meta["dirty"] for meta in metas) else ""
+    machines = sorted({str(meta["machine"]["processor"]) for meta in metas})
+    lacking = f" ({missing} are missing)" if missing else ""
+    trained = f"{len(runs) - controls} runs" + (f" and {controls} of controls" if controls else "")
+    return (
+        f"Preset `{preset}`: {trained}{lacking}, {minutes:.0f} CPU minutes, at commit "
+        f"{', '.join(commits)}{dirty}, on {'; '.join(machines)}."
+    )

@@ -1,1 +1,0 @@
-"""README's results, and pages that hold whole files of results/."""

@@ -1,0 +1,206 @@
+"""What a study is: parts that are measured once each, what is told of them, and where it stands.
+
+A study is data on :class:`Study`: options, parts, tables, a page. The base resumes, shows the bar,
+stores, publishes and verifies.
+
+    python -m benchmarks study NAME
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import shlex
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, ClassVar
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.reporting import blocks
+from benchmarks.reporting.blocks import Block
+from benchmarks.reporting.verify import check_file
+from benchmarks.runs.machine import describe
+from benchmarks.runs.store import write_text
+
+Tick = Callable[[float], None]  # hears which share is done
+Part = Callable[[Tick], Any]
+Option = Mapping[str, Any]  # keyword arguments of add_argument
+
+
+class Study(ABC):
+    """A study. ``given`` has the values of its options, ``results``, and the ``command`` line.
+
+    Attributes:
+        name: of the command, of its folder below the results folder, and of its block.
+        options: argparse's arguments by name.
+        needs: modules that an extra brings, and the extra.
+    """
+
+    name: ClassVar[str]
+    options: ClassVar[Mapping[str, Option]] = {}
+    needs: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, given: argparse.Namespace) -> None:
+        self.given, self.results = given, Path(given.results)
+        self.folder = self.results / self.name
+
+    @classmethod
+    def parser(cls) -> argparse.ArgumentParser:
+        """The command line of the study."""
+        found = argparse.ArgumentParser(
+            prog=f"python -m benchmarks study {cls.name}",
+            description=importlib.import_module(cls.__module__).__doc__,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        found.add_argument("--results", type=Path, default=Path("results"), help="results folder")
+        for name, arguments in cls.options.items():
+            found.add_argument(name, **arguments)
+        return found
+
+    @classmethod
+    def main(cls, words: Sequence[str]) -> int:
+        """Measure what is missing, then tables, figures and pages; returns the exit code."""
+        given = cls.parser().parse_args(list(words))
+        given.command = shlex.join(["python", "-m", "benchmarks", "study", cls.name, *words])
+        for module in cls.needs[:-1]:
+            try:
+                importlib.import_module(module)
+            except ImportError as error:
+                told = f"{cls.name} needs pip install 'sb3-rainbow-coop[{cls.needs[-1]}]': {error}"
+                raise BenchmarkError(told) from error
+        console = Console(soft_wrap=True)
+        study = cls(given)
+        with bar(console) as progress:
+            for name, part in study.parts().items():
+                task = progress.add_task(name, total=1.0)
+                study.keep(name, part(lambda share, t=task: progress.update(t, completed=share)))  # type: ignore[misc]
+                progress.update(task, completed=1.0)
+        study.finish()
+        for path, text in cls.files(study.results).items():
+            write_text(path, text)
+            console.print(text, markup=False, highlight=False)
+        pages = blocks.rewrite(study.results, cls.blocks(study.results))
+        console.print(f"Written to {', '.join(map(str, [study.folder, *pages]))}", markup=False)
+        return 0
+
+    @abstractmethod
+    def parts(self) -> Mapping[str, Part]:
+        """What is still to be measured, by name, in order."""
+
+    def keep(self, name: str, found: Any) -> None:  # noqa: B027 - a part may store its own
+        """Store what a part gave."""
+
+    def finish(self) -> None:  # noqa: B027 - few draw
+        """Draw what is to be drawn once all parts are there."""
+
+    @classmethod
+    def files(cls, results: Path) -> dict[Path, str]:
+        """Files that follow from what is stored, with their texts; none where nothing is."""
+        return {}
+
+    @classmethod
+    def blocks(cls, results: Path) -> dict[str, Block]:
+        """Blocks of pages that follow from what is stored: by default the text of its file."""
+
+        def block(_: str) -> str:
+            if not (texts := list(cls.files(results).values())):
+                raise KeyError(cls.name)
+            return "\n\n".join(texts)
+
+        return {cls.name: block}
+
+    @classmethod
+    def problems(cls, results: Path) -> list[str]:
+        """A sentence for each stored thing that disagrees with what it follows from."""
+        return [
+            problem
+            for path, text in cls.files(results).items()
+            for problem in check_file(path, text, f"the data in {path.parent}")
+        ]
+
+
+class Measured(Study):
+    """A study whose parts lie in one JSON file, each stored as it is done.
+
+    What was asked for decides the file: other settings, or another commit, begin anew.
+
+    Attributes:
+        file: the JSON file below the results folder.
+    """
+
+    file: ClassVar[str]
+
+    def __init__(self, given: argparse.Namespace) -> None:
+        super().__init__(given)
+        self.path = self.results / self.file
+        self.folder = self.path.parent
+        self.found: dict[str, Any] = {"asked": self.asked(), "parts": {}}
+        if self.path.is_file():
+            stored = json.loads(self.path.read_text(encoding="utf-8"))
+            if stored.get("asked") == self.found["asked"]:
+                self.found = stored
+        self.found |= {"command": given.command, "machine": describe()}
+
+    def asked(self) -> dict[str, Any]:
+        """What decides the parts, as JSON can hold it."""
+        names = [name.removeprefix("--").replace("-", "_") for name in self.options]
+        given = {name: getattr(self.given, name) for name in names}
+        return {**given, "commit": describe()["commit"]}
+
+    @abstractmethod
+    def measures(self) -> Mapping[str, Part]:
+        """All parts, by name, in order."""
+
+    @staticmethod
+    @abstractmethod
+    def tell(found: dict[str, Any]) -> str:
+        """What is stored, as Markdown."""
+
+    def parts(self) -> Mapping[str, Part]:
+        kept = self.found["parts"]
+        return {name: part for name, part in self.measures().items() if name not in kept}
+
+    def keep(self, name: str, found: Any) -> None:
+        self.found["parts"][name] = found
+        write_text(self.path, json.dumps(self.found, indent=1) + "\n")
+
+    @classmethod
+    def files(cls, results: Path) -> dict[Path, str]:
+        path = results / cls.file
+        if not path.is_file():
+            return {}
+        found = json.loads(path.read_text(encoding="utf-8"))
+        return {path.with_suffix(".md"): cls.tell(found).strip() + "\n"}
+
+    @classmethod
+    def problems(cls, results: Path) -> list[str]:
+        try:
+            return super().problems(results)
+        except KeyError as missing:
+            return [f"{results / cls.file} has no {missing}: the command of the study goes on"]
+
+
+def source(found: Mapping[str, Any], more: str = "") -> str:
+    """Where measurements come from: command, machine, commit."""
+    machine = found["machine"]
+    return (
+        f"Command: `{found['command']}`. {machine['machine']['processor']}, "
+        f"commit {machine['commit'][:9]}{more}."
+    )
+
+
+@contextmanager
+def bar(console: Console) -> Iterator[Progress]:
+    """The progress bar of all that runs in this process."""
+    columns = (
+        *(TextColumn("{task.description}"), BarColumn(bar_width=24)),
+        *(TimeElapsedColumn(), TimeRemainingColumn()),
+    )
+    with Progress(*columns, console=console, refresh_per_second=2) as progress:
+        yield progress

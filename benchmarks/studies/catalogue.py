@@ -1,0 +1,159 @@
+"""All studies and experiments by name, and what is done with them all: verify, pages."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from benchmarks.errors import BenchmarkError, known
+from benchmarks.protocol.presets import preset_names, read_yaml
+from benchmarks.reporting import blocks, science
+from benchmarks.reporting.blocks import Block
+from benchmarks.reporting.verify import Report, check_tables, store_names
+from benchmarks.runs.experiment import Experiment
+from benchmarks.runs.store import Store
+from benchmarks.studies.base import Study
+
+#: name -> where it is, and a line of help
+STUDIES: Final = {
+    "audit": ("audit:Audit", "returns of scripts and learners under each reward"),
+    "codesign": ("codesign.study:Codesign", "a 3-RRS chosen together with the policy"),
+    "contact": ("robots.contact:Contact", "scripts on the contact task: success, time, force"),
+    "data": ("data:Data", "Minari datasets of the task"),
+    "design": ("design.study:Design", "the geometric optimization: tables, figures"),
+    "failures": ("failures:Failures", "causes of the failures of stored policies"),
+    "media": ("media:Media", "pictures of one episode"),
+    "physics": ("robots.physics:Physics", "the physics twin: errors, speed, model folder"),
+    "shield": ("robots.shield:Shield", "certificate, adversary and price of the shield"),
+    "speed-env": ("speed.env:SpeedEnv", "steps per second, the optimum"),
+    "speed-rainbow": ("speed.rainbow:SpeedRainbow", "updates per second, replay, memory"),
+    "trajectory": ("trajectory:TrajectoryStudy", "joint trajectories, and files of one episode"),
+    "transfer": ("robots.transfer:Transfer", "players of the kinematic task in the twin"),
+}
+
+
+def study(name: str) -> type[Study]:
+    """The study of that name, or of ``module:Class`` from the current folder.
+
+    Raises:
+        BenchmarkError: there is none.
+    """
+    where = f"benchmarks.studies.{STUDIES[name][0]}" if name in STUDIES else name
+    module, colon, kind = where.partition(":")
+    if not colon:
+        told = f"unknown study '{name}'; known: {known(STUDIES)}, or module:Class"
+        raise BenchmarkError(told)
+    if "" not in sys.path:
+        sys.path.insert(0, "")
+    try:
+        found: type[Study] = getattr(importlib.import_module(module), kind)
+    except (ImportError, AttributeError) as error:
+        raise BenchmarkError(f"study '{name}' cannot be imported: {error}") from error
+    return found
+
+
+def run_study(name: str, words: list[str]) -> int:
+    """Run a study by its command line; returns the exit code."""
+    return study(name).main(words)
+
+
+def experiment(preset: str) -> Experiment[Any]:
+    """The experiment of a preset: its name, or the path of its file.
+
+    Raises:
+        BenchmarkError: there is no such preset.
+    """
+    from benchmarks.studies.classic import presets as classic
+
+    path = Path(preset)
+    public = preset in classic.preset_names()
+    if path.suffix in (".yaml", ".yml") and path.is_file():
+        public = "tasks" in read_yaml(path)
+    if public:
+        from benchmarks.studies.classic.experiment import Classic
+
+        return Classic(preset)
+    from benchmarks.studies.insertion import Insertion
+
+    return Insertion(preset)
+
+
+def stores(results: Path) -> dict[str, Path]:
+    """The presets of this package that have a store, and its folder."""
+    from benchmarks.studies.classic import presets as classic
+
+    found = {name: results / name for name in store_names(results)}
+    public = {name: results / "classic" / name for name in store_names(results / "classic")}
+    return {name: path for name, path in found.items() if name in preset_names()} | {
+        name: path for name, path in public.items() if name in classic.preset_names()
+    }
+
+
+def all_blocks(results: Path) -> Mapping[str, Block]:
+    """Every block that a page may hold."""
+
+    def of_store(name: str) -> Store:
+        folder = results.joinpath(*Path(name).parts[1:])
+        if not (folder / "store.json").is_file():
+            raise KeyError(name)
+        return Store.open(folder.parent, folder.name)
+
+    def public(said: str) -> str:
+        from benchmarks.studies.classic.tables import page
+
+        return page(of_store(said))
+
+    found: dict[str, Block] = {
+        "include": blocks.include(results),
+        "results": lambda said: science.short(of_store(said)),
+        "science": lambda said: science.science(of_store(said)),
+        "classic": public,
+        "gallery": blocks.gallery(results, captions(results)),
+    }
+    for name in STUDIES:
+        found |= study(name).blocks(results)
+    return found
+
+
+def captions(results: Path) -> dict[str, str]:
+    """What stands under the pictures of the stores, by path below ``results``."""
+    return {
+        (folder / "figures" / f"{picture.name}.png")
+        .relative_to(results)
+        .as_posix(): picture.caption
+        for name, folder in stores(results).items()
+        for picture in experiment(name).pictures(Store.open(folder.parent, folder.name))
+    }
+
+
+def verify(results: Path, presets: list[str]) -> Report:
+    """Check the stores of ``presets`` (all under ``results`` if none is named), studies and pages.
+
+    Raises:
+        BenchmarkError: a store is missing or of another schema.
+    """
+    report, there = Report(), stores(results)
+    if not there and not presets:
+        raise BenchmarkError(f"{results} has no results; run: python -m benchmarks run")
+    for name in presets or there:
+        one = experiment(name)
+        store = one.open_store(results)
+        problems = one.problems(store)
+        if not problems:  # rows that cannot be trusted make no tables
+            problems = check_tables(store.tables, one.tables(store))
+        policies = sum(run.policy.is_file() for run in store.completed())
+        what = f"{store.folder}: tables of {len(store.completed())} runs, {policies} policies"
+        report.add(what, problems)
+    if presets:
+        return report
+    for name in STUDIES:
+        if problems := study(name).problems(results):
+            report.problems += problems
+        report.checked.append(f"{results / name}: what is told of it")
+    if not report.problems:  # or the same once more
+        for what, problems in blocks.check(results, all_blocks(results)):
+            report.add(what, problems)
+    return report

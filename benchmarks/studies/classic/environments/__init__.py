@@ -1,1 +1,0 @@
-"""What is learned in: the environments by name, and feature extractors for their images."""

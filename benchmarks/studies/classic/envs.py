@@ -1,0 +1,159 @@
+"""The tasks by name, and what Gymnasium does not have: MinAtar, masked identity."""
+
+from __future__ import annotations
+
+import importlib
+import warnings
+from typing import Any, Final
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.studies.classic import atari
+
+MINATAR: Final = "MinAtar/"
+MASKED_IDENTITY: Final = "MaskedIdentity"
+NO_ACTION: Final = 0  # "n", of MinAtar's six
+
+
+def make(name: str, training: bool = False, **kwargs: Any) -> gym.Env[Any, Any]:
+    """An environment by name: a Gymnasium id, ``MinAtar/<game>`` or ``MaskedIdentity``.
+
+    Args:
+        name: the name.
+        training: to learn in, which on Atari differs from what is scored.
+        kwargs: of the environment.
+
+    Raises:
+        BenchmarkError: the name is unknown, or its package is not installed.
+    """
+    if name.startswith(MINATAR):
+        return MinAtarEnv(name.removeprefix(MINATAR), **kwargs)
+    if name.startswith(atari.PREFIX):
+        return atari.make_atari(name, training, **kwargs)
+    if name == MASKED_IDENTITY:
+        return MaskedIdentityEnv(**kwargs)
+    if name.startswith("LunarLander"):
+        _import("Box2D", name)
+    try:
+        return gym.make(name, disable_env_checker=True, **kwargs)
+    except gym.error.Error as error:
+        raise BenchmarkError(f"unknown environment '{name}': {error}") from error
+
+
+def _import(module: str, what: str) -> Any:
+    with warnings.catch_warnings():
+        # SWIG's types warn at import; as an error, that warning would crash the interpreter
+        warnings.simplefilter("ignore", DeprecationWarning)
+        try:
+            return importlib.import_module(module)
+        except ImportError as error:
+            raise BenchmarkError(
+                f"{what} needs the package {module} ({error}); pip install -e '.[classic]'"
+            ) from error
+
+
+class MinAtarEnv(gym.Env[NDArray[np.uint8], np.int64]):
+    """A MinAtar game (Young and Tian 2019) as an image with channels first.
+
+    Sticky actions (probability 0.1) and difficulty ramping are MinAtar's defaults. Observations
+    have shape (channels, 10, 10), uint8, 0 or 255; actions are the game's own minimal set; rewards
+    are the game's. The first frame of an episode follows "no action", so that an episode depends
+    on its seed alone.
+
+    Args:
+        game: asterix, breakout, freeway, seaquest or space_invaders.
+        max_episode_steps: frames after which an episode is truncated.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
+
+    def __init__(self, game: str, max_episode_steps: int = 5_000) -> None:
+        module = _import("minatar", f"MinAtar's {game}")
+        try:
+            self._game = module.Environment(game)
+        except ModuleNotFoundError as error:
+            raise BenchmarkError(f"unknown MinAtar game '{game}'") from error
+        self._actions: list[int] = self._game.minimal_action_set()
+        self._steps, self._limit = 0, max_episode_steps
+        rows, columns, channels = self._game.state_shape()
+        self.observation_space = spaces.Box(0, 255, (channels, rows, columns), np.uint8)
+        self.action_space = spaces.Discrete(len(self._actions))
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.uint8], dict[str, Any]]:
+        """Begin an episode."""
+        super().reset(seed=seed)
+        if seed is not None:
+            self._game.seed(int(self.np_random.integers(2**31)))
+        self._game.last_action = NO_ACTION
+        self._game.reset()
+        self._steps = 0
+        return self._observation(), {}
+
+    def step(self, action: np.int64) -> tuple[NDArray[np.uint8], float, bool, bool, dict[str, Any]]:
+        """One frame."""
+        reward, terminated = self._game.act(self._actions[int(action)])
+        self._steps += 1
+        truncated = self._steps >= self._limit
+        return self._observation(), float(reward), bool(terminated), truncated, {}
+
+    def _observation(self) -> NDArray[np.uint8]:
+        state = self._game.state().astype(np.uint8) * np.uint8(255)
+        return np.ascontiguousarray(state.transpose(2, 0, 1))
+
+
+class MaskedIdentityEnv(gym.Env[np.int64, np.int64]):
+    """Say which of ``size`` states you see: reward 1 if right, 0 if not. Few actions are allowed.
+
+    At each step the right action and ``n_valid - 1`` others, drawn at random, are allowed. Who
+    reads ``action_masks()`` finds the right one sooner; an action that is not allowed is answered
+    with 0, like any wrong one. Observations and actions: Discrete(size).
+
+    Args:
+        size: states and actions.
+        n_valid: allowed actions per step.
+        length: steps of an episode.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
+
+    def __init__(self, size: int = 100, n_valid: int = 5, length: int = 50) -> None:
+        if not 1 <= n_valid <= size:
+            raise BenchmarkError(f"n_valid = {n_valid} must lie between 1 and size = {size}")
+        self.observation_space = spaces.Discrete(size)
+        self.action_space = spaces.Discrete(size)
+        self._size, self._n_valid, self._length = size, n_valid, length
+        self._steps, self._state = 0, np.int64(0)
+        self._mask = np.ones(size, dtype=bool)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.int64, dict[str, Any]]:
+        """Begin an episode."""
+        super().reset(seed=seed)
+        self._steps = 0
+        self._draw()
+        return self._state, {}
+
+    def step(self, action: np.int64) -> tuple[np.int64, float, bool, bool, dict[str, Any]]:
+        """Answer, and see the next state."""
+        reward = float(int(action) == int(self._state))
+        self._steps += 1
+        self._draw()
+        return self._state, reward, False, self._steps >= self._length, {}
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """True where allowed, shape ``(size,)``."""
+        return self._mask.copy()
+
+    def _draw(self) -> None:
+        self._state = np.int64(self.np_random.integers(self._size))
+        others = self.np_random.choice(self._size - 1, self._n_valid - 1, replace=False)
+        self._mask = np.zeros(self._size, dtype=bool)
+        self._mask[others + (others >= self._state)] = True
+        self._mask[self._state] = True

@@ -1,0 +1,121 @@
+"""Episodes on the public tasks: of a greedy policy, and of what plays without learning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from benchmarks.protocol.seeding import derive, episode_seeds
+from benchmarks.runs.cell import Teller
+from benchmarks.runs.store import RunFolder
+from benchmarks.studies.classic.controls import Control, at_random, held, scripted
+from benchmarks.studies.classic.envs import make
+from benchmarks.studies.classic.presets import CONTACT, Cell, Preset, Task
+from sb3_rainbow import Rainbow
+
+IN_MOVES: Final = "coop_env:CoopInsertionContactDiscrete-v0"  # for who cannot act continuously
+PARALLEL: Final = 50  # episodes that a test plays side by side
+
+
+def make_env(task: Task, discrete: bool = True, training: bool = False) -> gym.Env[Any, Any]:
+    """One environment of a task, to be tested in or to learn in."""
+    name = IN_MOVES if discrete and task.env == CONTACT else task.env
+    return make(name, training, **task.env_kwargs)
+
+
+def evaluate(
+    model: BaseAlgorithm | Control, task: Task, seeds: Sequence[int]
+) -> list[tuple[float, int]]:
+    """Return and length of the greedy policy's episodes, one for each ``reset(seed=...)``.
+
+    Draws from no generator of the training; masks are asked for if the model knows masks.
+    """
+    results: list[tuple[float, int]] = []
+    for first in range(0, len(seeds), PARALLEL):
+        results += _play(model, task, seeds[first : first + PARALLEL])
+    return results
+
+
+def _play(
+    model: BaseAlgorithm | Control, task: Task, seeds: Sequence[int]
+) -> list[tuple[float, int]]:
+    discrete = isinstance(model.action_space, spaces.Discrete)
+    playing = [make_env(task, discrete) for _ in seeds]
+    masked = isinstance(model, Rainbow | Control) and playing[0].has_wrapper_attr("action_masks")
+    observations = [env.reset(seed=seed)[0] for env, seed in zip(playing, seeds, strict=True)]
+    returns, lengths = [0.0] * len(seeds), [0] * len(seeds)
+    active = list(range(len(seeds)))
+    while active:
+        batch = np.stack([observations[i] for i in active])
+        masks: dict[str, Any] = {}
+        if masked:
+            allowed = [playing[i].get_wrapper_attr("action_masks")() for i in active]
+            masks["action_masks"] = np.stack(allowed)
+        actions, _ = model.predict(batch, deterministic=True, **masks)
+        still = []
+        for i, action in zip(active, actions, strict=True):
+            observations[i], reward, terminated, truncated, _ = playing[i].step(action)
+            returns[i] += float(reward)
+            lengths[i] += 1
+            if not (terminated or truncated):
+                still.append(i)
+        active = still
+    for env in playing:
+        env.close()
+    return list(zip(returns, lengths, strict=True))
+
+
+def test(model: BaseAlgorithm | Control, preset: Preset, cell: Cell, folder: RunFolder) -> None:
+    """The final test, whose episodes depend on the cell's seed alone; writes ``episodes.csv``."""
+    seeds = episode_seeds(cell.number, preset.final_episodes)
+    played = evaluate(model, preset.tasks[cell.task], seeds)
+    folder.write_rows(
+        "episodes",
+        [
+            {"episode": i, "seed": episode_seed, "return": total, "length": length}
+            for i, (episode_seed, (total, length)) in enumerate(zip(seeds, played, strict=True))
+        ],
+    )
+
+
+def run_control(
+    preset: Preset,
+    cell: Cell,
+    folder: RunFolder,
+    stop_requested: Callable[[], bool] = lambda: False,
+) -> dict[str, Any]:
+    """Test what plays without learning on the episodes of a learner; writes ``episodes.csv``.
+
+    The one action that is held is the best on a learner's validation episodes.
+
+    Raises:
+        Stopped: it was asked to end.
+    """
+    task, seed = preset.tasks[cell.task], cell.number
+    tell = Teller(folder, stop_requested)
+    env = make_env(task)
+    space = env.action_space
+    env.close()
+    assert isinstance(space, spaces.Discrete)
+    about: dict[str, Any] = {}
+    if cell.method == "random":
+        control = at_random(space, derive("noise", seed))
+    elif cell.method == "held":
+        validation = episode_seeds(seed, task.eval_episodes, "validate")
+        totals = []
+        for action in range(int(space.n)):
+            played = evaluate(held(space, action), task, validation)
+            totals.append(sum(total for total, _ in played))
+            tell(0.5 * (action + 1) / float(space.n), f"action {action}")
+        about["action"] = int(np.argmax(totals))
+        control = held(space, about["action"])
+    else:
+        control = scripted(space, task.env)
+    tell(0.5, "test")
+    test(control, preset, cell, folder)
+    return {**about, "seeds": {"first_test_episode": episode_seeds(seed, 1)[0]}}

@@ -1,0 +1,306 @@
+"""Minari datasets of the insertion task, for learners that meet no environment.
+
+Four behaviours act in the environment of the track `safe`, under its masks: the exact *optimum*,
+hole by hole, which ends where no moves insert; the *expert*, two-move lookahead from the
+observation, the best script there without a memory; the *medium* one, which is the expert but for a
+share of its moves, drawn from the allowed ones; and *random* moves, drawn from the allowed ones.
+Episode k begins at the same state for all, which is no state of a test, a validation or a training.
+A dataset is there when it is complete: what was cut off begins anew, the others are kept.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.errors import BenchmarkError, at_least
+from benchmarks.evaluation.evaluate import Chooser, follow, play_together
+from benchmarks.methods.controls import control
+from benchmarks.methods.episodes import Episode, env_arguments
+from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.protocol.plan import Cell
+from benchmarks.protocol.presets import load_preset
+from benchmarks.protocol.seeding import derive
+from benchmarks.reporting.tables.table import Cell as TableCell
+from benchmarks.reporting.tables.table import Table
+from benchmarks.runs.machine import describe
+from benchmarks.runs.store import write_text
+from benchmarks.studies.base import Part, Study, Tick
+from coop_env.env import CoopInsertionEnv, Observation
+
+NAMESPACE: Final = "coop-insertion"
+TRACK: Final = "safe"
+SMALL: Final = 2_000  # steps of the dataset that is in git
+# with three of four moves random the expert succeeds about half as often, on these starts
+RANDOM_SHARE: Final = {"expert": 0.0, "medium": 0.75, "random": 1.0}
+BEHAVIOURS: Final = {
+    "optimum": "exact optimum",
+    "expert": "two-move lookahead from the observation",
+    "medium": f"expert, {RANDOM_SHARE['medium']:.0%} of the moves random",
+    "random": "random",
+}
+TOGETHER: Final = 32  # episodes side by side: a script is asked once for all of them
+
+
+class Recorder(CoopInsertionEnv):
+    """The environment, which keeps what happens in an episode."""
+
+    def reset(self, **given: Any) -> tuple[Observation, dict[str, Any]]:
+        """As the environment's; begins a new record."""
+        observation, info = super().reset(**given)
+        self.observations, self.masks = [observation], [self.action_masks()]
+        self.filled = [int(info["n_filled"])]
+        self.steps: list[tuple[int, float, bool, bool]] = []
+        return observation, info
+
+    def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """As the environment's; what came of the move is kept."""
+        observation, reward, terminated, truncated, info = super().step(action)
+        self.observations.append(observation)
+        self.masks.append(self.action_masks())
+        self.filled.append(int(info["n_filled"]))
+        self.steps.append((int(action), reward, terminated, truncated))
+        return observation, reward, terminated, truncated, info
+
+    def buffer(self, seed: int) -> Any:
+        """The episode as Minari takes it; one that a behaviour gave up is truncated there."""
+        from minari.data_collector import EpisodeBuffer
+
+        actions, rewards, terminated, truncated = (
+            np.array(column) for column in zip(*self.steps, strict=True)
+        )
+        truncated[-1] |= not terminated[-1]
+        return EpisodeBuffer(
+            seed=seed,
+            observations=np.array(self.observations),
+            actions=actions.astype(np.int64),
+            rewards=rewards,
+            terminations=terminated,
+            truncations=truncated,
+            infos={"action_masks": np.array(self.masks), "n_filled": np.array(self.filled)},
+        )
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What decides a dataset. ``behaviour`` is one of :data:`BEHAVIOURS`."""
+
+    name: str
+    behaviour: str
+    steps: int
+
+    @property
+    def id(self) -> str:
+        """Minari's name of it, which is its folder, too."""
+        return f"{NAMESPACE}/{self.name}-v0"
+
+    def settings(self) -> dict[str, Any]:
+        """As the dataset's metadata keeps them."""
+        share = RANDOM_SHARE.get(self.behaviour, 0.0)
+        return {"behaviour": self.behaviour, "at_least": self.steps, "random_share": share}
+
+
+def recipes(steps: int) -> list[Recipe]:
+    """All datasets of one command; the small one comes first."""
+    small = Recipe("optimum-small", "optimum", min(steps, SMALL))
+    return [small, *(Recipe(name, name, steps) for name in BEHAVIOURS)]
+
+
+def arguments_of_the_task() -> dict[str, Any]:
+    """Keyword arguments of the environment that all behave in, without the defaults."""
+    preset = load_preset("cut")
+    cell = Cell("rainbow", "full", "optimized", TRACK, 0)
+    given = env_arguments(preset, cell, preset.tracks[TRACK])
+    return {name: value for name, value in given.items() if value}
+
+
+def play(recipe: Recipe, tell: Callable[[int], None]) -> list[Episode]:
+    """Whole episodes from the first on, until they have the recipe's steps together.
+
+    ``tell`` hears how many there are.
+    """
+    arguments, oracle = arguments_of_the_task(), LatticeOracle()
+    longest = CoopInsertionEnv(**arguments).params.task.max_moves
+    kept: list[Episode] = []
+    done = 0
+    while done < recipe.steps:
+        size = min(TOGETHER, (recipe.steps - done) // longest + 1)
+        numbers = range(len(kept), len(kept) + size)
+        batch = [Episode(Recorder(**arguments), n, derive("data", n)) for n in numbers]
+        if recipe.behaviour == "optimum":
+            for episode in batch:
+                follow(episode, oracle.plan)
+        else:
+            play_together(_mixed(batch, RANDOM_SHARE[recipe.behaviour]), batch, 0.0, 0)
+        for episode in batch:
+            if done < recipe.steps:
+                kept.append(episode)
+                done += episode.moves
+        tell(done)
+    return kept
+
+
+def _mixed(episodes: Sequence[Episode], share: float) -> Chooser:
+    """The expert, but for a share of its moves, which are drawn from the allowed ones."""
+    weights = load_preset("cut").tracks[TRACK].controls
+    expert = control("lookahead_observed", weights, 0)(episodes)
+    generators = [np.random.default_rng(derive("data", e.number, 1)) for e in episodes]
+
+    def choose(
+        observations: NDArray[np.float32], masks: NDArray[np.bool_], running: Sequence[int]
+    ) -> NDArray[Any]:
+        actions = np.zeros(len(running), np.int64)
+        drawn = np.array([generators[i].random() < share for i in running])
+        for row in np.flatnonzero(drawn).tolist():
+            actions[row] = generators[running[row]].choice(np.flatnonzero(masks[row]))
+        own = np.flatnonzero(~drawn)
+        if len(own):
+            actions[own] = expert(
+                observations[own], masks[own], [running[row] for row in own.tolist()]
+            )
+        return actions
+
+    return choose
+
+
+def measure(episodes: Sequence[Episode]) -> dict[str, Any]:
+    """What the metadata and the table say of a dataset; starts without a move count, too."""
+    rewards = np.array([episode.reward for episode in episodes])
+    holes = np.array([len(episode.insertions) for episode in episodes])
+    return {
+        "steps": sum(episode.moves for episode in episodes),
+        "starts": len(episodes),
+        "episodes": sum(episode.moves > 0 for episode in episodes),
+        "success": float((holes > 0).mean()),
+        "all_holes": float((holes == len(episodes[0].env.task.holes)).mean()),
+        "holes": float(holes.mean()),
+        "return": float(rewards.mean()),
+        "return_std": float(rewards.std()),
+    }
+
+
+def write(root: Path, recipe: Recipe, episodes: Sequence[Episode]) -> None:
+    """Make the dataset beside its place and rename it into it."""
+    import minari
+
+    env = gymnasium.make("CoopInsertion-v0", **arguments_of_the_task())
+    buffers = [e.env.buffer(e.reset_seed) for e in episodes if e.moves]  # type: ignore[attr-defined]
+    root.mkdir(parents=True, exist_ok=True)
+    root = root.resolve()  # Minari loses its way below a relative folder
+    with tempfile.TemporaryDirectory(dir=root, prefix=".") as temporary, minari_root(temporary):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # it asks for an e-mail address
+            dataset = minari.create_dataset_from_buffers(
+                recipe.id,
+                buffers,
+                env=env,
+                algorithm_name=BEHAVIOURS[recipe.behaviour],
+                author="the sb3-rainbow-coop authors",
+                description=f"Insertion by the {BEHAVIOURS[recipe.behaviour]}, with action masks",
+            )
+        record = {"settings": recipe.settings(), "measured": measure(episodes)}
+        dataset.storage.update_metadata({**record, "commit": describe()["commit"]})
+        (root / NAMESPACE).mkdir(exist_ok=True)
+        for made in sorted((Path(temporary) / NAMESPACE).iterdir()):
+            if made.is_dir() or not (root / NAMESPACE / made.name).exists():
+                made.rename(root / NAMESPACE / made.name)
+
+
+@contextmanager
+def minari_root(folder: str | os.PathLike[str]) -> Iterator[None]:
+    """Where Minari looks for datasets, and puts them."""
+    name = "MINARI_DATASETS_PATH"
+    before = os.environ.get(name)
+    os.environ[name] = os.fspath(folder)
+    try:
+        yield
+    finally:
+        del os.environ[name]
+        if before is not None:
+            os.environ[name] = before
+
+
+def read(root: Path, recipe: Recipe) -> dict[str, Any] | None:
+    """What is known of a dataset, None if it is not there.
+
+    Raises:
+        BenchmarkError: it is there, made by another recipe.
+    """
+    path = root / recipe.id / "data" / "metadata.json"
+    if not path.is_file():
+        return None
+    found = json.loads(path.read_text(encoding="utf-8"))
+    if found["settings"] != recipe.settings():
+        raise BenchmarkError(
+            f"{root / recipe.id} was made by {found['settings']}, this is {recipe.settings()}: "
+            "delete it, or name another --results"
+        )
+    size = sum(part.stat().st_size for part in path.parent.iterdir())
+    told = BEHAVIOURS[recipe.behaviour]
+    return {"id": recipe.id, "behaviour": told, "megabytes": size / 1e6, **found["measured"]}
+
+
+class Data(Study):
+    """Minari datasets of the task."""
+
+    name = "data"
+    needs = ("h5py", "minari", "data")
+    options = {  # noqa: RUF012
+        "--steps": {"type": at_least(1), "default": 100_000, "help": "least steps of each dataset"},
+    }
+
+    def parts(self) -> dict[str, Part]:
+        todo = [r for r in recipes(self.given.steps) if read(self.folder, r) is None]
+        return {recipe.id: partial(self._make, recipe) for recipe in todo}
+
+    def _make(self, recipe: Recipe, tick: Tick) -> None:
+        write(self.folder, recipe, play(recipe, lambda n: tick(n / recipe.steps)))
+
+    def finish(self) -> None:
+        found = (read(self.folder, recipe) for recipe in recipes(self.given.steps))
+        records = [record for record in found if record]
+        write_text(self.folder / "data.json", json.dumps(records, indent=1) + "\n")
+
+    @classmethod
+    def files(cls, results: Path) -> dict[Path, str]:
+        path = results / "data" / "data.json"
+        if not path.is_file():
+            return {}
+        return {path.with_suffix(".md"): tell(json.loads(path.read_text(encoding="utf-8")))}
+
+
+def tell(records: Sequence[Mapping[str, Any]]) -> str:
+    """The table as Markdown."""
+    rows: list[list[TableCell]] = [
+        [
+            f"`{record['id']}`",
+            record["behaviour"],
+            f"{record['steps']:,}",
+            f"{record['starts']:,}",
+            f"{100.0 * record['success']:.1f}",
+            f"{record['holes']:.2f}",
+            f"{100.0 * record['all_holes']:.1f}",
+            f"{record['return']:.1f} ± {record['return_std']:.1f}",
+            f"{record['megabytes']:.1f}",
+        ]
+        for record in records
+    ]
+    notes = [
+        "Success: episodes with an insertion, of all starts; return: mean ± std of the episodes.",
+        "Nothing inserts from more starts than the exact optimum: its rows are the ceiling.",
+    ]
+    header = ["Dataset", "Behaviour", "Steps", "Starts", "Success (%)", "Holes (of 6)",
+              "All six (%)", "Return", "MB"]  # fmt: skip
+    return Table("data", "Datasets of the insertion task", header, rows, notes, (0, 1)).markdown()

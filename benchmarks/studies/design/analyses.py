@@ -1,0 +1,220 @@
+"""The computations of the design study: each returns rows of plain numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+
+from benchmarks.methods.geometric_design import Row
+from coop_env import design
+from coop_env.design import DesignProblem, Optimum
+from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, RRSGeometry
+from coop_env.kinematics import rrs
+from coop_env.kinematics.rotations import angle_between, roll_pitch
+from coop_env.simulation.insertion_task import PAPER_TASK
+
+BANDS: Final = {
+    "0.20-0.22": (0.20, 0.205, 0.21, 0.215, 0.22),
+    "0.20-0.25": (0.20, 0.205, 0.21, 0.22, 0.23, 0.24, 0.25),
+    "0.21-0.25": (0.21, 0.22, 0.23, 0.24, 0.25),
+}
+ROBUST: Final = "0.20-0.25"
+MAP_HEAVES: Final = (0.21, 0.22, 0.23, 0.24, 0.25)
+
+
+def atlas_rows(step: float, progress: Callable[[float], None]) -> list[Row]:
+    """A_w in steps of lambda over the designs that meet the constraints."""
+    found = design.atlas(
+        lambda1=np.arange(0.5, 2.0 - 1e-9, step),
+        lambda2=np.arange(0.10, 3.40 + 1e-9, step),
+        progress=lambda done, of: progress(done / of),
+    )
+    return [
+        {"lambda1": float(a), "lambda2": float(b), "a_w": float(found.value[i, j])}
+        for i, a in enumerate(found.lambda1)
+        for j, b in enumerate(found.lambda2)
+        if np.isfinite(found.value[i, j])
+    ]
+
+
+def optima(
+    atlas: Sequence[Row], progress: Callable[[float], None]
+) -> dict[str, tuple[RRSGeometry, int]]:
+    """The best designs by method at home's heave, and for each band of heave, with evaluations."""
+    problem = DesignProblem()
+    cell = max(atlas, key=lambda row: float(str(row["a_w"])))
+    lambdas = float(str(cell["lambda1"])), float(str(cell["lambda2"]))
+    found = {
+        "nelder_mead": _told(design.optimize(problem)),
+        "differential_evolution": _told(design.optimize_globally(problem, generations=20)),
+        "atlas": (problem.geometry(*lambdas), 0),
+    }
+    progress(0.4)
+    for k, (name, heaves) in enumerate(BANDS.items()):
+        band = design.at_heaves(problem, heaves)
+        rough = design.optimize_globally(band, generations=8, population=8)
+        local = design.optimize(band)
+        found[f"band {name}"] = _told(max((rough, local), key=lambda best: best.value))
+        progress(0.4 + 0.2 * (k + 1))
+    return found
+
+
+def _told(best: Optimum) -> tuple[RRSGeometry, int]:
+    return best.geometry, best.evaluations
+
+
+def optimum_rows(found: dict[str, tuple[RRSGeometry, int]]) -> list[Row]:
+    """For each of :func:`optima`: lambdas, lengths, A_w at home and the least over each band."""
+    rows: list[Row] = []
+    given = {"initial": (INITIAL, 0), "printed optimum (fit)": (OPTIMIZED, 0)}
+    for name, (g, evaluations) in {**given, **found}.items():
+        row: Row = {"design": name}
+        row |= {f"lambda{i}": value for i, value in enumerate(g.lambdas, start=1)}
+        for length in ("base_radius", "proximal_length", "platform_radius"):
+            row[length] = getattr(g, length)
+        row |= {"evaluations": evaluations, "a_w_home": design.workspace_area(g)}
+        for band, heaves in BANDS.items():
+            row[f"a_w {band}"] = float(design.over_heaves(g, heaves).min())
+        rows.append(row)
+    return rows
+
+
+def heave_rows(robust: RRSGeometry) -> list[Row]:
+    """A_w by heave of the initial, the optimized and the robust design."""
+    heaves = np.round(np.arange(0.190, 0.2601, 0.0025), 4)
+    areas = [design.over_heaves(g, heaves) for g in (INITIAL, OPTIMIZED, robust)]
+    return [
+        {"heave": float(h), "initial": float(a), "optimized": float(b), "robust": float(c)}
+        for h, a, b, c in zip(heaves, *areas, strict=True)
+    ]
+
+
+def threshold_rows() -> list[Row]:
+    """A_w by threshold on sigma_min, and the optimum for each."""
+    thresholds = [0.05, 0.10, 0.15, 0.20, 0.25, 0.30, 0.40]
+    sweep = design.over_thresholds([INITIAL, OPTIMIZED], thresholds)
+    keys = ("threshold", "initial", "optimized", "reoptimized", "lambda1", "lambda2")
+    found = np.column_stack((thresholds, sweep.given, sweep.optimum, sweep.lambdas))
+    return [dict(zip(keys, row, strict=True)) for row in found.tolist()]
+
+
+def tolerance_rows(robust: RRSGeometry, draws: int = 100) -> tuple[list[Row], list[Row]]:
+    """Slopes of A_w by length, and its distribution under tolerances."""
+    designs = {"initial": INITIAL, "optimized": OPTIMIZED, "robust": robust}
+    slopes: list[Row] = [{"design": name, **design.slopes(g)} for name, g in designs.items()]
+    rows: list[Row] = []
+    for name, g in designs.items():
+        for tolerance in (1e-4, 5e-4, 1e-3, 2e-3):
+            areas = design.under_tolerances(g, tolerance, draws)
+            rows.append({
+                "design": name, "tolerance_mm": 1e3 * tolerance, "mean": float(areas.mean()),
+                "std": float(areas.std(ddof=1)), "least": float(areas.min()),
+            })  # fmt: skip
+    return slopes, rows
+
+
+def trajectory_rows(robust: RRSGeometry) -> tuple[list[Row], list[Row]]:
+    """The test trajectory's poses and joint angles, and the report of each design."""
+    path = design.cone_trajectory()
+    reports = {
+        name: design.validate(g, path)
+        for name, g in (("initial", INITIAL), ("optimized", OPTIMIZED), ("robust", robust))
+    }
+    rows: list[Row] = []
+    for i in range(0, len(path.time), 4):
+        roll, pitch, heave = path.poses[i].tolist()
+        row: Row = {"time": float(path.time[i]), "roll": roll, "pitch": pitch, "heave": heave}
+        for name in ("initial", "optimized"):
+            row.update({f"q{k} {name}": float(reports[name].q[i, k]) for k in range(3)})
+        rows.append(row)
+    angles = ("joint_low", "joint_high", "excursion", "peak_rate", "peak_acceleration")
+    others = ("log_jerk", "sigma_min", "kappa_max", "forward_error")
+    summary: list[Row] = [
+        {"design": name, "valid": report.valid}
+        | {key: math.degrees(getattr(report, key)) for key in angles}
+        | {key: getattr(report, key) for key in others}
+        for name, report in reports.items()
+    ]
+    return rows, summary
+
+
+def pose_model_rows() -> list[Row]:
+    """What the paper's pose costs on the optimized design, worst over azimuth, by tilt.
+
+    The last columns command the real machine with the angles that the paper's model gives, and
+    ask forward kinematics where it goes.
+    """
+    azimuth = np.radians(np.arange(0.0, 360.0, 2.0))
+    rows: list[Row] = []
+    for tilt in (5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0):
+        lean = math.radians(tilt)
+        level = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+        n = np.insert(math.sin(lean) * level, 2, math.cos(lean), axis=-1)
+        poses = np.concatenate([roll_pitch(n), np.full((len(azimuth), 1), 0.21)], axis=-1)
+        exact, paper = rrs.platform_pose(poses), rrs.platform_pose(poses, pose_model="paper")
+        reached = rrs.forward(rrs.inverse(poses, pose_model="paper").q, poses)
+        there = rrs.platform_pose(reached.pose)
+        off = np.linalg.norm(exact.position - paper.position, axis=-1)
+        rows.append({
+            "tilt": tilt,
+            "plane_mm": 1e3 * _worst(rrs.plane_offset(poses, pose_model="paper")),
+            "centre_mm": 1e3 * _worst(off),
+            "yaw_deg": math.degrees(_worst(rrs.parasitic(poses)[:, 2])),
+            **_hole_errors("", exact, paper),
+            "lost": int((~reached.converged).sum()),
+            **_hole_errors("reached_", there, paper),
+        })  # fmt: skip
+    return rows
+
+
+def pose_model_design_rows() -> list[Row]:
+    """The table's figures of both designs, with the mechanism's pose and with the paper's."""
+    rows: list[Row] = []
+    for model in ("exact", "paper"):
+        for name, g in GEOMETRIES.items():
+            found = design.measure(g, DesignProblem(pose_model=model))
+            rows.append({
+                "pose_model": model, "design": name, "a_w": found.area,
+                "sigma_cone": found.sigma_cone, "max_angle": math.degrees(found.max_angle),
+                "kappa_variation": 100.0 * found.kappa_variation,
+                "joint_low": math.degrees(found.joint_low),
+                "joint_high": math.degrees(found.joint_high),
+            })  # fmt: skip
+    return rows
+
+
+def _worst(values: np.ndarray) -> float:
+    return float(np.nanmax(np.abs(values)))
+
+
+def _hole_errors(prefix: str, a: rrs.PlatformPose, b: rrs.PlatformPose) -> Row:
+    """Largest distance (mm) and angle (degrees) between one hole of the dome in two poses."""
+    directions = np.array(PAPER_TASK.hole_normals)
+    normals = [np.einsum("nij,hj->nhi", pose.rotation, directions) for pose in (a, b)]
+    holes = [
+        pose.position[:, None] + PAPER_TASK.dome_radius * normal
+        for pose, normal in zip((a, b), normals, strict=True)
+    ]
+    apart = np.linalg.norm(holes[0] - holes[1], axis=-1)
+    angle = _worst(angle_between(normals[0], normals[1]))
+    return {f"{prefix}hole_mm": 1e3 * _worst(apart), f"{prefix}hole_deg": math.degrees(angle)}
+
+
+def map_arrays() -> dict[str, np.ndarray]:
+    """sigma_min, 1 / kappa and the component, of both designs over (heave, roll, pitch)."""
+    problem = DesignProblem()
+    arrays: dict[str, np.ndarray] = {
+        "angles_deg": np.degrees(problem.centres()).astype(np.float32),
+        "heaves": np.array(MAP_HEAVES),
+    }
+    for name, g in GEOMETRIES.items():
+        maps = [design.workspace_map(g, problem, heave=heave) for heave in MAP_HEAVES]
+        arrays[f"sigma_{name}"] = np.stack([m.sigma for m in maps]).astype(np.float16)
+        arrays[f"manipulability_{name}"] = np.stack([1.0 / m.kappa for m in maps]).astype(
+            np.float16
+        )
+        arrays[f"inside_{name}"] = np.stack([m.inside for m in maps])
+    return arrays

@@ -1,0 +1,208 @@
+"""The README's picture, a video and a short animation of one solved episode.
+
+The exact lattice optimum plays, or with --model a policy. Written to results/media: scene.png,
+episode.mp4 and episode.gif.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import imageio_ffmpeg
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from benchmarks.errors import TRUSTED, BenchmarkError, at_least
+from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.runs.store import write_atomic
+from benchmarks.studies.base import Part, Study, Tick
+from coop_env.env import CoopInsertionEnv, Observation
+from coop_env.geometry import GEOMETRIES
+from coop_env.rendering import CAMERAS, frame_view, render_frame
+from coop_env.rendering.bodies import COLOURS
+from coop_env.rendering.scene import Scene
+
+Image8 = npt.NDArray[np.uint8]
+Act = Callable[[Observation, npt.NDArray[np.bool_]], int]
+
+SCENE_SIZE: Final = (1120, 630)
+VIDEO_SIZE: Final = (960, 720)
+GIF_SIZE: Final = (480, 360)
+GIF_EVERY: Final = 2  # moves between two pictures of the animation
+GIF_COLOURS: Final = 144
+VIDEO_FPS: Final = 10  # twice the robots' own pace of one move in 0.2 s
+HOLD_SECONDS: Final = 2.0  # the last picture stays so long
+DEFAULT_SEED: Final = 8
+
+
+class Optimum:
+    """Plays the lattice optimum to the next hole; plans anew wherever the robots are put.
+
+    Args:
+        env: the environment whose moves it chooses.
+    """
+
+    def __init__(self, env: CoopInsertionEnv) -> None:
+        self._env = env
+        self._oracle = LatticeOracle()
+        self._moves: list[int] = []
+        self._expected: npt.NDArray[np.float64] | None = None
+
+    def __call__(self, observation: Any, masks: npt.NDArray[np.bool_]) -> int:
+        """The next move from where the environment is.
+
+        Raises:
+            BenchmarkError: no sequence of moves inserts the peg in the current target.
+        """
+        env = self._env
+        if not self._moves or self._lost():
+            plan = self._oracle.plan(env)
+            if plan.moves is None:
+                raise BenchmarkError(f"no plan from here to hole {env.scene().target}")
+            self._moves = [int(move) for move in plan.moves]
+        move = self._moves.pop(0)
+        self._expected = env.configuration
+        self._expected[move // 2] += env.task.steps[move // 2] * (1.0 - 2.0 * (move % 2))
+        return move
+
+    def _lost(self) -> bool:
+        here = self._env.configuration
+        return self._expected is None or not np.allclose(here, self._expected, atol=1e-9)
+
+
+def policy_moves(path: Path, env: CoopInsertionEnv, trust: bool = False) -> Act:
+    """Greedy actions of a trained model.
+
+    Args:
+        path: of its file.
+        env: that it is to act in.
+        trust: as :func:`benchmarks.evaluation.model_files.load_model`.
+
+    Raises:
+        BenchmarkError: it cannot be loaded, or was trained on other observations.
+    """
+    from benchmarks.evaluation.evaluate import model_policy
+    from benchmarks.evaluation.model_files import load_model
+
+    model = load_model(path, trust=trust)
+    expected, given = model.observation_space.shape, env.observation_space.shape
+    if expected != given:
+        raise BenchmarkError(
+            f"--model {path}: trained on observations of shape {expected}, "
+            f"this environment gives {given}"
+        )
+    act = model_policy(model)
+    return lambda observation, masks: int(act(observation[None], masks[None])[0])
+
+
+def play(
+    env: CoopInsertionEnv, seed: int, choose: Callable[[CoopInsertionEnv], Act]
+) -> list[Scene]:
+    """The scenes of one episode, from reset to its end."""
+    observation, _ = env.reset(seed=seed)
+    act = choose(env)
+    scenes = [env.scene()]
+    over = False
+    while not over:
+        action = act(observation, env.action_masks())
+        observation, _, terminated, truncated, _ = env.step(action)
+        over = terminated or truncated
+        scenes.append(env.scene())
+    return scenes
+
+
+def telling_moment(scenes: Sequence[Scene], camera: str) -> int:
+    """Which scene shows most: some holes filled, the next one and its neighbours in sight.
+
+    Sight is the sum over holes of the cosine between normal and the way to the camera, the target
+    counting like all others together.
+    """
+    last = int(scenes[-1].filled.sum())
+
+    def worth(scene: Scene) -> float:
+        view = frame_view(scene, size=SCENE_SIZE, camera=camera)
+        sight = np.maximum(scene.hole_normals @ -view.axes[2], 0.0)
+        near = 0.025 <= scene.distance <= 0.08
+        part = 0.2 * last <= scene.filled.sum() <= 0.7 * last
+        return float(sight.mean() + sight[scene.target]) + near + part
+
+    return int(np.argmax([worth(scene) for scene in scenes]))
+
+
+def write_picture(path: Path, scene: Scene, camera: str) -> None:
+    """A still of the scene, smooth enough for print."""
+    image = Image.fromarray(render_frame(scene, size=SCENE_SIZE, camera=camera, samples=4))
+    write_atomic(path, lambda temporary: image.save(temporary, "PNG", optimize=True))
+
+
+def write_video(path: Path, frames: Sequence[Image8], fps: int) -> None:
+    """H.264 in MP4, which every browser plays."""
+
+    def write(temporary: Path) -> None:
+        height, width = frames[0].shape[:2]
+        writer = imageio_ffmpeg.write_frames(
+            str(temporary), (width, height), fps=fps, quality=6, output_params=["-f", "mp4"]
+        )
+        writer.send(None)
+        for frame in frames:
+            writer.send(np.ascontiguousarray(frame))
+        writer.close()
+
+    write_atomic(path, write)
+
+
+def write_animation(path: Path, frames: Sequence[Image8], fps: float) -> None:
+    """A GIF with one palette for all pictures, so that what stands still costs nothing."""
+    seen = np.concatenate([frames[0], frames[len(frames) // 2], frames[-1]])
+    # small but telling: without a share of their own the palette would lose these colours
+    shades = np.multiply.outer((1.0, 0.8, 0.6), np.array(list(COLOURS.values())))
+    accents = np.round(255 * shades.reshape(-1, 3)).astype(np.uint8)
+    rows = np.repeat(np.resize(accents, (seen.shape[1], 3))[None], len(seen) // 4, axis=0)
+    palette = Image.fromarray(np.concatenate([seen, rows])).quantize(GIF_COLOURS)
+    look: dict[str, Any] = {"palette": palette, "dither": Image.Dither.NONE}
+    first, *others = (Image.fromarray(frame).quantize(**look) for frame in frames)
+    durations = [round(1000 / fps)] * len(others) + [round(1000 * HOLD_SECONDS)]
+    options = {"append_images": others, "duration": durations, "loop": 0, "optimize": False}
+    write_atomic(path, lambda file: first.save(file, "GIF", save_all=True, **options))
+
+
+class Media(Study):
+    """Pictures of one episode."""
+
+    name = "media"
+    options = {  # noqa: RUF012
+        "--geometry": {"choices": sorted(GEOMETRIES), "default": "optimized", "help": "3-RRS"},
+        "--model": {"type": Path, "help": "a trained model instead of the optimum"},
+        "--trust": {"action": "store_true", "help": TRUSTED},
+        "--seed": {"type": at_least(0), "default": DEFAULT_SEED, "help": "of the episode's start"},
+        "--camera": {"choices": list(CAMERAS), "default": "iso", "help": "the view"},
+    }
+
+    def parts(self) -> dict[str, Part]:
+        return {"drawing": self._draw}
+
+    def _draw(self, tick: Tick) -> None:
+        given, camera = self.given, self.given.camera
+        env = CoopInsertionEnv(geometry=given.geometry, render_mode="rgb_array")
+        choose = (
+            Optimum
+            if given.model is None
+            else partial(policy_moves, given.model, trust=given.trust)
+        )
+        scenes = play(env, given.seed, choose)
+        write_picture(self.folder / "scene.png", scenes[telling_moment(scenes, camera)], camera)
+        stills = scenes[::GIF_EVERY] + ([] if len(scenes) % GIF_EVERY else scenes[-1:])
+        frames: list[list[Image8]] = [[], []]
+        for drawn, size, shown in zip(
+            frames, (VIDEO_SIZE, GIF_SIZE), (scenes, stills), strict=True
+        ):
+            for scene in shown:
+                drawn.append(render_frame(scene, size=size, camera=camera))
+                tick(sum(map(len, frames)) / (len(scenes) + len(stills)))
+        whole = frames[0] + [frames[0][-1]] * round(HOLD_SECONDS * VIDEO_FPS)
+        write_video(self.folder / "episode.mp4", whole, VIDEO_FPS)
+        write_animation(self.folder / "episode.gif", frames[1], VIDEO_FPS / GIF_EVERY)

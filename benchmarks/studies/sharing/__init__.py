@@ -1,1 +1,0 @@
-"""What others take away: data sets of the task."""

@@ -1,1 +1,0 @@
-"""Pictures of an episode, and an episode in the browser."""

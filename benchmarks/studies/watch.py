@@ -1,0 +1,48 @@
+"""The exact lattice optimum or a trained policy plays in the browser."""
+
+from __future__ import annotations
+
+import argparse
+
+from gymnasium.error import DependencyNotInstalled
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.studies.media import Optimum, policy_moves
+from benchmarks.studies.robots.trials import inserter
+from coop_env.env import CoopInsertionEnv
+from coop_env.rendering.browser import ViewerError
+from coop_env.rendering.viewer import Act, view
+
+
+def _kinematic(arguments: argparse.Namespace) -> CoopInsertionEnv:
+    return CoopInsertionEnv(geometry=arguments.geometry, render_mode="rgb_array")
+
+
+def _twin(arguments: argparse.Namespace) -> CoopInsertionEnv:
+    """The same task on the twin.
+
+    Raises:
+        BenchmarkError: MuJoCo or the script's gains are missing.
+    """
+    try:
+        from coop_env.physics.whole.moves import CoopInsertionPhysicsDiscreteEnv
+    except DependencyNotInstalled as missing:
+        raise BenchmarkError(str(missing)) from missing
+    finish = inserter(arguments.results, "spiral search", 0)
+    shown = {"geometry": arguments.geometry, "render_mode": "rgb_array"}
+    return CoopInsertionPhysicsDiscreteEnv(finish, **shown)
+
+
+def watch(arguments: argparse.Namespace) -> None:
+    """Play until the browser view is closed.
+
+    Args:
+        arguments: ``geometry``, ``model``, ``trust``, ``twin``, ``results``, ``host`` and ``port``.
+    """
+    env = _twin(arguments) if arguments.twin else _kinematic(arguments)
+    model, trust = arguments.model, arguments.trust
+    act: Act = Optimum(env) if model is None else policy_moves(model, env, trust)
+    try:
+        view(env, act, host=arguments.host, port=arguments.port)
+    except ViewerError as error:
+        raise BenchmarkError(str(error)) from error

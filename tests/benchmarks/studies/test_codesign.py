@@ -1,0 +1,142 @@
+"""``python -m benchmarks study codesign``: searches, goes on, chooses, can be checked."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import spearmanr
+
+pytest.importorskip("optuna", reason="the extra 'tune' is not installed")
+
+from benchmarks.cli import main
+from benchmarks.runs.store import RunFolder
+from benchmarks.studies.codesign import spaces, study, tell
+from benchmarks.studies.codesign.found import Found, on_front, quickest, surest
+from coop_env.design import workspace_area
+from coop_env.geometry import GEOMETRIES, OPTIMIZED
+
+SMALL = ["--designs", "4", "--starts", "3", "--seeds", "2"]
+
+
+def test_a_design_is_the_given_machine_with_some_lengths_changed() -> None:
+    same = spaces.geometry_of({})
+    for name, value in OPTIMIZED.as_dict().items():
+        assert getattr(same, name) == pytest.approx(value, abs=1e-12), name
+    higher = spaces.geometry_of({"home_heave": 0.23, "distal_length": 0.25})
+    assert (higher.heave_min, higher.heave_max) == pytest.approx((0.23, 0.27))
+    assert higher.distal_length == 0.25
+    assert higher.lambdas == pytest.approx(OPTIMIZED.lambdas)
+    assert spaces.area(OPTIMIZED) == workspace_area(OPTIMIZED)
+    assert spaces.of_row({"design": "initial"}) is GEOMETRIES["initial"]
+
+
+def test_what_cannot_be_assembled_has_no_score() -> None:
+    for reason, values in (
+        ("lengths", {"lambda1": 0.9, "lambda2": 1.0}),
+        ("home", {"home_heave": 0.33}),
+        ("starts", {"lambda1": 1.25, "lambda2": 2.65}),
+    ):
+        with pytest.raises(spaces.Unbuilt, match=reason):
+            spaces.build(values)
+
+
+def test_the_optimum_of_a_design_is_the_same_for_the_same_starts() -> None:
+    found = spaces.optimum(OPTIMIZED, 0, 6)
+    assert found == spaces.optimum(OPTIMIZED, 0, 6)
+    solved = found.success / 100.0
+    assert found.ticks_all == pytest.approx(solved * found.ticks + (1 - solved) * 300)
+    assert spaces.summary([math.nan, 10.0]) == (50.0, 10.0, 155.0)
+    assert spaces.summary([math.nan])[0] == 0.0
+
+
+def test_a_front_holds_what_no_other_beats() -> None:
+    rng = np.random.default_rng(0)
+    rows = pd.DataFrame({
+        "success": rng.integers(70, 100, 40).astype(float), "ticks": rng.integers(15, 25, 40) / 1.0,
+    }, index=[f"lambdas-{i}" for i in range(40)])  # fmt: skip
+    rows.loc["lambdas-40"] = [60.0, 1.0]
+    held = rows[on_front(rows, 75.0)]
+    for name, row in rows.iterrows():
+        beaten = any(
+            s >= row["success"] and t <= row["ticks"] and (s, t) != (row["success"], row["ticks"])
+            for s, t in zip(rows["success"], rows["ticks"], strict=True)
+        )
+        assert (name in held.index) == (row["success"] >= 75.0 and not beaten)
+    assert surest(rows) in held.index
+    fast = quickest(rows, 90.0)
+    assert fast in held.index
+    assert rows.loc[fast, "ticks"] == rows.loc[rows["success"] >= 90.0, "ticks"].min()
+
+
+def test_a_rank_correlation_has_an_interval_about_it() -> None:
+    rng = np.random.default_rng(1)
+    x = rng.normal(size=80)
+    y = x + rng.normal(size=80)
+    found = tell.rank_correlation(x, y)
+    assert found.mean == pytest.approx(spearmanr(x, y).statistic)
+    assert found.low < found.mean < found.high
+    assert found.high - found.low == pytest.approx(4 * 0.75 / math.sqrt(80), rel=0.5)
+    assert tell.rank_correlation([*x, 9.0], [*y, math.nan]).n == 80
+    assert tell.rank_correlation(x, np.ones(80)).n == 0
+
+
+@pytest.mark.slow
+def test_the_largest_area_is_the_one_that_the_design_study_finds() -> None:
+    found = spaces.area_best("lambdas")
+    assert found == pytest.approx({"lambda1": 1.438, "lambda2": 1.660}, abs=0.002)
+    assert spaces.area(spaces.geometry_of(found)) == pytest.approx(1.165, abs=5e-4)
+
+
+@pytest.mark.slow
+def test_the_command_goes_on_and_can_be_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    docs, results = tmp_path / "docs", tmp_path / "results"
+    docs.mkdir()
+    page = docs / "design.md"
+    page.write_text("# Page\n\n<!-- codesign:begin -->\n<!-- codesign:end -->\n", encoding="utf-8")
+    words = ["study", "codesign", "--results", str(results), "--jobs", "1", *SMALL]
+    words += ["--policy-steps", "320"]
+    monkeypatch.setattr(study, "EPISODES", 4)
+    largest = {
+        "lambdas": {"lambda1": 1.4386, "lambda2": 1.6591},
+        "heights": {"distal_length": 0.27631, "home_heave": 0.28221},
+    }
+    monkeypatch.setattr(spaces, "area_best", lambda study: largest[study])
+    score, calls = spaces.optimum, []
+
+    def cut_off(*arguments: Any, **named: Any) -> spaces.Reach:
+        calls.append(arguments)
+        if len(calls) == 7:
+            raise KeyboardInterrupt
+        return score(*arguments, **named)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(spaces, "optimum", cut_off)
+        assert main(words) == 130
+    folder = results / "codesign"
+    assert not (folder / "designs.csv").exists()
+    assert main(words) == 0
+    found = Found(folder)
+    rows = RunFolder(folder).rows("designs")
+    assert len(rows) == 2 * 4 + 4
+    assert {"initial", "optimized", "lambdas-area", "heights-area"} <= set(found.choose())
+    assert found.policies("heights-area").n == 2
+
+    text = page.read_text("utf-8")
+    assert text.count("too few designs to say") == 2
+    assert "](../results/codesign/figures/fronts.png)" in text
+    assert "--designs 4" in found.told["command"]
+    assert (folder / "figures" / "fronts.png").stat().st_size > 10_000
+    assert study.Codesign.problems(results) == []
+    tables = folder / "codesign.md"
+    tables.write_text(tables.read_text("utf-8").replace("too few", "enough"), encoding="utf-8")
+    assert study.Codesign.problems(results)
+    capsys.readouterr()
+    assert main([*words, "--starts", "4"]) == 2
+    assert "starts: 3 -> 4" in capsys.readouterr().err

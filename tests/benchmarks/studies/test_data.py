@@ -1,0 +1,121 @@
+"""Datasets of the task: what is in them is what the environment does; they come whole or not."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.cli import main as command
+from benchmarks.methods.episodes import Episode
+from benchmarks.protocol.seeding import derive, episode_seeds
+from benchmarks.studies import data
+from coop_env.env import CoopInsertionEnv
+
+minari = pytest.importorskip("minari", reason="Minari is not installed (extra data)")
+ROOT = Path(__file__).resolve().parents[3]
+STEPS = 150
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All datasets, of a few steps each; from the folder above, as a relative path."""
+    folder = tmp_path_factory.mktemp("work")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        (folder / "docs").mkdir()
+        page = "# Page\n\n<!-- data:begin -->\n<!-- data:end -->\n"
+        (folder / "docs" / "data.md").write_text(page, encoding="utf-8")
+        assert command(["study", "data", "--steps", str(STEPS), "--results", "results"]) == 0
+    return folder / "results"
+
+
+@pytest.mark.parametrize("name", ["optimum-small", *data.BEHAVIOURS])
+def test_the_environment_does_what_a_dataset_says(name: str, results: Path) -> None:
+    """Each episode is played again from its seed by its actions, in the recovered environment."""
+    with data.minari_root(results / "data"):
+        dataset = minari.load_dataset(f"coop-insertion/{name}-v0")
+    assert dataset.total_steps >= STEPS
+    env = dataset.recover_environment()
+    inner = env.unwrapped
+    assert isinstance(inner, CoopInsertionEnv)
+    seeds = [m["seed"] for m in dataset.storage.get_episode_metadata(dataset.episode_indices)]
+    assert seeds[0] == derive("data", 0)
+    for seed, episode in zip(seeds, dataset, strict=True):
+        observation, _ = env.reset(seed=int(seed))
+        for t, action in enumerate(episode.actions):
+            np.testing.assert_array_equal(observation, episode.observations[t])
+            np.testing.assert_array_equal(inner.action_masks(), episode.infos["action_masks"][t])
+            assert episode.infos["action_masks"][t][action]
+            observation, reward, terminated, _, info = env.step(int(action))
+            assert reward == pytest.approx(episode.rewards[t])
+            assert terminated == episode.terminations[t]
+            assert info["n_filled"] == episode.infos["n_filled"][t + 1]
+        np.testing.assert_array_equal(observation, episode.observations[-1])
+        over = episode.terminations | episode.truncations
+        assert over[-1]
+        assert not over[:-1].any()
+    if name.startswith("optimum"):
+        assert all(episode.infos["n_filled"][-1] > 0 for episode in dataset)
+
+
+def test_no_episode_is_one_of_a_test_or_a_validation() -> None:
+    mine = {derive("data", number) for number in range(2_000)}
+    for stream in ("test", "validate", "train", "fresh"):
+        others = {s for seed in range(20) for s in episode_seeds(seed, 200, stream)}
+        assert not mine & others
+
+
+def test_the_table_follows_from_the_records(results: Path) -> None:
+    docs = results.parent / "docs"
+    text = (results / "data" / "data.md").read_text("utf-8")
+    assert text.strip() in (docs / "data.md").read_text("utf-8")
+    assert data.Data.problems(results) == []
+    path = results / "data" / "data.json"
+    kept = path.read_text("utf-8")
+    path.write_text(kept.replace('"success": ', '"success": 1'), encoding="utf-8")
+    (problem,) = data.Data.problems(results)
+    assert "data.md differs" in problem
+    path.write_text(kept, encoding="utf-8")
+
+
+def test_what_is_there_is_kept_and_what_is_missing_made(results: Path, tmp_path: Path) -> None:
+    again = tmp_path / "results"
+    shutil.copytree(results, again)
+    root = again / "data" / "coop-insertion"
+    shutil.rmtree(root / "random-v0")
+    before = {path: path.stat().st_mtime_ns for path in root.rglob("*.hdf5")}
+    words = ["study", "data", "--results", str(again)]
+    assert command([*words, "--steps", str(STEPS)]) == 0
+    after = {path: path.stat().st_mtime_ns for path in root.rglob("*.hdf5")}
+    assert before.items() < after.items()
+    assert {path.parts[-3] for path in after.keys() - before.keys()} == {"random-v0"}
+    assert (again / "data/data.json").read_text() == (results / "data/data.json").read_text()
+    assert not list((again / "data").glob(".*"))  # nothing half done is left
+
+
+def test_a_dataset_of_another_recipe_is_refused(
+    results: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command(["study", "data", "--results", str(results), "--steps", "7"]) == 2
+    assert "optimum-small-v0 was made by" in capsys.readouterr().err
+
+
+def test_starts_without_a_move_count_as_failures() -> None:
+    idle, done = (Episode(data.Recorder(), n, n) for n in range(2))
+    done.moves, done.insertions, done.reward = 30, [30], 20.0
+    found = data.measure([idle, done])
+    assert (found["starts"], found["episodes"], found["steps"]) == (2, 1, 30)
+    assert (found["success"], found["holes"], found["return"]) == (0.5, 0.5, 10.0)
+
+
+def test_the_dataset_in_git_is_the_one_of_the_table() -> None:
+    (small, *_) = data.recipes(100_000)
+    stored = json.loads((ROOT / "results/data/data.json").read_text("utf-8"))
+    found = data.read(ROOT / "results" / "data", small)
+    assert found is not None
+    assert found == pytest.approx(stored[0])
+    assert found["megabytes"] < 1.0
