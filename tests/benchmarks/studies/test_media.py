@@ -86,7 +86,8 @@ def test_bad_arguments_are_one_error_and_nothing_is_written(
 
 
 def test_unsolvable_episode_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(media.LatticeOracle, "plan", lambda self, env: SimpleNamespace(moves=None))
+    nothing = SimpleNamespace(moves=None)
+    monkeypatch.setattr("benchmarks.methods.oracle.LatticeOracle.plan", lambda self, env: nothing)
     with pytest.raises(BenchmarkError, match="no plan from here"):
         media.play(CoopInsertionEnv(), 0, media.Optimum)
 
