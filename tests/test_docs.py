@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 
+from docs.screens import browser, measure
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted((ROOT / "docs").glob("*.md"))
 WHOLE = "WHOLE" in os.environ  # as `make examples` runs them: trainings whole, scores compared
@@ -43,11 +45,12 @@ def python_blocks(page: str) -> list[tuple[str, str]]:
     return [(block, reason) for reason, block in found]
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_the_site_builds(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the built site."""
+    folder = tmp_path_factory.mktemp("site")
     nowhere = "http://127.0.0.1:9"  # an inventory or a font from elsewhere would fail
-    words = ["-W", "--keep-going", "-q", str(ROOT / "docs"), str(tmp_path)]
+    words = ["-W", "--keep-going", "-q", str(ROOT / "docs"), str(folder)]
     done = subprocess.run(
         [sys.executable, "-m", "sphinx", *words],
         env={**os.environ, "http_proxy": nowhere, "https_proxy": nowhere},
@@ -56,14 +59,31 @@ def test_the_site_builds(tmp_path: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_site_builds(site: Path) -> None:
     for page in PAGES:
-        assert (tmp_path / page.with_suffix(".html").name).is_file()
-    parameters = (tmp_path / "api" / "rainbow.html").read_text(encoding="utf-8")
+        assert (site / page.with_suffix(".html").name).is_file()
+    parameters = (site / "api" / "rainbow.html").read_text(encoding="utf-8")
     assert "learning rate, or a function of the remaining progress" in parameters
-    gallery = (tmp_path / "gallery.html").read_text(encoding="utf-8")
+    gallery = (site / "gallery.html").read_text(encoding="utf-8")
     pictures = re.findall(r'<img[^>]* src="([^"]+)"', gallery)
     assert len(pictures) > 20
-    assert all((tmp_path / name).is_file() for name in pictures)
+    assert all((site / name).is_file() for name in pictures)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_pages_are_short_and_fit_a_window_and_a_phone(site: Path) -> None:
+    chromium = browser()
+    if chromium is None:
+        pytest.skip("no Chromium here")
+    pages = measure(site, chromium)
+    assert {page.name for page in pages} >= {page.with_suffix(".html").name for page in PAGES}
+    assert [page for page in pages if max(page.wide) > 0 or page.box > 0] == []
 
 
 @pytest.mark.parametrize(
