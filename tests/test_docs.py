@@ -96,7 +96,7 @@ def test_the_blocks_of_a_page_run(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Each alone, as a script; those of the README, `test_install` runs."""
-    if page.stem == "physics":
+    if page.stem in ("contact", "physics_task"):
         pytest.importorskip("mujoco", reason="needs the extra physics")
     blocks = python_blocks(page.read_text(encoding="utf-8"))
     monkeypatch.chdir(tmp_path)

@@ -55,7 +55,7 @@ def make_machine(
 class CoopInsertionContactEnv(Rendered):
     """A peg stands over a hole that is not quite where the machine believes; put it in, by feel.
 
-    Both robots are simulated with their masses, servos and contact (MuJoCo). ``docs/physics.md``
+    Both robots are simulated with their masses, servos and contact (MuJoCo). ``docs/contact.md``
     says all of this at length.
 
     **Action Space**
