@@ -69,20 +69,19 @@ gymnasium.register(
 for _form in ("", "Discrete"):
     gymnasium.register(
         id=f"CoopInsertionContact{_form}-v0",
-        entry_point=f"coop_env.physics.contact.env:CoopInsertionContact{_form}Env",
+        entry_point=f"coop_env.physics.env:CoopInsertionContact{_form}Env",
         max_episode_steps=80,  # whoever gives more max_steps gives this too
-        vector_entry_point=(
-            f"coop_env.physics.contact.vector_env:CoopInsertionContact{_form}VectorEnv"
-        ),
+        vector_entry_point=(f"coop_env.physics.vector_env:CoopInsertionContact{_form}VectorEnv"),
     )
 gymnasium.register(
     id="CoopInsertionPhysics-v0",
-    entry_point="coop_env.physics.whole.env:CoopInsertionPhysicsEnv",
+    entry_point="coop_env.physics.env:CoopInsertionPhysicsEnv",
     max_episode_steps=2400,
+    vector_entry_point="coop_env.physics.vector_env:CoopInsertionPhysicsVectorEnv",
 )
 gymnasium.register(
     id="CoopInsertionPhysicsDiscrete-v0",
-    entry_point="coop_env.physics.whole.moves:CoopInsertionPhysicsDiscreteEnv",
+    entry_point="coop_env.physics.moves:CoopInsertionPhysicsDiscreteEnv",
     max_episode_steps=300,
 )
 gymnasium.register(

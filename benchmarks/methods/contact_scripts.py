@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from coop_env.physics.contact.env import CoopInsertionContactEnv
+from coop_env.physics.env import CoopInsertionContactEnv
 
 Floats = NDArray[np.float64]
 TIP_Z: Final = 2

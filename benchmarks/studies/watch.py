@@ -25,7 +25,7 @@ def _twin(arguments: argparse.Namespace) -> CoopInsertionEnv:
         BenchmarkError: MuJoCo or the script's gains are missing.
     """
     try:
-        from coop_env.physics.whole.moves import CoopInsertionPhysicsDiscreteEnv
+        from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
     except DependencyNotInstalled as missing:
         raise BenchmarkError(str(missing)) from missing
     finish = inserter(arguments.results, "spiral search", 0)

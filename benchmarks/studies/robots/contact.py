@@ -53,7 +53,7 @@ PRESSED: Final = 20.0  # N
 def choose(level: str, name: str, episodes: int) -> dict[str, float]:
     """A script's gains for a level: most successes on validation episodes, then the least time."""
     from benchmarks.methods.contact_scripts import GRIDS, SCRIPTS, Gains
-    from coop_env.physics.contact.env import CoopInsertionContactEnv
+    from coop_env.physics.env import CoopInsertionContactEnv
 
     env, grid = CoopInsertionContactEnv(level), GRIDS[name]
     best: tuple[tuple[float, float], Gains] | None = None
@@ -70,7 +70,7 @@ def choose(level: str, name: str, episodes: int) -> dict[str, float]:
 def measure(level: str, episodes: int, tick: Tick) -> Row:
     """All scripts of a level: their gains and their test episodes."""
     from benchmarks.methods.contact_scripts import SCRIPTS, Gains
-    from coop_env.physics.contact.env import CoopInsertionContactEnv
+    from coop_env.physics.env import CoopInsertionContactEnv
 
     env = CoopInsertionContactEnv(level)
     found: Row = {}
@@ -90,8 +90,8 @@ def measure(level: str, episodes: int, tick: Tick) -> Row:
 def sensitivity(level: str, scripts: Row, episodes: int, tick: Tick) -> list[Row]:
     """The searches, as their gains were chosen, under each of :data:`VARIANTS`."""
     from benchmarks.methods.contact_scripts import SCRIPTS, Gains
-    from coop_env.physics.contact.env import CoopInsertionContactEnv
-    from coop_env.physics.contact.task import resolve_task
+    from coop_env.physics.env import CoopInsertionContactEnv
+    from coop_env.physics.task import resolve_task
 
     rows = []
     for variant, fields in VARIANTS.items():
@@ -106,9 +106,9 @@ def sensitivity(level: str, scripts: Row, episodes: int, tick: Tick) -> list[Row
 
 def yields(level: str, fields: Row) -> float:
     """How far a peg sinks into a hole's flat rim until :data:`PRESSED` N are met, m."""
-    from coop_env.physics.contact.env import CoopInsertionContactEnv
-    from coop_env.physics.contact.task import resolve_task
+    from coop_env.physics.env import CoopInsertionContactEnv
     from coop_env.physics.model import Servos
+    from coop_env.physics.task import resolve_task
 
     task = replace(resolve_task(level), **fields, force_limit=PRESSED, max_steps=1000)
     env = CoopInsertionContactEnv(task, servos=Servos(delta_stiffness=1000.0))

@@ -14,7 +14,7 @@ from benchmarks.methods.contact_scripts import Gains, MomentSearch
 from benchmarks.reporting.figures.style import PALETTE, canvas, style
 from benchmarks.studies.media import HOLD_SECONDS, write_animation, write_video
 from benchmarks.studies.robots.trials import TRAINED, options
-from coop_env.physics.contact.env import CoopInsertionContactEnv
+from coop_env.physics.env import CoopInsertionContactEnv
 from coop_env.rendering import CAMERAS, render_frame
 from coop_env.rendering.scene import Scene
 

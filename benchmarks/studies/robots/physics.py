@@ -19,8 +19,8 @@ from benchmarks.studies.speed.timing import in_turns, options, resident_mb
 from coop_env.geometry import GEOMETRIES
 
 if TYPE_CHECKING:
-    from coop_env.physics.contact.env import CoopInsertionContactEnv
-    from coop_env.physics.contact.vector_env import CoopInsertionContactVectorEnv
+    from coop_env.physics.env import CoopInsertionContactEnv
+    from coop_env.physics.vector_env import CoopInsertionContactVectorEnv
 
 BATCH: Final = 16
 SINGLE: Final = "single"
@@ -92,9 +92,9 @@ def _batch_loop(env: CoopInsertionContactVectorEnv, steps: int) -> Callable[[], 
 
 def measure_speed(steps: int, rounds: int) -> dict[str, float]:
     """Control steps a CPU second: the single form, batches, and the engine alone above a hole."""
-    from coop_env.physics.contact.env import CoopInsertionContactEnv
-    from coop_env.physics.contact.vector_env import CoopInsertionContactVectorEnv
+    from coop_env.physics.env import CoopInsertionContactEnv
     from coop_env.physics.twin import Twin
+    from coop_env.physics.vector_env import CoopInsertionContactVectorEnv
 
     twin = Twin()
     substeps, home = CoopInsertionContactEnv().task.substeps, twin.machine.home()
@@ -118,7 +118,7 @@ def measure_speed(steps: int, rounds: int) -> dict[str, float]:
 
 def measure_memory(steps: int) -> float:
     """Megabytes that the process grows by over so many control steps after a tenth as many."""
-    from coop_env.physics.contact.env import CoopInsertionContactEnv
+    from coop_env.physics.env import CoopInsertionContactEnv
 
     env = CoopInsertionContactEnv()
     chunk = max(1, steps // 10)

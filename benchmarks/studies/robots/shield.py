@@ -216,7 +216,7 @@ def in_contact(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dic
     What is not among the results is left out.
     """
     try:
-        from coop_env.physics.contact.env import CoopInsertionContactEnv
+        from coop_env.physics.env import CoopInsertionContactEnv
     except DependencyNotInstalled:
         return []
     players: dict[str, Callable[[int], Any]] = {"random": lambda seed: Increments(_rng(seed))}

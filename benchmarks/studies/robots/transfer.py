@@ -67,7 +67,7 @@ def make_world(
     """The environment of a world, for a player that has such arguments, in a seed's episodes."""
     if world == "kinematics":
         return CoopInsertionEnv(**arguments)
-    from coop_env.physics.whole.moves import CoopInsertionPhysicsDiscreteEnv
+    from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
 
     level: Any = NO_ERROR if world == "twin, no error" else LEVEL
     finish = inserter(results, FINISHES[world], seed) if world in FINISHES else None

@@ -92,7 +92,7 @@ def inserter(results: Path, name: str, seed: int) -> Any:
         BenchmarkError: the gains or the policy are not among the results.
     """
     from benchmarks.methods.contact_scripts import SCRIPTS, Gains
-    from coop_env.physics.contact.task import resolve_task
+    from coop_env.physics.task import resolve_task
 
     learned = name == "SAC"
     run = f"classic/contact/runs/{LEVEL}-sac-s{seed}/policy.zip"

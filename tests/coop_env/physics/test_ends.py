@@ -9,10 +9,9 @@ import pytest
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
 
-from coop_env.physics.contact.env import CoopInsertionContactEnv
-from coop_env.physics.contact.task import ContactTask, start_configurations
-from coop_env.physics.whole.env import CoopInsertionPhysicsEnv
-from coop_env.physics.whole.moves import CoopInsertionPhysicsDiscreteEnv
+from coop_env.physics.env import CoopInsertionContactEnv, CoopInsertionPhysicsEnv
+from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
+from coop_env.physics.task import ContactTask, start_configurations
 
 PUSH = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
 REST = np.zeros(6)
@@ -40,7 +39,7 @@ def of_contact_in_a_long_episode() -> tuple[Any, dict[str, Any], list[Any], list
 
 def of_the_whole_task() -> tuple[Any, dict[str, Any], list[Any], list[Any]]:
     env = CoopInsertionPhysicsEnv({"position_error": 0.0, "tilt_error": 0.0}, max_steps=600)
-    start = start_configurations(env.twin.machine, env.task.start_height)[4]
+    start = start_configurations(env.batch.machine, env.task.start_height)[4]
     start += [0.0, 0.02, 0.0, 0.0, 0.0, 0.0]
     return env, {"configuration": start, "target": 4}, [PUSH], [REST]
 
@@ -48,7 +47,7 @@ def of_the_whole_task() -> tuple[Any, dict[str, Any], list[Any], list[Any]]:
 def of_the_moves() -> tuple[Any, dict[str, Any], list[Any], list[Any]]:
     level = {"position_error": 0.0, "tilt_error": 0.0, "force_limit": 15.0}
     env = CoopInsertionPhysicsDiscreteEnv(level=level, touch=1e3, reward="progress", max_moves=40)
-    start = start_configurations(env.physics.twin.machine, 0.03)[4]
+    start = start_configurations(env.physics.machine, 0.03)[4]
     start += [0.0, 0.02, 0.0, 0.0, 0.0, 0.0]
     return env, {"configuration": start, "target": 4}, [5], [4, 5] * 20
 

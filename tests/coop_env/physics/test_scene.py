@@ -10,7 +10,7 @@ pytest.importorskip("mujoco", reason="needs the extra physics")
 from coop_env.errors import ArgumentError
 from coop_env.geometry import DELTA
 from coop_env.kinematics import delta, rrs
-from coop_env.physics.contact.env import CoopInsertionContactEnv
+from coop_env.physics.env import CoopInsertionContactEnv
 
 HERE = {"hole": 1, "error": [0.0, 0.0, 0.0, 0.0]}
 

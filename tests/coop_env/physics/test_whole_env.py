@@ -16,8 +16,8 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import coop_env
 from coop_env.errors import ActionError, ArgumentError, ResetOptionError
-from coop_env.physics.contact.task import start_configurations
-from coop_env.physics.whole.env import CoopInsertionPhysicsEnv
+from coop_env.physics.env import CoopInsertionPhysicsEnv
+from coop_env.physics.task import start_configurations
 
 NO_ERROR = {"position_error": 0.0, "tilt_error": 0.0}
 REST = np.zeros(6)
@@ -25,7 +25,14 @@ REST = np.zeros(6)
 
 def above(env: CoopInsertionPhysicsEnv, hole: int) -> np.ndarray:
     """10 mm above a hole's mouth, aligned."""
-    return start_configurations(env.twin.machine, env.task.start_height)[hole]
+    return start_configurations(env.batch.machine, env.task.start_height)[hole]
+
+
+def lead(env: CoopInsertionPhysicsEnv, to: np.ndarray, steps: int) -> None:
+    """Straight to a configuration."""
+    start = env.configuration
+    for k in range(1, steps + 1):
+        env.batch.advance((start + (to - start) * (k / steps))[None])
 
 
 def play(env: CoopInsertionPhysicsEnv, action: Any, most: int) -> dict[str, Any]:
@@ -51,9 +58,9 @@ def test_a_seed_gives_the_kinematic_tasks_start() -> None:
         kinematic.reset(seed=seed)
         np.testing.assert_array_equal(env.configuration, kinematic.configuration)
         assert info["target"] == kinematic.state["target"]
-        error = env.error.copy()
+        error = env.batch.error[0].copy()
         env.reset(seed=seed)
-        np.testing.assert_array_equal(env.error, error)
+        np.testing.assert_array_equal(env.batch.error[0], error)
 
 
 def test_an_aligned_hole_is_off_by_the_error() -> None:
@@ -79,8 +86,8 @@ def test_holes_are_filled_one_after_another() -> None:
     assert not first["terminated"]
     assert first["depth"] >= 0.01
     assert first["reward_terms"]["insertion"] == 20.0
-    assert env.lead(start)
-    assert env.lead(above(env, 5), 6)
+    lead(env, start, 4)
+    lead(env, above(env, 5), 6)
     last = play(env, down, 60)
     assert last["inserted_hole"] == 5
     assert last["terminated"]
@@ -115,7 +122,7 @@ def test_a_simulation_that_diverges_ends_the_episode_without_nan() -> None:
     env = CoopInsertionPhysicsEnv()
     env.reset(seed=0)
     env.step(REST)
-    env.twin.states[0, -21:] = 1e12
+    env.batch.twin.states[0, -21:] = 1e12
     observation, reward, terminated, _, info = env.step(REST)
     assert info["failure"] == "diverged"
     assert terminated

@@ -16,8 +16,8 @@ pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
 
 from coop_env.env import CoopInsertionEnv
 from coop_env.errors import ActionError, ArgumentError, ResetOptionError, StateError
-from coop_env.physics.contact.task import start_configurations
-from coop_env.physics.whole.moves import CoopInsertionPhysicsDiscreteEnv
+from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
+from coop_env.physics.task import start_configurations
 
 NO_ERROR = {"position_error": 0.0, "tilt_error": 0.0}
 DOWN = 5
@@ -32,7 +32,7 @@ def push(seen: np.ndarray) -> np.ndarray:
 
 def over(env: CoopInsertionPhysicsDiscreteEnv, hole: int, height: float) -> dict[str, Any]:
     """Reset options: aligned above a hole."""
-    start = start_configurations(env.physics.twin.machine, height)[hole]
+    start = start_configurations(env.physics.machine, height)[hole]
     return {"configuration": start, "target": hole}
 
 
@@ -121,7 +121,7 @@ def test_a_finish_inserts_and_leaves_the_peg_above_the_hole() -> None:
     *_, info = env.step(DOWN)
     assert info["inserted_hole"] == 3
     assert info["given_up"] == []
-    assert env.physics.filled[3]
+    assert env.physics.filled[0, 3]
     assert info["peak_force"] < 10.0
     np.testing.assert_allclose(env.configuration, env.physics.configuration)
     assert not env.state["inside"].any()
@@ -157,7 +157,7 @@ def test_an_episode_that_gave_up_every_hole_can_be_seen() -> None:
         env.scene()
     env.reset(seed=0)
     for _ in range(6):
-        env.physics.give_up()
+        env.physics.give_up(0)
     scene = env.scene()
     assert not scene.active.any()
     assert scene.status == "not inserted"
@@ -174,7 +174,7 @@ def test_after_a_hole_the_view_and_the_next_target_are_those_of_where_it_stands(
 
     env = CoopInsertionPhysicsDiscreteEnv(finish=steered, level=NO_ERROR)
     body = env.physics
-    starts = start_configurations(body.twin.machine, body.task.start_height)
+    starts = start_configurations(body.machine, body.task.start_height)
     above = {"configuration": starts[1] + [0, 0, 0.01, 0, 0, 0], "target": 1}
     env.reset(seed=0, options={**above, "filled": [0, 3, 4, 5]})
     assert env._finish is not None
@@ -192,7 +192,7 @@ def test_after_a_hole_the_view_and_the_next_target_are_those_of_where_it_stands(
 def test_the_next_target_is_the_nearest_hole_wherever_the_episode_began() -> None:
     env = CoopInsertionPhysicsDiscreteEnv(level=NO_ERROR)
     body = env.physics
-    starts = start_configurations(body.twin.machine, body.task.start_height)
+    starts = start_configurations(body.machine, body.task.start_height)
     env.reset(seed=0, options=over(env, 1, 0.03))
     high = body.configuration[2] + 0.05
     body.lead(np.array([*body.configuration[:2], high, *body.configuration[3:]]), 4)
@@ -200,7 +200,7 @@ def test_the_next_target_is_the_nearest_hole_wherever_the_episode_began() -> Non
     body.lead(np.array([*starts[2][:2], high, *starts[2][3:]]), 4)
     assert body.lead(starts[2], 4)
     body.hole[0] = 2
-    body.fill()
+    body.fill(0)
     readings = body.twin.readings()
     normals = readings.rotation[0] @ np.array(env.task.hole_normals).T
     away = np.linalg.norm(readings.platform[0] + 0.1 * normals.T - readings.tip[0], axis=1)

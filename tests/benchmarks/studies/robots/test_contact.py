@@ -21,7 +21,7 @@ def test_each_script_finds_what_it_can() -> None:
     """Within clearance and chamfer a push does; beyond it takes a search."""
     pytest.importorskip("mujoco", reason="needs the extra physics")
     from benchmarks.methods.contact_scripts import SCRIPTS, Gains
-    from coop_env.physics.contact.env import CoopInsertionContactEnv
+    from coop_env.physics.env import CoopInsertionContactEnv
 
     env = CoopInsertionContactEnv("standard")
     won = {
@@ -38,7 +38,7 @@ def test_each_script_finds_what_it_can() -> None:
 def test_searches_press_less_than_a_stiff_push() -> None:
     pytest.importorskip("mujoco", reason="needs the extra physics")
     from benchmarks.methods.contact_scripts import SCRIPTS, Gains
-    from coop_env.physics.contact.env import CoopInsertionContactEnv
+    from coop_env.physics.env import CoopInsertionContactEnv
 
     env = CoopInsertionContactEnv("standard")
     found = {
@@ -53,8 +53,8 @@ def test_searches_press_less_than_a_stiff_push() -> None:
 def searched(hold: float, episodes: int, **fields: Any) -> dict[str, list[Any]]:
     """The moment-guided search on the level hard, with these fields of its task."""
     from benchmarks.methods.contact_scripts import Gains, MomentSearch
-    from coop_env.physics.contact.env import CoopInsertionContactEnv
-    from coop_env.physics.contact.task import LEVELS
+    from coop_env.physics.env import CoopInsertionContactEnv
+    from coop_env.physics.task import LEVELS
 
     env = CoopInsertionContactEnv(replace(LEVELS["hard"], **fields))
     return trials.play(env, MomentSearch(env, Gains(hold=hold)), "validate", episodes)

@@ -53,7 +53,7 @@ def stored(method: str, noise: float, steps: int = 80) -> tuple[Any, Task]:
 def of_the_script(model: Any, task: Task) -> tuple[Any, Any, Any]:
     """What was observed (80, 29), what the memory says was done, and the script's (80, 6)."""
     from benchmarks.methods.contact_scripts import Gains, MomentSearch
-    from coop_env.physics.contact.env import CoopInsertionContactEnv
+    from coop_env.physics.env import CoopInsertionContactEnv
 
     assert task.guide is not None
     script = MomentSearch(CoopInsertionContactEnv("standard"), Gains(**task.guide.gains))
@@ -68,7 +68,7 @@ def test_the_first_steps_are_the_scripts() -> None:
 
 
 def test_of_twelve_moves_the_script_takes_those_it_would_go_along() -> None:
-    from coop_env.physics.contact.env import move
+    from coop_env.physics.env import move
 
     _, actions, script = of_the_script(*stored("dqn", 0.0))
     for action, increments in zip(actions, script, strict=True):

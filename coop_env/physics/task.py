@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coop_env.errors import (
     ArgumentError,
@@ -25,6 +26,7 @@ from coop_env.physics.joints import Floats
 from coop_env.physics.model import CONTACT_TIME, TIMESTEP, Machine, Peg
 from coop_env.simulation.insertion_task import InsertionTask
 
+Options = dict[str, Any]
 STANDARD_PEG: Final = Peg()
 HEAVE_ROOM: Final = 0.005
 """By which heave can go up and down from every start, m."""
@@ -218,46 +220,32 @@ def start_configurations(machine: Machine, height: float) -> Floats:
             "the 3-RRS can turn no hole upright with sigma_min of at least "
             f"{machine.task.start_sigma:g}: choose another geometry or other holes"
         )
-    found = np.concatenate([effector[best], poses[best]], axis=1)
-    return np.where(good[:, None], found, np.nan)
+    result = np.concatenate([effector[best], poses[best]], axis=1)
+    return np.where(good[:, None], result, np.nan)
 
 
-@dataclass(frozen=True, slots=True)
-class ContactOptions:
-    """What a reset leaves to chance where it is None: hole, its error, friction.
+def check_options(options: Mapping[str, Any] | None, open_holes: NDArray[np.bool_]) -> Options:
+    """Reset options of the contact task; what is None or missing is left to chance.
 
-    ``error`` is the hole's displacement along x and y, m, and its tilt about x and y, rad.
-    """
-
-    hole: int | None = None
-    error: tuple[float, float, float, float] | None = None
-    friction: float | None = None
-
-
-def check_options(options: Mapping[str, Any] | None, starts: Floats) -> ContactOptions:
-    """Reset options, checked against the holes that can be presented.
+    Args:
+        options: ``hole``, ``error``, ``friction``.
+        open_holes: (holes,), those that can be presented.
 
     Raises:
         ResetOptionError: one is unknown, malformed or out of range.
     """
-    if options is not None and not isinstance(options, Mapping):
-        raise ResetOptionError(f"options = {options!r}: must be a mapping")
-    given = dict(options or {})
-    known = [field.name for field in fields(ContactOptions)]
-    if unknown := sorted(str(name) for name in given if name not in known):
-        raise ResetOptionError(f"options has unknown keys {unknown}; known: {known}")
-    hole, error, friction = (given.get(name) for name in known)
-    if hole is not None:
-        open_holes = np.flatnonzero(np.isfinite(starts[:, 0])).tolist()
-        whole = isinstance(hole, (int, np.integer)) and not isinstance(hole, bool)
-        if not whole or hole not in open_holes:
-            raise ResetOptionError(f"hole = {hole!r}: must be one of {open_holes}")
-        hole = int(hole)
-    if error is not None:
-        error = check_error(error)
-    if friction is not None:
-        friction = check_friction(friction)
-    return ContactOptions(hole, error, friction)
+    own, rest = split_options(options)
+    hole = rest.pop("hole", None)
+    if rest:
+        known = ["hole", *OWN_OPTIONS]
+        raise ResetOptionError(f"options has unknown keys {sorted(map(str, rest))}; known: {known}")
+    if hole is None:
+        return own
+    choices = np.flatnonzero(open_holes).tolist()
+    whole = isinstance(hole, (int, np.integer)) and not isinstance(hole, bool)
+    if not whole or hole not in choices:
+        raise ResetOptionError(f"hole = {hole!r}: must be one of {choices}")
+    return {**own, "hole": int(hole)}
 
 
 def check_friction(value: Any) -> float:
@@ -285,3 +273,24 @@ def check_error(value: Any) -> tuple[float, float, float, float]:
         check_number(f"error[{i}]", number, -most, most, error=ResetOptionError)
     x, y, roll, pitch = numbers
     return x, y, roll, pitch
+
+
+OWN_OPTIONS: Final = MappingProxyType({"error": check_error, "friction": check_friction})
+"""Checks of the reset options that both tasks have."""
+
+
+def split_options(options: Any) -> tuple[Options, Options]:
+    """Reset options of the simulation, checked, and those that are the kinematic task's.
+
+    Raises:
+        ResetOptionError: an error or a friction is malformed or out of range.
+    """
+    if options is not None and not isinstance(options, Mapping):
+        raise ResetOptionError(f"options = {options!r}: must be a mapping")
+    given = dict(options or {})
+    own: Options = {
+        name: check(given[name])
+        for name, check in OWN_OPTIONS.items()
+        if given.get(name) is not None
+    }
+    return own, {name: value for name, value in given.items() if name not in OWN_OPTIONS}

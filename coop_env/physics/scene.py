@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from coop_env.kinematics import rrs
 from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
-from coop_env.physics.contact.task import ContactTask
 from coop_env.physics.joints import Floats
 from coop_env.physics.twin import Twin
 from coop_env.rendering.scene import Scene
@@ -18,26 +15,27 @@ from coop_env.simulation.collision import arm_points, limb_points
 from coop_env.simulation.state import joint_angles
 
 
-class Simulated(Protocol):
-    """What there is to be seen of: episodes on a twin, a row for each."""
+def twin_scene(
+    twin: Twin, row: int, command: Floats, hole: int, time: float, status: str,
+    trace: Sequence[Floats],
+) -> Scene:  # fmt: skip
+    """The scene of one machine: links as the measured joints close them, on the real base.
 
-    twin: Twin
-    task: ContactTask
-    command: Floats  # (n, 6)
-    hole: NDArray[Any]  # (n,)
-    steps: NDArray[Any]  # (n,)
+    Platform, dome, holes and tip are the simulation's own.
 
-
-def twin_scene(batch: Simulated, row: int, status: str, trace: Sequence[Floats]) -> Scene:
-    """The scene of one episode: links as the measured joints close them, on the real base.
-
-    Platform, dome, holes and tip are the simulation's own. ``status`` is ``"running"``,
-    ``"success"``, or the cause of the failure.
+    Args:
+        twin: the machines.
+        row: which.
+        command: its commanded configuration (6,).
+        hole: its target.
+        time: since the episode began, s.
+        status: ``"running"``, ``"success"``, or the cause of the failure.
+        trace: where the tip has been.
     """
-    twin, machine = batch.twin, batch.twin.machine
+    machine = twin.machine
     readings, p = twin.readings(), machine.kernel_params()
-    found = twin.believed(readings.joints[row], batch.command[row])
-    configuration = np.where(np.isfinite(found), found, batch.command[row])
+    closed = twin.believed(readings.joints[row], command)
+    configuration = np.where(np.isfinite(closed), closed, command)
     x, y, z, *_ = configuration.tolist()
     _, theta, pose, q = joint_angles(tuple(configuration.tolist()), p)
     arms = np.array([arm_points(x, y, z, theta, i, p.delta) for i in range(3)])
@@ -47,7 +45,6 @@ def twin_scene(batch: Simulated, row: int, status: str, trace: Sequence[Floats])
     rotation, centre = readings.rotation[row], readings.platform[row]
     normals = np.array(machine.task.hole_normals) @ rotation.T
     mouths = centre + machine.task.dome_radius * normals
-    hole = int(batch.hole[row])
     target = np.arange(len(normals)) == hole
     tip = readings.tip[row]
     return Scene(
@@ -74,7 +71,7 @@ def twin_scene(batch: Simulated, row: int, status: str, trace: Sequence[Floats])
         sigma_min=float(rrs.signed_sigma_min(configuration[3:], machine.rrs)),
         singular_margin=float(p.layout["singular_margin"]),
         configuration=configuration,
-        time=float(batch.steps[row]) * batch.task.dt,
+        time=time,
         status=status,
         trace=np.array(trace, np.float64).reshape(-1, 3),
     )

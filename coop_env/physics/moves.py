@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -11,15 +12,118 @@ from numpy.typing import NDArray
 
 from coop_env.env import CoopInsertionEnv, Observation, check_action
 from coop_env.errors import ArgumentError, StateError, check_number
-from coop_env.physics.whole import kernels
-from coop_env.physics.whole.env import CoopInsertionPhysicsEnv, split_options
-from coop_env.physics.whole.finish import Finish, Policy
+from coop_env.physics import move_kernels as kernels
+from coop_env.physics.batch import TIME, in_units, row_of
+from coop_env.physics.joints import Floats
+from coop_env.physics.task import split_options, start_configurations
+from coop_env.physics.whole import WholeBatch
 from coop_env.rendering.scene import Scene
 from coop_env.simulation import batch, start_states
 from coop_env.simulation.observation import observe_batch
+from coop_env.simulation.task import N_AXES
 
+SETTLING: Final = 4
+"""Control steps that each leg of the way to a hole takes at least, and rest above it."""
+ROOM: Final = 0.005
+"""By which the tip passes above where the contact task begins, m."""
+Policy = Callable[[Any], Any]
+"""From the contact task's observation (29,) to its increments (6,); a ``reset`` is called first."""
 TOUCH: Final = 10.0
 """A mean force beyond this stops a move, N; of 15 N some push the 3-RRS over, at weak holes."""
+
+
+class Lead(WholeBatch):
+    """One machine of the whole task, led from configuration to configuration."""
+
+    @property
+    def configuration(self) -> Floats:
+        """The commanded (x, y, z, roll, pitch, heave), (6,); m and rad."""
+        return self.command[0].copy()
+
+    @property
+    def target(self) -> int:
+        """The hole to aim at."""
+        return int(self.hole[0])
+
+    @property
+    def failed(self) -> bool:
+        """Whether the episode has failed."""
+        return bool(self.failure[0])
+
+    @property
+    def force(self) -> float:
+        """Mean force on the peg over the last control step, without noise, N."""
+        return float(np.linalg.norm(self._wrench[0, :3]))
+
+    def reached(self) -> bool:
+        """Whether the tip really meets the kinematic task's criterion at the target."""
+        task, (_, _, angle) = self.machine.task, self.insertion[0]
+        return bool(self.distance[0] < task.tolerance and angle < task.angle_tolerance)
+
+    def lead(self, to: Floats, steps: int = 1, touch: float = math.inf) -> bool:
+        """Lead the machine straight to a configuration (6,), in increments of at most 1.
+
+        Args:
+            to: where.
+            steps: at least so many control steps.
+            touch: a mean force beyond this is a contact that stops it, N.
+
+        Returns:
+            Whether it arrived, and no contact, failure or command that was not taken stopped it.
+        """
+        way, start = to - self.command[0], self.configuration
+        n = max(steps, math.ceil(float(np.max(np.abs(way) / self.increments)) - 1e-9))
+        for k in range(1, n + 1):
+            self.advance((start + way * (k / n))[None])
+            if self.failed or not self.taken[0] or self.force > touch:
+                return False
+        return True
+
+
+class Finish:
+    """Goes to where the contact task begins, plays a policy of that task, and withdraws.
+
+    Args:
+        machine: its target is the hole.
+        policy: what inserts.
+    """
+
+    def __init__(self, machine: Lead, policy: Policy) -> None:
+        self.machine, self.policy = machine, policy
+        self._starts = start_configurations(machine.machine, machine.task.start_height)
+
+    def __call__(self) -> bool:
+        """Whether the peg was 10 mm deep in the target; it is out again, unless the episode ended.
+
+        A hole that the machine cannot present upright is not tried.
+        """
+        machine, start = self.machine, self._starts[self.machine.target]
+        if not np.isfinite(start).all():
+            return False
+        hole, above, up = machine.target, start.copy(), machine.configuration
+        above[2] += ROOM
+        up[2] = max(up[2], above[2])
+        if all(machine.lead(to, SETTLING) for to in (up, above, start, start)):
+            self._play()
+        if not machine.failed:
+            up = machine.configuration
+            up[2] = max(up[2], above[2])
+            all(machine.lead(to, SETTLING) for to in (up, above))
+        return bool(machine.filled[0, hole])
+
+    def _play(self) -> None:
+        machine, hole = self.machine, self.machine.target
+        getattr(self.policy, "reset", lambda: None)()
+        first, action = machine.configuration, np.zeros(N_AXES)
+        joints = machine.perceived()[1]
+        for _ in range(machine.task.max_steps):
+            view, angles, wrench = machine.perceived()
+            offset = machine.configuration - first
+            seen = in_units(view, angles - joints, wrench, offset[None], action[None])[0]
+            action = np.clip(np.asarray(self.policy(seen), np.float64), -1.0, 1.0)
+            machine.advance((machine.configuration + action * machine.task.increments)[None])
+            if machine.failed or machine.filled[0, hole]:
+                return
 
 
 class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
@@ -51,7 +155,7 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         finish: a policy of the contact task, from its observation (29,) to increments (6,), or
             None.
         touch: mean force that stops a move, N.
-        level: as for :class:`~coop_env.physics.whole.env.CoopInsertionPhysicsEnv`.
+        level: as for :class:`~coop_env.physics.env.CoopInsertionPhysicsEnv`.
         servos: likewise.
         arguments: as for :class:`~coop_env.env.CoopInsertionEnv`, without ``sim_to_real``,
             ``pose_model`` and ``collision``.
@@ -83,10 +187,10 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
             raise ArgumentError(f"finish = {finish!r}: must be None, or a callable")
         self.touch = check_number("touch", touch, 0.0, above=True)
         shared = {name: arguments[name] for name in ("geometry", "delta") if name in arguments}
-        self.physics = CoopInsertionPhysicsEnv(level, holes=self.task, servos=servos, **shared)
+        self.physics = Lead(level, holes=self.task, servos=servos, **shared)
         self._finish = None if finish is None else Finish(self.physics, finish)
         self._steps = max(1, round(self.task.dt / self.physics.task.dt))
-        self._held: dict[str, Any] = {}
+        self._own: dict[str, Any] = {}
 
     def check_options(self, options: Any) -> start_states.StartOptions:
         """Reset options as :meth:`reset` takes them, checked against the present stage.
@@ -94,14 +198,13 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         Raises:
             ResetOptionError: an option is malformed, or names a state that cannot be taken.
         """
-        held, rest = split_options(options)
-        found = super().check_options(rest)
-        self._held = held
-        return found
+        own, rest = split_options(options)
+        start = super().check_options(rest)
+        self._own = own
+        return start
 
     def _set_down(self) -> None:
-        self.physics.np_random = self.np_random
-        self.physics.begin(self._states[0], self._held)
+        self.physics.begin(0, self._states[0], self._own, self.np_random)
 
     def _tip(self) -> NDArray[Any]:
         tip: NDArray[Any] = self.physics.twin.readings().tip[0]
@@ -117,7 +220,7 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
                 environment is left as it was.
         """
         observation, info = super().reset(seed=seed, options=options)
-        return observation, self._tell(info)
+        return observation, self._merge(info)
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Make a move.
@@ -130,25 +233,25 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         if not self.running:
             raise ResetNeeded("call reset() first: there is no running episode")
         made, body = check_action(action), self.physics
-        before, filled = self._states.copy(), body.filled.copy()
+        before, filled = self._states.copy(), body.filled[0].copy()
         violation = not self._move(made)
-        new = body.filled & ~filled
+        new = body.filled[0] & ~filled
         row = self._states[0]
         inside = row["inside"].astype(bool) & filled & ~before[0]["inside"].astype(bool)
-        row["filled"], row["active"] = body.filled, body.active
+        row["filled"], row["active"] = body.filled[0], body.active[0]
         kernels.conclude(
             self._states, before,
-            (violation, bool(new.any()), not violation and bool(inside.any()), body.over,
-             bool(body.failure)),
+            (violation, bool(new.any()), not violation and bool(inside.any()),
+             bool(body.over[0]), body.failed),
             body.target, self._packed, self._outcomes,
         )  # fmt: skip
         observe_batch(self._states, self._packed, self._observation, self._rows)
         outcome: Any = self._outcomes.item(0)
         reward, terminated, truncated = outcome[-3:]
         if truncated:
-            body.failure = "time"
-        info = self._tell(batch.make_info(outcome))
-        info["collision"] = violation and body.taken
+            body.failure[0] = TIME
+        info = self._merge(batch.make_info(outcome))
+        info["collision"] = violation and bool(body.taken[0])
         if self.render_mode is not None:
             self._follow(self._tip())
         return self._rows[0].copy(), reward, terminated, truncated, info
@@ -159,18 +262,18 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         target, back = body.target, body.configuration
         if not kernels.take(self._states, action, self._packed):
             body.lead(back, self._steps)
-            body.taken = False
+            body.taken[0] = False
             return False
         if self._finish is not None and self._states["inside"][0][target]:
-            if not self._finish() and not body.failure:
-                body.give_up()
+            if not self._finish() and not body.failed:
+                body.give_up(0)
             kernels.begin_again(self._states, body.command[0], self._packed)
             return True
         arrived = body.lead(self._states["configuration"][0], self._steps, self.touch)
-        if body.failure or body.filled[target]:
-            return not body.failure
+        if body.failed or body.filled[0, target]:
+            return not body.failed
         if self._finish is None and body.reached():
-            body.fill()
+            body.fill(0)
         elif not arrived:
             self._states[:] = before
             kernels.refuse(self._states, action, self._packed)
@@ -178,23 +281,24 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
             return False
         return True
 
-    def _tell(self, info: dict[str, Any]) -> dict[str, Any]:
+    def _merge(self, info: dict[str, Any]) -> dict[str, Any]:
+        """The kinematic task's ``info`` and the simulation's; where things are is the latter's."""
         body = self.physics
-        found = {**info, **body.measured(), "failure": body.failure}
-        found["violation"], found["singular"] = info["violation"], body.failure == "snap"
+        real = row_of(body.columns(), 0)
         if info["inserted"]:  # by now the next hole is the target
-            found["distance"], found["alignment_error"] = body.aimed
-        return {**found, "given_up": list(body.given_up)}
+            real["distance"], real["alignment_error"] = body.aimed[0].tolist()
+        measured = {name: real[name] for name in ("distance", "alignment_error", "time")}
+        singular = real["failure"] == "snap"
+        return {**real, **info, **measured, "singular": singular, "given_up": [*body.given_up[0]]}
 
     def scene(self) -> Scene:
         """Every body of the scene at this instant, where it really is; world frame."""
-        trace = np.array(self._trace, np.float64).reshape(-1, 3)
-        return replace(self.physics.scene(), trace=trace)
+        return self.physics.scene(0, self._trace)
 
     def close(self) -> None:
         """End the simulation."""
         super().close()
-        self.physics.close()
+        self.physics.twin.close()
 
     def get_state(self) -> dict[str, Any]:
         """There is no snapshot of a simulation.

@@ -1,0 +1,324 @@
+"""Episodes side by side on one kind of machine: what both tasks share, and the contact task.
+
+A batch of one is what a single environment plays, so it and the vector form agree to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+
+from coop_env.errors import as_dataclass
+from coop_env.geometry import resolve_delta, resolve_rrs
+from coop_env.physics import kernels
+from coop_env.physics.joints import Floats
+from coop_env.physics.model import Machine, Servos
+from coop_env.physics.scene import twin_scene
+from coop_env.physics.task import (
+    askew,
+    check_options,
+    draw_error,
+    resolve_task,
+    start_configurations,
+)
+from coop_env.physics.twin import Readings, Twin, last
+from coop_env.rendering.scene import Scene
+from coop_env.simulation.collision import peg_tip
+from coop_env.simulation.insertion_task import PAPER_TASK, InsertionTask
+from coop_env.simulation.task import N_AXES
+
+Bools = NDArray[np.bool_]
+
+LIMIT: Final = 5.0
+"""Observations are clipped to this much of their unit."""
+FAILURES: Final = np.array(["", "force", "snap", "diverged", "time", "not inserted"], object)
+"""Causes by their number; ``"time"`` truncates."""
+FORCE, SNAP, DIVERGED, TIME, NOT_INSERTED = range(1, 6)
+
+
+class Outcome(NamedTuple):
+    """What a control step came to, a row for each episode."""
+
+    observation: NDArray[np.float32]
+    reward: Floats
+    terminated: Bools
+    truncated: Bools
+    info: dict[str, Any]  # columns (n, ...)
+
+
+class PhysicsBatch:
+    """Episodes of a task on the twin; the tasks are subclasses.
+
+    Args:
+        level: the task, as :func:`~coop_env.physics.task.resolve_task` takes it.
+        geometry: of the 3-RRS.
+        delta: None, the standard robot.
+        holes: None, the paper's dome.
+        servos: None, the standard ones.
+        n: how many.
+        threads: of the simulation.
+        max_steps: control steps until truncation; None takes the task's.
+
+    Raises:
+        GeometryError: a robot cannot be assembled, or no hole can be turned upright.
+        ArgumentError: an argument is of the wrong kind or out of range, the servos cannot hold the
+            machine, or the holes do not fit the dome.
+    """
+
+    n_observed: int
+    increments: Floats
+    """What one is of each increment (6,); m and rad."""
+
+    def __init__(
+        self, level: Any = "standard", geometry: Any = "optimized", delta: Any = None,
+        holes: Any = None, servos: Any = None, *, n: int = 1, threads: int = 1,
+        max_steps: int | None = None,
+    ) -> None:  # fmt: skip
+        self.task = task = resolve_task(level)
+        self.machine = machine = Machine(
+            resolve_rrs(geometry),
+            resolve_delta(delta),
+            PAPER_TASK if holes is None else as_dataclass("holes", holes, InsertionTask),
+            Servos() if servos is None else as_dataclass("servos", servos, Servos),
+            task.peg,
+            task.timestep,
+            task.contact_time,
+            task.effector_play,
+        )
+        self.n, self.max_steps = n, task.max_steps if max_steps is None else max_steps
+        self.twin = Twin(machine, n, threads)
+        self._packed = self.twin.packed
+        self._noise = np.array([task.force_noise] * 3 + [task.moment_noise] * 3)
+        self._mouth_radius = machine.delta.peg_radius + machine.peg.clearance + machine.peg.chamfer
+        self.rngs: list[np.random.Generator | None] = [None] * n
+        self.steps, self.hole, self.failure = (np.zeros(n, np.int64) for _ in range(3))
+        self.success, self.taken = np.zeros(n, bool), np.ones(n, bool)
+        self.command, self._targets, self._action, self._wrench, self._tare = (
+            np.zeros((n, N_AXES)) for _ in range(5)
+        )
+        self.error, self.friction = np.zeros((n, 4)), np.zeros(n)
+        self.peak, self.peak_force = np.zeros(n), np.zeros(n)  # of the last step, of the episode, N
+        self.insertion = np.zeros((n, 3))
+        """Depth, distance from the axis, m, and misalignment, rad, of where things really are."""
+
+    def check_options(self, options: Any) -> Any:
+        """Reset options as :meth:`reset` takes them.
+
+        Raises:
+            ResetOptionError: one is unknown, malformed or out of range.
+        """
+        raise NotImplementedError
+
+    def reset(self, row: int, options: Any, rng: np.random.Generator) -> dict[str, Any]:
+        """Start an episode in one row, which draws from ``rng``; returns its info."""
+        raise NotImplementedError
+
+    def step(self, actions: Floats) -> Outcome:
+        """Move all episodes by increments (n, 6) in [-1, 1]."""
+        raise NotImplementedError
+
+    def observe(self, rows: slice) -> NDArray[np.float32]:
+        """Observations of rows (n, fields), with noise that is drawn now."""
+        raise NotImplementedError
+
+    def status(self, row: int) -> str:
+        """``"running"``, ``"success"``, or the cause of an episode's failure."""
+        return "success" if self.success[row] else FAILURES[self.failure[row]] or "running"
+
+    def scene(self, row: int, trace: Sequence[Floats]) -> Scene:
+        """Every body of an episode's scene, where it really is; world frame.
+
+        Raises:
+            ResetNeeded: there was no reset yet.
+        """
+        if self.rngs[row] is None:
+            raise ResetNeeded("call reset() first: there is no state yet")
+        time = float(self.steps[row]) * self.task.dt
+        hole, status = int(self.hole[row]), self.status(row)
+        return twin_scene(self.twin, row, self.command[row], hole, time, status, trace)
+
+    def _place(
+        self, row: int, start: Floats, pivot: Floats, fixed: tuple[Any, Any],
+        drawn: tuple[Floats, float], rng: np.random.Generator,
+    ) -> None:  # fmt: skip
+        """Set a machine down at rest; its base stands askew about ``pivot``.
+
+        ``fixed`` are the error and the friction that options set, or None, beside those drawn.
+        """
+        self.error[row] = drawn[0] if fixed[0] is None else fixed[0]
+        self.friction[row] = drawn[1] if fixed[1] is None else fixed[1]
+        base = askew(self.error[row], pivot)
+        self._tare[row] = self.twin.place(row, start, base, self.friction[row]).wrench
+        self.rngs[row] = rng
+        self.command[row] = start
+        self._action[row], self._wrench[row] = 0.0, 0.0
+        self.steps[row], self.failure[row], self.peak[row], self.peak_force[row] = 0, 0, 0.0, 0.0
+        self.success[row], self.taken[row] = False, True
+        rows = slice(row, row + 1)
+        self.insertion[rows] = self._measure(self.twin.readings(), rows)
+
+    def _advance(self, wanted: Floats) -> None:
+        """Make one control step towards configurations (n, 6), and measure what came of it."""
+        task, before = self.task, self._targets.copy()
+        self.taken = kernels.take_commands(self.command, wanted, self._packed, self._targets)
+        self.steps += 1
+        readings = self.twin.advance(self._lead(before), task.substeps)
+        sensed = readings.wrench - self._tare[:, None]
+        # sqrt of einsum takes half the time of numpy's norm on few vectors
+        self.peak = np.sqrt(np.einsum("...i,...i", sensed[..., :3], sensed[..., :3])).max(axis=1)
+        self.peak_force = np.maximum(self.peak_force, self.peak)
+        self._wrench = sensed.mean(axis=1)
+        now = last(readings)
+        self.insertion = self._measure(now, slice(None))
+        snapped = self.twin.platform_error(now, self.command) > task.snap_angle
+        self.failure = np.where(snapped, SNAP, 0)
+        self.failure[self.peak > task.force_limit] = FORCE
+        self.failure[self.twin.diverged] = DIVERGED
+
+    def _lead(self, before: Floats) -> Floats:
+        """Joint commands of a control step: (n, 6), held, or (n, substeps, 6)."""
+        return self._targets
+
+    def _measure(self, readings: Readings, rows: slice) -> Floats:
+        tip, platform, rotation = (
+            np.ascontiguousarray(part[rows])
+            for part in (readings.tip, readings.platform, readings.rotation)
+        )
+        result: Floats = kernels.insertion(
+            tip, platform, rotation, self.hole[rows], self._mouth_radius, self._packed
+        )
+        return result
+
+    def _joints(self, rows: slice) -> Floats:
+        return np.ascontiguousarray(self.twin.readings().joints[rows])
+
+    def _sensed(self, rows: slice) -> Floats:
+        """Wrenches on the peg (n, 6), N, N m, with the sensors' noise."""
+        draws = [rng.normal(size=N_AXES) for rng in self.rngs[rows] if rng is not None]
+        return self._wrench[rows] + np.array(draws) * self._noise
+
+    def _terms(self, name: str, gained: Floats, inserted: Bools) -> dict[str, Floats]:
+        """Reward terms (n,) of a step; a failure gains nothing and never saves any steps."""
+        task, failed = self.task, self.failure > 0
+        steps = np.where(failed, self.max_steps - self.steps + 1, 1)
+        return {
+            name: np.where(failed, 0.0, gained),
+            "step": -task.step_cost * steps,
+            "force": -task.force_cost * np.maximum(self.peak - task.free_force, 0.0),
+            "insertion": task.insertion_bonus * inserted,
+            "failure": -task.failure_cost * failed,
+        }
+
+    def _outcome(self, terms: dict[str, Floats], over: Bools) -> Outcome:
+        """The step's outcome; truncates what is not over by then."""
+        truncated = ~over & (self.steps >= self.max_steps)
+        self.failure[truncated] = TIME
+        reward = sum(terms.values(), np.zeros(self.n))
+        info = {**self.columns(), "reward_terms": terms}
+        return Outcome(self.observe(slice(None)), reward, over, truncated, info)
+
+    def columns(self) -> dict[str, Any]:
+        """``info`` of all episodes, but the reward's terms, in columns (n, ...)."""
+        depth, lateral, angle = self.insertion.T
+        return {
+            "success": self.success.copy(),
+            "is_success": self.success.copy(),
+            "failure": FAILURES[self.failure],
+            "depth": depth.copy(),
+            "lateral_error": lateral.copy(),
+            "alignment_error": angle.copy(),
+            "force": self._wrench[:, :3].copy(),
+            "moment": self._wrench[:, 3:].copy(),
+            "peak_force": self.peak_force.copy(),
+            "violation": ~self.taken,
+            "time": self.steps * self.task.dt,
+            "friction": self.friction.copy(),
+            "error": self.error.copy(),
+        }
+
+
+def row_of(columns: Mapping[str, Any], row: int) -> dict[str, Any]:
+    """One episode's ``info``."""
+    return {
+        name: row_of(part, row)
+        if isinstance(part, Mapping)
+        else part[row].copy()
+        if part.ndim > 1
+        else part.item(row)
+        for name, part in columns.items()
+    }
+
+
+_LENGTH, _ANGLE, _FORCE, _MOMENT = 0.01, 0.05, 10.0, 0.05  # units of the contact task's observation
+UNITS: Final[Floats] = np.array(
+    [*[_LENGTH] * 3, *[_ANGLE] * 2, *[_ANGLE] * 6, *[_FORCE] * 3, *[_MOMENT] * 3,
+     *[_LENGTH] * 3, *[_ANGLE] * 2, _LENGTH, *[1.0] * 6]
+)  # fmt: skip
+"""What 1 means in each of the contact task's 29 fields: m, rad, N, N m."""
+
+
+def in_units(*fields: Floats) -> NDArray[np.float32]:
+    """Observations (n, 29) of the contact task, of fields (n, ...) in SI units, in their order."""
+    return np.clip(np.concatenate(fields, axis=1) / UNITS, -LIMIT, LIMIT).astype(np.float32)
+
+
+class ContactBatch(PhysicsBatch):
+    """Episodes of the contact task: one peg above one hole.
+
+    ``starts`` (holes, 6) are the configurations above the holes, NaN where one cannot be presented.
+    """
+
+    def __init__(self, *arguments: Any, **more: Any) -> None:
+        super().__init__(*arguments, **more)
+        self.n_observed, self.increments = len(UNITS), self.task.increments
+        self.starts = start_configurations(self.machine, self.task.start_height)
+        self._open = np.flatnonzero(np.isfinite(self.starts[:, 0]))
+        self._to_tip = np.array(peg_tip(0.0, 0.0, 0.0, self.machine.kernel_params().delta))
+        self._first, self._first_joints, self._believed = (
+            np.zeros((self.n, N_AXES)) for _ in range(3)
+        )
+        self._paid = np.zeros(self.n)
+
+    def check_options(self, options: Any) -> dict[str, Any]:
+        return check_options(options, np.isfinite(self.starts[:, 0]))
+
+    def reset(self, row: int, options: Any, rng: np.random.Generator) -> dict[str, Any]:
+        error = draw_error(self.task, rng)  # drawn whether or not an option sets it
+        hole, friction = int(rng.choice(self._open)), float(rng.uniform(*self.task.friction))
+        self.hole[row] = options.get("hole", hole)
+        start = self.starts[self.hole[row]]
+        mouth = start[:3] + self._to_tip - [0.0, 0.0, self.task.start_height]
+        fixed = options.get("error"), options.get("friction")
+        self._place(row, start, mouth, fixed, (error, friction), rng)
+        self._first[row] = self._believed[row] = start
+        self._paid[row] = self.insertion[row, 0]
+        rows = slice(row, row + 1)
+        self._first_joints[row] = self._joints(rows)[0]
+        info = row_of(self.columns(), row)
+        names = ("depth", "lateral_error", "alignment_error", "hole", "friction", "error")
+        return {name: info[name] for name in names}
+
+    def step(self, actions: Floats) -> Outcome:
+        task = self.task
+        self._action = np.array(actions, np.float64)
+        self._advance(self.command + actions * self.increments)
+        depth = self.insertion[:, 0]
+        self.success = (depth >= task.insertion_depth) & (self.failure == 0)
+        paid = np.minimum(depth, task.insertion_depth)
+        terms = self._terms("depth", task.depth_scale * (paid - self._paid), self.success)
+        self._paid = paid
+        return self._outcome(terms, self.success | (self.failure > 0))
+
+    def columns(self) -> dict[str, Any]:
+        return {**super().columns(), "hole": self.hole.copy()}
+
+    def observe(self, rows: slice) -> NDArray[np.float32]:
+        joints = self._joints(rows)
+        view = kernels.perceive(joints, self._believed[rows], self.hole[rows], self._packed)
+        travel = joints - self._first_joints[rows]
+        offset = self.command[rows] - self._first[rows]
+        return in_units(view, travel, self._sensed(rows), offset, self._action[rows])

@@ -1,0 +1,345 @@
+"""Both tasks with real contact as Gymnasium environments: one hole by feel, and all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+
+from coop_env.env import check_action
+from coop_env.errors import ActionError
+from coop_env.geometry import DeltaGeometry, RRSGeometry
+from coop_env.physics.batch import LIMIT, ContactBatch, PhysicsBatch, row_of
+from coop_env.physics.joints import Floats
+from coop_env.physics.model import Servos
+from coop_env.physics.task import ContactTask
+from coop_env.physics.whole import MAX_STEPS, WholeBatch
+from coop_env.rendering.modes import Rendered
+from coop_env.rendering.scene import Scene
+from coop_env.simulation.insertion_task import InsertionTask
+from coop_env.simulation.task import N_ACTIONS, N_AXES, EnvParams
+
+Observation = NDArray[np.float32]
+_SLACK: Final = 1e-6  # a float32 policy may miss the bound by its rounding
+
+
+class PhysicsEnv(Rendered):
+    """An environment that plays a batch of one; the tasks are subclasses."""
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own form
+        **Rendered.metadata,
+        "render_fps": round(1.0 / ContactTask().dt),
+    }
+    discrete = False
+
+    def __init__(self, batch: PhysicsBatch, render_mode: str | None) -> None:
+        self._set_render_mode(render_mode)
+        self.batch, self.task = batch, batch.task
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.task.dt))}
+        self.observation_space, self.action_space = make_spaces(batch, self.discrete)
+        self._running = False
+
+    @property
+    def params(self) -> EnvParams:
+        """The nominal machine as the kinematic kernels take it."""
+        return self.batch.machine.kernel_params()
+
+    @property
+    def increments(self) -> Floats:
+        """What one is of each increment (6,); m and rad."""
+        return self.batch.increments
+
+    @property
+    def configuration(self) -> Floats:
+        """The commanded (x, y, z, roll, pitch, heave), (6,); m and rad."""
+        return self.batch.command[0].copy()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode; the class says which ``options`` there are.
+
+        Raises:
+            ResetOptionError: an option is malformed. The environment is left as it was.
+        """
+        checked = self.batch.check_options(options)
+        super().reset(seed=seed)
+        info = self.batch.reset(0, checked, self.np_random)
+        self._running = True
+        if self.render_mode is not None:
+            self._follow(self.batch.twin.readings().tip[0], first=True)
+        return self.batch.observe(slice(0, 1))[0], info
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Make one control step.
+
+        Raises:
+            ActionError: the action is not in the action space. The environment is left as it was.
+            ResetNeeded: the episode is over, or none was started.
+        """
+        if not self._running:
+            raise ResetNeeded("call reset() first: there is no running episode")
+        outcome = self.batch.step(self.increments_of(action)[None])
+        terminated, truncated = bool(outcome.terminated[0]), bool(outcome.truncated[0])
+        self._running = not (terminated or truncated)
+        if self.render_mode is not None:
+            self._follow(self.batch.twin.readings().tip[0])
+        info = row_of(outcome.info, 0)
+        return outcome.observation[0], float(outcome.reward[0]), terminated, truncated, info
+
+    def scene(self) -> Scene:
+        """Every body of the scene at this instant, where it really is; world frame.
+
+        Raises:
+            ResetNeeded: there was no reset yet.
+        """
+        return self.batch.scene(0, self._trace)
+
+    def close(self) -> None:
+        """End the simulation."""
+        super().close()
+        self.batch.twin.close()
+        self._running = False
+
+    def increments_of(self, action: Any) -> Floats:
+        """An action as increments (6,), each of -1 to 1.
+
+        Raises:
+            ActionError: it is not in the action space.
+        """
+        return move(check_action(action)) if self.discrete else check_increments(action, (N_AXES,))
+
+
+class CoopInsertionContactEnv(PhysicsEnv):
+    """A peg stands over a hole that is not quite where the machine believes; put it in, by feel.
+
+    Both robots are simulated with their masses, servos and contact (MuJoCo). ``docs/contact.md``
+    says all of this at length.
+
+    **Action Space**
+
+    ``Box(-1, 1, (6,))``: increments of the commanded configuration, from which inverse kinematics
+    make joint commands, held for one control step of 0.05 s. One is 0.5, 0.5, 1 mm of x, y, z of
+    the effector; 2, 2 mrad of roll, pitch and 0.5 mm of heave of the platform. A command beyond the
+    robots' limits is not taken (``info["violation"]``).
+
+    **Observation Space**
+
+    ``Box(-5, 5, (29,), float32)``, everything in the units of the last column:
+
+    =======  ====================================================================  ================
+    Field    Meaning                                                               One is
+    =======  ====================================================================  ================
+    0 - 2    tip - mouth, as measured joints and the nominal model have it, world  0.01 m
+    3, 4     x, y of the hole's normal, by the same belief                         0.05
+    5 - 10   joint angles theta, q, from those at the start                        0.05 rad
+    11 - 13  mean force on the peg over the control step, with noise               10 N
+    14 - 16  mean moment on it about its tip, with noise                           0.05 N m
+    17 - 22  command, from that at the start (x, y, z, roll, pitch, heave)         0.01 m, 0.05 rad
+    23 - 28  last action                                                           1
+    =======  ====================================================================  ================
+
+    **Rewards**
+
+    =============  ======================================================
+    Term           Reward
+    =============  ======================================================
+    ``depth``      1 per mm that the tip gains along the real hole's axis
+    ``step``       -0.05
+    ``force``      -0.1 per 5 N of the step's peak force above 5 N
+    ``insertion``  20
+    ``failure``    -5 at the end by force, snap or diverging
+    =============  ======================================================
+
+    Depth beyond the required 10 mm pays nothing. At a failure ``step`` is charged for all steps
+    that were left, and ``depth`` is zero: ending it never pays.
+
+    **Starting State**
+
+    A hole is drawn among those that the 3-RRS can turn upright; the tip stands 10 mm above where
+    its mouth is believed to be, aligned. Really it stands up to 3 mm to the side (uniform over the
+    disc) and is tilted up to 1 degree about its mouth, because the 3-RRS's base stands askew.
+    Friction is drawn in 0.1 to 0.4. Options of :meth:`reset`: ``hole``; ``error``, the displacement
+    along x, y (m) and tilt about x, y (rad); ``friction``.
+
+    **Episode End**
+
+    1. Termination, success: the tip is 10 mm deep in the bore.
+    2. Termination, ``info["failure"]``: ``"force"`` (peak above 40 N), ``"snap"`` (the platform
+       more than 5 degrees off its command: another assembly mode) or ``"diverged"`` (the
+       simulation).
+    3. Truncation, ``"time"``: 80 control steps.
+
+    Args:
+        level: ``"easy"`` (round tip), ``"standard"``, ``"hard"`` (less clearance and chamfer), or a
+            :class:`~coop_env.physics.task.ContactTask`.
+        geometry: ``"optimized"``, ``"initial"`` or an :class:`~coop_env.geometry.RRSGeometry`.
+        delta: None, the standard robot, or a :class:`~coop_env.geometry.DeltaGeometry`.
+        holes: None, the paper's dome, or a
+            :class:`~coop_env.simulation.insertion_task.InsertionTask`.
+        servos: None, or :class:`~coop_env.physics.model.Servos`. Each of these five may be a plain
+            mapping of fields.
+        render_mode: None, ``"rgb_array"`` or ``"ansi"``; no OpenGL.
+
+    Raises:
+        DependencyNotInstalled: on import, if MuJoCo is missing; it names the extra.
+        ArgumentError: an argument is unknown or out of range, or the servos cannot hold home.
+        GeometryError: a robot cannot be assembled, or no hole can be turned upright.
+
+    **Version History**
+
+    * v0: initial version
+    """
+
+    batch: ContactBatch
+
+    def __init__(
+        self,
+        level: str | ContactTask | Mapping[str, Any] = "standard",
+        geometry: str | RRSGeometry | Mapping[str, Any] = "optimized",
+        delta: DeltaGeometry | Mapping[str, Any] | None = None,
+        holes: InsertionTask | Mapping[str, Any] | None = None,
+        servos: Servos | Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        super().__init__(ContactBatch(level, geometry, delta, holes, servos), render_mode)
+
+
+class CoopInsertionContactDiscreteEnv(CoopInsertionContactEnv):
+    """The contact task in twelve moves, for Rainbow and DQN.
+
+    ``Discrete(12)``: action ``2 k`` is one whole increment along axis ``k`` of x, y, z, roll,
+    pitch, heave, ``2 k + 1`` takes it away; all else is
+    :class:`CoopInsertionContactEnv`'s.
+    """
+
+    discrete = True
+
+
+class CoopInsertionPhysicsEnv(PhysicsEnv):
+    """Bring the peg from far away to six holes one after another and push it in, by feel.
+
+    The start states and holes of ``CoopInsertion-v0`` on the twin of
+    :class:`~coop_env.physics.env.CoopInsertionContactEnv`: the same seed gives both the
+    same start. ``docs/physics.md`` says more.
+
+    **Action Space**
+
+    ``Box(-1, 1, (6,))``: increments of the commanded configuration, over which joint commands are
+    led within a control step of 0.05 s. One is a quarter of a move of the kinematic task: 5 mm of
+    x, y, z, 7.5 mrad of roll, pitch, 5 mm of heave. A command beyond the robots' limits is not
+    taken (``info["violation"]``).
+
+    **Observation Space**
+
+    ``Box(-5, 5, (30 + holes,), float32)``, everything in the units of the last column:
+
+    =======  ===================================================================  ===============
+    Field    Meaning                                                              One is
+    =======  ===================================================================  ===============
+    0 - 2    tip - target's mouth, by measured joints and the nominal model       0.1 m
+    3, 4     x, y of the target's normal, likewise                                1
+    5 - 10   joint angles theta, q, from those at home                            1 rad
+    11 - 13  mean force on the peg over the control step, with noise, world       10 N
+    14 - 16  mean moment on it about its tip, with noise                          0.05 N m
+    17 - 22  command, from home (x, y, z, roll, pitch, heave)                     0.1 m, 0.5 rad
+    23 - 28  last action                                                          1
+    29 -     hole filled, one field a hole; then the share of the time gone       1
+    =======  ===================================================================  ===============
+
+    **Rewards**
+
+    ``progress``, 1 per mm by which the tip nears the point 10 mm deep in the target's real bore,
+    and 150 per rad by which the bore turns upright; ``step``, ``force``, ``insertion`` and
+    ``failure`` as in the contact task.
+
+    **Starting State**
+
+    That of ``CoopInsertion-v0``. The 3-RRS's base stands askew by the contact task's unknown
+    ``position_error`` and ``tilt_error``, about the point where the mouth of an aligned hole is.
+    Options of :meth:`reset`: ``configuration``, ``target``, ``filled`` of the kinematic task,
+    ``error`` and ``friction`` of the contact task.
+
+    **Episode End**
+
+    1. Termination: the peg was 10 mm deep in every active hole; the nearest open one is always the
+       next target.
+    2. Termination, ``info["failure"]``: ``"force"``, ``"snap"`` or ``"diverged"``, as in the
+       contact task.
+    3. Truncation, ``"time"``: ``max_steps`` control steps.
+
+    Args:
+        level: ``"easy"``, ``"standard"``, ``"hard"`` or a
+            :class:`~coop_env.physics.task.ContactTask`, whose errors, peg, friction, noise,
+            control period and limits hold; ``{"position_error": 0, "tilt_error": 0}`` has no error.
+        geometry: ``"optimized"``, ``"initial"`` or an :class:`~coop_env.geometry.RRSGeometry`.
+        delta: None, the standard robot, or a :class:`~coop_env.geometry.DeltaGeometry`.
+        holes: None, the paper's task, or an
+            :class:`~coop_env.simulation.insertion_task.InsertionTask`.
+        servos: None, or :class:`~coop_env.physics.model.Servos`. Each of these five may be a plain
+            mapping of fields.
+        stage: 0, the four peripheral holes, or 1, all.
+        max_steps: control steps until truncation.
+        render_mode: None, ``"rgb_array"`` or ``"ansi"``; no OpenGL.
+
+    Raises:
+        DependencyNotInstalled: on import, if MuJoCo is missing; it names the extra.
+        ArgumentError: an argument is unknown or out of range, or the servos cannot hold home.
+        GeometryError: a robot cannot be assembled.
+
+    **Version History**
+
+    * v0: initial version
+    """
+
+    batch: WholeBatch
+
+    def __init__(
+        self,
+        level: str | ContactTask | Mapping[str, Any] = "standard",
+        geometry: str | RRSGeometry | Mapping[str, Any] = "optimized",
+        delta: DeltaGeometry | Mapping[str, Any] | None = None,
+        holes: InsertionTask | Mapping[str, Any] | None = None,
+        servos: Servos | Mapping[str, Any] | None = None,
+        stage: int = 1,
+        max_steps: int = MAX_STEPS,
+        render_mode: str | None = None,
+    ) -> None:
+        batch = WholeBatch(level, geometry, delta, holes, servos, stage=stage, max_steps=max_steps)
+        super().__init__(batch, render_mode)
+
+
+def make_spaces(batch: PhysicsBatch, discrete: bool) -> tuple[spaces.Box, spaces.Space[Any]]:
+    """Observation and action space of one environment, its own: a space has a generator."""
+    observations = spaces.Box(-LIMIT, LIMIT, (batch.n_observed,), np.float32)
+    if discrete:
+        return observations, spaces.Discrete(N_ACTIONS)
+    return observations, spaces.Box(-1.0, 1.0, (N_AXES,), np.float32)
+
+
+def move(action: int) -> Floats:
+    """The increments (6,) of one of the twelve moves."""
+    result = np.zeros(N_AXES)
+    result[action // 2] = 1.0 - 2.0 * (action % 2)
+    return result
+
+
+def check_increments(actions: Any, shape: tuple[int, ...]) -> Floats:
+    """Actions as floats within [-1, 1].
+
+    Raises:
+        ActionError: the shape is wrong, or one is no number, not finite or out of range.
+    """
+    try:
+        result = np.asarray(actions, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ActionError(f"action = {actions!r}: must be numbers of shape {shape}") from error
+    if result.shape != shape:
+        raise ActionError(f"action has shape {result.shape}: must be {shape}")
+    if not (np.abs(result) <= 1.0 + _SLACK).all():
+        raise ActionError(f"action = {actions!r}: must be finite and within -1 to 1")
+    return np.clip(result, -1.0, 1.0)

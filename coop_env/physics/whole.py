@@ -1,0 +1,215 @@
+"""Episodes of the whole task: bring the peg from far away to one hole after another, and insert."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coop_env.env import CoopInsertionEnv
+from coop_env.errors import check_integer
+from coop_env.physics import kernels
+from coop_env.physics.batch import (
+    FAILURES,
+    LIMIT,
+    NOT_INSERTED,
+    Bools,
+    Outcome,
+    PhysicsBatch,
+    row_of,
+)
+from coop_env.physics.joints import Floats
+from coop_env.physics.task import Options, draw_error, split_options
+from coop_env.rendering.scene import Scene
+
+MAX_STEPS: Final = 2400
+"""120 s in control steps, twice the kinematic task's time, as contact takes some."""
+_UNITS: Final[Floats] = np.array(
+    [*[0.1] * 3, *[1.0] * 2, *[1.0] * 6, *[10.0] * 3, *[0.05] * 3, *[0.1] * 3, *[0.5] * 2, 0.1,
+     *[1.0] * 6]
+)  # fmt: skip
+_ANGLE_SCALE: Final = 150.0
+
+
+class WholeBatch(PhysicsBatch):
+    """Episodes of the whole task.
+
+    Args as for :class:`~coop_env.physics.batch.PhysicsBatch`, and ``stage``.
+    """
+
+    def __init__(
+        self, *arguments: Any, stage: int = 1, max_steps: int = MAX_STEPS, **more: Any
+    ) -> None:
+        limit = check_integer("max_steps", max_steps, 1)
+        super().__init__(*arguments, max_steps=limit, **more)
+        machine, n = self.machine, self.n
+        self._starts = CoopInsertionEnv(
+            machine.rrs, delta=machine.delta, task=machine.task, stage=stage
+        )
+        self.increments = np.array(machine.task.steps) * min(1.0, self.task.dt / machine.task.dt)
+        gains = (machine.servos.delta_stiffness, machine.servos.rrs_stiffness)
+        self._lag = np.repeat([machine.servos.damping(kp) / kp for kp in gains], 3)  # s
+        self._home = machine.home()
+        self._home_joints = self.twin.servo_targets(self._home)
+        self._pivot = np.array([0.0, 0.0, machine.rrs.home_heave + machine.task.dome_radius])
+        holes = len(machine.task.holes)
+        self.n_observed = 30 + holes
+        self.active, self.filled = np.zeros((n, holes), bool), np.zeros((n, holes), bool)
+        self.given_up: list[list[int]] = [[] for _ in range(n)]
+        self.inserted = np.full(n, -1)
+        self.distance, self.aimed = np.zeros(n), np.zeros((n, 2))
+        """From the tip to the target's mouth, m; that and the misalignment at an insertion."""
+
+    def check_options(self, options: Any) -> tuple[Options, Options]:
+        own, rest = split_options(options)
+        self._starts.check_options(rest)
+        return own, rest
+
+    def reset(self, row: int, options: Any, rng: np.random.Generator) -> dict[str, Any]:
+        own, rest = options or ({}, {})
+        self._starts.np_random = rng  # one stream: a seed's start is the kinematic one's
+        self._starts.reset(options=rest)
+        self.begin(row, self._starts.state, own, rng)
+        return {**row_of(self.columns(), row), "reward_terms": {}}
+
+    def begin(self, row: int, state: np.void, own: Options, rng: np.random.Generator) -> None:
+        """Set a machine down at a state of the kinematic task.
+
+        Args:
+            row: which.
+            state: a row of ``coop_env.simulation.state.state_dtype()``.
+            own: ``error`` and ``friction``, drawn where they are not given.
+            rng: what draws.
+        """
+        drawn = draw_error(self.task, rng), float(rng.uniform(*self.task.friction))
+        start = np.array(state["configuration"])
+        self.hole[row] = state["target"]
+        fixed = own.get("error"), own.get("friction")
+        self._place(row, start, self._pivot, fixed, drawn, rng)
+        self._targets[row] = self.twin.servo_targets(start)
+        self.active[row], self.filled[row] = state["active"], state["filled"]
+        self.given_up[row], self.inserted[row] = [], -1
+        self.distance[row] = self.to_mouth(row)
+
+    def step(self, actions: Floats) -> Outcome:
+        self._action = np.array(actions, np.float64)
+        aimed = self.hole.copy()
+        before = self._left_to(aimed)
+        self.advance(self.command + actions * self.increments)
+        distance, angle = (before - self._left_to(aimed)).T
+        gained = self.task.depth_scale * distance + _ANGLE_SCALE * angle
+        terms = self._terms("progress", gained, self.inserted >= 0)
+        return self._outcome(terms, self.over)
+
+    def advance(self, wanted: Floats) -> None:
+        """One control step, in which joints are led evenly to configurations (n, 6).
+
+        A hole that it fills is :attr:`inserted`, else that is -1; the next one is the target then.
+        """
+        self._advance(wanted)
+        self.inserted[:] = -1
+        deep = (self.failure == 0) & (self.insertion[:, 0] >= self.task.insertion_depth)
+        for row in range(self.n):
+            self.distance[row] = self.to_mouth(row)
+            if deep[row] and not self.filled[row, self.hole[row]]:
+                self.fill(row)
+
+    def _lead(self, before: Floats) -> Floats:
+        way, substeps = (self._targets - before)[:, None], self.task.substeps
+        share = np.arange(1, substeps + 1)[:, None] / substeps
+        # a servo damps all motion: led by velocity too, it does not fall behind
+        led: Floats = before[:, None] + share * way + self._lag * way / self.task.dt
+        return led
+
+    @property
+    def over(self) -> Bools:
+        """Whether every active hole is filled, or the episode has failed."""
+        return (self.failure > 0) | ~np.any(self.active & ~self.filled, axis=1)
+
+    def status(self, row: int) -> str:
+        won = self.success[row] and not np.any(self.active[row] & ~self.filled[row])
+        return "success" if won else FAILURES[self.failure[row]] or "running"
+
+    def scene(self, row: int, trace: Sequence[Floats]) -> Scene:
+        scene = super().scene(row, trace)
+        return replace(scene, active=self.active[row].copy(), filled=self.filled[row].copy())
+
+    def fill(self, row: int) -> None:
+        """Count a machine's target as filled, and aim at the next."""
+        self.inserted[row] = self.hole[row]
+        self.aimed[row] = self.distance[row], self.insertion[row, 2]
+        self.filled[row, self.hole[row]] = self.success[row] = True
+        self._next(row)
+
+    def give_up(self, row: int) -> None:
+        """Leave the target for good, and aim at the next; without one the episode is over."""
+        self.active[row, self.hole[row]] = False
+        self.given_up[row].append(int(self.hole[row]))
+        if self.over[row] and not self.success[row]:
+            self.failure[row] = NOT_INSERTED
+        self._next(row)
+
+    def _next(self, row: int) -> None:
+        """Aim at the open hole that is nearest to the tip by the nominal model; else stay."""
+        open_holes = np.flatnonzero(self.active[row] & ~self.filled[row])
+        if len(open_holes) == 0:
+            return
+        rows = slice(row, row + 1)
+        joints, command = (
+            np.repeat(part, len(open_holes), axis=0)
+            for part in (self._joints(rows), self.command[rows])
+        )
+        views = kernels.perceive(joints, command, open_holes, self._packed)
+        self.hole[row] = open_holes[np.argmin(np.linalg.norm(views[:, :3], axis=1))]
+
+    def _from_mouth(self, row: int, hole: int) -> tuple[Floats, Floats]:
+        """The tip from a hole's mouth, m, and the hole's normal (3,), as they really are."""
+        readings, task = self.twin.readings(), self.machine.task
+        normal = readings.rotation[row] @ task.hole_normals[hole]
+        return readings.tip[row] - readings.platform[row] - task.dome_radius * normal, normal
+
+    def to_mouth(self, row: int) -> float:
+        """Distance of a machine's tip from its target's mouth, m."""
+        return float(np.linalg.norm(self._from_mouth(row, self.hole[row])[0]))
+
+    def _left_to(self, holes: NDArray[np.int64]) -> Floats:
+        """(n, 2): from the tip to the point where a hole counts as filled, m; misalignment, rad."""
+        left = np.empty((self.n, 2))
+        for row, hole in enumerate(holes.tolist()):
+            tip, normal = self._from_mouth(row, hole)
+            left[row, 0] = np.linalg.norm(tip + self.task.insertion_depth * normal)
+            left[row, 1] = math.atan2(math.hypot(normal[0], normal[1]), normal[2])
+        return left
+
+    def perceived(self, rows: slice = slice(0, 1)) -> tuple[Floats, Floats, Floats]:
+        """What a controller has to go by, with the sensors' noise, which is drawn now.
+
+        Returns:
+            The target (n, 5), tip - mouth, m, and x, y of its normal; joint angles (n, 6), rad;
+            wrench on the peg (n, 6), N, N m.
+        """
+        joints = self._joints(rows)
+        view = kernels.perceive(joints, self.command[rows].copy(), self.hole[rows], self._packed)
+        return view, joints, self._sensed(rows)
+
+    def observe(self, rows: slice) -> NDArray[np.float32]:
+        view, joints, wrench = self.perceived(rows)
+        felt = [view, joints - self._home_joints, wrench, self.command[rows] - self._home,
+                self._action[rows]]  # fmt: skip
+        gone = self.steps[rows, None] / self.max_steps
+        fields = [np.concatenate(felt, axis=1) / _UNITS, self.filled[rows], gone]
+        return np.clip(np.concatenate(fields, axis=1), -LIMIT, LIMIT).astype(np.float32)
+
+    def columns(self) -> dict[str, Any]:
+        return {
+            **super().columns(),
+            "distance": self.distance.copy(),
+            "n_filled": self.filled.sum(axis=1),
+            "inserted": self.inserted >= 0,
+            "inserted_hole": self.inserted.copy(),
+            "target": self.hole.copy(),
+        }
