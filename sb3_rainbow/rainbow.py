@@ -22,7 +22,6 @@ from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy, RainbowPolicy
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.replay.parameters import check_buffer_size, smallest_buffer
-from sb3_rainbow.replay.transfer import from_device
 from sb3_rainbow.resume.resumable import ResumableAlgorithm
 from sb3_rainbow.settings import (
     NETWORK_ARGUMENTS,
@@ -124,10 +123,8 @@ class Rainbow(ResumableAlgorithm):
             action and the others where errors of the values would swallow it. 0 (default) is
             Rainbow. Raised from 0 later, it takes what was stored under masks for unmasked.
         use_masking: "auto" uses ``action_masks()`` where the env has it.
-        compile: one graph of target and loss by ``torch.compile``; the first update then takes some
-            seconds. Without a compiler, one warning and no effect.
         cpu_kernels: update ReLU perceptrons on the CPU by compiled kernels, in about a fifth of the
-            time of torch's operations; they take precedence over ``compile``.
+            time of torch's operations.
         _init_setup_model: whether to build the network at the creation of the instance.
 
     Raises:
@@ -187,7 +184,6 @@ class Rainbow(ResumableAlgorithm):
         beta_end: float = 1.0,
         advantage_learning: float = 0.0,
         use_masking: UseMasking = "auto",
-        compile: bool = False,
         cpu_kernels: bool = True,
         _init_setup_model: bool = True,
     ) -> None:
@@ -239,7 +235,6 @@ class Rainbow(ResumableAlgorithm):
         self.beta_end = beta_end
         self.advantage_learning = advantage_learning
         self.use_masking = use_masking
-        self.compile = compile
         self.cpu_kernels = cpu_kernels
 
         self._n_calls = 0
@@ -313,7 +308,6 @@ class Rainbow(ResumableAlgorithm):
             self.double_q,
             self.max_grad_norm,
             self.advantage_learning,
-            self.compile,
             self.cpu_kernels,
         )
 
@@ -412,9 +406,9 @@ class Rainbow(ResumableAlgorithm):
                 batch = as_batch(samples, self.gamma, self._masking)
                 loss, priorities = learner.update(batch, tau)
                 if isinstance(buffer, PrioritizedReplayBuffer) and self.prioritized:
-                    mean_loss, errors = from_device(loss, priorities)
-                    buffer.update_priorities(samples.indices, errors)  # type: ignore[attr-defined]
-                    losses.append(mean_loss)
+                    indices = samples.indices  # type: ignore[attr-defined]
+                    buffer.update_priorities(indices, priorities.cpu().numpy())
+                    losses.append(float(loss))
                 else:
                     losses.append(loss)
         logs_due = self._n_updates % _DIAGNOSTICS_INTERVAL < gradient_steps

@@ -223,7 +223,8 @@ def backward(
         for b in range(batch):
             for j in range(n_atoms):
                 bias[j] += slope[b, j]
-    delta = np.dot(slope, common)
+    delta = np.empty((batch, n_in), np.float32)
+    np.dot(slope, common, delta)
     first_stream = 1 if dueling else 0
     n_streams = n_out // n_atoms
     # Action by action, so that its rows stay in the processor's nearest cache
@@ -268,9 +269,11 @@ def backward(
             below = hidden[start : start + batch * n_in].reshape((batch, n_in))
         np.dot(delta.T, below, weight_gradient)
         if layer > 0 or input_gradient.shape[0] > 0:
-            delta = np.dot(delta, weights_of(parameters, effective, table, layer)[0])
-    if input_gradient.shape[0] > 0:
-        input_gradient[:] = delta
+            above, delta = delta, np.empty((batch, n_in), np.float32)
+            np.dot(above, weights_of(parameters, effective, table, layer)[0], delta)
+    for b in range(input_gradient.shape[0]):
+        for i in range(input_gradient.shape[1]):  # an assignment of arrays takes 2 s to compile
+            input_gradient[b, i] = delta[b, i]
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -109,28 +109,35 @@ def noisy_streams(parameters: Vector, noise: Matrix, table: Table, inputs: Matri
     Returns:
         shape ``(B, n_streams * n_atoms)``.
     """
-    n_layers = table.shape[0]
+    n_layers, batch = table.shape[0], inputs.shape[0]
     current = inputs
     for layer in range(n_layers):
         n_in, n_out = table[layer, INPUTS], table[layer, OUTPUTS]
         size, p = n_in * n_out, table[layer, PARAMETERS]
-        outputs = np.dot(current, parameters[p : p + size].reshape((n_out, n_in)).T)
+        outputs = np.empty((batch, n_out), np.float32)
+        np.dot(current, parameters[p : p + size].reshape((n_out, n_in)).T, outputs)
         first = table[layer, NOISE]
         if table[layer, NOISY] == 1:
-            turned = current * noise[:, first : first + n_in]
+            turned = np.empty((batch, n_in), np.float32)
+            for b in range(batch):
+                for i in range(n_in):
+                    turned[b, i] = current[b, i] * noise[b, first + i]
             sigma = parameters[p + size : p + 2 * size].reshape((n_out, n_in))
-            spread = np.dot(turned, sigma.T)
+            spread = np.empty((batch, n_out), np.float32)
+            np.dot(turned, sigma.T, spread)
             bias = p + 2 * size
-            for b in range(inputs.shape[0]):
+            for b in range(batch):
                 for j in range(n_out):
                     moved = spread[b, j] + parameters[bias + n_out + j]
                     outputs[b, j] += parameters[bias + j] + noise[b, first + n_in + j] * moved
         else:
-            for b in range(inputs.shape[0]):
+            for b in range(batch):
                 for j in range(n_out):
                     outputs[b, j] += parameters[p + size + j]
         if layer < n_layers - 1:
-            outputs = np.maximum(outputs, np.float32(0.0))
+            for b in range(batch):
+                for j in range(n_out):
+                    outputs[b, j] = max(outputs[b, j], np.float32(0.0))
         current = outputs
     return current
 
@@ -177,7 +184,8 @@ def mean_advantages(
         for i in range(n_in):
             row[i] *= share
         bias[a] *= share
-    means = np.dot(units, weight.T)
+    means = np.empty((units.shape[0], n_actions), np.float32)
+    np.dot(units, weight.T, means)
     for b in range(units.shape[0]):
         for a in range(n_actions):
             means[b, a] += bias[a]

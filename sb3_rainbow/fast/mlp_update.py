@@ -6,20 +6,14 @@ from typing import TypeAlias
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
-from stable_baselines3.common.torch_layers import FlattenExtractor
+from stable_baselines3.common.torch_layers import CombinedExtractor, FlattenExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 
 from sb3_rainbow.fast import learning_kernels
 from sb3_rainbow.fast import mlp_kernels as kernels
 from sb3_rainbow.fast.adam import AdamOnVector
-from sb3_rainbow.fast.perceptron import (
-    constants_of,
-    is_perceptron,
-    is_stateless,
-    parameters_of,
-    table_of,
-)
+from sb3_rainbow.fast.layout import parameters_of, table_of
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.network.shared_memory import join, parts, share
 from sb3_rainbow.type_aliases import Batch, Prepared
@@ -32,6 +26,9 @@ _NO_ACTIONS = np.zeros(0, dtype=np.int64)
 _NO_VALUES = np.zeros(0, dtype=np.float32)
 _ONE = np.ones(1, dtype=np.float32)
 _NO_GRADIENT = np.zeros((0, 0), dtype=np.float32)
+# An extractor of these parts alone has the same features for the target network, and however often
+# it is called: nothing in it changes, learns or draws random numbers.
+_STATELESS = (FlattenExtractor, CombinedExtractor, nn.ModuleDict, nn.Flatten)
 # A network's parameters, the effective weights of its noisy layers, and the table of both
 _Weights: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]
 
@@ -58,7 +55,7 @@ class MlpUpdate:
         vectors = [_join(parameters) for parameters in (self._online, self._target)]
         gradient = th.zeros_like(vectors[0])
         self._gradients = parts(gradient, self._online)
-        self._one_extractor = is_stateless(q_net)
+        self._one_extractor = all(type(m) in _STATELESS for m in q_net.features_extractor.modules())
         extractors = q_net.features_extractor, q_net_target.features_extractor
         self._flattens = all(type(extractor) is FlattenExtractor for extractor in extractors)
         self._support = q_net.support.numpy()
@@ -98,25 +95,6 @@ class MlpUpdate:
         self._logits = np.empty((batch_size, n_logits), np.float32)
         n_streams = int(self.table[-1, kernels.OUTPUTS])
         self._streams = np.empty((batch_size, n_streams), np.float32)
-
-    @staticmethod
-    def is_possible(
-        q_net: RainbowNetwork, q_net_target: RainbowNetwork, optimizer: th.optim.Optimizer
-    ) -> bool:
-        """Whether they are ReLU perceptrons on flat float32 inputs on the CPU, trained by Adam,
-        with nothing in them overridden or replaced by something else.
-        """
-        nets = (q_net, q_net_target)
-        if not all(is_perceptron(net) for net in nets):
-            return False
-        online, target = parameters_of(q_net), parameters_of(q_net_target)
-        return (
-            all(p.requires_grad for p in online)
-            and not {*map(id, online)} & {*map(id, target)}
-            and np.array_equal(table_of(q_net), table_of(q_net_target))
-            and constants_of(q_net) == constants_of(q_net_target)
-            and AdamOnVector.is_possible(optimizer, set(map(id, online)))
-        )
 
     def is_current(self, optimizer: th.optim.Optimizer) -> bool:
         """Whether parameters and noise have the memory they had, and Adam is still Adam."""

@@ -22,15 +22,13 @@ except ModuleNotFoundError:  # without its folder everything is as it is here, s
 class Learner:
     """Moves a policy's networks.
 
-    The attributes ``double_q``, ``advantage_learning`` and ``max_grad_norm`` may change between two
-    updates.
+    ``double_q``, ``advantage_learning`` and ``max_grad_norm`` may change between two updates.
 
     Args:
         policy: whose networks and optimizer to work on.
         double_q: double Q-learning.
-        advantage_learning: share of the action's advantage that is added to its target.
         max_grad_norm: gradient norm to clip to, None for no clipping.
-        compile_loss: whether ``torch.compile`` makes one graph of target, loss and gradient.
+        advantage_learning: share of the action's advantage that is added to its target.
         cpu_kernels: whether compiled kernels take over where they can.
     """
 
@@ -40,16 +38,14 @@ class Learner:
         double_q: bool,
         max_grad_norm: float | None,
         advantage_learning: float = 0.0,
-        compile_loss: bool = False,
         cpu_kernels: bool = True,
     ) -> None:
         self.policy = policy
         self.double_q = double_q
         self.advantage_learning = advantage_learning
         self.max_grad_norm = max_grad_norm
-        self.shortcuts: Shortcuts | None = None
-        if Shortcuts is not None:
-            self.shortcuts = Shortcuts(policy, self._loss, compile_loss, cpu_kernels)
+        available = cpu_kernels and Shortcuts is not None
+        self.shortcuts: Shortcuts | None = Shortcuts(policy) if available else None
 
     @property
     def q_net(self) -> RainbowNetwork:
@@ -61,6 +57,11 @@ class Learner:
         """The policy's target network."""
         return self.policy.q_net_target
 
+    @property
+    def uses_kernels(self) -> bool:
+        """Whether compiled kernels take over at present."""
+        return self.shortcuts is not None and self.shortcuts.kernels is not None
+
     def update(self, batch: Batch, tau: float | None = None) -> tuple[th.Tensor, th.Tensor]:
         """One optimizer step, with fresh and independent noise in both networks.
 
@@ -71,48 +72,29 @@ class Learner:
         Returns:
             mean loss, scalar, and priorities ``(B,)``; both stay on the device.
         """
-        found = self._step(prepared(self.q_net, batch))
+        batch = prepared(self.q_net, batch)
+        settings = self.double_q, self.max_grad_norm, self.advantage_learning
+        result = None if self.shortcuts is None else self.shortcuts.update(batch, *settings)
+        if result is None:
+            result = self._update(batch)
         if tau is not None:
             self.move_target(tau, just_updated=True)
-        return found
+        return result
 
-    def _step(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
-        if self.shortcuts is not None:
-            found = self.shortcuts.update(
-                batch, self.double_q, self.max_grad_norm, self.advantage_learning
-            )
-            if found is not None:
-                return found
+    def _update(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
+        """One optimizer step by torch."""
         self.q_net.reset_noise()
         self.q_net_target.reset_noise()
-        loss, priorities = self.gradient(batch)
-        self.policy.optimizer.step()
-        return loss, priorities
-
-    def gradient(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
-        """Leave a batch's clipped gradient in the online parameters' ``grad``.
-
-        Returns:
-            mean loss, scalar, and priorities ``(B,)``; both stay on the device.
-        """
-        batch = prepared(self.q_net, batch)
-        if self.shortcuts is not None:
-            found = self.shortcuts.gradient(batch, self.max_grad_norm)
-            if found is not None:
-                return found
         self.policy.update_optimizer()
-        loss, priorities = self._loss(self.q_net, self.q_net_target, batch)
+        loss, priorities = mean_loss(
+            self.q_net, self.q_net_target, batch, self.double_q, self.advantage_learning
+        )
         self.q_net.zero_grad()
         loss.backward()
         if self.max_grad_norm is not None:
             nn.utils.clip_grad_norm_(self.q_net.parameters(), self.max_grad_norm)
+        self.policy.optimizer.step()
         return loss.detach(), priorities
-
-    def _loss(
-        self, q_net: RainbowNetwork, q_net_target: RainbowNetwork, batch: Batch
-    ) -> tuple[th.Tensor, th.Tensor]:
-        """Weighted mean loss with gradient, and priorities ``(B,)``."""
-        return mean_loss(q_net, q_net_target, batch, self.double_q, self.advantage_learning)
 
     def act(
         self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None

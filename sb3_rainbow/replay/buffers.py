@@ -6,14 +6,14 @@ import numpy as np
 import torch as th
 from gymnasium import spaces
 from numpy.typing import NDArray
+from stable_baselines3.common.type_aliases import TensorDict
 from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_rainbow.replay.kernels import importance_weights, scale_priorities
 from sb3_rainbow.replay.n_step_ring import NStepRing
 from sb3_rainbow.replay.parameters import check_buffer_size, check_replay_parameters
 from sb3_rainbow.replay.sum_tree import SumTree
-from sb3_rainbow.replay.transfer import to_device
-from sb3_rainbow.type_aliases import PrioritizedReplayBufferSamples
+from sb3_rainbow.type_aliases import ObsArray, PrioritizedReplayBufferSamples
 
 
 class PrioritizedReplayBuffer(NStepRing):
@@ -152,8 +152,13 @@ class PrioritizedReplayBuffer(NStepRing):
         parts = self._windows(batch_inds, env)
         parts["weights"] = np.empty(batch_inds.shape[0], dtype=np.float32)
         importance_weights(batch_inds, self.tree.leaves, self.beta, parts["weights"])
-        tensors: dict[str, Any] = to_device(parts, self.device)
+        tensors: dict[str, Any] = {name: self._to_device(part) for name, part in parts.items()}
         return PrioritizedReplayBufferSamples(indices=batch_inds, **tensors)
+
+    def _to_device(self, values: ObsArray) -> th.Tensor | TensorDict:
+        if isinstance(values, dict):
+            return {key: th.as_tensor(part, device=self.device) for key, part in values.items()}
+        return th.as_tensor(values, device=self.device)
 
     def update_priorities(self, indices: NDArray[np.int64], losses: NDArray) -> None:
         """Set the priorities of drawn transitions to ``(loss + epsilon) ** alpha``.

@@ -19,7 +19,7 @@ from numba.core import event
 _PACKAGE = __name__.partition(".")[0]
 _DECLARES = re.compile(r"^from .* import .*\bnjit$", re.MULTILINE)
 # What compiles, and how long that takes
-_WHAT = "replay, networks and updates: about 15 s of a processor core"
+_WHAT = "replay, networks and updates: about 10 s of a processor core"
 
 
 class _Announcer(event.Listener):

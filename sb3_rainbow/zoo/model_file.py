@@ -56,7 +56,7 @@ _MODEL, _STATISTICS = "Rainbow 1", "VecNormalize 1"
 # Arguments that say where and how to compute, not what
 _OF_THE_MACHINE = {
     *("self", "env", "tensorboard_log", "verbose", "seed", "device"),
-    *("compile", "cpu_kernels", "_init_setup_model"),
+    *("cpu_kernels", "_init_setup_model"),
 }
 _COUNTERS: dict[str, type] = {"num_timesteps": int, "_n_updates": int, "exploration_rate": float}
 

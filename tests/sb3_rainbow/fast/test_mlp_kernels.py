@@ -1,6 +1,5 @@
 """The compiled kernels against torch's autograd and optimizer, one and several updates long."""
 
-import warnings
 from typing import Any
 
 import numpy as np
@@ -39,8 +38,7 @@ def make_learner(
     for p in policy.q_net_target.parameters():
         p.data += 0.3 * th.randn_like(p)
     learner = Learner(policy, double_q, 0.5, advantage_learning, cpu_kernels=cpu_kernels)
-    assert learner.shortcuts is not None
-    assert (learner.shortcuts.kernels is not None) == cpu_kernels
+    assert learner.uses_kernels == cpu_kernels
     return learner
 
 
@@ -130,11 +128,6 @@ def test_the_target_follows_a_layer_that_a_hook_has_just_put_in() -> None:
     th.testing.assert_close(*moved)
 
 
-def kernels_of(model: Rainbow) -> Any:
-    assert model._learner.shortcuts is not None
-    return model._learner.shortcuts.kernels
-
-
 @pytest.mark.parametrize(
     "policy_kwargs",
     [
@@ -154,7 +147,7 @@ def test_torch_does_what_the_kernels_cannot(policy_kwargs: dict[str, Any]) -> No
         policy_kwargs=policy_kwargs,
         device="cpu",
     )
-    assert kernels_of(model) is None
+    assert not model._learner.uses_kernels
     model.learn(40)
 
 
@@ -167,7 +160,7 @@ def test_an_optimizer_given_later_is_the_one_that_steps(kind: Any) -> None:
     model.policy.optimizer.register_step_post_hook(lambda *_: calls.append(1))
     before = nn.utils.parameters_to_vector(model.q_net.parameters())
     model.learn(60, reset_num_timesteps=False)
-    assert (kernels_of(model) is None) == (kind is th.optim.SGD)
+    assert model._learner.uses_kernels == (kind is th.optim.Adam)
     assert len(calls) == 60
     steps = {int(state["step"]) for state in model.policy.optimizer.state.values() if state}
     assert steps == ({60} if kind is th.optim.Adam else set())
@@ -181,29 +174,21 @@ def test_options_that_older_torch_does_not_have_are_not_asked_for() -> None:
     assert AdamOnVector.is_possible(optimizer, set(map(id, learner.q_net.parameters())))
 
 
-@pytest.mark.parametrize("path", ["kernels", "eager", "compiled"])
+@pytest.mark.parametrize("cpu_kernels", [True, False])
 @pytest.mark.parametrize("settings", [{}, {"distributional": False, "prioritized": False}], ids=str)
-def test_a_batch_of_one(path: str, settings: dict[str, Any], monkeypatch: Any) -> None:
-    th.compiler.reset()
-    compiled = th.compile
-    monkeypatch.setattr(
-        th, "compile", lambda f, **kwargs: compiled(f, backend="eager", fullgraph=True)
-    )
+def test_a_batch_of_one(cpu_kernels: bool, settings: dict[str, Any]) -> None:
     model = Rainbow(
         "MlpPolicy",
         "CartPole-v1",
         learning_starts=10,
         batch_size=1,
         buffer_size=100,
-        cpu_kernels=path == "kernels",
-        compile=path == "compiled",
+        cpu_kernels=cpu_kernels,
         device="cpu",
         seed=0,
         **settings,
     )
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", module="torch")
-        model.learn(60, log_interval=10**6)
+    model.learn(60, log_interval=10**6)
     logged = dict(model.logger.name_to_value)
     assert {"train/loss", "train/max_q"} <= set(logged)
     assert np.isfinite(list(logged.values())).all(), logged
@@ -214,7 +199,7 @@ def test_discrete_observations_are_one_hot_for_the_kernels_too() -> None:
     model = Rainbow(
         "MlpPolicy", "CliffWalking-v1", learning_starts=20, buffer_size=100, device="cpu"
     )
-    assert kernels_of(model) is not None
+    assert model._learner.uses_kernels
     model.learn(60)
 
 
@@ -230,18 +215,17 @@ class StandardizedExtractor(BaseFeaturesExtractor):
 
 
 def test_extractors_with_a_state_are_left_to_torch() -> None:
-    def uses_kernels(policy: type[MlpPolicy], space: spaces.Space, **kwargs: Any) -> bool:
+    def applies(policy: type[MlpPolicy], space: spaces.Space, **kwargs: Any) -> bool:
         made = policy(
             space, spaces.Discrete(2), lambda _: 1e-3, distributional="quantile", **kwargs
         )
-        shortcuts = Learner(made, double_q=True, max_grad_norm=1.0).shortcuts
-        return shortcuts is not None and shortcuts.kernels is not None
+        return Learner(made, double_q=True, max_grad_norm=1.0).uses_kernels
 
     box, image = spaces.Box(-1, 1, (4,)), spaces.Box(0, 255, (3, 36, 36), np.uint8)
-    assert uses_kernels(MlpPolicy, box)
-    assert uses_kernels(MultiInputPolicy, spaces.Dict(a=box, b=spaces.Discrete(3)))
-    assert not uses_kernels(MlpPolicy, box, features_extractor_class=StandardizedExtractor)
-    assert uses_kernels(MultiInputPolicy, spaces.Dict(a=box, b=image))
+    assert applies(MlpPolicy, box)
+    assert applies(MultiInputPolicy, spaces.Dict(a=box, b=spaces.Discrete(3)))
+    assert not applies(MlpPolicy, box, features_extractor_class=StandardizedExtractor)
+    assert applies(MultiInputPolicy, spaces.Dict(a=box, b=image))
 
 
 @pytest.mark.parametrize("network", ["q_net", "q_net_target"])

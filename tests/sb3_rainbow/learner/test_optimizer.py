@@ -2,7 +2,6 @@
 
 import copy
 import pickle
-import warnings
 from typing import Any
 
 import pytest
@@ -21,33 +20,18 @@ FAST: dict[str, Any] = {
     "policy_kwargs": {"net_arch": [16]},
     "device": "cpu",
 }
-PATHS = ["kernels", "eager", "compiled"]
+PATHS = pytest.mark.parametrize("kernels", [True, False], ids=["kernels", "torch"])
 
 
-@pytest.fixture(autouse=True)
-def _forget_graphs() -> None:
-    """Torch compiles one function at most eight times in a process."""
-    th.compiler.reset()
-
-
-def make_model(path: str, monkeypatch: pytest.MonkeyPatch, **kwargs: Any) -> Rainbow:
-    """On one of the three ways of an update."""
-    if path == "compiled":
-        compiled = th.compile
-        monkeypatch.setattr(
-            th, "compile", lambda f, **kwargs: compiled(f, backend="eager", fullgraph=True)
-        )
+def make_model(kernels: bool, **kwargs: Any) -> Rainbow:
+    """On one of the two ways of an update."""
     plain = {"learning_rate": 1e-4, "gradient_steps": 1}
-    ways = {"cpu_kernels": path == "kernels", "compile": path == "compiled"}
-    settings: dict[str, Any] = {**FAST, **plain, **ways, **kwargs}
+    settings: dict[str, Any] = {**FAST, **plain, "cpu_kernels": kernels, **kwargs}
     return Rainbow("MlpPolicy", "CartPole-v1", **settings)
 
 
 def learn(model: Rainbow, total: int = 40) -> Rainbow:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        warnings.filterwarnings("error", message="compile=True has no effect")
-        return model.learn(total, reset_num_timesteps=False)
+    return model.learn(total, reset_num_timesteps=False)
 
 
 def weights(model: Rainbow) -> th.Tensor:
@@ -55,11 +39,9 @@ def weights(model: Rainbow) -> th.Tensor:
 
 
 @pytest.mark.parametrize("trained", [False, True])
-@pytest.mark.parametrize("path", PATHS)
-def test_steps_from_outside_move_the_weights(
-    path: str, trained: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    model = make_model(path, monkeypatch)
+@PATHS
+def test_steps_from_outside_move_the_weights(kernels: bool, trained: bool) -> None:
+    model = make_model(kernels)
     if trained:
         learn(model)
     optimizer, obs = model.policy.optimizer, th.ones(4, 4)
@@ -80,9 +62,9 @@ def test_steps_from_outside_move_the_weights(
     assert 0.0 < (weights(model) - moved).abs().max() < 0.01
 
 
-@pytest.mark.parametrize("path", PATHS)
-def test_states_are_exchanged_with_a_plain_adam(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    model = learn(make_model(path, monkeypatch))
+@PATHS
+def test_states_are_exchanged_with_a_plain_adam(kernels: bool) -> None:
+    model = learn(make_model(kernels))
     copies = [nn.Parameter(p.detach().clone()) for p in model.q_net.parameters()]
     plain = th.optim.Adam(copies, lr=1e-4)
     plain.load_state_dict(copy.deepcopy(model.policy.optimizer.state_dict()))
@@ -101,12 +83,10 @@ def test_states_are_exchanged_with_a_plain_adam(path: str, monkeypatch: pytest.M
     assert {int(s["step"]) for s in optimizer.state.values()} == {n_steps + 1}
 
 
-@pytest.mark.parametrize("path", PATHS)
-def test_hooks_fire_once_per_update_and_change_nothing(
-    path: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plain = learn(make_model(path, monkeypatch), 60)
-    model = make_model(path, monkeypatch)
+@PATHS
+def test_hooks_fire_once_per_update_and_change_nothing(kernels: bool) -> None:
+    plain = learn(make_model(kernels), 60)
+    model = make_model(kernels)
     seen: list[str] = []
     model.policy.optimizer.register_step_pre_hook(lambda *_: seen.append("pre"))
     model.policy.optimizer.register_step_post_hook(lambda *_: seen.append("post"))
@@ -115,11 +95,9 @@ def test_hooks_fire_once_per_update_and_change_nothing(
     assert th.equal(weights(model), weights(plain))
 
 
-@pytest.mark.parametrize("path", PATHS)
-def test_a_pre_hook_sees_the_clipped_gradient_and_may_change_it(
-    path: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    model = make_model(path, monkeypatch, max_grad_norm=1e-3)
+@PATHS
+def test_a_pre_hook_sees_the_clipped_gradient_and_may_change_it(kernels: bool) -> None:
+    model = make_model(kernels, max_grad_norm=1e-3)
     norms: list[float] = []
 
     def hook(*_: Any) -> None:
@@ -135,26 +113,24 @@ def test_a_pre_hook_sees_the_clipped_gradient_and_may_change_it(
     assert th.equal(before, weights(model))
 
 
-@pytest.mark.parametrize("path", PATHS)
-def test_a_schedule_of_torch_counts_the_steps(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    model = make_model(path, monkeypatch)
+@PATHS
+def test_a_schedule_of_torch_counts_the_steps(kernels: bool) -> None:
+    model = make_model(kernels)
     th.optim.lr_scheduler.ExponentialLR(model.policy.optimizer, 0.9)
     learn(model)
     assert model.policy.optimizer._opt_called  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("path", PATHS)
-def test_without_clipping(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    free = learn(make_model(path, monkeypatch, max_grad_norm=None))
-    wide = learn(make_model(path, monkeypatch, max_grad_norm=1e9))
+@PATHS
+def test_without_clipping(kernels: bool) -> None:
+    free = learn(make_model(kernels, max_grad_norm=None))
+    wide = learn(make_model(kernels, max_grad_norm=1e9))
     assert th.equal(weights(free), weights(wide))
 
 
-@pytest.mark.parametrize("path", PATHS)
-def test_a_parameter_put_in_place_of_another_is_trained(
-    path: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    model = learn(make_model(path, monkeypatch))
+@PATHS
+def test_a_parameter_put_in_place_of_another_is_trained(kernels: bool) -> None:
+    model = learn(make_model(kernels))
     layer: Any = model.q_net.layers[-1]
     layer.weight_mu = nn.Parameter(th.zeros_like(layer.weight_mu))
     model.q_net.layers[0] = type(layer)(4, 16)
@@ -171,10 +147,8 @@ def test_a_parameter_put_in_place_of_another_is_trained(
     )
 
 
-def test_an_optimizer_of_some_parameters_moves_those_alone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    model = learn(make_model("kernels", monkeypatch))
+def test_an_optimizer_of_some_parameters_moves_those_alone() -> None:
+    model = learn(make_model(True))
     head = list(model.q_net.layers[-1].parameters())
     model.policy.optimizer = th.optim.Adam(head, lr=1e-3)
     before = {name: p.detach().clone() for name, p in model.q_net.named_parameters()}
@@ -183,11 +157,9 @@ def test_an_optimizer_of_some_parameters_moves_those_alone(
     assert moved == {n for n in before if n.startswith("layers.1.")}
 
 
-@pytest.mark.parametrize("path", PATHS)
-def test_a_policy_that_learned_pickles_to_its_numbers(
-    path: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    model = make_model(path, monkeypatch, policy_kwargs={"net_arch": [64, 64]})
+@PATHS
+def test_a_policy_that_learned_pickles_to_its_numbers(kernels: bool) -> None:
+    model = make_model(kernels, policy_kwargs={"net_arch": [64, 64]})
     n_weights = sum(p.numel() for p in model.policy.parameters())
     overhead = 40_000  # bytes, most of it about 500 for each tensor
     assert len(pickle.dumps(model.policy)) < 4 * n_weights + overhead
@@ -201,11 +173,9 @@ def test_a_policy_that_learned_pickles_to_its_numbers(
 
 
 @pytest.mark.parametrize("when", ["before", "after"])
-@pytest.mark.parametrize("path", PATHS)
-def test_a_deep_copy_learns_on_as_the_original(
-    path: str, when: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    model = make_model(path, monkeypatch)
+@PATHS
+def test_a_deep_copy_learns_on_as_the_original(kernels: bool, when: str) -> None:
+    model = make_model(kernels)
     if when == "after":
         learn(model)
     twin = copy.deepcopy(model)
