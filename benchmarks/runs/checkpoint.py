@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import pickle
-import random
 import shutil
 import time
 import warnings
@@ -13,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
-import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
@@ -25,6 +23,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.seeding import derive
 from benchmarks.runs import machine
 from benchmarks.runs.store import BROKEN, RunFolder
+from sb3_rainbow.resume.rng import get_rng_state, set_rng_state
 
 Model = TypeVar("Model", bound=BaseAlgorithm)
 
@@ -83,7 +82,7 @@ class Watch(BaseCallback):
 
     def _on_training_start(self) -> None:
         if self.rng is not None:
-            restore_rng(self.rng, self.model)
+            set_rng_state(self.rng, self.model.action_space)
             self.rng = None
 
     def _on_rollout_start(self) -> None:
@@ -129,7 +128,7 @@ class Watch(BaseCallback):
     def save(self) -> None:
         """Write a checkpoint of the run."""
         state = {name: part.get_state() for name, part in self.kept.items()}
-        state |= {"rng": rng_state(self.model), **self._history()}
+        state |= {"rng": get_rng_state(self.model.action_space), **self._history()}
         write_checkpoint(self.folder.checkpoint, self.model, state)
 
     def restore(self, state: dict[str, Any], model: BaseAlgorithm) -> None:
@@ -294,25 +293,3 @@ def load_newest(watch: Watch, algorithm: type[Model], env: VecEnv, device: str) 
             continue
         return model
     return None
-
-
-def rng_state(model: BaseAlgorithm) -> dict[str, Any]:
-    """States of all generators that learning draws from, beside the environments' own."""
-    return {
-        "python": random.getstate(),
-        "numpy": np.random.get_state(),  # noqa: NPY002 - SB3 draws from numpy's global generator
-        "torch": torch.get_rng_state(),
-        # noisy layers draw on the device that they live on
-        "cuda": torch.cuda.get_rng_state() if model.device.type == "cuda" else None,
-        "action_space": model.action_space.np_random.bit_generator.state,
-    }
-
-
-def restore_rng(state: dict[str, Any], model: Any) -> None:
-    """Put the generators of :func:`rng_state` back."""
-    random.setstate(state["python"])
-    np.random.set_state(state["numpy"])  # noqa: NPY002
-    torch.set_rng_state(state["torch"])
-    if state.get("cuda") is not None and model.device.type == "cuda":
-        torch.cuda.set_rng_state(state["cuda"])
-    model.action_space.np_random.bit_generator.state = state["action_space"]
