@@ -24,6 +24,7 @@ _MOST_WEIGHTS = 500_000
 _HOOKS = ("_forward_hooks", "_forward_pre_hooks", "_backward_hooks", "_backward_pre_hooks")
 _GLOBAL_HOOKS = ("_global_forward_hooks", "_global_forward_pre_hooks", "_global_backward_hooks")
 _TRAINS = attrgetter("requires_grad")
+_VALUES: Any = dict.values
 _HOOKS_OF_PARAMETER = attrgetter("_backward_hooks", "_post_accumulate_grad_hooks")
 
 
@@ -144,7 +145,7 @@ class ChangeDetector:
         self._has_hooked_parameters = _are_hooked(self._learning)
 
     def _list_contents(self) -> list[Any]:
-        return list(chain.from_iterable(map(dict.values, self._parts)))
+        return list(chain.from_iterable(map(_VALUES, self._parts)))
 
     def is_unchanged(self) -> bool:
         """Whether all is as it was at the creation of this object."""

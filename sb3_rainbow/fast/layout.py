@@ -15,7 +15,7 @@ _PARAMETERS = {
 
 def parameters_of(net: RainbowNetwork) -> list[nn.Parameter]:
     """The layers' parameters in the order in which the kernels want them, then the extractor's."""
-    own = [getattr(layer, name) for layer in net.layers for name in _PARAMETERS[type(layer)]]  # type: ignore[index]
+    own = [getattr(layer, name) for layer in net.layers for name in _PARAMETERS[type(layer)]]
     return [*own, *net.features_extractor.parameters()]
 
 

@@ -57,7 +57,6 @@ class Learner:
         """The policy's target network."""
         return self.policy.q_net_target
 
-    @property
     def uses_kernels(self) -> bool:
         """Whether compiled kernels take over at present."""
         return self.shortcuts is not None and self.shortcuts.kernels is not None

@@ -1,10 +1,11 @@
-"""``python -m sb3_rainbow.zoo``: the scripts of rl-baselines3-zoo, to which Rainbow is known."""
+"""``python -m sb3_rainbow.zoo``: train and enjoy of rl-baselines3-zoo, which knows Rainbow here."""
 
 import argparse
 import importlib
-import runpy
 import sys
 from importlib import metadata
+
+import gymnasium as gym
 
 from sb3_rainbow.masking.conventions import ActionMaskError
 
@@ -13,8 +14,6 @@ The scripts of rl-baselines3-zoo, with Rainbow among the algorithms.
 
   train    train, go on with a run (-i), search hyperparameters (-optimize)
   enjoy    watch a trained model
-  record   make a video of it (the zoo's record_video)
-  push     package it for the Hugging Face hub, and upload it
 
 What follows the command goes to the script as it is (train -h lists it); --algo is rainbow unless
 it says otherwise.
@@ -22,13 +21,13 @@ it says otherwise.
 
 
 def main() -> None:
-    """Hand over to a script of the zoo."""
+    """Run a script of the zoo."""
     parser = argparse.ArgumentParser(
         prog="python -m sb3_rainbow.zoo",
         description=_DESCRIPTION,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("command", choices=("train", "enjoy", "record", "push"))
+    parser.add_argument("command", choices=("train", "enjoy"))
     parser.add_argument("arguments", nargs=argparse.REMAINDER)
     given = parser.parse_args()
     try:
@@ -37,40 +36,32 @@ def main() -> None:
     except ModuleNotFoundError as error:
         sys.exit(f"{parser.prog}: {error.name} is missing: pip install 'sb3-rainbow-coop[zoo]'")
     try:
-        arguments = _with_known_env(given.command, given.arguments)
-        sys.argv = [f"{parser.prog} {given.command}", "--algo", "rainbow", *arguments]
+        _register_env(given.arguments)
+        sys.argv = [f"{parser.prog} {given.command}", "--algo", "rainbow", *given.arguments]
         if given.command == "train":
             register_for_training()
             importlib.import_module("rl_zoo3.train").train()
-            return
-        register_for_playing()
-        if given.command == "push":
-            importlib.import_module("sb3_rainbow.zoo.push").main()
-            return
-        # The folder where train leaves its runs; the zoo's own would be looked for on the hub.
-        sys.argv[1:1] = ["-f", "logs"]
-        if given.command == "enjoy":
-            importlib.import_module("rl_zoo3.enjoy").enjoy()
         else:
-            runpy.run_module("rl_zoo3.record_video", run_name="__main__")
+            register_for_playing()
+            # The folder where train leaves its runs; the zoo's own would be looked for on the hub.
+            sys.argv[1:1] = ["-f", "logs"]
+            importlib.import_module("rl_zoo3.enjoy").enjoy()
     except (ZooError, ActionMaskError) as error:
         sys.exit(f"{parser.prog} {given.command}: error: {error}")
 
 
-def _with_known_env(command: str, arguments: list[str]) -> list[str]:
-    """The arguments, once the environment that they name is registered.
+def _register_env(arguments: list[str]) -> None:
+    """Register the environment that the arguments name.
 
     Raises:
-        ZooError: for one that is not.
+        ZooError: for an unknown one.
     """
-    import gymnasium as gym
-
     from sb3_rainbow.zoo.files import ZooError
 
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--env", default="CartPole-v1")
     parser.add_argument("--gym-packages", nargs="+", default=[])
-    known, others = parser.parse_known_args(arguments)
+    known, _ = parser.parse_known_args(arguments)
     try:
         for package in known.gym_packages:
             importlib.import_module(package)
@@ -82,8 +73,6 @@ def _with_known_env(command: str, arguments: list[str]) -> list[str]:
         gym.spec(known.env)
     except (ModuleNotFoundError, gym.error.Error) as error:
         raise ZooError(f"no environment {known.env}: {error}") from error
-    # Its record_video knows no --gym-packages.
-    return ["--env", known.env, *others] if command == "record" else arguments
 
 
 if __name__ == "__main__":

@@ -9,19 +9,13 @@ from typing import Any
 
 import numpy as np
 from huggingface_hub import EvalResult, ModelCard, ModelCardData, hf_hub_download
-from huggingface_sb3 import EnvironmentName, ModelName
 from sb3_contrib.common.maskable.evaluation import evaluate_policy
 from stable_baselines3.common.utils import get_system_info
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize, unwrap_vec_normalize
 
 from sb3_rainbow.rainbow import Rainbow
 from sb3_rainbow.zoo.files import ALGO, is_model_file, loading
-from sb3_rainbow.zoo.model_file import (
-    read_model,
-    read_statistics,
-    write_model,
-    write_statistics,
-)
+from sb3_rainbow.zoo.model_file import read_model, read_statistics, write_model, write_statistics
 from sb3_rainbow.zoo.playing import masks_apply
 
 VEC_NORMALIZE = "vec_normalize.zip"
@@ -74,19 +68,19 @@ def package(
     deterministic: bool = True,
     about: str = "",
 ) -> pathlib.Path:
-    """Evaluate a model and write what its repository holds, named as ``huggingface_sb3`` names it.
+    """Evaluate a model and write the folder of its repository, for ``HfApi.upload_folder``.
 
     ``rainbow-<env_id>.zip`` is the model without what only its training needs, ``README.md`` the
     model card with command, results and versions, ``results.json`` the results, and
     ``vec_normalize.zip`` the statistics, if there are any. No file holds a pickle.
 
     Args:
-        model: trained.
-        env_id: the environment's id.
-        folder: to write to; made if missing.
-        eval_env: for the evaluation; the model acts under its masks where it learned under some,
+        model: trained model.
+        env_id: id of the environment.
+        folder: folder to write to; made if missing.
+        eval_env: env of the evaluation; the model acts under its masks where it learned under some,
             and a ``VecNormalize`` around it stays in evaluation.
-        command: that trained the model.
+        command: command that trained the model.
         n_eval_episodes: episodes of the evaluation.
         deterministic: evaluate the greedy policy.
         about: Markdown, for the card, below the results.
@@ -99,8 +93,8 @@ def package(
     """
     out = pathlib.Path(folder)
     out.mkdir(parents=True, exist_ok=True)
-    name = ModelName(ALGO, EnvironmentName(env_id))
-    path = out / name.filename
+    name = f"{ALGO}-{env_id.replace('/', '-')}"
+    path = out / f"{name}.zip"
     write_model(model, path)
     normalizer = unwrap_vec_normalize(eval_env)
     if normalizer is not None:
@@ -124,7 +118,10 @@ def package(
         "eval_datetime": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
     (out / "results.json").write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
-    versions = _versions()
+    info = get_system_info(print_info=False)[0]
+    names = ("Stable-Baselines3", "Gymnasium", "PyTorch", "Numpy", "Python")
+    versions = {"sb3_rainbow": metadata.version("sb3-rainbow-coop")}
+    versions |= {name: info[name] for name in names if name in info}
     text = _CARD.format(
         name=name,
         env_id=env_id,
@@ -144,16 +141,13 @@ def package(
 
 
 def load_from_hub(repo_id: str, filename: str, trust: bool = False, **kwargs: Any) -> Rainbow:
-    """A model of the hub.
+    """Download a model and :func:`load` it.
 
     Args:
         repo_id: organization/name.
-        filename: of the model in it, such as ``rainbow-CartPole-v1.zip``.
+        filename: name of the model's file there, such as ``rainbow-CartPole-v1.zip``.
         trust: see :func:`load`.
         kwargs: see :func:`load`.
-
-    Returns:
-        the model.
 
     Raises:
         ZooError: if it cannot be loaded.
@@ -162,17 +156,14 @@ def load_from_hub(repo_id: str, filename: str, trust: bool = False, **kwargs: An
 
 
 def load(path: str | os.PathLike[str], trust: bool = False, **kwargs: Any) -> Rainbow:
-    """A model from a file of whom you know nothing: one that :func:`package` wrote runs nothing.
+    """Load a model from a file of unknown origin: nothing of a file of :func:`package` is run.
 
     Args:
-        path: of the model.
+        path: file of the model.
         trust: True takes a file that ``save`` wrote, too. Loading that one **runs its author's
             code** with your rights: it holds pickles, and a pickle calls what it names.
-        kwargs: of :func:`sb3_rainbow.zoo.model_file.read_model` (``env``, ``device``, arguments of
-            Rainbow), or of ``Rainbow.load``.
-
-    Returns:
-        the model.
+        kwargs: passed to :func:`sb3_rainbow.zoo.model_file.read_model` (``env``, ``device``,
+            arguments of Rainbow), or to ``Rainbow.load``.
 
     Raises:
         ZooError: if it cannot be loaded.
@@ -186,11 +177,11 @@ def load(path: str | os.PathLike[str], trust: bool = False, **kwargs: Any) -> Ra
 def load_vec_normalize(
     path: str | os.PathLike[str], venv: VecEnv, trust: bool = False
 ) -> VecNormalize:
-    """As ``VecNormalize.load``, from a file of whom you know nothing, for evaluation.
+    """As ``VecNormalize.load``, from a file of unknown origin, for evaluation.
 
     Args:
-        path: of the statistics.
-        venv: to normalize.
+        path: file of the statistics.
+        venv: env to normalize.
         trust: True takes a file that ``VecNormalize.save`` wrote, too, which **runs its author's
             code**.
 
@@ -203,13 +194,6 @@ def load_vec_normalize(
         normalizer = VecNormalize.load(os.fspath(path), venv)
         normalizer.training = normalizer.norm_reward = False
         return normalizer
-
-
-def _versions() -> dict[str, str]:
-    info = get_system_info(print_info=False)[0]
-    own = {"sb3_rainbow": metadata.version("sb3-rainbow-coop")}
-    wanted = ("Stable-Baselines3", "Gymnasium", "PyTorch", "Numpy", "Python")
-    return {**own, **{name: info[name] for name in wanted if name in info}}
 
 
 def _card_data(env_id: str, mean: float, std: float) -> ModelCardData:

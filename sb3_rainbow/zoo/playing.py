@@ -22,7 +22,7 @@ class PlayedRainbow(Rainbow):
     """A trained model under the masks of the environment that :func:`create_test_env` made last.
 
     The zoo's ``enjoy`` loads a model without its environment and asks it for actions by the
-    observations alone, as ``record_video`` does: masks have no other way to it.
+    observations alone: masks have no other way to it.
     """
 
     played: ClassVar[VecEnv | None] = None
@@ -36,12 +36,7 @@ class PlayedRainbow(Rainbow):
     ) -> SelfPlayed:
         """As ``Rainbow.load``, with the smallest replay buffer unless one is asked for.
 
-        A file of the hub's form is read, which runs nothing.
-
-        Args:
-            path: of the model.
-            args: of ``Rainbow.load``.
-            kwargs: of ``Rainbow.load``.
+        A packaged file is read without running anything of it.
 
         Raises:
             ZooError: if it cannot be loaded.
@@ -78,13 +73,7 @@ _create_test_env = rl_zoo3.utils.create_test_env
 
 
 @functools.wraps(_create_test_env)
-def create_test_env(env_id: str, *args: Any, **kwargs: Any) -> VecEnv:
-    """The zoo's, which tells :class:`PlayedRainbow` what it made.
-
-    It takes an environment's arguments from the hyperparameters where the script did not:
-    ``record_video`` leaves them out.
-    """
-    saved = (kwargs.get("hyperparams") or {}).get("env_kwargs") or {}
-    kwargs["env_kwargs"] = {**saved, **(kwargs.get("env_kwargs") or {})}
-    PlayedRainbow.played = _create_test_env(env_id, *args, **kwargs)
+def create_test_env(*args: Any, **kwargs: Any) -> VecEnv:
+    """The zoo's, remembered for :class:`PlayedRainbow`."""
+    PlayedRainbow.played = _create_test_env(*args, **kwargs)
     return PlayedRainbow.played

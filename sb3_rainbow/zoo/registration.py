@@ -3,11 +3,13 @@
 from types import ModuleType
 from typing import Any
 
+import optuna
 import rl_zoo3.enjoy
 import rl_zoo3.exp_manager
 import rl_zoo3.hyperparams_opt
 import rl_zoo3.train
 import rl_zoo3.utils
+from rl_zoo3.hyperparams_opt import convert_offpolicy_params
 
 from sb3_rainbow.rainbow import Rainbow
 from sb3_rainbow.zoo.experiments import (
@@ -17,21 +19,20 @@ from sb3_rainbow.zoo.experiments import (
 )
 from sb3_rainbow.zoo.files import ALGO
 from sb3_rainbow.zoo.playing import PlayedRainbow, create_test_env
-from sb3_rainbow.zoo.search import convert_rainbow_params, sample_rainbow_params
 
 
 def register_for_training() -> None:
     """Make ``rainbow`` an algorithm of the zoo's ``train``: new runs, resumed ones, searches."""
     rl_zoo3.ALGOS[ALGO] = Rainbow
     rl_zoo3.hyperparams_opt.HYPERPARAMS_SAMPLER[ALGO] = sample_rainbow_params
-    rl_zoo3.hyperparams_opt.HYPERPARAMS_CONVERTER[ALGO] = convert_rainbow_params
+    rl_zoo3.hyperparams_opt.HYPERPARAMS_CONVERTER[ALGO] = convert_offpolicy_params
     _replace("EvalCallback", MaskedEvalCallback, rl_zoo3.exp_manager)
     _replace("TrialEvalCallback", MaskedTrialEvalCallback, rl_zoo3.exp_manager)
     _replace("ExperimentManager", RainbowExperimentManager, rl_zoo3.train)
 
 
 def register_for_playing() -> None:
-    """Make ``rainbow`` an algorithm of the zoo's ``enjoy`` and ``record_video``."""
+    """Make ``rainbow`` an algorithm of the zoo's ``enjoy``."""
     rl_zoo3.ALGOS[ALGO] = PlayedRainbow
     _replace("create_test_env", create_test_env, rl_zoo3, rl_zoo3.utils, rl_zoo3.enjoy)
 
@@ -40,3 +41,32 @@ def _replace(name: str, value: Any, *modules: ModuleType) -> None:
     """Put ours, which does the zoo's part too, where its modules look for theirs."""
     for module in modules:
         setattr(module, name, value)
+
+
+def sample_rainbow_params(
+    trial: optuna.Trial, n_actions: int, n_envs: int, additional_args: dict[str, Any]
+) -> dict[str, Any]:
+    """Draw hyperparameters for a trial of the zoo's search.
+
+    What is not drawn stays as in the environment's entry of the file: above all the head and its
+    support, which no search should choose by the return alone. ``n_actions``, ``n_envs`` and
+    ``additional_args`` are for the zoo's other samplers.
+    """
+    train_freq = trial.suggest_int("train_freq", 1, 10)
+    noisy = trial.suggest_categorical("noisy", [True, False])
+    return convert_offpolicy_params(
+        {
+            "one_minus_gamma": trial.suggest_float("one_minus_gamma", 1e-4, 0.03, log=True),
+            "batch_size_pow": trial.suggest_int("batch_size_pow", 4, 9),
+            "learning_rate": trial.suggest_float("learning_rate", 1e-5, 2e-3, log=True),
+            "train_freq": train_freq,
+            "subsample_steps": trial.suggest_int("subsample_steps", 1, min(train_freq, 8)),
+            "tau": trial.suggest_float("tau", 5e-4, 0.05, log=True),
+            "n_steps": trial.suggest_int("n_steps", 1, 10),
+            "noisy": noisy,
+            **({"sigma0": trial.suggest_float("sigma0", 0.02, 1.0, log=True)} if noisy else {}),
+            "prioritized": True,  # an alpha of 0 is not
+            "alpha": trial.suggest_float("alpha", 0.0, 0.8),
+            "net_arch": trial.suggest_categorical("net_arch", ["small", "medium", "big"]),
+        }
+    )

@@ -64,8 +64,8 @@ def make_images(seed: int) -> Batch:
 def test_what_an_extractor_learns_agrees_with_torch(kwargs: dict[str, Any]) -> None:
     kwargs = {"features_extractor_class": Convolutions, **kwargs}
     ours, reference = (make_image_learner(kernels, **kwargs) for kernels in (True, False))
-    assert ours.uses_kernels
-    assert not reference.uses_kernels
+    assert ours.uses_kernels()
+    assert not reference.uses_kernels()
     for seed in range(4):
         batch, results = make_images(seed), []
         for learner in (ours, reference):
@@ -99,5 +99,5 @@ def test_extractors_that_are_left_to_torch(why: str) -> None:
     )
     if why == "frozen":
         learner.q_net.features_extractor.requires_grad_(False)
-    assert not learner.uses_kernels
+    assert not learner.uses_kernels()
     learner.update(make_images(0))

@@ -38,7 +38,7 @@ def make_learner(
     for p in policy.q_net_target.parameters():
         p.data += 0.3 * th.randn_like(p)
     learner = Learner(policy, double_q, 0.5, advantage_learning, cpu_kernels=cpu_kernels)
-    assert learner.uses_kernels == cpu_kernels
+    assert learner.uses_kernels() == cpu_kernels
     return learner
 
 
@@ -147,7 +147,7 @@ def test_torch_does_what_the_kernels_cannot(policy_kwargs: dict[str, Any]) -> No
         policy_kwargs=policy_kwargs,
         device="cpu",
     )
-    assert not model._learner.uses_kernels
+    assert not model._learner.uses_kernels()
     model.learn(40)
 
 
@@ -160,7 +160,7 @@ def test_an_optimizer_given_later_is_the_one_that_steps(kind: Any) -> None:
     model.policy.optimizer.register_step_post_hook(lambda *_: calls.append(1))
     before = nn.utils.parameters_to_vector(model.q_net.parameters())
     model.learn(60, reset_num_timesteps=False)
-    assert model._learner.uses_kernels == (kind is th.optim.Adam)
+    assert model._learner.uses_kernels() == (kind is th.optim.Adam)
     assert len(calls) == 60
     steps = {int(state["step"]) for state in model.policy.optimizer.state.values() if state}
     assert steps == ({60} if kind is th.optim.Adam else set())
@@ -199,7 +199,7 @@ def test_discrete_observations_are_one_hot_for_the_kernels_too() -> None:
     model = Rainbow(
         "MlpPolicy", "CliffWalking-v1", learning_starts=20, buffer_size=100, device="cpu"
     )
-    assert model._learner.uses_kernels
+    assert model._learner.uses_kernels()
     model.learn(60)
 
 
@@ -219,7 +219,7 @@ def test_extractors_with_a_state_are_left_to_torch() -> None:
         made = policy(
             space, spaces.Discrete(2), lambda _: 1e-3, distributional="quantile", **kwargs
         )
-        return Learner(made, double_q=True, max_grad_norm=1.0).uses_kernels
+        return Learner(made, double_q=True, max_grad_norm=1.0).uses_kernels()
 
     box, image = spaces.Box(-1, 1, (4,)), spaces.Box(0, 255, (3, 36, 36), np.uint8)
     assert applies(MlpPolicy, box)

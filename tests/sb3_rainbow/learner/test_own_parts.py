@@ -33,7 +33,7 @@ def test_a_layer_in_two_places_stays_one_layer() -> None:
     model.learn(60)
     assert model.q_net.layers[1] is model.q_net.layers[2]
     assert not th.equal(before, model.q_net.layers[1].weight)  # type: ignore[arg-type]
-    assert not model._learner.uses_kernels
+    assert not model._learner.uses_kernels()
 
 
 def test_an_optimizer_keeps_what_is_not_the_networks() -> None:

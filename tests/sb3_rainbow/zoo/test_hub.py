@@ -4,6 +4,7 @@ import inspect
 import io
 import json
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -16,7 +17,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch as th
-import yaml
 from safetensors.numpy import load, save
 from stable_baselines3 import DQN
 from stable_baselines3.common.env_util import make_vec_env
@@ -46,25 +46,6 @@ def offline(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("a network call")
 
     monkeypatch.setattr(socket.socket, "connect", refuse)
-
-
-@pytest.fixture
-def downloads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The hub's place is taken by the folder ``hub``; what was asked of it."""
-    from requests.exceptions import HTTPError
-
-    asked: list[str] = []
-
-    def download(repo_id: str, filename: str, **kwargs: Any) -> str:
-        asked.append(filename)
-        path = Path("hub") / repo_id.partition("/")[2] / filename
-        if not path.exists():
-            raise HTTPError(f"404: {path}")
-        return str(path)
-
-    monkeypatch.setattr("huggingface_hub.hf_hub_download", download)
-    monkeypatch.setattr("sb3_rainbow.zoo.hub.hf_hub_download", download)
-    return asked
 
 
 def model_of(env: Any = "CartPole-v1", steps: int = 100, **settings: Any) -> Rainbow:
@@ -150,50 +131,24 @@ def test_settings_can_be_changed_but_not_what_the_weights_were_trained_for() -> 
         hub.load(path, v_max=7.0)
 
 
-def test_the_zoo_reads_it(
-    downloads: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_downloaded_model_is_enjoyed_and_trained_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from huggingface_sb3 import EnvironmentName
-    from rl_zoo3.load_from_hub import download_from_hub
-
     train("-n 200")
-    zoo("push --env CartPole-v1 --no-upload --n-eval-episodes 2 --seed 1")
-    card = Path("hub/rainbow-CartPole-v1/README.md").read_text()
-    assert "\npython " in card
-    model = trained(1)
-    assert same_actions(model, hub.load_from_hub("me/rainbow-CartPole-v1", MODEL))
-    monkeypatch.setenv("TRUST_REMOTE_CODE", "True")  # the zoo's downloader wants it
-    download_from_hub("rainbow", EnvironmentName("CartPole-v1"), 0, "downloaded", "me")
-    zoo("enjoy --env CartPole-v1 -f downloaded --no-render -n 50")
+    path = package(model_of(), "hub/rainbow-CartPole-v1")
+    monkeypatch.setattr("sb3_rainbow.zoo.hub.hf_hub_download", lambda *parts: "/".join(parts))
+    assert same_actions(hub.load(path), hub.load_from_hub("hub/rainbow-CartPole-v1", MODEL))
+    shutil.copy(path, "logs/rainbow/CartPole-v1_1/CartPole-v1.zip")
+    zoo("enjoy --env CartPole-v1 --no-render -n 50")
     assert "Mean reward" in capsys.readouterr().out
-    train("-n 100 -i downloaded/rainbow/CartPole-v1_1/CartPole-v1.zip")
+    train(f"-n 100 -i {path}")
     assert trained(2).num_timesteps == 100
-    assert {MODEL, "config.yml", "args.yml", "env_kwargs.yml"} <= set(downloads)
 
 
-def test_it_is_evaluated_under_masks_and_uploaded(monkeypatch: pytest.MonkeyPatch) -> None:
-    uploaded: dict[str, Any] = {}
-
-    class Api:
-        def create_repo(self, repo_id: str, exist_ok: bool) -> str:
-            return f"https://huggingface.co/{repo_id}"
-
-        def upload_folder(self, **given: Any) -> None:
-            uploaded.update(given)
-
-    monkeypatch.setattr("sb3_rainbow.zoo.push.HfApi", Api)
-    train(f"--env MaskedZoo-v0 --gym-packages {ENVS} -n 100")
-    push = f"push --env MaskedZoo-v0 --gym-packages {ENVS} --n-eval-episodes 2 -o out"
-    with pytest.raises(SystemExit, match="--organization says where to upload"):
-        zoo(push)
-    zoo(f"{push} -orga me -m first")
-    assert uploaded == {
-        "repo_id": "me/rainbow-MaskedZoo-v0",
-        "folder_path": Path("out"),
-        "commit_message": "first",
-    }
-    assert json.loads(Path("out/results.json").read_text())["mean_reward"] == 20.0
-    assert yaml.safe_load(Path("out/env_kwargs.yml").read_text()) == {}
+def test_the_evaluation_is_under_masks() -> None:
+    """The environment raises where it is not."""
+    package(model_of(f"{ENVS}:MaskedZoo-v0"), env_id="MaskedZoo-v0")
+    assert "| MaskedZoo-v0 | 1 | 20.00 | 0.00 | greedy | yes |" in Path("out/README.md").read_text()
 
 
 class Swish(nn.Module):
