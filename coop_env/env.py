@@ -436,12 +436,12 @@ def check_snapshot(snapshot: Mapping[str, Any], own: Mapping[str, Any]) -> None:
     if not isinstance(snapshot, Mapping) or set(snapshot) != set(own):
         raise StateError(f"the snapshot must be a mapping with the keys {sorted(own)}")
     for key in ("states", "observations"):
-        found = snapshot[key]
-        if not isinstance(found, np.ndarray):
-            raise StateError(f"the snapshot's {key} are {type(found).__name__}, not an array")
-        if found.dtype != own[key].dtype or found.shape != own[key].shape:
+        result = snapshot[key]
+        if not isinstance(result, np.ndarray):
+            raise StateError(f"the snapshot's {key} are {type(result).__name__}, not an array")
+        if result.dtype != own[key].dtype or result.shape != own[key].shape:
             raise StateError(
-                f"the snapshot holds {found.shape} {key} of another layout than this "
+                f"the snapshot holds {result.shape} {key} of another layout than this "
                 f"environment's {own[key].shape}: build it as the saved one was built"
             )
     if snapshot["params"] != own["params"]:

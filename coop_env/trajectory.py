@@ -74,11 +74,11 @@ class Trajectory:
 
     def blocked(self) -> list[tuple[int, str]]:
         """Ways that are not free: number of the move, from 0, and the first reason on it."""
-        found: dict[int, str] = {}
+        result: dict[int, str] = {}
         for sample in np.flatnonzero(self.status):
             move = max(int(np.searchsorted(self.stops, sample)) - 1, 0)
-            found.setdefault(move, REASONS[int(self.status[sample])])
-        return list(found.items())
+            result.setdefault(move, REASONS[int(self.status[sample])])
+        return list(result.items())
 
     def to_csv(self, path: Path) -> None:
         """Write time, positions, velocities and accelerations, a row a sample; SI units."""
@@ -216,9 +216,9 @@ def make_trajectory(
     stops = np.cumsum([0, *(move.shape[1] - 1 for move in moves)])
     parts = [moves[0][:, :1], *(move[:, 1:] for move in moves)]
     positions, velocities, accelerations = np.concatenate(parts, axis=1)
-    found, status = _follow(positions, points[0], packed)
+    result, status = _follow(positions, points[0], packed)
     times = TIMESTEP * np.arange(len(positions), dtype=np.float64)
-    return Trajectory(times, positions, velocities, accelerations, found, status, stops)
+    return Trajectory(times, positions, velocities, accelerations, result, status, stops)
 
 
 def _passing(means: Floats) -> Floats:
@@ -303,7 +303,7 @@ def _follow(
     Beyond a sample at which the links cannot close, nothing is known: all is out of reach.
     """
     p = unpack(packed)
-    found = np.full_like(joints, np.nan)
+    result = np.full_like(joints, np.nan)
     status = np.full(len(joints), state.INVALID)
     roll, pitch, heave = start[3], start[4], start[5]
     for i in range(len(joints)):
@@ -314,10 +314,10 @@ def _follow(
             break
         roll, pitch, heave = pose
         for k in range(3):
-            found[i, k], found[i, 3 + k] = e[k], pose[k]
+            result[i, k], result[i, 3 + k] = e[k], pose[k]
         c = (e[0], e[1], e[2], roll, pitch, heave)
         status[i] = state.configuration_status(c, p)
-    return found, status
+    return result, status
 
 
 def _missing(error: ImportError) -> DependencyNotInstalled:

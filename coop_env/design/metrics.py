@@ -54,20 +54,20 @@ def measure(
     """
     problem = problem or DesignProblem()
     samples = samples or sample_points(problem)
-    found = workspace_map(geometry, problem, samples)
+    result = workspace_map(geometry, problem, samples)
     cone = tilt_azimuth(np.stack(samples, axis=-1))[..., 0] <= CONE
     nan = math.nan
-    if not found.inside.any():
-        return DesignMetrics(0.0, _least(found.sigma[cone]), nan, nan, nan, nan, nan)
-    angles = np.abs(np.stack(samples, axis=-1)[found.inside])
+    if not result.inside.any():
+        return DesignMetrics(0.0, _least(result.sigma[cone]), nan, nan, nan, nan, nan)
+    angles = np.abs(np.stack(samples, axis=-1)[result.inside])
     poses = np.stack([*samples, np.full_like(samples.roll, problem.home_heave)], axis=-1)
-    q = rrs.inverse(poses[found.inside], geometry, problem.pose_model).q
+    q = rrs.inverse(poses[result.inside], geometry, problem.pose_model).q
     return DesignMetrics(
-        found.area,
-        _least(found.sigma[cone]),
+        result.area,
+        _least(result.sigma[cone]),
         float(angles.max()),
-        _variation(found.kappa[found.inside]),
-        _variation(found.kappa[cone]),
+        _variation(result.kappa[result.inside]),
+        _variation(result.kappa[cone]),
         float(q.min()),
         float(q.max()),
     )

@@ -76,13 +76,13 @@ class _Cost:
         broken = sum(max(0.0, -constraint(geometry)) for constraint in self.constraints)
         if broken > 0.0:
             return -broken
-        found = self.objective(geometry, self.problem, self.samples)
-        if not math.isfinite(found):
+        value = self.objective(geometry, self.problem, self.samples)
+        if not math.isfinite(value):
             raise DesignError(
-                f"the objective is {found!r} at lambda1 = {lambda1:.4f}, lambda2 = {lambda2:.4f}: "
+                f"the objective is {value!r} at lambda1 = {lambda1:.4f}, lambda2 = {lambda2:.4f}: "
                 "it must be finite on every design that meets the constraints"
             )
-        return found
+        return value
 
     def __call__(self, x: Floats) -> float:
         lambda1, lambda2 = float(x[0]), float(x[1])

@@ -181,15 +181,6 @@ def sample_points(problem: DesignProblem, rng: np.random.Generator | None = None
     )
 
 
-def component(
-    geometry: RRSGeometry, problem: DesignProblem, samples: Samples, heave: float
-) -> Bools:
-    """The cells ``(cells, cells)`` of home's connected component at a heave."""
-    mask = np.zeros(samples.roll.shape, dtype=np.int8)
-    flood(*samples, heave, problem.threshold, problem.params(geometry), mask, False)
-    return mask == 1
-
-
 def workspace_area(
     geometry: RRSGeometry,
     problem: DesignProblem | None = None,

@@ -67,9 +67,9 @@ def over_thresholds(
     for threshold in thresholds:
         here = replace(problem, threshold=float(threshold))
         given.append([workspace_area(geometry, here) for geometry in geometries])
-        found = optimize(here, start)
-        optimum.append(found.value)
-        lambdas.append([found.lambda1, found.lambda2])
+        result = optimize(here, start)
+        optimum.append(result.value)
+        lambdas.append([result.lambda1, result.lambda2])
     return ThresholdSweep(
         np.asarray(thresholds, dtype=float), np.array(given), np.array(optimum), np.array(lambdas)
     )
@@ -83,15 +83,15 @@ def slopes(
         raise DesignError(f"step = {step!r} m: must be above zero")
     problem = problem or DesignProblem()
     samples = sample_points(problem)
-    found = {}
+    result = {}
     for name in LENGTHS:
         length = getattr(geometry, name)
         high, low = (
             workspace_area(replace(geometry, **{name: length + sign * step}), problem, samples)
             for sign in (1.0, -1.0)
         )
-        found[name] = (high - low) / (2e3 * step)
-    return found
+        result[name] = (high - low) / (2e3 * step)
+    return result
 
 
 def under_tolerances(

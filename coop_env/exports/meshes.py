@@ -143,10 +143,10 @@ def save_stl(folder: Path, machine: Machine | None = None, unit: str = "m") -> l
     Raises:
         ArgumentError: the unit is neither.
     """
-    scale, found = _scale(unit), links(machine)
+    scale, result = _scale(unit), links(machine)
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
-    for link in found:
+    for link in result:
         paths.append(folder / f"{link.name}.stl")
         link.mesh.copy().apply_scale(scale).export(paths[-1])
     return paths

@@ -52,11 +52,11 @@ def build_sdf(machine: Machine) -> ET.Element:
     root = ET.Element("sdf", version=VERSION)
     world = ET.SubElement(root, "world", name="coop_insertion")
     model = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(machine)))
-    found = links(machine)
+    result = links(machine)
     for robot, tip in (("delta", "effector"), ("rrs", "platform")):
         body = ET.SubElement(world, "model", name=robot)
         _joint(body, f"{robot}_mount", "fixed", "world", f"{robot}_base")
-        for link in found:
+        for link in result:
             if link.name.startswith(robot) or link.name == tip:
                 _add_link(body, link, model)
         _add_joints(body, robot, machine)

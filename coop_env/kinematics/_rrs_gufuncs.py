@@ -104,18 +104,8 @@ def limb_points(rph: Any, params: Any, points: Any) -> None:
     p = _params(params)
     at = rrs.platform_pose(rph[0], rph[1], rph[2], p)
     for i in range(3):
-        c, s = rrs.LIMB_COS[i], rrs.LIMB_SIN[i]
         _, q = rrs.limb_ik(at, i, p)
-        reach = p.base_radius + p.proximal_length * math.cos(q)
-        r = rrs.joint_offset(at, i, p.platform_radius)
-        points[i, 0, 0], points[i, 0, 1], points[i, 0, 2] = (
-            p.base_radius * c,
-            p.base_radius * s,
-            0.0,
-        )
-        points[i, 1, 0], points[i, 1, 1] = reach * c, reach * s
-        points[i, 1, 2] = p.proximal_length * math.sin(q)
-        points[i, 2, 0], points[i, 2, 1], points[i, 2, 2] = at.x + r[0], at.y + r[1], at.z + r[2]
+        _put(points[i], rrs.limb_points(at, q, i, p))
 
 
 def pack(params: rrs.RRSParams) -> np.ndarray:

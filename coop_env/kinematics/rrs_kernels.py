@@ -143,6 +143,19 @@ def limb_ik(pose: Pose, limb: int, p: RRSParams) -> tuple[bool, float]:
 
 
 @njit(cache=True)
+def limb_points(pose: Pose, q: float, limb: int, p: RRSParams) -> tuple[Row, Row, Row]:
+    """Base joint, elbow and spherical joint of a limb at its actuated angle, base frame, m."""
+    c, s = LIMB_COS[limb], LIMB_SIN[limb]
+    reach = p.base_radius + p.proximal_length * math.cos(q)
+    r = joint_offset(pose, limb, p.platform_radius)
+    return (
+        (p.base_radius * c, p.base_radius * s, 0.0),
+        (reach * c, reach * s, p.proximal_length * math.sin(q)),
+        (pose.x + r[0], pose.y + r[1], pose.z + r[2]),
+    )
+
+
+@njit(cache=True)
 def inverse(pose: Pose, p: RRSParams) -> tuple[bool, Row]:
     """Actuated angles (q0, q1, q2) of a pose, rad, and whether all three are real."""
     ok0, q0 = limb_ik(pose, 0, p)

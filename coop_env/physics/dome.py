@@ -60,11 +60,11 @@ def staves(bore: Bore) -> list[Vertices]:
         (bore.spot_radius, -bore.depth),
     ]
     stave = np.array([(x, side * x * tan, z) for x, z in profile for side in (-1.0, 1.0)])
-    found = []
+    result = []
     for angle in 2.0 * math.pi * np.arange(STAVES) / STAVES:
         c, s = math.cos(angle), math.sin(angle)
-        found.append(stave @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
-    return found
+        result.append(stave @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
+    return result
 
 
 def dome_solids(task: InsertionTask, bore: Bore) -> Iterator[tuple[str, Vertices]]:

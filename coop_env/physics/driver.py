@@ -104,10 +104,10 @@ class TwinDriver:
             np.column_stack([np.interp(times, trajectory.times, column) for column in values.T])
             for values in (led, trajectory.positions)
         )
-        found = self.twin.advance(led[None, 1:], len(led) - 1)
+        result = self.twin.advance(led[None, 1:], len(led) - 1)
         if self.twin.diverged[0]:
             raise DriverError("the simulation diverged")
-        angles, forces = found.joints[0], found.wrench[0, :, :3] - self._weight
+        angles, forces = result.joints[0], result.wrench[0, :, :3] - self._weight
         self._force = forces[np.argmax(np.linalg.norm(forces, axis=1))]
         self.errors = (angles - wanted[:-1])[times[:-1] <= trajectory.duration]
         rates = np.gradient(angles, dt, axis=0)
@@ -224,16 +224,16 @@ def _stand(driver: Driver, m: Machine, near: Sequence[float] | Floats, patience:
     """The configuration (6,) of the measured joints, the 3-RRS's branch followed from ``near``."""
     angles, before = _numbers(driver.joints, N_AXES, patience), np.asarray(near, np.float64)
     pose = rrs.forward(angles[3:], before[3:], m.rrs).pose
-    found = np.concatenate([delta.forward(angles[:3], m.delta).position, pose])
-    found[5] = np.clip(found[5], m.rrs.heave_min, m.rrs.heave_max)  # it rests at a limit
-    return found
+    result = np.concatenate([delta.forward(angles[:3], m.delta).position, pose])
+    result[5] = np.clip(result[5], m.rrs.heave_min, m.rrs.heave_max)  # it rests at a limit
+    return result
 
 
 def _numbers(call: Callable[[], Any], n: int, seconds: float) -> Floats:
-    found = np.asarray(_ask(call, seconds=seconds), np.float64)
-    if found.shape != (n,) or not np.isfinite(found).all():
-        raise DriverError(f"the machine answered {found.tolist()}: must be {n} finite numbers")
-    return found
+    result = np.asarray(_ask(call, seconds=seconds), np.float64)
+    if result.shape != (n,) or not np.isfinite(result).all():
+        raise DriverError(f"the machine answered {result.tolist()}: must be {n} finite numbers")
+    return result
 
 
 def _ask(call: Callable[..., Any], *arguments: Any, seconds: float) -> Any:

@@ -53,7 +53,7 @@ def perceive(
     those now. A machine that has snapped may have no pose on its old branch: it keeps the last.
     """
     p = unpack(packed)
-    found = np.empty((joints.shape[0], 5))
+    result = np.empty((joints.shape[0], 5))
     for i in range(joints.shape[0]):
         a, b = joints[i], believed[i]
         ok_delta, position = delta_kernels.forward((a[0], a[1], a[2]), p.delta)
@@ -66,9 +66,9 @@ def perceive(
         tip = peg_tip(b[0], b[1], b[2], p.delta)
         mouth, normal = hole(rrs_kernels.platform_pose(b[3], b[4], b[5], p.rrs), holes[i], p)
         for k in range(3):
-            found[i, k] = tip[k] - mouth[k]
-        found[i, 3], found[i, 4] = normal[0], normal[1]
-    return found
+            result[i, k] = tip[k] - mouth[k]
+        result[i, 3], result[i, 4] = normal[0], normal[1]
+    return result
 
 
 @njit(cache=True)
@@ -93,7 +93,7 @@ def insertion(
         packed: the machine.
     """
     p = unpack(packed)
-    found = np.empty((tip.shape[0], 3))
+    result = np.empty((tip.shape[0], 3))
     for i in range(tip.shape[0]):
         c, r = platform[i], rotation[i]
         pose = Pose(
@@ -105,10 +105,10 @@ def insertion(
         depth = -(x * n[0] + y * n[1] + z * n[2])
         x, y, z = x + depth * n[0], y + depth * n[1], z + depth * n[2]
         lateral = math.sqrt(x * x + y * y + z * z)
-        found[i, 0] = depth if lateral <= mouth_radius else min(depth, 0.0)
-        found[i, 1] = lateral
-        found[i, 2] = math.atan2(math.hypot(n[0], n[1]), n[2])
-    return found
+        result[i, 0] = depth if lateral <= mouth_radius else min(depth, 0.0)
+        result[i, 1] = lateral
+        result[i, 2] = math.atan2(math.hypot(n[0], n[1]), n[2])
+    return result
 
 
 @njit(cache=True)
@@ -124,7 +124,7 @@ def platform_error(
         packed: the machine.
     """
     p = unpack(packed)
-    found = np.empty(command.shape[0])
+    result = np.empty(command.shape[0])
     for i in range(command.shape[0]):
         w = rrs_kernels.platform_pose(command[i, 3], command[i, 4], command[i, 5], p.rrs)
         wanted = (w.r00, w.r01, w.r02), (w.r10, w.r11, w.r12), (w.r20, w.r21, w.r22)
@@ -133,5 +133,5 @@ def platform_error(
             for k in range(3):
                 for m in range(3):
                     trace += rotation[i, j, k] * base[i, j, m] * wanted[m][k]
-        found[i] = math.acos(min(max(0.5 * (trace - 1.0), -1.0), 1.0))
-    return found
+        result[i] = math.acos(min(max(0.5 * (trace - 1.0), -1.0), 1.0))
+    return result

@@ -177,14 +177,14 @@ class Machine:
 
 
 def _add(parent: ET.Element, tag: str, **attributes: object) -> ET.Element:
-    words = {}
+    texts = {}
     for name, value in attributes.items():
         if isinstance(value, (list, tuple, np.ndarray)):
             value = " ".join(f"{v:.12g}" for v in np.ravel(np.asarray(value, np.float64)))
         elif isinstance(value, float):
             value = f"{value:.12g}"
-        words[name] = str(value)
-    return ET.SubElement(parent, tag, words)
+        texts[name] = str(value)
+    return ET.SubElement(parent, tag, texts)
 
 
 def build_mjcf(machine: Machine) -> ET.Element:

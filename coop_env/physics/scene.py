@@ -10,9 +10,7 @@ from coop_env.kinematics import rrs
 from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
 from coop_env.physics.joints import Floats
 from coop_env.physics.twin import Twin
-from coop_env.rendering.scene import Scene
-from coop_env.simulation.collision import arm_points, limb_points
-from coop_env.simulation.state import joint_angles
+from coop_env.rendering.scene import Scene, link_points
 
 
 def twin_scene(
@@ -36,12 +34,9 @@ def twin_scene(
     readings, p = twin.readings(), machine.kernel_params()
     closed = twin.believed(readings.joints[row], command)
     configuration = np.where(np.isfinite(closed), closed, command)
-    x, y, z, *_ = configuration.tolist()
-    _, theta, pose, q = joint_angles(tuple(configuration.tolist()), p)
-    arms = np.array([arm_points(x, y, z, theta, i, p.delta) for i in range(3)])
+    arms, limbs, _ = link_points(configuration, p)
     turn = roll_pitch_yaw_matrix([*twin.base[row, 3:], 0.0])
-    limbs = np.array([limb_points(pose, q, i, p.rrs) for i in range(3)]) @ turn.T
-    limbs += twin.base[row, :3]
+    limbs = limbs @ turn.T + twin.base[row, :3]
     rotation, centre = readings.rotation[row], readings.platform[row]
     normals = np.array(machine.task.hole_normals) @ rotation.T
     mouths = centre + machine.task.dome_radius * normals
@@ -51,7 +46,7 @@ def twin_scene(
         delta_base_joints=arms[:, 0],
         knees=arms[:, 1],
         effector_joints=arms[:, 2],
-        effector=np.array([x, y, z + p.delta.base_height]),
+        effector=configuration[:3] + np.array([0.0, 0.0, p.delta.base_height]),
         tip=tip.copy(),
         peg_radius=p.delta.peg_radius,
         rrs_base_joints=limbs[:, 0],

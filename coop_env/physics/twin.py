@@ -240,10 +240,10 @@ class Twin:
         Beyond a few degrees it hangs in another assembly mode: see ``ContactTask.snap_angle``.
         """
         rotation = np.ascontiguousarray(readings.rotation)
-        found: Floats = kernels.platform_error(
+        result: Floats = kernels.platform_error(
             rotation, self._turns, np.ascontiguousarray(configurations), self.packed
         )
-        return found
+        return result
 
     def close(self) -> None:
         """End the threads."""
@@ -253,10 +253,10 @@ class Twin:
         """Whether the servos hold home within what the task calls inserted."""
         targets = np.broadcast_to(self.servo_targets(home), (self.n, N_AXES))
         start = self.states.copy()
-        found = last(self.advance(targets, round(_SETTLING / self.machine.timestep)))
+        result = last(self.advance(targets, round(_SETTLING / self.machine.timestep)))
         tip = peg_tip(*home[:3].tolist(), self.machine.kernel_params().delta)
-        sag = float(np.linalg.norm(found.tip[0] - tip))
-        lean = float(self.platform_error(found, np.broadcast_to(home, (self.n, N_AXES)))[0])
+        sag = float(np.linalg.norm(result.tip[0] - tip))
+        lean = float(self.platform_error(result, np.broadcast_to(home, (self.n, N_AXES)))[0])
         task = self.machine.task
         if self.diverged[0] or not (sag < task.tolerance and lean < task.angle_tolerance):
             raise ArgumentError(

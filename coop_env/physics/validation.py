@@ -61,7 +61,7 @@ def validate(twin: Twin, poses: Floats) -> Validation:
     """
     home = twin.machine.home()
     fraction = np.clip(np.arange(1, 2 * RAMP_STEPS + 1) / RAMP_STEPS, 0.0, 1.0)[:, None]
-    found = []
+    result = []
     for first in range(0, len(poses), twin.n):
         batch = poses[first : first + twin.n]
         goals = np.concatenate([batch, np.broadcast_to(home, (twin.n - len(batch), 6))])
@@ -71,8 +71,8 @@ def validate(twin: Twin, poses: Floats) -> Validation:
         way = home + fraction * (goals[:, None] - home)
         readings = last(twin.advance(twin.servo_targets(way), len(fraction)))
         errors = _errors(twin, readings, goals)
-        found.append(np.where(twin.diverged, np.inf, errors)[:, : len(batch)])
-    tip, centre, platform, joints, loop = np.concatenate(found, axis=1)
+        result.append(np.where(twin.diverged, np.inf, errors)[:, : len(batch)])
+    tip, centre, platform, joints, loop = np.concatenate(result, axis=1)
     return Validation(tip, centre, platform, joints, loop, len(fraction) * len(poses))
 
 

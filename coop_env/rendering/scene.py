@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from coop_env.simulation.collision import arm_points, limb_points
+from coop_env.kinematics.rrs_kernels import Pose, limb_points
+from coop_env.simulation.collision import arm_points
 from coop_env.simulation.state import joint_angles
 from coop_env.simulation.task import EnvParams
 
@@ -76,18 +77,29 @@ def _status(state: np.void, sigma: float, margin: float) -> str:
     return "timeout" if sigma >= margin else "singular"
 
 
-def make_scene(state: np.void, p: EnvParams, trace: Sequence[Points] = ()) -> Scene:
-    """The scene of a row of state; ``trace``: the tip's path."""
-    x, y, z, roll, pitch, heave = (float(v) for v in state["configuration"])
+def link_points(configuration: Points, p: EnvParams) -> tuple[Points, Points, Pose]:
+    """Where a configuration (6,) puts the links of both robots, world frame, m.
+
+    Returns:
+        base joint, knee and effector joint of each Delta limb, (3, 3, 3); base joint, elbow and
+        platform joint of each 3-RRS limb, (3, 3, 3); the platform's pose.
+    """
+    x, y, z, roll, pitch, heave = configuration.tolist()
     _, theta, pose, q = joint_angles((x, y, z, roll, pitch, heave), p)
     arms = np.array([arm_points(x, y, z, theta, i, p.delta) for i in range(3)])
-    limbs = np.array([limb_points(pose, q, i, p.rrs) for i in range(3)])
+    limbs = np.array([limb_points(pose, q[i], i, p.rrs) for i in range(3)])
+    return arms, limbs, pose
+
+
+def make_scene(state: np.void, p: EnvParams, trace: Sequence[Points] = ()) -> Scene:
+    """The scene of a row of state; ``trace``: the tip's path."""
+    arms, limbs, pose = link_points(state["configuration"], p)
     sigma, margin = float(state["sigma"]), float(p.layout["singular_margin"])
     return Scene(
         delta_base_joints=arms[:, 0],
         knees=arms[:, 1],
         effector_joints=arms[:, 2],
-        effector=np.array([x, y, z + p.delta.base_height]),
+        effector=state["configuration"][:3] + np.array([0.0, 0.0, p.delta.base_height]),
         tip=state["tip"].copy(),
         peg_radius=p.delta.peg_radius,
         rrs_base_joints=limbs[:, 0],

@@ -60,7 +60,7 @@ def _harms(c: np.ndarray, a: np.ndarray, looks: int, p: EnvParams) -> bool:
 @njit(cache=True)
 def _check(
     delta: np.ndarray, rrs: np.ndarray, steps: np.ndarray, looks: int, tight: np.ndarray,
-    nominal: np.ndarray, reach: float, clearance: float, found: np.ndarray,
+    nominal: np.ndarray, reach: float, clearance: float, result: np.ndarray,
 ) -> None:  # fmt: skip
     p, q = unpack(tight), unpack(nominal)
     c, a = np.empty(N_AXES), np.zeros(N_AXES)
@@ -70,7 +70,7 @@ def _check(
             c[:3] = delta[d]
             if not is_certified((c[0], c[1], c[2], c[3], c[4], c[5]), p, reach, clearance):
                 continue
-            found[0] += 1
+            result[0] += 1
             degree = 0
             for move in range(2 * N_AXES):
                 k = move // 2
@@ -81,10 +81,10 @@ def _check(
                 if free_share(c, a, p, reach, clearance) == 1.0:
                     degree += 1
                     if move % 2 == 0:
-                        found[1] += 2
-                        found[2] += _harms(c, a, looks, q)
+                        result[1] += 2
+                        result[2] += _harms(c, a, looks, q)
                 a[k] = 0.0
-            found[3] += degree == 0
+            result[3] += degree == 0
 
 
 def check_product(
@@ -99,10 +99,10 @@ def check_product(
         rrs: (m, 3), roll, pitch, rad, and heave, m.
         looks: in how many pieces each way is looked at; best no divisor of the shield's own.
     """
-    found = np.zeros(4, np.int64)
-    keeps = (*shield.keeps, found)
+    result = np.zeros(4, np.int64)
+    keeps = (*shield.keeps, result)
     _check(delta, rrs, shield.steps, looks, shield.packed, pack(params), *keeps)
-    return Certificate(*found.tolist())
+    return Certificate(*result.tolist())
 
 
 def lattice(params: EnvParams, origin: Floats) -> tuple[Floats, Floats]:

@@ -94,9 +94,9 @@ def free_share(c: np.ndarray, a: np.ndarray, p: EnvParams, reach: float, clearan
 @njit(cache=True)
 def project(
     configuration: np.ndarray, increment: np.ndarray, packed: np.ndarray, reach: float,
-    clearance: float, found: np.ndarray,
+    clearance: float, result: np.ndarray,
 ) -> bool:  # fmt: skip
-    """Write what is left of an increment (6,) to ``found``; True if that is less than all of it.
+    """Write what is left of an increment (6,) to ``result``; True if that is less than all of it.
 
     First the share that all axes can go together, then, axis by axis, what more of it can be had:
     where one robot is stopped the other moves on, and a platform slides along a limit.
@@ -105,23 +105,23 @@ def project(
     c, a = configuration, increment
     share = free_share(c, a, p, reach, clearance)
     for k in range(N_AXES):
-        found[k] = share * a[k]
+        result[k] = share * a[k]
     if share == 1.0:
         return False
     for k in range(N_AXES):
         if a[k] == 0.0:
             continue
-        low, high = found[k], a[k]
-        found[k] = high
-        if free_share(c, found, p, reach, clearance) == 1.0:
+        low, high = result[k], a[k]
+        result[k] = high
+        if free_share(c, result, p, reach, clearance) == 1.0:
             continue
         for _ in range(BISECTIONS):
-            found[k] = 0.5 * (low + high)
-            if free_share(c, found, p, reach, clearance) == 1.0:
-                low = found[k]
+            result[k] = 0.5 * (low + high)
+            if free_share(c, result, p, reach, clearance) == 1.0:
+                low = result[k]
             else:
-                high = found[k]
-        found[k] = low
+                high = result[k]
+        result[k] = low
     return True
 
 

@@ -80,9 +80,9 @@ class KinematicShield:
             a = _six("action", action)
         except ArgumentError as error:
             raise ActionError(str(error)) from error
-        found = np.empty(N_AXES)
-        changed = kernels.project(c, a, self.packed, *self.keeps, found)
-        return found, bool(changed)
+        result = np.empty(N_AXES)
+        changed = kernels.project(c, a, self.packed, *self.keeps, result)
+        return result, bool(changed)
 
     def allowed_moves(self, state: ArrayLike) -> NDArray[np.bool_]:
         """(12,): which of the environment's moves keep all margins, on the way too.
@@ -118,9 +118,9 @@ def _six(name: str, value: ArrayLike) -> Floats:
         ArgumentError: they are not.
     """
     try:
-        found = np.array(as_configuration(value))
+        result = np.array(as_configuration(value))
     except ResetOptionError:
-        found = np.full(N_AXES, np.nan)
-    if not np.isfinite(found).all():
+        result = np.full(N_AXES, np.nan)
+    if not np.isfinite(result).all():
         raise ArgumentError(f"{name} = {value!r}: must be six finite numbers")
-    return found
+    return result

@@ -81,8 +81,8 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
 
     def _configuration(self) -> NDArray[np.float64]:
         inner: Any = self.env.unwrapped
-        found: NDArray[np.float64] = inner.configuration
-        return found
+        result: NDArray[np.float64] = inner.configuration
+        return result
 
     def _own_masks(self) -> NDArray[np.bool_]:
         try:
@@ -94,8 +94,8 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
     def _certify(self, action: Any) -> tuple[Any, bool]:
         inner: Any = self.env.unwrapped
         wanted = inner.increments_of(action) * self.shield.steps
-        found, changed = self.shield.certify(self._configuration(), wanted)
-        return (found / self.shield.steps).astype(np.float32) if changed else action, changed
+        result, changed = self.shield.certify(self._configuration(), wanted)
+        return (result / self.shield.steps).astype(np.float32) if changed else action, changed
 
     def _discretely(self, action: Any) -> tuple[int, bool]:
         move, masks = check_action(action), self.action_masks()

@@ -12,7 +12,7 @@ import math
 from coop_env.compilation import njit
 from coop_env.kinematics import rrs_kernels
 from coop_env.kinematics.delta_kernels import DeltaParams
-from coop_env.kinematics.rrs_kernels import LIMB_COS, LIMB_SIN, Pose, RRSParams
+from coop_env.kinematics.rrs_kernels import LIMB_COS, LIMB_SIN, Pose
 from coop_env.kinematics.singularity import Row
 from coop_env.simulation.task import EnvParams
 
@@ -100,19 +100,6 @@ def in_opening(tip: Row, pose: Pose, radius: float, p: EnvParams) -> bool:
 
 
 @njit(cache=True)
-def limb_points(pose: Pose, q: Row, limb: int, p: RRSParams) -> tuple[Row, Row, Row]:
-    """Base joint, elbow and spherical joint of a 3-RRS limb, world frame, m."""
-    c, s = LIMB_COS[limb], LIMB_SIN[limb]
-    reach = p.base_radius + p.proximal_length * math.cos(q[limb])
-    r = rrs_kernels.joint_offset(pose, limb, p.platform_radius)
-    return (
-        (p.base_radius * c, p.base_radius * s, 0.0),
-        (reach * c, reach * s, p.proximal_length * math.sin(q[limb])),
-        (pose.x + r[0], pose.y + r[1], pose.z + r[2]),
-    )
-
-
-@njit(cache=True)
 def arm_points(
     x: float, y: float, z: float, theta: Row, limb: int, p: DeltaParams
 ) -> tuple[Row, Row, Row]:
@@ -133,7 +120,7 @@ def _capsule_hits_limbs(a: Row, b: Row, radius: float, pose: Pose, q: Row, p: En
     centre = (pose.x, pose.y, pose.z)
     spoke, link = radius + p.layout.spoke_radius, radius + p.layout.limb_radius
     for limb in range(3):
-        base, elbow, joint = limb_points(pose, q, limb, p.rrs)
+        base, elbow, joint = rrs_kernels.limb_points(pose, q[limb], limb, p.rrs)
         if segment_distance(a, b, centre, joint) < spoke:
             return True
         if segment_distance(a, b, elbow, joint) < link:

@@ -153,23 +153,23 @@ def _pair(name: str, value: Any) -> tuple[Any, Any]:
 def _holes(value: Any) -> tuple[tuple[float, float], ...]:
     if not is_list(value):
         raise ArgumentError(f"{_of('holes')} = {value!r}: must be pairs of polar angle and azimuth")
-    found = []
+    result = []
     for i, pair in enumerate(value):
         name = _of(f"holes[{i}]")
         polar, azimuth = _pair(name, pair)
-        found.append(
+        result.append(
             (
                 check_number(f"{name} polar angle", polar, 0.0, math.pi / 2),
                 check_number(f"{name} azimuth", azimuth, -2.0 * math.pi, 2.0 * math.pi),
             )
         )
-    if not 1 <= len(found) <= MAX_HOLES:
-        raise ArgumentError(f"{_of('holes')} are {len(found)}: must be 1 to {MAX_HOLES}")
-    for i, one in enumerate(found):  # by where they are: angles name the pole in many ways
-        for j, other in enumerate(found[:i]):
+    if not 1 <= len(result) <= MAX_HOLES:
+        raise ArgumentError(f"{_of('holes')} are {len(result)}: must be 1 to {MAX_HOLES}")
+    for i, one in enumerate(result):  # by where they are: angles name the pole in many ways
+        for j, other in enumerate(result[:i]):
             if math.dist(_normal(*one), _normal(*other)) < 1e-9:
                 raise ArgumentError(f"{_of('holes')}[{j}] = {other} and [{i}] = {one} are the same")
-    return tuple(found)
+    return tuple(result)
 
 
 def _normal(polar: float, azimuth: float) -> tuple[float, float, float]:

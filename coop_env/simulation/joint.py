@@ -92,9 +92,9 @@ def agent_masks(states: np.ndarray, packed: np.ndarray, sight: bool, masks: np.n
     for i in range(states.shape[0]):
         s = states[i]
         # What the single agent's mask allows, either robot may; full, it may mean that nothing is.
-        told = s.mask.sum() < N_ACTIONS
+        informed = s.mask.sum() < N_ACTIONS
         for move in range(N_ACTIONS):
-            if told and (s.mask[move] == 1 or sight or not coupled):
+            if informed and (s.mask[move] == 1 or sight or not coupled):
                 allowed = s.mask[move] == 1
             elif sight and coupled:
                 allowed = is_safe(s, move, p)

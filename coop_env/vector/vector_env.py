@@ -256,8 +256,8 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Call a method of each environment; an attribute is returned as it is."""
-        found = [getattr(env, name) for env in self.envs]
-        return tuple(each(*args, **kwargs) if callable(each) else each for each in found)
+        result = [getattr(env, name) for env in self.envs]
+        return tuple(each(*args, **kwargs) if callable(each) else each for each in result)
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
         """An attribute of each environment."""

@@ -75,9 +75,9 @@ def test_glb_is_the_machine_at_home(unit: str, scale: float, tmp_path: Path) -> 
     scene, wanted = trimesh.load_scene(tmp_path / "a.glb"), scale * drawn(Machine())
     assert scene.bounds[0] == pytest.approx(wanted.min(axis=0), abs=1e-6 * scale)
     assert scene.bounds[1] == pytest.approx(wanted.max(axis=0), abs=1e-6 * scale)
-    found = links()
-    assert set(scene.geometry) == {link.name for link in found}
-    for link in found:
+    result = links()
+    assert set(scene.geometry) == {link.name for link in result}
+    for link in result:
         pose, _ = scene.graph[link.name]
         assert pose[:3, 3] == pytest.approx(scale * link.position, abs=1e-6 * scale)
         assert pose[:3, :3] == pytest.approx(link.rotation, abs=1e-6)
@@ -98,14 +98,14 @@ def test_frames_are_those_of_the_mjcf(machine: Machine) -> None:
 
 
 def poses(model: ET.Element) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    found = {}
+    result = {}
     for link in model.iter("link"):
         numbers = np.array(str(link.findtext("pose")).split(), float)
-        found[link.attrib["name"]] = (
+        result[link.attrib["name"]] = (
             Rotation.from_euler("xyz", numbers[3:]).as_matrix(),
             numbers[:3],
         )
-    return found
+    return result
 
 
 def test_sdf_closes_its_loops_and_weighs_what_the_mjcf_does(tmp_path: Path) -> None:

@@ -31,11 +31,11 @@ def walk(seed: int, moves: int) -> np.ndarray:
     env = CoopInsertionEnv(mask_singularities=True)
     env.reset(seed=seed)
     rng = np.random.default_rng(seed)
-    found = [env.configuration]
+    result = [env.configuration]
     for _ in range(moves):
         env.step(rng.choice(np.flatnonzero(env.action_masks())))
-        found.append(env.configuration)
-    return np.array(found)
+        result.append(env.configuration)
+    return np.array(result)
 
 
 def angles(configurations: np.ndarray) -> np.ndarray:
@@ -54,35 +54,35 @@ def test_no_sample_exceeds_a_limit_and_every_configuration_is_met(
     seed: int, moves: int, blend: bool
 ) -> None:
     way = walk(seed, moves)
-    found = make_trajectory(way, delta=SLOW, blend=blend)
+    result = make_trajectory(way, delta=SLOW, blend=blend)
     limits = np.array(
         [
             [getattr(owner, f"max_joint_{kind}") for owner in (SLOW, OPTIMIZED) for _ in range(3)]
             for kind in ("velocity", "acceleration", "jerk")
         ]
     )
-    jerk = np.diff(found.accelerations, axis=0) / TIMESTEP
-    for values, limit in zip((found.velocities, found.accelerations, jerk), limits, strict=True):
+    jerk = np.diff(result.accelerations, axis=0) / TIMESTEP
+    for values, limit in zip((result.velocities, result.accelerations, jerk), limits, strict=True):
         assert (np.abs(values) <= limit * (1.0 + 1e-6)).all()
-    assert found.positions[found.stops] == pytest.approx(angles(way), abs=1e-9)
-    placed = found.configurations[found.stops]
+    assert result.positions[result.stops] == pytest.approx(angles(way), abs=1e-9)
+    placed = result.configurations[result.stops]
     known = np.isfinite(placed).all(axis=1)
     assert placed[known] == pytest.approx(way[known], abs=1e-9)
-    assert known.all() or (blend and found.blocked())  # a joint that makes way may leave the reach
-    assert found.velocities[[0, -1]] == pytest.approx(0.0, abs=1e-9)
+    assert known.all() or (blend and result.blocked())  # a joint that makes way may leave the reach
+    assert result.velocities[[0, -1]] == pytest.approx(0.0, abs=1e-9)
     if not blend:
-        assert found.velocities[found.stops] == pytest.approx(0.0, abs=1e-9)
+        assert result.velocities[result.stops] == pytest.approx(0.0, abs=1e-9)
     # samples belong together: the mean of two velocities leads from one position to the next
-    means = 0.5 * (found.velocities[1:] + found.velocities[:-1])
-    left = np.diff(found.positions, axis=0) - TIMESTEP * means
+    means = 0.5 * (result.velocities[1:] + result.velocities[:-1])
+    left = np.diff(result.positions, axis=0) - TIMESTEP * means
     assert np.abs(left).max() < limits[2].max() * TIMESTEP**3 / 6.0
-    assert np.diff(found.times) == pytest.approx(TIMESTEP)
+    assert np.diff(result.times) == pytest.approx(TIMESTEP)
 
 
 def test_between_two_stops_all_joints_move_in_proportion() -> None:
-    found = make_trajectory(walk(3, 1))
-    share = (found.positions - found.positions[0]) / np.ptp(found.positions, axis=0).max()
-    way = found.positions[-1] - found.positions[0]
+    result = make_trajectory(walk(3, 1))
+    share = (result.positions - result.positions[0]) / np.ptp(result.positions, axis=0).max()
+    way = result.positions[-1] - result.positions[0]
     moving = np.abs(way) > 1e-6
     assert moving.any()
     scaled = share[:, moving] / way[moving]
@@ -114,13 +114,13 @@ def test_a_way_through_the_dome_is_not_free() -> None:
     beside = HOME.copy()
     beside[2] = 0.23 + 0.09 + DELTA.peg_length - DELTA.base_height
     ends = [beside + x * np.eye(6)[0] for x in (0.14, 0.14 - 1e-3, -0.14)]
-    found = make_trajectory(ends)
-    assert found.status[found.stops].tolist() == [0, 0, 0]
-    assert found.blocked() == [(1, "a collision")]
-    tips = found.configurations[:, :3] + [0.0, 0.0, DELTA.base_height - DELTA.peg_length - 0.23]
+    result = make_trajectory(ends)
+    assert result.status[result.stops].tolist() == [0, 0, 0]
+    assert result.blocked() == [(1, "a collision")]
+    tips = result.configurations[:, :3] + [0.0, 0.0, DELTA.base_height - DELTA.peg_length - 0.23]
     inside = np.linalg.norm(tips, axis=1) < 0.09
     assert inside.any()
-    assert (found.status[inside] != 0).all()
+    assert (result.status[inside] != 0).all()
     assert lowered().blocked() == []
 
 
@@ -170,22 +170,22 @@ def test_arguments_of_the_wrong_form() -> None:
 
 
 def test_the_csv_holds_every_sample(tmp_path: Path) -> None:
-    found = lowered()
-    found.to_csv(tmp_path / "t.csv")
+    result = lowered()
+    result.to_csv(tmp_path / "t.csv")
     with (tmp_path / "t.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
-    assert [float(row["time"]) for row in rows] == pytest.approx(found.times)
-    for kind, values in (("position", found.positions), ("acceleration", found.accelerations)):
+    assert [float(row["time"]) for row in rows] == pytest.approx(result.times)
+    for kind, values in (("position", result.positions), ("acceleration", result.accelerations)):
         read = [[float(row[f"{joint}_{kind}"]) for joint in JOINTS] for row in rows]
         assert read == pytest.approx(values, abs=1e-7)
 
 
 def test_the_yaml_is_a_joint_trajectory(tmp_path: Path) -> None:
     """Fields as trajectory_msgs/msg/JointTrajectory.msg and JointTrajectoryPoint.msg name them."""
-    found = lowered()
-    found.to_yaml(tmp_path / "t.yaml")
+    result = lowered()
+    result.to_yaml(tmp_path / "t.yaml")
     message = yaml.safe_load((tmp_path / "t.yaml").read_text("utf-8"))
-    assert message == found.to_joint_trajectory()
+    assert message == result.to_joint_trajectory()
     assert list(message) == ["header", "joint_names", "points"]
     assert message["joint_names"] == list(JOINTS)
     for point in message["points"]:
@@ -196,7 +196,7 @@ def test_the_yaml_is_a_joint_trajectory(tmp_path: Path) -> None:
     stamps = [point["time_from_start"] for point in message["points"]]
     assert all(type(v) is int for stamp in stamps for v in stamp.values())
     seconds = [stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps]
-    assert seconds == pytest.approx(found.times, abs=1e-9)
+    assert seconds == pytest.approx(result.times, abs=1e-9)
 
 
 def test_the_picture_shows_all_six_joints(tmp_path: Path) -> None:

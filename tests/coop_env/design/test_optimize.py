@@ -15,12 +15,12 @@ COARSE = DesignProblem(cells=60)
 
 
 def test_nelder_mead_from_the_initial_design_finds_the_papers_gain() -> None:
-    found = design.optimize()
-    assert found.converged
-    assert found.start_value == pytest.approx(0.82, abs=0.005)
-    assert found.value == pytest.approx(1.165, abs=0.005)
-    assert (found.lambda1, found.lambda2) == pytest.approx((1.44, 1.66), abs=0.02)
-    assert design.workspace_area(found.geometry) == pytest.approx(found.value, abs=1e-12)
+    result = design.optimize()
+    assert result.converged
+    assert result.start_value == pytest.approx(0.82, abs=0.005)
+    assert result.value == pytest.approx(1.165, abs=0.005)
+    assert (result.lambda1, result.lambda2) == pytest.approx((1.44, 1.66), abs=0.02)
+    assert design.workspace_area(result.geometry) == pytest.approx(result.value, abs=1e-12)
 
 
 def test_runs_differ_by_their_jitter_and_repeat_by_their_seed() -> None:
@@ -34,8 +34,8 @@ def test_runs_differ_by_their_jitter_and_repeat_by_their_seed() -> None:
 
 
 def test_no_evaluated_design_breaks_the_constraints() -> None:
-    found = design.optimize(COARSE)
-    counted = found.path[np.isfinite(found.path[:, 2])]
+    result = design.optimize(COARSE)
+    counted = result.path[np.isfinite(result.path[:, 2])]
     lambda3 = 4.0 - counted[:, 0] - counted[:, 1]
     assert len(counted) > 10
     assert (lambda3 > 0).all()
@@ -53,9 +53,9 @@ def test_differential_evolution_finds_nothing_better() -> None:
 def test_the_atlas_peaks_where_nelder_mead_ends() -> None:
     grid = design.atlas(COARSE, np.arange(1.2, 1.9, 0.06), np.arange(1.2, 2.0, 0.06))
     lambda1, lambda2, value = grid.best
-    found = design.optimize(COARSE)
-    assert value <= found.value + 1e-9
-    assert math.hypot(lambda1 - found.lambda1, lambda2 - found.lambda2) < 0.12
+    result = design.optimize(COARSE)
+    assert value <= result.value + 1e-9
+    assert math.hypot(lambda1 - result.lambda1, lambda2 - result.lambda2) < 0.12
     i, j = 3, 4
     geometry = COARSE.geometry(grid.lambda1[i], grid.lambda2[j])
     assert grid.value[i, j] == design.workspace_area(geometry, COARSE)
@@ -99,15 +99,15 @@ def test_another_designers_objective_and_constraint() -> None:
     def enough(geometry: RRSGeometry) -> float:
         return design.workspace_area(geometry, COARSE) - 0.5
 
-    found = design.optimize(
+    result = design.optimize(
         COARSE,
         (1.5, 1.6),
         objective=small_platform,
         constraints=[enough, lambda g: 0.2 - g.base_radius],
     )
-    assert found.value > found.start_value
-    assert enough(found.geometry) >= 0.0
-    assert found.geometry.base_radius <= 0.2
+    assert result.value > result.start_value
+    assert enough(result.geometry) >= 0.0
+    assert result.geometry.base_radius <= 0.2
     with pytest.raises(DesignError, match="breaks a constraint"):
         design.optimize(COARSE, constraints=[lambda g: 0.1 - g.base_radius])
 
@@ -121,13 +121,13 @@ def test_other_limits_heave_and_threshold_reach_the_search() -> None:
     strict = DesignProblem(
         cells=60, threshold=0.3, heaves=(0.22,), joint_min=math.radians(20), joint_max=1.2
     )
-    found = design.optimize(strict)
-    metrics = design.measure(found.geometry, strict)
+    result = design.optimize(strict)
+    metrics = design.measure(result.geometry, strict)
     assert metrics.joint_low >= math.radians(20)
     assert metrics.joint_high <= 1.2
-    inside = design.workspace_map(found.geometry, strict)
+    inside = design.workspace_map(result.geometry, strict)
     assert inside.sigma[inside.inside].min() >= 0.3
-    assert found.geometry.home_heave == 0.22
+    assert result.geometry.home_heave == 0.22
 
 
 def test_a_design_for_a_band_of_heave_has_no_cliff_in_it() -> None:
@@ -140,17 +140,17 @@ def test_a_design_for_a_band_of_heave_has_no_cliff_in_it() -> None:
 
 
 def test_the_initial_lambdas_are_the_default_start() -> None:
-    found = design.optimize(DesignProblem(cells=30))
-    assert tuple(found.path[0, :2]) == pytest.approx(INITIAL.lambdas[:2])
-    assert found.lambda1 + found.lambda2 + found.lambda3 == pytest.approx(4.0)
+    result = design.optimize(DesignProblem(cells=30))
+    assert tuple(result.path[0, :2]) == pytest.approx(INITIAL.lambdas[:2])
+    assert result.lambda1 + result.lambda2 + result.lambda3 == pytest.approx(4.0)
 
 
 def test_what_is_found_can_heave() -> None:
     """In a range as narrow as a nanometre no start of the task could."""
-    found = design.optimize(DesignProblem(cells=30, heaves=(0.231,)), max_evaluations=30).geometry
-    assert found.home_heave == 0.231
-    assert (found.heave_min, found.heave_max) == (INITIAL.heave_min, INITIAL.heave_max)
-    heaves = [CoopInsertionEnv(found).reset(seed=seed)[0][5] for seed in range(8)]
+    result = design.optimize(DesignProblem(cells=30, heaves=(0.231,)), max_evaluations=30).geometry
+    assert result.home_heave == 0.231
+    assert (result.heave_min, result.heave_max) == (INITIAL.heave_min, INITIAL.heave_max)
+    heaves = [CoopInsertionEnv(result).reset(seed=seed)[0][5] for seed in range(8)]
     assert np.ptp(heaves) > 0.1
     with pytest.raises(DesignError, match="heaves"):
         DesignProblem(heaves={0.21: 1})  # type: ignore[arg-type]

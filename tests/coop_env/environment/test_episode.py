@@ -85,21 +85,6 @@ def test_filling_every_active_hole_terminates() -> None:
     assert env.scene().status == "success"
 
 
-def test_re_entering_a_filled_hole_is_a_duplicate_once() -> None:
-    env = CoopInsertionEnv()
-    env.reset(seed=0)
-    assert solve(env)["inserted"]
-    assert not env.step(4)[4]["duplicate"]  # out
-    back = env.step(5)[4]
-    assert back["duplicate"]
-    assert not back["inserted"]
-    assert back["reward_terms"]["duplicate"] == -1.0
-    stays = env.step(7)[4]  # a small tilt stays in the hole: no new entry
-    assert env.state["inside"].any()
-    assert not stays["violation"]
-    assert not stays["duplicate"]
-
-
 @pytest.mark.parametrize("geometry", ["initial", "optimized"])
 def test_crossing_a_singularity_terminates(geometry: str) -> None:
     env = CoopInsertionEnv(geometry=geometry)
@@ -163,22 +148,6 @@ def test_a_move_is_one_step_along_one_axis() -> None:
         np.testing.assert_allclose(env.configuration - before, expected, atol=1e-15)
 
 
-def test_a_collision_is_not_executed() -> None:
-    env = CoopInsertionEnv()
-    env.reset(options={"configuration": (0.0, 0.15, -0.53, 0.0, 0.0, 0.22), "target": 0})
-    for _ in range(10):
-        before = env.configuration
-        _, reward, terminated, _, info = env.step(3)
-        if info["collision"]:
-            break
-    assert info["collision"]
-    assert info["violation"]
-    assert not terminated
-    assert reward == -3.0
-    np.testing.assert_array_equal(env.configuration, before)
-    assert env.action_masks()[3]  # collisions are not masked by default
-
-
 def test_the_scene_agrees_with_the_link_lengths() -> None:
     env = CoopInsertionEnv()
     env.reset(seed=0)
@@ -196,15 +165,6 @@ def test_the_scene_agrees_with_the_link_lengths() -> None:
     assert scene.effector[2] - scene.tip[2] == pytest.approx(0.08)
     assert "target" in scene.describe()
     assert scene.status == "running"
-
-
-def test_ansi_rendering_says_what_happens() -> None:
-    env = CoopInsertionEnv(render_mode="ansi")
-    env.reset(seed=0)
-    first = env.render()
-    env.step(int(np.flatnonzero(env.action_masks())[0]))
-    assert first != env.render()
-    assert env.scene().trace.shape == (2, 3)
 
 
 @pytest.mark.parametrize("reward", ["paper", "progress"])

@@ -15,7 +15,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 from stable_baselines3.common.vec_env import VecMonitor
 
 from benchmarks.methods.oracle import LatticeOracle
-from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, RRSGeometry, SimToReal
+from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, RRSGeometry
 from coop_env.simulation.observation import PAPER_FIELDS, markov_fields
 
 CHOICES: dict[str, tuple[Any, ...]] = {
@@ -156,11 +156,6 @@ def test_reset_options_reach_the_batch() -> None:
         assert state["filled"].tolist() == [1, 0, 0, 0, 0, 0]
     batch.reset()  # they serve once
     assert not np.array_equal(batch.get_attr("configuration")[0], configuration)
-
-
-def test_knobs_left_alone_change_nothing() -> None:
-    assert not SimToReal().active
-    assert not SimToReal(randomize=True).active
 
 
 @pytest.mark.parametrize(("visited", "safe"), [(0, False), (1, True), (5, False), (64, True)])

@@ -34,14 +34,14 @@ def plan(seed: int) -> np.ndarray:
 def insertions(**task: Any) -> int:
     """How many of the same 25 courses end in the hole."""
     env = CoopInsertionEnv(task=task)
-    found = 0
+    result = 0
     for seed in range(25):
         env.reset(seed=seed)
         info: dict[str, Any] = {}
         for move in plan(seed):
             info = env.step(int(move))[4]
-        found += bool(info.get("success"))
-    return found
+        result += bool(info.get("success"))
+    return result
 
 
 def test_the_same_moves_insert_less_often_where_the_tolerance_is_tighter() -> None:

@@ -30,11 +30,11 @@ def test_forward_undoes_inverse_over_the_workspace(geometry: DeltaGeometry) -> N
     points = _positions(5000, geometry=geometry)
     theta, reachable = delta.inverse(points, geometry)
     assert reachable.all()
-    found = delta.forward(theta, geometry)
-    assert found.reachable.all()
+    result = delta.forward(theta, geometry)
+    assert result.reachable.all()
     # at the edge of reach the map q -> x is steep: a rounding error grows by 1 / sqrt(margin)
-    np.testing.assert_allclose(found.position, points, atol=1e-9)
-    assert found.residual.max() < 1e-12
+    np.testing.assert_allclose(result.position, points, atol=1e-9)
+    assert result.residual.max() < 1e-12
 
 
 def test_links_have_their_lengths_and_knees_point_out() -> None:
@@ -121,13 +121,13 @@ def test_a_batch_is_a_loop_and_the_kernel_to_the_bit() -> None:
     p = delta_kernels.make_params(DELTA)
     theta, reachable = delta.inverse(points)
     assert 0 < reachable.sum() < 300
-    found, valid = delta.forward(theta), delta.is_valid(points)
+    result, valid = delta.forward(theta), delta.is_valid(points)
     for i, (x, y, z) in enumerate(points.tolist()):
         ok, angles = delta_kernels.inverse(x, y, z, p)
-        assert ok == reachable[i] == found.reachable[i]
+        assert ok == reachable[i] == result.reachable[i]
         if ok:
             assert angles == tuple(theta[i])
-            assert delta_kernels.forward(angles, p)[1] == tuple(found.position[i])
+            assert delta_kernels.forward(angles, p)[1] == tuple(result.position[i])
         assert delta_kernels.is_valid(x, y, z, p) == valid[i]
         np.testing.assert_array_equal(delta.jacobian(points)[i], delta.jacobian(points[i]))
 
@@ -139,12 +139,12 @@ def test_limbs_that_cannot_meet_say_so(theta: list[float]) -> None:
     small = DeltaGeometry(
         base_radius=0.3, effector_radius=0.04, proximal_length=0.26, distal_length=0.28
     )
-    found = delta.forward(theta, small)
-    if found.reachable:  # then it must close
-        assert found.residual < 1e-12
+    result = delta.forward(theta, small)
+    if result.reachable:  # then it must close
+        assert result.residual < 1e-12
     else:
-        assert np.isnan(found.position).all()
-        assert np.isnan(found.residual)
+        assert np.isnan(result.position).all()
+        assert np.isnan(result.residual)
 
 
 def test_bad_input() -> None:

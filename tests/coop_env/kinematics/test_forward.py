@@ -26,10 +26,10 @@ def test_undoes_the_inverse_from_the_pose_itself(name: str, pose_model: str) -> 
     g = GEOMETRIES[name]
     poses = _valid_poses(g, 2000, seed=1)
     q, reachable = rrs.inverse(poses, g, pose_model)
-    found = rrs.forward(q, poses, g, pose_model)
-    assert found.converged[reachable].all()
-    np.testing.assert_allclose(found.pose[reachable], poses[reachable], atol=1e-12)
-    assert (found.residual[reachable] < 1e-12).all()
+    result = rrs.forward(q, poses, g, pose_model)
+    assert result.converged[reachable].all()
+    np.testing.assert_allclose(result.pose[reachable], poses[reachable], atol=1e-12)
+    assert (result.residual[reachable] < 1e-12).all()
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -44,10 +44,10 @@ def test_one_move_away_on_the_same_side_of_the_singularity(name: str) -> None:
     # Nearer to the singularity, the straight line in q may itself run across it.
     clear = rrs.is_valid(before, g) & (side * other > 0)
     clear &= np.minimum(np.abs(side), np.abs(other)) > 0.1
-    found = rrs.forward(rrs.inverse(poses, g).q, before, g)
+    result = rrs.forward(rrs.inverse(poses, g).q, before, g)
     assert clear.sum() > 1000
-    assert found.converged[clear].all()
-    np.testing.assert_allclose(found.pose[clear], poses[clear], atol=1e-9)
+    assert result.converged[clear].all()
+    np.testing.assert_allclose(result.pose[clear], poses[clear], atol=1e-9)
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -57,11 +57,11 @@ def test_from_afar_it_is_the_pose_or_says_that_it_is_not(name: str) -> None:
     poses = _valid_poses(g, 6000, seed=4)
     poses = poses[rrs.signed_sigma_min(poses, g) > 0]
     before = np.random.default_rng(5).permutation(poses)
-    found = rrs.forward(rrs.inverse(poses, g).q, before, g)
-    assert found.converged.mean() > 0.9
-    np.testing.assert_allclose(found.pose[found.converged], poses[found.converged], atol=1e-8)
-    assert np.isnan(found.pose[~found.converged]).all()
-    assert (found.residual[~found.converged] > 1e-10).all()
+    result = rrs.forward(rrs.inverse(poses, g).q, before, g)
+    assert result.converged.mean() > 0.9
+    np.testing.assert_allclose(result.pose[result.converged], poses[result.converged], atol=1e-8)
+    assert np.isnan(result.pose[~result.converged]).all()
+    assert (result.residual[~result.converged] > 1e-10).all()
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -75,9 +75,9 @@ def test_where_it_gives_up_the_branch_has_ended_in_a_singularity(name: str) -> N
     assert len(lost) == 40
     pose, alive = before[lost], np.ones(len(lost), dtype=bool)
     for fraction in np.linspace(0.0, 1.0, 1001)[1:]:
-        found = rrs.forward(start[lost] + fraction * (goal[lost] - start[lost]), pose, g)
-        alive &= found.converged
-        pose = np.where(alive[:, None], found.pose, pose)
+        result = rrs.forward(start[lost] + fraction * (goal[lost] - start[lost]), pose, g)
+        alive &= result.converged
+        pose = np.where(alive[:, None], result.pose, pose)
     assert not alive.any()  # in small steps it ends as well
     assert np.abs(rrs.signed_sigma_min(pose, g)).max() < 0.1
     assert np.median(np.abs(rrs.signed_sigma_min(pose, g))) < 0.02
@@ -109,15 +109,15 @@ def test_it_stops_at_the_singularity_rather_than_cross_it() -> None:
     q = rrs.inverse(line).q
     pose, crossed = start, False
     for angles, s in zip(q, sigma, strict=True):
-        found = rrs.forward(angles, pose)
+        result = rrs.forward(angles, pose)
         if s < -0.01:
             crossed = True
-            at = found.pose if found.converged else np.full(3, np.nan)
-            assert not found.converged or rrs.signed_sigma_min(at) > -1e-6
-            if not found.converged:
-                assert np.isnan(found.pose).all()
-        if found.converged:
-            pose = found.pose
+            at = result.pose if result.converged else np.full(3, np.nan)
+            assert not result.converged or rrs.signed_sigma_min(at) > -1e-6
+            if not result.converged:
+                assert np.isnan(result.pose).all()
+        if result.converged:
+            pose = result.pose
     assert crossed
 
 
@@ -134,10 +134,10 @@ def test_from_home(roll: float, pitch: float, heave: float, name: str) -> None:
     q, reachable = rrs.inverse(pose, g)
     if not reachable or rrs.signed_sigma_min(pose, g) < 0.15:
         return
-    found = rrs.forward(q, [0.0, 0.0, 0.21], g)
-    if found.converged:
-        np.testing.assert_allclose(found.pose, pose, atol=1e-9)
-        points = rrs.limb_points(found.pose, g)
+    result = rrs.forward(q, [0.0, 0.0, 0.21], g)
+    if result.converged:
+        np.testing.assert_allclose(result.pose, pose, atol=1e-9)
+        points = rrs.limb_points(result.pose, g)
         distal = np.linalg.norm(points[:, 2] - points[:, 1], axis=-1)
         assert np.abs(distal - g.distal_length).max() < 1e-12
 
@@ -153,6 +153,6 @@ def test_from_home(roll: float, pitch: float, heave: float, name: str) -> None:
     ],
 )
 def test_hopeless_input_ends_in_nan_and_a_flag(q: list[float], previous: list[float]) -> None:
-    found = rrs.forward(q, previous)
-    assert not found.converged
-    assert np.isnan(found.pose).all()
+    result = rrs.forward(q, previous)
+    assert not result.converged
+    assert np.isnan(result.pose).all()

@@ -160,14 +160,14 @@ def other_assemblies(pose: np.ndarray) -> list[np.ndarray]:
     def gap(other: np.ndarray) -> np.ndarray:
         return np.nan_to_num(rrs.inverse(other).q - q, nan=10.0)
 
-    found: list[np.ndarray] = []
+    result: list[np.ndarray] = []
     starts = np.random.default_rng(0).uniform([-1.2, -1.2, 0.1], [1.2, 1.2, 0.3], (100, 3))
     for start in starts:
         solved: Any = least_squares(gap, start)
-        apart = min(np.abs(solved.x - known).max() for known in [pose, *found])
+        apart = min(np.abs(solved.x - known).max() for known in [pose, *result])
         if np.abs(solved.fun).max() < 1e-9 and apart > 0.01:
-            found.append(solved.x)
-    return found
+            result.append(solved.x)
+    return result
 
 
 def test_another_assembly_mode_is_seen_within_a_control_step() -> None:
@@ -218,19 +218,6 @@ def test_a_simulation_that_diverges_ends_with_a_cause() -> None:
     assert np.isfinite(observation).all()
     assert np.isfinite([reward, *info["force"], info["depth"], info["lateral_error"]]).all()
     assert np.isfinite(env.reset(seed=0)[0]).all()
-
-
-def test_a_seed_fixes_the_episode_to_the_last_bit() -> None:
-    rng = np.random.default_rng(0)
-    actions = rng.uniform(-1, 1, (30, 6))
-    runs = []
-    for _ in range(2):
-        env = make()
-        rows = [env.reset(seed=5)[0]]
-        rows += [env.step(action)[0] for action in actions]
-        runs.append(np.array(rows))
-    assert runs[0].tobytes() == runs[1].tobytes()
-    assert make().reset(seed=6)[0].tobytes() != runs[0][0].tobytes()
 
 
 def test_what_is_drawn_stays_within_the_task() -> None:

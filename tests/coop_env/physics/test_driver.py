@@ -69,15 +69,15 @@ def test_the_twin_follows_within_the_stated_bound(blend: bool) -> None:
 
 def test_a_policy_fills_a_hole_of_the_twin() -> None:
     driver = TwinDriver(MACHINE)
-    found = drive(driver)
-    assert (found.stopped, found.filled) == ("filled", [0])
+    result = drive(driver)
+    assert (result.stopped, result.filled) == ("filled", [0])
     distance, angle = driver.miss(0)
     assert distance < MACHINE.task.tolerance
     assert angle < MACHINE.task.angle_tolerance
     drop = MACHINE.home()[2] + MACHINE.delta.base_height - MACHINE.delta.peg_length
     drop -= MACHINE.rrs.home_heave + MACHINE.task.dome_radius
-    assert found.moves == np.ceil((drop - MACHINE.task.tolerance) / 0.02)
-    assert found.error < 1e-3
+    assert result.moves == np.ceil((drop - MACHINE.task.tolerance) / 0.02)
+    assert result.error < 1e-3
 
 
 def test_the_policy_sees_what_the_machine_reports() -> None:
@@ -90,12 +90,12 @@ def test_the_policy_sees_what_the_machine_reports() -> None:
         driver.at = driver.at + LAG
 
     driver.command = lag  # type: ignore[method-assign]
-    found = replay(
+    result = replay(
         lambda observation, masks: seen.append(observation) or DOWN,  # type: ignore[func-returns-value]
         driver, MACHINE, target=0, holes=1, max_moves=2, normalize=False,
     )  # fmt: skip
-    assert found.moves == 2
-    assert found.error == pytest.approx(0.004)
+    assert result.moves == 2
+    assert result.error == pytest.approx(0.004)
     step = seen[0][2] - seen[1][2]
     assert step > 0.02 + 0.0005  # deeper than the move
     assert driver.commands[1].positions[0] == pytest.approx(
@@ -106,8 +106,8 @@ def test_the_policy_sees_what_the_machine_reports() -> None:
 def test_it_stops_at_limits() -> None:
     driver = Obedient()
     driver.felt = np.array([0.0, 0.0, 50.0])
-    found = drive(driver)
-    assert (found.stopped, found.moves) == ("a force of 50 N", 1)
+    result = drive(driver)
+    assert (result.stopped, result.moves) == ("a force of 50 N", 1)
     driver = Obedient()
     driver.command = lambda trajectory: driver.commands.append(trajectory)  # type: ignore[method-assign]
     assert drive(driver, error_limit=0.01).stopped.startswith("a joint is 0.0")
@@ -118,15 +118,15 @@ def test_it_stops_at_limits() -> None:
 def test_moves_that_are_not_free_are_not_commanded() -> None:
     driver = Obedient()
     wide = replace(MACHINE, task=replace(MACHINE.task, linear_step=0.2))
-    found = replay(lambda observation, masks: 0, driver, wide, target=0)
-    assert (found.stopped, driver.commands) == ("the move is not allowed", [])
+    result = replay(lambda observation, masks: 0, driver, wide, target=0)
+    assert (result.stopped, driver.commands) == ("the move is not allowed", [])
     # beside the dome, low: the other side can be reached, the way there leads through it
     beside = MACHINE.home()
     beside[[0, 2]] = -0.14, MACHINE.rrs.home_heave + 0.09
     beside[2] += MACHINE.delta.peg_length - MACHINE.delta.base_height
     driver.at = make_trajectory([beside, beside]).positions[0]
-    found = replay(lambda observation, masks: 0, driver, wide, target=0)
-    assert (found.stopped, driver.commands) == ("on the way there is a collision", [])
+    result = replay(lambda observation, masks: 0, driver, wide, target=0)
+    assert (result.stopped, driver.commands) == ("on the way there is a collision", [])
 
 
 def test_a_machine_that_stops_answering() -> None:

@@ -112,11 +112,11 @@ def test_the_effector_tilts_by_its_play(play: float) -> None:
 
 def inside(points: np.ndarray) -> np.ndarray:
     """Whether points (n, 3) lie in any of the dome's solids."""
-    found = np.zeros(len(points), bool)
+    result = np.zeros(len(points), bool)
     for _, vertices in dome_solids(PAPER_TASK, BORE):
         planes = ConvexHull(vertices).equations
-        found |= (points @ planes[:, :3].T + planes[:, 3] < 1e-9).all(axis=1)
-    return found
+        result |= (points @ planes[:, :3].T + planes[:, 3] < 1e-9).all(axis=1)
+    return result
 
 
 def test_the_dome_is_closed_but_for_its_bores() -> None:

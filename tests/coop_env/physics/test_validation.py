@@ -24,11 +24,11 @@ OTHER = Machine(
 @pytest.mark.parametrize("machine", [Machine(), Machine(rrs=INITIAL), OTHER])
 def test_it_comes_to_rest_where_the_kinematics_say(machine: Machine) -> None:
     twin = Twin(machine, n=20)
-    found = validate(twin, draw_poses(twin, 100 if machine is not OTHER else 20, seed=0))
-    assert found.tip.max() < 5e-5
-    assert np.degrees(found.platform.max()) < 0.05
-    assert found.loop.max() < 1e-6
-    assert np.degrees(found.joints.max()) < 0.01
+    result = validate(twin, draw_poses(twin, 100 if machine is not OTHER else 20, seed=0))
+    assert result.tip.max() < 5e-5
+    assert np.degrees(result.platform.max()) < 0.05
+    assert result.loop.max() < 1e-6
+    assert np.degrees(result.joints.max()) < 0.01
 
 
 def test_a_placed_machine_is_assembled_and_its_forward_kinematics_agree() -> None:

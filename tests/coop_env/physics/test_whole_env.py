@@ -98,26 +98,6 @@ def test_holes_are_filled_one_after_another() -> None:
         env.step(REST)
 
 
-def test_pressed_beside_a_hole_it_ends_by_name() -> None:
-    env = CoopInsertionPhysicsEnv(level=NO_ERROR)
-    aside = above(env, 4) + np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.0])
-    env.reset(seed=0, options={"configuration": aside, "target": 4})
-    end = play(env, [0.0, 0.0, -1.0, 0.0, 0.0, 0.0], 60)
-    assert end["failure"] in ("force", "snap")
-    assert end["terminated"]
-    assert end["reward_terms"]["failure"] == -5.0
-    assert not end["success"]
-
-
-def test_time_truncates() -> None:
-    env = CoopInsertionPhysicsEnv(max_steps=3)
-    env.reset(seed=0)
-    end = play(env, REST, 5)
-    assert end["truncated"]
-    assert end["failure"] == "time"
-    assert end["time"] == pytest.approx(0.15)
-
-
 def test_a_simulation_that_diverges_ends_the_episode_without_nan() -> None:
     env = CoopInsertionPhysicsEnv()
     env.reset(seed=0)

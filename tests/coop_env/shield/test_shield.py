@@ -35,14 +35,14 @@ def shield(env: CoopInsertionEnv) -> KinematicShield:
 def near(env: CoopInsertionEnv, shield: KinematicShield) -> np.ndarray:
     """Certified configurations (n, 6), most of them near the dome or near a limit."""
     rng = np.random.default_rng(1)
-    found: list[np.ndarray] = []
+    result: list[np.ndarray] = []
     low = np.array([-0.12, -0.12, -0.60, -0.7, -0.7, 0.21])
     high = np.array([0.12, 0.12, -0.45, 0.7, 0.7, 0.25])
-    while len(found) < 400:
+    while len(result) < 400:
         c = rng.uniform(low, high)
         if shield.is_certified(c):
-            found.append(c)
-    return np.array(found)
+            result.append(c)
+    return np.array(result)
 
 
 def test_another_body_a_clearance_away_touches_nothing(
@@ -72,24 +72,24 @@ def test_increments_keep_to_the_way_and_to_the_margins(
     changes = 0
     for c in near[:150]:
         a = rng.uniform(-1.0, 1.0, 6) * [0.05, 0.05, 0.05, 0.2, 0.2, 0.03]
-        found, changed = shield.certify(c, a)
+        result, changed = shield.certify(c, a)
         changes += changed
-        assert changed == bool((found != a).any())
-        assert (found * np.sign(a) >= 0.0).all()
-        assert (np.abs(found) <= np.abs(a)).all()
+        assert changed == bool((result != a).any())
+        assert (result * np.sign(a) >= 0.0).all()
+        assert (np.abs(result) <= np.abs(a)).all()
         for t in np.linspace(0.0, 1.0, 101):
-            assert env.configuration_status(c + t * found) == 0
-            assert rrs.signed_sigma_min((c + t * found)[3:], OPTIMIZED) > 0.069
-        assert shield.is_certified(c + found)
+            assert env.configuration_status(c + t * result) == 0
+            assert rrs.signed_sigma_min((c + t * result)[3:], OPTIMIZED) > 0.069
+        assert shield.is_certified(c + result)
     assert 30 < changes < 150
 
 
 def test_where_one_robot_is_stopped_the_other_moves_on(shield: KinematicShield) -> None:
     c = np.array([0.0, 0.0, -0.45, 0.0, 0.0, 0.21])
     a = np.array([0.01, 0.0, 0.0, 0.0, 0.0, -0.02])  # the platform stands at its lowest
-    found, changed = shield.certify(c, a)
+    result, changed = shield.certify(c, a)
     assert changed
-    np.testing.assert_allclose(found, [0.01, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(result, [0.01, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-12)
 
 
 def test_moves_are_increments_that_need_no_change(

@@ -7,9 +7,9 @@ import pytest
 
 from benchmarks.methods.oracle import LatticeOracle
 from coop_env import CoopInsertionEnv
+from coop_env.kinematics.rrs_kernels import limb_points
 from coop_env.simulation.collision import (
     arm_points,
-    limb_points,
     point_segment_distance,
     segment_distance,
 )
@@ -32,7 +32,7 @@ def clearances(env: CoopInsertionEnv, c: Configuration) -> tuple[float, float]:
     radius = p.delta.peg_radius
     peg = (*effector[:2], effector[2] - p.delta.peg_length + radius)
     centre = (pose.x, pose.y, pose.z)
-    limbs = [limb_points(pose, q, i, p.rrs) for i in range(3)]
+    limbs = [limb_points(pose, q[i], i, p.rrs) for i in range(3)]
     thin = [(centre, joint) for _, _, joint in limbs]
     thin += [pair for base, elbow, joint in limbs for pair in ((base, elbow), (elbow, joint))]
     arms = [arm_points(c[0], c[1], c[2], theta, i, p.delta)[1:] for i in range(3)]

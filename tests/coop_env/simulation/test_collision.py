@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
 from coop_env import CoopInsertionEnv
+from coop_env.kinematics.rrs_kernels import limb_points
 from coop_env.simulation.collision import (
     arm_points,
     collides,
-    limb_points,
     point_segment_distance,
     segment_distance,
 )
@@ -67,7 +67,7 @@ def clearance(env: CoopInsertionEnv, c: Configuration) -> float:
     arms = [arm_points(c[0], c[1], c[2], theta, i, p.delta) for i in range(3)]
     upper = [peg, (effector[None], task.effector_radius)]
     upper += [(sampled(knee, joint), task.forearm_radius) for _, knee, joint in arms]
-    limbs = [limb_points(pose, q, i, p.rrs) for i in range(3)]
+    limbs = [limb_points(pose, q[i], i, p.rrs) for i in range(3)]
     lower = [(sampled(centre, joint), task.spoke_radius) for _, _, joint in limbs]
     lower += [(sampled(elbow, joint), task.limb_radius) for _, elbow, joint in limbs]
     lower += [(sampled(base, elbow), task.limb_radius) for base, elbow, _ in limbs]

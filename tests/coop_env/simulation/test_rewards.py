@@ -150,11 +150,11 @@ def test_breaking_the_machine_costs_at_least_what_idling_to_the_end_costs(
     env = CoopInsertionEnv(geometry, "progress", REPAIRED[name], max_moves=300)
     broken = 0
     for seed in range(40):
-        found = break_it(env, seed)
-        if found is None or (300 - len(found[0])) % 2 == 0:
+        result = break_it(env, seed)
+        if result is None or (300 - len(result[0])) % 2 == 0:
             continue  # an even number of moves is left, after which idling is back where it began
         broken += 1
-        moves, failing = found
+        moves, failing = result
         env.reset(seed=seed, options={"configuration": (0, 0, -0.27, 0, 0, 0.22)})
         for move in moves[:-1]:
             env.step(move)
@@ -168,6 +168,6 @@ def test_breaking_the_machine_costs_at_least_what_idling_to_the_end_costs(
 
 def test_a_failure_pays_the_penalty_and_a_step_for_every_move_left() -> None:
     env = CoopInsertionEnv("initial", "progress", max_moves=80)
-    found = next(f for f in (break_it(env, seed) for seed in range(40)) if f is not None)
-    moves, reward = found
+    result = next(f for f in (break_it(env, seed) for seed in range(40)) if f is not None)
+    moves, reward = result
     assert reward == -3.0 - 0.5 * (80 - len(moves) + 1)

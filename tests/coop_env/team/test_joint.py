@@ -63,12 +63,12 @@ def expected(env: CoopInsertionJointEnv, delta: int, rrs: int) -> tuple[np.ndarr
             status[robot] = INVALID
             del moves[robot]
     where = lattice_point(*moves.values())
-    found = env.configuration_status(where)
-    if found == COLLISION:
+    result = env.configuration_status(where)
+    if result == COLLISION:
         for robot in moves:
             status[robot] = COLLISION
         return lattice_point(), status
-    if found == SINGULAR:
+    if result == SINGULAR:
         status[1] = SINGULAR
     return where, status
 
@@ -103,7 +103,7 @@ def test_ticks_against_a_slow_reference() -> None:
 
 
 def test_moves_that_are_free_alone_may_collide_together_and_then_neither_is_made() -> None:
-    env, found = CoopInsertionJointEnv(), 0
+    env, result = CoopInsertionJointEnv(), 0
     for delta, rrs in low_walk(env, 1, 4000):
         snapshot = env.get_state()
         alone = []
@@ -113,13 +113,13 @@ def test_moves_that_are_free_alone_may_collide_together_and_then_neither_is_made
         before = env.state
         *_, info = env.step(joint_action(delta, rrs))
         if info["collision"] and not any(alone):
-            found += 1
+            result += 1
             assert delta != HOLD
             assert rrs != HOLD
             for name in ("configuration", "offset", "theta", "q", "tip", "energy"):
                 np.testing.assert_array_equal(env.state[name], before[name])
             assert info["reward_terms"]["violation"] == -3.0
-    assert found > 0
+    assert result > 0
 
 
 def test_a_refused_robot_does_not_stop_the_other_from_inserting() -> None:
