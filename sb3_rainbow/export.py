@@ -49,14 +49,7 @@ class GreedyPolicy(nn.Module):
         self.keys = keys
 
     def forward(self, *inputs: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
-        """Greedy actions and the values they were chosen by.
-
-        Args:
-            inputs: the observations, then the masks.
-
-        Returns:
-            actions and Q-values.
-        """
+        """Greedy actions and Q-values of inputs: the observations, then the masks."""
         *tensors, action_masks = inputs
         observations: Any = dict(zip(self.keys, tensors, strict=True)) if self.keys else tensors[0]
         q_values = self.q_net(observations)
@@ -64,11 +57,7 @@ class GreedyPolicy(nn.Module):
 
 
 def to_onnx(model: Rainbow, path: str | os.PathLike[str]) -> None:
-    """Write the greedy policy as an ONNX file, with any number of rows per call.
-
-    Args:
-        model: a trained model.
-        path: of the file.
+    """Write a trained model's greedy policy as an ONNX file, with any number of rows per call.
 
     Raises:
         ExportError: if the extra ``export`` is missing, or the network cannot be exported.
@@ -100,10 +89,7 @@ def to_onnx(model: Rainbow, path: str | os.PathLike[str]) -> None:
 
 
 def to_program(model: Rainbow) -> th.export.ExportedProgram:
-    """The greedy policy by ``torch.export``, for ``torch.export.save`` or AOTInductor.
-
-    Args:
-        model: a trained model.
+    """A trained model's greedy policy by ``torch.export``, for its ``save`` or AOTInductor.
 
     Raises:
         ExportError: if it is no Rainbow, or its network cannot be exported.

@@ -40,7 +40,7 @@ class RainbowPolicy(AsVector, BasePolicy):
         net_arch: sizes of the hidden layers, or ``dict(shared=[...], streams=[...])``; [64, 64],
             none after ``NatureCNN``, streams of 512 after ``NatureConvolutions``.
         activation_fn: activation function.
-        features_extractor_class: features extractor to use.
+        features_extractor_class: features extractor to use; None for the policy's own.
         features_extractor_kwargs: its keyword arguments.
         normalize_images: whether to divide images by 255.
         optimizer_class: optimizer to use, Adam by default.
@@ -62,7 +62,7 @@ class RainbowPolicy(AsVector, BasePolicy):
         lr_schedule: Schedule,
         net_arch: NetArch | None = None,
         activation_fn: type[nn.Module] = nn.ReLU,
-        features_extractor_class: type[BaseFeaturesExtractor] = FlattenExtractor,
+        features_extractor_class: type[BaseFeaturesExtractor] | None = None,
         features_extractor_kwargs: dict[str, Any] | None = None,
         normalize_images: bool = True,
         optimizer_class: type[th.optim.Optimizer] = th.optim.Adam,
@@ -81,6 +81,8 @@ class RainbowPolicy(AsVector, BasePolicy):
                 f"{type(self).__name__} needs distributional, which Rainbow hands to it: a file of "
                 "Rainbow is loaded by Rainbow.load, and no other algorithm can use its policies"
             )
+        if features_extractor_class is None:
+            features_extractor_class = self._default_extractor(features_extractor_kwargs or {})
         super().__init__(
             observation_space,
             action_space,
@@ -111,6 +113,11 @@ class RainbowPolicy(AsVector, BasePolicy):
         self.activation_fn = activation_fn
         self._build(lr_schedule)
 
+    @staticmethod
+    def _default_extractor(kwargs: dict[str, Any]) -> type[BaseFeaturesExtractor]:
+        """Extractor where none was asked for, by its keyword arguments."""
+        return FlattenExtractor
+
     def _build(self, lr_schedule: Schedule) -> None:
         self.q_net = self.make_q_net()
         self.q_net_target = self.make_q_net()
@@ -132,8 +139,7 @@ class RainbowPolicy(AsVector, BasePolicy):
     def update_optimizer(self) -> None:
         """Give the optimizer the parameters that took the place of some of the network's.
 
-        What else it holds (a head of one's own, say) stays, and so does a choice of the network's
-        parameters by who made the optimizer.
+        Parameters of others in it stay, and so does a user's choice of some of the network's.
         """
         parameters = list(self.q_net.parameters())
         present = {id(p) for p in parameters}
@@ -147,8 +153,8 @@ class RainbowPolicy(AsVector, BasePolicy):
                 continue
             mine = {id(p) for p in group["params"]}
             others = [p for p in group["params"] if id(p) not in present | gone]
-            kept = [p for p in parameters if id(p) in mine or id(p) not in held]
-            group["params"] = [*kept, *others]
+            own = [p for p in parameters if id(p) in mine or id(p) not in held]
+            group["params"] = [*own, *others]
             held |= present
             for p in stale:
                 self.optimizer.state.pop(p, None)
@@ -170,11 +176,7 @@ class RainbowPolicy(AsVector, BasePolicy):
         return RainbowNetwork(**net_args).to(self.device)
 
     def reset_noise(self, n_envs: int = 1) -> None:
-        """Draw new noise for the online network, as before acting.
-
-        Args:
-            n_envs: number of environments, each with noise of its own.
-        """
+        """Draw new noise for the online network, for each of ``n_envs`` environments its own."""
         self.q_net.reset_noise(n_envs)
 
     def forward(self, obs: PyTorchObs, deterministic: bool = True) -> th.Tensor:
@@ -239,11 +241,7 @@ class RainbowPolicy(AsVector, BasePolicy):
         return (actions if vectorized else actions.squeeze(axis=0)), state
 
     def set_training_mode(self, mode: bool) -> None:
-        """Put the online network in training or evaluation mode; the noisy layers take no notice.
-
-        Args:
-            mode: True for training.
-        """
+        """Training or evaluation mode of the online network, which the noisy layers ignore."""
         self.q_net.set_training_mode(mode)
         self.training = mode
 
@@ -267,36 +265,18 @@ class CnnPolicy(RainbowPolicy):
     head.
     """
 
-    def __init__(
-        self,
-        observation_space: spaces.Space,
-        action_space: spaces.Discrete,
-        lr_schedule: Schedule,
-        *args: Any,
-        **kwargs: Any,
-    ) -> None:
-        if len(args) < 3:
-            # a size asks for the layer that has it
-            sized = "features_dim" in (kwargs.get("features_extractor_kwargs") or {})
-            extractor = NatureCNN if sized else NatureConvolutions
-            kwargs.setdefault("features_extractor_class", extractor)
-        super().__init__(observation_space, action_space, lr_schedule, *args, **kwargs)
+    @staticmethod
+    def _default_extractor(kwargs: dict[str, Any]) -> type[BaseFeaturesExtractor]:
+        # a size asks for the layer that has it
+        return NatureCNN if "features_dim" in kwargs else NatureConvolutions
 
 
 class MultiInputPolicy(RainbowPolicy):
     """:class:`RainbowPolicy` for dict observations: ``CombinedExtractor`` by default."""
 
-    def __init__(
-        self,
-        observation_space: spaces.Space,
-        action_space: spaces.Discrete,
-        lr_schedule: Schedule,
-        *args: Any,
-        **kwargs: Any,
-    ) -> None:
-        if len(args) < 3:
-            kwargs.setdefault("features_extractor_class", CombinedExtractor)
-        super().__init__(observation_space, action_space, lr_schedule, *args, **kwargs)
+    @staticmethod
+    def _default_extractor(kwargs: dict[str, Any]) -> type[BaseFeaturesExtractor]:
+        return CombinedExtractor
 
 
 def _default_arch(features_extractor_class: type[BaseFeaturesExtractor]) -> NetArch:

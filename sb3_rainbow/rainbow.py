@@ -377,12 +377,7 @@ class Rainbow(ResumableAlgorithm):
         return self.beta_start + progress * (self.beta_end - self.beta_start)
 
     def train(self, gradient_steps: int, batch_size: int = 32) -> None:
-        """Sample the replay buffer and update the networks.
-
-        Args:
-            gradient_steps: number of updates.
-            batch_size: transitions per update.
-        """
+        """Update the networks ``gradient_steps`` times, by ``batch_size`` transitions each."""
         buffer = self.replay_buffer
         assert buffer is not None
         if isinstance(buffer, PrioritizedReplayBuffer):
@@ -513,9 +508,8 @@ class Rainbow(ResumableAlgorithm):
         parameters: Any = load_path_or_dict
         if not isinstance(parameters, dict):
             # Its data may be any object, which nobody who wants weights alone has to unpickle.
-            found = support_in_file(parameters)
             own = support_of(self.distributional, self.v_min, self.v_max)
-            check_support_of_file(found, own)
+            check_support_of_file(support_in_file(parameters), own)
             _, parameters, _ = load_from_zip_file(parameters, load_data=False, device=device)
         super().set_parameters(parameters, exact_match, device)
 

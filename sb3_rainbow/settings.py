@@ -1,4 +1,4 @@
-"""Which settings can work, and what a replay buffer must be told of them."""
+"""Defaults and checks of Rainbow's settings."""
 
 import io
 import json
@@ -59,15 +59,12 @@ class SettingsMismatchError(ValueError, RuntimeError):
 def served_by(
     buffer_class: type[ReplayBuffer] | None, prioritized: bool | None, n_steps: int | None
 ) -> tuple[bool, int]:
-    """Prioritized replay and n-step returns, as far as a class of replay buffers keeps them.
+    """``prioritized`` and ``n_steps`` as a class of replay buffers can serve them.
+
+    None is the default; what the buffer cannot do of that is off, with a warning.
 
     Args:
         buffer_class: None for :class:`PrioritizedReplayBuffer`.
-        prioritized: None (nobody asked) is off where the buffer cannot, with a warning.
-        n_steps: the same.
-
-    Returns:
-        both as they will be.
 
     Raises:
         ValueError: if the buffer cannot do what was asked for.
@@ -75,19 +72,19 @@ def served_by(
     prioritizes = buffer_class is None or issubclass(buffer_class, PrioritizedReplayBuffer)
     sums = prioritizes or issubclass(buffer_class, NStepReplayBuffer)  # type: ignore[arg-type]
     name = getattr(buffer_class, "__name__", "")
-    lacking, mend, dropped = [], [], []
+    lacking, remedy, dropped = [], [], []
     if not prioritizes and prioritized is None:
         dropped.append("prioritized=False")
     elif not prioritizes and prioritized:
         lacking.append("no priorities")
-        mend.append("prioritized=False")
+        remedy.append("prioritized=False")
     if not sums and n_steps is None:
         dropped.append("n_steps=1")
     elif not sums and n_steps != 1:
         lacking.append("no n-step returns")
-        mend.append(f"n_steps=1 instead of {n_steps}")
+        remedy.append(f"n_steps=1 instead of {n_steps}")
     if lacking:
-        raise ValueError(f"{name} keeps {' and '.join(lacking)}: pass {', '.join(mend)}")
+        raise ValueError(f"{name} keeps {' and '.join(lacking)}: pass {', '.join(remedy)}")
     if dropped:
         warnings.warn(
             f"{name} cannot do all that Rainbow does: {', '.join(dropped)} instead. Pass that "
@@ -139,35 +136,31 @@ def support_of(
 
 
 def support_in_file(path: str | Path | io.BufferedIOBase) -> tuple[float, ...] | None:
-    """The :func:`support_of` the head that the weights of a saved model were trained for."""
+    """The :func:`support_of` a saved model."""
     file = open_path(path, "r", suffix="zip")
     with nullcontext() if file is path else file, zipfile.ZipFile(file) as archive:
         data = json.loads(archive.read("data")) if "data" in archive.namelist() else {}
-    found = data.get("_support")
-    return None if found is None else tuple(found)
+    support = data.get("_support")
+    return None if support is None else tuple(support)
 
 
 def check_support_of_file(
-    found: tuple[float, ...] | None, support: tuple[float, ...] | None
+    loaded: tuple[float, ...] | None, support: tuple[float, ...] | None
 ) -> None:
-    """Refuse weights that were trained for another support.
-
-    Args:
-        found: the :func:`support_of` the head that the loaded weights were trained for, if known.
-        support: the model's.
+    """Refuse weights that were trained for another :func:`support_of` than the model's.
 
     Raises:
-        SettingsMismatchError: if they differ, but where there are only values.
+        SettingsMismatchError: if both are known and differ.
     """
-    if found is not None and support is not None and tuple(found) != support:
+    if loaded is not None and support is not None and tuple(loaded) != support:
         raise SettingsMismatchError(
-            f"The checkpoint's support is {list(found) or 'none'}, "
+            f"The checkpoint's support is {list(loaded) or 'none'}, "
             f"the model's {list(support) or 'none'}"
         )
 
 
 class Settings(Protocol):
-    """What an algorithm was told, as :class:`~sb3_rainbow.Rainbow`'s arguments name it."""
+    """Attributes that :func:`check_settings` reads, named as Rainbow's arguments."""
 
     action_space: spaces.Discrete
     advantage_learning: float

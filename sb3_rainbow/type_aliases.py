@@ -49,8 +49,7 @@ class PrioritizedReplayBufferSamples(NamedTuple):
 class Prepared(NamedTuple):
     """Observations as a features extractor wants them: scaled, one-hot, ``(B, ...)``.
 
-    They stand where observations do, and no signature mentions them: only a network that leaves the
-    preparation to the package's own ever meets them.
+    Only networks that do not override the preparation meet them, in the place of observations.
     """
 
     values: th.Tensor | TensorDict

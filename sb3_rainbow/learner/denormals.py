@@ -1,4 +1,4 @@
-"""Denormal numbers are zero while the networks learn."""
+"""Treats denormal numbers as zero while the networks learn."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,15 +16,12 @@ def denormals_are_zero() -> bool:
 
 @contextmanager
 def flush_denormals() -> Iterator[None]:
-    """Compute with denormal numbers as with zero in this thread, and leave the setting as it was.
+    """Compute with denormal numbers as with zero in this thread; the setting is restored after.
 
-    The probability of an atom far from a sharp distribution, its gradient, and Adam's average of
-    that gradient's square are below 1e-38, where 32-bit numbers become denormal. Many processors
-    take a hundred cycles for each product of such a number. No value that matters is so small.
-    Without effect where the processor has no such mode.
-
-    The mode is the calling thread's own. Torch's worker threads, which share the work on large
-    tensors, are not reached: one thread (``torch.set_num_threads(1)``) gives the full effect.
+    Atoms far from a sharp distribution have probabilities and gradients below 1e-38, where float32
+    becomes denormal and many processors take a hundred cycles a product. No value that matters is
+    so small. Torch's worker threads are not reached: ``torch.set_num_threads(1)`` gives the full
+    effect. Without effect where the processor has no such mode.
     """
     if denormals_are_zero() or not th.set_flush_denormal(True):
         yield

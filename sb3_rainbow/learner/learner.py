@@ -98,20 +98,13 @@ class Learner:
     def act(
         self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None
     ) -> NDArray[np.int64] | None:
-        """Greedy actions under fresh noise, ``(n_envs,)``; None where the policy has to find them.
-
-        Args:
-            obs: observations, ``(n_envs, ...)``.
-            action_masks: True where allowed, ``(n_envs, n_actions)``.
-        """
+        """Greedy actions under fresh noise, ``(n_envs,)``; None where the policy has to choose."""
         return None if self.shortcuts is None else self.shortcuts.act(obs, action_masks)
 
     def move_target(self, tau: float, just_updated: bool = False) -> None:
         """Move the target network towards the online one by ``tau`` (Polyak average).
 
-        Args:
-            tau: how far.
-            just_updated: whether nobody else can have touched the networks since an update.
+        ``just_updated`` says that nobody else can have touched the networks since an update.
         """
         if self.shortcuts is None or not self.shortcuts.move_target(tau, just_updated):
             self._move_target(tau)
@@ -127,9 +120,8 @@ class Learner:
 
     @th.no_grad()
     def diagnostics(self, batch: Batch, priorities: th.Tensor) -> dict[str, float]:
-        """What only the logs need, by name: the mean over states of the largest Q-value, the share
-        of the target's mass that the support clips, the spread (standard deviation over mean) of
-        the batch's priorities, and the noise magnitudes.
+        """Values for the logs: mean over states of the largest Q-value, share of the target that
+        the support clips, spread (standard deviation over mean) of priorities, noise magnitudes.
         """
         self.q_net.set_training_mode(False)  # statistics of normalization layers stay
         values = {"max_q": float(self.q_net(batch.observations).amax(dim=1).mean())}
@@ -158,10 +150,10 @@ class Learner:
 
 
 def as_batch(samples: Any, gamma: float, masking: bool) -> Batch:
-    """What an update needs of a sample of any of SB3's buffers.
+    """What an update needs of a sample of ours or of one of SB3's buffers.
 
     Args:
-        samples: from ``PrioritizedReplayBuffer`` or one of SB3's buffers.
+        samples: sample of the buffer.
         gamma: discount of samples that bring none.
         masking: whether the masks of the sample, if any, count.
     """

@@ -18,7 +18,7 @@ from sb3_rainbow.type_aliases import Batch
 
 
 class Target(NamedTuple):
-    """What the online network should predict, and what the logs tell about it. B: batch size."""
+    """What the online network should predict, and what the logs need. B: batch size."""
 
     values: th.Tensor
     """Distribution over the atoms, or quantiles, ``(B, N)``, or scalar ``(B, 1)``."""

@@ -1,4 +1,4 @@
-"""Action masks in the conventions of sb3-contrib, and the masks that autoreset would lose."""
+"""Action masks as in sb3-contrib, and the masks that autoreset would lose."""
 
 from typing import Any
 
@@ -18,12 +18,11 @@ class ActionMaskError(ValueError):
 class TerminalActionMask(gym.Wrapper):
     """Put the mask of an episode's last state into ``info["terminal_action_mask"]``.
 
-    A ``VecEnv`` resets an env at the end of its episode, after which ``action_masks()`` tells of
+    A ``VecEnv`` resets an env at the end of its episode, after which ``action_masks()`` describes
     the next episode's first state; a truncated episode's target needs the mask of its last one.
     Rainbow wraps the envs of a ``DummyVecEnv`` by itself. In a ``SubprocVecEnv`` they live in other
     processes: wrap them there, ``make_vec_env(..., wrapper_class=TerminalActionMask)``. Everything
-    else passes through; an attribute that is set goes to the layer below that has it, through a
-    ``Monitor`` to the env itself.
+    else passes through; setting an attribute sets it on the layer below that has it.
 
     Args:
         env: an env with a method ``action_masks``.
@@ -50,11 +49,7 @@ class TerminalActionMask(gym.Wrapper):
             self.env.set_wrapper_attr(name, value)
 
     def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
-        """As Gymnasium's, among the layers below: this wrapper seems to have all that they have.
-
-        Returns:
-            whether the attribute was set.
-        """
+        """As Gymnasium's, among the layers below: this wrapper seems to have all that they have."""
         return self.env.set_wrapper_attr(name, value, force=force)
 
 
@@ -76,12 +71,7 @@ def capture_terminal_masks(env: VecEnv) -> None:
 
 
 def as_action_masks(masks: ArrayLike, n_envs: int, n_actions: int) -> NDArray[np.bool_]:
-    """Masks as booleans, checked.
-
-    Args:
-        masks: one row per env, shape ``(n_envs, n_actions)``.
-        n_envs: expected rows.
-        n_actions: expected columns.
+    """Check masks and return them as booleans, ``(n_envs, n_actions)``.
 
     Raises:
         ActionMaskError: for another shape, for entries other than False and True (0 and 1), or for

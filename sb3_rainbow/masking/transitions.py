@@ -18,16 +18,13 @@ LOST_MASK_WARNING = (
 def with_terminal_observations(
     obs: ObsArray, dones: NDArray, infos: list[dict[str, Any]], normalizer: VecNormalize | None
 ) -> ObsArray:
-    """Observations after the step, those of ended episodes taken from ``infos``.
+    """Observations after the step, those of ended episodes from ``infos``; a copy.
 
     Args:
         obs: as the VecEnv returned them (unnormalized), ``(n_envs, ...)``, or a dict of such.
         dones: which episodes ended, ``(n_envs,)``.
         infos: hold ``"terminal_observation"``.
         normalizer: undoes its normalization of the terminal observations.
-
-    Returns:
-        a copy.
     """
     result = {k: v.copy() for k, v in obs.items()} if isinstance(obs, dict) else obs.copy()
     for env in np.flatnonzero(dones):
@@ -47,7 +44,7 @@ def with_terminal_observations(
 def with_terminal_masks(
     masks: NDArray[np.bool_], dones: NDArray, infos: list[dict[str, Any]]
 ) -> tuple[NDArray[np.bool_], bool]:
-    """Masks after the step, those of truncated episodes taken from ``infos``.
+    """Masks after the step, those of truncated episodes from ``infos``.
 
     Args:
         masks: of the current states, ``(n_envs, n_actions)``.

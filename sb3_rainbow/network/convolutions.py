@@ -6,19 +6,16 @@ from stable_baselines3.common.torch_layers import NatureCNN
 
 
 def gains_by_channels_last(extractor: th.nn.Module) -> bool:
-    """Whether an extractor is faster where images have their channels last, and copes with them.
+    """Whether an extractor is faster on images with their channels last, and copes with them.
 
-    Anyone's own may have a ``view`` in it, which that order in memory does not allow; its class
-    says ``channels_last = True`` if it has not.
+    A user's own may have a ``view`` in it, which that order does not allow; a class without one
+    says ``channels_last = True``.
     """
     return type(extractor) is NatureCNN or vars(type(extractor)).get("channels_last", False)
 
 
 def put_channels_last(module: th.nn.Module) -> None:
-    """Keep the weights of convolutions with their channels last, as their images then are.
-
-    The values stay. Convolutions on a CPU are faster so where images are as large as Atari's.
-    """
+    """Store the weights of convolutions with channels last: faster on images of Atari's size."""
     for parameter in module.parameters():
         if parameter.ndim == 4:
             parameter.data = parameter.data.contiguous(memory_format=th.channels_last)
@@ -27,8 +24,8 @@ def put_channels_last(module: th.nn.Module) -> None:
 class NatureConvolutions(NatureCNN):
     """The three convolutions of SB3's ``NatureCNN`` (Mnih et al. 2015), flattened.
 
-    What Rainbow has after them are the streams of its network, 512 noisy units for the value and as
-    many for the advantages (Hessel et al. 2018): no layer in between that would be without noise.
+    Rainbow's streams follow, 512 noisy units for the value and as many for the advantages (Hessel
+    et al. 2018), without a layer in between.
 
     Args:
         observation_space: of images, channels first, at least 36 by 36 pixels.
@@ -59,13 +56,6 @@ class NatureConvolutions(NatureCNN):
         del self.linear
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
-        """The features of images.
-
-        Args:
-            observations: shape ``(B, C, H, W)``.
-
-        Returns:
-            shape ``(B, features_dim)``.
-        """
+        """Features ``(B, features_dim)`` of images ``(B, C, H, W)``."""
         features: th.Tensor = self.cnn(observations)
         return features

@@ -5,17 +5,13 @@ from torch.nn import functional as F
 
 
 def mask_q_values(q_values: th.Tensor, action_masks: th.Tensor | None) -> th.Tensor:
-    """Q-values with forbidden actions at minus infinity.
+    """Q-values with forbidden actions at minus infinity, ``(B, A)``.
 
-    Masks act on expected values, never on the logits of a distribution: there they would only
-    deform the distribution over returns.
+    Masks act on expected values: on the logits of a distribution they would only deform it.
 
     Args:
         q_values: shape ``(B, A)``.
         action_masks: shape ``(B, A)``, True where allowed; None allows everything.
-
-    Returns:
-        shape ``(B, A)``.
     """
     if action_masks is None:
         return q_values
@@ -29,12 +25,10 @@ def project_distribution(
     v_min: float,
     v_max: float,
 ) -> th.Tensor:
-    """Categorical projection of ``r + discount * Z`` onto the support (Bellemare et al. 2017,
-    equation 7).
+    """Project ``r + discount * Z`` onto the support (Bellemare et al. 2017, equation 7).
 
-    The lower neighbour is at most the last atom but one, and its upper neighbour one above: an
-    atom that falls exactly on the grid, or is clipped to either end, keeps its whole mass without
-    a special case.
+    The lower neighbour is at most the last atom but one: an atom that falls exactly on the grid, or
+    is clipped to either end, keeps its whole mass without a special case.
 
     Args:
         probabilities: distribution of Z over the atoms, shape ``(B, N)``.
@@ -77,10 +71,9 @@ def clipped_share(
     v_min: float,
     v_max: float,
 ) -> th.Tensor:
-    """Share of the target's probability mass that falls outside ``[v_min, v_max]``; scalar.
+    """Share of the target's probability mass outside ``[v_min, v_max]``; scalar.
 
-    Arguments as in :func:`project_distribution`. A share that does not vanish says that the
-    support is too narrow for the returns.
+    Arguments as in :func:`project_distribution`. Above 0 the support is too narrow for the returns.
     """
     n_atoms = probabilities.shape[1]
     position = _positions(rewards, discounts, n_atoms, v_min, v_max)
@@ -90,40 +83,30 @@ def clipped_share(
 
 
 def categorical_losses(logits: th.Tensor, target: th.Tensor) -> th.Tensor:
-    """Cross-entropy of the projected target with the predicted distribution, one value per sample.
+    """Cross-entropy of the projected target with the predicted distribution, ``(B,)``.
 
     Args:
         logits: of the action taken, shape ``(B, N)``.
         target: projected distribution, shape ``(B, N)``.
-
-    Returns:
-        shape ``(B,)``.
     """
     return -(target * F.log_softmax(logits, dim=1)).sum(dim=1)
 
 
 def target_entropies(target: th.Tensor) -> th.Tensor:
-    """Entropy of the projected target, one value per sample; what no prediction can take away.
+    """Entropy of each sample's projected target: ``(B, N)`` to ``(B,)``.
 
-    Args:
-        target: projected distribution, shape ``(B, N)``.
-
-    Returns:
-        shape ``(B,)``.
+    No prediction has a smaller cross-entropy.
     """
     return -th.special.xlogy(target, target).sum(dim=1)
 
 
 def quantile_losses(quantiles: th.Tensor, target: th.Tensor) -> th.Tensor:
-    """Quantile Huber loss with threshold 1 (Dabney et al. 2018, equation 10), one value per sample:
-    the sum over the predicted quantiles of the mean over the target's samples.
+    """Quantile Huber loss with threshold 1 (Dabney et al. 2018, equation 10), ``(B,)``: the mean
+    over the target's samples, summed over the predicted quantiles.
 
     Args:
         quantiles: of the action taken, at the midpoints ``(i + 1/2) / N``, shape ``(B, N)``.
         target: samples of the target's distribution, shape ``(B, M)``.
-
-    Returns:
-        shape ``(B,)``.
     """
     n = quantiles.shape[1]
     midpoints = (th.arange(n, device=quantiles.device, dtype=quantiles.dtype) + 0.5) / n
@@ -135,13 +118,5 @@ def quantile_losses(quantiles: th.Tensor, target: th.Tensor) -> th.Tensor:
 
 
 def huber_losses(q_values: th.Tensor, target: th.Tensor) -> th.Tensor:
-    """Huber loss of scalar Q-values with threshold 1, one value per sample.
-
-    Args:
-        q_values: of the action taken, shape ``(B,)``.
-        target: shape ``(B,)``.
-
-    Returns:
-        shape ``(B,)``.
-    """
+    """Huber loss with threshold 1 of the Q-values of the actions taken; all ``(B,)``."""
     return F.smooth_l1_loss(q_values, target, reduction="none")

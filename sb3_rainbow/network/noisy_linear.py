@@ -31,10 +31,9 @@ class NoisyLinear(nn.Module):
     ``y = (mu_w + sigma_w * (e_out e_in^T)) x + mu_b + sigma_b * e_out``, with ``e = f(N(0, 1))``
     and ``f(x) = sign(x) sqrt(|x|)``: ``in + out`` random numbers instead of ``in * out``.
 
-    Whether the noise acts is the caller's choice at each call and has nothing to do with
-    ``train()`` and ``eval()``: SB3 collects experience in evaluation mode, and a layer that is
-    silent there explores nothing. The noise stays as it is until :meth:`reset_noise`. It lives in
-    buffers, so that a Polyak average over the parameters leaves it alone.
+    The caller says at each call whether the noise acts; ``train()`` and ``eval()`` do not matter,
+    because SB3 collects experience in evaluation mode. The noise stays until :meth:`reset_noise`.
+    It lies in buffers, which a Polyak average over the parameters leaves alone.
 
     Args:
         in_features: size of each input.
@@ -89,15 +88,7 @@ class NoisyLinear(nn.Module):
         return self.weight_sigma.abs().mean()
 
     def forward(self, inputs: th.Tensor, noisy: bool = True) -> th.Tensor:
-        """The layer's output, with its noise or without.
-
-        Args:
-            inputs: shape ``(..., in_features)``.
-            noisy: False for the mean weights alone.
-
-        Returns:
-            shape ``(..., out_features)``.
-        """
+        """Outputs ``(..., out_features)`` of ``(..., in_features)``, with noise or without."""
         if not noisy or self._silent:
             return F.linear(inputs, self.weight_mu, self.bias_mu)
         rows = self.epsilon_rows
@@ -124,12 +115,12 @@ class NoisyLinear(nn.Module):
 
 @contextmanager
 def silenced(layers: Iterable[NoisyLinear]) -> Iterator[None]:
-    """Layers that nobody can tell at their call use their mean weights in here."""
-    quiet = list(layers)
-    for layer in quiet:
+    """Let layers that others call use their mean weights in here."""
+    silent = list(layers)
+    for layer in silent:
         layer._silent = True
     try:
         yield
     finally:
-        for layer in quiet:
+        for layer in silent:
             layer._silent = False

@@ -177,9 +177,9 @@ class RainbowNetwork(AsVector, BasePolicy):
         return nn.ModuleList(layers)
 
     def prepare(self, obs: PyTorchObs) -> PyTorchObs:
-        """Observations scaled or one-hot, once for all passes of an update.
+        """Scale observations or make them one-hot, once for all passes of an update.
 
-        As they are where a subclass has an eye on them itself.
+        A subclass that overrides how they are used gets them as they are.
         """
         own = type(self)
         inherited = (
@@ -218,9 +218,9 @@ class RainbowNetwork(AsVector, BasePolicy):
         return [b for x in layers for b in (x._buffers["epsilon_in"], x._buffers["epsilon_out"])]  # type: ignore[misc]
 
     def tie_noise(self) -> list[th.Tensor]:
-        """Let the layers' epsilons be parts of ``noise``, so that they are drawn in one go.
+        """Make the layers' epsilons parts of ``noise``, so that they are drawn in one go.
 
-        They no longer are after a layer was replaced, or the network moved or copied.
+        Needed again after a layer was replaced, or the network moved or copied.
 
         Returns:
             the epsilons.
@@ -255,8 +255,8 @@ class RainbowNetwork(AsVector, BasePolicy):
         """Draw new noise for every noisy layer.
 
         Args:
-            n_envs: 1 for noise that all rows of a batch have in common, as an update's have; or the
-                number of environments to act in, each of which explores by noise of its own.
+            n_envs: environments to act in, each by noise of its own; 1 for one noise for all rows
+                of a batch, as in an update.
         """
         if self.tie_noise():
             drawn = self.noise if n_envs == 1 else self.noise.new_empty(n_envs, len(self.noise))
@@ -282,8 +282,7 @@ class RainbowNetwork(AsVector, BasePolicy):
         }
 
     def streams(self, obs: PyTorchObs, noisy: bool) -> th.Tensor:
-        """Outputs of the head before value and advantages are joined. Acting, target and loss all
-        go through here.
+        """Outputs of the head before value and advantages are joined, for acting, target and loss.
 
         Returns:
             shape ``(B, n_streams, n_atoms)``, the value first where there is one.
@@ -312,14 +311,8 @@ class RainbowNetwork(AsVector, BasePolicy):
         return hidden
 
     def join(self, streams: th.Tensor) -> th.Tensor:
-        """Value plus advantage minus the mean advantage over actions, atom by atom (Wang et al.
-        2016, equation 9): without the mean the split of value and advantages would be arbitrary.
-
-        Args:
-            streams: as :meth:`streams` returns them.
-
-        Returns:
-            logits over the atoms, shape ``(B, A, N)``.
+        """Logits ``(B, A, N)`` of the :meth:`streams`: value plus advantage minus the mean
+        advantage, atom by atom (Wang et al. 2016, equation 9).
         """
         if not self.dueling:
             return streams
@@ -327,14 +320,7 @@ class RainbowNetwork(AsVector, BasePolicy):
         return advantages + (streams[:, :1] - advantages.mean(dim=1, keepdim=True))
 
     def expected_values(self, logits: th.Tensor) -> th.Tensor:
-        """Q-values of the head's outputs.
-
-        Args:
-            logits: shape ``(B, A, N)``.
-
-        Returns:
-            Q-values, shape ``(B, A)``.
-        """
+        """Q-values ``(B, A)`` of the head's outputs ``(B, A, N)``."""
         if self.head == "scalar":
             return logits.squeeze(-1)
         if self.head == "quantile":
@@ -342,44 +328,22 @@ class RainbowNetwork(AsVector, BasePolicy):
         return F.softmax(logits, dim=-1) @ self.support
 
     def logits(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
-        """Logits over the atoms, or quantiles, for each action (without ``distributional``, the
-        Q-values).
-
-        Returns:
-            shape ``(B, A, N)``.
-        """
+        """Logits over the atoms, or quantiles, or Q-values, of each action, ``(B, A, N)``."""
         return self.join(self.streams(obs, noisy))
 
     def forward(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
-        """Q-values, by default without noise.
-
-        Args:
-            obs: a batch of observations.
-            noisy: whether the noisy layers use their current noise.
-
-        Returns:
-            shape ``(B, A)``.
-        """
+        """Q-values ``(B, A)``, by default without the layers' current noise."""
         return self.expected_values(self.logits(obs, noisy))
 
     def distribution(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
-        """Probabilities of the atoms for each action; of quantiles, which :meth:`logits` returns,
-        all the same.
-
-        Returns:
-            shape ``(B, A, N)``.
-        """
+        """Probabilities of each action's atoms, ``(B, A, N)``; quantiles are equally likely."""
         logits = self.logits(obs, noisy)
         if self.head == "categorical":
             return F.softmax(logits, dim=-1)
         return th.full_like(logits, 1.0 / self.n_atoms)
 
     def set_training_mode(self, mode: bool) -> None:
-        """Put the network in training or evaluation mode, of which the noisy layers take no notice.
-
-        Args:
-            mode: True for training, False for evaluation.
-        """
+        """Training or evaluation mode, which the noisy layers ignore."""
         _train(self, mode)
 
     def _predict(
@@ -416,10 +380,8 @@ def head_of(distributional: Distributional) -> Literal["scalar", "categorical", 
     """
     if isinstance(distributional, bool):
         return "categorical" if distributional else "scalar"
-    if distributional == "categorical":
-        return "categorical"
-    if distributional == "quantile":
-        return "quantile"
+    if distributional in ("categorical", "quantile"):
+        return distributional
     raise ValueError(
         f"distributional must be True, False, 'categorical' or 'quantile', got {distributional!r}"
     )
@@ -451,11 +413,7 @@ def _check_atoms(n_atoms: int, least: int) -> None:
 
 
 def check_support(n_atoms: int, v_min: float, v_max: float) -> None:
-    """Refuse atoms that do not form a support.
-
-    Raises:
-        ValueError: if the atoms do not form a support.
-    """
+    """Raise ``ValueError`` for atoms that do not form a support."""
     _check_atoms(n_atoms, 2)
     if not (np.isfinite(v_min) and np.isfinite(v_max) and v_min < v_max):
         raise ValueError(f"v_min must be below v_max, both finite, got {v_min} and {v_max}")

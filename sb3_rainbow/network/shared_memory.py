@@ -16,12 +16,7 @@ def is_dense(tensor: th.Tensor) -> bool:
 
 
 def parts(vector: th.Tensor, tensors: Sequence[th.Tensor]) -> list[th.Tensor]:
-    """Parts of a vector, one after another.
-
-    Args:
-        vector: as many numbers as the tensors have together.
-        tensors: dense, whose shapes and memory formats the parts have.
-    """
+    """Views of a vector, one after another, with the shapes and memory formats of dense tensors."""
     sizes = [t.numel() for t in tensors]
     return [
         part.as_strided(t.shape, t.stride(), part.storage_offset())
@@ -31,11 +26,7 @@ def parts(vector: th.Tensor, tensors: Sequence[th.Tensor]) -> list[th.Tensor]:
 
 @th.no_grad()
 def join(tensors: Sequence[th.Tensor], like: Sequence[th.Tensor]) -> th.Tensor:
-    """A vector whose :func:`parts` like some tensors have the values of others.
-
-    Args:
-        tensors: of the shapes of ``like``.
-    """
+    """A vector whose :func:`parts`, laid out like some tensors, have the values of others."""
     vector = tensors[0].new_empty(sum(t.numel() for t in tensors))
     for part, tensor in zip(parts(vector, like), tensors, strict=True):
         part.copy_(tensor)
@@ -43,12 +34,7 @@ def join(tensors: Sequence[th.Tensor], like: Sequence[th.Tensor]) -> th.Tensor:
 
 
 def share(tensors: Sequence[th.Tensor], vector: th.Tensor) -> list[int]:
-    """Make tensors parts of a vector, one after another; their values are the vector's from then
-    on.
-
-    Args:
-        tensors: dense, in the vector's dtype and on its device.
-        vector: as many numbers as the tensors have together.
+    """Make dense tensors parts of a vector, whose values they have from then on.
 
     Returns:
         the tensors' addresses: while those stay, they are parts.

@@ -1,26 +1,42 @@
 """Prioritized n-step replay for any number of environments."""
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch as th
 from gymnasium import spaces
 from numpy.typing import NDArray
+from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.type_aliases import TensorDict
 from stable_baselines3.common.vec_env import VecNormalize
 
-from sb3_rainbow.replay.kernels import importance_weights, scale_priorities
-from sb3_rainbow.replay.n_step_ring import NStepRing
-from sb3_rainbow.replay.parameters import check_buffer_size, check_replay_parameters
+from sb3_rainbow.replay.kernels import (
+    RUNNING,
+    TERMINATED,
+    TRUNCATED,
+    assemble_windows,
+    complete_windows,
+    importance_weights,
+    scale_priorities,
+)
+from sb3_rainbow.replay.observation_store import ObservationStore, Rows, stored_dtype
+from sb3_rainbow.replay.parameters import (
+    check_buffer_size,
+    check_replay_parameters,
+    warn_of_memory,
+)
 from sb3_rainbow.replay.sum_tree import SumTree
 from sb3_rainbow.type_aliases import ObsArray, PrioritizedReplayBufferSamples
 
+_TRIMMED = ("actions", "rewards", "ends", "action_masks", "next_action_masks")
 
-class PrioritizedReplayBuffer(NStepRing):
+
+class PrioritizedReplayBuffer(ReplayBuffer):
     """Proportional prioritized replay (Schaul et al. 2016) of n-step transitions.
 
-    - One sum tree spans all (step, env) pairs; a pair can be drawn as soon as its window of
-      ``n_steps`` rewards is complete, or its episode has ended, whichever comes first.
+    - One sum tree spans all (step, env) pairs; a transition, named by its leaf ``row * n_envs +
+      env``, can be drawn as soon as its window of ``n_steps`` rewards is complete, or its episode
+      has ended, whichever comes first.
     - Returns never run across an episode's end, the windows shortened by an end are kept, and every
       sample carries its own discount ``gamma ** k``. A truncated episode bootstraps from its
       terminal observation, a terminated one does not.
@@ -72,42 +88,169 @@ class PrioritizedReplayBuffer(NStepRing):
     ) -> None:
         check_replay_parameters(n_steps, gamma, alpha, beta, epsilon)
         check_buffer_size(buffer_size, n_envs, n_steps)
+        # ReplayBuffer's own constructor would allocate a second copy of every observation.
+        super(ReplayBuffer, self).__init__(
+            buffer_size, observation_space, action_space, device, n_envs=n_envs
+        )
+        self.buffer_size = buffer_size // n_envs
+        self.optimize_memory_usage = False
+        self.handle_timeout_termination = handle_timeout_termination
+        self.n_steps = n_steps
+        self.gamma = gamma
         self.alpha = alpha
         self.beta = beta
         self.epsilon = epsilon
-        super().__init__(
-            buffer_size,
-            observation_space,
-            action_space,
-            device,
-            n_envs,
-            handle_timeout_termination,
-            n_steps,
-            gamma,
-        )
+        self._allocate()
+        warn_of_memory(self.nbytes)
 
     def _allocate(self) -> None:
-        super()._allocate()
+        shape = (self.buffer_size, self.n_envs)
+        self._store = ObservationStore(*shape, self.observation_space, self.obs_shape)
+        # Discrete for Rainbow; other algorithms bring what they choose
+        self.actions = np.zeros((*shape, self.action_dim), dtype=stored_dtype(self.action_space))
+        self.rewards = np.zeros(shape, dtype=np.float32)
+        self.ends = np.zeros(shape, dtype=np.uint8)
+        self.action_masks: NDArray[np.bool_] | None = None
+        self.next_action_masks: NDArray[np.bool_] | None = None
+        # Stored transitions per env whose window is not complete yet
+        self._pending = np.zeros(self.n_envs, dtype=np.int64)
         self.tree = SumTree(self.buffer_size * self.n_envs)
         self.max_priority = 1.0
         self.last_indices: NDArray[np.int64] | None = None
 
+    def reset(self) -> None:
+        """Forget everything."""
+        super().reset()
+        self._allocate()
+
+    # SB3's names for what is stored
+    @property
+    def observations(self) -> ObsArray:  # type: ignore[override]
+        """Stored observations, shape ``(buffer_size, n_envs, ...)``, or a dict of such."""
+        return self._store.rows
+
+    @property
+    def dones(self) -> NDArray[np.bool_]:  # type: ignore[override]
+        """Where an episode ended, terminated or truncated, ``(buffer_size, n_envs)``; a copy."""
+        return self.ends != RUNNING
+
+    @property
+    def timeouts(self) -> NDArray[np.bool_]:  # type: ignore[override]
+        """Where an episode was truncated, ``(buffer_size, n_envs)``; a copy."""
+        return self.ends == TRUNCATED
+
     @property
     def nbytes(self) -> int:
         """Bytes that all of it occupies once it is full, but for terminal observations."""
-        return super().nbytes + self.tree.nbytes
+        masks = (self.action_masks, self.next_action_masks)
+        arrays = [self.actions, self.rewards, self.ends, *(m for m in masks if m is not None)]
+        return self._store.nbytes + self.tree.nbytes + sum(array.nbytes for array in arrays)
+
+    def add(
+        self,
+        obs: ObsArray,
+        next_obs: ObsArray,
+        action: NDArray,
+        reward: NDArray,
+        done: NDArray,
+        infos: list[dict[str, Any]],
+        next_action_masks: NDArray[np.bool_] | None = None,
+        action_masks: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Store one step of every env.
+
+        Args:
+            obs: observations the actions were chosen on, ``(n_envs, ...)``.
+            next_obs: observations after the step; where an episode ended, its terminal observation,
+                not the first one of the next episode.
+            action: shape ``(n_envs,)`` or ``(n_envs, action_dim)``.
+            reward: shape ``(n_envs,)``.
+            done: terminated or truncated, ``(n_envs,)``.
+            infos: ``"TimeLimit.truncated"`` tells truncations from terminations.
+            next_action_masks: actions allowed at ``next_obs``, ``(n_envs, n_actions)``; None allows
+                all.
+            action_masks: the same at ``obs``, for who needs them.
+
+        Raises:
+            ValueError: for a reward that is not finite in float32; nothing is stored then.
+        """
+        rewards = np.asarray(reward, dtype=np.float32)
+        finite = np.isfinite(rewards)
+        if not finite.all():
+            env = int(np.argmin(finite))
+            raise ValueError(
+                f"The reward of env {env} is {np.ravel(reward)[env]}, but must be finite (in "
+                "float32): one such reward spoils every network; bound it, or mend its formula"
+            )
+        current, following = self._store.cast(obs), self._store.cast(next_obs)
+        self._close_interrupted_episodes(current)
+        pos = self.pos
+        if self.full:
+            overwritten = pos * self.n_envs + np.arange(self.n_envs, dtype=np.int64)
+            self.tree.set(overwritten, np.zeros(self.n_envs))
+            self._store.release(pos)
+        self._store.write(pos, current, following)
+        self.actions[pos] = action.reshape(self.n_envs, self.action_dim)
+        self.rewards[pos] = rewards
+        self._store_masks("next_action_masks", pos, next_action_masks)
+        self._store_masks("action_masks", pos, action_masks)
+
+        ended = np.asarray(done, dtype=bool)
+        self.ends[pos] = RUNNING
+        if ended.any():
+            self.ends[pos, ended] = TERMINATED
+            for env in np.flatnonzero(ended).tolist():
+                if self.handle_timeout_termination and infos[env].get("TimeLimit.truncated", False):
+                    self.ends[pos, env] = TRUNCATED
+                self._store.keep_newest(pos, env)
+        self._pending += 1
+        self._complete(ended, pos)
+
+        self.pos += 1
+        if self.pos == self.buffer_size:
+            self.full = True
+            self.pos = 0
+
+    def _close_interrupted_episodes(self, current: Rows) -> None:
+        """Truncate episodes that were left in the middle, as when ``learn`` resets the env."""
+        if not (self.full or self.pos > 0):
+            return
+        newest = (self.pos - 1) % self.buffer_size
+        interrupted = self._store.interrupted(current)
+        if interrupted.any():
+            interrupted &= self.ends[newest] == RUNNING
+            for env in np.flatnonzero(interrupted).tolist():
+                self.ends[newest, env] = TRUNCATED
+                self._store.keep_newest(newest, env)
+            self._complete(interrupted, newest)
+
+    def _store_masks(self, name: str, pos: int, masks: NDArray[np.bool_] | None) -> None:
+        stored = getattr(self, name)
+        if masks is None:
+            if stored is not None:
+                stored[pos] = True
+            return
+        if stored is None:
+            n_actions = int(cast(spaces.Discrete, self.action_space).n)
+            # zeros take no memory before they are written to, and every row that is drawn was
+            stored = np.zeros((self.buffer_size, self.n_envs, n_actions), dtype=np.bool_)
+            stored[: self.size()] = True
+            setattr(self, name, stored)
+            warn_of_memory(self.nbytes)
+        stored[pos] = masks
+
+    def _complete(self, ended: NDArray[np.bool_], newest: int) -> None:
+        leaves = np.empty(int(self._pending.sum()), dtype=np.int64)
+        count = complete_windows(
+            self._pending, ended, newest, self.buffer_size, self.n_steps, leaves
+        )
+        if count:  # at the top priority, so that each is drawn before long
+            self.tree.set(leaves[:count], np.full(count, self.max_priority**self.alpha))
 
     @property
     def can_sample(self) -> bool:
         """Whether at least one n-step window is complete."""
         return self.tree.total > 0.0
-
-    def _enter(self, leaves: NDArray[np.int64]) -> None:
-        # At the top priority, so that each is drawn before long
-        self.tree.set(leaves, np.full(leaves.shape, self.max_priority**self.alpha))
-
-    def _leave(self, leaves: NDArray[np.int64]) -> None:
-        self.tree.set(leaves, np.zeros(leaves.shape))
 
     def sample(  # type: ignore[override]
         self, batch_size: int, env: VecNormalize | None = None
@@ -148,7 +291,6 @@ class PrioritizedReplayBuffer(NStepRing):
     def _get_samples(  # type: ignore[override]
         self, batch_inds: NDArray[np.int64], env: VecNormalize | None = None
     ) -> PrioritizedReplayBufferSamples:
-        """Transitions at the given leaves of the tree."""
         parts = self._windows(batch_inds, env)
         parts["weights"] = np.empty(batch_inds.shape[0], dtype=np.float32)
         importance_weights(batch_inds, self.tree.leaves, self.beta, parts["weights"])
@@ -165,10 +307,10 @@ class PrioritizedReplayBuffer(NStepRing):
 
         Args:
             indices: as the sample gave them, ``(n,)``.
-            losses: per-sample losses or absolute errors before importance weights, ``(n,)``.
+            losses: losses or absolute errors before importance weights, ``(n,)``.
 
         Raises:
-            ValueError: if a loss is negative or not finite.
+            ValueError: for a loss that is negative or not finite.
         """
         n = indices.shape[0]
         leaves, masses = np.empty(n, dtype=np.int64), np.empty(n)
@@ -188,3 +330,77 @@ class PrioritizedReplayBuffer(NStepRing):
             )
         self.tree.set(leaves[:count], masses[:count])
         self.max_priority = max(self.max_priority, largest)
+
+    def _windows(self, leaves: NDArray[np.int64], env: VecNormalize | None) -> dict[str, ObsArray]:
+        """Transitions by the names of :class:`PrioritizedReplayBufferSamples`."""
+        n = leaves.shape[0]
+        returns, discounts, dones = (np.empty((n, 1), dtype=np.float32) for _ in range(3))
+        last_leaves, next_rows, next_slots = (np.empty(n, dtype=np.int64) for _ in range(3))
+        assemble_windows(
+            leaves,
+            self.rewards,
+            self.ends,
+            self._store.slots,
+            (self.pos - 1) % self.buffer_size,
+            self.n_steps,
+            self.gamma,
+            returns[:, 0],
+            discounts[:, 0],
+            dones[:, 0],
+            last_leaves,
+            next_rows,
+            next_slots,
+        )
+        observations, next_observations = self._store.gather(leaves, next_rows, next_slots)
+        if env is not None:
+            observations = env.normalize_obs(observations)
+            next_observations = env.normalize_obs(next_observations)
+            returns = self._normalized_returns(leaves, env)
+        parts = {
+            "observations": observations,
+            "actions": self.actions.reshape(-1, self.action_dim)[leaves],
+            "next_observations": next_observations,
+            "dones": dones,
+            "rewards": returns,
+            "discounts": discounts,
+        }
+        for name, where in (("action_masks", leaves), ("next_action_masks", last_leaves)):
+            masks = getattr(self, name)
+            if masks is not None:
+                parts[name] = masks.reshape(-1, masks.shape[-1])[where]
+        return parts
+
+    def _normalized_returns(
+        self, leaves: NDArray[np.int64], env: VecNormalize
+    ) -> NDArray[np.float32]:
+        """As the kernel's returns, from rewards normalized one by one; ``(n, 1)``."""
+        envs = leaves % self.n_envs
+        rows = leaves // self.n_envs
+        returns = np.zeros(leaves.shape[0])
+        running = np.ones(leaves.shape[0], dtype=bool)
+        for k in range(self.n_steps):
+            row = (rows + k) % self.buffer_size
+            rewards = env.normalize_reward(self.rewards[row, envs])
+            returns += np.where(running, self.gamma**k * rewards, 0.0)
+            running &= self.ends[row, envs] == RUNNING
+        return returns.astype(np.float32)[:, None]
+
+    def __getstate__(self) -> dict[str, Any]:
+        n_used = self.size()
+        state = self.__dict__.copy()
+        state["_store"] = self._store.trimmed_state(n_used)
+        for name in _TRIMMED:
+            if state[name] is not None:
+                state[name] = state[name][:n_used]
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._store = ObservationStore.__new__(ObservationStore)
+        self._store.restore_state(state["_store"])
+        for name in _TRIMMED:
+            used = state[name]
+            if used is not None:
+                whole = np.zeros((self.buffer_size, *used.shape[1:]), dtype=used.dtype)
+                whole[: len(used)] = used
+                setattr(self, name, whole)

@@ -1,4 +1,4 @@
-"""How kernels compile: never unsaid, with an honest cache on disk, or without where none can be.
+"""numba's ``njit`` with an announcement, and a cache on disk that is never stale.
 
 numba recompiles a cached kernel when its own file changes, but not when a kernel that it calls from
 another file does.
@@ -23,10 +23,7 @@ _WHAT = "replay, networks and updates: about 10 s of a processor core"
 
 
 class _Announcer(event.Listener):
-    """Says on stderr that this package's kernels begin to compile, once a process.
-
-    numba tells of compilations alone: what comes from its cache is none.
-    """
+    """Says on stderr, once a process, that this package's kernels begin to compile."""
 
     cached = True
     _said = False
@@ -74,9 +71,9 @@ def _drop_stale_beside(function: Callable) -> None:
     _looked.add(folder)
     with suppress(OSError, RuntimeError):  # no folder can be written, so none is read
         # which of its places numba takes depends on the environment, HOME and permissions
-        kept = Path(str(numba.njit(cache=True)(function).stats.cache_path))
+        cached = Path(str(numba.njit(cache=True)(function).stats.cache_path))
         newest = max(_newest_kernel(package, "**/*.py"), _newest_kernel(folder, "*.py"))
-        for index in kept.glob("*.nbi"):
+        for index in cached.glob("*.nbi"):
             with suppress(FileNotFoundError):  # another process was first
                 if index.stat().st_mtime < newest:
                     index.unlink()

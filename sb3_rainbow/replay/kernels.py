@@ -19,19 +19,17 @@ def complete_windows(
 ) -> int:
     """Collect the transitions whose n-step window is complete after step ``newest`` was stored.
 
-    A window is complete after n steps, or earlier where its episode ends. Env by env: the end of
-    one env's episode touches no other env.
+    A window is complete after n steps, or earlier where its episode ends.
 
     Args:
         pending: stored transitions per env that still wait, ``newest`` included; updated.
         ended: whether the env's episode ended (terminated or truncated) at ``newest``.
         newest: row of the last stored step.
         n_rows: rows of the ring.
-        n_steps: length of a window.
         leaves: receives the completed leaves.
 
     Returns:
-        their number.
+        how many leaves are complete.
     """
     n_envs = pending.shape[0]
     count = 0
@@ -68,9 +66,9 @@ def assemble_windows(
 ) -> None:
     """Sum the rewards of each window and find where its final observation is stored.
 
-    The return stops at the episode's end, and ``discounts`` is gamma to the number of rewards
-    summed. The final observation is in the boundary store (``next_slots >= 0``) where the episode
-    ended or where it is the newest of all, else it is the observation of the following row.
+    The sum stops at the episode's end, and ``discounts`` is gamma to the number of rewards summed.
+    The final observation is in the boundary store (``next_slots >= 0``) where the episode ended or
+    the step is the newest of all, else in the following row.
     """
     n_rows, n_envs = rewards.shape
     for i in range(leaves.shape[0]):

@@ -184,7 +184,7 @@ def _layout(
 
 
 def stored_dtype(space: spaces.Space) -> np.dtype:
-    """In which dtype elements of a space are kept."""
+    """Dtype in which elements of a space are stored."""
     # The networks compute in float32: the other half of a float64 would only cost memory.
     dtype = np.dtype(space.dtype)
     return np.dtype(np.float32) if dtype == np.float64 else dtype

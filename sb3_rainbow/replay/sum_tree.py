@@ -1,4 +1,4 @@
-"""A sum tree in level order: proportional sampling over a million priorities in microseconds.
+"""Sum tree in level order: samples in proportion to a million priorities in microseconds.
 
 Every node has eight children, so that the children of a node share one cache line and a million
 leaves are seven levels deep. A batch goes down (or up) one level at a time: the memory accesses of
@@ -115,7 +115,7 @@ def _aligned_zeros(size: int) -> NDArray[np.float64]:
 
 
 class SumTree:
-    """Non-negative float64 masses with their sum, sampled in proportion in O(log n).
+    """Sum tree: samples indices in proportion to priority, in O(log n).
 
     Args:
         capacity: number of leaves.
@@ -143,46 +143,40 @@ class SumTree:
 
     @property
     def leaves(self) -> NDArray[np.float64]:
-        """All masses, shape ``(capacity,)``; a view, to read only."""
+        """All priorities, shape ``(capacity,)``; a view, to read only."""
         return self._tree[: self.capacity]
 
     def set(self, indices: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """Write leaves and renew the sums above them; of a repeated index the last value counts.
+        """Write priorities and renew the sums; of a repeated index the last value counts.
 
         Args:
-            indices: leaves to write, shape ``(n,)``, in ``[0, capacity)`` (not checked).
-            values: their masses, shape ``(n,)``, finite and non-negative (not checked).
+            indices: leaves, shape ``(n,)``, in ``[0, capacity)`` (not checked).
+            values: priorities, shape ``(n,)``, finite and non-negative (not checked).
         """
         _assign(self._tree, self._offsets, indices, values)
 
     def find(self, prefix_sums: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Leaves whose intervals of the cumulated masses hold the given sums.
+        """Leaves whose intervals of the cumulated priorities hold the given sums.
 
         Args:
             prefix_sums: shape ``(n,)``, each in ``[0, total)``.
 
         Returns:
-            shape ``(n,)``; a leaf of mass zero is never returned while ``total > 0``.
+            shape ``(n,)``; never a leaf of priority zero while ``total > 0``.
         """
         leaves = np.empty(prefix_sums.shape[0], dtype=np.int64)
         _find(self._tree, self._offsets, prefix_sums.copy(), leaves)
         return leaves
 
     def sample(self, batch_size: int) -> NDArray[np.int64]:
-        """Stratified draw: one leaf from each of ``batch_size`` equal parts of the total mass
-        (Schaul et al. 2016, appendix B.2.1), with numpy's global generator as SB3 seeds it.
-
-        Args:
-            batch_size: number of leaves to draw.
-
-        Returns:
-            shape ``(batch_size,)``.
+        """Draw one leaf from each of ``batch_size`` equal parts of the total (Schaul et al. 2016,
+        appendix B.2.1), by numpy's global generator, which SB3 seeds; shape ``(batch_size,)``.
 
         Raises:
-            ValueError: if all masses are zero.
+            ValueError: if all priorities are zero.
         """
         if self._tree[-1] <= 0.0:
-            raise ValueError("Cannot sample from a SumTree whose masses are all zero")
+            raise ValueError("Cannot sample from a SumTree whose priorities are all zero")
         uniform = np.random.random_sample(batch_size)  # noqa: NPY002
         leaves = np.empty(batch_size, dtype=np.int64)
         _draw(self._tree, self._offsets, uniform, leaves)

@@ -100,7 +100,7 @@ def load_checkpoint(
 
 
 def _env_state(env: VecEnv | None) -> dict[str, Any]:
-    """State of the innermost env, None where it cannot tell, and of SB3's wrappers around it."""
+    """State of the innermost env, None where it gives none, and of SB3's wrappers around it."""
     state: dict[str, Any] = {"env": None, "wrappers": []}
     if env is None:
         return state
@@ -124,8 +124,8 @@ def _env_state(env: VecEnv | None) -> dict[str, Any]:
 
 def _state_of(env: VecEnv) -> list[str]:
     """Names of the attributes that hold the state of one of SB3's wrappers, none of others."""
-    found = (names for kind, names in _WRAPPER_STATE.items() if isinstance(env, kind))
-    return [name for names in found for name in names]
+    states = (names for kind, names in _WRAPPER_STATE.items() if isinstance(env, kind))
+    return [name for names in states for name in names]
 
 
 def _restore_wrappers(env: VecEnv, states: list[dict[str, Any]]) -> None:

@@ -124,11 +124,11 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         loaded = self.replay_buffer
         if isinstance(present, PrioritizedReplayBuffer):
             for name in _BUFFER_SETTINGS:
-                expected, found = getattr(present, name), getattr(loaded, name, None)
-                if expected != found:
+                expected, given = getattr(present, name), getattr(loaded, name, None)
+                if expected != given:
                     self.replay_buffer = present
                     raise SettingsMismatchError(
-                        f"The replay buffer in {path} was filled with {name}={found}, "
+                        f"The replay buffer in {path} was filled with {name}={given}, "
                         f"the model has {name}={expected}"
                     )
 
@@ -136,7 +136,7 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         """Write all of the run into one file: model, optimizer, counters, random generators, replay
         buffer with tree and open n-step windows, the state of SB3's wrappers around the ``VecEnv``,
         and that of a ``VecEnv`` that offers ``get_state()`` itself. A ``DummyVecEnv`` of gym envs
-        does not: the wrappers around those (``TimeLimit``, ``Monitor``) could not tell theirs.
+        does not: the wrappers around those (``TimeLimit``, ``Monitor``) do not give theirs.
 
         Call it between rounds of training: outside ``learn``, or in a callback's
         ``_on_rollout_start``. In ``_on_step`` the current transition is not stored yet.

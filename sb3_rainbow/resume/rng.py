@@ -9,13 +9,8 @@ from gymnasium import spaces
 
 
 def get_rng_state(action_space: spaces.Space) -> dict[str, Any]:
-    """States of Python's, numpy's and torch's global generators and of the action space.
-
-    Args:
-        action_space: the model's, from which the warm-up draws.
-
-    Returns:
-        picklable.
+    """States of Python's, numpy's and torch's global generators and of the model's action space,
+    from which the warm-up draws; picklable.
     """
     return {
         "python": random.getstate(),
@@ -27,10 +22,10 @@ def get_rng_state(action_space: spaces.Space) -> dict[str, Any]:
 
 
 def set_rng_state(state: dict[str, Any], action_space: spaces.Space) -> None:
-    """Put the generators back to where :func:`get_rng_state` found them."""
+    """Put the generators back to a state of :func:`get_rng_state`."""
     random.setstate(state["python"])
     np.random.set_state(state["numpy"])  # noqa: NPY002
     th.set_rng_state(state["torch"])
-    if state["cuda"] and len(state["cuda"]) == th.cuda.device_count():
+    if state.get("cuda") and len(state["cuda"]) == th.cuda.device_count():
         th.cuda.set_rng_state_all(state["cuda"])
     action_space.np_random.bit_generator.state = state["action_space"]

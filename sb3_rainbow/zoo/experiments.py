@@ -70,7 +70,7 @@ class ResumedRainbow(Rainbow):
 
 
 class RainbowExperimentManager(ExperimentManager):
-    """The zoo's; for Rainbow with its hyperparameters, and with runs that go on where they stopped.
+    """The zoo's, for Rainbow with its hyperparameters and with runs that go on where they stopped.
 
     With ``--save-replay-buffer`` a run writes its replay buffer at the end, or when it is
     interrupted, as ever; with ``--save-freq`` too it keeps ``checkpoint.zip`` on the way. Started
@@ -78,11 +78,8 @@ class RainbowExperimentManager(ExperimentManager):
     settings in the file (but for ``--hyperparams``) and with its counters, schedules and random
     generators, up to ``n_timesteps`` in all; a run that has them behind it takes as many again.
 
-    Args:
-        args: of the command line.
-        algo: name of the algorithm; others than ``rainbow`` are the zoo's business alone.
-        rest: of the zoo's manager.
-        kwargs: of the zoo's manager; without a ``config`` the hyperparameters are the package's.
+    The arguments are those of the zoo's manager; without a ``config``, Rainbow's hyperparameters
+    are the package's.
     """
 
     def __init__(self, args: argparse.Namespace, algo: str, *rest: Any, **kwargs: Any) -> None:
@@ -101,20 +98,13 @@ class RainbowExperimentManager(ExperimentManager):
             self.callbacks.append(SaveCheckpoint(self.save_freq, path))
 
     def learn(self, model: BaseAlgorithm) -> None:
-        """Train, to the end of the whole run.
-
-        Args:
-            model: an initialized model, new or going on.
-        """
+        """Train a new model, or one that goes on, to the end of the whole run."""
         if isinstance(model, ResumedRainbow) and model.num_timesteps < self.n_timesteps:
             self.n_timesteps -= model.num_timesteps
         super().learn(model)
 
     def objective(self, trial: optuna.Trial) -> float:
         """The score of a trial.
-
-        Args:
-            trial: Optuna's.
 
         Raises:
             ActionMaskError: for masks that no trial could learn under; the zoo would prune each.

@@ -1,4 +1,4 @@
-"""Which form a model's file has, and what goes wrong when it is loaded, in one line."""
+"""The form of a model's file, and errors of its loading as one line."""
 
 import os
 import zipfile
@@ -16,7 +16,7 @@ class ZooError(ValueError):
 
 
 def is_model_file(path: str | os.PathLike[str]) -> bool:
-    """Whether a file is of the form that is packaged, by what lies in it: it runs nothing."""
+    """Whether a file has the packaged form, of which nothing is run."""
     if not zipfile.is_zipfile(path):
         return False
     with zipfile.ZipFile(path) as archive:
@@ -25,14 +25,7 @@ def is_model_file(path: str | os.PathLike[str]) -> bool:
 
 @contextmanager
 def loading(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Whatever the loading of a model raises, as a :class:`ZooError` that names the file.
-
-    Args:
-        path: the file that is loaded inside.
-
-    Raises:
-        ZooError: for a file of another algorithm, of other settings, or damaged.
-    """
+    """Raise whatever the loading of a file raises as a :class:`ZooError` that names the file."""
     try:
         yield
     except Exception as error:  # what pickle, zipfile and torch raise is anybody's guess

@@ -41,7 +41,7 @@ from sb3_rainbow.zoo.hub import load_from_hub
 model = load_from_hub("<organization>/{name}", "{name}.zip")
 ```
 
-Nothing of the file's is run: it holds numbers, words and arrays.
+Nothing of the file is run: it holds numbers, text and arrays.
 
 ## How it was trained
 

@@ -1,4 +1,4 @@
-"""Models of Rainbow as files that run nothing: numbers, words and arrays.
+"""Models of Rainbow as files of numbers, text and arrays, of which nothing is run.
 
 A file is a zip of ``settings.json`` and ``arrays.safetensors``; it holds no pickle, and none is
 read. Settings are checked against the signatures of the constructors that take them. A class is
@@ -62,13 +62,9 @@ _COUNTERS: dict[str, type] = {"num_timesteps": int, "_n_updates": int, "explorat
 
 
 def write_model(model: Rainbow, path: str | os.PathLike[str]) -> None:
-    """Write all that acting takes, and the settings of the training.
+    """Write what acting needs, and the settings of the training.
 
     The optimizer's averages, the replay buffer and the random generators are left out.
-
-    Args:
-        model: trained.
-        path: of the file.
 
     Raises:
         ZooError: naming each setting that has no form without a pickle.
@@ -82,13 +78,13 @@ def write_model(model: Rainbow, path: str | os.PathLike[str]) -> None:
 
     def plain(name: str, value: Any, hint: Any) -> Any:
         try:
-            found = _plain(name, value)
-            if not _fits(json.loads(json.dumps(found, allow_nan=False)), hint):
+            result = _plain(name, value)
+            if not _fits(json.loads(json.dumps(result, allow_nan=False)), hint):
                 raise TypeError
         except (TypeError, ValueError):
             unwritable.append(f"{name} = {value!r}")
             return None
-        return found
+        return result
 
     hints, of_policy = _hints(), _policy_hints()
     kwargs = model.policy_kwargs
@@ -119,25 +115,24 @@ def read_model(
     device: th.device | str = "auto",
     **changed: Any,
 ) -> SelfRainbow:
-    """A model that :func:`write_model` wrote.
+    """Read a model that :func:`write_model` wrote.
 
     Args:
-        path: of the file.
-        kind: of the model.
-        env: to go on learning in.
+        path: file of the model.
+        kind: class of the model.
+        env: environment to go on learning in.
         device: torch device.
-        changed: arguments of the constructor that differ from those in the file. A ``buffer_size``
-            that nobody gives is the smallest.
+        changed: arguments of the constructor that differ from those in the file. Without a
+            ``buffer_size`` it is the smallest.
 
     Raises:
-        ZooError: if it is none, or damaged, or does not fit together.
+        ZooError: if the file is of another form, damaged, or does not fit together.
     """
     with loading(path):
         settings, arrays = _read(path, _MODEL)
-        found = {name: settings.pop(name) for name in ("arguments", "policy_kwargs", "counters")}
-        arguments = _checked(found["arguments"], _hints())
-        policy_kwargs = _checked(found["policy_kwargs"], _policy_hints())
-        counters = _checked(found["counters"], _COUNTERS)
+        arguments = _checked(settings.pop("arguments"), _hints())
+        policy_kwargs = _checked(settings.pop("policy_kwargs"), _policy_hints())
+        counters = _checked(settings.pop("counters"), _COUNTERS)
         own_spaces = {name: _read_space(value, name, arrays) for name, value in settings.items()}
         support = support_of(
             *head_and_support(*map(arguments.get, ("distributional", "v_min", "v_max")))
@@ -167,12 +162,7 @@ def read_model(
 
 
 def write_statistics(normalizer: VecNormalize, path: str | os.PathLike[str]) -> None:
-    """Write what ``VecNormalize`` has seen, and how it normalizes.
-
-    Args:
-        normalizer: from a training.
-        path: of the file.
-    """
+    """Write the statistics and settings of a ``VecNormalize``."""
     arrays = {
         f"{name}.{part}": np.asarray(getattr(statistics, part), np.float64)
         for name, statistics in _statistics(normalizer).items()
@@ -183,14 +173,10 @@ def write_statistics(normalizer: VecNormalize, path: str | os.PathLike[str]) -> 
 
 
 def read_statistics(path: str | os.PathLike[str], venv: VecEnv) -> VecNormalize:
-    """A ``VecNormalize`` for evaluation, as :func:`write_statistics` wrote it.
-
-    Args:
-        path: of the file.
-        venv: to normalize.
+    """A ``VecNormalize`` around ``venv`` for evaluation, from :func:`write_statistics`.
 
     Raises:
-        ZooError: if it holds none, or those of other observations.
+        ZooError: if the file is of another form, or its statistics are of other observations.
     """
     with loading(path):
         settings, arrays = _read(path, _STATISTICS)
@@ -207,13 +193,13 @@ def read_statistics(path: str | os.PathLike[str], venv: VecEnv) -> VecNormalize:
 
 
 def _statistics(normalizer: VecNormalize) -> dict[str, RunningMeanStd]:
-    found = {"returns": normalizer.ret_rms}
+    statistics = {"returns": normalizer.ret_rms}
     if normalizer.norm_obs:
         of_observations: Any = normalizer.obs_rms
         if not isinstance(of_observations, dict):
             of_observations = {"": of_observations}
-        found |= {f"observations.{key}": value for key, value in of_observations.items()}
-    return found
+        statistics |= {f"observations.{key}": value for key, value in of_observations.items()}
+    return statistics
 
 
 def _write(path: str | os.PathLike[str], settings: dict[str, Any], arrays: Arrays) -> None:
@@ -233,9 +219,9 @@ def _read(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, Any], Arra
         if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
             raise ValueError("it is compressed, which no packaged file is")
         settings = json.loads(archive.read(SETTINGS), parse_constant=_refuse)
-        found = settings.pop("format")
-        if found != kind:
-            raise ValueError(f"its format is {found!r}, expected {kind!r}")
+        form = settings.pop("format")
+        if form != kind:
+            raise ValueError(f"its format is {form!r}, expected {kind!r}")
         return settings, load_arrays(archive.read(_ARRAYS))
 
 
@@ -245,8 +231,8 @@ def _refuse(constant: str) -> None:
 
 def _hints() -> dict[str, Any]:
     """Constructor arguments of Rainbow that a file holds, and their types in JSON."""
-    found = _hints_of(Rainbow.__init__, _OF_THE_MACHINE | {"policy_kwargs"})
-    return {**found, "learning_rate": float | dict[str, float], "train_freq": tuple[int, str]}
+    hints = _hints_of(Rainbow.__init__, _OF_THE_MACHINE | {"policy_kwargs"})
+    return {**hints, "learning_rate": float | dict[str, float], "train_freq": tuple[int, str]}
 
 
 def _policy_hints() -> dict[str, Any]:
@@ -266,14 +252,14 @@ def _hints_of(function: Callable[..., Any], left_out: set[str]) -> dict[str, Any
     }
 
 
-def _checked(found: dict[str, Any], hints: dict[str, Any]) -> dict[str, Any]:
+def _checked(settings: dict[str, Any], hints: dict[str, Any]) -> dict[str, Any]:
     """Settings as a constructor takes them."""
-    for name, value in found.items():
+    for name, value in settings.items():
         if name not in hints:
             raise ValueError(f"unknown setting {name}")
         if not _fits(value, hints[name]):
             raise ValueError(f"{name} cannot be {value!r}")
-    return {name: _from_plain(name, value) for name, value in found.items()}
+    return {name: _from_plain(name, value) for name, value in settings.items()}
 
 
 def _fits(value: Any, hint: Any) -> bool:
@@ -335,25 +321,27 @@ def _array(tensor: th.Tensor) -> NDArray[Any]:
 def _write_space(space: spaces.Space[Any], name: str, arrays: Arrays) -> dict[str, Any]:
     """A space as JSON has it; the bounds of boxes go to the arrays."""
     kind = type(space)
-    found: dict[str, Any] = {"type": kind.__name__}
+    written: dict[str, Any] = {"type": kind.__name__}
     if kind is spaces.Box:
         arrays |= {f"{name}.low": space.low, f"{name}.high": space.high}  # type: ignore[attr-defined]
     elif kind is spaces.Discrete:
-        found |= {"n": int(space.n), "start": int(space.start)}  # type: ignore[attr-defined]
+        written |= {"n": int(space.n), "start": int(space.start)}  # type: ignore[attr-defined]
     elif kind is spaces.MultiDiscrete:
-        found |= {"nvec": space.nvec.tolist(), "start": space.start.tolist()}  # type: ignore[attr-defined]
+        written |= {"nvec": space.nvec.tolist(), "start": space.start.tolist()}  # type: ignore[attr-defined]
     elif kind is spaces.MultiBinary:
-        found["n"] = space.n  # type: ignore[attr-defined]
+        written["n"] = space.n  # type: ignore[attr-defined]
     elif kind is spaces.Dict:
         parts = space.spaces.items()  # type: ignore[attr-defined]
-        found["spaces"] = {key: _write_space(part, f"{name}.{key}", arrays) for key, part in parts}
+        written["spaces"] = {
+            key: _write_space(part, f"{name}.{key}", arrays) for key, part in parts
+        }
     else:
         raise TypeError(space)
-    return found
+    return written
 
 
-def _read_space(found: dict[str, Any], name: str, arrays: Arrays) -> spaces.Space[Any]:
-    match found:
+def _read_space(written: dict[str, Any], name: str, arrays: Arrays) -> spaces.Space[Any]:
+    match written:
         case {"type": "Box"}:
             low, high = arrays.pop(f"{name}.low"), arrays.pop(f"{name}.high")
             return spaces.Box(low.copy(), high.copy(), dtype=low.dtype.type)
@@ -367,10 +355,10 @@ def _read_space(found: dict[str, Any], name: str, arrays: Arrays) -> spaces.Spac
             # a sequence, whose order stays
             read = {key: _read_space(part, f"{name}.{key}", arrays) for key, part in parts.items()}
             return spaces.Dict(list(read.items()))
-    raise ValueError(f"{name} cannot be {found!r}")
+    raise ValueError(f"{name} cannot be {written!r}")
 
 
-def _check_shapes(model: Rainbow, found: dict[str, tuple[int, ...]]) -> None:
+def _check_shapes(model: Rainbow, shapes: dict[str, tuple[int, ...]]) -> None:
     """Refuse weights of another network than the model's settings describe.
 
     Raises:
@@ -388,8 +376,8 @@ def _check_shapes(model: Rainbow, found: dict[str, tuple[int, ...]]) -> None:
             **model.policy_kwargs,
         )
     wanted = {name: tuple(value.shape) for name, value in policy.state_dict().items()}
-    for name in sorted(wanted.keys() | found.keys()):
-        if wanted.get(name) != found.get(name):
+    for name in sorted(wanted.keys() | shapes.keys()):
+        if wanted.get(name) != shapes.get(name):
             raise ZooError(
-                f"{name} has shape {found.get(name)}, the settings say {wanted.get(name)}"
+                f"{name} has shape {shapes.get(name)}, the settings say {wanted.get(name)}"
             )

@@ -86,32 +86,6 @@ def test_identity_with_masks_and_several_envs() -> None:
     assert np.mean(mean) > 90
 
 
-def test_hindsight_reaches_the_goals_of_sb3s_bit_flipping() -> None:
-    # By chance, 5 flips turn 5 bits into the goal in about a tenth of the episodes.
-    n_bits = 5
-    model = Rainbow(
-        "MultiInputPolicy",
-        BitFlippingEnv(n_bits=n_bits, continuous=False),
-        replay_buffer_class=HerReplayBuffer,
-        prioritized=False,
-        n_steps=1,
-        learning_rate=2e-3,
-        learning_starts=50,
-        train_freq=1,
-        batch_size=64,
-        buffer_size=5000,
-        tau=0.02,
-        v_min=-float(n_bits),
-        v_max=0.0,
-        sigma0=0.1,
-        stats_window_size=50,
-        seed=0,
-        device="cpu",
-    )
-    model.learn(1500)
-    assert np.mean(model.ep_success_buffer or [0]) > 0.9
-
-
 def test_values_of_a_chain_are_those_of_the_bellman_equation() -> None:
     """A walk of three steps with reward 1 at its end: Q = gamma^2, gamma, 1 from its start."""
     import gymnasium as gym

@@ -122,13 +122,6 @@ def test_a_schedule_of_torch_counts_the_steps(kernels: bool) -> None:
 
 
 @PATHS
-def test_without_clipping(kernels: bool) -> None:
-    free = learn(make_model(kernels, max_grad_norm=None))
-    wide = learn(make_model(kernels, max_grad_norm=1e9))
-    assert th.equal(weights(free), weights(wide))
-
-
-@PATHS
 def test_a_parameter_put_in_place_of_another_is_trained(kernels: bool) -> None:
     model = learn(make_model(kernels))
     layer: Any = model.q_net.layers[-1]

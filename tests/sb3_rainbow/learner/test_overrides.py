@@ -9,7 +9,7 @@ import torch as th
 from torch import nn
 from torch.nn.utils import parametrizations
 
-from sb3_rainbow import MlpPolicy, NoisyLinear, Rainbow
+from sb3_rainbow import MlpPolicy, Rainbow
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 
 FAST: dict[str, Any] = {
@@ -182,21 +182,6 @@ def test_changed_parts_act_and_learn(change: Callable[[RainbowNetwork], None]) -
         found.append((nn.utils.parameters_to_vector(after), model.replay_buffer))
     th.testing.assert_close(found[0][0], found[1][0])
     np.testing.assert_array_equal(found[0][1].actions, found[1][1].actions)  # type: ignore[union-attr]
-
-
-def test_noise_inside_of_a_wrapper_is_drawn_and_silenced() -> None:
-    model = make_model()
-    wrap(model.q_net)
-    obs = th.ones(50, 4)
-    inner = [m for m in model.q_net.modules() if isinstance(m, NoisyLinear)]
-    assert len(inner) == 2
-    with th.no_grad():
-        for noisy in (True, False):
-            values = []
-            for _ in range(2):
-                model.policy.reset_noise()
-                values.append(model.q_net(obs, noisy=noisy))
-            assert th.equal(*values) != noisy
 
 
 def test_a_network_that_is_the_packages_own_gets_its_kernels_back() -> None:

@@ -201,12 +201,6 @@ def test_an_update_prepares_its_observations_once(monkeypatch: pytest.MonkeyPatc
         monkeypatch.undo()
 
 
-def test_no_update_is_no_error() -> None:
-    model = make()
-    model.learn(40)
-    model.train(0)
-
-
 def test_none_means_to_load_what_it_means_to_the_constructor(tmp_path: Any) -> None:
     model = make(tau=0.5, prioritized=False, n_steps=1)
     model.save(tmp_path / "model")
@@ -245,25 +239,6 @@ def test_an_extractor_that_views_its_images_as_rows(policy: str) -> None:
         policy_kwargs={"features_extractor_class": Viewing},
     )  # fmt: skip
     assert model.learn(12)._n_updates > 0
-
-
-@pytest.mark.parametrize("path", ["kernels", "torch"])
-def test_settings_changed_between_updates_count(path: str) -> None:
-    """As SB3's, which read them at every update."""
-    model = make(cpu_kernels=path == "kernels").learn(40)
-
-    def norm() -> float:
-        model.train(1, 8)
-        gradients = [p.grad for p in model.q_net.parameters() if p.grad is not None]
-        return float(th.stack([g.norm() for g in gradients]).norm())
-
-    model.max_grad_norm = 1e-3
-    assert norm() == pytest.approx(1e-3, rel=1e-3)
-    model.max_grad_norm = None
-    assert norm() > 1e-2
-    model.double_q = False
-    model.train(1, 8)
-    assert model._learner.double_q is False
 
 
 def test_statistics_of_a_normalization_do_not_move_with_the_logs() -> None:

@@ -58,11 +58,6 @@ def test_a_termination_puts_all_mass_at_the_reward() -> None:
     assert project([0.1, 0.2, 0.3, 0.4], 0.25, 0.0, -1.0, 2.0) == pytest.approx([0, 0.75, 0.25, 0])
 
 
-@pytest.mark.parametrize(("reward", "expected"), [(50.0, [0, 0, 0, 1]), (-50.0, [1, 0, 0, 0])])
-def test_clipped_mass_gathers_at_the_end(reward: float, expected: list[float]) -> None:
-    assert project([0.1, 0.2, 0.3, 0.4], reward, 0.9, -1.0, 2.0) == pytest.approx(expected)
-
-
 @settings(max_examples=80, deadline=None)
 @given(
     n_atoms=st.integers(2, 60),
@@ -83,16 +78,6 @@ def test_projection_agrees_with_a_loop_and_keeps_mass_one(
     np.testing.assert_allclose(
         projected, slow_projection(p, reward, discount, v_min, v_max), atol=2e-4
     )
-
-
-def test_the_mean_is_kept_where_nothing_is_clipped() -> None:
-    p = th.softmax(th.randn(8, 51, generator=th.Generator().manual_seed(0)), dim=1)
-    support = th.linspace(-10.0, 10.0, 51)
-    rewards = th.linspace(-1.0, 1.0, 8)[:, None]
-    discounts = th.full((8, 1), 0.8)
-    projected = project_distribution(p, rewards, discounts, -10.0, 10.0)
-    expected = rewards[:, 0] + 0.8 * (p @ support)
-    th.testing.assert_close(projected @ support, expected, atol=1e-4, rtol=1e-4)
 
 
 def test_clipped_share_is_the_mass_outside() -> None:

@@ -179,15 +179,3 @@ def test_continuous_actions_of_other_algorithms_are_kept_whole() -> None:
     actions = buffer.sample(20).actions
     assert actions.dtype == th.float32
     assert (actions != actions.round()).all()
-
-
-def test_memory_of_a_million_transitions_stays_below_300_megabytes() -> None:
-    buffer = PrioritizedReplayBuffer(
-        1_000_000, spaces.Box(0, 1, (12,), np.float32), spaces.Discrete(12), device="cpu", n_envs=16
-    )
-    masks = np.ones((16, 12), bool)
-    obs = np.zeros((16, 12), np.float32)
-    buffer.add(obs, obs, np.zeros(16), np.zeros(16), np.zeros(16), [{}] * 16, masks)
-    arrays: list[Any] = [buffer.observations, buffer.actions, buffer.rewards, buffer.ends]
-    arrays += [buffer.next_action_masks, buffer.tree._tree, buffer._store.slots]
-    assert sum(array.nbytes for array in arrays) < 300e6

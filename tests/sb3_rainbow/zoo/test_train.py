@@ -3,7 +3,6 @@
 from importlib import resources
 from pathlib import Path
 
-import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
@@ -40,12 +39,6 @@ def test_the_hyperparameters_of_the_package(env_id: str) -> None:
     for name in {"v_min", "v_max", "gamma", "tau", "batch_size", "n_atoms"} & OURS[env_id].keys():
         assert getattr(model, name) == OURS[env_id][name]
     assert model.num_timesteps == 64
-
-
-def test_an_environment_without_an_entry_needs_no_support() -> None:
-    gym.register("Balance-v7", "gymnasium.envs.classic_control.cartpole:CartPoleEnv")
-    zoo("train --env Balance-v7 -n 20 --eval-freq -1 --device cpu --verbose 0")
-    assert trained(1, "Balance-v7").distributional == "quantile"
 
 
 def test_a_package_that_announces_its_environments_needs_no_flag() -> None:
@@ -134,12 +127,6 @@ def test_bad_input_is_one_clear_error(command: str, said: str) -> None:
     Path("text.zip").write_text("no archive")
     with pytest.raises(SystemExit, match=rf"python -m sb3_rainbow.zoo \w+: error: .*{said}"):
         zoo(command)
-
-
-def test_an_unknown_algorithm_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        zoo("train --algo rainbo")
-    assert "invalid choice: 'rainbo'" in capsys.readouterr().err
 
 
 def test_enjoy_refuses_a_file_of_another_algorithm() -> None:
