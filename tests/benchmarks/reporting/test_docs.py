@@ -1,4 +1,4 @@
-"""docs/benchmarks.md names every key of a preset with its default, and commands that exist."""
+"""docs/presets.md has every key of a preset with its default, docs/benchmarks.md real commands."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ from benchmarks.runs.callbacks import ROWS
 from benchmarks.runs.ray_backend import RETRIES
 from benchmarks.studies import catalogue
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs" / "benchmarks.md").read_text("utf-8")
+DOCS = Path(__file__).resolve().parents[3] / "docs"
+PAGE = (DOCS / "benchmarks.md").read_text("utf-8")
+PRESETS = (DOCS / "presets.md").read_text("utf-8")
 SECTIONS: dict[str, type] = {
     "Preset": presets.Preset,
     "Group of runs": presets.RunGroup,
@@ -34,7 +36,7 @@ SECTIONS: dict[str, type] = {
 
 
 def section(title: str) -> str:
-    return re.split(r"^#+ ", PAGE.split(f"\n### {title}\n")[1], maxsplit=1, flags=re.MULTILINE)[0]
+    return re.split(r"^#+ ", PRESETS.split(f"\n## {title}\n")[1], maxsplit=1, flags=re.MULTILINE)[0]
 
 
 @pytest.mark.parametrize("title", sorted(SECTIONS))
@@ -68,7 +70,7 @@ def test_every_name_is_there() -> None:
 
 
 def test_the_example_is_a_preset() -> None:
-    (example,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    (example,) = re.findall(r"```yaml\n(.*?)```", PRESETS, re.DOTALL)
     preset = presets.parse_preset(yaml.safe_load(example), "example", "example")
     # two tracks and two ablations, a control, four on the machine, the optimum, for three seeds
     assert len(expand(preset)) == 3 * (2 * 2 + 1 + 4 + 1)
