@@ -163,7 +163,7 @@ class CoopInsertionContactEnv(PhysicsEnv):
     A hole is drawn among those that the 3-RRS can turn upright; the tip stands 10 mm above where
     its mouth is believed to be, aligned. Really it stands up to 3 mm to the side (uniform over the
     disc) and is tilted up to 1 degree about its mouth, because the 3-RRS's base stands askew.
-    Friction is drawn in 0.1 to 0.4. Options of :meth:`reset`: ``hole``; ``error``, the displacement
+    Friction is drawn in 0.1 to 0.4. Options of ``reset``: ``hole``; ``error``, the displacement
     along x, y (m) and tilt about x, y (rad); ``friction``.
 
     **Episode End**
@@ -261,7 +261,7 @@ class CoopInsertionPhysicsEnv(PhysicsEnv):
 
     That of ``CoopInsertion-v0``. The 3-RRS's base stands askew by the contact task's unknown
     ``position_error`` and ``tilt_error``, about the point where the mouth of an aligned hole is.
-    Options of :meth:`reset`: ``configuration``, ``target``, ``filled`` of the kinematic task,
+    Options of ``reset``: ``configuration``, ``target``, ``filled`` of the kinematic task,
     ``error`` and ``friction`` of the contact task.
 
     **Episode End**

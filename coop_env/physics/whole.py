@@ -108,7 +108,7 @@ class WholeBatch(PhysicsBatch):
     def advance(self, wanted: Floats) -> None:
         """One control step, in which joints are led evenly to configurations (n, 6).
 
-        A hole that it fills is :attr:`inserted`, else that is -1; the next one is the target then.
+        A hole that it fills is ``inserted``, else that is -1; the next one is the target then.
         """
         self._advance(wanted)
         self.inserted[:] = -1

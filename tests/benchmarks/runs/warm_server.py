@@ -13,6 +13,7 @@ import os
 import signal
 import sys
 import tempfile
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -62,15 +63,11 @@ def run(request: dict[str, Any]) -> None:
 
 def warm_up(preset: str, cells: list[str]) -> None:
     """Import what a run imports and compile what it compiles."""
-    from benchmarks.runs.cell import run_cell
-    from benchmarks.runs.store import Store
-    from benchmarks.studies.insertion import Insertion
+    from benchmarks.cli import main
 
-    experiment = Insertion(preset)
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, redirect_stdout(sys.stderr):
         for cell in cells:
-            store = Store.open(folder, experiment.name, create=True)
-            run_cell(experiment, experiment.find(cell), store)
+            main(["train", "--preset", preset, "--results", folder, "--cell", cell])
 
 
 def main() -> None:
