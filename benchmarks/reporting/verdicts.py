@@ -7,6 +7,7 @@ steps than the paper trains, says so and gives no verdict.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final
 
 from benchmarks.protocol import labels
@@ -22,7 +23,7 @@ from benchmarks.reporting.compared import (
     comparisons,
     find,
 )
-from benchmarks.reporting.results import Group, Results, tail_mean
+from benchmarks.reporting.results import MAIN, Group, Results, tail_mean
 from benchmarks.reporting.rows import Row, control_of, row_of, scored
 from benchmarks.reporting.stats import Value, over_seeds
 
@@ -72,7 +73,7 @@ def performance(results: Results, compared: list[Comparison]) -> str:
     if not ours.group.n:
         return ""
     script = find(compared, CONTROL, ours)
-    masked = find(compared, MASKED, ours)
+    others = [c.theirs for c in compared if (c.question, c.ours) == (MASKED, ours)]
     success = ours.success()
     n, planned = ours.group.n, ours.group.planned
     so_far = f" ({n} of {planned} seeds so far)" if n < planned else ""
@@ -84,8 +85,11 @@ def performance(results: Results, compared: list[Comparison]) -> str:
     told += f", the exact optimum {_show(optimum.success())})" if optimum.group.n else ")"
     if script:
         told += f", the best script under the same masks in {_show(script.theirs.success())}"
-    if masked:
-        told += f", masked DQN in {_show(masked.theirs.success())}"
+    for other in others:
+        told += f", {other.name.partition(',')[0]} in {_show(other.success())}"
+        greedily = replace(other, level=MAIN)
+        if other.method == "maskable_ppo" and other != greedily:
+            told += f" (greedily {_show(greedily.success())})"
     if why := ground(ours):
         return f"**No verdict yet on performance** ({why}): {told}."
     reached = success.mean >= SUCCESS_LEAST
@@ -107,7 +111,14 @@ def components(results: Results, compared: list[Comparison]) -> str:
     full = row_of(results, "rainbow", scored(results)).as_trained()
     if not full.group.n:
         return ""
-    together = find(compared, MASKED, full)
+    together = next(
+        (
+            c
+            for c in compared
+            if (c.question, c.ours) == (MASKED, full) and c.theirs.method == "rainbow"
+        ),
+        None,
+    )
     singles = [c for c in compared if c.question == ABLATION and c.ours.group.n]
     parts = []
     if together:

@@ -11,10 +11,12 @@ friction. Last, both searches insert with other timesteps, contacts and play, an
 from __future__ import annotations
 
 import itertools
+import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -139,18 +141,18 @@ def _tables(parts: Mapping[str, Any]) -> Iterator[str]:
             for name, one in parts.get("standard", {}).items()
         ],
     )
-    varied = {level: parts.get(f"{level}, varied", []) for level in SENSITIVE}
-    if not any(varied.values()):
-        return
-    yield plain(
+
+
+def _varied(parts: Mapping[str, Any]) -> str:
+    return plain(
         f"What the simulation assumes, varied; errors to {TRAINED:g} mm",
         "level | script | variant | success (%) / median time (s) / median peak force (N) | "
         f"largest peak (N) | rim yields at {PRESSED:g} N (mm)",
         [
             [level, row["script"], row["variant"], in_cell(row), f"{max(row['force']):.1f}",
              f"{1e3 * row['yields']:.3f}"]
-            for level, rows in varied.items()
-            for row in rows
+            for level in SENSITIVE
+            for row in parts.get(f"{level}, varied", [])
         ],
     )  # fmt: skip
 
@@ -202,3 +204,13 @@ class Contact(Measured):
             f"Gains chosen: {chosen}. {source(found)}"
         )
         return "\n\n".join([*_tables(parts), note])
+
+    @classmethod
+    def files(cls, results: Path) -> dict[Path, str]:
+        path = results / cls.file
+        if not (files := super().files(results)):
+            return {}
+        found = json.loads(path.read_text(encoding="utf-8"))
+        return files | {
+            path.with_name("varied.md"): _varied(found["parts"]) + f"\n\n{source(found)}\n"
+        }

@@ -77,7 +77,7 @@ def test_the_success_rate_reproduces(tell: Tell) -> None:
     assert told.startswith("**The success rate reproduces**: with the reward repaired Rainbow")
     assert "in 95.0 ± 1.0 % of the test episodes as trained, 95.0 ± 1.0 greedily" in told
     assert "(paper 95 ± 2, the exact optimum 97.3 ± 0.6)" in told
-    assert "the best script under the same masks in 50.3 ± 1.5, masked DQN in 70.0 ± 2.0" in told
+    assert "the best script under the same masks in 50.3 ± 1.5, Masked DQN in 70.0 ± 2.0" in told
 
 
 @pytest.mark.parametrize(
