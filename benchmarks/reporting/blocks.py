@@ -11,7 +11,7 @@ folder. `report` and every study fill their blocks, `verify` compares.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -23,27 +23,24 @@ Block = Callable[[str], str]
 #: by name; one of which the data are missing raises KeyError, and stays as it is
 Blocks = Mapping[str, Block]
 
+#: of the gallery: heading, command, pictures; entries of one heading stand together
 GALLERY: Final = (
-    ("Both robots, and the view", "study media", "media/*"),
-    ("Geometric optimization", "study design", "design/figures/*"),
-    ("What rewards pay for", "study audit", "audit/*"),
+    ("The robots", "study media", "media/*"),
+    ("The robots", "study trajectory", "trajectory/*"),
+    ("The robots", "study contact --film", "contact/*"),
+    ("Design of the 3-RRS", "study design", "design/figures/*"),
+    ("Design of the 3-RRS", "study codesign", "codesign/figures/*"),
     ("The paper at its own scale", "figures --preset paper", "paper/figures/*"),
+    ("Public suites, contact and teams", "figures --preset PRESET", "classic/*/figures/*"),
+    ("Public suites, contact and teams", "figures --preset team", "team/figures/*"),
     ("The first runs, cut short", "figures --preset cut", "cut/figures/*"),
-    ("Failures, safe", "study failures --preset cut --track safe", "cut/failures/*-safe.*"),
-    ("Failures, memory", "study failures --preset cut --track memory", "cut/failures/*-memory.*"),
-    ("Design and team", "study codesign", "codesign/figures/*"),
-    ("Insertion in contact", "study contact --film", "contact/*"),
-    ("Learners in contact", "figures --preset contact", "classic/contact/figures/*"),
-    ("A trajectory for a controller", "study trajectory", "trajectory/*"),
-    ("Two robots at once", "figures --preset team", "team/figures/*"),
-    ("Control tasks", "figures --preset control", "classic/control/figures/*"),
-    ("LunarLander for longer", "figures --preset lunarlander300k",
-     "classic/lunarlander300k/figures/*"),
-    ("MinAtar", "figures --preset minatar", "classic/minatar/figures/*"),
-    ("Atari", "figures --preset atari100k", "classic/atari100k/figures/*"),
-    ("The bare line", "figures --preset defaults", "classic/defaults/figures/*"),
-    ("Masks", "figures --preset basics", "classic/basics/figures/*"),
+    ("The first runs, cut short", "study failures --preset cut --track safe",
+     "cut/failures/*-safe.*"),
+    ("The first runs, cut short", "study failures --preset cut --track memory",
+     "cut/failures/*-memory.*"),
+    ("The first runs, cut short", "study audit", "audit/*"),
 )  # fmt: skip
+COLUMNS: Final = 5
 ENDS: Final = (".png", ".gif")
 
 
@@ -109,38 +106,35 @@ def include(results: Path) -> Block:
     return read
 
 
-def gallery(results: Path, captions: Mapping[str, str]) -> Block:
-    """The block of all pictures, each under the command that writes it.
+def gallery(results: Path) -> Block:
+    """The block of all pictures as thumbnails, below the commands that write them.
 
-    ``captions`` are by path below ``results``; where there is none, another page's words for the
-    picture are taken, or its name.
+    A caption is the picture's folder and name: the pages that show it say more.
     """
 
     def body(_: str) -> str:
-        said = dict(_shown(path for path in pages_of(results) if path.name != "gallery.md"))
-        sections = []
+        commands: dict[str, list[str]] = {}
+        cells: dict[str, list[str]] = {}
         for title, command, glob in GALLERY:
-            cells = []
             for path in sorted(p for p in results.glob(glob) if p.suffix in ENDS):
                 name = path.relative_to(results).as_posix()
-                plain = re.sub(r"\W|_", " ", path.stem).capitalize()
-                caption = captions.get(name) or said.get(name) or plain
-                cells.append(f"![{caption}](../results/{name})<br>{caption}")
-            if cells:
-                cells += [""] * (len(cells) % 2)
-                rows = [f"| {a} | {b} |" for a, b in zip(cells[::2], cells[1::2], strict=True)]
-                table = "\n".join(["| | |", "|---|---|", *rows])
-                sections.append(f"## {title}\n\n    python -m benchmarks {command}\n\n{table}")
+                folder = next(p for p in path.parents if p.name not in ("figures", "failures"))
+                caption = f"{folder.name}: {re.sub('[-_]', ' ', path.stem)}"
+                cell = f"[![](../results/{name})<br>{caption}](../results/{name})"
+                cells.setdefault(title, []).append(cell)
+                known = commands.setdefault(title, [])
+                known += [] if command in known else [command]
+        sections = []
+        for title, found in cells.items():
+            found += [""] * (-len(found) % COLUMNS)
+            lines = ["|" * (COLUMNS + 1), "|---" * COLUMNS + "|"]
+            rows = [found[i : i + COLUMNS] for i in range(0, len(found), COLUMNS)]
+            lines += ["|".join(["", *row, ""]) for row in rows]
+            said = "\n".join(f"    python -m benchmarks {command}" for command in commands[title])
+            sections.append(f"## {title}\n\n{said}\n\n" + "\n".join(lines))
         return "\n\n".join(sections)
 
     return body
-
-
-def _shown(pages: Iterable[Path]) -> Iterator[tuple[str, str]]:
-    """Pictures that pages show: path below ``results``, words."""
-    for page in pages:
-        for text, name in re.findall(r"!\[([^\]]+)\]\([./]*results/([^)]+)\)", page.read_text()):
-            yield name, text
 
 
 def provenance(preset: str, runs: Sequence[RunFolder], missing: int = 0, controls: int = 0) -> str:
@@ -151,10 +145,11 @@ def provenance(preset: str, runs: Sequence[RunFolder], missing: int = 0, control
     minutes = sum(run.cpu_seconds() for run in runs) / 60.0
     commits = sorted({str(meta["commit"])[:9] for meta in metas})
     dirty = " with uncommitted changes" if any(meta["dirty"] for meta in metas) else ""
+    at = f"commit {', '.join(commits)}" if len(commits) < 3 else f"{len(commits)} commits"
     machines = sorted({str(meta["machine"]["processor"]) for meta in metas})
     lacking = f" ({missing} are missing)" if missing else ""
     trained = f"{len(runs) - controls} runs" + (f" and {controls} of controls" if controls else "")
     return (
-        f"Preset `{preset}`: {trained}{lacking}, {minutes:.0f} CPU minutes, at commit "
-        f"{', '.join(commits)}{dirty}, on {'; '.join(machines)}."
+        f"Preset `{preset}`: {trained}{lacking}, {minutes:.0f} CPU minutes, at {at}"
+        f"{dirty}, on {'; '.join(machines)}."
     )

@@ -111,22 +111,11 @@ def all_blocks(results: Path) -> Mapping[str, Block]:
         "results": lambda said: science.short(of_store(said)),
         "science": lambda said: science.science(of_store(said)),
         "classic": public,
-        "gallery": blocks.gallery(results, captions(results)),
+        "gallery": blocks.gallery(results),
     }
     for name in STUDIES:
         found |= study(name).blocks(results)
     return found
-
-
-def captions(results: Path) -> dict[str, str]:
-    """What stands under the pictures of the stores, by path below ``results``."""
-    return {
-        (folder / "figures" / f"{picture.name}.png")
-        .relative_to(results)
-        .as_posix(): picture.caption
-        for name, folder in stores(results).items()
-        for picture in experiment(name).pictures(Store.open(folder.parent, folder.name))
-    }
 
 
 def verify(results: Path, presets: list[str]) -> Report:

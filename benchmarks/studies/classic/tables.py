@@ -31,11 +31,9 @@ _MASKS = (
 )
 
 _CONTROLS = {
-    "random": "Random: every allowed action as likely.",
-    "held": "One action: all the time the one that is best on the episodes by which a learner is "
-    "tested during training.",
-    "script": "Script: a few lines by hand on a learner's observation "
-    "(`benchmarks/studies/classic/controls.py`).",
+    "random": "Random: allowed actions, uniformly.",
+    "held": "One action: the best constant one on the episodes that test during training.",
+    "script": "Script: a few lines by hand (`benchmarks/studies/classic/controls.py`).",
 }
 
 
@@ -97,8 +95,7 @@ def _scores(results: Results) -> Table:
         ["Task", "Steps", "Goal", "Seeds", *(label(m) for m in preset.methods), *published],
         rows,
         [
-            f"Mean over seeds [{_INTERVAL}]; test episodes begin from seeds that neither training "
-            "nor the evaluations during training use.",
+            f"Mean over seeds [{_INTERVAL}]; the test episodes' seeds are used for nothing else.",
             *(notes if published else []),
             *([_MASKS] if any(t.env == MASKED_IDENTITY for t in preset.tasks.values()) else []),
         ],
@@ -186,9 +183,8 @@ def _together(results: Results, tasks: list[str]) -> Table:
         ["Method", "Seeds", "Interquartile mean", f"P({label(ours)} is better)"],
         rows,
         [
-            "Scores are scaled so that on each task the worst run of any method is 0 and the best "
-            "is 1. Interquartile mean and probability of improvement as Agarwal et al. 2021 define "
-            "them, [95 % stratified bootstrap interval over seeds].",
+            "On each task the worst run of any method scores 0, the best 1. Measures of Agarwal et "
+            "al. 2021 [95 % stratified bootstrap interval over seeds].",
         ],
     )
 

@@ -75,7 +75,7 @@ def test_every_committed_picture_is_shown() -> None:
     if listed.returncode != 0:
         pytest.skip("not a git checkout")
     page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
-    shown = set(re.findall(r"\]\(\.\./(results/[^)]+)\)", page))
+    shown = set(re.findall(r"!\[\]\(\.\./(results/[^)]+)\)", page))
     assert {*listed.stdout.split()} - shown == set()
 
 
@@ -88,17 +88,15 @@ def test_the_commands_of_the_gallery_exist(command: str) -> None:
         parser().parse_args([verb, *words])
 
 
-def test_captions_come_from_the_pages_and_names_stand_in(tmp_path: Path) -> None:
-    for name in ("scene", "ending_of_it"):
-        path = tmp_path / "results" / "media" / f"{name}.png"
+def test_the_gallery_shows_thumbnails_that_link_to_the_picture(tmp_path: Path) -> None:
+    for name in ("media/scene", "cut/figures/safe_loss"):
+        path = tmp_path / "results" / f"{name}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.new("RGB", (4, 4)).save(path)
-    write_text(tmp_path / "README.md", "![Both robots](results/media/scene.png)\n")
-    text = blocks.gallery(tmp_path / "results", {})("")
-    assert (
-        "| ![Ending of it](../results/media/ending_of_it.png)<br>Ending of it "
-        "| ![Both robots](../results/media/scene.png)<br>Both robots |"
-    ) in text
+    text = blocks.gallery(tmp_path / "results")("")
+    assert "|[![](../results/media/scene.png)<br>media: scene](../results/media/scene.png)|" in text
+    assert "<br>cut: safe loss](../results/cut/figures/safe_loss.png)|" in text
+    assert text.count("python -m benchmarks") == 2
 
 
 def test_a_changed_digit_is_seen(tmp_path: Path) -> None:
