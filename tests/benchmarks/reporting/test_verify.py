@@ -42,11 +42,11 @@ def verify(store: Store) -> list[str]:
 
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
-    """Results of preset quick, two pages about them, the committed design and its pages."""
+    """Results of preset quick, pages about them, the committed design and its pages."""
     unneeded = shutil.ignore_patterns("figures")
     shutil.copytree(RESULTS / "design", tmp_path / "results" / "design", ignore=unneeded)
     (tmp_path / "docs").mkdir()
-    for name in ("design.md", "kinematics.md"):
+    for name in {page for page, _ in of_design()}:
         shutil.copy(ROOT / "docs" / name, tmp_path / "docs" / name)
     store = make_store(tmp_path / "results", [0])
     for table in build_tables(store):

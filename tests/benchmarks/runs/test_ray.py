@@ -62,6 +62,7 @@ def cluster() -> Iterator[Any]:
     with tempfile.TemporaryDirectory(prefix="ray") as folder, pytest.MonkeyPatch.context() as patch:
         patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
         patch.setenv("RAY_TMPDIR", folder)
+        patch.setenv("RAY_worker_niceness", "0")  # 15 starves beside another job
         cluster = Cluster(initialize_head=True, head_node_args=small)
         cluster.add_node(**small)
         yield cluster
@@ -81,7 +82,9 @@ def wait_for(condition: Callable[[], Any], process: subprocess.Popen[str]) -> An
     deadline = time.monotonic() + 120
     while not (found := condition()):
         assert process.poll() is None, process.communicate()[0]
-        assert time.monotonic() < deadline
+        if time.monotonic() > deadline:
+            process.kill()  # or later tests meet it
+            raise AssertionError(process.communicate()[0])
         time.sleep(0.02)
     return found
 
