@@ -1,4 +1,4 @@
-"""The results of README.md and docs/results.md: sentences, tables and figures of a store."""
+"""The results of README.md and of two pages of docs/: sentences, tables and figures of a store."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from benchmarks.reporting.tables.table import Cell, Number, Table
 from benchmarks.reporting.verdicts import of_six, sentences
 from benchmarks.runs.store import Store
 
+PAPER: Final = ("Performance", "Ablation", "Geometry", "As printed")  # docs/results.md
 SHORT: Final = ("performance", "components", "geometry")  # the sentences of the README
 # of the page of science: heading, sentences, tables, figures with what they show
 SECTIONS: Final[tuple[tuple[str, tuple[str, ...], tuple[str, ...], dict[str, str]], ...]] = (
@@ -44,12 +45,14 @@ def six(results: Results) -> Table:
     return Table("six", "Success rate (%) on the test episodes", ["Method", "Paper", "Ours"], made)
 
 
-def science(store: Store) -> str:
-    """What docs/results.md shows: sentences, tables and figures by question."""
+def science(store: Store, beyond: bool = False) -> str:
+    """Sentences, tables and figures by question: the paper's, or those beyond the paper."""
     results, told = Results(store), sentences(Results(store))
     by_name = {table.name: table for table in build_tables(store)}
     parts = []
     for heading, topics, names, figures in SECTIONS:
+        if beyond is (heading in PAPER):
+            continue
         shown = [told[topic] for topic in topics if topic in told]
         shown += [by_name[name].markdown() for name in names if by_name[name].rows]
         if not shown:

@@ -109,7 +109,7 @@ def all_blocks(results: Path) -> Mapping[str, Block]:
     found: dict[str, Block] = {
         "include": blocks.include(results),
         "results": lambda said: science.short(of_store(said)),
-        "science": lambda said: science.science(of_store(said)),
+        "science": lambda said: science.science(of_store(said.split()[0]), "beyond" in said),
         "classic": public,
         "gallery": blocks.gallery(results),
     }

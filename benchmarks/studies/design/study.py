@@ -33,8 +33,6 @@ import yaml
 from benchmarks.errors import BenchmarkError, at_least
 from benchmarks.methods.geometric_design import measured_runs, run_rows, table_rows
 from benchmarks.reporting.blocks import Block
-from benchmarks.reporting.tables.geometric import design_table
-from benchmarks.reporting.tables.table import Table
 from benchmarks.runs.machine import describe
 from benchmarks.studies.base import Part, Study, Tick
 from benchmarks.studies.design import analyses
@@ -127,10 +125,7 @@ class Design(Study):
         store = DesignStore(results)
         if not store.is_complete():
             return {}
-        found: dict[str, Block] = {
-            "design-table": lambda _: table(store).markdown(),
-            "design-provenance": lambda _: _provenance(store),
-        }
+        found: dict[str, Block] = {"design-provenance": lambda _: _provenance(store)}
         return found | {name: partial(_columns, store, name) for name in COLUMNS}
 
     @classmethod
@@ -148,11 +143,6 @@ class Design(Study):
                     f"mean of runs.csv is {wanted:.7g}"
                 )
         return found
-
-
-def table(store: DesignStore) -> Table:
-    """The paper's table, ours beside it, with the reasons under it."""
-    return design_table(store.rows("table"), int(store.meta()["runs"]))
 
 
 def _columns(store: DesignStore, name: str, _: str) -> str:
