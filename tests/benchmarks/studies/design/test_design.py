@@ -89,7 +89,7 @@ def test_figures_and_pages_come_from_stored_data_alone(
     monkeypatch.setattr(design_study, "atlas_rows", lambda *_: pytest.fail("it computed"))
     assert main(["study", "design", "--figures-only", "--results", str(tmp_path / "results")]) == 0
     assert "9.999" not in page.read_text("utf-8")
-    assert "Orientation workspace" in page.read_text("utf-8")
+    assert "| differential evolution |" in page.read_text("utf-8")
     assert len(list(store.figures.glob("*.png"))) == 5
 
 
