@@ -35,12 +35,11 @@ def team(results: Results) -> list[Table]:
         found += [(ablation, row)] if row.group.n or row.group.planned else []
     found = sorted([*found, *at_once], key=lambda pair: _order(*pair))
     optimum = results.group(OPTIMUM_AT_ONCE)
-    header = ["Method", "Components", "Robots move", "Decided by", "Success (%)", "95 % interval"]
+    header = ["Method", "Components", "Robots move", "Decided by", "Success (%)"]
     header += [*(metric.label for metric in SHOWN), "Ticks over the optimum at once (%)"]
     made: list[list[Cell]] = []
     for ablation, row in found:
-        success = row.success()
-        cells = [row.cell(success), success.interval_text(1)]
+        cells = [row.cell(row.success())]
         cells += [row.cell(row.value(metric), metric.digits) for metric in SHOWN]
         excess = row.cell(excess_over_optimum(row.group, optimum))
         made.append([*_head(ablation, row), *cells, excess])
@@ -120,9 +119,8 @@ def _answers(results: Results, ablation: str) -> list[str]:
         alone = results.group("rainbow", track=IN_TURN, ablation=ablation)
         compared.append(("Rainbow", alone, central.group))
     gains = [
-        f"{name} takes {_signed(excess_over_optimum(at_once, in_turn), ' %')} ticks to the first "
-        f"insertion, on starts that it solved both ways, and its success rate changes by "
-        f"{_signed(_change(at_once, in_turn), ' points')}"
+        f"{name} changes its ticks by {_signed(excess_over_optimum(at_once, in_turn), ' %')}, its "
+        f"success rate by {_signed(_change(at_once, in_turn), ' points')}"
         for name, in_turn, at_once in compared
         if in_turn.n and at_once.n
     ]
@@ -133,15 +131,13 @@ def _answers(results: Results, ablation: str) -> list[str]:
 
 def _costs(central: Row, others: list[Row]) -> list[str]:
     """The best decentralized learner with and without sight, beside the central one."""
-    parts = [f"the central Rainbow inserts in {central.success().mean:.1f} % of the episodes"]
-    for sight, words in ((True, "in sight of each other"), (False, "without sight")):
+    parts = [f"the central Rainbow has {central.success().mean:.1f} %"]
+    for sight, words in ((True, "in sight"), (False, "without sight")):
         seen = [row for row in others if bool((row.settings or {}).get("sight")) == sight]
         if seen:
             best = max(seen, key=lambda row: row.success().mean)
             change = _signed(_change(best.group, central.group), " points")
-            parts.append(
-                f"{words} the best of the others, {LEARNERS[_of(best)]}, changes that by {change}"
-            )
+            parts.append(f"{words} {LEARNERS[_of(best)]}, the best, changes that by {change}")
     return parts if len(parts) > 1 else []
 
 

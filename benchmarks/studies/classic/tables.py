@@ -21,7 +21,7 @@ from benchmarks.studies.robots.contact_report import build_contact_tables
 
 # tables of the page, each with its figure
 SHOWN: Final = {
-    **{"scores": "curves", "controls": "", "normalized": "", "together": ""},
+    **{"scores": "curves", "controls": "", "together": ""},
     **{"contact": "contact", "friction": ""},
 }
 _INTERVAL = "Student's 95 % interval, of three seeds or more"
@@ -103,9 +103,9 @@ def _scores(results: Results) -> Table:
 
 
 def _controls(results: Results) -> Table:
-    """What plays without learning, on the learners' test episodes, beside the first method."""
+    """What plays without learning, on the learners' test episodes."""
     preset = results.preset
-    columns = [preset.methods[0], *preset.controls]
+    columns = preset.controls
     rows: list[list[Cell]] = []
     for key, task in preset.tasks.items():
         values = [results.score(key, name) for name in columns]

@@ -44,10 +44,10 @@ def test_a_row_for_each_form_with_its_ticks_over_the_optimum(table: Table) -> No
 
 def test_the_two_questions_are_answered_from_the_runs(table: Table) -> None:
     cost, change = (note for note in table.notes if note.startswith("Full Rainbow, what"))
-    assert "central Rainbow inserts in 85.0 %" in cost
+    assert "central Rainbow has 85.0 %" in cost
     assert cost.count("changes that by +0.0 points [0.0, 0.0]") == 2
-    assert "the exact optimum takes -20.0 % ticks" in change
-    assert "Rainbow takes +0.0 % ticks" in change
+    assert "the exact optimum changes its ticks by -20.0 %" in change
+    assert "Rainbow changes its ticks by +0.0 %" in change
 
 
 def test_other_tables_are_of_robots_that_move_in_turn(store: Store) -> None:

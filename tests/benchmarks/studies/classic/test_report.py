@@ -112,14 +112,12 @@ def test_published_marks_stand_beside_the_scores(tmp_path: Path) -> None:
     assert boxing[1:] == ["0.1", "12.1", "0.492 [0.285, 0.699]", "0.008"]
 
 
-def test_controls_stand_beside_the_first_method_and_move_no_score(
-    preset: Preset, store: Store
-) -> None:
+def test_controls_have_their_own_table_and_move_no_score(preset: Preset, store: Store) -> None:
     tables = {table.name: table for table in build_tables(Results(preset, store))}
     shown = {row[0]: row[1:] for row in tables["controls"].texts()}
-    assert tables["controls"].header[1:] == ["Rainbow", "Random", "One action", "Script"]
-    assert shown["CartPole-v1"] == ["30.5", "1.5", "2.5", "33.5"]
-    assert shown["Masked identity"] == ["30.0", "1.0", "2.0", "-"]
+    assert tables["controls"].header[1:] == ["Random", "One action", "Script"]
+    assert shown["CartPole-v1"] == ["1.5", "2.5", "33.5"]
+    assert shown["Masked identity"] == ["1.0", "2.0", "-"]
     without = Results(dataclasses.replace(preset, controls=[]), store)
     plain = {table.name: table for table in build_tables(without)}
     assert "controls" not in plain
