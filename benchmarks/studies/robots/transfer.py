@@ -208,7 +208,7 @@ def _cell(name: str, world: str, results: Path, episodes: int, tick: Tick) -> Ro
 def _tables(parts: Mapping[str, Row]) -> Iterator[str]:
     said: dict[str, Callable[[Row], str]] = {
         "Success (%) / first hole filled (%) / holes filled": _shares,
-        "Why the first hole was not filled, episodes": _causes,
+        "Episodes without a first hole, by the most frequent cause": _causes,
         "Median time of the first hole (s) / median peak force (N)": _medians,
     }
     for title, cell in said.items():
@@ -226,7 +226,7 @@ def _shares(row: Row) -> str:
 
 def _causes(row: Row) -> str:
     counted = Counter(cause for cause in row["failure"] if cause)
-    return ", ".join(f"{cause} {n}" for cause, n in sorted(counted.items())) or "-"
+    return ", ".join(f"{cause} {n}" for cause, n in counted.most_common(1)) or "-"
 
 
 def _medians(row: Row) -> str:
