@@ -46,7 +46,7 @@ class RainbowPolicy(AsVector, BasePolicy):
         optimizer_class: optimizer to use, Adam by default.
         optimizer_kwargs: its keyword arguments besides the learning rate.
         noisy_layers: ``"last_two"``, ``"head"`` or ``"all"``.
-        dueling: see ``RainbowNetwork``, as for the parameters that follow.
+        dueling: see ``Rainbow``, as for the parameters that follow.
 
     Raises:
         ValueError: without ``distributional``, which Rainbow hands over and no other algorithm.
@@ -200,21 +200,7 @@ class RainbowPolicy(AsVector, BasePolicy):
         deterministic: bool = False,
         action_masks: NDArray | None = None,
     ) -> tuple[NDArray, tuple[NDArray, ...] | None]:
-        """Greedy actions; with fresh noise in the noisy layers unless ``deterministic``.
-
-        Args:
-            observation: one observation or a batch.
-            state: passed through.
-            episode_start: unused.
-            deterministic: mean weights instead of noisy ones.
-            action_masks: True where allowed, ``(n_actions,)`` or ``(B, n_actions)``.
-
-        Returns:
-            actions, and ``state``.
-
-        Raises:
-            ValueError: for masks of another shape, or with a row that allows nothing.
-        """
+        """As ``Rainbow.predict``, without its epsilon."""
         self.set_training_mode(False)
         if isinstance(observation, tuple):
             raise ValueError(

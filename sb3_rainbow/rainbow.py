@@ -438,19 +438,7 @@ class Rainbow(ResumableAlgorithm):
         use_masking: UseMasking | None = None,
         progress_bar: bool = False,
     ) -> SelfRainbow:
-        """Learn for ``total_timesteps`` steps.
-
-        Args:
-            total_timesteps: steps of the env, over all envs.
-            callback: called at every step.
-            log_interval: episodes between two log entries.
-            tb_log_name: name of the run in TensorBoard.
-            reset_num_timesteps: False to go on counting.
-            use_masking: overrides the constructor's, from here on.
-            progress_bar: show a progress bar.
-
-        Returns:
-            self.
+        """As SB3's ``learn``; ``use_masking`` overrides the constructor's from here on.
 
         Raises:
             ValueError: for masks that the env or the buffer cannot serve.

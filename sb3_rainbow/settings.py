@@ -6,10 +6,8 @@ import warnings
 import zipfile
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-import torch as th
-from gymnasium import spaces
 from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.save_util import open_path
@@ -17,8 +15,8 @@ from stable_baselines3.common.save_util import open_path
 from sb3_rainbow.network.rainbow_network import head_of
 from sb3_rainbow.policies import CnnPolicy, RainbowPolicy
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
-from sb3_rainbow.replay.parameters import check_replay_parameters
-from sb3_rainbow.type_aliases import Distributional, UseMasking
+from sb3_rainbow.replay.parameters import check_replay_parameters, check_shares
+from sb3_rainbow.type_aliases import Distributional
 
 # Constructor arguments that Rainbow hands to its policy
 NETWORK_ARGUMENTS = frozenset(
@@ -159,49 +157,20 @@ def check_support_of_file(
         )
 
 
-class Settings(Protocol):
-    """Attributes that :func:`check_settings` reads, named as Rainbow's arguments."""
-
-    action_space: spaces.Discrete
-    advantage_learning: float
-    alpha: float
-    batch_size: int
-    beta_end: float
-    beta_start: float
-    device: th.device
-    distributional: Distributional
-    gamma: float
-    max_grad_norm: float | None
-    n_envs: int
-    n_steps: int
-    policy_class: type[BasePolicy]
-    policy_kwargs: dict[str, Any]
-    sigma0: float
-    target_update_interval: int | None
-    tau: float
-    use_masking: UseMasking
-    v_max: float
-    v_min: float
-    _support: tuple[float, ...] | None
-
-
-def check_settings(model: Settings) -> None:
-    """Refuse settings that cannot work.
+def check_settings(model: Any) -> None:
+    """Refuse settings of a Rainbow that cannot work.
 
     Raises:
         ValueError: naming the first setting of the model that cannot work.
     """
     check_replay_parameters(model.n_steps, model.gamma, model.alpha, model.beta_start)
-    if not 0.0 <= model.beta_end <= 1.0:
-        raise ValueError(f"beta_end must lie in [0, 1], got {model.beta_end}")
+    check_shares(beta_end=model.beta_end, tau=model.tau)
     if not 0.0 <= model.advantage_learning < 1.0:
         raise ValueError(f"advantage_learning must lie in [0, 1), got {model.advantage_learning}")
     if model.batch_size < 1:
         raise ValueError(f"batch_size must be at least 1, got {model.batch_size}")
     if model.max_grad_norm is not None and not model.max_grad_norm > 0.0:
         raise ValueError(f"max_grad_norm must be positive, or None, got {model.max_grad_norm}")
-    if not 0.0 <= model.tau <= 1.0:
-        raise ValueError(f"tau must lie in [0, 1], got {model.tau}")
     interval = model.target_update_interval
     if interval is not None and interval < 1:
         raise ValueError(f"target_update_interval must be at least 1, or None, got {interval}")

@@ -54,24 +54,13 @@ class RainbowNetwork(AsVector, BasePolicy):
     ``distributional``, one, which is the Q-value itself.
 
     Args:
-        observation_space: Observation space.
-        action_space: Action space.
         features_extractor: extractor, whose layers are never noisy.
         features_dim: its number of outputs.
         net_arch: sizes of the hidden layers, which value and advantages share up to the head; or
             ``dict(shared=[...], streams=[...])``, where each of the two then has layers of its own.
-        activation_fn: activation between them.
-        normalize_images: whether to divide images by 255.
-        dueling: separate streams for value and advantages (Wang et al. 2016).
-        noisy: noisy linear layers (Fortunato et al. 2018).
         noisy_layers: ``"last_two"`` (last hidden layer and head), ``"head"`` or ``"all"``; of
             streams, the last of each.
-        sigma0: initial noise scale.
-        distributional: distribution over returns: ``"categorical"`` or True (Bellemare et al.
-            2017), ``"quantile"`` (Dabney et al. 2018), or False for none.
-        n_atoms: atoms of the support, or quantiles.
-        v_min: lowest atom (categorical only).
-        v_max: highest atom (categorical only).
+        dueling: and all others, see :class:`~sb3_rainbow.Rainbow` and its policies.
 
     Raises:
         ValueError: for an unknown ``noisy_layers`` or ``distributional``, a ``net_arch`` of

@@ -19,15 +19,19 @@ def check_replay_parameters(
         raise ValueError(f"n_steps must be at least 1, got {n_steps}")
     if n_steps != int(n_steps):
         raise ValueError(f"n_steps must be a whole number, got {n_steps}")
-    if not 0.0 <= gamma <= 1.0:
-        raise ValueError(f"gamma must lie in [0, 1], got {gamma}")
     if not 0.0 <= alpha <= 1.0:
         raise ValueError(f"alpha must lie in [0, 1] (0 is uniform replay), got {alpha}")
-    if not 0.0 <= beta <= 1.0:
-        raise ValueError(f"beta must lie in [0, 1], got {beta}")
+    check_shares(gamma=gamma, beta=beta)
     if epsilon is not None and not 0.0 < epsilon < math.inf:
         # Without it a transition whose loss is zero once would never be drawn again.
         raise ValueError(f"epsilon must be above 0 and finite, got {epsilon}")
+
+
+def check_shares(**values: float) -> None:
+    """Raise ``ValueError`` for the first value outside of [0, 1], by its name."""
+    for name, value in values.items():
+        if not 0.0 <= value <= 1.0:
+            raise ValueError(f"{name} must lie in [0, 1], got {value}")
 
 
 def check_buffer_size(buffer_size: int, n_envs: int, n_steps: int) -> None:

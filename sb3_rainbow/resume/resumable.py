@@ -1,7 +1,11 @@
 """Saving and loading such that a run goes on exactly as if it had never stopped."""
 
 import io
+import os
 import pathlib
+import pickle
+import warnings
+import zipfile
 from collections.abc import Iterable
 from typing import Any, TypeVar
 
@@ -11,7 +15,14 @@ from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, TensorD
 
 from sb3_rainbow.masking.masked_off_policy import MaskedOffPolicyAlgorithm
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
-from sb3_rainbow.resume.checkpoint import load_checkpoint, save_checkpoint
+from sb3_rainbow.resume.checkpoint import (
+    ENV,
+    MODEL,
+    REPLAY,
+    env_state,
+    restore_env,
+    restore_wrappers,
+)
 from sb3_rainbow.resume.rng import get_rng_state, set_rng_state
 from sb3_rainbow.settings import SettingsMismatchError
 
@@ -144,7 +155,17 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         Args:
             path: file to write; it appears whole or not at all.
         """
-        save_checkpoint(self, path)
+        target = pathlib.Path(path)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        partial = target.with_name(target.name + ".tmp")
+        with zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
+            parameters = io.BytesIO()
+            self.save(parameters)
+            archive.writestr(MODEL, parameters.getvalue())
+            with archive.open(REPLAY, "w", force_zip64=True) as member:
+                pickle.dump(self.replay_buffer, member, protocol=pickle.HIGHEST_PROTOCOL)
+            archive.writestr(ENV, pickle.dumps(env_state(self.get_env())))
+        os.replace(partial, target)
 
     @classmethod
     def load_checkpoint(
@@ -168,4 +189,29 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         Raises:
             ValueError: if the file is no checkpoint, or was saved with other settings.
         """
-        return load_checkpoint(cls, path, env, **kwargs)
+        try:
+            archive = zipfile.ZipFile(path)
+        except zipfile.BadZipFile as error:
+            raise ValueError(f"{path} is no checkpoint of Rainbow: {error}") from error
+        with archive:
+            if set(archive.namelist()) != {MODEL, REPLAY, ENV}:
+                raise ValueError(
+                    f"{path} is no checkpoint of Rainbow; was it written by save()? Then use load()"
+                )
+            state = pickle.loads(archive.read(ENV))
+            resumable = state["env"] is not None
+            model = cls.load(
+                io.BytesIO(archive.read(MODEL)), env=env, force_reset=not resumable, **kwargs
+            )
+            with archive.open(REPLAY) as member, warnings.catch_warnings():
+                # An env that is reset does not go on with the episode that was under way. SB3 warns
+                # of that, and advises what only load_replay_buffer offers.
+                warnings.filterwarnings("ignore", "The last trajectory in the replay buffer")
+                buffer = io.BytesIO(member.read())
+                model.load_replay_buffer(buffer, truncate_last_traj=not resumable)
+        vec_env = model.get_env()
+        assert vec_env is not None
+        restore_wrappers(vec_env, state["wrappers"])
+        if resumable:
+            restore_env(vec_env, state["env"])
+        return model

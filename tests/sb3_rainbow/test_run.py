@@ -301,16 +301,6 @@ def test_more_envs_than_the_target_interval_is_a_warning() -> None:
         Rainbow("MlpPolicy", make_vec_env("CartPole-v1", 2), target_update_interval=1, **FAST)
 
 
-def test_polyak_average_of_one_update() -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", tau=0.25, **FAST)
-    before = [p.clone() for p in model.q_net_target.parameters()]
-    for p in model.q_net.parameters():
-        p.data += 1.0
-    model._learner.move_target(0.25)
-    for old, new in zip(before, model.q_net_target.parameters(), strict=True):
-        th.testing.assert_close(new, old + 0.25)
-
-
 def test_training_before_a_window_is_complete_waits() -> None:
     settings = {**FAST, "learning_starts": 0, "train_freq": 1}
     model = Rainbow("MlpPolicy", "CartPole-v1", n_steps=5, **settings)

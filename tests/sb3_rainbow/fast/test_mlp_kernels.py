@@ -195,14 +195,6 @@ def test_a_batch_of_one(cpu_kernels: bool, settings: dict[str, Any]) -> None:
     assert th.isfinite(nn.utils.parameters_to_vector(model.q_net.parameters())).all()
 
 
-def test_discrete_observations_are_one_hot_for_the_kernels_too() -> None:
-    model = Rainbow(
-        "MlpPolicy", "CliffWalking-v1", learning_starts=20, buffer_size=100, device="cpu"
-    )
-    assert model._learner.uses_kernels()
-    model.learn(60)
-
-
 class StandardizedExtractor(BaseFeaturesExtractor):
     """No parameters, but statistics, of which each network has its own."""
 

@@ -38,7 +38,7 @@ def test_without_the_folder(tmp_path: Path) -> None:
         done = subprocess.run(
             [sys.executable, "-c", _PROGRAM, str(tmp_path / f"{without}.npy")],
             cwd=root,
-            env={"PYTHONPATH": str(root), "NUMBA_CACHE_DIR": str(tmp_path / "numba")},
+            env={"PYTHONPATH": str(root)},
             capture_output=True,
             text=True,
             check=False,

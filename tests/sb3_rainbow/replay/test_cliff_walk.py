@@ -1,68 +1,119 @@
-"""Prioritized replay on the blind cliff walk: what is known of it, and the updates it saves."""
+"""Prioritized replay on the blind cliff walk (Schaul et al. 2016, Fig. 1): the updates it saves.
 
-from __future__ import annotations
+``states`` places in a row have two actions each. The right one, 0 in even states and 1 in odd ones,
+leads on, and in the last state is paid 1; the wrong one ends the episode. As in the paper, the
+memory holds every transition that the ``2 ** states`` sequences of actions meet, in random order,
+and the learner only updates.
+"""
 
 import itertools
+from collections.abc import Iterator
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.logger import configure
 
-from tests.sb3_rainbow.replay.cliff_walk import BlindCliffWalkEnv, Variant, measure, transitions
+from sb3_rainbow import Rainbow
 
+TOLERANCE = 1e-3  # mean squared error of Q below which it counts as learned, the paper's
+CHECK_EVERY = 20
 RAINBOW: dict[str, Any] = {
     **dict.fromkeys(("double_q", "dueling", "noisy", "distributional"), False),
     **{"n_steps": 1, "tau": 1.0, "batch_size": 32, "learning_rate": 1e-2},
-    **{"beta_start": 0.4, "beta_end": 0.4, "policy_kwargs": {"net_arch": []}},
+    **{"beta_start": 0.4, "beta_end": 0.4},
 }
 
 
-@pytest.mark.parametrize("states", [1, 2, 5, 8])
-def test_one_of_all_sequences_is_rewarded(states: int) -> None:
-    returns = []
-    for actions in itertools.product((0, 1), repeat=states):
-        env = BlindCliffWalkEnv(states)
-        env.reset()
-        total = 0.0
-        for action in actions:
-            _, reward, ended, _, _ = env.step(np.int64(action))
-            total += reward
+class Walk(gym.Env):
+    """Says how many states there are; nobody takes a step in it."""
+
+    def __init__(self, states: int) -> None:
+        self.observation_space, self.action_space = spaces.Discrete(states), spaces.Discrete(2)
+
+
+def transitions(states: int, seed: int) -> Iterator[tuple[int, int, int, float, bool]]:
+    """State, action, next state, reward and end of every step of every sequence."""
+    sequences = np.array(list(itertools.product((0, 1), repeat=states)))
+    for actions in np.random.default_rng((1, seed)).permutation(sequences):
+        for state, action in enumerate(actions.tolist()):
+            right, last = action == state % 2, state == states - 1
+            ended = last or not right
+            yield state, action, min(state + right, states - 1), float(right and last), ended
             if ended:
                 break
-        returns.append(total)
-    assert sorted(returns) == [0.0] * (2**states - 1) + [1.0]
+
+
+def optimal_values(states: int) -> np.ndarray:
+    """``gamma ** (steps left after it)`` of the right action, 0 of the wrong one."""
+    values, gamma = np.zeros((states, 2)), 1.0 - 1.0 / states
+    for state in range(states):
+        values[state, state % 2] = gamma ** (states - 1 - state)
+    return values
+
+
+def updates_needed(
+    states: int, limit: int, seed: int = 0, optimizer: Any = th.optim.Adam, **settings: Any
+) -> int:
+    """Updates at the first check within the tolerance, or ``limit``."""
+    model = Rainbow(
+        "MlpPolicy",
+        Walk(states),
+        buffer_size=2 ** (states + 1) + 1,
+        gamma=1.0 - 1.0 / states,
+        seed=1_000 + seed,
+        device="cpu",
+        policy_kwargs={"net_arch": [], "optimizer_class": optimizer},
+        **{**RAINBOW, **settings},
+    )
+    model.set_logger(configure(None, []))
+    assert model.replay_buffer is not None
+    for transition in transitions(states, seed):
+        state, action, following, reward, ended = (np.array([value]) for value in transition)
+        model.replay_buffer.add(state, following, action, reward, ended, [{}])
+    truth = optimal_values(states)
+    observations, _ = model.policy.obs_to_tensor(np.arange(states))
+    for updates in range(CHECK_EVERY, limit, CHECK_EVERY):
+        model.train(CHECK_EVERY, model.batch_size)
+        with th.no_grad():
+            errors = model.q_net(observations).numpy() - truth
+        if np.mean(errors**2) < TOLERANCE:
+            return updates
+    return limit
 
 
 @pytest.mark.parametrize("states", [2, 5, 9])
 def test_values_are_those_of_value_iteration_over_the_memory(states: int) -> None:
-    env = BlindCliffWalkEnv(states)
-    memory = list(transitions(states, np.random.default_rng(0)))
-    # the paper's count of the relevant experience
-    assert len(memory) == 2 ** (states + 1) - 2
+    memory = list(transitions(states, 0))
+    assert len(memory) == 2 ** (states + 1) - 2  # the paper's count
     assert sum(reward for _, _, _, reward, _ in memory) == 1.0
     values = np.zeros((states, 2))
     for _ in range(states + 1):
         for state, action, following, reward, ended in memory:
-            rest = 0.0 if ended else env.gamma * values[following].max()
+            rest = 0.0 if ended else (1.0 - 1.0 / states) * values[following].max()
             values[state, action] = reward + rest
-    np.testing.assert_allclose(env.optimal_values(), values, atol=1e-12)
+    np.testing.assert_allclose(optimal_values(states), values, atol=1e-12)
 
 
 def test_prioritized_replay_learns_the_walk_in_fewer_updates() -> None:
-    variant = Variant(RAINBOW, 4000)
-    updates = {
-        replay: [measure(variant, replay, 10, seed) or variant.limit for seed in range(3)]
-        for replay in ("prioritized", "uniform")
-    }
-    assert max(updates["prioritized"]) < variant.limit
-    assert np.median(updates["uniform"]) > 1.3 * np.median(updates["prioritized"])
+    prioritized, uniform = (
+        [updates_needed(10, 4000, seed, prioritized=on) for seed in range(3)]
+        for on in (True, False)
+    )
+    assert max(prioritized) < 4000
+    assert np.median(uniform) > 1.3 * np.median(prioritized)
 
 
 def test_full_weights_undo_what_priorities_do() -> None:
     """beta = 1 under plain gradient descent: each update is uniform replay's, only smaller."""
-    learners = {}
-    for beta in (0.0, 1.0):
-        rainbow = {**RAINBOW, "learning_rate": 0.25, "beta_start": beta, "beta_end": beta}
-        learners[beta] = measure(Variant(rainbow, 3000, "sgd"), "prioritized", 8, 0)
-    assert learners[0.0] is not None
-    assert learners[1.0] is None or learners[1.0] > 3 * learners[0.0]
+    none, full = (
+        updates_needed(
+            8, 3000, optimizer=th.optim.SGD, learning_rate=0.25, beta_start=b, beta_end=b
+        )
+        for b in (0.0, 1.0)
+    )
+    assert none < 3000
+    assert full > min(3 * none, 2999)

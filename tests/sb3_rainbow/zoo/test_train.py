@@ -29,7 +29,7 @@ def test_train_evaluates_and_enjoy_plays(capsys: pytest.CaptureFixture[str]) -> 
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # Box2D's, as it is imported
-@pytest.mark.parametrize("env_id", [name for name in OURS if "-v" in name])
+@pytest.mark.parametrize("env_id", {repr(v): k for k, v in OURS.items() if "-v" in k}.values())
 def test_the_hyperparameters_of_the_package(env_id: str) -> None:
     if env_id.startswith("MinAtar/"):
         pytest.importorskip("minatar", reason="needs the extra classic")
