@@ -60,6 +60,10 @@ def package(model: Rainbow, folder: str = "out", env_id: str = "CartPole-v1") ->
     return hub.package(model, env_id, folder, eval_env=env, command="", n_eval_episodes=1)
 
 
+def small_images() -> FakeImageEnv:
+    return FakeImageEnv(discrete=True, screen_height=36, screen_width=36, n_channels=1)
+
+
 def same_actions(a: Rainbow, b: Rainbow) -> bool:
     a.observation_space.seed(0)
     observations = [a.observation_space.sample() for _ in range(50)]
@@ -98,7 +102,7 @@ def test_a_package_holds_model_card_and_results() -> None:
         ("CartPole-v1", {"policy_kwargs": {"activation_fn": nn.Tanh, "noisy_layers": "head"}}),
         ("CartPole-v1", {"noisy": False, "exploration_final_eps": 0.2, "v_min": 0.0, "v_max": 9.0}),
         ("FrozenLake-v1", {"policy_kwargs": {"net_arch": {"shared": [8], "streams": [4]}}}),
-        (lambda: FakeImageEnv(discrete=True), {"policy": "CnnPolicy", "policy_kwargs": {}}),
+        (small_images, {"policy": "CnnPolicy", "policy_kwargs": {"net_arch": {"streams": [8]}}}),
         (SimpleMultiObsEnv, {"policy": "MultiInputPolicy"}),
     ],
 )
