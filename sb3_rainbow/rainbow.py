@@ -74,7 +74,7 @@ class Rainbow(ResumableAlgorithm):
         buffer_size: transitions in the replay buffer, over all envs.
         learning_starts: steps of random (allowed) actions before learning starts.
         batch_size: transitions per update.
-        tau: Polyak coefficient of the target network, 1 for a copy. ``None`` (default) is 0.01, or
+        tau: Polyak coefficient of the target network, 1 for a copy. ``None`` (default) is 0.005, or
             with a ``target_update_interval`` SB3's 1.
         gamma: discount factor.
         train_freq: steps between two rounds of updates, or a tuple such as ``(2, "episode")``.

@@ -96,7 +96,7 @@ def served_by(
 
 def default_tau(target_update_interval: int | None) -> float:
     """A small step after every update, or SB3's whole copy at every interval."""
-    return 1e-2 if target_update_interval is None else 1.0
+    return 5e-3 if target_update_interval is None else 1.0
 
 
 def default_learning_rate(policy: str | type[BasePolicy]) -> float:
