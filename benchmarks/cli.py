@@ -28,13 +28,13 @@ Given = argparse.Namespace
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
-    words = list(sys.argv[1:] if argv is None else argv)
-    if not words:
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments:
         parser().print_help()
         return 0
-    if words[0] == "study" and len(words) > 1 and not words[1].startswith("-"):
-        return _guarded(lambda: catalogue.run_study(words[1], words[2:]))
-    given = parser().parse_args(words)
+    if arguments[0] == "study" and len(arguments) > 1 and not arguments[1].startswith("-"):
+        return _guarded(lambda: catalogue.run_study(arguments[1], arguments[2:]))
+    given = parser().parse_args(arguments)
     command: Callable[[Given], int | None] = given.command
     return _guarded(lambda: command(given) or 0)
 
@@ -116,9 +116,9 @@ def evaluate(given: Given) -> int:
             raise BenchmarkError("--starts is for stored policies, not for --model or --planner")
         return _evaluate_entry(given)
     of_entries = ("name", "algorithm", "trust", "mask_singularities", "mask_visited", "replace")
-    if found := [word for word in of_entries if getattr(given, word)]:
+    if result := [word for word in of_entries if getattr(given, word)]:
         raise BenchmarkError(
-            f"--{found[0].replace('_', '-')} belongs to a --model or --planner, which is not given"
+            f"--{result[0].replace('_', '-')} belongs to a --model or --planner, which is not given"
         )
     from benchmarks.studies.scoring.scores import Replay, score_again
 
@@ -164,12 +164,12 @@ def report(given: Given) -> None:
 
 def verify(given: Given) -> int:
     """Recompute every table and block; exit code 1 if one disagrees with the stored data."""
-    found = catalogue.verify(given.results, [given.preset] if given.preset else [])
-    for line in found.checked:
+    result = catalogue.verify(given.results, [given.preset] if given.preset else [])
+    for line in result.checked:
         print(line)
-    for problem in found.problems:
+    for problem in result.problems:
         print(problem, file=sys.stderr)
-    if number := len(found.problems):
+    if number := len(result.problems):
         print(f"{number} difference{'s' if number > 1 else ''} found", file=sys.stderr)
         return 1
     print("Everything agrees with the stored data")
@@ -258,12 +258,12 @@ VERBS: Final[dict[str, tuple[Callable[[Given], Any], str, tuple[Any, ...]]]] = {
 
 def parser() -> argparse.ArgumentParser:
     """The parser of all verbs."""
-    found = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    verbs = found.add_subparsers(required=True, metavar="verb")
+    result = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    verbs = result.add_subparsers(required=True, metavar="verb")
     for name, (command, text, arguments) in VERBS.items():
-        words: dict[str, Any] = {"help": text, "description": text} if text else {}
-        verb = verbs.add_parser(name, **words)
+        texts: dict[str, Any] = {"help": text, "description": text} if text else {}
+        verb = verbs.add_parser(name, **texts)
         for flags, settings in arguments:
             verb.add_argument(*flags, **settings)
         verb.set_defaults(command=command)
-    return found
+    return result

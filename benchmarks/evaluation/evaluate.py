@@ -35,16 +35,16 @@ Chooser = Callable[[Observations, Masks, Sequence[int]], NDArray[Any]]
 #: what chooses in these episodes, from their start on; it may remember them
 MakeChooser = Callable[[Sequence[Episode]], Chooser]
 Rows = list[dict[str, object]]
-Tell = Callable[[float], None]  # hears which share is done
+OnProgress = Callable[[float], None]  # hears which share is done
 SEES_THE_STATE = ("random", "greedy", "lookahead")
 
 
-def hush(share: float) -> None:
-    """Tell nobody."""
+def no_progress(share: float) -> None:
+    """Report nothing."""
 
 
 @dataclass(frozen=True)
-class Level:
+class Condition:
     """One of the conditions under which a cell's test episodes are played.
 
     Attributes:
@@ -63,7 +63,7 @@ class Level:
         return self.columns.get("acting") == EXPLORING
 
 
-def levels(preset: Preset, cell: Cell) -> list[Level]:
+def levels(preset: Preset, cell: Cell) -> list[Condition]:
     """The levels of a cell; each has all test episodes.
 
     A track with ``sim_to_real`` has its machine at each of the preset's errors, others each level
@@ -74,18 +74,24 @@ def levels(preset: Preset, cell: Cell) -> list[Level]:
     arguments = env_arguments(preset, cell, track)
     if track is not None and track.sim_to_real is not None:
         machine = SimToReal(**track.sim_to_real)
-        found = [
-            Level({**arguments, "sim_to_real": displaced(machine, error)}, 0.0, {"error": error})
+        result = [
+            Condition(
+                {**arguments, "sim_to_real": displaced(machine, error)}, 0.0, {"error": error}
+            )
             for error in preset.evaluation.errors
         ]
-        main = next(each for each in found if each.columns["error"] == own_error(track.sim_to_real))
+        main = next(
+            each for each in result if each.columns["error"] == own_error(track.sim_to_real)
+        )
     else:
         sees = cell.plans or cell.method in SEES_THE_STATE
-        found = [Level(arguments, noise) for noise in ([0.0] if sees else preset.evaluation.noise)]
-        main = found[0]
+        result = [
+            Condition(arguments, noise) for noise in ([0.0] if sees else preset.evaluation.noise)
+        ]
+        main = result[0]
     if explores(cell.method, as_dict(preset.evaluation)):
-        return [*found, replace(main, noise=0.0, columns={**main.columns, "acting": EXPLORING})]
-    return found
+        return [*result, replace(main, noise=0.0, columns={**main.columns, "acting": EXPLORING})]
+    return result
 
 
 def displaced(machine: SimToReal, error: float) -> SimToReal:
@@ -97,18 +103,22 @@ def displaced(machine: SimToReal, error: float) -> SimToReal:
 
 
 def evaluate_cell(
-    preset: Preset, cell: Cell, tell: Tell = hush, starts: int | None = None, model: Any = None
+    preset: Preset,
+    cell: Cell,
+    progress: OnProgress = no_progress,
+    starts: int | None = None,
+    model: Any = None,
 ) -> Rows:
     """Rows of all test episodes of a cell, at each of its levels.
 
     Args:
-        tell: hears which share is done.
+        progress: hears which share is done.
         starts: the episodes begin where that number says, not at the preset's starts.
         model: the trained model of a learner.
     """
     rows: Rows = []
     each = levels(preset, cell)
-    for level, part in zip(each, shares(tell, len(each)), strict=True):
+    for level, part in zip(each, shares(progress, len(each)), strict=True):
         tests = preset.evaluation
         episodes = begin_episodes(level.arguments, cell.seed, tests.episodes, tests.stream, starts)
         if cell.plans:
@@ -165,10 +175,10 @@ def seed_exploration(model: Any, seed: int) -> None:
     model.action_space.seed(derive("explore", seed))
 
 
-def shares(tell: Tell, parts: int) -> Iterator[Tell]:
+def shares(progress: OnProgress, parts: int) -> Iterator[OnProgress]:
     """For each of so many equal parts, what hears which share of it is done."""
     for number in range(parts):
-        yield lambda share, before=number: tell((before + share) / parts)  # type: ignore[misc]
+        yield lambda share, before=number: progress((before + share) / parts)  # type: ignore[misc]
 
 
 def begin_episodes(
@@ -184,7 +194,11 @@ def begin_episodes(
 
 
 def play_together(
-    choose: Chooser, episodes: Sequence[Episode], noise: float, noise_seed: int, tell: Tell = hush
+    choose: Chooser,
+    episodes: Sequence[Episode],
+    noise: float,
+    noise_seed: int,
+    progress: OnProgress = no_progress,
 ) -> None:
     """Play all episodes side by side until each is over: a network is asked once per move.
 
@@ -194,11 +208,11 @@ def play_together(
         noise: standard deviation of Gaussian noise on the normalized observations; clipped to
             [0, 1] like the observations themselves.
         noise_seed: of the noise, drawn per episode so that it is the same for every method.
-        tell: hears before each move which share of the episodes is over.
+        progress: hears before each move which share of the episodes is over.
     """
     generators = [np.random.default_rng((noise_seed, episode.number)) for episode in episodes]
     while running := [i for i, episode in enumerate(episodes) if not episode.over]:
-        tell(1.0 - len(running) / len(episodes))
+        progress(1.0 - len(running) / len(episodes))
         observations = np.stack([episodes[i].observation for i in running])
         if noise > 0.0:
             size = observations.shape[1]
@@ -210,23 +224,27 @@ def play_together(
 
 
 def play_in_turn(
-    play: Callable[[Episode], None], episodes: Sequence[Episode], tell: Tell = hush
+    play: Callable[[Episode], None], episodes: Sequence[Episode], progress: OnProgress = no_progress
 ) -> None:
     """Play one episode after the other."""
     for number, episode in enumerate(episodes, start=1):
         play(episode)
-        tell(number / len(episodes))
+        progress(number / len(episodes))
 
 
 def run_policy(
-    policy: Policy, episodes: Sequence[Episode], noise: float, noise_seed: int, tell: Tell = hush
+    policy: Policy,
+    episodes: Sequence[Episode],
+    noise: float,
+    noise_seed: int,
+    progress: OnProgress = no_progress,
 ) -> Rows:
     """Rows of episodes played by a policy; arguments as :func:`play_together`."""
 
     def choose(observations: Observations, masks: Masks, _: Sequence[int]) -> NDArray[Any]:
         return policy(observations, masks)
 
-    play_together(choose, episodes, noise, noise_seed, tell)
+    play_together(choose, episodes, noise, noise_seed, progress)
     return [episode.row(noise) for episode in episodes]
 
 
@@ -256,12 +274,12 @@ def evaluate_policy(
     preset: Preset,
     seed: int,
     arguments: dict[str, Any],
-    tell: Tell = hush,
+    progress: OnProgress = no_progress,
 ) -> Rows:
     """Rows of a policy of one's own on the test episodes of one seed, at every level of noise."""
     rows: Rows = []
     noise, tests = preset.evaluation.noise, preset.evaluation
-    for level, part in zip(noise, shares(tell, len(noise)), strict=True):
+    for level, part in zip(noise, shares(progress, len(noise)), strict=True):
         episodes = begin_episodes(arguments, seed, tests.episodes, tests.stream)
         rows += run_policy(policy, episodes, level, derive("noise", seed), part)
     return rows
@@ -272,12 +290,12 @@ def play_episodes(
     preset: Preset,
     seed: int,
     arguments: dict[str, Any],
-    tell: Tell = hush,
+    progress: OnProgress = no_progress,
 ) -> Rows:
     """Rows of a planner of one's own on the test episodes of one seed; it sees the true state."""
     tests = preset.evaluation
     episodes = begin_episodes(arguments, seed, tests.episodes, tests.stream)
-    play_in_turn(play, episodes, tell)
+    play_in_turn(play, episodes, progress)
     return [episode.row() for episode in episodes]
 
 

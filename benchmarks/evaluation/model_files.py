@@ -93,8 +93,8 @@ def detect_algorithm(path: Path) -> str:
 def _plain_settings(path: Path) -> dict[str, Any]:
     """Settings of a model that SB3 saved; those that are no JSON stay the text of their pickle."""
     with zipfile.ZipFile(path) as archive:
-        found: dict[str, Any] = json.loads(archive.read("data"))
-    return found
+        result: dict[str, Any] = json.loads(archive.read("data"))
+    return result
 
 
 def load_stored(path: Path) -> Any:

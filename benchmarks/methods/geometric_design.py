@@ -28,20 +28,20 @@ class Measured:
 def measured_runs(runs: int, progress: Callable[[float], None]) -> list[Measured]:
     """``runs`` Nelder-Mead runs from the initial design, each with its own frozen jitter."""
     problem = DesignProblem()
-    found = []
+    result = []
     for seed in range(runs):
         best = design.optimize(problem, seed=seed)
         samples = design.sample_points(problem, np.random.default_rng(seed))
         ends = [design.measure(g, problem, samples) for g in (INITIAL, best.geometry)]
-        found.append(Measured(best, *ends))
+        result.append(Measured(best, *ends))
         progress((seed + 1) / runs)
-    return found
+    return result
 
 
-def table_rows(found: Sequence[Measured]) -> list[Row]:
+def table_rows(result: Sequence[Measured]) -> list[Row]:
     """The paper's five rows: its values, ours (text, mean, std), and what is to be said."""
-    initial = [run.initial for run in found]
-    optimized = [run.optimized for run in found]
+    initial = [run.initial for run in result]
+    optimized = [run.optimized for run in result]
     cone = [100 * np.mean([m.kappa_variation_cone for m in ms]) for ms in (initial, optimized)]
     spread = max(np.std([m.area for m in initial]), np.std([m.area for m in optimized]))
     notes = {
@@ -92,11 +92,11 @@ def geometry_rows(runs: int = 10) -> list[Row]:
     return table_rows(measured_runs(runs, lambda _: None))
 
 
-def run_rows(found: Sequence[Measured]) -> tuple[list[Row], list[Row]]:
+def run_rows(result: Sequence[Measured]) -> tuple[list[Row], list[Row]]:
     """Rows of the runs, and of every design they evaluated."""
     runs: list[Row] = []
     paths: list[Row] = []
-    for seed, run in enumerate(found):
+    for seed, run in enumerate(result):
         best = run.optimum
         runs.append({
             "seed": seed, "lambda1": best.lambda1, "lambda2": best.lambda2,

@@ -169,7 +169,7 @@ def distances(
 @njit(cache=True)
 def goals(lattice: Lattice, target: int) -> NDArray[np.int64]:
     """All free, collision-free lattice points (n,) that meet the target's insertion criterion."""
-    p, start, found = lattice.p, lattice.start, []
+    p, start, result = lattice.p, lattice.start, []
     n_rrs, step = lattice.rrs_free.size, p.layout.step
     some_delta = point_at(lattice, np.zeros(6, np.int64)) // n_rrs
     reach = int(p.task.tolerance / step[0]) + 1
@@ -195,8 +195,8 @@ def goals(lattice: Lattice, target: int) -> NDArray[np.int64]:
                 for z in range(max(nearest[2] - reach, 0), min(nearest[2] + reach + 1, shape[2])):
                     point = x * strides[0] + y * strides[1] + z * strides[2] + rrs_node
                     if _meets(lattice, point, mouth) and not _point_collides(lattice, point):
-                        found.append(point)
-    return np.array(found, np.int64)
+                        result.append(point)
+    return np.array(result, np.int64)
 
 
 @njit(cache=True)

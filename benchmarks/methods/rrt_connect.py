@@ -87,8 +87,8 @@ class RRTConnect:
                 status = f"no plan ({robot})"
                 break
             moves += round_path((path - start) / units(env))
-        found = np.array(moves, dtype=np.int64) if status == "solved" else None
-        return Plan(status, found, time.perf_counter() - begun, {"iterations": iterations})
+        result = np.array(moves, dtype=np.int64) if status == "solved" else None
+        return Plan(status, result, time.perf_counter() - begun, {"iterations": iterations})
 
     def _search(
         self,

@@ -225,22 +225,22 @@ def _check_team(preset: Preset, name: str, methods: list[str]) -> None:
         if track.sight:
             raise BenchmarkError(f"{where}: sight = true is of a team: name it, or leave it out")
         return
-    told = f"{where}: team = '{track.team}'"
+    team = f"{where}: team = '{track.team}'"
     for key in ("mask_visited", "mask_refused", "sim_to_real", "shield", "collision"):
         if (value := getattr(track, key)) not in (0, False, None, "refuse"):
             raise BenchmarkError(
-                f"{told}: {key} = {value!r} is of robots that move one at a time: leave it out"
+                f"{team}: {key} = {value!r} is of robots that move one at a time: leave it out"
             )
     if track.team == "central" and track.sight:
-        raise BenchmarkError(f"{told} sees both robots: leave out sight = true")
+        raise BenchmarkError(f"{team} sees both robots: leave out sight = true")
     if track.hyperparameters.n_envs % track.rows:
         raise BenchmarkError(
-            f"{told}: n_envs = {track.hyperparameters.n_envs} is odd, but each team has two rows"
+            f"{team}: n_envs = {track.hyperparameters.n_envs} is odd, but each team has two rows"
         )
     for method in methods:
         if method not in OF_TEAMS:
             raise BenchmarkError(
-                f"{told}: method '{method}' has no form for a team; known: {known(OF_TEAMS)}"
+                f"{team}: method '{method}' has no form for a team; known: {known(OF_TEAMS)}"
             )
 
 

@@ -125,10 +125,10 @@ def gallery(results: Path) -> Block:
                 known = commands.setdefault(title, [])
                 known += [] if command in known else [command]
         sections = []
-        for title, found in cells.items():
-            found += [""] * (-len(found) % COLUMNS)
+        for title, result in cells.items():
+            result += [""] * (-len(result) % COLUMNS)
             lines = ["|" * (COLUMNS + 1), "|---" * COLUMNS + "|"]
-            rows = [found[i : i + COLUMNS] for i in range(0, len(found), COLUMNS)]
+            rows = [result[i : i + COLUMNS] for i in range(0, len(result), COLUMNS)]
             lines += ["|".join(["", *row, ""]) for row in rows]
             said = "\n".join(f"    python -m benchmarks {command}" for command in commands[title])
             sections.append(f"## {title}\n\n{said}\n\n" + "\n".join(lines))

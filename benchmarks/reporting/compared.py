@@ -81,15 +81,15 @@ def pair(ours: Row, theirs: Row) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 def comparisons(results: Results) -> list[Comparison]:
     """All comparisons of a store, each p corrected by Holm over those of its question."""
-    found: list[Comparison] = []
+    result: list[Comparison] = []
     for question, pairs in _questions(results).items():
         differences = [_differences(question, *each) for each in pairs]
         tests = [paired_t_test(each, np.zeros_like(each)) for each in differences]
         corrected = holm([test.p for test in tests])
         for (ours, theirs), each, test, p in zip(pairs, differences, tests, corrected, strict=True):
             value = measured([float(x) for x in each], lambda: (np.nan, np.nan))
-            found.append(Comparison(question, ours, theirs, value, test.p, p))
-    return found
+            result.append(Comparison(question, ours, theirs, value, test.p, p))
+    return result
 
 
 def find(compared: list[Comparison], question: str, ours: Row) -> Comparison | None:

@@ -51,11 +51,11 @@ class Result:
     def read(cls, folder: RunFolder, meta: dict[str, Any] | None = None) -> Result:
         """A run from its folder; without a meta.json of its own, it has the one that is given."""
         config = folder.config()
-        told = folder.meta() if meta is None else meta
+        stored = folder.meta() if meta is None else meta
         rows = folder.rows("episodes")
         if "masks" in rows:  # older runs were also played under other masks than their own
             rows = rows[rows["masks"].fillna("own") == "own"].drop(columns="masks")
-        return cls(config["cell"]["seed"], config, told, folder, rows)
+        return cls(config["cell"]["seed"], config, stored, folder, rows)
 
     @property
     def error(self) -> float:
@@ -79,11 +79,11 @@ class Result:
                 for name, own in columns.items()
             }
         )
-        found = {}
+        result = {}
         for (noise, error, acting), part in rows.groupby(["noise", *columns]):
             level = (float(str(noise)), float(str(error)), str(acting))
-            found[level] = part.sort_values("episode").reset_index(drop=True)
-        return found
+            result[level] = part.sort_values("episode").reset_index(drop=True)
+        return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +171,7 @@ class Results:
 
     def __init__(self, store: Store) -> None:
         self.design: RunFolder | None = None
-        found: dict[Key, list[Result]] = {}
+        result: dict[Key, list[Result]] = {}
         for folder in store.completed():
             if folder.id == DESIGN:
                 self.design = folder
@@ -179,13 +179,13 @@ class Results:
             run = Result.read(folder)
             cell = run.config["cell"]
             key = (cell["method"], cell["ablation"], cell["geometry"], cell["track"])
-            found.setdefault(key, []).append(run)
+            result.setdefault(key, []).append(run)
         self.planned, self._settings = _planned(store)
         self._groups = {
             key: Group(
-                tuple(sorted(found.get(key, []), key=lambda r: r.seed)), self.planned.get(key, 0)
+                tuple(sorted(result.get(key, []), key=lambda r: r.seed)), self.planned.get(key, 0)
             )
-            for key in {**found, **self.planned}
+            for key in {**result, **self.planned}
         }
         for run in self.all():  # what was run counts, not what the preset says today
             if "track" in run.config:
@@ -223,8 +223,8 @@ class Results:
         self, track: str, among: Sequence[str] = METHODS, geometry: str = "optimized"
     ) -> list[tuple[str, Group]]:
         """(method, runs) of a track, or of none, that are planned or were run."""
-        found = [(method, self.group(method, geometry, track)) for method in among]
-        return [(method, group) for method, group in found if group.n or group.planned]
+        result = [(method, self.group(method, geometry, track)) for method in among]
+        return [(method, group) for method, group in result if group.n or group.planned]
 
     def levels(self) -> list[LevelKey]:
         """(noise, error, acting) at which any run was tested, in order."""

@@ -12,7 +12,7 @@ from benchmarks.protocol.metrics import EXPLORING, HOLES, Metric
 from benchmarks.protocol.plan import CONTROLS, LEARNERS, METHODS, OPTIMUM_AT_ONCE
 from benchmarks.reporting.results import MAIN, Group, Level, Results, excess_over_optimum
 from benchmarks.reporting.stats import Value
-from benchmarks.reporting.tables.table import Cell, Number
+from benchmarks.reporting.tables.table import Number, TableCell
 
 KNOWS: Final = ("Masks", "Memory")  # headers of what stands behind a method's name
 AS_TRAINED: Final = Level(acting=EXPLORING)
@@ -48,7 +48,7 @@ class Row:
         return f"{self.name}, 5 % random moves" if explores else self.name
 
     @property
-    def head(self) -> list[Cell]:
+    def head(self) -> list[TableCell]:
         """The first cells of the row: its name, masks and memory."""
         return [self.name, self.knows.masks, self.knows.memory]
 
@@ -69,11 +69,11 @@ class Row:
         """Moves to the first insertion above the optimum's on the same machines, in %."""
         return excess_over_optimum(self.group, optimum_of(results, self.track), self.level)
 
-    def cell(self, value: Value, digits: int = 1, paper: str = "", suffix: str = "") -> Cell:
+    def cell(self, value: Value, digits: int = 1, paper: str = "", suffix: str = "") -> TableCell:
         """A value of the row, or the word for its absence."""
         return Number(value, digits, suffix, paper) if self.group.n else self.group.absent
 
-    def tested(self, level: Level) -> Cell:
+    def tested(self, level: Level) -> TableCell:
         """The success rate at another level, or a dash if it was not tested there."""
         value = self.group.success(level)
         return self.cell(value) if value.n or not self.group.n else "-"
@@ -81,8 +81,8 @@ class Row:
 
 def scored(results: Results) -> str:
     """The track of a store's headline."""
-    found = [track for track in SCORED if row_of(results, "rainbow", track).group.known]
-    return found[0] if found else SCORED[0]
+    result = [track for track in SCORED if row_of(results, "rainbow", track).group.known]
+    return result[0] if result else SCORED[0]
 
 
 def row_of(
@@ -102,36 +102,36 @@ def rows(
 
     Of robots that move one at a time: those that move at once have a table of their own.
     """
-    found, in_turn = [], [method for method in among if method != OPTIMUM_AT_ONCE]
+    result, in_turn = [], [method for method in among if method != OPTIMUM_AT_ONCE]
     for track in [t for t in results.tracks() if results.uncertain(t) == uncertain]:
         for method in among:
-            found.append(row_of(results, method, track, geometry))
+            result.append(row_of(results, method, track, geometry))
             if method == "rainbow":
-                found.append(row_of(results, method, track, geometry, "none"))
+                result.append(row_of(results, method, track, geometry, "none"))
     if uncertain:  # a method on all tracks of the machine together, the ceiling last
-        found.sort(key=lambda row: (row.method == "optimum", METHODS.index(row.method)))
+        result.sort(key=lambda row: (row.method == "optimum", METHODS.index(row.method)))
     else:
-        found += [row_of(results, method, "", geometry) for method in in_turn]
-    return [row for row in found if row.group.known]
+        result += [row_of(results, method, "", geometry) for method in in_turn]
+    return [row for row in result if row.group.known]
 
 
-def complete(found: Iterable[Row]) -> list[Row]:
+def complete(result: Iterable[Row]) -> list[Row]:
     """Those of which there are runs."""
-    return [row for row in found if row.group.n]
+    return [row for row in result if row.group.n]
 
 
 def optimum_of(results: Results, track: str, geometry: str = "optimized") -> Group:
     """The ceiling of a track: the optimum that knows its machines, or the one of the nominal."""
     if not results.uncertain(track):
         return results.group("optimum", geometry)
-    found = [row.group for row in rows(results, ("optimum",), uncertain=True)]
-    return next((group for group in found if group.n), Group())
+    result = [row.group for row in rows(results, ("optimum",), uncertain=True)]
+    return next((group for group in result if group.n), Group())
 
 
-def best(found: Iterable[Row]) -> Row | None:
+def best(result: Iterable[Row]) -> Row | None:
     """The complete row with the highest success rate, then with the most holes."""
     return max(
-        complete(found),
+        complete(result),
         key=lambda row: (row.success().mean, row.value(HOLES).mean),
         default=None,
     )
@@ -139,8 +139,8 @@ def best(found: Iterable[Row]) -> Row | None:
 
 def control_of(results: Results, row: Row, geometry: str = "optimized") -> Row | None:
     """The best control with a learner's masks, memory, ending and way of acting; None if none."""
-    found = rows(results, CONTROLS, results.uncertain(row.track), geometry)
-    alike = [each for each in found if each.knows == row.knows and _ends(each) == _ends(row)]
+    result = rows(results, CONTROLS, results.uncertain(row.track), geometry)
+    alike = [each for each in result if each.knows == row.knows and _ends(each) == _ends(row)]
     return best(each.as_trained() if row.level == AS_TRAINED else each for each in alike)
 
 

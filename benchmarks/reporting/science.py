@@ -7,7 +7,7 @@ from typing import Final
 from benchmarks.reporting.blocks import provenance
 from benchmarks.reporting.results import Results
 from benchmarks.reporting.tables.paper import build_tables
-from benchmarks.reporting.tables.table import Cell, Number, Table
+from benchmarks.reporting.tables.table import Number, Table, TableCell
 from benchmarks.reporting.verdicts import of_six, sentences
 from benchmarks.runs.store import Store
 
@@ -31,14 +31,14 @@ SECTIONS: Final[tuple[tuple[str, tuple[str, ...], tuple[str, ...], dict[str, str
 def short(store: Store) -> str:
     """What README shows: three sentences and a table of six rows."""
     results = Results(store)
-    told = sentences(results)
-    parts = [told[topic] for topic in SHORT if topic in told]
+    report = sentences(results)
+    parts = [report[topic] for topic in SHORT if topic in report]
     return "\n\n".join(part.strip() for part in [*parts, six(results).markdown()])
 
 
 def six(results: Results) -> Table:
     """The README's table: success rates, paper and ours."""
-    made: list[list[Cell]] = [
+    made: list[list[TableCell]] = [
         [name, paper, Number(value, digits) if value else "missing"]
         for name, paper, value, digits in of_six(results)
     ]
@@ -47,13 +47,13 @@ def six(results: Results) -> Table:
 
 def science(store: Store, beyond: bool = False) -> str:
     """Sentences, tables and figures by question: the paper's, or those beyond the paper."""
-    results, told = Results(store), sentences(Results(store))
+    results, report = Results(store), sentences(Results(store))
     by_name = {table.name: table for table in build_tables(store)}
     parts = []
     for heading, topics, names, figures in SECTIONS:
         if beyond is (heading in PAPER):
             continue
-        shown = [told[topic] for topic in topics if topic in told]
+        shown = [report[topic] for topic in topics if topic in report]
         shown += [by_name[name].markdown() for name in names if by_name[name].rows]
         if not shown:
             continue

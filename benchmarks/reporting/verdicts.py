@@ -40,14 +40,14 @@ BETTER, SAME, WORSE = "better", "same", "worse"
 def sentences(results: Results) -> dict[str, str]:
     """Sentences by what they speak of; only those whose runs are there."""
     compared = comparisons(results)
-    told = {
+    report = {
         "performance": performance(results, compared),
         "components": components(results, compared),
         "geometry": geometry(results, compared),
         "printed": printed(results),
         "uncertain": uncertain(compared),
     }
-    return {topic: sentence for topic, sentence in told.items() if sentence}
+    return {topic: sentence for topic, sentence in report.items() if sentence}
 
 
 def outcome(comparison: Comparison) -> str:
@@ -77,21 +77,21 @@ def performance(results: Results, compared: list[Comparison]) -> str:
     success = ours.success()
     n, planned = ours.group.n, ours.group.planned
     so_far = f" ({n} of {planned} seeds so far)" if n < planned else ""
-    told = f"Rainbow{so_far} inserts in {_show(success)} % of the test episodes"
+    report = f"Rainbow{so_far} inserts in {_show(success)} % of the test episodes"
     if ours != greedy:
-        told += f" as trained, {_show(greedy.success())} greedily"
-    told += f" (paper {PERFORMANCE['success']['rainbow']}"
+        report += f" as trained, {_show(greedy.success())} greedily"
+    report += f" (paper {PERFORMANCE['success']['rainbow']}"
     optimum = row_of(results, "optimum")
-    told += f", the exact optimum {_show(optimum.success())})" if optimum.group.n else ")"
+    report += f", the exact optimum {_show(optimum.success())})" if optimum.group.n else ")"
     if script:
-        told += f", the best script under the same masks in {_show(script.theirs.success())}"
+        report += f", the best script under the same masks in {_show(script.theirs.success())}"
     for other in others:
-        told += f", {other.name.partition(',')[0]} in {_show(other.success())}"
+        report += f", {other.name.partition(',')[0]} in {_show(other.success())}"
         greedily = replace(other, level=MAIN)
         if other.method == "maskable_ppo" and other != greedily:
-            told += f" (greedily {_show(greedily.success())})"
+            report += f" (greedily {_show(greedily.success())})"
     if why := ground(ours):
-        return f"**No verdict yet on performance** ({why}): {told}."
+        return f"**No verdict yet on performance** ({why}): {report}."
     reached = success.mean >= SUCCESS_LEAST
     above = script is not None and outcome(script) == BETTER
     far = script is not None and script.difference.mean >= SCRIPT_POINTS
@@ -103,7 +103,7 @@ def performance(results: Results, compared: list[Comparison]) -> str:
         verdict = f"The success rate reproduces, less than {SCRIPT_POINTS:g} points above a script"
     else:
         verdict = "The success rate reproduces"
-    return f"**{verdict}**: with the reward repaired {told}."
+    return f"**{verdict}**: with the reward repaired {report}."
 
 
 def components(results: Results, compared: list[Comparison]) -> str:
@@ -132,17 +132,17 @@ def components(results: Results, compared: list[Comparison]) -> str:
         parts.append(f"of {len(singles)} removed one at a time these cost: {names}")
     if not parts:
         return ""
-    told = "; ".join(parts)
+    report = "; ".join(parts)
     short = [ground(row) for row in (full, *(c.ours for c in singles)) if ground(row)]
     if together and ground(together.theirs):
         short.append(f"masked DQN: {ground(together.theirs)}")
     if short:
-        return f"**No verdict yet on the components** ({short[0]}): {told}."
+        return f"**No verdict yet on the components** ({short[0]}): {report}."
     pays = together is not None and outcome(together) == BETTER
     whole = len(costs) == len(PRINTED_ABLATION) - 1
     verdict = "reproduces" if pays and whole else (
         "reproduces in part" if pays or costs else "does not reproduce")  # fmt: skip
-    return f"**The ablation {verdict}**: {told}."
+    return f"**The ablation {verdict}**: {report}."
 
 
 def _component(comparison: Comparison) -> str:
@@ -164,14 +164,14 @@ def geometry(results: Results, compared: list[Comparison]) -> str:
         ("singular ends per 1000 training episodes", 1.0, "singular_per_1000",
          before.group.singular_per_1000(), after.group.singular_per_1000()),
     ]  # fmt: skip
-    told, right = [], 0
+    report, right = [], 0
     for name, scale, key, low, high in rows:
         rises = key == "success"
         right += (high.mean > low.mean) if rises else (high.mean < low.mean)
         unit = " (1e5)" if scale != 1.0 else " %" if rises else ""
         first, last = (Value(scale * v.mean, scale * v.std, v.n) for v in (low, high))
         digits = 2 if scale != 1.0 else 1
-        told.append(
+        report.append(
             f"{name} from {_show(first, digits)} to {_show(last, digits)}{unit} "
             f"(paper {' to '.join(GEOMETRY_ABLATION[key])})"
         )
@@ -179,9 +179,9 @@ def geometry(results: Results, compared: list[Comparison]) -> str:
             (("initial", before), ("optimized", after))}  # fmt: skip
     if all(ends.values()):
         shown = " to ".join(_show(row.success()) for row in ends.values() if row)
-        told.append(f"the best script from {shown} %")
+        report.append(f"the best script from {shown} %")
     each = find(compared, GEOMETRY, before)
-    text = "; ".join(told)
+    text = "; ".join(report)
     if why := ground(before) or ground(after):
         return f"**No verdict yet on the design stage** ({why}): {text}."
     verdict = "reproduces" if right == len(rows) and each and outcome(each) == WORSE else (
@@ -194,23 +194,25 @@ def printed(results: Results) -> str:
     row = row_of(results, "rainbow", "printed").as_trained()
     if not row.group.n:
         return ""
-    told = f"Rainbow inserts in {_show(row.success())} %"
+    report = f"Rainbow inserts in {_show(row.success())} %"
     if script := control_of(results, row):
-        told += f", the best script under the same masks in {_show(script.success())}"
+        report += f", the best script under the same masks in {_show(script.success())}"
     reward, holes = (_last_episodes(row.group, name) for name in ("episode_reward", "holes"))
-    told += f"; its last training episodes earn {_show(reward, 0)} and fill {_show(holes, 2)} holes"
+    report += (
+        f"; its last training episodes earn {_show(reward, 0)} and fill {_show(holes, 2)} holes"
+    )
     if why := ground(row):
-        return f"**No verdict yet on the reward as printed** ({why}): {told}."
+        return f"**No verdict yet on the reward as printed** ({why}): {report}."
     learns = "teaches" if row.success().mean >= LEARNS else "does not teach"
-    return f"**The reward as printed {learns} the task**: {told}."
+    return f"**The reward as printed {learns} the task**: {report}."
 
 
 def uncertain(compared: list[Comparison]) -> str:
     """The best learner of the uncertain machine against the best script."""
-    found = [each for each in compared if each.question == SCRIPT]
-    if not found:
+    result = [each for each in compared if each.question == SCRIPT]
+    if not result:
         return ""
-    chosen = max(found, key=lambda each: each.ours.success().mean)
+    chosen = max(result, key=lambda each: each.ours.success().mean)
     verdict = {SAME: "scripts do as well", WORSE: "scripts stay ahead", BETTER: "learning pays"}
     return (
         f"**On the uncertain machine {verdict[outcome(chosen)]}**: {chosen.ours.name} inserts in "

@@ -1,6 +1,6 @@
 """Where a run's process lives: a child of the harness here, or a worker of a cluster.
 
-A backend starts ``python -m benchmarks <words>``; what the process does is the same everywhere, and
+A backend starts ``python -m benchmarks <argv>``; what the process does is the same everywhere, and
 it speaks to the harness through the run's folder alone.
 """
 
@@ -59,19 +59,19 @@ class Backend(Protocol):
     def describe(self) -> str:
         """What runs are given, in a sentence."""
 
-    def start(self, words: Sequence[str], folder: RunFolder) -> Job:
-        """Start ``python -m benchmarks <words>``, which works on ``folder``."""
+    def start(self, argv: Sequence[str], folder: RunFolder) -> Job:
+        """Start ``python -m benchmarks <argv>``, which works on ``folder``."""
 
     def close(self) -> None:
         """Let go of what the backend holds."""
 
 
-def command(words: Sequence[str]) -> list[str]:
+def command(argv: Sequence[str]) -> list[str]:
     """The command line of a run's process, told whose child it is."""
-    return [sys.executable, "-m", "benchmarks", *words, "--parent", str(os.getpid())]
+    return [sys.executable, "-m", "benchmarks", *argv, "--parent", str(os.getpid())]
 
 
-def spawn(words: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
+def spawn(argv: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
     """Start a run's process: pinned to one thread, its output in ``log``."""
     log.parent.mkdir(parents=True, exist_ok=True)
     # an install brings no benchmarks, and a node of a cluster starts in another folder
@@ -79,7 +79,7 @@ def spawn(words: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
     with log.open("ab") as stream:
         # a session of its own: Ctrl-C reaches the harness alone, which then asks politely
         return subprocess.Popen(
-            command(words),
+            command(argv),
             stdin=subprocess.DEVNULL,
             stdout=stream,
             stderr=subprocess.STDOUT,
@@ -100,9 +100,9 @@ def end(process: subprocess.Popen[bytes], seconds: float) -> None:
 class LocalJob:
     """A child process."""
 
-    def __init__(self, words: Sequence[str], log: Path) -> None:
+    def __init__(self, argv: Sequence[str], log: Path) -> None:
         self.log = log
-        self._process = spawn(words, log)
+        self._process = spawn(argv, log)
 
     def poll(self) -> int | None:
         return self._process.poll()
@@ -129,8 +129,8 @@ class LocalBackend:
     def describe(self) -> str:
         return f"{self.slots} processes of one thread on {os.cpu_count()} cores"
 
-    def start(self, words: Sequence[str], folder: RunFolder) -> Job:
-        return LocalJob(words, folder.log)
+    def start(self, argv: Sequence[str], folder: RunFolder) -> Job:
+        return LocalJob(argv, folder.log)
 
     def close(self) -> None:
         pass

@@ -17,9 +17,9 @@ REFERENCE_THRESHOLD: Final = 0.75  # the paper's "environment steps to 75 % succ
 REFERENCE_WINDOW: Final = 20  # ... over 20 training episodes
 
 
-def ended(told: dict[str, Any], rows: int) -> list[dict[str, Any]]:
+def ended(step: dict[str, Any], rows: int) -> list[dict[str, Any]]:
     """Infos of the episodes that end in a step, one of each environment's ``rows``."""
-    pairs = zip(told["dones"][::rows], told["infos"][::rows], strict=True)
+    pairs = zip(step["dones"][::rows], step["infos"][::rows], strict=True)
     return [info for done, info in pairs if done]
 
 

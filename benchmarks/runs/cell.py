@@ -49,7 +49,7 @@ class StopFlag:
         self.requested = True
 
 
-class Teller:
+class ProgressReporter:
     """Tells the harness how far a cell is; raises :class:`Stopped` when asked to end."""
 
     def __init__(self, folder: RunFolder, stop_requested: StopRequested) -> None:
@@ -150,7 +150,7 @@ def _spent(training: dict[str, Any], began: float, cpu_began: float) -> dict[str
     return {"wall_seconds": wall, "cpu_seconds": cpu}
 
 
-def words(experiment: Experiment[Any], store: Store) -> list[str]:
+def argv(experiment: Experiment[Any], store: Store) -> list[str]:
     """The command that opens an experiment and its store in another process; :func:`opened`."""
     kind = type(experiment)
     recipe = json.dumps(experiment.recipe)
@@ -158,7 +158,7 @@ def words(experiment: Experiment[Any], store: Store) -> list[str]:
 
 
 def opened(kind: str, recipe: str, folder: Path) -> tuple[Experiment[Any], Store]:
-    """What :func:`words` speak of."""
+    """What the command of :func:`argv` opens."""
     module, _, name = kind.partition(":")
     experiment = getattr(importlib.import_module(module), name)(**json.loads(recipe))
     return experiment, Store(folder.parent, folder.name)

@@ -37,7 +37,7 @@ PASSING: Final = (
 )
 
 
-class Kept(Protocol):
+class Stateful(Protocol):
     """A part of a run, beside its model, that goes on from a checkpoint.
 
     A state of None says that the episodes under way could not be kept: new ones begin.
@@ -48,7 +48,7 @@ class Kept(Protocol):
     def set_state(self, state: Any, /) -> Any: ...
 
 
-class Watch(BaseCallback):
+class RunCallback(BaseCallback):
     """Saves checkpoints, tells the harness how far the run is, and stops it when asked.
 
     Args:
@@ -61,7 +61,7 @@ class Watch(BaseCallback):
     def __init__(
         self,
         folder: RunFolder,
-        kept: Mapping[str, Kept],
+        kept: Mapping[str, Stateful],
         seconds: float,
         timesteps: int,
         stop_requested: Callable[[], bool],
@@ -158,7 +158,7 @@ class Watch(BaseCallback):
 
 
 def learn(
-    watch: Watch,
+    callback: RunCallback,
     algorithm: type[Model],
     env: VecEnv,
     build: Callable[[], Model],
@@ -166,22 +166,22 @@ def learn(
     logger: Logger,
     device: str = "cpu",
 ) -> Model | None:
-    """Train a model under a watch, from its newest checkpoint or as ``build`` makes it.
+    """Train a model under a callback, from its newest checkpoint or as ``build`` makes it.
 
     ``device`` is where the network of a checkpoint is to live. Returns None if it was stopped.
     """
     torch.set_num_threads(1)
-    model = load_newest(watch, algorithm, env, device) or build()
+    model = load_newest(callback, algorithm, env, device) or build()
     model.set_logger(logger)
-    remaining = watch.timesteps - model.num_timesteps
+    remaining = callback.timesteps - model.num_timesteps
     if remaining > 0:
         model.learn(
             remaining,
-            callback=CallbackList([*callbacks, watch]),
+            callback=CallbackList([*callbacks, callback]),
             log_interval=10**9,  # the callbacks write, at even intervals of steps
             reset_num_timesteps=model.num_timesteps == 0,
         )
-    return None if watch.stopped else model
+    return None if callback.stopped else model
 
 
 def _version() -> dict[str, Any]:
@@ -257,15 +257,17 @@ def _is_passing(error: Exception) -> bool:
     return isinstance(error, torch.OutOfMemoryError)
 
 
-def load_newest(watch: Watch, algorithm: type[Model], env: VecEnv, device: str) -> Model | None:
-    """The model of the newest readable checkpoint, with what the watch keeps restored, or None.
+def load_newest(
+    callback: RunCallback, algorithm: type[Model], env: VecEnv, device: str
+) -> Model | None:
+    """The model of the newest readable checkpoint, with what the callback keeps restored, or None.
 
     A checkpoint that is damaged is named in a warning and kept aside as ``broken-...``.
 
     Raises:
         BenchmarkError: a checkpoint cannot be read now, for a reason that is not the file's.
     """
-    for path in reversed(checkpoints(watch.folder.checkpoint)):
+    for path in reversed(checkpoints(callback.folder.checkpoint)):
         try:
             with (path / "state.pkl").open("rb") as stream:
                 state = pickle.load(stream)
@@ -273,7 +275,7 @@ def load_newest(watch: Watch, algorithm: type[Model], env: VecEnv, device: str) 
             if isinstance(model, OffPolicyAlgorithm):
                 with (path / "buffer.pkl").open("rb") as stream:
                     model.load_replay_buffer(stream)
-            watch.restore(state, model)
+            callback.restore(state, model)
         except Exception as error:
             if _is_passing(error):
                 raise BenchmarkError(
@@ -284,7 +286,7 @@ def load_newest(watch: Watch, algorithm: type[Model], env: VecEnv, device: str) 
             aside = path.with_name(f"{BROKEN}{path.name}")
             shutil.rmtree(aside, ignore_errors=True)
             path.rename(aside)
-            watch.set_aside.append(aside.name)
+            callback.set_aside.append(aside.name)
             warnings.warn(
                 f"{path} cannot be read ({type(error).__name__}: {error}); it is kept as "
                 f"{aside.name} and the run restarts",

@@ -62,13 +62,13 @@ def costs(experiment: Experiment[Any], store: Store, others: Sequence[Store] = (
         BenchmarkError: a stored run was made with other settings.
     """
     own = Rates(experiment, store.completed())
-    found = []
+    result = []
     elsewhere: Rates | None = None
     for cell in experiment.cells():
         folder, config = store.run(cell.id), experiment.settings(cell)
         folder.check_config(config)
         if folder.is_complete():
-            found.append(Cost(cell.id, True, 1.0, folder.seconds(), False))
+            result.append(Cost(cell.id, True, 1.0, folder.seconds(), False))
             continue
         share, rate = folder.progress()[0], own.rate(config)
         if rate is None:
@@ -77,8 +77,8 @@ def costs(experiment: Experiment[Any], store: Store, others: Sequence[Store] = (
             rate = elsewhere.rate(config)
         left = (1.0 - share) * experiment.units(config)
         seconds = left * (GUESSED_RATE if rate is None else rate)
-        found.append(Cost(cell.id, False, share, seconds, rate is None))
-    return found
+        result.append(Cost(cell.id, False, share, seconds, rate is None))
+    return result
 
 
 def _readable(experiment: Experiment[Any], stores: Sequence[Store]) -> Iterator[RunFolder]:
@@ -92,10 +92,10 @@ def _readable(experiment: Experiment[Any], stores: Sequence[Store]) -> Iterator[
             yield run
 
 
-def wall_seconds(found: Sequence[Cost], jobs: int) -> float:
+def wall_seconds(result: Sequence[Cost], jobs: int) -> float:
     """Time until all cells are complete with ``jobs`` processes, each taking the next one."""
     free = [0.0] * jobs
-    for cost in found:
+    for cost in result:
         if not cost.complete:
             index = free.index(min(free))
             free[index] += cost.seconds
@@ -113,21 +113,21 @@ def print_plan(experiment: Experiment[Any], results: Path, jobs: int, console: C
         for path in sorted(place.glob("*/store.json"))
         if path.parent != store.folder
     ]
-    found = costs(experiment, store, others)
-    name = Column("cell", no_wrap=True, min_width=max(len(cost.id) for cost in found))
+    result = costs(experiment, store, others)
+    name = Column("cell", no_wrap=True, min_width=max(len(cost.id) for cost in result))
     table = Table(name, "state", Column("took", no_wrap=True), Column("left", no_wrap=True))
-    for cost in found:
+    for cost in result:
         times = (duration(cost.seconds), "") if cost.complete else ("", duration(cost.seconds))
         table.add_row(cost.id, cost.state, *times)
     console.print(table)
-    todo = [cost for cost in found if not cost.complete]
+    todo = [cost for cost in result if not cost.complete]
     console.print(
-        f"{len(found)} cells of preset '{experiment.name}' in {store.folder}, {len(todo)} to run"
+        f"{len(result)} cells of preset '{experiment.name}' in {store.folder}, {len(todo)} to run"
     )
     if not todo:
         return
     alone = duration(sum(cost.seconds for cost in todo))
-    text = f"About {alone} of one core left, {duration(wall_seconds(found, jobs))} with "
+    text = f"About {alone} of one core left, {duration(wall_seconds(result, jobs))} with "
     text += f"{jobs} process{'es' if jobs > 1 else ''}"
     if guessed := sum(cost.guessed for cost in todo):
         text += f"; a guess for {guessed} cells of a kind that never ran here"

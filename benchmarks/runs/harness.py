@@ -171,13 +171,13 @@ class Harness(Generic[C]):
             self._tell(progress, overall)
 
     def _start(self, cell: C, progress: Progress) -> _Child[C]:
-        words = [
-            *cells.words(self.experiment, self.store),
+        argv = [
+            *cells.argv(self.experiment, self.store),
             *("--cell", cell.id, "--device", self.device),
             # the process of a harness that was killed may still be saving
             *("--wait", f"{GRACE_SECONDS:g}"),
         ]
-        job = self.backend.start(words, self.store.run(cell.id))
+        job = self.backend.start(argv, self.store.run(cell.id))
         task = progress.add_task(
             f"  {cell.id}", total=1.0, note="starting", visible=False, start=False
         )

@@ -46,9 +46,9 @@ def reduce_to_acting(model: Any) -> None:
             elif value.abs().max() < torch.finfo(torch.float16).max:
                 value.copy_(value.half())
     names, _ = model._get_torch_save_params()
-    for found in (attrgetter(name)(model) for name in names):
-        if isinstance(found, torch.optim.Optimizer):
-            found.state.clear()
+    for result in (attrgetter(name)(model) for name in names):
+        if isinstance(result, torch.optim.Optimizer):
+            result.state.clear()
 
 
 def save(model: Any, path: Path) -> None:

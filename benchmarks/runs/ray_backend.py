@@ -29,8 +29,8 @@ TICKET: Final = "ticket.json"  # from the harness: whom the run is for
 WORKER: Final = "worker.json"  # from the worker: where it runs
 
 
-def run_remotely(words: Sequence[str], folder: str, nonce: str) -> int:
-    """In a worker: run ``python -m benchmarks <words>`` and return its exit code.
+def run_remotely(argv: Sequence[str], folder: str, nonce: str) -> int:
+    """In a worker: run ``python -m benchmarks <argv>`` and return its exit code.
 
     Raises:
         BenchmarkError: the folder here is not the one where the harness wrote ``nonce``.
@@ -41,7 +41,7 @@ def run_remotely(words: Sequence[str], folder: str, nonce: str) -> int:
             f"{folder} on {socket.gethostname()} is not the folder that the harness sees; "
             "--results must lie on storage that all nodes share"
         )
-    process = spawn(words, run.log)
+    process = spawn(argv, run.log)
     place = {"nonce": nonce, "host": socket.gethostname(), "pid": os.getpid()}
     write_text(run.checkpoint / WORKER, json.dumps(place | {"run": process.pid}))
     try:
@@ -111,15 +111,15 @@ class RayBackend:
         word = "node" if len(nodes) == 1 else "nodes"
         return f"Ray: {len(nodes)} {word}, {total['CPU']:g} CPUs, {total['GPU']:g} GPUs"
 
-    def submit(self, words: Sequence[str], folder: RunFolder) -> tuple[Any, str]:
+    def submit(self, argv: Sequence[str], folder: RunFolder) -> tuple[Any, str]:
         """Hand a run to Ray; returns the reference of its exit code, and the run's nonce."""
         nonce = uuid.uuid4().hex
         write_text(folder.checkpoint / TICKET, json.dumps({"nonce": nonce}))
-        return self._task.remote(list(words), str(folder.path.resolve()), nonce), nonce
+        return self._task.remote(list(argv), str(folder.path.resolve()), nonce), nonce
 
-    def start(self, words: Sequence[str], folder: RunFolder) -> Job:
+    def start(self, argv: Sequence[str], folder: RunFolder) -> Job:
         """Hand a run to Ray, which starts it when there is room."""
-        return RayJob(self, words, folder)
+        return RayJob(self, argv, folder)
 
     def close(self) -> None:
         """Leave the cluster; a Ray of its own ends."""
@@ -129,9 +129,9 @@ class RayBackend:
 class RayJob:
     """A run in Ray's hands."""
 
-    def __init__(self, backend: RayBackend, words: Sequence[str], folder: RunFolder) -> None:
+    def __init__(self, backend: RayBackend, argv: Sequence[str], folder: RunFolder) -> None:
         self.log = folder.log
-        self._backend, self._words, self._folder = backend, words, folder
+        self._backend, self._argv, self._folder = backend, argv, folder
         self._code: int | None = None
         self._news: list[str] = []
         self._retries = 0
@@ -139,7 +139,7 @@ class RayJob:
 
     def _submit(self) -> None:
         self._share = self._folder.progress()[0]
-        self._reference, self._nonce = self._backend.submit(self._words, self._folder)
+        self._reference, self._nonce = self._backend.submit(self._argv, self._folder)
 
     def poll(self) -> int | None:
         """The exit code, None while the run goes on, waits, or is placed again."""

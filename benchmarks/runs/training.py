@@ -18,7 +18,7 @@ from benchmarks.methods.learners import ALGORITHMS, build_model, make_training_e
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset
 from benchmarks.runs.callbacks import CurriculumCallback, CurveRecorder
-from benchmarks.runs.checkpoint import Kept, Watch, learn
+from benchmarks.runs.checkpoint import RunCallback, Stateful, learn
 from benchmarks.runs.store import RunFolder
 from sb3_rainbow.learner.denormals import flush_denormals
 
@@ -45,17 +45,19 @@ def train(
         return f"{how}, stage {curriculum.stage}"
 
     envs: Any = env.venv
-    kept: dict[str, Kept] = {
+    kept: dict[str, Stateful] = {
         "env": envs,
         "monitor": _Monitor(env),
         "curriculum": curriculum,
         "curve": curve,
     }
-    watch = Watch(folder, kept, preset.checkpoint_seconds, track.timesteps, stop_requested, note)
+    callback = RunCallback(
+        folder, kept, preset.checkpoint_seconds, track.timesteps, stop_requested, note
+    )
     logger = configure(str(folder.tensorboard), ["tensorboard"])
     with flush_denormals():  # for every method alike
         model = learn(
-            watch,
+            callback,
             ALGORITHMS[cell.method],
             env,
             lambda: build_model(preset, cell, env, device),
@@ -67,7 +69,7 @@ def train(
         return None
     curve.flush()
     folder.write_rows("curve", curve.rows)
-    return model, {**curve.summary(), **watch.summary(model)}
+    return model, {**curve.summary(), **callback.summary(model)}
 
 
 class _Monitor:

@@ -43,10 +43,10 @@ MARKS: Final = {"rainbow": "o", "dqn": "s", "maskable_ppo": "^"}
 
 def of_each_reward(preset: Preset) -> Preset:
     """The preset with the first of its tracks that has a reward for each reward there is."""
-    found: dict[str, str] = {}
+    result: dict[str, str] = {}
     for name, track in preset.tracks.items():
-        found.setdefault(f"{track.reward} {sorted(track.reward_kwargs.items())}", name)
-    return replace(preset, tracks={name: preset.tracks[name] for name in found.values()})
+        result.setdefault(f"{track.reward} {sorted(track.reward_kwargs.items())}", name)
+    return replace(preset, tracks={name: preset.tracks[name] for name in result.values()})
 
 
 def scripted(preset: Preset, starts: int, tick: Tick = lambda share: None) -> pd.DataFrame:
@@ -59,8 +59,8 @@ def scripted(preset: Preset, starts: int, tick: Tick = lambda share: None) -> pd
         simulator = Simulator(env)
         for number, seed in enumerate(episode_seeds(0, starts, "validate")):
             env.reset(seed=seed)
-            found = oracle.plan_episode(env)
-            plans = [[int(m) for m in plan.moves] for plan in found if plan.moves is not None]
+            result = oracle.plan_episode(env)
+            plans = [[int(m) for m in plan.moves] for plan in result if plan.moves is not None]
             for script in SCRIPTS:
                 moves = moves_of(script, env, simulator, plans, seed)
                 row = {"track": name, "script": script, "start": number}
@@ -121,11 +121,11 @@ def draw(rows: pd.DataFrame, learners: pd.DataFrame) -> Figure:
     learners = learners.query("ablation == 'full' and geometry == 'optimized'")
     for k, name in enumerate(tracks):
         for method, mark in MARKS.items():
-            found = learners.query("track == @name and method == @method")
-            if len(found):
-                share, label = found["return"] / insert[name], labels.METHODS[method]
+            result = learners.query("track == @name and method == @method")
+            if len(result):
+                share, label = result["return"] / insert[name], labels.METHODS[method]
                 label += f", {labels.track(name)}"
-                right.plot(share, found["holes"], mark, color=f"C{k}", label=label, markersize=5)
+                right.plot(share, result["holes"], mark, color=f"C{k}", label=label, markersize=5)
     right.axvline(1.0, color="black", linewidth=0.8, linestyle=":")
     right.set_xlabel("return of the last training episodes / return of inserting")
     right.set_ylabel("holes per episode")
@@ -145,11 +145,11 @@ def markdown(rows: pd.DataFrame) -> str:
     ]
     for name, shares in ratios(rows).iterrows():
         for script, share in shares.items():
-            found = rows[(rows["track"] == name) & (rows["script"] == script)]
+            result = rows[(rows["track"] == name) & (rows["script"] == script)]
             lines.append(
                 f"| {labels.track(str(name))} | {script} "
-                f"| {found['return'].mean():.1f} ± {found['return'].std():.1f} "
-                f"| {found['discounted'].mean():.1f} | {found['holes'].mean():.2f} "
+                f"| {result['return'].mean():.1f} ± {result['return'].std():.1f} "
+                f"| {result['discounted'].mean():.1f} | {result['holes'].mean():.2f} "
                 f"| {share:.2f} |"
             )
     return "\n".join(lines) + "\n"

@@ -53,27 +53,29 @@ class Study(ABC):
     @classmethod
     def parser(cls) -> argparse.ArgumentParser:
         """The command line of the study."""
-        found = argparse.ArgumentParser(
+        result = argparse.ArgumentParser(
             prog=f"python -m benchmarks study {cls.name}",
             description=importlib.import_module(cls.__module__).__doc__,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        found.add_argument("--results", type=Path, default=Path("results"), help="results folder")
+        result.add_argument("--results", type=Path, default=Path("results"), help="results folder")
         for name, arguments in cls.options.items():
-            found.add_argument(name, **arguments)
-        return found
+            result.add_argument(name, **arguments)
+        return result
 
     @classmethod
-    def main(cls, words: Sequence[str]) -> int:
+    def main(cls, argv: Sequence[str]) -> int:
         """Measure what is missing, then tables, figures and pages; returns the exit code."""
-        given = cls.parser().parse_args(list(words))
-        given.command = shlex.join(["python", "-m", "benchmarks", "study", cls.name, *words])
+        given = cls.parser().parse_args(list(argv))
+        given.command = shlex.join(["python", "-m", "benchmarks", "study", cls.name, *argv])
         for module in cls.needs[:-1]:
             try:
                 importlib.import_module(module)
             except ImportError as error:
-                told = f"{cls.name} needs pip install 'sb3-rainbow-coop[{cls.needs[-1]}]': {error}"
-                raise BenchmarkError(told) from error
+                message = (
+                    f"{cls.name} needs pip install 'sb3-rainbow-coop[{cls.needs[-1]}]': {error}"
+                )
+                raise BenchmarkError(message) from error
         console = Console(soft_wrap=True)
         study = cls(given)
         with bar(console) as progress:
@@ -93,7 +95,7 @@ class Study(ABC):
     def parts(self) -> Mapping[str, Part]:
         """What is still to be measured, by name, in order."""
 
-    def keep(self, name: str, found: Any) -> None:  # noqa: B027 - a part may store its own
+    def keep(self, name: str, result: Any) -> None:  # noqa: B027 - a part may store its own
         """Store what a part gave."""
 
     def finish(self) -> None:  # noqa: B027 - few draw
@@ -140,12 +142,12 @@ class Measured(Study):
         super().__init__(given)
         self.path = self.results / self.file
         self.folder = self.path.parent
-        self.found: dict[str, Any] = {"asked": self.asked(), "parts": {}}
+        self.result: dict[str, Any] = {"asked": self.asked(), "parts": {}}
         if self.path.is_file():
             stored = json.loads(self.path.read_text(encoding="utf-8"))
-            if stored.get("asked") == self.found["asked"]:
-                self.found = stored
-        self.found |= {"command": given.command, "machine": describe()}
+            if stored.get("asked") == self.result["asked"]:
+                self.result = stored
+        self.result |= {"command": given.command, "machine": describe()}
 
     def asked(self) -> dict[str, Any]:
         """What decides the parts, as JSON can hold it."""
@@ -159,24 +161,24 @@ class Measured(Study):
 
     @staticmethod
     @abstractmethod
-    def tell(found: dict[str, Any]) -> str:
+    def to_markdown(result: dict[str, Any]) -> str:
         """What is stored, as Markdown."""
 
     def parts(self) -> Mapping[str, Part]:
-        kept = self.found["parts"]
+        kept = self.result["parts"]
         return {name: part for name, part in self.measures().items() if name not in kept}
 
-    def keep(self, name: str, found: Any) -> None:
-        self.found["parts"][name] = found
-        write_text(self.path, json.dumps(self.found, indent=1) + "\n")
+    def keep(self, name: str, result: Any) -> None:
+        self.result["parts"][name] = result
+        write_text(self.path, json.dumps(self.result, indent=1) + "\n")
 
     @classmethod
     def files(cls, results: Path) -> dict[Path, str]:
         path = results / cls.file
         if not path.is_file():
             return {}
-        found = json.loads(path.read_text(encoding="utf-8"))
-        return {path.with_suffix(".md"): cls.tell(found).strip() + "\n"}
+        result = json.loads(path.read_text(encoding="utf-8"))
+        return {path.with_suffix(".md"): cls.to_markdown(result).strip() + "\n"}
 
     @classmethod
     def problems(cls, results: Path) -> list[str]:
@@ -186,11 +188,11 @@ class Measured(Study):
             return [f"{results / cls.file} has no {missing}: the command of the study goes on"]
 
 
-def source(found: Mapping[str, Any], more: str = "") -> str:
+def source(result: Mapping[str, Any], more: str = "") -> str:
     """Where measurements come from: command, machine, commit."""
-    machine = found["machine"]
+    machine = result["machine"]
     return (
-        f"Command: `{found['command']}`. {machine['machine']['processor']}, "
+        f"Command: `{result['command']}`. {machine['machine']['processor']}, "
         f"commit {machine['commit'][:9]}{more}."
     )
 

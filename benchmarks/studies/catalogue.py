@@ -44,20 +44,20 @@ def study(name: str) -> type[Study]:
     where = f"benchmarks.studies.{STUDIES[name][0]}" if name in STUDIES else name
     module, colon, kind = where.partition(":")
     if not colon:
-        told = f"unknown study '{name}'; known: {known(STUDIES)}, or module:Class"
-        raise BenchmarkError(told)
+        message = f"unknown study '{name}'; known: {known(STUDIES)}, or module:Class"
+        raise BenchmarkError(message)
     if "" not in sys.path:
         sys.path.insert(0, "")
     try:
-        found: type[Study] = getattr(importlib.import_module(module), kind)
+        result: type[Study] = getattr(importlib.import_module(module), kind)
     except (ImportError, AttributeError) as error:
         raise BenchmarkError(f"study '{name}' cannot be imported: {error}") from error
-    return found
+    return result
 
 
-def run_study(name: str, words: list[str]) -> int:
+def run_study(name: str, argv: list[str]) -> int:
     """Run a study by its command line; returns the exit code."""
-    return study(name).main(words)
+    return study(name).main(argv)
 
 
 def experiment(preset: str) -> Experiment[Any]:
@@ -85,9 +85,9 @@ def stores(results: Path) -> dict[str, Path]:
     """The presets of this package that have a store, and its folder."""
     from benchmarks.studies.classic import presets as classic
 
-    found = {name: results / name for name in store_names(results)}
+    result = {name: results / name for name in store_names(results)}
     public = {name: results / "classic" / name for name in store_names(results / "classic")}
-    return {name: path for name, path in found.items() if name in preset_names()} | {
+    return {name: path for name, path in result.items() if name in preset_names()} | {
         name: path for name, path in public.items() if name in classic.preset_names()
     }
 
@@ -106,7 +106,7 @@ def all_blocks(results: Path) -> Mapping[str, Block]:
 
         return page(of_store(said))
 
-    found: dict[str, Block] = {
+    result: dict[str, Block] = {
         "include": blocks.include(results),
         "results": lambda said: science.short(of_store(said)),
         "science": lambda said: science.science(of_store(said.split()[0]), "beyond" in said),
@@ -114,8 +114,8 @@ def all_blocks(results: Path) -> Mapping[str, Block]:
         "gallery": blocks.gallery(results),
     }
     for name in STUDIES:
-        found |= study(name).blocks(results)
-    return found
+        result |= study(name).blocks(results)
+    return result
 
 
 def verify(results: Path, presets: list[str]) -> Report:

@@ -33,8 +33,7 @@ from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import derive
-from benchmarks.reporting.tables.table import Cell as TableCell
-from benchmarks.reporting.tables.table import Table
+from benchmarks.reporting.tables.table import Table, TableCell
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
 from benchmarks.studies.base import Part, Study, Tick
@@ -126,10 +125,10 @@ def arguments_of_the_task() -> dict[str, Any]:
     return {name: value for name, value in given.items() if value}
 
 
-def play(recipe: Recipe, tell: Callable[[int], None]) -> list[Episode]:
+def play(recipe: Recipe, progress: Callable[[int], None]) -> list[Episode]:
     """Whole episodes from the first on, until they have the recipe's steps together.
 
-    ``tell`` hears how many there are.
+    ``progress`` hears how many there are.
     """
     arguments, oracle = arguments_of_the_task(), LatticeOracle()
     longest = CoopInsertionEnv(**arguments).params.task.max_moves
@@ -148,7 +147,7 @@ def play(recipe: Recipe, tell: Callable[[int], None]) -> list[Episode]:
             if done < recipe.steps:
                 kept.append(episode)
                 done += episode.moves
-        tell(done)
+        progress(done)
     return kept
 
 
@@ -241,15 +240,15 @@ def read(root: Path, recipe: Recipe) -> dict[str, Any] | None:
     path = root / recipe.id / "data" / "metadata.json"
     if not path.is_file():
         return None
-    found = json.loads(path.read_text(encoding="utf-8"))
-    if found["settings"] != recipe.settings():
+    result = json.loads(path.read_text(encoding="utf-8"))
+    if result["settings"] != recipe.settings():
         raise BenchmarkError(
-            f"{root / recipe.id} was made by {found['settings']}, this is {recipe.settings()}: "
+            f"{root / recipe.id} was made by {result['settings']}, this is {recipe.settings()}: "
             "delete it, or name another --results"
         )
     size = sum(part.stat().st_size for part in path.parent.iterdir())
-    told = BEHAVIOURS[recipe.behaviour]
-    return {"id": recipe.id, "behaviour": told, "megabytes": size / 1e6, **found["measured"]}
+    behaviour = BEHAVIOURS[recipe.behaviour]
+    return {"id": recipe.id, "behaviour": behaviour, "megabytes": size / 1e6, **result["measured"]}
 
 
 class Data(Study):
@@ -269,8 +268,8 @@ class Data(Study):
         write(self.folder, recipe, play(recipe, lambda n: tick(n / recipe.steps)))
 
     def finish(self) -> None:
-        found = (read(self.folder, recipe) for recipe in recipes(self.given.steps))
-        records = [record for record in found if record]
+        result = (read(self.folder, recipe) for recipe in recipes(self.given.steps))
+        records = [record for record in result if record]
         write_text(self.folder / "data.json", json.dumps(records, indent=1) + "\n")
 
     @classmethod
@@ -278,10 +277,10 @@ class Data(Study):
         path = results / "data" / "data.json"
         if not path.is_file():
             return {}
-        return {path.with_suffix(".md"): tell(json.loads(path.read_text(encoding="utf-8")))}
+        return {path.with_suffix(".md"): to_markdown(json.loads(path.read_text(encoding="utf-8")))}
 
 
-def tell(records: Sequence[Mapping[str, Any]]) -> str:
+def to_markdown(records: Sequence[Mapping[str, Any]]) -> str:
     """The table as Markdown."""
     rows: list[list[TableCell]] = [
         [

@@ -123,12 +123,12 @@ def summary(rows: pd.DataFrame) -> str:
     """Success, the optimum's and the excess in moves by polar angle and tilt, and the causes."""
     head = ("Starts", "n", "Success (%)", "Optimum (%)", "Moves over the optimum (%)")
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
-    for label, found in [*_groups(rows, "hole at {:.0f}°"), ("all", rows)]:
-        moves, optimum = found.loc[found["success"], ["moves", "optimum"]].dropna().sum()
+    for label, result in [*_groups(rows, "hole at {:.0f}°"), ("all", rows)]:
+        moves, optimum = result.loc[result["success"], ["moves", "optimum"]].dropna().sum()
         excess = 100.0 * (moves / optimum - 1.0) if optimum else math.nan
         lines.append(
-            f"| {label} | {len(found)} | {100 * found['success'].mean():.1f} "
-            f"| {100 * found['optimum'].notna().mean():.1f} | {excess:.1f} |"
+            f"| {label} | {len(result)} | {100 * result['success'].mean():.1f} "
+            f"| {100 * result['optimum'].notna().mean():.1f} | {excess:.1f} |"
         )
     failed = rows.loc[~rows["success"], "cause"].tolist()
     named = ", ".join(f"{failed.count(cause)} {cause}" for cause in CAUSES)
@@ -142,9 +142,9 @@ def summary(rows: pd.DataFrame) -> str:
         ]
     solved, cycles = rows.loc[rows["success"], "gap"], rows.loc[rows["cause"] == "cycle", "gap"]
     parts = [
-        f"{100.0 * found.median():.2f} % where it {what}"
-        for found, what in ((solved, "inserts"), (cycles, "cycles"))
-        if found.notna().any()
+        f"{100.0 * result.median():.2f} % where it {what}"
+        for result, what in ((solved, "inserts"), (cycles, "cycles"))
+        if result.notna().any()
     ]
     if parts:
         lines += [
@@ -156,11 +156,11 @@ def summary(rows: pd.DataFrame) -> str:
 
 def _groups(rows: pd.DataFrame, hole: str) -> list[tuple[str, pd.DataFrame]]:
     """Labels and rows by the hole's polar angle, then by the tilt at the start."""
-    groups = [(hole.format(polar), found) for polar, found in rows.groupby("polar")]
+    groups = [(hole.format(polar), result) for polar, result in rows.groupby("polar")]
     tilts = pd.Series(pd.cut(rows["tilt"], list(TILT_EDGES), include_lowest=True))
     return groups + [
-        (f"tilt to {interval.right:.0f}°", found)
-        for interval, found in rows.groupby(tilts, observed=True)
+        (f"tilt to {interval.right:.0f}°", result)
+        for interval, result in rows.groupby(tilts, observed=True)
     ]
 
 
@@ -170,11 +170,11 @@ def draw(rows: pd.DataFrame) -> Figure:
     bins = _groups(rows, "{:.0f}° hole")
     names = [name for name, _ in bins]
     at = np.arange(len(bins))
-    shares = np.array([found["success"].mean() for _, found in bins])
-    limits = np.array([wilson(int(found["success"].sum()), len(found)) for _, found in bins])
+    shares = np.array([result["success"].mean() for _, result in bins])
+    limits = np.array([wilson(int(result["success"].sum()), len(result)) for _, result in bins])
     errors = np.abs(limits.T - shares)
     success.bar(at, 100 * shares, yerr=100 * errors, color="C0", capsize=3, label="policy")
-    ceiling = [100 * found["optimum"].notna().mean() for _, found in bins]
+    ceiling = [100 * result["optimum"].notna().mean() for _, result in bins]
     success.plot(at, ceiling, "k_", markersize=18, label="exact optimum")
     success.set_ylabel("success at the first hole (%)")
     success.set_ylim(max(0.0, 100 * limits.min() - 10.0), 101.0)
@@ -195,10 +195,10 @@ def _map(axes: Axes, rows: pd.DataFrame) -> None:
     solved = rows[rows["success"]]
     axes.plot(solved["roll"], solved["pitch"], ".", color="C2", alpha=0.25, label="inserted")
     for cause in CAUSES:
-        found = rows[rows["cause"] == cause]
-        if len(found):
-            label = f"{cause} ({len(found)})"
-            axes.plot(found["roll"], found["pitch"], "o", color=COLOURS[cause], label=label)
+        result = rows[rows["cause"] == cause]
+        if len(result):
+            label = f"{cause} ({len(result)})"
+            axes.plot(result["roll"], result["pitch"], "o", color=COLOURS[cause], label=label)
     axes.set_xlabel("roll at the start (°)")
     axes.set_ylabel("pitch at the start (°)")
     axes.set_aspect("equal")

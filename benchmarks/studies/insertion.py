@@ -10,7 +10,7 @@ from benchmarks.protocol import plan
 from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.presets import Preset, absolute, load_preset
 from benchmarks.protocol.seeding import derive
-from benchmarks.runs.cell import Teller
+from benchmarks.runs.cell import ProgressReporter
 from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
 
@@ -73,7 +73,7 @@ class Insertion(Experiment[Cell]):
         else:
             from benchmarks.evaluation.evaluate import evaluate_cell
 
-            rows = evaluate_cell(self.preset, cell, Teller(folder, stop_requested))
+            rows = evaluate_cell(self.preset, cell, ProgressReporter(folder, stop_requested))
             folder.write_rows("episodes", rows)
         if training is None:
             return None

@@ -39,7 +39,7 @@ HOLD_SECONDS: Final = 2.0  # the last picture stays so long
 DEFAULT_SEED: Final = 8
 
 
-class Optimum:
+class OptimalPlayer:
     """Plays the lattice optimum to the next hole; plans anew wherever the robots are put.
 
     Args:
@@ -189,7 +189,7 @@ class Media(Study):
         given, camera = self.given, self.given.camera
         env = CoopInsertionEnv(geometry=given.geometry, render_mode="rgb_array")
         choose = (
-            Optimum
+            OptimalPlayer
             if given.model is None
             else partial(policy_moves, given.model, trust=given.trust)
         )

@@ -84,9 +84,9 @@ def stored(path: Path) -> tuple[dict[str, Any], Play]:
     model = load_model(path)
     arguments: dict[str, Any] = {"observation": fitting_observation(model, path)}
     if (config := path.with_name("config.yaml")).is_file():
-        found = yaml.safe_load(config.read_text(encoding="utf-8"))
-        arguments |= {name: found["track"][name] for name in SEEN if name in found["track"]}
-        arguments["geometry"] = found["cell"]["geometry"]
+        result = yaml.safe_load(config.read_text(encoding="utf-8"))
+        arguments |= {name: result["track"][name] for name in SEEN if name in result["track"]}
+        arguments["geometry"] = result["cell"]["geometry"]
         if arguments["geometry"] not in GEOMETRIES:
             raise BenchmarkError(f"{path}: give a policy on one of {sorted(GEOMETRIES)}")
     act = model_policy(model)
@@ -221,10 +221,10 @@ class TrajectoryStudy(Measured):
     }
 
     @classmethod
-    def main(cls, words: Sequence[str]) -> int:
-        given = cls.parser().parse_args(list(words))
+    def main(cls, argv: Sequence[str]) -> int:
+        given = cls.parser().parse_args(list(argv))
         if given.export is None:
-            return super().main(words)
+            return super().main(argv)
         try:
             cls._export(given)
         except DependencyNotInstalled as missing:
@@ -260,6 +260,6 @@ class TrajectoryStudy(Measured):
                 return
 
     @staticmethod
-    def tell(found: dict[str, Any]) -> str:
-        rows = pd.DataFrame([row for part in found["parts"].values() for row in part])
-        return f"{tables(rows)}\n\n{source(found)}"
+    def to_markdown(result: dict[str, Any]) -> str:
+        rows = pd.DataFrame([row for part in result["parts"].values() for row in part])
+        return f"{tables(rows)}\n\n{source(result)}"

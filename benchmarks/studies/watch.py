@@ -7,7 +7,7 @@ import argparse
 from gymnasium.error import DependencyNotInstalled
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.studies.media import Optimum, policy_moves
+from benchmarks.studies.media import OptimalPlayer, policy_moves
 from benchmarks.studies.robots.trials import inserter
 from coop_env.env import CoopInsertionEnv
 from coop_env.rendering.browser import ViewerError
@@ -41,7 +41,7 @@ def watch(arguments: argparse.Namespace) -> None:
     """
     env = _twin(arguments) if arguments.twin else _kinematic(arguments)
     model, trust = arguments.model, arguments.trust
-    act: Act = Optimum(env) if model is None else policy_moves(model, env, trust)
+    act: Act = OptimalPlayer(env) if model is None else policy_moves(model, env, trust)
     try:
         view(env, act, host=arguments.host, port=arguments.port)
     except ViewerError as error:

@@ -30,7 +30,7 @@ Scores = Sequence[NDArray[np.float64]]  # of each seed's test episodes
 
 def comparisons(results: Results) -> list[Picture]:
     """Figures of the test episodes, over all tracks."""
-    found = [
+    result = [
         Picture(
             "performance_profile",
             "Performance profiles: share of test episodes above a score, with 95 % bands over "
@@ -45,47 +45,47 @@ def comparisons(results: Results) -> list[Picture]:
         ),
     ]  # fmt: skip
     if error_levels(results):
-        found.append(Picture(
+        result.append(Picture(
             "errors",
             "Success rate on the uncertain machine over the bound of its base's displacement, the "
             "tilt in proportion, with 95 % intervals.",
             partial(_errors, results),
         ))  # fmt: skip
     if components := _ablation_rows(results):
-        found.append(Picture(
+        result.append(Picture(
             "ablation_comparison",
             "Success rate with one component removed: ours (as trained, where tested so) with 95 % "
             "intervals, the paper's with its standard deviation.",
             partial(_ablation_comparison, components, references(results, scored(results))),
         ))  # fmt: skip
-    return found
+    return result
 
 
 def _speeds(group: Group, optimum: Group) -> list[NDArray[np.float64]]:
     """Per seed and test episode that the optimum solves: its moves over the method's, or 0."""
     best = {run.seed: run.test() for run in optimum.runs}
-    found = []
+    result = []
     for run in group.runs:
         if run.seed in best:
             both = run.test().merge(best[run.seed], on="episode", suffixes=("", "_best"))
             both = both[both["success_best"] == 1]
-            found.append((both["moves_first_best"] / both["moves_first"]).fillna(0.0).to_numpy())
-    return found
+            result.append((both["moves_first_best"] / both["moves_first"]).fillna(0.0).to_numpy())
+    return result
 
 
 def _drawn(results: Results) -> dict[str, Group]:
     """Learners, of the controls the best of each knowledge, and planners, by name."""
-    found = complete(rows(results))
-    learners = [row for row in found if row.method in LEARNERS]
+    result = complete(rows(results))
+    learners = [row for row in result if row.method in LEARNERS]
     controls = [control_of(results, row) for row in learners]
-    planners = [row for row in found if row.method in PLANNERS]
+    planners = [row for row in result if row.method in PLANNERS]
     chosen = [*learners, *complete(row for row in controls if row), *planners]
     return {row.name: row.group for row in chosen}
 
 
 def _on_uncertain(results: Results) -> dict[str, Group]:
-    found = complete(rows(results, uncertain=True))
-    return {row.name: row.group for row in found}
+    result = complete(rows(results, uncertain=True))
+    return {row.name: row.group for row in result}
 
 
 def _profile_scores(results: Results) -> list[tuple[str, Mapping[str, Scores]]]:
@@ -120,8 +120,8 @@ def _profiles(results: Results) -> Figure:
 
 
 def _robustness_lines(results: Results) -> dict[str, Group]:
-    found = complete(rows(results, NOISY))
-    return {row.name: row.group for row in found}
+    result = complete(rows(results, NOISY))
+    return {row.name: row.group for row in result}
 
 
 def _robustness(results: Results) -> Figure:
@@ -171,24 +171,24 @@ def _errors(results: Results) -> Figure:
 
 
 def _ablation_rows(results: Results) -> list[tuple[str, str, Value, str]]:
-    found = []
+    result = []
     for track in [scored(results)]:
         for key, title in labels.ABLATIONS.items():
             row = row_of(results, "rainbow", track, ablation=key).as_trained()
             if row.group.n:
                 paper = paper_values.ABLATION.get(key, "")
-                found.append((labels.track(track), title, row.success(), paper))
-    return found
+                result.append((labels.track(track), title, row.success(), paper))
+    return result
 
 
 def _ablation_comparison(
-    found: Sequence[tuple[str, str, Value, str]], references: Sequence[Row]
+    result: Sequence[tuple[str, str, Value, str]], references: Sequence[Row]
 ) -> Figure:
     figure, (axes,) = canvas(size=(6.0, 4.2))
-    titles = list(dict.fromkeys(title for _, title, _, _ in found))
-    tracks = list(dict.fromkeys(track for track, _, _, _ in found))
+    titles = list(dict.fromkeys(title for _, title, _, _ in result))
+    tracks = list(dict.fromkeys(track for track, _, _, _ in result))
     for i, track in enumerate(tracks):
-        mine = [(titles.index(title), value) for t, title, value, _ in found if t == track]
+        mine = [(titles.index(title), value) for t, title, value, _ in result if t == track]
         values = [value for _, value in mine]
         mean = np.array([value.mean for value in values])
         error = np.array([mean - [v.low for v in values], [v.high for v in values] - mean])
@@ -196,7 +196,7 @@ def _ablation_comparison(
             mean, [y + 0.14 * (i + 1) for y, _ in mine], xerr=np.maximum(error, 0.0),
             fmt="o", markersize=4, capsize=2, color=f"C{i}", label=f"ours, {track}",
         )  # fmt: skip
-    printed = {title: paper for _, title, _, paper in found if paper}
+    printed = {title: paper for _, title, _, paper in result if paper}
     axes.errorbar(
         [paper_values.mean(text) for text in printed.values()],
         [titles.index(title) for title in printed],

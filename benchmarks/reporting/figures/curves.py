@@ -48,12 +48,12 @@ def seed_curves(
 ) -> tuple[Curve, Curve]:
     """Steps (T,) that all seeds share, and the seeds' values there (seeds, T); empty if none."""
     curves = [series(frame, column, window) for frame in frames]
-    found = [(steps, values) for steps, values in curves if len(steps)]
-    if not found:
+    result = [(steps, values) for steps, values in curves if len(steps)]
+    if not result:
         return np.empty(0), np.empty((0, 0))
-    start = max(steps[0] for steps, _ in found)
-    grid = np.linspace(start, max(start, min(steps[-1] for steps, _ in found)), POINTS)
-    return grid, np.stack([np.interp(grid, steps, values) for steps, values in found])
+    start = max(steps[0] for steps, _ in result)
+    grid = np.linspace(start, max(start, min(steps[-1] for steps, _ in result)), POINTS)
+    return grid, np.stack([np.interp(grid, steps, values) for steps, values in result])
 
 
 def draw_curve(

@@ -59,14 +59,14 @@ RAW: Final = frozenset({"cumulative_reward", "duration"})
 
 def pictures(results: Results) -> list[Picture]:
     """All figures of a store; of one with teams theirs alone."""
-    if found := _teams(results):
-        return found
+    if result := _teams(results):
+        return result
     for track in results.tracks():
-        found += _learning(results, track)
-        found += _variants(results, track)
+        result += _learning(results, track)
+        result += _variants(results, track)
     if complete([*rows(results), *rows(results, uncertain=True)]):
-        found += comparisons(results)
-    return found
+        result += comparisons(results)
+    return result
 
 
 def _learning(results: Results, track: str) -> list[Picture]:
@@ -77,7 +77,7 @@ def _learning(results: Results, track: str) -> list[Picture]:
     if not any(curve_frames(group) for group in groups.values()):
         return []
     bounds, of = references(results, track), labels.track(track)
-    found = [
+    result = [
         Picture(
             f"{track}_{name}",
             f"{caption}, {of}.",
@@ -85,15 +85,15 @@ def _learning(results: Results, track: str) -> list[Picture]:
         )
         for name, (column, label, log, caption) in CURVES.items()
     ]
-    found.insert(1, Picture(
+    result.insert(1, Picture(
         f"{track}_exploration", f"Learning rate, and noise magnitude or epsilon, {of}.",
         partial(_exploration, groups),
     ))  # fmt: skip
-    found.insert(2, Picture(
+    result.insert(2, Picture(
         f"{track}_holes", f"Holes per episode by stage of the curriculum, {of}.",
         partial(_holes, groups, bounds),
     ))  # fmt: skip
-    return found
+    return result
 
 
 def _variants(results: Results, track: str) -> list[Picture]:
@@ -106,23 +106,23 @@ def _variants(results: Results, track: str) -> list[Picture]:
         f"{name} geometry": results.group("rainbow", name, track)
         for name in ("optimized", "initial")
     }
-    found = []
+    result = []
     for name, groups, caption in (
         ("ablation", ablations, "Success rate with one component removed: mean of the last fifty"),
         ("geometry", geometries, "Success rate on either geometry: mean of the last fifty"),
     ):
         if sum(bool(curve_frames(group)) for group in groups.values()) > 1:
-            found.append(Picture(
+            result.append(Picture(
                 f"{track}_{name}", f"{caption}, {labels.track(track)}.",
                 partial(_curves, groups, "success", "Success rate", window=WIDE,
                         band=name == "geometry", bounds=references(results, track)),
             ))  # fmt: skip
-    return found
+    return result
 
 
 def _teams(results: Results) -> list[Picture]:
     """Success of all teams over ticks, with the components that most of them were trained with."""
-    found = {
+    result = {
         ablation: {
             track: group
             for track in results.teams()
@@ -130,8 +130,8 @@ def _teams(results: Results) -> list[Picture]:
         }
         for ablation in labels.ABLATIONS
     }
-    ablation = max(found, key=lambda name: len(found[name]))
-    if not (groups := found[ablation]):
+    ablation = max(result, key=lambda name: len(result[name]))
+    if not (groups := result[ablation]):
         return []
     caption = f"{labels.ABLATIONS[ablation]}: success rate over training, last fifty episodes."
     return [Picture("team_success", caption, partial(_over_ticks, results, groups))]
@@ -139,13 +139,13 @@ def _teams(results: Results) -> list[Picture]:
 
 def _over_ticks(results: Results, groups: Groups) -> Figure:
     figure, (axes,) = canvas()
-    told = {track: results.settings(track) or {} for track in groups}
-    forms = list(dict.fromkeys(settings["team"] for settings in told.values()))
+    settings_of = {track: results.settings(track) or {} for track in groups}
+    forms = list(dict.fromkeys(settings["team"] for settings in settings_of.values()))
     for track, group in groups.items():
-        form = told[track]["team"]
+        form = settings_of[track]["team"]
         rows = rows_of(form)
         frames = [f.assign(timesteps=f["timesteps"] / rows) for f in curve_frames(group)]
-        line = "--" if form != "central" and not told[track].get("sight") else "-"
+        line = "--" if form != "central" and not settings_of[track].get("sight") else "-"
         colour = PALETTE[forms.index(form)]
         draw_curve(axes, frames, "success", labels.track(track), colour, line, False, window=WIDE)
     finish(axes, "Success rate", "Ticks")

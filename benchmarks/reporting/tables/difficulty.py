@@ -11,7 +11,7 @@ from benchmarks.reporting.results import Results
 from benchmarks.reporting.rows import AS_TRAINED, Row, row_of
 from benchmarks.reporting.stats import Value
 from benchmarks.reporting.tables.notes import of_rows, seeds_notes
-from benchmarks.reporting.tables.table import Cell, Table
+from benchmarks.reporting.tables.table import Table, TableCell
 
 # column -> method, geometry
 SHOWN: Final[dict[str, tuple[str, str]]] = {
@@ -36,15 +36,15 @@ def success(row: Row) -> Value:
 
 def difficulty(results: Results) -> Table:
     """Table "difficulty": success rate (%) by task, one row for each track that changes it."""
-    made: list[list[Cell]] = []
-    found: list[Row] = []
+    made: list[list[TableCell]] = []
+    result: list[Row] = []
     for track in tracks_of(results):
         rows = [row_of(results, method, track, geometry) for method, geometry in SHOWN.values()]
-        found += rows
+        result += rows
         cells = [row.cell(success(row)) if row.group.known else "-" for row in rows]
         made.append([track.replace("_", " "), *cells])
     notes = [
-        *seeds_notes(of_rows(found)),
+        *seeds_notes(of_rows(result)),
         "As stated: 10 mm and 5 degrees, moves of 20 mm and 0.03 rad, holes at 30 degrees, a "
         "collision refuses the move. Each row changes what it names; the best possible step "
         "sequence is the optimum's. Scripts with 5 % of random moves, under the paper's masks.",

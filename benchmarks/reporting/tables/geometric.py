@@ -12,7 +12,7 @@ import pandas as pd
 from benchmarks.protocol import labels, paper_values
 from benchmarks.reporting.results import Results
 from benchmarks.reporting.stats import Value, t_interval
-from benchmarks.reporting.tables.table import FLAG_NOTE, Cell, Number, Table
+from benchmarks.reporting.tables.table import FLAG_NOTE, Number, Table, TableCell
 
 
 def design(results: Results) -> Table:
@@ -32,16 +32,16 @@ def design_table(measured: pd.DataFrame | None, runs: int) -> Table:
         stored = {str(row["metric"]): row for row in frame.to_dict("records")}
         notes = [f"Ours: mean ± std over {runs} Nelder-Mead runs, each with its own jitter."]
         notes += [*filter(None, frame["note"]), FLAG_NOTE]
-    rows: list[list[Cell]] = []
+    rows: list[list[TableCell]] = []
     for key, paper in paper_values.DESIGN.items():
-        row: list[Cell] = [labels.DESIGN_METRICS[key]]
+        row: list[TableCell] = [labels.DESIGN_METRICS[key]]
         for end, printed in zip(("initial", "optimized"), paper, strict=True):
             row += [printed, _design_cell(stored[key], end, runs, printed) if stored else "missing"]
         rows.append(row)
     return Table("design", "Geometric optimization of the 3-RRS", header, rows, notes)
 
 
-def _design_cell(row: dict[Hashable, Any], end: str, runs: int, paper: str) -> Cell:
+def _design_cell(row: dict[Hashable, Any], end: str, runs: int, paper: str) -> TableCell:
     """A measured design metric; a range differs from the paper's if either of its ends does."""
     mean, std = float(str(row[f"{end}_mean"])), float(str(row[f"{end}_std"]))
     low, high = t_interval(mean, std, runs)

@@ -9,7 +9,7 @@ from benchmarks.protocol.knowledge import Knowledge, knowledge
 from benchmarks.protocol.metrics import HOLES
 from benchmarks.reporting.results import Group, Result, Results
 from benchmarks.reporting.rows import AS_TRAINED, KNOWS, complete, rows
-from benchmarks.reporting.tables.table import Cell, Number, Table
+from benchmarks.reporting.tables.table import Number, Table, TableCell
 from benchmarks.runs.store import Store
 
 OPTIMUM: Final = "Exact optimum"
@@ -47,11 +47,11 @@ def brought_notes(store: Store) -> list[str]:
         algorithm, models = config["entry"]["algorithm"], {config["entry"]["sha256"]} - {""}
         name = config["cell"]["method"]
         found[name] = (algorithm, found.get(name, ("", set()))[1] | models)
-    told = [
+    report = [
         f"{name} ({algorithm}" + (f", models: {len(models)})" if models else ")")
         for name, (algorithm, models) in found.items()
     ]
-    return [f"Brought: {', '.join(told)}."] if told else []
+    return [f"Brought: {', '.join(report)}."] if report else []
 
 
 def _order(place: Place) -> tuple[bool, float, float, str]:
@@ -61,7 +61,7 @@ def _order(place: Place) -> tuple[bool, float, float, str]:
 
 def leaderboard(store: Store, results: Results) -> Table:
     """Table "leaderboard": a row per method, ranked by greedy success rate, then by holes."""
-    made: list[list[Cell]] = []
+    made: list[list[TableCell]] = []
     rank = 0
     for place in places(store, results):
         group, ceiling = place.group, place.name == OPTIMUM

@@ -12,9 +12,9 @@ from benchmarks.reporting.rows import Row
 BASELINES: Final = ("rrt_connect", "rrt_lattice")
 
 
-def of_rows(found: Iterable[Row]) -> dict[str, Group]:
+def of_rows(result: Iterable[Row]) -> dict[str, Group]:
     """The runs behind rows, by the rows' names."""
-    return {row.name: row.group for row in found}
+    return {row.name: row.group for row in result}
 
 
 def seeds_notes(groups: dict[str, Group]) -> list[str]:

@@ -22,7 +22,7 @@ from benchmarks.reporting.tables.geometric import design
 from benchmarks.reporting.tables.leaderboard import leaderboard
 from benchmarks.reporting.tables.notes import failure_notes, of_rows, seeds_notes
 from benchmarks.reporting.tables.significance import acting, difference, p_text, significance
-from benchmarks.reporting.tables.table import FLAG_NOTE, Cell, Number, Table
+from benchmarks.reporting.tables.table import FLAG_NOTE, Number, Table, TableCell
 from benchmarks.reporting.tables.team import team
 from benchmarks.reporting.tables.uncertain import uncertain
 from benchmarks.runs.store import Store
@@ -55,20 +55,20 @@ def build_tables(store: Store) -> list[Table]:
 def performance(results: Results) -> Table:
     """Table "performance": the paper's six metrics, its three methods, paper and ours."""
     track = scored(results)
-    found = [row_of(results, m, track if m in LEARNERS else "").as_trained() for m in COMPARED]
+    result = [row_of(results, m, track if m in LEARNERS else "").as_trained() for m in COMPARED]
     header = ["Metric"]
-    for row in found:
+    for row in result:
         header += [f"{labels.METHODS[row.method]}, paper", "Ours"]
-    made: list[list[Cell]] = []
+    made: list[list[TableCell]] = []
     for metric in PAPER_METRICS:
         printed = paper_values.PERFORMANCE[metric.key]
-        cells: list[Cell] = []
-        for row in found:
+        cells: list[TableCell] = []
+        for row in result:
             paper = printed[row.method]
             cells += [paper, row.cell(row.value(metric), metric.digits, paper)]
         made.append([metric.label, *cells])
-    made += _greedily([(row, "-") for row in found])
-    notes = [*_how(found), *seeds_notes(of_rows(found)), *failure_notes(results), FLAG_NOTE]
+    made += _greedily([(row, "-") for row in result])
+    notes = [*_how(result), *seeds_notes(of_rows(result)), *failure_notes(results), FLAG_NOTE]
     return Table("performance", f"Performance, {labels.track(track)}", header, made, notes)
 
 
@@ -80,37 +80,37 @@ def controls(results: Results) -> Table:
         row_of(results, "maskable_ppo", track).as_trained(),
     ]
     script = control_of(results, row_of(results, "rainbow", track).as_trained())
-    found = [*learners, *([script] if script else []), row_of(results, "optimum")]
+    result = [*learners, *([script] if script else []), row_of(results, "optimum")]
     header = ["Metric", labels.MASKED_DQN, labels.METHODS["maskable_ppo"]]
     header += [f"Best script: {script.name}"] if script else []
     header += [labels.METHODS["optimum"]]
-    made: list[list[Cell]] = [
-        [metric.label, *(row.cell(row.value(metric), metric.digits) for row in found)]
+    made: list[list[TableCell]] = [
+        [metric.label, *(row.cell(row.value(metric), metric.digits) for row in result)]
         for metric in (*PAPER_METRICS, *EXTRA_METRICS[:2])
     ]
-    made += _greedily([(row, "") for row in found])
+    made += _greedily([(row, "") for row in result])
     notes = [
-        *_how(found),
-        *seeds_notes({name: row.group for name, row in zip(header[1:], found, strict=True)}),
+        *_how(result),
+        *seeds_notes({name: row.group for name, row in zip(header[1:], result, strict=True)}),
     ]
     title = f"Beside them, under the same masks, {labels.track(track)}"
     return Table("controls", title, header, made, notes)
 
 
-def _greedily(found: list[tuple[Row, str]]) -> list[list[Cell]]:
+def _greedily(result: list[tuple[Row, str]]) -> list[list[TableCell]]:
     """A row of success rates of greedy acting, where any of the methods was tested in both ways."""
-    if all(row.level == Level() for row, _ in found):
+    if all(row.level == Level() for row, _ in result):
         return []
-    cells: list[Cell] = []
-    for row, paper in found:
+    cells: list[TableCell] = []
+    for row, paper in result:
         cells += [*([paper] if paper else []), replace(row, level=Level()).tested(Level())]
     return [[GREEDILY, *cells]]
 
 
-def _how(found: list[Row]) -> list[str]:
+def _how(result: list[Row]) -> list[str]:
     """In which way each method acts."""
     ways: dict[str, list[str]] = {}
-    for row in complete(found):
+    for row in complete(result):
         if row.method in LEARNERS or row.level != Level():
             ways.setdefault(acting(row), []).append(row.name)
     parts = [f"{', '.join(names)}: {way}" for way, names in ways.items()]
@@ -122,7 +122,7 @@ def ablation(results: Results) -> Table:
     track = scored(results)
     header = ["Configuration", "Paper (%)", "Ours, as trained (%)", "Greedily (%)"]
     header += ["Difference to all six (points)", "p (Holm)", "Seeds"]
-    made: list[list[Cell]] = []
+    made: list[list[TableCell]] = []
     compared, groups = comparisons(results), {}
     for key, title in labels.ABLATIONS.items():
         row = row_of(results, "rainbow", track, ablation=key)
@@ -145,7 +145,7 @@ def ablation(results: Results) -> Table:
     return Table("ablation", title, header, made, notes)
 
 
-def _steps_to_75(group: Group, paper: str = "") -> Cell:
+def _steps_to_75(group: Group, paper: str = "") -> TableCell:
     """Environment steps to 75 % success, in 1e5; a run that never got there counts as longer."""
     if not group.n:
         return group.absent
@@ -168,14 +168,14 @@ def geometry(results: Results) -> Table:
     optima = {end: row_of(results, "optimum", geometry=end) for end in ENDS}
     printed = paper_values.GEOMETRY_ABLATION
 
-    def line(label: str, key: str, cell: Callable[[str, str], Cell]) -> list[Cell]:
+    def line(label: str, key: str, cell: Callable[[str, str], TableCell]) -> list[TableCell]:
         papers = dict(zip(ENDS, printed.get(key, ("-", "-")), strict=True))
         cells = [
             (papers[end], cell(end, papers[end] if key in printed else "")) for end in ENDS
         ]  # fmt: skip
         return [label, *(text for pair in cells for text in pair)]
 
-    def script(end: str, _: str) -> Cell:
+    def script(end: str, _: str) -> TableCell:
         row = scripts[end]
         return row.cell(row.success()) if row else "-"
 
@@ -209,20 +209,20 @@ def robustness(results: Results) -> Table:
         row_of(results, "rainbow", track, ablation="none"),
     ]
     candidates += [row_of(results, m, track) for m in ("dqn", "maskable_ppo", "lookahead_observed")]
-    found = complete(candidates)
-    header = ["Noise", "Rainbow DQN, paper", *(row.name for row in found)]
+    result = complete(candidates)
+    header = ["Noise", "Rainbow DQN, paper", *(row.name for row in result)]
     paper = paper_values.ROBUSTNESS
-    made: list[list[Cell]] = []
+    made: list[list[TableCell]] = []
     for x in levels:
         cells = [
             row.cell(
                 row.group.success(Level(x)), 1, paper.get(x, "") if row.method == "rainbow" else ""
             )
-            for row in found
+            for row in result
         ]
         made.append([f"{x:g}", paper.get(x, "-"), *cells])
     notes = [
-        *seeds_notes(of_rows(found)),
+        *seeds_notes(of_rows(result)),
         "All act greedily. Noise: standard deviation as a share of the normalized range.",
         FLAG_NOTE,
     ]

@@ -9,7 +9,7 @@ from benchmarks.reporting.compared import Comparison, comparisons
 from benchmarks.reporting.results import Results
 from benchmarks.reporting.rows import AS_TRAINED, Row
 from benchmarks.reporting.stats import Value
-from benchmarks.reporting.tables.table import Cell, Table
+from benchmarks.reporting.tables.table import Table, TableCell
 
 
 def signed(number: float, digits: int = 1) -> str:
@@ -46,7 +46,7 @@ def significance(results: Results) -> Table:
     return Table("significance", "Comparisons", header, made, notes, left=(0, 1, 2))
 
 
-def _row(each: Comparison) -> list[Cell]:
+def _row(each: Comparison) -> list[TableCell]:
     ours, theirs = (acting(row) for row in (each.ours, each.theirs))
     return [
         each.question, f"{each.name}, {ours}", f"{each.theirs.name}, {theirs}",

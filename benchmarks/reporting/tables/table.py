@@ -53,7 +53,7 @@ class Number:
         return f"{self.plain()} {FLAG}" if self.flagged else self.plain()
 
 
-Cell = str | Number
+TableCell = str | Number
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Table:
     name: str
     title: str
     header: list[str]
-    rows: list[list[Cell]]
+    rows: list[list[TableCell]]
     notes: list[str] = field(default_factory=list)
     left: tuple[int, ...] = (0,)
 
@@ -159,7 +159,7 @@ def plain(title: str, header: str, rows: Iterable[Iterable[str]]) -> str:
 _PARTS = ("mean", "std", "n", "low", "high")
 
 
-def _parts(cell: Cell) -> list[str]:
+def _parts(cell: TableCell) -> list[str]:
     if isinstance(cell, str):
         return [""] * len(_PARTS)
     v = cell.value

@@ -12,7 +12,7 @@ from benchmarks.reporting.results import Group, Results, excess_over_optimum
 from benchmarks.reporting.rows import Row, complete, row_of, rows
 from benchmarks.reporting.stats import Value, mean_interval, measured
 from benchmarks.reporting.tables.notes import seeds_notes
-from benchmarks.reporting.tables.table import Cell, Table
+from benchmarks.reporting.tables.table import Table, TableCell
 
 IN_TURN: Final = "in_turn"  # the track of one robot at a time with the settings of the teams
 SHOWN: Final = (METRICS["time_first"], HOLES, METRICS["collisions"])
@@ -29,22 +29,22 @@ def team(results: Results) -> list[Table]:
     at_once = at_once_rows(results)
     if not at_once:
         return []
-    found = [("full", row) for row in rows(results)]
+    result = [("full", row) for row in rows(results)]
     for ablation in _ablations(results)[1:]:
         row = row_of(results, "rainbow", IN_TURN, ablation=ablation)
-        found += [(ablation, row)] if row.group.n or row.group.planned else []
-    found = sorted([*found, *at_once], key=lambda pair: _order(*pair))
+        result += [(ablation, row)] if row.group.n or row.group.planned else []
+    result = sorted([*result, *at_once], key=lambda pair: _order(*pair))
     optimum = results.group(OPTIMUM_AT_ONCE)
     header = ["Method", "Components", "Robots move", "Decided by", "Success (%)"]
     header += [*(metric.label for metric in SHOWN), "Ticks over the optimum at once (%)"]
-    made: list[list[Cell]] = []
-    for ablation, row in found:
+    made: list[list[TableCell]] = []
+    for ablation, row in result:
         cells = [row.cell(row.success())]
         cells += [row.cell(row.value(metric), metric.digits) for metric in SHOWN]
         excess = row.cell(excess_over_optimum(row.group, optimum))
         made.append([*_head(ablation, row), *cells, excess])
     notes = [
-        *seeds_notes({f"{row.name}, {ablation}": row.group for ablation, row in found}),
+        *seeds_notes({f"{row.name}, {ablation}": row.group for ablation, row in result}),
         "In turn a tick moves one robot, at once both. Ticks over the optimum: up to the first "
         "insertion, on starts that both solved.",
         *(answer for ablation in _ablations(results) for answer in _answers(results, ablation)),
@@ -55,7 +55,7 @@ def team(results: Results) -> list[Table]:
 
 def _ablations(results: Results) -> list[str]:
     """Those of Rainbow that a team has or is to have, the full one first."""
-    found = [
+    result = [
         ablation
         for ablation in labels.ABLATIONS
         if any(
@@ -64,19 +64,19 @@ def _ablations(results: Results) -> list[str]:
             for group in [results.group("rainbow", track=track, ablation=ablation)]
         )
     ]
-    return ["full", *(ablation for ablation in found if ablation != "full")]
+    return ["full", *(ablation for ablation in result if ablation != "full")]
 
 
 def at_once_rows(results: Results) -> list[tuple[str, Row]]:
     """All methods of robots that move at once, each with its ablation."""
-    found = [
+    result = [
         (ablation, row_of(results, method, track, ablation=ablation))
         for ablation in _ablations(results)
         for track in results.teams()
         for method in (METHODS if ablation == "full" else ("rainbow",))
     ]
-    found.append(("full", row_of(results, OPTIMUM_AT_ONCE)))
-    return [(ablation, row) for ablation, row in found if row.group.n or row.group.planned]
+    result.append(("full", row_of(results, OPTIMUM_AT_ONCE)))
+    return [(ablation, row) for ablation, row in result if row.group.n or row.group.planned]
 
 
 def _of(row: Row) -> str:
@@ -93,7 +93,7 @@ def _order(ablation: str, row: Row) -> tuple[int, int, bool]:
     return METHODS.index(row.method), names.index(ablation), _at_once(row)
 
 
-def _head(ablation: str, row: Row) -> list[Cell]:
+def _head(ablation: str, row: Row) -> list[TableCell]:
     """Method, its components, whether both robots move at once, and who decides."""
     kind, learns = _of(row), row.method == "rainbow"
     name = LEARNERS.get(kind, "Rainbow") if learns else labels.METHODS[row.method]
@@ -125,8 +125,10 @@ def _answers(results: Results, ablation: str) -> list[str]:
         if in_turn.n and at_once.n
     ]
     what = labels.ABLATIONS[ablation]
-    told = {"what decentralization costs": costs, "what moving at once changes": gains}
-    return [f"{what}, {question}: {'; '.join(parts)}." for question, parts in told.items() if parts]
+    answers = {"what decentralization costs": costs, "what moving at once changes": gains}
+    return [
+        f"{what}, {question}: {'; '.join(parts)}." for question, parts in answers.items() if parts
+    ]
 
 
 def _costs(central: Row, others: list[Row]) -> list[str]:

@@ -10,7 +10,7 @@ from benchmarks.protocol.metrics import HOLES
 from benchmarks.reporting.results import Level, Results
 from benchmarks.reporting.rows import KNOWS, complete, rows
 from benchmarks.reporting.tables.notes import of_rows, seeds_notes
-from benchmarks.reporting.tables.table import Cell, Table
+from benchmarks.reporting.tables.table import Table, TableCell
 
 
 def error_levels(results: Results) -> list[float]:
@@ -25,14 +25,14 @@ def uncertain(results: Results) -> Table:
     ends = [levels[0], levels[-1]] if levels else []
     header = ["Method", *KNOWS, "Success (%)", HOLES.label]
     header += [f"Success (%) at {level:g} mm" for level in ends]
-    made: list[list[Cell]] = []
-    found = rows(results, uncertain=True)
-    for row in found:
+    made: list[list[TableCell]] = []
+    result = rows(results, uncertain=True)
+    for row in result:
         cells = [row.cell(row.success()), row.cell(row.value(HOLES), HOLES.digits)]
         cells += [row.cell(row.group.success(Level(error=level))) for level in ends]
         made.append([*row.head, *cells])
-    bounds = sorted({run.error for row in found for run in row.group.runs})
-    notes = seeds_notes(of_rows(found))
+    bounds = sorted({run.error for row in result for run in row.group.runs})
+    notes = seeds_notes(of_rows(result))
     notes += [
         f"The base of the 3-RRS is displaced by up to {bound:g} mm along each axis and tilted in "
         "proportion, drawn anew each episode; masks, observations and plans are those of the "

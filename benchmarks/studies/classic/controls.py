@@ -163,12 +163,12 @@ def _asterix(image: Image) -> int:
 
     def cost(move: int) -> float:
         place = _moved(y, x, move, 1)
-        found = float(_nearest(place, goals))
+        result = float(_nearest(place, goals))
         for row, column in _at(image, 1):
             gap = (place[1] - column) * _heading(image, 2, row, column)
             if row == place[0] and 0 <= gap <= 2:
-                found += UNSAFE if gap < 2 else UNSAFE / 20.0
-        return found
+                result += UNSAFE if gap < 2 else UNSAFE / 20.0
+        return result
 
     return min(range(5), key=cost)
 

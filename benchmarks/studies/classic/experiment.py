@@ -14,8 +14,8 @@ from benchmarks.studies.classic.atari import PREFIX
 from benchmarks.studies.classic.presets import (
     CONTROL,
     LEARN,
-    Cell,
-    Preset,
+    SuiteCell,
+    SuitePreset,
     algorithm_of,
     load_preset,
 )
@@ -29,24 +29,24 @@ TRANSITION_BYTES: Final = 1_600
 ATARI_BYTES: Final = 60_000
 
 
-class Classic(Experiment[Cell]):
+class Classic(Experiment[SuiteCell]):
     """Cells of a preset of the classic tasks, loaded if its name or its file's path is given."""
 
     place = "classic"
     printed = ("scores", "controls", "normalized", "together", "contact", "friction")
 
-    def __init__(self, preset: Preset | str) -> None:
+    def __init__(self, preset: SuitePreset | str) -> None:
         self.preset = load_preset(preset) if isinstance(preset, str) else preset
         name = preset if isinstance(preset, str) else preset.name
         super().__init__(self.preset.name, preset=absolute(name))
 
-    def cells(self) -> Sequence[Cell]:
+    def cells(self) -> Sequence[SuiteCell]:
         return presets.expand(self.preset)
 
-    def settings(self, cell: Cell) -> dict[str, Any]:
+    def settings(self, cell: SuiteCell) -> dict[str, Any]:
         return presets.settings(self.preset, cell)
 
-    def check(self, todo: Sequence[Cell]) -> None:
+    def check(self, todo: Sequence[SuiteCell]) -> None:
         from benchmarks.studies.classic.train import build_model
 
         for key, method in {(cell.task, cell.method) for cell in todo if cell.kind == LEARN}:
@@ -77,7 +77,7 @@ class Classic(Experiment[Cell]):
             yield ("namespace", namespace, algorithm)
             yield ("namespace", namespace)
 
-    def checkpoint_bytes(self, cell: Cell) -> int:
+    def checkpoint_bytes(self, cell: SuiteCell) -> int:
         if cell.kind != LEARN:
             return 0
         task = self.preset.tasks[cell.task]
@@ -85,7 +85,7 @@ class Classic(Experiment[Cell]):
         return (ATARI_BYTES if task.env.startswith(PREFIX) else TRANSITION_BYTES) * size
 
     def run(
-        self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
+        self, cell: SuiteCell, folder: RunFolder, stop_requested: StopRequested, device: str
     ) -> dict[str, Any] | None:
         """Train and test a learner, or test a control; on the CPU."""
         from benchmarks.studies.classic.playing import run_control
@@ -100,18 +100,18 @@ class Classic(Experiment[Cell]):
         return f", return {rows['return'].mean():.1f} over {len(rows)} test episodes"
 
     def tables(self, store: Store) -> list[Table]:
-        from benchmarks.studies.classic.results import Results
+        from benchmarks.studies.classic.results import SuiteResults
         from benchmarks.studies.classic.tables import build_tables
 
-        return build_tables(Results(self.preset, store))
+        return build_tables(SuiteResults(self.preset, store))
 
     def pictures(self, store: Store) -> list[Picture]:
         from benchmarks.studies.classic.figures import pictures
-        from benchmarks.studies.classic.results import Results
+        from benchmarks.studies.classic.results import SuiteResults
 
-        return pictures(Results(self.preset, store))
+        return pictures(SuiteResults(self.preset, store))
 
     def problems(self, store: Store) -> list[str]:
-        from benchmarks.studies.classic.results import Results
+        from benchmarks.studies.classic.results import SuiteResults
 
-        return Results(self.preset, store).problems()
+        return SuiteResults(self.preset, store).problems()

@@ -15,25 +15,25 @@ from benchmarks.reporting.figures.style import (
     legend_below,
 )
 from benchmarks.studies.classic.presets import label
-from benchmarks.studies.classic.results import Results
+from benchmarks.studies.classic.results import SuiteResults
 from benchmarks.studies.robots.contact_report import draw, levels
 
 CURVES: Final = "Return of the last greedy policy over training"
 CONTACT: Final = "Success, time and force over the hole's displacement"
 
 
-def pictures(results: Results) -> list[Picture]:
+def pictures(results: SuiteResults) -> list[Picture]:
     """What the stored runs can show."""
-    found = []
+    result = []
     # of a search the curves would be more than can be told apart
     if results.preset.tasks and not results.preset.search:
-        found.append(Picture("curves", CURVES, lambda: _curves(results)))
+        result.append(Picture("curves", CURVES, lambda: _curves(results)))
     if levels(results):
-        found.append(Picture("contact", CONTACT, lambda: draw(results)))
-    return found
+        result.append(Picture("contact", CONTACT, lambda: draw(results)))
+    return result
 
 
-def _curves(results: Results) -> Figure:
+def _curves(results: SuiteResults) -> Figure:
     methods = results.preset.methods
     tasks = {
         key: task

@@ -11,11 +11,11 @@ from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from benchmarks.protocol.seeding import derive, episode_seeds
-from benchmarks.runs.cell import Teller
+from benchmarks.runs.cell import ProgressReporter
 from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.controls import Control, at_random, held, scripted
 from benchmarks.studies.classic.envs import make
-from benchmarks.studies.classic.presets import CONTACT, Cell, Preset, Task
+from benchmarks.studies.classic.presets import CONTACT, SuiteCell, SuitePreset, Task
 from sb3_rainbow import Rainbow
 
 IN_MOVES: Final = "coop_env:CoopInsertionContactDiscrete-v0"  # for who cannot act continuously
@@ -70,7 +70,9 @@ def _play(
     return list(zip(returns, lengths, strict=True))
 
 
-def test(model: BaseAlgorithm | Control, preset: Preset, cell: Cell, folder: RunFolder) -> None:
+def test(
+    model: BaseAlgorithm | Control, preset: SuitePreset, cell: SuiteCell, folder: RunFolder
+) -> None:
     """The final test, whose episodes depend on the cell's seed alone; writes ``episodes.csv``."""
     seeds = episode_seeds(cell.number, preset.final_episodes)
     played = evaluate(model, preset.tasks[cell.task], seeds)
@@ -84,8 +86,8 @@ def test(model: BaseAlgorithm | Control, preset: Preset, cell: Cell, folder: Run
 
 
 def run_control(
-    preset: Preset,
-    cell: Cell,
+    preset: SuitePreset,
+    cell: SuiteCell,
     folder: RunFolder,
     stop_requested: Callable[[], bool] = lambda: False,
 ) -> dict[str, Any]:
@@ -97,7 +99,7 @@ def run_control(
         Stopped: it was asked to end.
     """
     task, seed = preset.tasks[cell.task], cell.number
-    tell = Teller(folder, stop_requested)
+    report = ProgressReporter(folder, stop_requested)
     env = make_env(task)
     space = env.action_space
     env.close()
@@ -111,11 +113,11 @@ def run_control(
         for action in range(int(space.n)):
             played = evaluate(held(space, action), task, validation)
             totals.append(sum(total for total, _ in played))
-            tell(0.5 * (action + 1) / float(space.n), f"action {action}")
+            report(0.5 * (action + 1) / float(space.n), f"action {action}")
         about["action"] = int(np.argmax(totals))
         control = held(space, about["action"])
     else:
         control = scripted(space, task.env)
-    tell(0.5, "test")
+    report(0.5, "test")
     test(control, preset, cell, folder)
     return {**about, "seeds": {"first_test_episode": episode_seeds(seed, 1)[0]}}

@@ -117,7 +117,7 @@ class Task:
 
 @with_config(STRICT)
 @dataclass(frozen=True)
-class Preset:
+class SuitePreset:
     """What runs, with which settings."""
 
     name: str
@@ -136,7 +136,7 @@ def preset_names() -> list[str]:
     return presets.preset_names(PRESETS)
 
 
-def load_preset(name: str) -> Preset:
+def load_preset(name: str) -> SuitePreset:
     """Load a preset by name, or by the path of a ``.yaml`` file of one's own.
 
     Raises:
@@ -152,7 +152,7 @@ def load_preset(name: str) -> Preset:
         if not given and key not in library:
             raise BenchmarkError(f"{path.name}: tasks: unknown '{key}'; known: {known(library)}")
         data["tasks"][key] = merge(library.get(key, {}), given)
-    preset = build(Preset, {**data, "name": path.stem}, path.name)
+    preset = build(SuitePreset, {**data, "name": path.stem}, path.name)
     if preset.search and preset.controls:
         raise BenchmarkError(f"{path.name}: controls: a search compares settings, it has none")
     for control in preset.controls:
@@ -180,7 +180,7 @@ CONTROL_COST: Final = 20.0  # of an episode that is tested
 
 
 @dataclass(frozen=True, order=True)
-class Cell:
+class SuiteCell:
     """One run: a method or a control on a task with a seed, its ``number``."""
 
     kind: str  # learn or control
@@ -194,15 +194,15 @@ class Cell:
         return f"{self.task}-{self.method}-s{self.number}"
 
 
-def expand(preset: Preset) -> list[Cell]:
+def expand(preset: SuitePreset) -> list[SuiteCell]:
     """All cells, the first seeds of all tasks first, so that an early stop leaves whole rows."""
     cells = []
     for key, task in preset.tasks.items():
         for seed in preset.seeds if task.seeds is None else task.seeds:
-            cells += [Cell(LEARN, key, method, seed) for method in preset.methods]
+            cells += [SuiteCell(LEARN, key, method, seed) for method in preset.methods]
             for control in preset.controls:
                 if control != "script" or task.env in SCRIPTS:
-                    cells.append(Cell(CONTROL, key, control, seed))
+                    cells.append(SuiteCell(CONTROL, key, control, seed))
     return sorted(cells, key=lambda cell: (cell.number, -units_of(settings(preset, cell))))
 
 
@@ -216,15 +216,15 @@ def units_of(config: dict[str, Any]) -> int:
     return max(1, round(task["timesteps"] * cost))
 
 
-def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
+def settings(preset: SuitePreset, cell: SuiteCell) -> dict[str, Any]:
     """Everything that decides the cell's result, as plain YAML types: the run's config.yaml."""
     task = as_dict(preset.tasks[cell.task])
     if cell.kind == CONTROL:
         played = {key: task[key] for key in ("env", "env_kwargs", "eval_episodes")}
         return {"cell": asdict(cell), "task": played, "final_episodes": preset.final_episodes}
     arguments = task.pop("methods")[cell.method]
-    for words in ("seeds", "title", "goal", "published", "random", "human"):
-        del task[words]
+    for unused in ("seeds", "title", "goal", "published", "random", "human"):
+        del task[unused]
     for word in ("guide", "bare"):
         if not task[word]:
             del task[word]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.stats import Value, means, over_seeds, stratified_bootstrap, t_interval
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.classic.presets import CONTROL, LEARN, Preset, expand, settings
+from benchmarks.studies.classic.presets import CONTROL, LEARN, SuitePreset, expand, settings
 
 Array = NDArray[np.float64]
 
@@ -45,10 +45,10 @@ class Run:
         return float(reached["timesteps"].iloc[0]) if len(reached) else math.nan
 
 
-class Results:
+class SuiteResults:
     """The complete runs of a preset."""
 
-    def __init__(self, preset: Preset, store: Store) -> None:
+    def __init__(self, preset: SuitePreset, store: Store) -> None:
         self.preset = preset
         self.root = store.folder.parent.parent  # of all results
         self.folders: list[RunFolder] = []
@@ -71,16 +71,16 @@ class Results:
     def problems(self) -> list[str]:
         """A sentence for each run whose test episodes are not those of its seed."""
         number = self.preset.final_episodes
-        found = []
+        result = []
         for run in itertools.chain.from_iterable(self._runs.values()):
             if run.episodes["episode"].tolist() != list(range(number)):
-                found.append(
+                result.append(
                     f"{run.folder.path}: episodes.csv has {len(run.episodes)} rows, not one for "
                     f"each of the {number} test episodes"
                 )
             elif run.episodes["seed"].tolist() != episode_seeds(run.seed, number):
-                found.append(f"{run.folder.path}: episodes.csv has rows of other than test seeds")
-        return found
+                result.append(f"{run.folder.path}: episodes.csv has rows of other than test seeds")
+        return result
 
     def runs(self, task: str, method: str) -> list[Run]:
         """The runs of a method or a control on a task, by seed."""

@@ -12,11 +12,11 @@ from benchmarks.reporting.stats import (
     probability_of_improvement,
     stratified_bootstrap,
 )
-from benchmarks.reporting.tables.table import Cell, Number, Table
+from benchmarks.reporting.tables.table import Number, Table, TableCell
 from benchmarks.runs.store import Store
 from benchmarks.studies.classic.envs import MASKED_IDENTITY
 from benchmarks.studies.classic.presets import label, load_preset
-from benchmarks.studies.classic.results import Results
+from benchmarks.studies.classic.results import SuiteResults
 from benchmarks.studies.robots.contact_report import build_contact_tables
 
 # tables of the page, each with its figure
@@ -37,7 +37,7 @@ _CONTROLS = {
 }
 
 
-def build_tables(results: Results) -> list[Table]:
+def build_tables(results: SuiteResults) -> list[Table]:
     """All tables that the stored runs can fill."""
     if results.preset.search:
         return [_search(results)]
@@ -58,7 +58,7 @@ def build_tables(results: Results) -> list[Table]:
 
 def page(store: Store) -> str:
     """The block of a store: where its runs come from, the main tables, each with its figure."""
-    results = Results(load_preset(store.folder.name), store)
+    results = SuiteResults(load_preset(store.folder.name), store)
     root, missing = f"../results/classic/{store.folder.name}", len(results.missing)
     parts = [provenance(store.folder.name, results.folders, missing, results.n_controls)]
     tables = {table.name: table for table in build_tables(results)}
@@ -72,17 +72,17 @@ def page(store: Store) -> str:
     return "\n\n".join(parts)
 
 
-def _scores(results: Results) -> Table:
+def _scores(results: SuiteResults) -> Table:
     preset = results.preset
     published = ["Published"] if any(task.published for task in preset.tasks.values()) else []
-    rows: list[list[Cell]] = []
+    rows: list[list[TableCell]] = []
     for key, task in preset.tasks.items():
         values = [results.score(key, method) for method in preset.methods]
         counts = [str(len(results.runs(key, method))) for method in preset.methods]
         if len(set(counts)) == 1:
             counts = counts[:1]
         goal = "-" if task.goal is None else f"{task.goal:g}"
-        row: list[Cell] = [task.title, f"{task.timesteps:,}", goal, "/".join(counts)]
+        row: list[TableCell] = [task.title, f"{task.timesteps:,}", goal, "/".join(counts)]
         row += [_with_interval(v.mean, v.low, v.high) for v in values]
         if published:
             row.append(", ".join(f"{task.published[who]:g}" for who in task.published) or "-")
@@ -102,11 +102,11 @@ def _scores(results: Results) -> Table:
     )
 
 
-def _controls(results: Results) -> Table:
+def _controls(results: SuiteResults) -> Table:
     """What plays without learning, on the learners' test episodes."""
     preset = results.preset
     columns = preset.controls
-    rows: list[list[Cell]] = []
+    rows: list[list[TableCell]] = []
     for key, task in preset.tasks.items():
         values = [results.score(key, name) for name in columns]
         rows.append([task.title, *(_with_interval(v.mean, v.low, v.high) for v in values)])
@@ -119,12 +119,12 @@ def _controls(results: Results) -> Table:
     )
 
 
-def _search(results: Results) -> Table:
+def _search(results: SuiteResults) -> Table:
     """Variants by row: what each scored, and how many seeds of it were run."""
     preset = results.preset
-    rows: list[list[Cell]] = []
+    rows: list[list[TableCell]] = []
     for method in preset.methods:
-        row: list[Cell] = [label(method)]
+        row: list[TableCell] = [label(method)]
         for key in preset.tasks:
             value = results.score(key, method)
             row += [str(value.n), _with_interval(value.mean, value.low, value.high)]
@@ -139,14 +139,14 @@ def _search(results: Results) -> Table:
     )
 
 
-def _normalized(results: Results) -> Table:
+def _normalized(results: SuiteResults) -> Table:
     """Scores in which a random player has 0 and a human one 1."""
-    rows: list[list[Cell]] = []
+    rows: list[list[TableCell]] = []
     for key, task in results.preset.tasks.items():
         if task.human is None or task.random is None:
             continue
         base, scale = task.random, task.human - task.random
-        row: list[Cell] = [task.title, f"{task.random:g}", f"{task.human:g}"]
+        row: list[TableCell] = [task.title, f"{task.random:g}", f"{task.human:g}"]
         for method in results.preset.methods:
             v = results.score(key, method)
             mean, low, high = ((value - base) / scale for value in (v.mean, v.low, v.high))
@@ -162,12 +162,12 @@ def _normalized(results: Results) -> Table:
     )
 
 
-def _together(results: Results, tasks: list[str]) -> Table:
+def _together(results: SuiteResults, tasks: list[str]) -> Table:
     """All tasks at once, and how likely a run of the first method is better than another."""
     preset = results.preset
     scores = {method: results.scores(method, tasks) for method in preset.methods}
     ours = preset.methods[0]
-    rows: list[list[Cell]] = []
+    rows: list[list[TableCell]] = []
     for method, theirs in scores.items():
         low, high = stratified_bootstrap(theirs) if len(theirs) else (math.nan, math.nan)
         mean = interquartile_mean(theirs) if len(theirs) else math.nan
@@ -175,7 +175,7 @@ def _together(results: Results, tasks: list[str]) -> Table:
         if method != ours:
             value = probability_of_improvement(scores[ours], theirs)
             better = _with_interval(value.mean, value.low, value.high, 2)
-        row: list[Cell] = [label(method), str(len(theirs)), _with_interval(mean, low, high, 2)]
+        row: list[TableCell] = [label(method), str(len(theirs)), _with_interval(mean, low, high, 2)]
         rows.append([*row, better])
     return Table(
         "together",
@@ -198,12 +198,12 @@ def _with_interval(mean: float, low: float, high: float, digits: int | None = No
     return text if math.isnan(low) else f"{text} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
-def _speed(results: Results) -> Table:
-    rows: list[list[Cell]] = []
+def _speed(results: SuiteResults) -> Table:
+    rows: list[list[TableCell]] = []
     for key, task in results.preset.tasks.items():
         for method in results.preset.methods:
             runs = results.runs(key, method)
-            there: list[Cell] = ["-", "-"]
+            there: list[TableCell] = ["-", "-"]
             if task.goal is not None:
                 steps = over_seeds([run.steps_to(task.goal) for run in runs])
                 there = [Number(steps, 0), f"{steps.n} of {len(runs)}"]

@@ -28,16 +28,16 @@ from benchmarks.protocol.presets import as_dict
 from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.protocol.strict import build
 from benchmarks.runs import policy_file
-from benchmarks.runs.checkpoint import Kept, Watch, learn
+from benchmarks.runs.checkpoint import RunCallback, Stateful, learn
 from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.features import extractor_of
 from benchmarks.studies.classic.playing import evaluate, make_env, test
 from benchmarks.studies.classic.presets import (
     CONTACT,
     DISCRETE,
-    Cell,
     Guide,
-    Preset,
+    SuiteCell,
+    SuitePreset,
     Task,
     algorithm_of,
     spelled_out,
@@ -201,8 +201,8 @@ class _Envs:
 
 
 def run_learner(
-    preset: Preset,
-    cell: Cell,
+    preset: SuitePreset,
+    cell: SuiteCell,
     folder: RunFolder,
     stop_requested: Callable[[], bool] = lambda: False,
 ) -> dict[str, Any] | None:
@@ -215,17 +215,17 @@ def run_learner(
     task, seed = preset.tasks[cell.task], cell.number
     fresh = build_model(task, cell.method, seed)
     tester, envs = Tester(task, seed), _Envs(fresh)
-    kept: dict[str, Kept] = {"envs": envs, "curve": tester}
+    kept: dict[str, Stateful] = {"envs": envs, "curve": tester}
 
     def note() -> str:
         return f"return {tester.rows[-1]['return_mean']:.1f}"
 
     seconds = preset.checkpoint_seconds
-    watch = Watch(folder, kept, seconds, task.timesteps, stop_requested, note)
+    callback = RunCallback(folder, kept, seconds, task.timesteps, stop_requested, note)
     discrete = isinstance(fresh.action_space, spaces.Discrete)
     algorithm = class_of(task, cell.method)
     logger = configure(str(folder.tensorboard), ["tensorboard"])
-    model = learn(watch, algorithm, envs.env, lambda: fresh, [tester], logger)
+    model = learn(callback, algorithm, envs.env, lambda: fresh, [tester], logger)
     if model is None:
         return None
     tester.model = model
@@ -241,7 +241,7 @@ def run_learner(
 
         folder.write_rows("contact", on_tests(model, make_env(task, discrete)))
     return {
-        **watch.summary(model),
+        **callback.summary(model),
         "evaluation_seconds": tester.seconds,
         "test_seconds": time.perf_counter() - began,
         "updates": model._n_updates,

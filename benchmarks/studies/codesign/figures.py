@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from benchmarks.protocol.metrics import SUCCESS
 from benchmarks.reporting.figures.style import PALETTE, canvas, legend_below, save, style
 from benchmarks.reporting.stats import Value
-from benchmarks.studies.codesign.found import Found
+from benchmarks.studies.codesign.result import SearchResult
 from benchmarks.studies.codesign.spaces import ALL, STUDIES
-from benchmarks.studies.codesign.tell import SYMBOLS, over
+from benchmarks.studies.codesign.text import SYMBOLS, over
 
 NAMED: Final = {"initial": "s", "optimized": "o"}
 #: by a design's name, or by the first reason for which it was chosen
@@ -25,32 +25,32 @@ COLOURS: Final = {
 BELOW: Final = 3.0  # shown below the floor, %
 
 
-def write_figures(found: Found) -> list[Path]:
+def write_figures(result: SearchResult) -> list[Path]:
     """Draw the figure as PNG and PDF; returns the paths."""
     with style():
-        figure = fronts(found)
-        folder = found.folder / "figures"
+        figure = fronts(result)
+        folder = result.folder / "figures"
         return [save(figure, folder / f"fronts.{kind}") for kind in ("png", "pdf")]
 
 
-def fronts(found: Found) -> Figure:
+def fronts(result: SearchResult) -> Figure:
     """Of each study success and ticks of its designs, and success over the area."""
     figure, panels = canvas(len(STUDIES), 2, (7.2, 6.6))
     for row, study in enumerate(STUDIES):
-        _draw_front(panels[2 * row], found, study)
-        _draw_area(panels[2 * row + 1], found, study)
+        _draw_front(panels[2 * row], result, study)
+        _draw_area(panels[2 * row + 1], result, study)
     legend_below(figure, panels)
     return figure
 
 
-def _draw_front(axes: Axes, found: Found, study: str) -> None:
-    rows, floor = found.of_study(study), float(found.told["floor"])
+def _draw_front(axes: Axes, result: SearchResult, study: str) -> None:
+    rows, floor = result.of_study(study), float(result.summary["floor"])
     axes.plot(rows["ticks"], rows["success"], ".", color="0.75", ms=3, label="validation starts")
-    front = found.front(study)
+    front = result.front(study)
     axes.plot(front["ticks"], front["success"], "-", drawstyle="steps-post", color=PALETTE[5],
               lw=1.2, marker=".", label="front, validation starts")  # fmt: skip
     shown = [*front["ticks"]]
-    for name, look, tests in _chosen(found, study):
+    for name, look, tests in _chosen(result, study):
         ticks, success = over(tests["ticks"]), over(tests["success"])
         shown.append(ticks.mean)
         floor = min(floor, success.mean)
@@ -63,24 +63,24 @@ def _draw_front(axes: Axes, found: Found, study: str) -> None:
              ylabel="success (%)")  # fmt: skip
 
 
-def _draw_area(axes: Axes, found: Found, study: str) -> None:
-    rows = found.of_study(study)
+def _draw_area(axes: Axes, result: SearchResult, study: str) -> None:
+    rows = result.of_study(study)
     axes.plot(rows["a_w"], rows["success"], ".", color="0.75", ms=3)
-    for _, look, tests in _chosen(found, study):
+    for _, look, tests in _chosen(result, study):
         design = tests["design"].iloc[0]
-        value = found.policies(design).value(SUCCESS)
-        area = float(found.designs.loc[design, "a_w"])
+        value = result.policies(design).value(SUCCESS)
+        area = float(result.designs.loc[design, "a_w"])
         if value.n:
             axes.errorbar(area, value.mean, yerr=_arms(value), **{**look, "mfc": look["color"]},
                           label="filled: policy of the design's own")  # fmt: skip
     axes.set(title=f"{SYMBOLS[study]}: success by area", xlabel="$A_w$ (rad²)", ylim=(-2, 102))
 
 
-def _chosen(found: Found, study: str) -> list[tuple[str, dict[str, Any], Any]]:
+def _chosen(result: SearchResult, study: str) -> list[tuple[str, dict[str, Any], Any]]:
     """Name, look and test rows of the designs that belong into a study's panels."""
     drawn = []
-    for design, tests in found.chosen.groupby("design", sort=False):
-        name, of = str(design), found.designs.loc[str(design), "study"]
+    for design, tests in result.chosen.groupby("design", sort=False):
+        name, of = str(design), result.designs.loc[str(design), "study"]
         if of in (study, ALL) or name in NAMED:
             label = name if "-" not in name else tests["chosen"].iloc[0].partition(": ")[2]
             colour = COLOURS.get(label.partition(",")[0], PALETTE[2])

@@ -84,18 +84,18 @@ class Search:
         trial = self.study.ask(self._space)
         try:
             geometry = build(rounded(trial.params))
-            found = score(geometry)
+            result = score(geometry)
         except Unbuilt as error:
             self.study.set_user_attr(str(trial.number), str(error))
             self.study.tell(trial, state=TrialState.FAIL)
             return
-        row = {"design": f"{self.name}-{number}", **row_of(self.name, geometry, found)}
+        row = {"design": f"{self.name}-{number}", **row_of(self.name, geometry, result)}
         trial.set_user_attr("row", row)
-        trial.set_constraint("floor", self.floor - found.success)
-        ticks = found.ticks if found.success > 0.0 else float(MOST)
-        self.study.tell(trial, (found.success, ticks))
+        trial.set_constraint("floor", self.floor - result.success)
+        ticks = result.ticks if result.success > 0.0 else float(MOST)
+        self.study.tell(trial, (result.success, ticks))
 
 
-def row_of(study: str, geometry: RRSGeometry, found: Reach) -> Row:
+def row_of(study: str, geometry: RRSGeometry, result: Reach) -> Row:
     """What designs.csv says of a design, but its name."""
-    return {"study": study, **rounded(parameters(geometry)), "a_w": area(geometry), **vars(found)}
+    return {"study": study, **rounded(parameters(geometry)), "a_w": area(geometry), **vars(result)}

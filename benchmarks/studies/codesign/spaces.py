@@ -106,10 +106,10 @@ def area_best(study: str) -> Values:
             return 0.0
 
     low, high = np.array([BOUNDS[name] for name in names]).T
-    found = differential_evolution(
+    result = differential_evolution(
         lost, Bounds(low, high), rng=np.random.default_rng(0), popsize=20, tol=1e-4, polish=False
     )
-    return rounded(dict(zip(names, map(float, found.x), strict=True)))
+    return rounded(dict(zip(names, map(float, result.x), strict=True)))
 
 
 def _problem(geometry: RRSGeometry) -> DesignProblem:

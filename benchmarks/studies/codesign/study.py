@@ -27,9 +27,9 @@ from benchmarks.runs.machine import describe
 from benchmarks.runs.store import RunFolder, Store, write_text
 from benchmarks.studies.base import Part, Study, Tick
 from benchmarks.studies.codesign import spaces
-from benchmarks.studies.codesign.found import POLICIES, TABLES, Found
+from benchmarks.studies.codesign.result import POLICIES, TABLES, SearchResult
 from benchmarks.studies.codesign.spaces import ALL, BASE, OF_ONE, STUDIES
-from benchmarks.studies.codesign.tell import tell
+from benchmarks.studies.codesign.text import to_markdown
 from benchmarks.studies.insertion import Insertion
 from coop_env.geometry import GEOMETRIES
 
@@ -71,8 +71,8 @@ class Codesign(Study):
     def _score(self, name: str, study: str, geometry: Any) -> None:
         from benchmarks.studies.codesign.search import row_of
 
-        found = spaces.optimum(geometry, 0, self.asked["starts"])
-        self.rows.append({"design": name, **row_of(study, geometry, found)})
+        result = spaces.optimum(geometry, 0, self.asked["starts"])
+        self.rows.append({"design": name, **row_of(study, geometry, result)})
 
     def _score_named(self, tick: Tick) -> None:
         for name, geometry in GEOMETRIES.items():
@@ -99,16 +99,16 @@ class Codesign(Study):
         with self.run_folder.lock():
             _choose(self.run_folder, self.asked["seeds"])
             self._train(Insertion(str(_write_preset(self.run_folder))))
-        write_figures(Found(self.folder))
+        write_figures(SearchResult(self.folder))
 
     def _write_search(self) -> None:
         self.run_folder.write_rows("designs", self.rows)
-        told = {
+        summary = {
             "command": self.given.command, "machine": describe(),
             "cpu_seconds": time.process_time() - self.began, "floor": self.floor,
             "most": spaces.MOST, "base": BASE, "studies": self.skipped,
         }  # fmt: skip
-        write_text(self.folder / "codesign.json", json.dumps(told, indent=1) + "\n")
+        write_text(self.folder / "codesign.json", json.dumps(summary, indent=1) + "\n")
 
     def _train(self, experiment: Experiment[Any]) -> None:
         """Run the cells of an experiment that are missing.
@@ -131,7 +131,7 @@ class Codesign(Study):
         folder = results / "codesign"
         if not (folder / "chosen.csv").is_file():
             return {}
-        return {folder / TABLES: tell(Found(folder)) + "\n"}
+        return {folder / TABLES: to_markdown(SearchResult(folder)) + "\n"}
 
     @classmethod
     def problems(cls, results: Path) -> list[str]:
@@ -142,15 +142,15 @@ class Codesign(Study):
 
 def _choose(folder: RunFolder, seeds: int) -> None:
     """The optimum of the chosen designs on their test starts: chosen.csv, unless it is there."""
-    found = Found(folder.path)
-    chosen = found.choose()
+    result = SearchResult(folder.path)
+    chosen = result.choose()
     if folder.has_rows("chosen"):
-        stored = zip(found.chosen["design"], found.chosen["chosen"], strict=True)
+        stored = zip(result.chosen["design"], result.chosen["chosen"], strict=True)
         if dict(stored) == chosen:
             return
     rows = []
     for design, why in chosen.items():
-        geometry = found.geometry(design)
+        geometry = result.geometry(design)
         known = {"design": design, "chosen": why, "sigma_cone": spaces.margin(geometry)}
         rows += [
             known | {"seed": seed, **vars(spaces.optimum(geometry, seed, EPISODES, "test"))}
@@ -161,15 +161,15 @@ def _choose(folder: RunFolder, seeds: int) -> None:
 
 def _write_preset(folder: RunFolder) -> Path:
     """The preset that trains a policy on each of the chosen designs."""
-    asked, found = folder.config(), Found(folder.path)
-    chosen = list(found.choose())
+    asked, result = folder.config(), SearchResult(folder.path)
+    chosen = list(result.choose())
     own = [design for design in chosen if design not in GEOMETRIES]
     preset = {
         "description": "A policy on each of the designs that the co-design chose",
         "seeds": list(range(asked["seeds"])),
         "evaluation": {"episodes": EPISODES, "noise": [0.0], "stream": "test"},
         "tracks": {OF_ONE: {"timesteps": asked["policy_steps"]} if asked["policy_steps"] else None},
-        "geometries": {design: found.geometry(design).as_dict() for design in own},
+        "geometries": {design: result.geometry(design).as_dict() for design in own},
         "runs": [{"methods": ["rainbow"], "geometries": chosen, "tracks": [OF_ONE]}],
     }
     path = folder.path / f"{POLICIES}.yaml"

@@ -27,16 +27,16 @@ MAP_HEAVES: Final = (0.21, 0.22, 0.23, 0.24, 0.25)
 
 def atlas_rows(step: float, progress: Callable[[float], None]) -> list[Row]:
     """A_w in steps of lambda over the designs that meet the constraints."""
-    found = design.atlas(
+    result = design.atlas(
         lambda1=np.arange(0.5, 2.0 - 1e-9, step),
         lambda2=np.arange(0.10, 3.40 + 1e-9, step),
         progress=lambda done, of: progress(done / of),
     )
     return [
-        {"lambda1": float(a), "lambda2": float(b), "a_w": float(found.value[i, j])}
-        for i, a in enumerate(found.lambda1)
-        for j, b in enumerate(found.lambda2)
-        if np.isfinite(found.value[i, j])
+        {"lambda1": float(a), "lambda2": float(b), "a_w": float(result.value[i, j])}
+        for i, a in enumerate(result.lambda1)
+        for j, b in enumerate(result.lambda2)
+        if np.isfinite(result.value[i, j])
     ]
 
 
@@ -47,7 +47,7 @@ def optima(
     problem = DesignProblem()
     cell = max(atlas, key=lambda row: float(str(row["a_w"])))
     lambdas = float(str(cell["lambda1"])), float(str(cell["lambda2"]))
-    found = {
+    result = {
         "nelder_mead": _told(design.optimize(problem)),
         "differential_evolution": _told(design.optimize_globally(problem, generations=20)),
         "atlas": (problem.geometry(*lambdas), 0),
@@ -57,20 +57,20 @@ def optima(
         band = design.at_heaves(problem, heaves)
         rough = design.optimize_globally(band, generations=8, population=8)
         local = design.optimize(band)
-        found[f"band {name}"] = _told(max((rough, local), key=lambda best: best.value))
+        result[f"band {name}"] = _told(max((rough, local), key=lambda best: best.value))
         progress(0.4 + 0.2 * (k + 1))
-    return found
+    return result
 
 
 def _told(best: Optimum) -> tuple[RRSGeometry, int]:
     return best.geometry, best.evaluations
 
 
-def optimum_rows(found: dict[str, tuple[RRSGeometry, int]]) -> list[Row]:
+def optimum_rows(result: dict[str, tuple[RRSGeometry, int]]) -> list[Row]:
     """For each of :func:`optima`: lambdas, lengths, A_w at home and the least over each band."""
     rows: list[Row] = []
     given = {"initial": (INITIAL, 0), "printed optimum (fit)": (OPTIMIZED, 0)}
-    for name, (g, evaluations) in {**given, **found}.items():
+    for name, (g, evaluations) in {**given, **result}.items():
         row: Row = {"design": name}
         row |= {f"lambda{i}": value for i, value in enumerate(g.lambdas, start=1)}
         for length in ("base_radius", "proximal_length", "platform_radius"):
@@ -97,8 +97,8 @@ def threshold_rows() -> list[Row]:
     thresholds = [0.05, 0.10, 0.15, 0.20, 0.25, 0.30, 0.40]
     sweep = design.over_thresholds([INITIAL, OPTIMIZED], thresholds)
     keys = ("threshold", "initial", "optimized", "reoptimized", "lambda1", "lambda2")
-    found = np.column_stack((thresholds, sweep.given, sweep.optimum, sweep.lambdas))
-    return [dict(zip(keys, row, strict=True)) for row in found.tolist()]
+    result = np.column_stack((thresholds, sweep.given, sweep.optimum, sweep.lambdas))
+    return [dict(zip(keys, row, strict=True)) for row in result.tolist()]
 
 
 def tolerance_rows(robust: RRSGeometry, draws: int = 100) -> tuple[list[Row], list[Row]]:
@@ -175,13 +175,13 @@ def pose_model_design_rows() -> list[Row]:
     rows: list[Row] = []
     for model in ("exact", "paper"):
         for name, g in GEOMETRIES.items():
-            found = design.measure(g, DesignProblem(pose_model=model))
+            result = design.measure(g, DesignProblem(pose_model=model))
             rows.append({
-                "pose_model": model, "design": name, "a_w": found.area,
-                "sigma_cone": found.sigma_cone, "max_angle": math.degrees(found.max_angle),
-                "kappa_variation": 100.0 * found.kappa_variation,
-                "joint_low": math.degrees(found.joint_low),
-                "joint_high": math.degrees(found.joint_high),
+                "pose_model": model, "design": name, "a_w": result.area,
+                "sigma_cone": result.sigma_cone, "max_angle": math.degrees(result.max_angle),
+                "kappa_variation": 100.0 * result.kappa_variation,
+                "joint_low": math.degrees(result.joint_low),
+                "joint_high": math.degrees(result.joint_high),
             })  # fmt: skip
     return rows
 

@@ -80,8 +80,8 @@ class Design(Study):
         }
 
     def _write(self, **rows: Any) -> None:
-        for name, found in rows.items():
-            self.store.write_rows(name, found)
+        for name, result in rows.items():
+            self.store.write_rows(name, result)
 
     def _runs(self, tick: Tick) -> None:
         measured = measured_runs(self.given.runs, tick)
@@ -125,8 +125,8 @@ class Design(Study):
         store = DesignStore(results)
         if not store.is_complete():
             return {}
-        found: dict[str, Block] = {"design-provenance": lambda _: _provenance(store)}
-        return found | {name: partial(_columns, store, name) for name in COLUMNS}
+        result: dict[str, Block] = {"design-provenance": lambda _: _provenance(store)}
+        return result | {name: partial(_columns, store, name) for name in COLUMNS}
 
     @classmethod
     def problems(cls, results: Path) -> list[str]:
@@ -134,15 +134,15 @@ class Design(Study):
         if not store.is_complete():
             return []
         rows = {row["metric"]: row for row in store.rows("table").to_dict("records")}
-        runs, found = store.rows("runs"), []
+        runs, result = store.rows("runs"), []
         for end, column in (("initial", "a_w_initial"), ("optimized", "a_w")):
             stored, wanted = float(rows["workspace"][f"{end}_mean"]), float(runs[column].mean())
             if abs(stored - wanted) > 1e-6:
-                found.append(
+                result.append(
                     f"{store.path / 'table.csv'} gives {stored:.7g} as the {end} workspace, the "
                     f"mean of runs.csv is {wanted:.7g}"
                 )
-        return found
+        return result
 
 
 def _columns(store: DesignStore, name: str, _: str) -> str:

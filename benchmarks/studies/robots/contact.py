@@ -61,8 +61,8 @@ def choose(level: str, name: str, episodes: int) -> dict[str, float]:
     best: tuple[tuple[float, float], Gains] | None = None
     for values in itertools.product(*grid.values()):
         gains = replace(Gains(), **dict(zip(grid, values, strict=True)))
-        found = play(env, SCRIPTS[name](env, gains), "validate", episodes)
-        score = (float(np.mean(found["success"])), -float(np.mean(found["time"])))
+        result = play(env, SCRIPTS[name](env, gains), "validate", episodes)
+        score = (float(np.mean(result["success"])), -float(np.mean(result["time"])))
         if best is None or score > best[0]:
             best = score, gains
     assert best is not None  # of an empty grid there is one choice
@@ -75,18 +75,18 @@ def measure(level: str, episodes: int, tick: Tick) -> Row:
     from coop_env.physics.env import CoopInsertionContactEnv
 
     env = CoopInsertionContactEnv(level)
-    found: Row = {}
+    result: Row = {}
     for done, (name, make) in enumerate(SCRIPTS.items()):
         gains = choose(level, name, episodes)
         tick((done + 0.5) / len(SCRIPTS))
         script = make(env, replace(Gains(), **gains))
-        found[name] = {
+        result[name] = {
             "gains": gains,
             "errors": [play(env, script, "test", episodes, error) for error in CONDITIONS],
             "frictions": [play(env, script, "test", episodes, TRAINED, f) for f in FRICTIONS],
         }
         tick((done + 1) / len(SCRIPTS))
-    return found
+    return result
 
 
 def sensitivity(level: str, scripts: Row, episodes: int, tick: Tick) -> list[Row]:
@@ -171,7 +171,7 @@ class Contact(Measured):
         return super().asked() | {"defaults": asdict(Gains())}
 
     def measures(self) -> dict[str, Part]:
-        n, kept = self.given.episodes, self.found["parts"]
+        n, kept = self.given.episodes, self.result["parts"]
         return {
             **{level: partial(measure, level, n) for level in LEVELS},
             **{
@@ -184,12 +184,12 @@ class Contact(Measured):
         from benchmarks.methods.contact_scripts import Gains
         from benchmarks.studies.robots.film import write_film
 
-        script = self.found["parts"]["standard"].get("moment-guided search", {"gains": {}})
+        script = self.result["parts"]["standard"].get("moment-guided search", {"gains": {}})
         write_film(self.folder, replace(Gains(), **script["gains"]))
 
     @staticmethod
-    def tell(found: dict[str, Any]) -> str:
-        parts, n = found["parts"], found["asked"]["episodes"]
+    def to_markdown(result: dict[str, Any]) -> str:
+        parts, n = result["parts"], result["asked"]["episodes"]
         low, high = (100.0 * share for share in wilson(n, n))
         chosen = "; ".join(
             f"{level}, {name}: "
@@ -201,7 +201,7 @@ class Contact(Measured):
         note = (
             f"{n} episodes a cell (all of them successful: {low:.0f} to {high:.0f} %, 95 % "
             f"interval); to {TRAINED:g} mm errors are as the task draws them. "
-            f"Gains chosen: {chosen}. {source(found)}"
+            f"Gains chosen: {chosen}. {source(result)}"
         )
         return "\n\n".join([*_tables(parts), note])
 
@@ -210,7 +210,7 @@ class Contact(Measured):
         path = results / cls.file
         if not (files := super().files(results)):
             return {}
-        found = json.loads(path.read_text(encoding="utf-8"))
+        result = json.loads(path.read_text(encoding="utf-8"))
         return files | {
-            path.with_name("varied.md"): _varied(found["parts"]) + f"\n\n{source(found)}\n"
+            path.with_name("varied.md"): _varied(result["parts"]) + f"\n\n{source(result)}\n"
         }

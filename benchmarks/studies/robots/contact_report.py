@@ -12,9 +12,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from benchmarks.reporting.figures.style import METHOD_COLOURS, PALETTE, canvas, legend_below
-from benchmarks.reporting.tables.table import Cell, Table
+from benchmarks.reporting.tables.table import Table, TableCell
 from benchmarks.studies.classic.presets import CONTACT, label
-from benchmarks.studies.classic.results import Results, student
+from benchmarks.studies.classic.results import SuiteResults, student
 from benchmarks.studies.robots.trials import (
     CONDITIONS,
     DRAWN,
@@ -32,7 +32,7 @@ COLUMNS: Final = ("success", "time", "force", "failure")
 Found = dict[str, list[Any]]
 
 
-def levels(results: Results) -> dict[str, str]:
+def levels(results: SuiteResults) -> dict[str, str]:
     """The preset's contact tasks: their keys, and the level of each."""
     tasks = results.preset.tasks.items()
     return {key: task.env_kwargs["level"] for key, task in tasks if task.env == CONTACT}
@@ -50,16 +50,16 @@ def _equal(column: pd.Series[Any], value: float | None) -> pd.Series[bool]:
     return column.isna() if value is None else column == value
 
 
-def _scripts(results: Results, level: str) -> dict[str, Any]:
+def _scripts(results: SuiteResults, level: str) -> dict[str, Any]:
     """The scripts' episodes of a level, where the study ``contact`` has stored them."""
     path = results.root / "contact" / "scripts.json"
     if not path.is_file():
         return {}
-    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))["parts"]
-    return found.get(level, {})
+    result: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))["parts"]
+    return result.get(level, {})
 
 
-def _learned(results: Results, task: str) -> Iterator[tuple[str, int, pd.DataFrame, str]]:
+def _learned(results: SuiteResults, task: str) -> Iterator[tuple[str, int, pd.DataFrame, str]]:
     """Method, seeds, episodes of all of them, and the interval of the success as trained for."""
     for method in results.preset.methods:
         runs = results.runs(task, method)
@@ -73,15 +73,15 @@ def _learned(results: Results, task: str) -> Iterator[tuple[str, int, pd.DataFra
         yield method, len(runs), pd.concat([run.rows("contact") for run in runs]), interval
 
 
-def build_contact_tables(results: Results) -> list[Table]:
+def build_contact_tables(results: SuiteResults) -> list[Table]:
     """Success, time and force over the hole's error and over friction; none without such a task."""
-    over_errors: list[list[Cell]] = []
-    over_frictions: list[list[Cell]] = []
+    over_errors: list[list[TableCell]] = []
+    over_frictions: list[list[TableCell]] = []
     for task, level in levels(results).items():
         for method, seeds, rows, interval in _learned(results, task):
-            found = [_of(rows, error, None) for error in CONDITIONS]
-            first: list[Cell] = [level, label(method), str(seeds)]
-            over_errors.append([*first, *map(in_cell, found), interval, causes(found)])
+            result = [_of(rows, error, None) for error in CONDITIONS]
+            first: list[TableCell] = [level, label(method), str(seeds)]
+            over_errors.append([*first, *map(in_cell, result), interval, causes(result)])
             rubbed = [in_cell(_of(rows, TRAINED, friction)) for friction in FRICTIONS]
             over_frictions.append([*first, *rubbed])
         for name, one in _scripts(results, level).items():
@@ -117,16 +117,16 @@ def build_contact_tables(results: Results) -> list[Table]:
     ]
 
 
-def draw(results: Results) -> Figure:
+def draw(results: SuiteResults) -> Figure:
     """Success, time and force over the hole's error: learners solid, scripts dashed."""
     tasks = levels(results)
     figure, axes = canvas(3, len(tasks), (3.6 * len(tasks), 6.4), sharex=True, sharey=False)
     grid = np.array(axes).reshape(3, len(tasks))
     for column, (task, level) in zip(grid.T, tasks.items(), strict=True):
         for method, _, rows, _ in _learned(results, task):
-            found = [_of(rows, error, None) for error in ERRORS]
+            result = [_of(rows, error, None) for error in ERRORS]
             colour = METHOD_COLOURS.get(method, PALETTE[-1])
-            _lines(column, found, label(method), colour, "-")
+            _lines(column, result, label(method), colour, "-")
         for number, (name, one) in enumerate(_scripts(results, level).items()):
             _lines(column, one["errors"][: len(ERRORS)], name, str(0.15 + 0.2 * number), "--")
         column[0].set_title(f"level {level}")
@@ -137,10 +137,10 @@ def draw(results: Results) -> Figure:
     return figure
 
 
-def _lines(column: Any, found: list[Found], name: str, colour: str, style: str) -> None:
-    won = [np.array(one["success"], bool) for one in found]
-    times = [np.array(one["time"])[w] for one, w in zip(found, won, strict=True)]
+def _lines(column: Any, result: list[Found], name: str, colour: str, style: str) -> None:
+    won = [np.array(one["success"], bool) for one in result]
+    times = [np.array(one["time"])[w] for one, w in zip(result, won, strict=True)]
     time = [np.median(each) if len(each) else np.nan for each in times]
-    force = [np.median(one["force"]) for one in found]
+    force = [np.median(one["force"]) for one in result]
     for axes, values in zip(column, ([100.0 * w.mean() for w in won], time, force), strict=True):
         axes.plot(ERRORS, values, style, color=colour, label=name, linewidth=1.2)

@@ -52,10 +52,10 @@ def measure_errors(geometry: str, poses: int) -> dict[str, Any]:
     from coop_env.physics.validation import draw_poses, validate
 
     twin = Twin(Machine(rrs=GEOMETRIES[geometry]), n=min(poses, 20))
-    found = validate(twin, draw_poses(twin, poses, seed=0))
+    result = validate(twin, draw_poses(twin, poses, seed=0))
     return {
         name: {"median": float(np.median(part)), "largest": float(np.max(part))}
-        for name, part in found._asdict().items()
+        for name, part in result._asdict().items()
         if name != "steps"
     }
 
@@ -161,8 +161,8 @@ class Physics(Measured):
         save_model(Machine(), self.folder / "model")
 
     @staticmethod
-    def tell(found: dict[str, Any]) -> str:
-        asked, parts = found["asked"], found["parts"]
+    def to_markdown(result: dict[str, Any]) -> str:
+        asked, parts = result["asked"], result["parts"]
         rows = []
         for geometry in GEOMETRIES:
             for name, error in parts[f"errors, {geometry}"].items():
@@ -191,7 +191,7 @@ class Physics(Measured):
                     speeds,
                 ),
                 f"Memory over {asked['memory_steps']:,} control steps: {parts['memory']:+.1f} MB. "
-                f"{source(found, load)} Speed is the median of "
+                f"{source(result, load)} Speed is the median of "
                 f"{asked['rounds']} rounds of {asked['steps']:,} control steps.",
             ]
         )

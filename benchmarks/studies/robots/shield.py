@@ -82,10 +82,10 @@ def certificates(phases: int, in_full: bool, tick: Tick) -> dict[str, Any]:
     env = CoopInsertionEnv(**TASK)
     shield = KinematicShield(env)
     env.reset(seed=derive("validate", 0, 0))
-    found = {}
+    result = {}
     if in_full:
         full = certify_lattice(shield, env.params, env.configuration, lambda share: tick(share / 2))
-        found["full"] = full._asdict()
+        result["full"] = full._asdict()
     sampled = NOTHING
     rng = np.random.default_rng(derive("fresh", 13))
     for phase in range(phases):
@@ -96,7 +96,7 @@ def certificates(phases: int, in_full: bool, tick: Tick) -> dict[str, Any]:
         )
         sampled += check_product(shield, env.params, delta, rrs)
         tick(0.5 + 0.5 * (phase + 1) / phases)
-    return {**found, "sampled": sampled._asdict()}
+    return {**result, "sampled": sampled._asdict()}
 
 
 def harm_of(real: SimToReal, moves: int, shielded: bool, tick: Tick) -> dict[str, int]:
@@ -105,20 +105,20 @@ def harm_of(real: SimToReal, moves: int, shielded: bool, tick: Tick) -> dict[str
     rng = np.random.default_rng(derive("fresh", 14))
     wrapped = ShieldWrapper(env)
     player, choose = (wrapped if shielded else env), Adversary(env, rng)
-    found = {"moves": 0, "collisions": 0, "singular": 0, "episodes": 0}
-    while found["moves"] < moves:
-        observation, _ = player.reset(seed=derive("validate", 2, found["episodes"]))
-        found["episodes"] += 1
+    result = {"moves": 0, "collisions": 0, "singular": 0, "episodes": 0}
+    while result["moves"] < moves:
+        observation, _ = player.reset(seed=derive("validate", 2, result["episodes"]))
+        result["episodes"] += 1
         over = False
-        while not over and found["moves"] < moves:
+        while not over and result["moves"] < moves:
             action = choose(observation, player.action_masks(), env)
             observation, _, terminated, truncated, info = player.step(action)
             over = terminated or truncated
-            found["moves"] += 1
-            found["collisions"] += bool(info["collision"])
-            found["singular"] += bool(info["singular"])
-        tick(found["moves"] / moves)
-    return found
+            result["moves"] += 1
+            result["collisions"] += bool(info["collision"])
+            result["singular"] += bool(info["singular"])
+        tick(result["moves"] / moves)
+    return result
 
 
 def price_of(
@@ -186,12 +186,12 @@ def prices(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dict[st
     rows, done = [], 0
     for name, masks, arguments, maker in players:
         for shielded in (False, True):
-            found = []
+            result = []
             for seed in range(seeds):
-                found.append(price_of(maker(seed), arguments, shielded, seed, episodes))
+                result.append(price_of(maker(seed), arguments, shielded, seed, episodes))
                 done += 1
                 tick(done / (2 * seeds * len(players)))
-            numbers = {key: [one[key] for one in found] for key in found[0]}
+            numbers = {key: [one[key] for one in result] for key in result[0]}
             rows.append({"policy": name, "masks": masks, "shield": shielded, **numbers})
     return rows
 
@@ -227,16 +227,16 @@ def in_contact(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dic
     env, rows = CoopInsertionContactEnv(LEVEL), []
     worlds: dict[bool, Any] = {False: env, True: ShieldWrapper(env)}
     for done, (name, shielded) in enumerate(product(players, worlds)):
-        found: dict[str, list[float]] = {"success": [], "harm": [], "interventions": []}
+        result: dict[str, list[float]] = {"success": [], "harm": [], "interventions": []}
         also = ("interventions",) if shielded else ()
         for seed in range(seeds):
             player = players[name](seed)
             row = play(worlds[shielded], player, "validate", episodes, also=also)
-            found["success"].append(100.0 * float(np.mean(row["success"])))
+            result["success"].append(100.0 * float(np.mean(row["success"])))
             harmed = [cause in ("force", "snap") for cause in row["failure"]]
-            found["harm"].append(float(np.mean(harmed)))
-            found["interventions"].append(float(np.mean(row.get("interventions", 0.0))))
-        rows.append({"policy": name, "shield": shielded, **found})
+            result["harm"].append(float(np.mean(harmed)))
+            result["interventions"].append(float(np.mean(row.get("interventions", 0.0))))
+        rows.append({"policy": name, "shield": shielded, **result})
         tick((1 + done) / (2 * len(players)))
     return rows
 
@@ -315,9 +315,9 @@ class Shield(Measured):
         }
 
     @staticmethod
-    def tell(found: dict[str, Any]) -> str:
+    def to_markdown(result: dict[str, Any]) -> str:
         """The measurements as Markdown."""
-        asked, parts = found["asked"], found["parts"]
+        asked, parts = result["asked"], result["parts"]
         names = {"full": "one start's, in full", "sampled": f"{asked['phases']:,} starts', sampled"}
         looked = [
             [
@@ -364,6 +364,6 @@ class Shield(Measured):
                 ),
                 *_other_machines(parts),
                 f"Mean ± std over seeds, of means an episode; a harmful move collides, or ends the "
-                f"episode by a singularity. Margins (rad, m): {margin}. {source(found)}",
+                f"episode by a singularity. Margins (rad, m): {margin}. {source(result)}",
             ]
         )  # fmt: skip

@@ -79,7 +79,7 @@ def attack(env: CoopInsertionEnv, moves: int, rng: np.random.Generator) -> dict[
 
     Every other time they start over the dome, where the Delta has just come low enough.
     """
-    shield, found = KinematicShield(env), NOTHING
+    shield, result = KinematicShield(env), NOTHING
     middle, steps = env.configuration, np.array(env.task.steps)
     for number in range(200):
         delta, rrs = lattice(env.params, middle + steps * rng.uniform(-0.5, 0.5, len(steps)))
@@ -90,10 +90,10 @@ def attack(env: CoopInsertionEnv, moves: int, rng: np.random.Generator) -> dict[
             near = near[over & (near[:, 2] > near[:, 2].max() - room)]
         if len(near) and len(rrs):
             one, other = (part[rng.integers(len(part), size=SAMPLE)] for part in (near, rrs))
-            found += check_product(shield, env.params, one, other, looks=LOOKS)
-        if found.moves >= moves:
+            result += check_product(shield, env.params, one, other, looks=LOOKS)
+        if result.moves >= moves:
             break
-    return {"moves": found.moves, "harmful": found.harmful}
+    return {"moves": result.moves, "harmful": result.harmful}
 
 
 def search(machines: int, tick: Tick, moves: int = MOVES) -> dict[str, int]:
@@ -117,18 +117,18 @@ def at_the_margin(real: SimToReal, configurations: int) -> dict[str, int]:
     shield, rng = KinematicShield(env), np.random.default_rng(derive("fresh", 17))
     bounds = np.array([real.base_position_error] * 3 + [real.base_tilt_error] * 2)
     corners = [bounds * signs for signs in product((-1.0, 1.0), repeat=len(bounds))]
-    found = {"configurations": 0, "harmed": 0}
-    while found["configurations"] < configurations:
+    result = {"configurations": 0, "harmed": 0}
+    while result["configurations"] < configurations:
         try:
             env.reset(seed=int(rng.integers(2**31)), options={"configuration": _edge(shield, rng)})
         except ResetOptionError:
             continue  # this draw of the machine is harmed already, or no start
-        found["configurations"] += 1
-        found["harmed"] += any(
+        result["configurations"] += 1
+        result["harmed"] += any(
             _status(env, corner, length * real.link_length_error) != VALID
             for corner, length in product(corners, (-1.0, 1.0))
         )
-    return found
+    return result
 
 
 def _edge(shield: KinematicShield, rng: np.random.Generator) -> Floats:

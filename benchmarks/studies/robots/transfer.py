@@ -254,15 +254,15 @@ class Transfer(Measured):
         }
 
     @staticmethod
-    def tell(found: dict[str, Any]) -> str:
-        n = SEEDS * found["asked"]["episodes"]
+    def to_markdown(result: dict[str, Any]) -> str:
+        n = SEEDS * result["asked"]["episodes"]
         low, high = (100.0 * share for share in wilson(n, n))
         return "\n\n".join(
             [
-                *_tables(found["parts"]),
+                *_tables(result["parts"]),
                 f"{n} episodes a cell, on the same test starts for all (all of them successful: "
                 f"{low:.0f} to {high:.0f} %, 95 % interval); success: at least one hole. Without a "
                 "script (+) a hole counts as in the kinematic task, within its tolerance; with one "
-                f"when the peg is 10 mm deep in the bore. {source(found)}",
+                f"when the peg is 10 mm deep in the bore. {source(result)}",
             ]
         )

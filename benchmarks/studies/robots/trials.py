@@ -36,11 +36,11 @@ def options(stream: str, episode: int, error: float | None, friction: float | No
     size = 1e-3 * (TRAINED * math.sqrt(share) if error is None else error)
     tilt = math.radians(lean)
     bearing, side = 2.0 * math.pi * bearing, 2.0 * math.pi * side
-    found: Row = {
+    result: Row = {
         "error": [size * math.cos(bearing), size * math.sin(bearing),
                   tilt * math.cos(side), tilt * math.sin(side)]
     }  # fmt: skip
-    return found if friction is None else {**found, "friction": friction}
+    return result if friction is None else {**result, "friction": friction}
 
 
 def play(
@@ -51,8 +51,8 @@ def play(
 
     ``also`` are keys of the last ``info`` to keep.
     """
-    found: dict[str, list[Any]] = {"success": [], "time": [], "force": [], "failure": []}
-    found |= {key: [] for key in also}
+    result: dict[str, list[Any]] = {"success": [], "time": [], "force": [], "failure": []}
+    result |= {key: [] for key in also}
     for episode in range(episodes):
         given = options(stream, episode, error, friction)
         seed = derive(stream, 13, episode, 1)
@@ -62,13 +62,13 @@ def play(
         while not over:
             observation, _, terminated, truncated, info = env.step(script(observation))
             over = terminated or truncated
-        found["success"].append(bool(info["success"]))
-        found["time"].append(round(float(info["time"]), 3))
-        found["force"].append(round(float(info["peak_force"]), 3))
-        found["failure"].append(info["failure"] or ("" if info["success"] else "time"))
+        result["success"].append(bool(info["success"]))
+        result["time"].append(round(float(info["time"]), 3))
+        result["force"].append(round(float(info["peak_force"]), 3))
+        result["failure"].append(info["failure"] or ("" if info["success"] else "time"))
         for key in also:
-            found[key].append(info[key])
-    return found
+            result[key].append(info[key])
+    return result
 
 
 class Policy:
@@ -122,18 +122,18 @@ def on_tests(model: Any, env: Any) -> list[Row]:
     rows = []
     conditions: list[tuple[float | None, float | None]] = [(error, None) for error in CONDITIONS]
     for error, friction in [*conditions, *((TRAINED, f) for f in FRICTIONS)]:
-        found = play(env, Policy(model), "test", EPISODES, error, friction)
-        for number, values in enumerate(zip(*found.values(), strict=True)):
+        result = play(env, Policy(model), "test", EPISODES, error, friction)
+        for number, values in enumerate(zip(*result.values(), strict=True)):
             row = {"error": error, "friction": friction, "episode": number}
-            rows.append({**row, **dict(zip(found, values, strict=True))})
+            rows.append({**row, **dict(zip(result, values, strict=True))})
     return rows
 
 
-def in_cell(found: Mapping[str, Sequence[Any]]) -> str:
+def in_cell(result: Mapping[str, Sequence[Any]]) -> str:
     """Success, %, median time of the successes, s, and median peak force, N."""
-    won = np.array(found["success"])
-    time = f"{np.median(np.array(found['time'])[won]):.2f}" if won.any() else "-"
-    return f"{100.0 * won.mean():.0f} / {time} / {np.median(found['force']):.1f}"
+    won = np.array(result["success"])
+    time = f"{np.median(np.array(result['time'])[won]):.2f}" if won.any() else "-"
+    return f"{100.0 * won.mean():.0f} / {time} / {np.median(result['force']):.1f}"
 
 
 def shown(error: float | None) -> str:

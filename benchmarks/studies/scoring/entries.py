@@ -26,11 +26,11 @@ from rich.progress import Progress
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.evaluation.evaluate import (
+    OnProgress,
     Rows,
-    Tell,
     evaluate_policy,
-    hush,
     model_policy,
+    no_progress,
     planner_runner,
     play_episodes,
 )
@@ -73,7 +73,7 @@ class Scorer:
 
     folder_name: str
     config: dict[str, Any]
-    play: Callable[[Tell], Rows]
+    play: Callable[[OnProgress], Rows]
 
 
 def prepare(preset: Preset, entry: Entry) -> dict[int, Scorer]:
@@ -149,8 +149,8 @@ def join(
     Raises:
         BenchmarkError: the name is taken.
     """
-    found = [(RunFolder(store.entries / each.folder_name), each) for each in scorers.values()]
-    for folder, scorer in found:
+    result = [(RunFolder(store.entries / each.folder_name), each) for each in scorers.values()]
+    for folder, scorer in result:
         if (folder.path / "config.yaml").is_file() and folder.config() != scorer.config:
             if not replace:
                 raise BenchmarkError(
@@ -158,13 +158,13 @@ def join(
                     f"({folder.path}); choose another --name, or --replace it"
                 )
             shutil.rmtree(folder.path)
-    todo = [(folder, scorer) for folder, scorer in found if not folder.is_complete()]
-    if len(todo) < len(found):
-        console.print(f"{len(found) - len(todo)} of {len(found)} seeds were scored already")
+    todo = [(folder, scorer) for folder, scorer in result if not folder.is_complete()]
+    if len(todo) < len(result):
+        console.print(f"{len(result) - len(todo)} of {len(result)} seeds were scored already")
     with bar(console) as progress:
         for folder, scorer in todo:
             _score(folder, scorer, preset.name, progress)
-    return [folder.path for folder, _ in found]
+    return [folder.path for folder, _ in result]
 
 
 def _score(folder: RunFolder, scorer: Scorer, preset: str, progress: Progress) -> None:
@@ -188,7 +188,7 @@ def glance(preset: Preset, entry: Entry, episodes: int) -> Iterator[str]:
     tests = dataclasses.replace(preset.evaluation, episodes=episodes)
     preset = dataclasses.replace(preset, evaluation=tests)
     for seed, scorer in prepare(preset, entry).items():
-        yield from in_words(pd.DataFrame(scorer.play(hush)), f"{entry.name}, seed {seed}")
+        yield from in_words(pd.DataFrame(scorer.play(no_progress)), f"{entry.name}, seed {seed}")
 
 
 def _check(preset: Preset, entry: Entry) -> None:
@@ -235,8 +235,8 @@ def load_function(name: str) -> Callable[[Any], Any]:
         raise BenchmarkError(f"planner '{name}' cannot be imported: {error}") from error
     if not callable(function):
         raise BenchmarkError(f"planner '{name}' is no function but {type(function).__name__}")
-    found: Callable[[Any], Any] = function
-    return found
+    result: Callable[[Any], Any] = function
+    return result
 
 
 def plan_and_follow(plan: Callable[[Any], Any], name: str) -> Callable[[Episode], None]:

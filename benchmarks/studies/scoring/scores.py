@@ -28,7 +28,7 @@ from benchmarks.protocol.presets import Preset
 from benchmarks.reporting.results import Result
 from benchmarks.reporting.tables.table import plain
 from benchmarks.runs.backends import default_jobs
-from benchmarks.runs.cell import Teller
+from benchmarks.runs.cell import ProgressReporter
 from benchmarks.runs.experiment import StopRequested
 from benchmarks.runs.harness import Harness
 from benchmarks.runs.store import RunFolder, Store
@@ -100,13 +100,13 @@ class Replay(Insertion):
         """Play the episodes; of all else meta.json says what the first run's does."""
         from benchmarks.evaluation.evaluate import evaluate_cell
 
-        stored, tell = self.source.run(cell.id), Teller(folder, stop_requested)
+        stored, report = self.source.run(cell.id), ProgressReporter(folder, stop_requested)
         model = None
         if cell.learns:
             from benchmarks.evaluation.model_files import load_stored
 
             model = load_stored(stored.policy)
-        rows = evaluate_cell(self.shortened(cell), cell, tell, self.starts, model)
+        rows = evaluate_cell(self.shortened(cell), cell, report, self.starts, model)
         folder.write_rows("episodes", rows)
         return {key: value for key, value in stored.meta().items() if key != "schema"}
 
@@ -137,8 +137,8 @@ class Replay(Insertion):
             equal += _same(first.episodes, again.episodes)
             rates = [100.0 * one.test()["success"].mean() for one in (first, again)]
             rows.append([cell.id, *(f"{rate:.1f}" for rate in rates)])
-        told = plain("Success (%) of the played runs", "run | stored | now", rows)
-        console.print(told, markup=False, highlight=False)
+        text = plain("Success (%) of the played runs", "run | stored | now", rows)
+        console.print(text, markup=False, highlight=False)
         if self.starts is None and self.episodes is None:
             console.print(f"Runs whose every episode came out as stored: {equal} of {len(rows)}")
         console.print(f"Episodes of this time: {store.folder}")

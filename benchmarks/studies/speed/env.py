@@ -88,11 +88,11 @@ def measure_oracle(starts: int, geometry: str, at_once: bool = False) -> dict[st
     env.reset(seed=0)
     oracle.plan(env)  # its kernels compile
     seconds = seconds_of(plan).cpu
-    found = [(len(p.moves), p.detail["bound"]) for p in plans if p.moves is not None]
-    moves, bound = np.mean(found, axis=0)
+    result = [(len(p.moves), p.detail["bound"]) for p in plans if p.moves is not None]
+    moves, bound = np.mean(result, axis=0)
     return {
         "seconds": seconds,
-        "feasible": len(found) / starts,
+        "feasible": len(result) / starts,
         "mean_moves": float(moves),
         "mean_detour": float(moves - bound),
     }
@@ -118,8 +118,8 @@ class SpeedEnv(Measured):
         }
 
     @staticmethod
-    def tell(found: dict[str, Any]) -> str:
-        parts, asked = found["parts"], found["asked"]
+    def to_markdown(result: dict[str, Any]) -> str:
+        parts, asked = result["parts"], result["asked"]
         us, optimum = parts["steps"], []
         for name in (name for name in OPTIMA if f"optimum, {name}" in parts):
             row = parts[f"optimum, {name}"]
@@ -139,5 +139,5 @@ class SpeedEnv(Measured):
                 "geometry | feasible | mean moves or ticks | of these to avoid collisions | CPU s",
                 optimum,
             ),
-            source(found, f"; medians over {asked['rounds']} rounds of {asked['steps']} steps"),
+            source(result, f"; medians over {asked['rounds']} rounds of {asked['steps']} steps"),
         ])  # fmt: skip

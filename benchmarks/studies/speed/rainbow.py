@@ -206,8 +206,8 @@ class SpeedRainbow(Measured):
         }
 
     @staticmethod
-    def tell(found: dict[str, Any]) -> str:
-        parts, asked = found["parts"], found["asked"]
+    def to_markdown(result: dict[str, Any]) -> str:
+        parts, asked = result["parts"], result["asked"]
         pairs = [("updates", "", name, goal) for name, goal in TARGETS.items()]
         goals = [
             [f"{name}{where}", *_ratios(parts[part], name), f"{goal:g}"]
@@ -228,7 +228,7 @@ class SpeedRainbow(Measured):
             f"Drawing 64 of 1e6 and setting their priorities: {replay['sample_and_update_us']:.1f} "
             f"us; drawing with the transitions: {replay['sample_transitions_us']:.1f} us. Resident "
             f"memory of 1e6 transitions with 12-action masks: {parts['memory_mb']:.0f} MB.",
-            source(found, f"; medians over {asked['rounds']} rounds of {asked['steps']} steps"),
+            source(result, f"; medians over {asked['rounds']} rounds of {asked['steps']} steps"),
         ])  # fmt: skip
 
 

@@ -56,8 +56,8 @@ def measure_updates(
             for clock, took in contestants[name](kind, n_updates)._asdict().items():
                 rates[name].setdefault(f"{kind}_{clock}", []).append(n_updates / took)
     return {
-        name: {kind: statistics.median(values) for kind, values in found.items()}
-        for name, found in rates.items()
+        name: {kind: statistics.median(values) for kind, values in result.items()}
+        for name, result in rates.items()
     }
 
 

@@ -15,8 +15,9 @@ pytest.importorskip("optuna", reason="the extra 'tune' is not installed")
 
 from benchmarks.cli import main
 from benchmarks.runs.store import RunFolder
-from benchmarks.studies.codesign import spaces, study, tell
-from benchmarks.studies.codesign.found import Found, on_front, quickest, surest
+from benchmarks.studies.codesign import spaces, study
+from benchmarks.studies.codesign import text as pages
+from benchmarks.studies.codesign.result import SearchResult, on_front, quickest, surest
 from coop_env.design import workspace_area
 from coop_env.geometry import GEOMETRIES, OPTIMIZED
 
@@ -77,12 +78,12 @@ def test_a_rank_correlation_has_an_interval_about_it() -> None:
     rng = np.random.default_rng(1)
     x = rng.normal(size=80)
     y = x + rng.normal(size=80)
-    found = tell.rank_correlation(x, y)
+    found = pages.rank_correlation(x, y)
     assert found.mean == pytest.approx(spearmanr(x, y).statistic)
     assert found.low < found.mean < found.high
     assert found.high - found.low == pytest.approx(4 * 0.75 / math.sqrt(80), rel=0.5)
-    assert tell.rank_correlation([*x, 9.0], [*y, math.nan]).n == 80
-    assert tell.rank_correlation(x, np.ones(80)).n == 0
+    assert pages.rank_correlation([*x, 9.0], [*y, math.nan]).n == 80
+    assert pages.rank_correlation(x, np.ones(80)).n == 0
 
 
 @pytest.mark.slow
@@ -122,7 +123,7 @@ def test_the_command_goes_on_and_can_be_checked(
     folder = results / "codesign"
     assert not (folder / "designs.csv").exists()
     assert main(words) == 0
-    found = Found(folder)
+    found = SearchResult(folder)
     rows = RunFolder(folder).rows("designs")
     assert len(rows) == 2 * 4 + 4
     assert {"initial", "optimized", "lambdas-area", "heights-area"} <= set(found.choose())
@@ -131,7 +132,7 @@ def test_the_command_goes_on_and_can_be_checked(
     text = page.read_text("utf-8")
     assert text.count("too few designs to say") == 2
     assert "](../results/codesign/figures/fronts.png)" in text
-    assert "--designs 4" in found.told["command"]
+    assert "--designs 4" in found.summary["command"]
     assert (folder / "figures" / "fronts.png").stat().st_size > 10_000
     assert study.Codesign.problems(results) == []
     tables = folder / "codesign.md"

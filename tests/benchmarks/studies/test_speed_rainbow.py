@@ -82,7 +82,7 @@ def test_the_report_gives_the_ratios_of_the_rates() -> None:
             "memory_mb": 140.4,
         },
     }
-    text = " ".join(rainbow.SpeedRainbow.tell(json.loads(json.dumps(found))).split())
+    text = " ".join(rainbow.SpeedRainbow.to_markdown(json.loads(json.dumps(found))).split())
     assert "| Rainbow | 600 | 1.20 |" in text
     assert "| Rainbow | 1.20 | 1.20 | 1.5 |" in text
     assert "| Rainbow on images | 1.20 | 1.20 | 0.9 |" in text

@@ -22,7 +22,7 @@ from benchmarks.studies.classic.controls import (
 )
 from benchmarks.studies.classic.experiment import Classic
 from benchmarks.studies.classic.playing import evaluate, make_env, run_control
-from benchmarks.studies.classic.presets import CONTROL, Cell, Task, expand, load_preset
+from benchmarks.studies.classic.presets import CONTROL, SuiteCell, Task, expand, load_preset
 
 pytest.importorskip("minatar", reason="needs the extra 'classic'")
 
@@ -84,7 +84,7 @@ def test_the_action_that_is_held_is_the_best_on_validation_episodes(tmp_path: Pa
     task = dataclasses.replace(preset.tasks["freeway"], eval_episodes=2)
     preset = dataclasses.replace(preset, tasks={"freeway": task})
     folder = RunFolder(tmp_path / "run")
-    about = run_control(preset, Cell(CONTROL, "freeway", "held", 1), folder)
+    about = run_control(preset, SuiteCell(CONTROL, "freeway", "held", 1), folder)
     assert about["action"] == 1  # up, which alone ever crosses the road
     rows = folder.rows("episodes")
     assert rows["seed"].tolist() == episode_seeds(1, 2)

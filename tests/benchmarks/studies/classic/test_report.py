@@ -17,24 +17,24 @@ from benchmarks.studies.classic.figures import pictures
 from benchmarks.studies.classic.presets import (
     CONTROL,
     LEARN,
-    Preset,
+    SuitePreset,
     expand,
     load_preset,
     settings,
 )
-from benchmarks.studies.classic.results import Results, student
+from benchmarks.studies.classic.results import SuiteResults, student
 from benchmarks.studies.classic.tables import build_tables, page
 
 SCORES = {"rainbow": 30.0, "dqn": 20.0, "qrdqn": 10.0, "random": 1.0, "held": 2.0, "script": 33.0}
 
 
 @pytest.fixture(scope="module")
-def preset() -> Preset:
+def preset() -> SuitePreset:
     return load_preset("public")
 
 
 @pytest.fixture(scope="module")
-def store(preset: Preset, tmp_path_factory: pytest.TempPathFactory) -> Store:
+def store(preset: SuitePreset, tmp_path_factory: pytest.TempPathFactory) -> Store:
     """Runs with made-up rows: a seed adds one to every return."""
     store = Store.open(tmp_path_factory.mktemp("results"), "public", create=True)
     for cell in expand(preset):
@@ -52,8 +52,8 @@ def store(preset: Preset, tmp_path_factory: pytest.TempPathFactory) -> Store:
     return store
 
 
-def test_scores_are_means_over_seeds_with_an_interval(preset: Preset, store: Store) -> None:
-    results = Results(preset, store)
+def test_scores_are_means_over_seeds_with_an_interval(preset: SuitePreset, store: Store) -> None:
+    results = SuiteResults(preset, store)
     assert results.missing == []
     value = results.score("cartpole", "dqn")
     assert (value.mean, value.n) == (20.5, 2)
@@ -73,9 +73,9 @@ def test_scores_are_means_over_seeds_with_an_interval(preset: Preset, store: Sto
 
 
 def test_every_panel_is_drawn_and_the_same_data_gives_the_same_file(
-    preset: Preset, store: Store
+    preset: SuitePreset, store: Store
 ) -> None:
-    results = Results(preset, store)
+    results = SuiteResults(preset, store)
     paths = [picture.write(store.figures) for picture in pictures(results)]
     assert [path.name for path in paths] == ["curves.png"]
     first = [path.read_bytes() for path in paths]
@@ -83,7 +83,7 @@ def test_every_panel_is_drawn_and_the_same_data_gives_the_same_file(
     assert [path.read_bytes() for path in again] == first
 
 
-def test_the_block_says_which_runs_it_shows(preset: Preset, store: Store) -> None:
+def test_the_block_says_which_runs_it_shows(preset: SuitePreset, store: Store) -> None:
     text = page(store)
     cells = expand(preset)
     controls = sum(cell.kind == CONTROL for cell in cells)
@@ -102,7 +102,7 @@ def test_published_marks_stand_beside_the_scores(tmp_path: Path) -> None:
         run.write_rows("episodes", [{"episode": 0, "return": 5.0 + cell.number}])
         run.write_rows("curve", [{"timesteps": t, "return_mean": 1.0} for t in (0, 500)])
         run.write_meta({"training": {"updates": 7, "cpu_seconds": 60.0}})
-    tables = {table.name: table for table in build_tables(Results(atari, store))}
+    tables = {table.name: table for table in build_tables(SuiteResults(atari, store))}
     boxing = next(row for row in tables["scores"].rows if row[0] == "Boxing")
     assert boxing[-1] == "0.2"
     assert "data-efficient Rainbow" in tables["scores"].notes[1]
@@ -112,13 +112,13 @@ def test_published_marks_stand_beside_the_scores(tmp_path: Path) -> None:
     assert boxing[1:] == ["0.1", "12.1", "0.492 [0.285, 0.699]", "0.008"]
 
 
-def test_controls_have_their_own_table_and_move_no_score(preset: Preset, store: Store) -> None:
-    tables = {table.name: table for table in build_tables(Results(preset, store))}
+def test_controls_have_their_own_table_and_move_no_score(preset: SuitePreset, store: Store) -> None:
+    tables = {table.name: table for table in build_tables(SuiteResults(preset, store))}
     shown = {row[0]: row[1:] for row in tables["controls"].texts()}
     assert tables["controls"].header[1:] == ["Random", "One action", "Script"]
     assert shown["CartPole-v1"] == ["1.5", "2.5", "33.5"]
     assert shown["Masked identity"] == ["1.0", "2.0", "-"]
-    without = Results(dataclasses.replace(preset, controls=[]), store)
+    without = SuiteResults(dataclasses.replace(preset, controls=[]), store)
     plain = {table.name: table for table in build_tables(without)}
     assert "controls" not in plain
     assert plain["together"].markdown() == tables["together"].markdown()
@@ -138,19 +138,19 @@ def test_runs_that_are_not_what_the_preset_says_are_named(tmp_path: Path) -> Non
         run.write_rows("episodes", kept)
         run.write_rows("curve", [{"timesteps": 0, "return_mean": 1.0}])
         run.write_meta({"training": {}})
-    few, other = Results(atari, store).problems()
+    few, other = SuiteResults(atari, store).problems()
     assert "has 1 rows, not one for each of the 2 test episodes" in few
     assert "other than test seeds" in other
     text = (run.path / "config.yaml").read_text().replace("gamma: 0.99", "gamma: 0.5")
     (run.path / "config.yaml").write_text(text)
     with pytest.raises(BenchmarkError, match=r"settings \(arguments.gamma: 0.5 -> 0.99"):
-        Results(atari, store)
+        SuiteResults(atari, store)
 
 
-def test_one_task_is_not_compared_with_itself(preset: Preset, store: Store) -> None:
+def test_one_task_is_not_compared_with_itself(preset: SuitePreset, store: Store) -> None:
     for tasks in ({"masked_identity"}, {"cartpole"}):
         alone = dataclasses.replace(preset, tasks={key: preset.tasks[key] for key in tasks})
-        assert [table.name for table in build_tables(Results(alone, store))] == [
+        assert [table.name for table in build_tables(SuiteResults(alone, store))] == [
             "scores",
             "controls",
             "steps",

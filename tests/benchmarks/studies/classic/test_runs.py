@@ -25,8 +25,8 @@ from benchmarks.studies.classic.experiment import Classic
 from benchmarks.studies.classic.playing import evaluate
 from benchmarks.studies.classic.presets import (
     PRESETS,
-    Cell,
-    Preset,
+    SuiteCell,
+    SuitePreset,
     expand,
     load_preset,
 )
@@ -36,7 +36,7 @@ TASKS = ("cartpole", "masked_identity", "breakout")
 
 
 @pytest.fixture
-def preset() -> Preset:
+def preset() -> SuitePreset:
     return load_preset("tiny")
 
 
@@ -52,11 +52,11 @@ def finished(folder: RunFolder) -> tuple[pd.DataFrame, pd.DataFrame]:
 @pytest.mark.parametrize("method", ["rainbow", "dqn", "qrdqn"])
 @pytest.mark.parametrize("task", TASKS)
 def test_a_run_that_was_stopped_twice_is_the_run_that_was_not(
-    task: str, method: str, preset: Preset, tmp_path: Path
+    task: str, method: str, preset: SuitePreset, tmp_path: Path
 ) -> None:
     if task == "breakout":
         pytest.importorskip("minatar", reason="needs the extra 'classic'")
-    cell = Cell("learn", task, method, 0)
+    cell = SuiteCell("learn", task, method, 0)
     whole = RunFolder(tmp_path / "whole")
     assert run_learner(preset, cell, whole) is not None
     folder = RunFolder(tmp_path / "cut")
@@ -86,7 +86,7 @@ def test_box2d_begins_a_new_episode_and_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "lander.yaml"
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
     preset, folder = load_preset(str(path)), RunFolder(tmp_path / "run")
-    cell = Cell("learn", "lunarlander", "dqn", 0)
+    cell = SuiteCell("learn", "lunarlander", "dqn", 0)
     assert run_learner(preset, cell, folder, stop_after(40)) is None
     summary = run_learner(preset, cell, folder)
     assert summary is not None
@@ -95,7 +95,7 @@ def test_box2d_begins_a_new_episode_and_goes_on(tmp_path: Path) -> None:
 
 
 def test_an_environment_that_cannot_be_kept_goes_on_with_other_episodes(
-    monkeypatch: pytest.MonkeyPatch, preset: Preset, tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, preset: SuitePreset, tmp_path: Path
 ) -> None:
     """Not once more with those of the beginning."""
     monkeypatch.setattr("benchmarks.studies.classic.train._Envs.get_state", lambda _: None)
@@ -115,15 +115,15 @@ def test_an_environment_that_cannot_be_kept_goes_on_with_other_episodes(
         return learn(model, *args, **kwargs)
 
     monkeypatch.setattr(OffPolicyAlgorithm, "learn", note)
-    cell, folder = Cell("learn", "cartpole", "dqn", 0), RunFolder(tmp_path / "run")
+    cell, folder = SuiteCell("learn", "cartpole", "dqn", 0), RunFolder(tmp_path / "run")
     assert run_learner(preset, cell, folder, stop_after(20)) is None
     assert run_learner(preset, cell, folder) is not None
     assert len(starts) == 2
     assert starts[0] != starts[1]
 
 
-def test_how_often_a_policy_is_tested_changes_nothing(preset: Preset, tmp_path: Path) -> None:
-    cell = Cell("learn", "cartpole", "rainbow", 0)
+def test_how_often_a_policy_is_tested_changes_nothing(preset: SuitePreset, tmp_path: Path) -> None:
+    cell = SuiteCell("learn", "cartpole", "rainbow", 0)
     often = dataclasses.replace(preset.tasks["cartpole"], eval_every=50)
     frequent = dataclasses.replace(preset, tasks={"cartpole": often})
     found = []
@@ -158,7 +158,7 @@ def test_no_test_episode_is_one_of_training_or_validation() -> None:
             assert not validation & training
 
 
-def test_evaluation_plays_each_seed_as_an_episode_of_its_own(preset: Preset) -> None:
+def test_evaluation_plays_each_seed_as_an_episode_of_its_own(preset: SuitePreset) -> None:
     import gymnasium as gym
 
     task = preset.tasks["cartpole"]
@@ -178,7 +178,7 @@ def test_evaluation_plays_each_seed_as_an_episode_of_its_own(preset: Preset) -> 
     assert evaluate(model, task, seeds) == expected
 
 
-def test_only_rainbow_reads_the_masks(preset: Preset) -> None:
+def test_only_rainbow_reads_the_masks(preset: SuitePreset) -> None:
     task = preset.tasks["masked_identity"]
     scores = {}
     for method in ("rainbow", "dqn"):
@@ -190,7 +190,7 @@ def test_only_rainbow_reads_the_masks(preset: Preset) -> None:
 
 
 def test_a_complete_run_is_kept_and_other_settings_are_refused(
-    preset: Preset, tmp_path: Path
+    preset: SuitePreset, tmp_path: Path
 ) -> None:
     store = Store.open(tmp_path, "tiny", create=True)
     cell = Classic(preset).find("masked_identity-random-s0")
@@ -272,7 +272,7 @@ def test_bad_presets_are_refused(change: dict[str, object], message: str, tmp_pa
     [({"lerning_rate": 1.0}, "no argument 'lerning_rate'"), ({"learning_rate": "1e-3"}, "1.0e-3")],
 )
 def test_bad_settings_of_a_learner_are_refused(
-    arguments: dict[str, object], message: str, preset: Preset
+    arguments: dict[str, object], message: str, preset: SuitePreset
 ) -> None:
     task = dataclasses.replace(preset.tasks["cartpole"], methods={"dqn": arguments})
     with pytest.raises(BenchmarkError, match=message):
@@ -288,7 +288,7 @@ def test_bad_settings_of_a_learner_are_refused(
     ],
 )
 def test_what_cannot_be_built_is_said_before_anything_runs(
-    change: dict[str, Any], message: str, preset: Preset
+    change: dict[str, Any], message: str, preset: SuitePreset
 ) -> None:
     task = dataclasses.replace(preset.tasks["cartpole"], **change)
     one = Classic(dataclasses.replace(preset, tasks={"cartpole": task}, methods=["dqn"]))

@@ -16,7 +16,7 @@ from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.playing import make_env
-from benchmarks.studies.classic.presets import Cell, Guide, Preset, Task, load_preset
+from benchmarks.studies.classic.presets import Guide, SuiteCell, SuitePreset, Task, load_preset
 from benchmarks.studies.classic.train import build_model, class_of, run_learner
 from benchmarks.studies.robots import trials
 from benchmarks.studies.robots.guided import Guided
@@ -26,7 +26,7 @@ pytest.importorskip("mujoco", reason="needs the extra physics")
 METHODS = ("sac", "crossq", "td3", "ppo", "rainbow", "dqn", "bc")
 
 
-def tiny(steps: int = 120, noise: float = 0.0) -> Preset:
+def tiny(steps: int = 120, noise: float = 0.0) -> SuitePreset:
     """The preset's own task and settings, for a few steps."""
     preset = load_preset("contact")
     task = preset.tasks["standard"]
@@ -98,7 +98,7 @@ def test_a_stopped_run_is_the_run_that_was_not(
     method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trials, "EPISODES", 1)
-    preset, cell = tiny(noise=0.3), Cell("learn", "standard", method, 0)
+    preset, cell = tiny(noise=0.3), SuiteCell("learn", "standard", method, 0)
     calls = iter(range(100))
     whole, cut = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "cut")
     assert run_learner(preset, cell, whole) is not None

@@ -19,12 +19,12 @@ POLICIES: Final = "policies"
 TABLES: Final = "codesign.md"
 
 
-class Found:
+class SearchResult:
     """The files of a co-design; what has not been run is None.
 
     Attributes:
         folder: where they lie.
-        told: what codesign.json says of the search.
+        summary: what codesign.json says of the search.
         asked: the settings.
         designs: every design that has a score, by its name.
     """
@@ -33,7 +33,7 @@ class Found:
         self.folder = folder
         own = RunFolder(folder)
         self.asked = own.config()
-        self.told: dict[str, Any] = json.loads((folder / "codesign.json").read_text("utf-8"))
+        self.summary: dict[str, Any] = json.loads((folder / "codesign.json").read_text("utf-8"))
         self.designs = own.rows("designs").set_index("design")
 
     @cached_property
@@ -48,7 +48,7 @@ class Found:
     def front(self, study: str) -> pd.DataFrame:
         """The designs of a study that no other beats, the quickest first."""
         rows = self.of_study(study)
-        return rows[on_front(rows, self.told["floor"])].sort_values("ticks")
+        return rows[on_front(rows, self.summary["floor"])].sort_values("ticks")
 
     def choose(self) -> dict[str, str]:
         """The designs to be tested, and why: ``study: reason, reason; study: reason``."""

@@ -14,7 +14,7 @@ from benchmarks.protocol.metrics import METRICS, SUCCESS
 from benchmarks.reporting.stats import Value, measured
 from benchmarks.reporting.tables.table import Number, Table
 from benchmarks.runs.store import Store
-from benchmarks.studies.codesign.found import POLICIES, Found
+from benchmarks.studies.codesign.result import POLICIES, SearchResult
 from benchmarks.studies.codesign.spaces import POPULATION, STUDIES, UNBUILT
 from coop_env.simulation.insertion_task import PAPER_TASK
 
@@ -43,19 +43,19 @@ def rank_correlation(x: ArrayLike, y: ArrayLike, repetitions: int = 2_000) -> Va
     return Value(float(spearmanr(*pairs).statistic), n=n, low=float(low), high=float(high))
 
 
-def tell(found: Found) -> str:
+def to_markdown(result: SearchResult) -> str:
     """All of it as Markdown."""
-    told, asked = found.told, found.asked
-    parts = [_searched(found).markdown().strip(), _proxies(found).markdown().strip()]
-    sentences = [sentence(found, study) for study in STUDIES]
-    parts.append(_designs(found).markdown().strip())
-    machine = told["machine"]
-    spent = told["cpu_seconds"] + sum(
-        float(run.meta()["cpu_seconds"]) for run in Store(found.folder, POLICIES).completed()
+    summary, asked = result.summary, result.asked
+    parts = [_searched(result).markdown().strip(), _proxies(result).markdown().strip()]
+    sentences = [sentence(result, study) for study in STUDIES]
+    parts.append(_designs(result).markdown().strip())
+    machine = summary["machine"]
+    spent = summary["cpu_seconds"] + sum(
+        float(run.meta()["cpu_seconds"]) for run in Store(result.folder, POLICIES).completed()
     )
     source = (
-        f"Command: `{told['command']}`. {asked['starts']} validation starts for each design, the "
-        f"same seeds for all; {spent / 60.0:.0f} core-minutes in all on "
+        f"Command: `{summary['command']}`. {asked['starts']} validation starts for each design, "
+        f"the same seeds for all; {spent / 60.0:.0f} core-minutes in all on "
         f"{machine['machine']['processor']}, begun at commit {machine['commit'][:9]}."
     )
     picture = "../results/codesign/figures/fronts.png"
@@ -63,15 +63,15 @@ def tell(found: Found) -> str:
     return "\n\n".join([*parts, *sentences, source, shown])
 
 
-def _searched(found: Found) -> Table:
+def _searched(result: SearchResult) -> Table:
     rows: list[list[str | Number]] = []
-    for study, of in found.told["studies"].items():
+    for study, of in result.summary["studies"].items():
         bounds = ", ".join(
             f"{name} {low:g} to {high:g}" for name, (low, high) in of["bounds"].items()
         )
         skipped = [str(of["skipped"][reason]) for reason in UNBUILT]
-        scored = int((found.designs["study"] == study).sum())
-        front = len(found.front(study))
+        scored = int((result.designs["study"] == study).sum())
+        front = len(result.front(study))
         rows.append([SYMBOLS[study], bounds, str(scored), *skipped, str(front)])
     return Table(
         "search", "Designs by the exact optimum, both robots moving at once",
@@ -81,20 +81,20 @@ def _searched(found: Found) -> Table:
             "Skipped designs have no score: they "
             + ", or ".join(UNBUILT.values()) + ".",
             "Front: success against mean ticks over the starts that were solved, of designs that "
-            f"solve at least {found.told['floor']:.1f} %, the least of the designs that were there "
-            "before; one that solves few reaches the nearest targets alone, and looks quick.",
+            f"solve at least {result.summary['floor']:.1f} %, the least of the designs that were "
+            "there before; one that solves few reaches the nearest targets alone, and looks quick.",
         ],
         left=(0, 1),
     )  # fmt: skip
 
 
-def _proxies(found: Found) -> Table:
+def _proxies(result: SearchResult) -> Table:
     rows: list[list[str | Number]] = []
     for study in STUDIES:
-        mine = found.of_study(study)
+        mine = result.of_study(study)
         numbers = mine.index.str.extract(r"-(\d+)$")[0].astype(float).to_numpy()
-        random = mine[numbers < _first_population(found, study)]
-        good = mine[mine["success"] >= found.told["floor"]]
+        random = mine[numbers < _first_population(result, study)]
+        good = mine[mine["success"] >= result.summary["floor"]]
         for name, part in (("all", mine), ("drawn at random", random), ("on or above", good)):
             values = [rank_correlation(part["a_w"], part[to]) for to in ("success", "ticks_all")]
             rows.append([SYMBOLS[study], name, str(len(part)), *map(_with_interval, values)])
@@ -104,7 +104,7 @@ def _proxies(found: Found) -> Table:
         rows,
         [
             "Success and ticks are the optimum's; ticks over all starts, one that was not solved "
-            f"counting all {found.told['most']}.",
+            f"counting all {result.summary['most']}.",
             f"Spearman's; 95 % intervals by resampling designs. Drawn at random: the first "
             f"{POPULATION} of the sampler. On or above: the least success of the front.",
         ],
@@ -112,9 +112,9 @@ def _proxies(found: Found) -> Table:
     )  # fmt: skip
 
 
-def _first_population(found: Found, study: str) -> float:
+def _first_population(result: SearchResult, study: str) -> float:
     """The number of the first design that is no longer of the first population."""
-    mine = found.designs[found.designs["study"] == study]
+    mine = result.designs[result.designs["study"] == study]
     numbers = mine.index.str.extract(r"-(\d+)$")[0].dropna().astype(int).sort_values()
     return float(numbers.iloc[POPULATION]) if len(numbers) > POPULATION else math.inf
 
@@ -123,12 +123,12 @@ def _with_interval(value: Value) -> str:
     return f"{value.mean:.2f} [{value.low:.2f}, {value.high:.2f}]" if value.n else "-"
 
 
-def _designs(found: Found) -> Table:
+def _designs(result: SearchResult) -> Table:
     rows: list[list[str | Number]] = []
     seconds = PAPER_TASK.dt
-    for design, tests in found.chosen.groupby("design", sort=False):
-        of = found.designs.loc[design]
-        group = found.policies(str(design))
+    for design, tests in result.chosen.groupby("design", sort=False):
+        of = result.designs.loc[design]
+        group = result.policies(str(design))
         lengths = [f"{of[name]:.3f}" for name in ("lambda1", "lambda2")]
         lengths += [f"{1e3 * of[name]:.1f}" for name in ("distal_length", "home_heave")]
         margin = tests["sigma_cone"].iloc[0]
@@ -146,9 +146,9 @@ def _designs(found: Found) -> Table:
          "Policy: time (s)"],
         rows,
         [
-            f"Mean ± std over seeds, of {found.asked['seeds']} times 100 test starts, which no "
+            f"Mean ± std over seeds, of {result.asked['seeds']} times 100 test starts, which no "
             "design was chosen by. Time to the first insertion where there is one; all: an "
-            f"episode without one counting {seconds * found.told['most']:.0f} s.",
+            f"episode without one counting {seconds * result.summary['most']:.0f} s.",
             "Largest A_w: by differential evolution. Quickest: the fewest ticks of the designs "
             "that succeed at least as often as the one that the study begins from; surest: the "
             "most often; both by the optimum on validation starts.",
@@ -171,9 +171,9 @@ def over(values: pd.Series[float]) -> Value:
     return measured(values.tolist(), lambda: (math.nan, math.nan))
 
 
-def sentence(found: Found, study: str) -> str:
+def sentence(result: SearchResult, study: str) -> str:
     """Whether the area was a good proxy for success, by the rank correlation's interval."""
-    mine = found.of_study(study)
+    mine = result.of_study(study)
     value = rank_correlation(mine["a_w"], mine["success"])
     if value.n < FEW:
         return f"{SYMBOLS[study]}: too few designs to say whether the area is a good proxy."
