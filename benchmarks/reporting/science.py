@@ -63,7 +63,8 @@ def science(store: Store, beyond: bool = False) -> str:
             for name, alt in figures.items()
             if (store.figures / f"{name}.png").is_file()
         ]
-    parts.append(origin(results, store.folder.name))
+    if not beyond:
+        parts.append(origin(results, store.folder.name))
     return "\n\n".join(part.strip() for part in parts if part.strip())
 
 

@@ -4,7 +4,7 @@ Two studies, of (lambda1, lambda2) and of (L2, home heave), in two steps. The ex
 both robots moving at once scores designs for Optuna's NSGA-II: success and mean ticks. Then a
 policy is trained on each of the designs that were chosen, over seeds, and tested on test starts.
 What is complete is kept: the same command goes on. Written to ``results/codesign/`` and to a block
-of ``docs/design.md``.
+of ``docs/codesign.md``.
 """
 
 from __future__ import annotations
