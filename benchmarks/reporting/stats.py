@@ -67,13 +67,8 @@ def wilson(successes: int, trials: int, confidence: float = 0.95) -> tuple[float
     """Wilson's score interval of a proportion (Wilson 1927), both ends in [0, 1]."""
     if trials <= 0:
         return math.nan, math.nan
-    z = float(scipy.stats.norm.ppf(0.5 + confidence / 2))
-    share = successes / trials
-    centre = (share + z * z / (2 * trials)) / (1 + z * z / trials)
-    half = z * math.sqrt(share * (1 - share) / trials + (z / (2 * trials)) ** 2)
-    half /= 1 + z * z / trials
-    # at 0 and 1 successes the ends are exact; rounding must not step outside
-    return max(0.0, centre - half), min(1.0, centre + half)
+    ends = scipy.stats.binomtest(successes, trials).proportion_ci(confidence, "wilson")
+    return float(ends.low), float(ends.high)
 
 
 def interquartile_mean(scores: ArrayLike) -> float:
