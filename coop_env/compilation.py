@@ -20,7 +20,7 @@ from typing import Any
 
 import numba
 from filelock import FileLock
-from numba.core import event
+from numba.core import event, types
 
 _DECLARES = re.compile(r"^from .* import .*\b(njit|intrinsic)$", re.MULTILINE)
 # What compiles, and how long that takes
@@ -110,7 +110,24 @@ def _cached_where_possible(decorator: Any) -> Any:
     return with_options
 
 
-njit = _cached_where_possible(numba.njit)
+def _njit(**options: Any) -> Callable[[Callable], Any]:
+    """numba's, but kernels do not compile anew for each constant that one passes to another."""
+
+    def decorate(function: Callable) -> Any:
+        compiled = numba.njit(**options)(function)
+        template = compiled.get_call_template
+
+        def get_call_template(args: Any, kws: Any) -> Any:
+            named = {name: types.unliteral(kind) for name, kind in dict(kws).items()}
+            return template([types.unliteral(kind) for kind in args], named)
+
+        compiled.get_call_template = get_call_template
+        return compiled
+
+    return decorate
+
+
+njit = _cached_where_possible(_njit)
 guvectorize = _cached_where_possible(numba.guvectorize)
 
 

@@ -79,6 +79,7 @@ def real_params(m: Record, p: EnvParams) -> EnvParams:
         TaskParams(
             m.chamfer, m.tolerance, p.task.angle_tolerance, p.task.max_moves,
             p.task.mask_singularities, p.task.visited, p.task.imperfect, p.task.refused,
+            p.task.fatal,
         ),
         p.reward,
         p.layout,

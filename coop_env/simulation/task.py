@@ -193,4 +193,4 @@ unpack: Callable[[NDArray[np.float64]], EnvParams] = intrinsic(_unpack)  # type:
 def _numba_type(kind: Any) -> Any:
     """A named tuple of floats, ints and bools, as numba knows it."""
     numbers = {float: types.float64, int: types.int64, bool: types.boolean}
-    return types.NamedTuple([numbers[hint] for hint in get_type_hints(kind).values()], kind)
+    return types.BaseTuple.from_types([numbers[h] for h in get_type_hints(kind).values()], kind)
