@@ -154,10 +154,14 @@ def _of_stored(method: str) -> Callable[[Given], None]:
 
 
 def report(given: Given) -> None:
-    """Tables and figures of a preset, then the blocks of all pages beside the results folder."""
+    """Tables and figures of presets, then the blocks of all pages beside the results folder."""
     from benchmarks.reporting import blocks
 
-    _of_stored("report")(given)
+    names = [given.preset] if given.preset else list(catalogue.stores(given.results))
+    if not names:
+        raise BenchmarkError(f"{given.results} has no results; run: python -m benchmarks run")
+    for name in names:
+        _of_stored("report")(argparse.Namespace(preset=name, results=given.results))
     for page in blocks.rewrite(given.results, catalogue.all_blocks(given.results)):
         print(f"{page}: rewritten")
 
@@ -248,7 +252,7 @@ VERBS: Final[dict[str, tuple[Callable[[Given], Any], str, tuple[Any, ...]]]] = {
                  "policies again", (PRESET, RESULTS, *ENTRY)),
     "tables": (_of_stored("write_tables"), "tables from stored runs", (PRESET, RESULTS)),
     "figures": (_of_stored("write_figures"), "figures from stored runs", (PRESET, RESULTS)),
-    "report": (report, "tables, figures, README and docs from stored data", (PRESET, RESULTS)),
+    "report": (report, "tables, figures, README and docs from stored data", (OF_ONE, RESULTS)),
     "verify": (verify, "comparison of tables, README and docs with stored data", (OF_ONE, RESULTS)),
     "watch": (watch, "the optimum or a policy in the browser", (RESULTS, *WATCH)),
     "study": (studies, "one of the studies: study NAME --help; alone, their names", ()),

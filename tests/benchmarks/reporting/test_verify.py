@@ -261,17 +261,20 @@ def test_a_table_that_nothing_makes_is_named(copy: Path) -> None:
     assert "old.md is made by no table" in old
 
 
-def test_a_report_rewrites_the_readme(copy: Path) -> None:
+@pytest.mark.parametrize("preset", [["--preset", "quick"], []])  # none: all with results
+def test_a_report_rewrites_the_readme(preset: list[str], copy: Path) -> None:
     readme = copy / "README.md"
     before = readme.read_bytes()
     change_digit(readme, random.Random(0), BEGIN, END)
     assert readme.read_bytes() != before
-    assert main(["report", "--preset", "quick", "--results", str(copy / "results")]) == 0
+    assert main(["report", *preset, "--results", str(copy / "results")]) == 0
     assert readme.read_bytes() == before
 
 
 def test_nothing_to_verify_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(words(tmp_path)) == 2
+    assert "has no results" in capsys.readouterr().err
+    assert main(["report", "--results", str(tmp_path)]) == 2
     assert "has no results" in capsys.readouterr().err
 
 
