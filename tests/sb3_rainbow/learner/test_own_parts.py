@@ -206,7 +206,7 @@ def test_none_means_to_load_what_it_means_to_the_constructor(tmp_path: Any) -> N
     model.save(tmp_path / "model")
     path = tmp_path / "model.zip"
     loaded = Rainbow.load(path, tau=None, prioritized=None, n_steps=None)
-    assert (loaded.tau, loaded.prioritized, loaded.n_steps) == (1e-2, True, 3)
+    assert (loaded.tau, loaded.prioritized, loaded.n_steps) == (5e-3, True, 3)
     assert Rainbow.load(path, tau=None, target_update_interval=100).tau == 1.0
     assert Rainbow.load(path).tau == 0.5
     assert isinstance(loaded.action_space, spaces.Discrete)

@@ -155,12 +155,12 @@ def test_who_only_predicts_needs_no_replay_buffer(tmp_path: Any, n_envs: int) ->
 @pytest.mark.parametrize(
     ("made", "loaded", "tau"),
     [
-        ({}, {}, 1e-2),
+        ({}, {}, 5e-3),
         ({}, {"target_update_interval": 100}, 1.0),
         ({}, {"target_update_interval": 100, "tau": 1e-3}, 1e-3),
         ({}, {"tau": 0.2}, 0.2),
         ({"target_update_interval": 100}, {}, 1.0),
-        ({"target_update_interval": 100}, {"target_update_interval": None}, 1e-2),
+        ({"target_update_interval": 100}, {"target_update_interval": None}, 5e-3),
         ({"target_update_interval": 100}, {"target_update_interval": None, "tau": 1.0}, 1.0),
         ({"tau": 0.005}, {"target_update_interval": 100}, 0.005),
         ({"tau": 1e-3}, {"target_update_interval": 100}, 1e-3),
