@@ -19,6 +19,7 @@ from stable_baselines3.common.callbacks import (
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.envs import (
     FakeImageEnv,
+    IdentityEnv,
     SimpleMultiObsEnv,
 )
 from stable_baselines3.common.logger import KVWriter, Logger
@@ -83,6 +84,17 @@ def test_returns_beyond_the_support_are_told_once() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         Rainbow("MlpPolicy", "CartPole-v1", **FAST).learn(100)
+
+
+@pytest.mark.parametrize("net_arch", [[16], {"shared": [16], "streams": [8]}, {"streams": [8, 8]}])
+def test_quantiles_need_no_support(net_arch: Any) -> None:
+    env = make_vec_env("CartPole-v1", n_envs=2)
+    kwargs = {**FAST, "policy_kwargs": {"net_arch": net_arch}}
+    model = Rainbow("MlpPolicy", env, distributional="quantile", v_min=0.0, v_max=0.0, **kwargs)
+    logged = record(model, 600)
+    assert "train/clipped_support" not in logged
+    assert np.isfinite(logged["train/loss"]).all()
+    assert model.replay_buffer.tree.leaves.std() > 0  # type: ignore[union-attr]
 
 
 def test_the_constructor_begins_with_dqns_arguments_in_their_order() -> None:
@@ -282,6 +294,13 @@ def test_hessel_et_als_settings_are_those_of_their_table() -> None:
     assert Rainbow("MlpPolicy", env, buffer_size=1000).learning_rate == 1e-3
 
 
+def test_noise_explores_and_deterministic_predictions_do_not() -> None:
+    model = Rainbow("MlpPolicy", IdentityEnv(6), sigma0=3.0, **FAST)
+    obs = np.array([2])
+    assert len({int(model.predict(obs)[0][0]) for _ in range(60)}) > 1
+    assert len({int(model.predict(obs, deterministic=True)[0][0]) for _ in range(60)}) == 1
+
+
 def test_the_target_moves_at_every_update_or_at_an_interval() -> None:
     def distance(**kwargs: Any) -> float:
         model = Rainbow("MlpPolicy", "CartPole-v1", **kwargs, **FAST)
@@ -296,9 +315,31 @@ def test_the_target_moves_at_every_update_or_at_an_interval() -> None:
     assert 0.0 < distance(tau=1.0, target_update_interval=64) < distance(tau=0.0)
 
 
+def test_tau_is_sb3s_where_the_target_moves_at_sb3s_interval() -> None:
+    assert Rainbow("MlpPolicy", "CartPole-v1", **FAST).tau == 5e-3
+    copies = Rainbow("MlpPolicy", "CartPole-v1", target_update_interval=32, **FAST)
+    assert copies.tau == 1.0
+    copies.learn(32)
+    before = [p.clone() for p in copies.q_net.parameters()]
+    copies.learn(33, reset_num_timesteps=False)
+    assert all(
+        not th.equal(p, q) for p, q in zip(before, copies.q_net_target.parameters(), strict=True)
+    )
+
+
 def test_more_envs_than_the_target_interval_is_a_warning() -> None:
     with pytest.warns(UserWarning, match=r"number of environments used is greater.*\(2 > 1\)"):
         Rainbow("MlpPolicy", make_vec_env("CartPole-v1", 2), target_update_interval=1, **FAST)
+
+
+def test_polyak_average_of_one_update() -> None:
+    model = Rainbow("MlpPolicy", "CartPole-v1", tau=0.25, **FAST)
+    before = [p.clone() for p in model.q_net_target.parameters()]
+    for p in model.q_net.parameters():
+        p.data += 1.0
+    model._learner.move_target(0.25)
+    for old, new in zip(before, model.q_net_target.parameters(), strict=True):
+        th.testing.assert_close(new, old + 0.25)
 
 
 def test_training_before_a_window_is_complete_waits() -> None:
@@ -327,6 +368,7 @@ def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
+        ({"n_steps": 0}, "n_steps must be at least 1, got 0"),
         ({"n_steps": 2.5}, "n_steps must be a whole number, got 2.5"),
         ({"max_grad_norm": -1.0}, "max_grad_norm must be positive, or None, got -1.0"),
         ({"advantage_learning": 1.0}, r"advantage_learning must lie in \[0, 1\), got 1.0"),
@@ -335,7 +377,10 @@ def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
         ({"tau": 1.5}, "tau must lie in .0, 1., got 1.5"),
         ({"target_update_interval": 0}, "target_update_interval must be at least 1"),
         ({"sigma0": -0.1}, "sigma0 must not be negative, got -0.1"),
+        ({"alpha": 1.5}, "alpha must lie in"),
+        ({"beta_start": -0.5}, "beta must lie in .0, 1., got -0.5"),
         ({"beta_end": 1.5}, "beta_end must lie in .0, 1., got 1.5"),
+        ({"v_min": 5.0, "v_max": 5.0}, "v_min must be below v_max"),
         ({"v_min": 0.0}, "v_min without v_max: pass both"),
         ({"v_max": 9.0, "distributional": True}, "v_max without v_min: pass both"),
         ({"buffer_size": 3}, "buffer_size=3 is too small"),

@@ -118,6 +118,12 @@ def test_gradients_reach_means_and_sigmas() -> None:
         assert parameter.grad.abs().sum() > 0
 
 
+def test_epsilons_are_buffers() -> None:
+    net = make_net()
+    assert not any("epsilon" in name or "noise" in name for name, _ in net.named_parameters())
+    assert sum("epsilon" in name for name, _ in net.named_buffers()) == 4
+
+
 def test_online_and_target_noise_are_independent() -> None:
     policy = make_policy()
     policy.q_net.reset_noise()
@@ -217,6 +223,14 @@ def test_which_layers_are_noisy(noisy_layers: Any, expected: list[bool]) -> None
     assert not any(isinstance(layer, NoisyLinear) for layer in make_net(noisy=False).layers)
 
 
+def test_after_nature_cnn_there_is_a_noisy_head_alone() -> None:
+    space = spaces.Box(0, 255, (3, 36, 36), np.uint8)
+    policy = CnnPolicy(
+        space, ACTIONS, lambda _: 1e-3, distributional=True, features_extractor_class=NatureCNN
+    )
+    assert [isinstance(layer, NoisyLinear) for layer in policy.q_net.layers] == [True]
+
+
 def test_dueling_is_identifiable() -> None:
     """A constant moved from all advantages into the value changes nothing."""
     net = make_net()
@@ -250,6 +264,19 @@ def test_q_values_are_expectations_under_the_distribution() -> None:
     th.testing.assert_close(probabilities.sum(-1), th.ones(7, 3))
     support = th.linspace(-5, 5, 51)
     th.testing.assert_close(net(obs), (probabilities * support).sum(-1))
+
+
+def test_the_papers_net() -> None:
+    policy = MlpPolicy(
+        spaces.Box(0, 1, (12,), np.float32),
+        spaces.Discrete(12),
+        lambda _: 1e-4,
+        net_arch=[256, 128, 64],
+        activation_fn=nn.ReLU,
+        distributional=True,
+    )
+    shapes: list[Any] = [(x.in_features, x.out_features) for x in policy.q_net.layers]
+    assert shapes == [(12, 256), (256, 128), (128, 64), (64, 13 * 51)]
 
 
 STREAMS = {"shared": [20], "streams": [12, 8]}

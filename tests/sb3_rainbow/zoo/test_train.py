@@ -129,6 +129,12 @@ def test_bad_input_is_one_clear_error(command: str, said: str) -> None:
         zoo(command)
 
 
+def test_an_unknown_algorithm_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        zoo("train --algo rainbo")
+    assert "invalid choice: 'rainbo'" in capsys.readouterr().err
+
+
 def test_enjoy_refuses_a_file_of_another_algorithm() -> None:
     train("-n 50")
     model = DQN("MlpPolicy", "CartPole-v1", buffer_size=10, device="cpu")
