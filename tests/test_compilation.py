@@ -13,6 +13,8 @@ from typing import Any
 import numba
 import pytest
 
+from coop_env.compilation import _njit
+
 ROOT = Path(__file__).resolve().parent.parent
 
 # Every kernel of the package is declared, and a few compile.
@@ -164,3 +166,17 @@ def test_functions_without_a_module_compile_beside_the_package(module: str) -> N
     exec("def double(x): return 2 * x", names)
     compiled: Any = numba.njit(names["double"])
     assert compiled(3) == 6
+
+
+def test_a_kernel_compiles_once_for_all_constants_that_others_pass_to_it() -> None:
+    def inner(x: float, k: int) -> float:
+        return x * k
+
+    compiled = _njit()(inner)
+
+    def outer(x: float) -> Any:
+        return compiled(x, 0) + compiled(x, 1) + compiled(x, k=2)
+
+    calls: Any = numba.njit(outer)
+    assert calls(3.0) == 9.0
+    assert len(compiled.signatures) == 1

@@ -83,6 +83,9 @@ def performance(results: Results, compared: list[Comparison]) -> str:
     report += f" (paper {PERFORMANCE['success']['rainbow']}"
     optimum = row_of(results, "optimum")
     report += f", the exact optimum {_show(optimum.success())})" if optimum.group.n else ")"
+    planner = row_of(results, "rrt_lattice")  # the strongest, which plans on the model
+    if planner.group.n:
+        report += f", {planner.name} in {_show(planner.success())}"
     if script:
         report += f", the best script under the same masks in {_show(script.theirs.success())}"
     for other in others:

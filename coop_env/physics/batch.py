@@ -5,6 +5,7 @@ A batch of one is what a single environment plays, so it and the vector form agr
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -50,7 +51,7 @@ class Outcome(NamedTuple):
     info: dict[str, Any]  # columns (n, ...)
 
 
-class PhysicsBatch:
+class PhysicsBatch(ABC):
     """Episodes of a task on the twin; the tasks are subclasses.
 
     Args:
@@ -105,25 +106,25 @@ class PhysicsBatch:
         self.insertion = np.zeros((n, 3))
         """Depth, distance from the axis, m, and misalignment, rad, of where things really are."""
 
+    @abstractmethod
     def check_options(self, options: Any) -> Any:
         """Reset options as :meth:`reset` takes them.
 
         Raises:
             ResetOptionError: one is unknown, malformed or out of range.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def reset(self, row: int, options: Any, rng: np.random.Generator) -> dict[str, Any]:
         """Start an episode in one row, which draws from ``rng``; returns its info."""
-        raise NotImplementedError
 
+    @abstractmethod
     def step(self, actions: Floats) -> Outcome:
         """Move all episodes by increments (n, 6) in [-1, 1]."""
-        raise NotImplementedError
 
+    @abstractmethod
     def observe(self, rows: slice) -> NDArray[np.float32]:
         """Observations of rows (n, fields), with noise that is drawn now."""
-        raise NotImplementedError
 
     def status(self, row: int) -> str:
         """``"running"``, ``"success"``, or the cause of an episode's failure."""
