@@ -195,7 +195,7 @@ def test_the_tables_of_tasks_have_a_row_for_each(tmp_path: Path) -> None:
     (table,) = build_tables(fabricated_store.make_store(tmp_path, [0], "difficulty"))
     rows = {row[0]: row[1:] for row in table.texts()}
     # scripts solve one episode more with random moves; no row of a geometry that was not asked for
-    assert rows["tolerance 5 mm"] == ["100.0", "100.0", "50.0", "80.0", "90.0"]
+    assert rows["tolerance 5 mm"] == ["100.0", "100.0", "50.0", "80.0", "90.0", "100.0"]
     assert rows["step 5 mm"][:3] == ["-", "-", "50.0"]
     assert len(rows) == len(load_preset("difficulty").tracks)
 
