@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from coop_env.errors import as_dataclass
 from coop_env.geometry import resolve_delta, resolve_rrs
+from coop_env.kinematics import delta, rrs
 from coop_env.physics import kernels
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Machine, Servos
@@ -101,6 +102,7 @@ class PhysicsBatch(ABC):
         self.command, self._targets, self._action, self._wrench, self._tare = (
             np.zeros((n, N_AXES)) for _ in range(5)
         )
+        self._first, self._first_joints = (np.zeros((n, N_AXES)) for _ in range(2))
         self.error, self.friction = np.zeros((n, 4)), np.zeros(n)
         self.peak, self.peak_force = np.zeros(n), np.zeros(n)  # of the last step, of the episode, N
         self.insertion = np.zeros((n, 3))
@@ -164,8 +166,11 @@ class PhysicsBatch(ABC):
 
     def _advance(self, wanted: Floats) -> None:
         """Make one control step towards configurations (n, 6), and measure what came of it."""
-        task, before = self.task, self._targets.copy()
-        self.taken = kernels.take_commands(self.command, wanted, self._packed, self._targets)
+        task, before = self.task, self._targets
+        m = self.machine
+        self.taken = delta.is_valid(wanted[:, :3], m.delta) & rrs.is_valid(wanted[:, 3:], m.rrs)
+        self.command = np.where(self.taken[:, None], wanted, self.command)
+        self._targets = self.twin.servo_targets(self.command)
         self.steps += 1
         readings = self.twin.advance(self._lead(before), task.substeps)
         sensed = readings.wrench - self._tare[:, None]
@@ -197,10 +202,27 @@ class PhysicsBatch(ABC):
     def _joints(self, rows: slice) -> Floats:
         return np.ascontiguousarray(self.twin.readings().joints[rows])
 
-    def _sensed(self, rows: slice) -> Floats:
-        """Wrenches on the peg (n, 6), N, N m, with the sensors' noise."""
+    def perceived(self, rows: slice = slice(0, 1)) -> tuple[Floats, Floats, Floats]:
+        """What a controller has to go by, with the sensors' noise, which is drawn now.
+
+        Returns:
+            The target (n, 5), tip - mouth, m, and x, y of its normal; joint angles (n, 6), rad;
+            wrench on the peg (n, 6), N, N m.
+        """
+        joints, near = self._joints(rows), self._near(rows)
+        view = kernels.perceive(joints, near, self.hole[rows], self._packed)
         draws = [rng.normal(size=N_AXES) for rng in self.rngs[rows] if rng is not None]
-        return self._wrench[rows] + np.array(draws) * self._noise
+        return view, joints, self._wrench[rows] + np.array(draws) * self._noise
+
+    def _near(self, rows: slice) -> Floats:
+        """Configurations (n, 6) near by, from which the 3-RRS's branch is followed."""
+        return self.command[rows].copy()
+
+    def _felt(self, rows: slice) -> Floats:
+        """The 29 fields that both tasks observe, SI units."""
+        view, joints, wrench = self.perceived(rows)
+        joints, command = joints - self._first_joints[rows], self.command[rows] - self._first[rows]
+        return np.concatenate([view, joints, wrench, command, self._action[rows]], axis=1)
 
     def _terms(self, name: str, gained: Floats, inserted: Bools) -> dict[str, Floats]:
         """Reward terms (n,) of a step; a failure gains nothing and never saves any steps."""
@@ -262,9 +284,9 @@ UNITS: Final[Floats] = np.array(
 """What 1 means in each of the contact task's 29 fields: m, rad, N, N m."""
 
 
-def in_units(*fields: Floats) -> NDArray[np.float32]:
-    """Observations (n, 29) of the contact task, of fields (n, ...) in SI units, in their order."""
-    return np.clip(np.concatenate(fields, axis=1) / UNITS, -LIMIT, LIMIT).astype(np.float32)
+def in_units(fields: Floats) -> NDArray[np.float32]:
+    """Observations (n, 29) of the contact task, of fields (n, 29) in SI units."""
+    return np.clip(fields / UNITS, -LIMIT, LIMIT).astype(np.float32)
 
 
 class ContactBatch(PhysicsBatch):
@@ -279,10 +301,7 @@ class ContactBatch(PhysicsBatch):
         self.starts = start_configurations(self.machine, self.task.start_height)
         self._open = np.flatnonzero(np.isfinite(self.starts[:, 0]))
         self._to_tip = np.array(peg_tip(0.0, 0.0, 0.0, self.machine.kernel_params().delta))
-        self._first, self._first_joints, self._believed = (
-            np.zeros((self.n, N_AXES)) for _ in range(3)
-        )
-        self._paid = np.zeros(self.n)
+        self._believed, self._paid = np.zeros((self.n, N_AXES)), np.zeros(self.n)
 
     def check_options(self, options: Any) -> dict[str, Any]:
         return check_options(options, np.isfinite(self.starts[:, 0]))
@@ -317,9 +336,8 @@ class ContactBatch(PhysicsBatch):
     def columns(self) -> dict[str, Any]:
         return {**super().columns(), "hole": self.hole.copy()}
 
+    def _near(self, rows: slice) -> Floats:
+        return self._believed[rows]
+
     def observe(self, rows: slice) -> NDArray[np.float32]:
-        joints = self._joints(rows)
-        view = kernels.perceive(joints, self._believed[rows], self.hole[rows], self._packed)
-        travel = joints - self._first_joints[rows]
-        offset = self.command[rows] - self._first[rows]
-        return in_units(view, travel, self._sensed(rows), offset, self._action[rows])
+        return in_units(self._felt(rows))

@@ -17,7 +17,7 @@ from coop_env.physics.batch import LIMIT, ContactBatch, PhysicsBatch, row_of
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Servos
 from coop_env.physics.task import ContactTask
-from coop_env.physics.whole import MAX_STEPS, WholeBatch
+from coop_env.physics.whole import WholeBatch
 from coop_env.rendering.modes import Rendered
 from coop_env.rendering.scene import Scene
 from coop_env.simulation.insertion_task import InsertionTask
@@ -34,13 +34,25 @@ class PhysicsEnv(Rendered):
         **Rendered.metadata,
         "render_fps": round(1.0 / ContactTask().dt),
     }
+    batch_class: type[PhysicsBatch] = ContactBatch
     discrete = False
 
-    def __init__(self, batch: PhysicsBatch, render_mode: str | None) -> None:
+    def __init__(
+        self,
+        level: str | ContactTask | Mapping[str, Any] = "standard",
+        geometry: str | RRSGeometry | Mapping[str, Any] = "optimized",
+        delta: DeltaGeometry | Mapping[str, Any] | None = None,
+        holes: InsertionTask | Mapping[str, Any] | None = None,
+        servos: Servos | Mapping[str, Any] | None = None,
+        *,
+        render_mode: str | None = None,
+        **arguments: Any,
+    ) -> None:
         self._set_render_mode(render_mode)
-        self.batch, self.task = batch, batch.task
+        self.batch: Any = self.batch_class(level, geometry, delta, holes, servos, **arguments)
+        self.task = self.batch.task
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.task.dt))}
-        self.observation_space, self.action_space = make_spaces(batch, self.discrete)
+        self.observation_space, self.action_space = make_spaces(self.batch, self.discrete)
         self._running = False
 
     @property
@@ -195,19 +207,6 @@ class CoopInsertionContactEnv(PhysicsEnv):
     * v0: initial version
     """
 
-    batch: ContactBatch
-
-    def __init__(
-        self,
-        level: str | ContactTask | Mapping[str, Any] = "standard",
-        geometry: str | RRSGeometry | Mapping[str, Any] = "optimized",
-        delta: DeltaGeometry | Mapping[str, Any] | None = None,
-        holes: InsertionTask | Mapping[str, Any] | None = None,
-        servos: Servos | Mapping[str, Any] | None = None,
-        render_mode: str | None = None,
-    ) -> None:
-        super().__init__(ContactBatch(level, geometry, delta, holes, servos), render_mode)
-
 
 class CoopInsertionContactDiscreteEnv(CoopInsertionContactEnv):
     """The contact task in twelve moves, for Rainbow and DQN.
@@ -296,21 +295,7 @@ class CoopInsertionPhysicsEnv(PhysicsEnv):
     * v0: initial version
     """
 
-    batch: WholeBatch
-
-    def __init__(
-        self,
-        level: str | ContactTask | Mapping[str, Any] = "standard",
-        geometry: str | RRSGeometry | Mapping[str, Any] = "optimized",
-        delta: DeltaGeometry | Mapping[str, Any] | None = None,
-        holes: InsertionTask | Mapping[str, Any] | None = None,
-        servos: Servos | Mapping[str, Any] | None = None,
-        stage: int = 1,
-        max_steps: int = MAX_STEPS,
-        render_mode: str | None = None,
-    ) -> None:
-        batch = WholeBatch(level, geometry, delta, holes, servos, stage=stage, max_steps=max_steps)
-        super().__init__(batch, render_mode)
+    batch_class = WholeBatch
 
 
 def make_spaces(batch: PhysicsBatch, discrete: bool) -> tuple[spaces.Box, spaces.Space[Any]]:

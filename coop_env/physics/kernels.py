@@ -18,32 +18,6 @@ from coop_env.simulation.task import unpack
 
 
 @njit(cache=True)
-def take_commands(
-    command: np.ndarray, wanted: np.ndarray, packed: np.ndarray, targets: np.ndarray
-) -> np.ndarray:
-    """Take over the wanted configurations (n, 6) that both robots can take, and aim the servos.
-
-    Writes ``command`` (n, 6) and the joint commands ``targets`` (n, 6), theta and q, rad; returns
-    which rows were taken (n,).
-    """
-    p = unpack(packed)
-    taken = np.zeros(command.shape[0], np.bool_)
-    for i in range(command.shape[0]):
-        w = wanted[i]
-        taken[i] = delta_kernels.is_valid(w[0], w[1], w[2], p.delta) and rrs_kernels.is_valid(
-            w[3], w[4], w[5], p.rrs
-        )
-        if taken[i]:
-            command[i] = w
-        c = command[i]
-        _, theta = delta_kernels.inverse(c[0], c[1], c[2], p.delta)
-        _, q = rrs_kernels.inverse(rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs), p.rrs)
-        for k in range(3):
-            targets[i, k], targets[i, 3 + k] = theta[k], q[k]
-    return taken
-
-
-@njit(cache=True)
 def perceive(
     joints: np.ndarray, believed: np.ndarray, holes: np.ndarray, packed: np.ndarray
 ) -> np.ndarray:
@@ -108,30 +82,4 @@ def insertion(
         result[i, 0] = depth if lateral <= mouth_radius else min(depth, 0.0)
         result[i, 1] = lateral
         result[i, 2] = math.atan2(math.hypot(n[0], n[1]), n[2])
-    return result
-
-
-@njit(cache=True)
-def platform_error(
-    rotation: np.ndarray, base: np.ndarray, command: np.ndarray, packed: np.ndarray
-) -> np.ndarray:
-    """Angles (n,) between platforms and what configurations command of them, rad.
-
-    Args:
-        rotation: (n, 3, 3), of the platforms, world frame.
-        base: (n, 3, 3), of the bases they stand on.
-        command: (n, 6).
-        packed: the machine.
-    """
-    p = unpack(packed)
-    result = np.empty(command.shape[0])
-    for i in range(command.shape[0]):
-        w = rrs_kernels.platform_pose(command[i, 3], command[i, 4], command[i, 5], p.rrs)
-        wanted = (w.r00, w.r01, w.r02), (w.r10, w.r11, w.r12), (w.r20, w.r21, w.r22)
-        trace = 0.0  # of rotation^T base wanted: 1 + 2 cos(angle)
-        for j in range(3):
-            for k in range(3):
-                for m in range(3):
-                    trace += rotation[i, j, k] * base[i, j, m] * wanted[m][k]
-        result[i] = math.acos(min(max(0.5 * (trace - 1.0), -1.0), 1.0))
     return result

@@ -35,6 +35,12 @@ TOUCH: Final = 10.0
 class Lead(WholeBatch):
     """One machine of the whole task, led from configuration to configuration."""
 
+    def __init__(self, finish: Policy | None, *arguments: Any, **more: Any) -> None:
+        super().__init__(*arguments, **more)
+        self.finish = finish
+        if finish is not None:
+            self._above = start_configurations(self.machine, self.task.start_height)
+
     @property
     def configuration(self) -> Floats:
         """The commanded (x, y, z, roll, pitch, heave), (6,); m and rad."""
@@ -79,50 +85,43 @@ class Lead(WholeBatch):
                 return False
         return True
 
-
-class Finish:
-    """Goes to where the contact task begins, plays a policy of that task, and withdraws.
-
-    Args:
-        machine: its target is the hole.
-        policy: what inserts.
-    """
-
-    def __init__(self, machine: Lead, policy: Policy) -> None:
-        self.machine, self.policy = machine, policy
-        self._starts = start_configurations(machine.machine, machine.task.start_height)
-
-    def __call__(self) -> bool:
-        """Whether the peg was 10 mm deep in the target; it is out again, unless the episode ended.
+    def insert(self) -> bool:
+        """Go to where the contact task begins, play the policy of that task, and withdraw.
 
         A hole that the machine cannot present upright is not tried.
+
+        Returns:
+            Whether the peg was 10 mm deep in the target; it is out again, unless the episode ended.
         """
-        machine, start = self.machine, self._starts[self.machine.target]
+        start, hole = self._above[self.target], self.target
         if not np.isfinite(start).all():
             return False
-        hole, above, up = machine.target, start.copy(), machine.configuration
+        above = start.copy()
         above[2] += ROOM
-        up[2] = max(up[2], above[2])
-        if all(machine.lead(to, SETTLING) for to in (up, above, start, start)):
-            self._play()
-        if not machine.failed:
-            up = machine.configuration
-            up[2] = max(up[2], above[2])
-            all(machine.lead(to, SETTLING) for to in (up, above))
-        return bool(machine.filled[0, hole])
+        if all(self.lead(to, SETTLING) for to in (self._raised(above), above, start, start)):
+            self._feel(self.finish)
+        if not self.failed:
+            all(self.lead(to, SETTLING) for to in (self._raised(above), above))
+        return bool(self.filled[0, hole])
 
-    def _play(self) -> None:
-        machine, hole = self.machine, self.machine.target
-        getattr(self.policy, "reset", lambda: None)()
-        first, action = machine.configuration, np.zeros(N_AXES)
-        joints = machine.perceived()[1]
-        for _ in range(machine.task.max_steps):
-            view, angles, wrench = machine.perceived()
-            offset = machine.configuration - first
-            seen = in_units(view, angles - joints, wrench, offset[None], action[None])[0]
-            action = np.clip(np.asarray(self.policy(seen), np.float64), -1.0, 1.0)
-            machine.advance((machine.configuration + action * machine.task.increments)[None])
-            if machine.failed or machine.filled[0, hole]:
+    def _raised(self, above: Floats) -> Floats:
+        """The configuration now, with the tip at least as high as there."""
+        result = self.configuration
+        result[2] = max(result[2], above[2])
+        return result
+
+    def _feel(self, policy: Any) -> None:
+        hole = self.target
+        getattr(policy, "reset", lambda: None)()
+        first, action = self.configuration, np.zeros(N_AXES)
+        joints = self.perceived()[1]
+        for _ in range(self.task.max_steps):
+            view, angles, wrench = self.perceived()
+            felt = [view[0], angles[0] - joints[0], wrench[0], self.configuration - first, action]
+            seen = in_units(np.concatenate(felt)[None])[0]
+            action = np.clip(np.asarray(policy(seen), np.float64), -1.0, 1.0)
+            self.advance((self.configuration + action * self.task.increments)[None])
+            if self.failed or self.filled[0, hole]:
                 return
 
 
@@ -187,8 +186,7 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
             raise ArgumentError(f"finish = {finish!r}: must be None, or a callable")
         self.touch = check_number("touch", touch, 0.0, above=True)
         shared = {name: arguments[name] for name in ("geometry", "delta") if name in arguments}
-        self.physics = Lead(level, holes=self.task, servos=servos, **shared)
-        self._finish = None if finish is None else Finish(self.physics, finish)
+        self.physics = Lead(finish, level, holes=self.task, servos=servos, **shared)
         self._steps = max(1, round(self.task.dt / self.physics.task.dt))
         self._own: dict[str, Any] = {}
 
@@ -264,15 +262,15 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
             body.lead(back, self._steps)
             body.taken[0] = False
             return False
-        if self._finish is not None and self._states["inside"][0][target]:
-            if not self._finish() and not body.failed:
+        if body.finish is not None and self._states["inside"][0][target]:
+            if not body.insert() and not body.failed:
                 body.give_up(0)
             kernels.begin_again(self._states, body.command[0], self._packed)
             return True
         arrived = body.lead(self._states["configuration"][0], self._steps, self.touch)
         if body.failed or body.filled[0, target]:
             return not body.failed
-        if self._finish is None and body.reached():
+        if body.finish is None and body.reached():
             body.fill(0)
         elif not arrived:
             self._states[:] = before

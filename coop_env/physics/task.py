@@ -31,6 +31,8 @@ STANDARD_PEG: Final = Peg()
 HEAVE_ROOM: Final = 0.005
 """By which heave can go up and down from every start, m."""
 _LARGEST: Final = {"position_error": 0.02, "tilt_error": 0.1, "effector_play": 0.1}  # m, rad
+OWN_OPTIONS: Final = ("error", "friction")
+"""Reset options that both tasks have."""
 _LARGEST_ERROR: Final = (*(_LARGEST["position_error"],) * 2, *(_LARGEST["tilt_error"],) * 2)
 
 
@@ -224,7 +226,7 @@ def start_configurations(machine: Machine, height: float) -> Floats:
     return np.where(good[:, None], result, np.nan)
 
 
-def check_options(options: Mapping[str, Any] | None, open_holes: NDArray[np.bool_]) -> Options:
+def check_options(options: Any, open_holes: NDArray[np.bool_]) -> Options:
     """Reset options of the contact task; what is None or missing is left to chance.
 
     Args:
@@ -248,37 +250,6 @@ def check_options(options: Mapping[str, Any] | None, open_holes: NDArray[np.bool
     return {**own, "hole": int(hole)}
 
 
-def check_friction(value: Any) -> float:
-    """A coefficient of friction that a reset option sets.
-
-    Raises:
-        ResetOptionError: it is no number, or not within 0 to 2.
-    """
-    return check_number("friction", value, 0.0, 2.0, above=True, error=ResetOptionError)
-
-
-def check_error(value: Any) -> tuple[float, float, float, float]:
-    """A hole's error that a reset option sets: x, y, m, and two tilts, rad.
-
-    Raises:
-        ResetOptionError: it is not four numbers, or one is out of range.
-    """
-    try:
-        numbers = [float(v) for v in value] if is_list(value) else []
-    except (TypeError, ValueError) as error:
-        raise ResetOptionError(f"error = {value!r}: must be four numbers") from error
-    if len(numbers) != 4:
-        raise ResetOptionError(f"error = {value!r}: must be x, y, m, and two tilts, rad")
-    for i, (number, most) in enumerate(zip(numbers, _LARGEST_ERROR, strict=True)):
-        check_number(f"error[{i}]", number, -most, most, error=ResetOptionError)
-    x, y, roll, pitch = numbers
-    return x, y, roll, pitch
-
-
-OWN_OPTIONS: Final = MappingProxyType({"error": check_error, "friction": check_friction})
-"""Checks of the reset options that both tasks have."""
-
-
 def split_options(options: Any) -> tuple[Options, Options]:
     """Reset options of the simulation, checked, and those that are the kinematic task's.
 
@@ -287,10 +258,19 @@ def split_options(options: Any) -> tuple[Options, Options]:
     """
     if options is not None and not isinstance(options, Mapping):
         raise ResetOptionError(f"options = {options!r}: must be a mapping")
-    given = dict(options or {})
-    own: Options = {
-        name: check(given[name])
-        for name, check in OWN_OPTIONS.items()
-        if given.get(name) is not None
-    }
-    return own, {name: value for name, value in given.items() if name not in OWN_OPTIONS}
+    rest = dict(options or {})
+    given = {name: rest.pop(name, None) for name in OWN_OPTIONS}
+    own: Options = {name: value for name, value in given.items() if value is not None}
+    if "friction" in own:
+        own["friction"] = check_number(
+            "friction", own["friction"], 0.0, 2.0, above=True, error=ResetOptionError
+        )
+    if "error" in own:
+        numbers = list(own["error"]) if is_list(own["error"]) else []
+        if len(numbers) != 4:
+            raise ResetOptionError(f"error = {own['error']!r}: must be x, y, m, and two tilts, rad")
+        own["error"] = [
+            check_number(f"error[{i}]", number, -most, most, error=ResetOptionError)
+            for i, (number, most) in enumerate(zip(numbers, _LARGEST_ERROR, strict=True))
+        ]
+    return own, rest

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from coop_env.errors import ArgumentError, check_integer
 from coop_env.kinematics import delta, rrs
 from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
-from coop_env.physics import kernels
 from coop_env.physics.engine import mujoco
 from coop_env.physics.joints import Floats, platform_mount, tree_angles
 from coop_env.physics.model import Machine, build_mjcf, to_xml
@@ -239,11 +238,8 @@ class Twin:
 
         Beyond a few degrees it hangs in another assembly mode: see ``ContactTask.snap_angle``.
         """
-        rotation = np.ascontiguousarray(readings.rotation)
-        result: Floats = kernels.platform_error(
-            rotation, self._turns, np.ascontiguousarray(configurations), self.packed
-        )
-        return result
+        pose = rrs.platform_pose(configurations[:, 3:], self.machine.rrs)
+        return rotation_angle(readings.rotation, self._turns @ pose.rotation)
 
     def close(self) -> None:
         """End the threads."""

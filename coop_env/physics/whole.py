@@ -53,8 +53,8 @@ class WholeBatch(PhysicsBatch):
         self.increments = np.array(machine.task.steps) * min(1.0, self.task.dt / machine.task.dt)
         gains = (machine.servos.delta_stiffness, machine.servos.rrs_stiffness)
         self._lag = np.repeat([machine.servos.damping(kp) / kp for kp in gains], 3)  # s
-        self._home = machine.home()
-        self._home_joints = self.twin.servo_targets(self._home)
+        self._first[:] = machine.home()
+        self._first_joints[:] = self.twin.servo_targets(self._first)
         self._pivot = np.array([0.0, 0.0, machine.rrs.home_heave + machine.task.dome_radius])
         holes = len(machine.task.holes)
         self.n_observed = 30 + holes
@@ -185,23 +185,9 @@ class WholeBatch(PhysicsBatch):
             left[row, 1] = math.atan2(math.hypot(normal[0], normal[1]), normal[2])
         return left
 
-    def perceived(self, rows: slice = slice(0, 1)) -> tuple[Floats, Floats, Floats]:
-        """What a controller has to go by, with the sensors' noise, which is drawn now.
-
-        Returns:
-            The target (n, 5), tip - mouth, m, and x, y of its normal; joint angles (n, 6), rad;
-            wrench on the peg (n, 6), N, N m.
-        """
-        joints = self._joints(rows)
-        view = kernels.perceive(joints, self.command[rows].copy(), self.hole[rows], self._packed)
-        return view, joints, self._sensed(rows)
-
     def observe(self, rows: slice) -> NDArray[np.float32]:
-        view, joints, wrench = self.perceived(rows)
-        felt = [view, joints - self._home_joints, wrench, self.command[rows] - self._home,
-                self._action[rows]]  # fmt: skip
         gone = self.steps[rows, None] / self.max_steps
-        fields = [np.concatenate(felt, axis=1) / _UNITS, self.filled[rows], gone]
+        fields = [self._felt(rows) / _UNITS, self.filled[rows], gone]
         return np.clip(np.concatenate(fields, axis=1), -LIMIT, LIMIT).astype(np.float32)
 
     def columns(self) -> dict[str, Any]:

@@ -177,15 +177,14 @@ def test_after_a_hole_the_view_and_the_next_target_are_those_of_where_it_stands(
     starts = start_configurations(body.machine, body.task.start_height)
     above = {"configuration": starts[1] + [0, 0, 0.01, 0, 0, 0], "target": 1}
     env.reset(seed=0, options={**above, "filled": [0, 3, 4, 5]})
-    assert env._finish is not None
-    assert env._finish()
+    assert body.insert()
     assert body.target == 2
     high, there = body.configuration[2] + 0.05, starts[2]
     body.lead(np.array([*body.configuration[:2], high, *body.configuration[3:]]), 4)
     body.lead(np.array([0.0, 0.0, high, 0.0, 0.0, body.configuration[5]]), 4)
     body.lead(np.array([*there[:2], high, *there[3:]]), 4)
     before = len(seen)
-    assert env._finish()
+    assert body.insert()
     np.testing.assert_allclose(seen[before], [0.0, 0.0, 1.0, 0.0, 0.0], atol=0.05)
 
 
