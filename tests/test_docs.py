@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from docs.screens import browser, measure
+from docs.screens import LONGEST, browser, measure
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted((ROOT / "docs").glob("*.md"))
@@ -84,6 +84,7 @@ def test_pages_are_short_and_fit_a_window_and_a_phone(site: Path) -> None:
     pages = measure(site, chromium)
     assert {page.name for page in pages} >= {page.with_suffix(".html").name for page in PAGES}
     assert [page for page in pages if max(page.wide) > 0 or page.box > 0] == []
+    assert [page for page in pages if page.screens > LONGEST] == []
 
 
 @pytest.mark.parametrize(

@@ -51,10 +51,16 @@ class Study(ABC):
         self.folder = self.results / self.name
 
     @classmethod
+    def word(cls) -> str:
+        """What names it on the command line: ``module:Class`` where the catalogue does not."""
+        here = cls.__module__.startswith("benchmarks.")
+        return cls.name if here else f"{cls.__module__}:{cls.__name__}"
+
+    @classmethod
     def parser(cls) -> argparse.ArgumentParser:
         """The command line of the study."""
         result = argparse.ArgumentParser(
-            prog=f"python -m benchmarks study {cls.name}",
+            prog=f"python -m benchmarks study {cls.word()}",
             description=importlib.import_module(cls.__module__).__doc__,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
@@ -67,7 +73,7 @@ class Study(ABC):
     def main(cls, argv: Sequence[str]) -> int:
         """Measure what is missing, then tables, figures and pages; returns the exit code."""
         given = cls.parser().parse_args(list(argv))
-        given.command = shlex.join(["python", "-m", "benchmarks", "study", cls.name, *argv])
+        given.command = shlex.join(["python", "-m", "benchmarks", "study", cls.word(), *argv])
         for module in cls.needs[:-1]:
             try:
                 importlib.import_module(module)

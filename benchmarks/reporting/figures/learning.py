@@ -21,7 +21,14 @@ from benchmarks.reporting.figures.curves import (
     draw_stages,
     mark_switches,
 )
-from benchmarks.reporting.figures.style import METHOD_COLOURS, PALETTE, Picture, canvas, finish
+from benchmarks.reporting.figures.style import (
+    METHOD_COLOURS,
+    PALETTE,
+    Picture,
+    canvas,
+    finish,
+    legend_below,
+)
 from benchmarks.reporting.results import Group, Results
 from benchmarks.reporting.rows import Row, complete, references, rows
 
@@ -183,6 +190,7 @@ def _curves(
     if band:
         mark_switches(axes, [(group, colour) for _, group, colour in _coloured(groups)])
     finish(axes, label)
+    legend_below(figure, [axes], 2)
     if log and axes.get_lines():
         axes.set_yscale("log")
     return figure
@@ -245,5 +253,6 @@ def _holes(groups: Groups, bounds: Sequence[Row]) -> Figure:
                       va="bottom", fontsize=7, color="0.4")  # fmt: skip
     mark_switches(axes, [(group, colour) for _, group, colour in _coloured(groups)])
     finish(axes, "Holes per episode")
+    legend_below(figure, [axes], 2)
     axes.set_ylim(-0.2, N_HOLES + 0.6)
     return figure

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -407,6 +408,19 @@ def test_the_documented_example_runs(
     short = 'MaskablePPO("MlpPolicy", env, n_steps=64, batch_size=64'
     exec(code.replace("200_000", "64").replace('MaskablePPO("MlpPolicy", env', short), {})
     words = command.split()[3:]
-    assert words[:5] == ["evaluate", "--preset", "cut", "--model", "my_ppo.zip"]
+    assert words[:5] == ["evaluate", "--preset", "cut", "--model", "build/my_ppo.zip"]
     assert main([*words, "--preset", "smoke", "--results", str(tmp_path)]) == 0
     assert "my-ppo" in board(tmp_path).index
+
+
+def test_the_documented_study_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = Path(__file__).resolve().parents[3] / "docs" / "own_method.md"
+    section = page.read_text(encoding="utf-8").split("## A study")[1]
+    code = section.split("```python\n")[1].split("```")[0]
+    (command,) = (line for line in section.splitlines() if line.startswith("    python -m"))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my_study.py").write_text(code, encoding="utf-8")
+    assert main(command.split()[3:]) == 0
+    stored = json.loads((tmp_path / "results" / "lengths" / "lengths.json").read_text("utf-8"))
+    assert stored["command"] == command.strip()
+    assert set(stored["parts"]) == {"initial", "optimized"}
