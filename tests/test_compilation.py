@@ -13,7 +13,8 @@ from typing import Any
 import numba
 import pytest
 
-from coop_env.compilation import _njit
+from coop_env import compilation
+from coop_env.compilation import njit
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -49,6 +50,14 @@ import coop_env.env
 from coop_env.kinematics import delta
 print(delta.jacobian(np.array([0.0, 0.0, -0.5])).shape)
 """
+BOTH_ROBOTS = """
+import numpy as np
+from coop_env.geometry import OPTIMIZED
+from coop_env.kinematics import delta, rrs
+print(delta.jacobian(np.array([0.0, 0.0, -0.5])).sum().round(9))
+print(rrs.signed_sigma_min(np.array([0.1, 0.2, 0.22]), OPTIMIZED).round(9))
+"""
+MODULES = ("sb3_rainbow.replay.compilation", "coop_env.compilation")
 
 
 def run(code: str, folder: Path, **environment: str) -> str:
@@ -117,20 +126,20 @@ def test_where_nothing_can_be_written(
     assert told.endswith("set NUMBA_CACHE_DIR to one that can")
 
 
-@pytest.mark.parametrize("module", ["sb3_rainbow.replay.compilation", "coop_env.compilation"])
+@pytest.mark.parametrize("module", MODULES)
 def test_other_errors_stay(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    compilation = importlib.import_module(module)
+    own = importlib.import_module(module)
 
     def fail(self: object) -> None:
         raise RuntimeError("something else")
 
     monkeypatch.setattr(numba.core.dispatcher.Dispatcher, "enable_caching", fail)
     with pytest.raises(RuntimeError, match="something else"):
-        compilation.njit(cache=True)(lambda x: x)
+        own.njit(cache=True)(lambda x: x)
 
 
 @pytest.mark.parametrize("elsewhere", [False, True])
-@pytest.mark.parametrize("module", ["sb3_rainbow.replay.compilation", "coop_env.compilation"])
+@pytest.mark.parametrize("module", MODULES)
 def test_a_cached_kernel_does_not_outlive_a_change_of_one_that_it_calls(
     module: str, elsewhere: bool, tmp_path: Path
 ) -> None:
@@ -159,7 +168,7 @@ def test_a_cached_kernel_does_not_outlive_a_change_of_one_that_it_calls(
     assert told() == ["2", "0"]
 
 
-@pytest.mark.parametrize("module", ["sb3_rainbow.replay.compilation", "coop_env.compilation"])
+@pytest.mark.parametrize("module", MODULES)
 def test_functions_without_a_module_compile_beside_the_package(module: str) -> None:
     importlib.import_module(module)  # listens to whatever numba compiles
     names: dict[str, object] = {}
@@ -172,7 +181,7 @@ def test_a_kernel_compiles_once_for_all_constants_that_others_pass_to_it() -> No
     def inner(x: float, k: int) -> float:
         return x * k
 
-    compiled = _njit()(inner)
+    compiled: Any = njit()(inner)
 
     def outer(x: float) -> Any:
         return compiled(x, 0) + compiled(x, 1) + compiled(x, k=2)
@@ -180,3 +189,34 @@ def test_a_kernel_compiles_once_for_all_constants_that_others_pass_to_it() -> No
     calls: Any = numba.njit(outer)
     assert calls(3.0) == 9.0
     assert len(compiled.signatures) == 1
+
+
+def test_both_packages_hold_the_same_file() -> None:
+    """Neither may import the other."""
+    own, other = (importlib.import_module(module) for module in MODULES)
+    assert Path(str(own.__file__)).read_bytes() == Path(str(other.__file__)).read_bytes()
+
+
+def test_what_kernels_inline_is_looked_at_for_changes_too() -> None:
+    """An intrinsic lives on in its callers' caches as a kernel does."""
+    sources = ROOT / "coop_env" / "simulation"
+    assert compilation._newest_kernel(sources, "task.py") > 0.0
+    assert compilation._newest_kernel(sources, "insertion_task.py") == 0.0
+
+
+def test_processes_that_compile_at_once_leave_a_sound_cache(tmp_path: Path) -> None:
+    def start() -> subprocess.Popen[str]:
+        places = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_OPT": "1", "PYTHONPATH": str(ROOT)}
+        return subprocess.Popen(
+            [sys.executable, "-c", BOTH_ROBOTS],
+            env={**os.environ, **places},
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    first = [start() for _ in range(2)]
+    printed = [process.communicate(timeout=200)[0] for process in first]
+    later = start()
+    printed.append(later.communicate(timeout=200)[0])
+    assert [process.returncode for process in [*first, later]] == [0, 0, 0]
+    assert len(set(printed)) == 1

@@ -1,17 +1,15 @@
-"""Checks at the door of the batched library."""
+"""What the batched library does with arrays: checks at the door, then a kernel over all rows."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-
-
-def quiet() -> np.errstate:
-    """NaN passes through the kernels by design; within this numpy does not warn of it."""
-    return np.errstate(invalid="ignore", divide="ignore", over="ignore")
 
 
 class ShapeError(ValueError):
@@ -56,3 +54,19 @@ def require_broadcast(name_a: str, a: Floats, name_b: str, b: Floats) -> None:
             f"{name_a} of shape {a.shape} and {name_b} of shape {b.shape} do not broadcast: "
             "make their leading axes equal, or 1"
         ) from None
+
+
+def over_rows(
+    kernel: Callable[..., None], params: Any, inputs: tuple[Floats, ...], *kinds: str
+) -> list[Any]:
+    """What a kernel makes of each row of the inputs ``(..., 3)``, which broadcast.
+
+    ``kernel(params, *columns, *outputs)`` gets every component of the inputs as an array ``(n,)``
+    and fills arrays ``(n, ...)`` of the kinds given; a list of these, the batch's axes first.
+    """
+    lead = np.broadcast_shapes(*(array.shape[:-1] for array in inputs))
+    columns = [np.broadcast_to(array[..., k], lead).flatten() for array in inputs for k in range(3)]
+    outputs = [np.empty(lead, kind) for kind in kinds]
+    rows = [output.reshape(columns[0].size, *output.shape[len(lead) :]) for output in outputs]
+    kernel(params, *columns, *rows)
+    return [output[()] for output in outputs]

@@ -11,19 +11,19 @@ is not real numbers.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from coop_env.compilation import compiling_alone
+from coop_env.compilation import njit
 from coop_env.geometry import DELTA, DeltaGeometry
-from coop_env.kinematics._batch import Bools, Floats, ShapeError, as_points, quiet
-from coop_env.kinematics.delta_kernels import make_params
-
-with compiling_alone():
-    from coop_env.kinematics import _delta_gufuncs as gufuncs
+from coop_env.kinematics import delta_kernels as kernels
+from coop_env.kinematics._batch import Bools, Floats, ShapeError, as_points, over_rows
+from coop_env.kinematics.rrs_kernels import LIMB_COS, LIMB_SIN
+from coop_env.kinematics.singularity import determinant_3x3, singular_values_3x3
 
 __all__ = [
     "Forward",
@@ -57,13 +57,31 @@ class Forward(NamedTuple):
     reachable: Bools
 
 
-@lru_cache(maxsize=256)
-def _packed(geometry: DeltaGeometry) -> np.ndarray:
-    return gufuncs.pack(make_params(geometry))
+_params = lru_cache(maxsize=256)(kernels.make_params)
 
 
-def _position(value: ArrayLike) -> Floats:
-    return as_points("position", value, "x", "y", "z")
+def _at_positions(
+    kernel: Any, position: ArrayLike, geometry: DeltaGeometry, *kinds: str
+) -> list[Any]:
+    points = as_points("position", position, "x", "y", "z")
+    return over_rows(kernel, _params(geometry), (points,), *kinds)
+
+
+@njit(cache=True)
+def _inverse(
+    p: Any, x: Any, y: Any, z: Any, theta: Any, margin: Any, reachable: Any, valid: Any
+) -> None:
+    """Actuated angles, 1 - |k| of each limb, whether real, whether also within the workspace."""
+    for n in range(len(x)):
+        reachable[n], angles = kernels.inverse(x[n], y[n], z[n], p)
+        for i in range(3):
+            theta[n, i] = angles[i] if reachable[n] else math.nan
+            margin[n, i] = 1.0 - abs(kernels.limb_triangle(x[n], y[n], z[n], i, p)[1])
+        valid[n] = kernels.is_valid(x[n], y[n], z[n], p)
+
+
+def _all_inverse(position: ArrayLike, geometry: DeltaGeometry) -> list[Any]:
+    return _at_positions(_inverse, position, geometry, "3f8", "3f8", "?", "?")
 
 
 def inverse(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Inverse:
@@ -77,9 +95,22 @@ def inverse(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Inverse:
     >>> reachable.tolist()
     [True, True, False]
     """
-    with quiet():
-        theta, _, reachable, _ = gufuncs.inverse(_position(position), _packed(geometry))
+    theta, _, reachable, _ = _all_inverse(position, geometry)
     return Inverse(theta, reachable)
+
+
+@njit(cache=True)
+def _forward(p: Any, a: Any, b: Any, c: Any, position: Any, residual: Any, reachable: Any) -> None:
+    """Effector of three actuated angles, and the largest error of a distal length."""
+    for n in range(len(a)):
+        theta = (a[n], b[n], c[n])
+        reachable[n], at = kernels.forward(theta, p)
+        position[n] = at
+        residual[n] = 0.0 if reachable[n] else math.nan
+        for i in range(3):
+            k = kernels.knee(theta[i], i, p)
+            d = math.sqrt((at[0] - k[0]) ** 2 + (at[1] - k[1]) ** 2 + (at[2] - k[2]) ** 2)
+            residual[n] = max(residual[n], abs(d - p.distal_length))
 
 
 def forward(theta: ArrayLike, geometry: DeltaGeometry = DELTA) -> Forward:
@@ -90,8 +121,7 @@ def forward(theta: ArrayLike, geometry: DeltaGeometry = DELTA) -> Forward:
     ([0.1, -0.05, -0.45], True)
     """
     angles = as_points("theta", theta, "theta0", "theta1", "theta2")
-    with quiet():
-        return Forward(*gufuncs.forward(angles, _packed(geometry)))
+    return Forward(*over_rows(_forward, _params(geometry), (angles,), "3f8", "f8", "?"))
 
 
 def is_valid(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Bools:
@@ -102,8 +132,7 @@ def is_valid(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Bools:
     >>> is_valid([[0.0, 0.0, -0.5], [0.0, 0.0, -0.2], [0.17, 0.0, -0.4]]).tolist()
     [True, False, False]
     """
-    with quiet():
-        return gufuncs.inverse(_position(position), _packed(geometry))[3]
+    return _all_inverse(position, geometry)[3]
 
 
 def workspace_margin(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
@@ -112,7 +141,7 @@ def workspace_margin(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Fl
     >>> workspace_margin([[0.0, 0.0, -0.5], [0.0, 0.0, -0.2]]).round(6).tolist()
     [0.15, -0.05]
     """
-    x, y, z = np.moveaxis(_position(position), -1, 0)
+    x, y, z = np.moveaxis(as_points("position", position, "x", "y", "z"), -1, 0)
     low = -(geometry.proximal_length + geometry.distal_length)
     high = -abs(geometry.proximal_length - geometry.distal_length)
     return np.minimum(np.minimum(z - low, high - z), geometry.planar_limit - np.hypot(x, y))
@@ -125,8 +154,41 @@ def limb_margin(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
     array([[ 0.536,  0.536,  0.536],
            [-0.809, -0.809, -0.809]])
     """
-    with quiet():
-        return gufuncs.inverse(_position(position), _packed(geometry))[1]
+    return _all_inverse(position, geometry)[1]
+
+
+@njit(cache=True)
+def _jacobian(
+    p: Any, x: Any, y: Any, z: Any, matrix: Any, values: Any, signed: Any, kappa: Any
+) -> None:
+    """J = l_a B^-1 A, its singular values, the least with its sign, kappa; NaN out of reach."""
+    matrix[:], values[:], signed[:], kappa[:] = math.nan, math.nan, math.nan, math.nan
+    for n in range(len(x)):
+        reachable, theta = kernels.inverse(x[n], y[n], z[n], p)
+        if not reachable:
+            continue
+        a, b = kernels.jacobian_parts(x[n], y[n], z[n], theta, p)
+        if b[0] == 0.0 or b[1] == 0.0 or b[2] == 0.0:
+            continue
+        for i in range(3):
+            for k in range(3):
+                matrix[n, i, k] = p.proximal_length * a[i][k] / b[i]
+        m = matrix[n]
+        sigma = singular_values_3x3(
+            (
+                (m[0, 0], m[0, 1], m[0, 2]),
+                (m[1, 0], m[1, 1], m[1, 2]),
+                (m[2, 0], m[2, 1], m[2, 2]),
+            )
+        )
+        values[n] = sigma
+        # Hanging on the axis, the three distal links always make a negative determinant.
+        signed[n] = math.copysign(sigma[2], -determinant_3x3(a))
+        kappa[n] = sigma[0] / sigma[2] if sigma[2] != 0.0 else math.inf
+
+
+def _all_jacobian(position: ArrayLike, geometry: DeltaGeometry) -> list[Any]:
+    return _at_positions(_jacobian, position, geometry, "(3,3)f8", "3f8", "f8", "f8")
 
 
 def jacobian(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
@@ -139,8 +201,7 @@ def jacobian(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
            [ 0.2678, -0.4639, -0.848 ],
            [ 0.2678,  0.4639, -0.848 ]])
     """
-    with quiet():
-        return gufuncs.jacobian(_position(position), _packed(geometry))[0]
+    return _all_jacobian(position, geometry)[0]
 
 
 def singular_values(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
@@ -149,8 +210,7 @@ def singular_values(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Flo
     >>> singular_values([0.0, 0.0, -0.5]).round(4)
     array([1.4687, 0.6561, 0.6561])
     """
-    with quiet():
-        return gufuncs.jacobian(_position(position), _packed(geometry))[1]
+    return _all_jacobian(position, geometry)[1]
 
 
 def signed_sigma_min(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
@@ -159,8 +219,7 @@ def signed_sigma_min(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Fl
     >>> float(signed_sigma_min([0.0, 0.0, -0.5]).round(4))
     0.6561
     """
-    with quiet():
-        return gufuncs.jacobian(_position(position), _packed(geometry))[2]
+    return _all_jacobian(position, geometry)[2]
 
 
 def condition_number(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
@@ -169,9 +228,20 @@ def condition_number(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Fl
     >>> float(condition_number([0.0, 0.0, -0.5]).round(4))
     2.2387
     """
-    values = singular_values(position, geometry)
-    with quiet():
-        return values[..., 0] / values[..., 2]
+    return _all_jacobian(position, geometry)[3]
+
+
+@njit(cache=True)
+def _limb_points(p: Any, x: Any, y: Any, z: Any, points: Any) -> None:
+    for n in range(len(x)):
+        for i in range(3):
+            c, s = LIMB_COS[i], LIMB_SIN[i]
+            _, theta = kernels.limb_ik(x[n], y[n], z[n], i, p)
+            k = kernels.knee(theta, i, p)
+            re = p.effector_radius
+            points[n, i, 0] = (p.base_radius * c, p.base_radius * s, 0.0)
+            points[n, i, 1] = (k[0] + re * c, k[1] + re * s, k[2])
+            points[n, i, 2] = (x[n] + re * c, y[n] + re * s, z[n])
 
 
 def limb_points(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
@@ -182,5 +252,4 @@ def limb_points(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
            [ 0.2803,  0.    , -0.1196],
            [ 0.04  ,  0.    , -0.5   ]])
     """
-    with quiet():
-        return gufuncs.limb_points(_position(position), _packed(geometry))
+    return _at_positions(_limb_points, position, geometry, "(3,3,3)f8")[0]

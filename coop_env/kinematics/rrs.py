@@ -14,27 +14,26 @@ An unreachable pose gives NaN and ``reachable=False``, and so does NaN. Every fu
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from coop_env.compilation import compiling_alone
+from coop_env.compilation import njit
 from coop_env.geometry import OPTIMIZED, RRSGeometry
+from coop_env.kinematics import rrs_forward_kernels as fk
+from coop_env.kinematics import rrs_kernels as kernels
 from coop_env.kinematics._batch import (
     Bools,
     Floats,
     ShapeError,
     as_points,
-    quiet,
+    over_rows,
     require_broadcast,
 )
 from coop_env.kinematics.rotations import yaw_of
-from coop_env.kinematics.rrs_kernels import make_params
-
-with compiling_alone():
-    from coop_env.kinematics import _rrs_gufuncs as gufuncs
 
 __all__ = [
     "Forward",
@@ -91,13 +90,38 @@ class Forward(NamedTuple):
     converged: Bools
 
 
-@lru_cache(maxsize=256)
-def _packed(geometry: RRSGeometry, pose_model: str) -> np.ndarray:
-    return gufuncs.pack(make_params(geometry, pose_model))
+_params = lru_cache(maxsize=256)(kernels.make_params)
 
 
 def _pose(value: ArrayLike, name: str = "pose") -> Floats:
     return as_points(name, value, "roll", "pitch", "heave")
+
+
+def _at_poses(
+    kernel: Any, pose: ArrayLike, geometry: RRSGeometry, pose_model: str, *kinds: str
+) -> list[Any]:
+    return over_rows(kernel, _params(geometry, pose_model), (_pose(pose),), *kinds)
+
+
+@njit(cache=True)
+def _poses(
+    p: Any, roll: Any, pitch: Any, heave: Any, position: Any, rotation: Any, offset: Any
+) -> None:
+    """Platform centre, rotation, and each spherical joint's distance from its limb plane."""
+    for n in range(len(roll)):
+        at = kernels.platform_pose(roll[n], pitch[n], heave[n], p)
+        position[n] = (at.x, at.y, at.z)
+        rotation[n, 0] = (at.r00, at.r01, at.r02)
+        rotation[n, 1] = (at.r10, at.r11, at.r12)
+        rotation[n, 2] = (at.r20, at.r21, at.r22)
+        for i in range(3):
+            r = kernels.joint_offset(at, i, p.platform_radius)
+            c, s = kernels.LIMB_COS[i], kernels.LIMB_SIN[i]
+            offset[n, i] = c * (at.y + r[1]) - s * (at.x + r[0])
+
+
+def _all_poses(pose: ArrayLike, geometry: RRSGeometry, pose_model: str) -> list[Any]:
+    return _at_poses(_poses, pose, geometry, pose_model, "3f8", "(3,3)f8", "3f8")
 
 
 def platform_pose(
@@ -114,8 +138,7 @@ def platform_pose(
     >>> at.rotation[:, 2].round(6)  # the normal
     array([ 0.389418, -0.182987,  0.902701])
     """
-    with quiet():
-        position, rotation, _ = gufuncs.pose(_pose(pose), _packed(geometry, pose_model))
+    position, rotation, _ = _all_poses(pose, geometry, pose_model)
     return PlatformPose(position, rotation)
 
 
@@ -148,8 +171,25 @@ def plane_offset(
     >>> (plane_offset([0.3, 0.3, 0.22], pose_model="paper") * 1e3).round(2)  # mm
     array([9.73, 2.43, 2.43])
     """
-    with quiet():
-        return gufuncs.pose(_pose(pose), _packed(geometry, pose_model))[2]
+    return _all_poses(pose, geometry, pose_model)[2]
+
+
+@njit(cache=True)
+def _inverse(
+    p: Any, roll: Any, pitch: Any, heave: Any, q: Any, margin: Any, reachable: Any, valid: Any
+) -> None:
+    """Actuated angles, 1 - |c| of each limb, whether real, whether also within all limits."""
+    for n in range(len(roll)):
+        at = kernels.platform_pose(roll[n], pitch[n], heave[n], p)
+        reachable[n], angles = kernels.inverse(at, p)
+        for i in range(3):
+            q[n, i] = angles[i] if reachable[n] else math.nan
+            margin[n, i] = 1.0 - abs(kernels.limb_triangle(at, i, p)[2])
+        valid[n] = kernels.is_valid(roll[n], pitch[n], heave[n], p)
+
+
+def _all_inverse(pose: ArrayLike, geometry: RRSGeometry, pose_model: str) -> list[Any]:
+    return _at_poses(_inverse, pose, geometry, pose_model, "3f8", "3f8", "?", "?")
 
 
 def inverse(
@@ -169,8 +209,7 @@ def inverse(
     >>> reachable.tolist()
     [True, True, False]
     """
-    with quiet():
-        q, _, reachable, _ = gufuncs.inverse(_pose(pose), _packed(geometry, pose_model))
+    q, _, reachable, _ = _all_inverse(pose, geometry, pose_model)
     return Inverse(q, reachable)
 
 
@@ -182,8 +221,7 @@ def is_valid(
     >>> is_valid([[0.0, 0.0, 0.21], [0.0, 0.0, 0.20], [0.8, 0.0, 0.21]]).tolist()
     [True, False, False]
     """
-    with quiet():
-        return gufuncs.inverse(_pose(pose), _packed(geometry, pose_model))[3]
+    return _all_inverse(pose, geometry, pose_model)[3]
 
 
 def joint_margin(
@@ -208,8 +246,26 @@ def limb_margin(
     array([[ 0.814,  0.814,  0.814],
            [-1.074, -1.074, -1.074]])
     """
-    with quiet():
-        return gufuncs.inverse(_pose(pose), _packed(geometry, pose_model))[1]
+    return _all_inverse(pose, geometry, pose_model)[1]
+
+
+@njit(cache=True)
+def _jacobian(
+    p: Any, roll: Any, pitch: Any, heave: Any, matrix: Any, values: Any, signed: Any, kappa: Any
+) -> None:
+    """J, its singular values, the least with its sign, kappa; NaN where unreachable."""
+    matrix[:], values[:], signed[:], kappa[:] = math.nan, math.nan, math.nan, math.nan
+    for n in range(len(roll)):
+        at = kernels.platform_pose(roll[n], pitch[n], heave[n], p)
+        reachable, q = kernels.inverse(at, p)
+        if reachable:
+            j, values[n], signed[n] = kernels.singular_state(at, q, p)
+            matrix[n, 0], matrix[n, 1], matrix[n, 2] = j
+            kappa[n] = values[n, 0] / values[n, 2] if values[n, 2] != 0.0 else math.inf
+
+
+def _all_jacobian(pose: ArrayLike, geometry: RRSGeometry, pose_model: str) -> list[Any]:
+    return _at_poses(_jacobian, pose, geometry, pose_model, "(3,3)f8", "3f8", "f8", "f8")
 
 
 def jacobian(
@@ -226,8 +282,7 @@ def jacobian(
            [ 0.7033,  0.406 ,  0.9003],
            [-0.7033,  0.406 ,  0.9003]])
     """
-    with quiet():
-        return gufuncs.jacobian(_pose(pose), _packed(geometry, pose_model))[0]
+    return _all_jacobian(pose, geometry, pose_model)[0]
 
 
 def manipulability(
@@ -238,9 +293,7 @@ def manipulability(
     >>> manipulability([0.0, 0.0, 0.21]).condition_number.round(4)
     np.float64(1.5678)
     """
-    with quiet():
-        _, values, signed = gufuncs.jacobian(_pose(pose), _packed(geometry, pose_model))
-        return Manipulability(values, signed, values[..., 0] / values[..., 2])
+    return Manipulability(*_all_jacobian(pose, geometry, pose_model)[1:])
 
 
 def singular_values(
@@ -280,6 +333,18 @@ def condition_number(
     return manipulability(pose, geometry, pose_model).condition_number
 
 
+@njit(cache=True)
+def _twist_matrix(p: Any, roll: Any, pitch: Any, heave: Any, matrix: Any) -> None:
+    matrix[:] = 0.0
+    for n in range(len(roll)):
+        at = kernels.platform_pose(roll[n], pitch[n], heave[n], p)
+        rates = fk.angular_velocities(roll[n], pitch[n], at, p)
+        for i in range(2):
+            for k in range(2):
+                matrix[n, i, k] = rates[k][i]
+        matrix[n, 2, 2] = 1.0 / p.characteristic_length
+
+
 def twist_matrix(
     pose: ArrayLike, geometry: RRSGeometry = OPTIMIZED, pose_model: str = "exact"
 ) -> Floats:
@@ -292,8 +357,7 @@ def twist_matrix(
            [0.    , 1.    , 0.    ],
            [0.    , 0.    , 8.0972]])
     """
-    with quiet():
-        return gufuncs.twist_matrix(_pose(pose), _packed(geometry, pose_model))
+    return _at_poses(_twist_matrix, pose, geometry, pose_model, "(3,3)f8")[0]
 
 
 def joint_rates(pose: ArrayLike, rates: ArrayLike, geometry: RRSGeometry = OPTIMIZED) -> Floats:
@@ -307,6 +371,16 @@ def joint_rates(pose: ArrayLike, rates: ArrayLike, geometry: RRSGeometry = OPTIM
     return np.einsum(
         "...ij,...jk,...k->...i", jacobian(at, geometry), twist_matrix(at, geometry), speed
     )
+
+
+@njit(cache=True)
+def _forward(
+    p: Any, q0: Any, q1: Any, q2: Any, roll: Any, pitch: Any, heave: Any,
+    pose: Any, residual: Any, converged: Any,
+) -> None:  # fmt: skip
+    for n in range(len(q0)):
+        q = (q0[n], q1[n], q2[n])
+        converged[n], pose[n], residual[n] = fk.forward(q, roll[n], pitch[n], heave[n], p)
 
 
 def forward(
@@ -342,8 +416,17 @@ def forward(
     angles = as_points("q", q, "q0", "q1", "q2")
     before = _pose(previous, "previous")
     require_broadcast("q", angles, "previous", before)
-    with quiet():
-        return Forward(*gufuncs.forward(angles, before, _packed(geometry, pose_model)))
+    p = _params(geometry, pose_model)
+    return Forward(*over_rows(_forward, p, (angles, before), "3f8", "f8", "?"))
+
+
+@njit(cache=True)
+def _limb_points(p: Any, roll: Any, pitch: Any, heave: Any, points: Any) -> None:
+    for n in range(len(roll)):
+        at = kernels.platform_pose(roll[n], pitch[n], heave[n], p)
+        for i in range(3):
+            _, q = kernels.limb_ik(at, i, p)
+            points[n, i, 0], points[n, i, 1], points[n, i, 2] = kernels.limb_points(at, q, i, p)
 
 
 def limb_points(
@@ -356,5 +439,4 @@ def limb_points(
            [0.268 , 0.    , 0.0485],
            [0.1114, 0.    , 0.21  ]])
     """
-    with quiet():
-        return gufuncs.limb_points(_pose(pose), _packed(geometry, pose_model))
+    return _at_poses(_limb_points, pose, geometry, pose_model, "(3,3,3)f8")[0]

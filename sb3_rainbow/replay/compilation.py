@@ -1,46 +1,42 @@
-"""numba's ``njit`` with an announcement, and a cache on disk that is never stale.
+"""numba's ``njit``, announced on stderr, with a cache that is never stale and never needed.
 
-numba recompiles a cached kernel when its own file changes, but not when a kernel that it calls from
-another file does.
+numba compiles a cached kernel anew when its own file changes, but not when a kernel that it calls
+from another file does. This file stands in both packages; a test holds that it is the same.
 """
+
+from __future__ import annotations
 
 import os
 import re
 import sys
 from collections.abc import Callable
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import event
+from numba.core import event, types
 
-_PACKAGE = __name__.partition(".")[0]
-_DECLARES = re.compile(r"^from .* import .*\bnjit$", re.MULTILINE)
-# What compiles, and how long that takes
-_WHAT = "replay, networks and updates: about 10 s of a processor core"
+PACKAGE = __name__.partition(".")[0]
+COSTS = {
+    "coop_env": "kinematics, collisions, moves: up to a minute",
+    "sb3_rainbow": "replay, networks and updates: about 10 s",
+}
+_DECLARES = re.compile(r"^from .* import .*\b(njit|intrinsic)$", re.MULTILINE)
 
 
 class _Announcer(event.Listener):
-    """Says on stderr, once a process, that this package's kernels begin to compile."""
+    """Says, once a process, that this package's kernels begin to compile."""
 
-    cached = True
-    _said = False
+    again = "once after an install: then they come from numba's cache"
 
     def on_start(self, event: Any) -> None:
-        # A function made by exec, such as numba's own constructors of jitclasses, has no module.
+        # A function made by exec, as numba makes some itself, has no module.
         module = event.data["dispatcher"].py_func.__module__ or ""
-        if self._said or not module.startswith(f"{_PACKAGE}."):
-            return
-        self._said = True
-        again = (
-            "once after an install: then they come from numba's cache"
-            if self.cached
-            else "in every process anew, as no folder for numba's cache can be written: set "
-            "NUMBA_CACHE_DIR to one that can"
-        )
-        print(f"{_PACKAGE}: compiling kernels ({_WHAT}), {again}", file=sys.stderr, flush=True)
+        if self.again and module.startswith(f"{PACKAGE}."):
+            cost = f"compiling kernels ({COSTS[PACKAGE]} of a processor core)"
+            print(f"{PACKAGE}: {cost}, {self.again}", file=sys.stderr, flush=True)
+            self.again = ""
 
     def on_end(self, event: Any) -> None:
         pass
@@ -50,50 +46,50 @@ _announcer = _Announcer()
 event.register("numba:compile", _announcer)
 
 
-_looked: set[Path] = set()
-
-
 @cache
 def _newest_kernel(folder: Path, pattern: str) -> float:
+    """When the last of a folder's files that declare kernels was changed."""
     kernels = (f for f in folder.glob(pattern) if re.search(_DECLARES, f.read_text("utf-8")))
     return max((f.stat().st_mtime for f in kernels), default=0.0)
 
 
-def _drop_stale_beside(function: Callable) -> None:
-    """Delete the cached kernels of this one's folder older than any that they may call.
+def _compile(function: Callable, **options: Any) -> Any:
+    """numba's dispatcher, whose cache is of now: older than no kernel that this one may call.
 
-    Those are its neighbours and this package's. Safe beside other processes: numba takes a missing
-    cache file for a kernel never compiled.
+    Those are its neighbours and this package's.
     """
-    folder, package = Path(function.__code__.co_filename).parent, Path(__file__).parent.parent
-    if folder in _looked:
-        return
-    _looked.add(folder)
-    with suppress(OSError, RuntimeError):  # no folder can be written, so none is read
-        # which of its places numba takes depends on the environment, HOME and permissions
-        cached = Path(str(numba.njit(cache=True)(function).stats.cache_path))
-        newest = max(_newest_kernel(package, "**/*.py"), _newest_kernel(folder, "*.py"))
-        for index in cached.glob("*.nbi"):
-            with suppress(FileNotFoundError):  # another process was first
-                if index.stat().st_mtime < newest:
-                    index.unlink()
+    compiled = numba.njit(**options)(function)
+    stats = getattr(compiled, "stats", None)  # none under NUMBA_DISABLE_JIT
+    if stats and stats.cache_path:
+        os.makedirs(stats.cache_path, exist_ok=True)  # for sources in an archive numba looks later
+        own = _newest_kernel(Path(function.__code__.co_filename).parent, "*.py")
+        package = Path(str(sys.modules[PACKAGE].__file__)).parent
+        index = compiled._cache._cache_file
+        index._source_stamp = (index._source_stamp, own, _newest_kernel(package, "**/*.py"))
+    return compiled
 
 
 def njit(**options: Any) -> Callable[[Callable], Any]:
-    """numba's ``njit``, which alone would raise where no folder for its cache can be written."""
+    """numba's, cached where a folder for that can be written; one signature for all constants."""
 
     def decorate(function: Callable) -> Any:
-        _drop_stale_beside(function)
         try:
-            compiled = numba.njit(**options)(function)
-            if hasattr(compiled, "stats"):
-                # For sources in an archive numba itself does not look before the first call.
-                os.makedirs(compiled.stats.cache_path, exist_ok=True)
-            return compiled
+            compiled = _compile(function, **options)
         except (OSError, RuntimeError) as error:
             if isinstance(error, RuntimeError) and "no locator available" not in str(error):
                 raise
-            _announcer.cached = False
-            return numba.njit(**{**options, "cache": False})(function)
+            _announcer.again = (
+                "in every process anew, as no folder for numba's cache can be written: set "
+                "NUMBA_CACHE_DIR to one that can"
+            )
+            compiled = numba.njit(**{**options, "cache": False})(function)
+        template: Any = getattr(compiled, "get_call_template", None)
+
+        def get_call_template(args: Any, kws: Any) -> Any:
+            named = {name: types.unliteral(kind) for name, kind in dict(kws).items()}
+            return template([types.unliteral(kind) for kind in args], named)
+
+        compiled.get_call_template = get_call_template
+        return compiled
 
     return decorate

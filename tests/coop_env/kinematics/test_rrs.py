@@ -1,4 +1,4 @@
-"""The batched 3-RRS library: one formula for batch, loop and gufunc; rates, margins, bad input."""
+"""The batched 3-RRS library: one formula for batch, loop and kernel; rates, margins, bad input."""
 
 from __future__ import annotations
 
