@@ -1,4 +1,4 @@
-"""The tasks by name, and what Gymnasium does not have: MinAtar, masked identity."""
+"""The tasks by name, and what Gymnasium does not have: MinAtar, identity with and without masks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ NO_ACTION: Final = 0  # "n", of MinAtar's six
 
 
 def make(name: str, training: bool = False, **kwargs: Any) -> gym.Env[Any, Any]:
-    """An environment by name: a Gymnasium id, ``MinAtar/<game>`` or ``MaskedIdentity``.
+    """An environment by name: a Gymnasium id, ``MinAtar/<game>``, or of this package.
+
+    ``Identity``, ``MaskedIdentity``, and SB3's ``BitFlipping``.
 
     Args:
         name: the name.
@@ -36,6 +38,12 @@ def make(name: str, training: bool = False, **kwargs: Any) -> gym.Env[Any, Any]:
         return atari.make_atari(name, training, **kwargs)
     if name == MASKED_IDENTITY:
         return MaskedIdentityEnv(**kwargs)
+    if name == "Identity":
+        return IdentityEnv(**kwargs)
+    if name == "BitFlipping":
+        from stable_baselines3.common.envs import BitFlippingEnv
+
+        return BitFlippingEnv(**kwargs)
     if name.startswith("LunarLander"):
         _import("Box2D", name)
     try:
@@ -107,29 +115,24 @@ class MinAtarEnv(gym.Env[NDArray[np.uint8], np.int64]):
         return np.ascontiguousarray(state.transpose(2, 0, 1))
 
 
-class MaskedIdentityEnv(gym.Env[np.int64, np.int64]):
-    """Say which of ``size`` states you see: reward 1 if right, 0 if not. Few actions are allowed.
+class IdentityEnv(gym.Env[np.int64, np.int64]):
+    """Say which of ``size`` states you see: reward 1 if right, 0 if not.
 
-    At each step the right action and ``n_valid - 1`` others, drawn at random, are allowed. Who
-    reads ``action_masks()`` finds the right one sooner; an action that is not allowed is answered
-    with 0, like any wrong one. Observations and actions: Discrete(size).
+    SB3's task of the same name, but that its states follow ``reset(seed=...)``. Observations and
+    actions: Discrete(size).
 
     Args:
         size: states and actions.
-        n_valid: allowed actions per step.
         length: steps of an episode.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
 
-    def __init__(self, size: int = 100, n_valid: int = 5, length: int = 50) -> None:
-        if not 1 <= n_valid <= size:
-            raise BenchmarkError(f"n_valid = {n_valid} must lie between 1 and size = {size}")
+    def __init__(self, size: int = 4, length: int = 100) -> None:
         self.observation_space = spaces.Discrete(size)
         self.action_space = spaces.Discrete(size)
-        self._size, self._n_valid, self._length = size, n_valid, length
+        self._size, self._length = size, length
         self._steps, self._state = 0, np.int64(0)
-        self._mask = np.ones(size, dtype=bool)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -147,12 +150,36 @@ class MaskedIdentityEnv(gym.Env[np.int64, np.int64]):
         self._draw()
         return self._state, reward, False, self._steps >= self._length, {}
 
+    def _draw(self) -> None:
+        self._state = np.int64(self.np_random.integers(self._size))
+
+
+class MaskedIdentityEnv(IdentityEnv):
+    """:class:`IdentityEnv` in which few actions are allowed.
+
+    At each step the right action and ``n_valid - 1`` others, drawn at random, are allowed. Who
+    reads ``action_masks()`` finds the right one sooner; an action that is not allowed is answered
+    with 0, like any wrong one.
+
+    Args:
+        size: states and actions.
+        n_valid: allowed actions per step.
+        length: steps of an episode.
+    """
+
+    def __init__(self, size: int = 100, n_valid: int = 5, length: int = 50) -> None:
+        if not 1 <= n_valid <= size:
+            raise BenchmarkError(f"n_valid = {n_valid} must lie between 1 and size = {size}")
+        super().__init__(size, length)
+        self._n_valid = n_valid
+        self._mask = np.ones(size, dtype=bool)
+
     def action_masks(self) -> NDArray[np.bool_]:
         """True where allowed, shape ``(size,)``."""
         return self._mask.copy()
 
     def _draw(self) -> None:
-        self._state = np.int64(self.np_random.integers(self._size))
+        super()._draw()
         others = self.np_random.choice(self._size - 1, self._n_valid - 1, replace=False)
         self._mask = np.zeros(self._size, dtype=bool)
         self._mask[others + (others >= self._state)] = True

@@ -81,7 +81,7 @@ class Classic(Experiment[SuiteCell]):
         if cell.kind != LEARN:
             return 0
         task = self.preset.tasks[cell.task]
-        size = int(task.methods[cell.method].get("buffer_size", 1_000_000))
+        size = int(task.arguments_of(cell.method).get("buffer_size", 1_000_000))
         return (ATARI_BYTES if task.env.startswith(PREFIX) else TRANSITION_BYTES) * size
 
     def run(

@@ -51,7 +51,7 @@ def _play(
     returns, lengths = [0.0] * len(seeds), [0] * len(seeds)
     active = list(range(len(seeds)))
     while active:
-        batch = np.stack([observations[i] for i in active])
+        batch = _stack([observations[i] for i in active])
         masks: dict[str, Any] = {}
         if masked:
             allowed = [playing[i].get_wrapper_attr("action_masks")() for i in active]
@@ -68,6 +68,13 @@ def _play(
     for env in playing:
         env.close()
     return list(zip(returns, lengths, strict=True))
+
+
+def _stack(observations: Sequence[Any]) -> Any:
+    """Observations of several environments as a batch."""
+    if isinstance(observations[0], dict):
+        return {key: np.stack([each[key] for each in observations]) for key in observations[0]}
+    return np.stack(observations)
 
 
 def test(

@@ -103,6 +103,8 @@ class Task:
     eval_every: Count  # environment steps between two evaluations
     eval_episodes: Count
     methods: dict[str, dict[str, Any]]  # constructor arguments, and what changes of the guide
+    arguments: dict[str, Any] = field(default_factory=dict)  # of every method
+    skip: Names = field(default_factory=list)  # the preset's methods that mean nothing here
     env_kwargs: dict[str, Any] = field(default_factory=dict)
     policy: str = "MlpPolicy"
     n_envs: Count = 1
@@ -113,6 +115,10 @@ class Task:
     bare: bool = False  # Rainbow has its present defaults where the settings say nothing
     random: Number | None = None  # mean returns of a random player and of a human one
     human: Number | None = None
+
+    def arguments_of(self, method: str) -> dict[str, Any]:
+        """A method's constructor arguments."""
+        return {**self.arguments, **self.methods[method]}
 
 
 @with_config(STRICT)
@@ -164,7 +170,7 @@ def load_preset(name: str) -> SuitePreset:
         algorithm_of(method)
     for key, task in preset.tasks.items():
         for method in preset.methods:
-            if method not in task.methods:
+            if method not in {*task.methods, *task.skip}:
                 raise BenchmarkError(
                     f"{path.name}: tasks: {key}: methods has no settings for '{method}'"
                 )
@@ -199,7 +205,8 @@ def expand(preset: SuitePreset) -> list[SuiteCell]:
     cells = []
     for key, task in preset.tasks.items():
         for seed in preset.seeds if task.seeds is None else task.seeds:
-            cells += [SuiteCell(LEARN, key, method, seed) for method in preset.methods]
+            methods = [method for method in preset.methods if method not in task.skip]
+            cells += [SuiteCell(LEARN, key, method, seed) for method in methods]
             for control in preset.controls:
                 if control != "script" or task.env in SCRIPTS:
                     cells.append(SuiteCell(CONTROL, key, control, seed))
@@ -220,17 +227,13 @@ def settings(preset: SuitePreset, cell: SuiteCell) -> dict[str, Any]:
     """Everything that decides the cell's result, as plain YAML types: the run's config.yaml."""
     task = as_dict(preset.tasks[cell.task])
     if cell.kind == CONTROL:
-        played = {key: task[key] for key in ("env", "env_kwargs", "eval_episodes")}
-        return {"cell": asdict(cell), "task": played, "final_episodes": preset.final_episodes}
-    arguments = task.pop("methods")[cell.method]
-    for unused in ("seeds", "title", "goal", "published", "random", "human"):
-        del task[unused]
-    for word in ("guide", "bare"):
-        if not task[word]:
-            del task[word]
+        tested = {key: task[key] for key in ("env", "env_kwargs", "eval_episodes")}
+        return {"cell": asdict(cell), "task": tested, "final_episodes": preset.final_episodes}
+    played = ("env", "timesteps", "eval_every", "eval_episodes", "env_kwargs", "policy", "n_envs")
+    rare = [word for word in ("guide", "bare") if task[word]]
     return {
         "cell": asdict(cell),
-        "task": task,
-        "arguments": arguments,
+        "task": {key: task[key] for key in (*played, *rare)},
+        "arguments": preset.tasks[cell.task].arguments_of(cell.method),
         "final_episodes": preset.final_episodes,
     }

@@ -14,7 +14,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from sb3_contrib import QRDQN, CrossQ
-from stable_baselines3 import DQN, PPO, SAC, TD3
+from stable_baselines3 import DQN, PPO, SAC, TD3, HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
@@ -74,7 +74,7 @@ def build_model(task: Task, method: str, seed: int) -> BaseAlgorithm:
     Raises:
         BenchmarkError: a setting is unknown to the method's constructor.
     """
-    arguments = copy.deepcopy(task.methods[method])  # SB3 writes into policy_kwargs
+    arguments = copy.deepcopy(task.arguments_of(method))  # SB3 writes into policy_kwargs
     guide = task.guide
     if guide is not None and (own := arguments.pop("guide", {})):
         guide = build(Guide, {**as_dict(guide), **own}, f"{task.title}: {method}: guide")
@@ -95,6 +95,8 @@ def build_model(task: Task, method: str, seed: int) -> BaseAlgorithm:
                 f"found '{rate}' (YAML wants a point in it: 1.0e-3)"
             )
         arguments["learning_rate"] = LinearSchedule(float(rate.removeprefix(LINEAR)), 0.0, 1.0)
+    if arguments.get("replay_buffer_class") == "HerReplayBuffer":
+        arguments["replay_buffer_class"] = HerReplayBuffer
     if (noise := arguments.get("action_noise")) is not None:
         size = make_env(task, discrete=False).action_space.shape
         assert size is not None

@@ -120,6 +120,23 @@ def test_masked_identity_passes_both_checks_and_masks_allow_the_right_action() -
     assert env.step(np.int64((state + 1) % 12))[1] == 0.0
 
 
+def test_identity_is_sb3s_and_an_episode_depends_on_its_seed_alone() -> None:
+    env = make("Identity", size=4, length=100)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*(render|spec).*")
+        gymnasium_check(env, skip_render_check=True)
+        sb3_check(env)
+    first = played(env, seed=3)
+    env.action_space.seed(0)
+    assert played(env, seed=3) == first != played(env, seed=4)
+    assert len(first) == 101  # observations of an episode
+    state, _ = env.reset(seed=0)
+    for _ in range(20):
+        state, reward, terminated, _, _ = env.step(state)
+        assert (reward, terminated) == (1.0, False)
+    assert env.step((state + 1) % 4)[1] == 0.0
+
+
 def test_unknown_tasks_are_named() -> None:
     with pytest.raises(BenchmarkError, match="unknown environment 'NoSuch-v0'"):
         make("NoSuch-v0")

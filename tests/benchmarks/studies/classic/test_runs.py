@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from benchmarks.cli import main
@@ -29,8 +30,10 @@ from benchmarks.studies.classic.presets import (
     SuitePreset,
     expand,
     load_preset,
+    settings,
 )
 from benchmarks.studies.classic.train import build_model, run_learner
+from sb3_rainbow import Rainbow
 
 TASKS = ("cartpole", "masked_identity", "breakout")
 
@@ -306,3 +309,18 @@ def test_a_check_before_the_start_leaves_the_settings_as_they_are() -> None:
             assert env is not None
             env.close()
     assert repr(preset) == before
+
+
+def test_a_task_gives_arguments_to_all_methods_and_skips_some() -> None:
+    preset = load_preset("changes")
+    cells = [cell for cell in expand(preset) if cell.task == "changed_bits"]
+    assert {preset.methods[i] for i in (0, -2, -1)} <= {cell.method for cell in cells}
+    assert "rainbow_one_step" not in {cell.method for cell in cells}
+    stored = settings(preset, next(cell for cell in cells if cell.method == "rainbow_tau_0.001"))
+    assert stored["arguments"] == {"replay_buffer_class": "HerReplayBuffer", "tau": 1e-3}
+    with pytest.warns(UserWarning, match="prioritized=False, n_steps=1"):
+        model = build_model(preset.tasks["changed_bits"], "rainbow_tau_0.001", 0)
+    assert isinstance(model, Rainbow)
+    assert isinstance(model.replay_buffer, HerReplayBuffer)
+    scores = evaluate(model, preset.tasks["changed_bits"], [1, 2, 3])  # of dictionaries
+    assert all(-8.0 <= total <= 0.0 and length <= 8 for total, length in scores)
