@@ -83,6 +83,7 @@ gymnasium.register(
     id="CoopInsertionPhysicsDiscrete-v0",
     entry_point="coop_env.physics.moves:CoopInsertionPhysicsDiscreteEnv",
     max_episode_steps=300,
+    vector_entry_point="coop_env.physics.vector_env:CoopInsertionPhysicsDiscreteVectorEnv",
 )
 gymnasium.register(
     id="CoopInsertionJoint-v0",

@@ -7,14 +7,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from coop_env.errors import as_dataclass
-from coop_env.geometry import resolve_delta, resolve_rrs
+from coop_env.errors import ArgumentError, as_dataclass, check_flag, check_number
+from coop_env.geometry import GeometryError, resolve_delta, resolve_rrs
 from coop_env.kinematics import delta, rrs
 from coop_env.physics import kernels
 from coop_env.physics.joints import Floats
@@ -31,6 +32,7 @@ from coop_env.physics.twin import Readings, Twin, last
 from coop_env.rendering.scene import Scene
 from coop_env.simulation.collision import peg_tip
 from coop_env.simulation.insertion_task import PAPER_TASK, InsertionTask
+from coop_env.simulation.sim_to_real import MASSES, UNDISTURBED, draw_disturbance, resolve_contact
 from coop_env.simulation.task import N_AXES
 
 Bools = NDArray[np.bool_]
@@ -39,13 +41,39 @@ LIMIT: Final = 5.0
 """Observations are clipped to this much of their unit."""
 FAILURES: Final = np.array(["", "force", "snap", "diverged", "time", "not inserted"], object)
 """Causes by their number; ``"time"`` truncates."""
+TRIES: Final = 20
+"""Machines drawn until one can take the start."""
+MAX_FRICTION: Final = 2.0
+PRIVILEGED: Final = MappingProxyType(
+    {
+        "tip - mouth": (3, 1.0),  # in the unit of the observation's own
+        "normal": (3, 1.0),
+        "force": (3, 10.0),  # N, without noise
+        "moment": (3, 0.05),  # N m
+        "friction": (1, 1.0),
+        "base": (4, 0.05),  # the hole's displacement along x, y, 0.05 m, and tilts, rad
+        "lengths": (8, 0.01),  # relative errors from here on, of the 3-RRS and the Delta
+        "gains": (6, 1.0),
+        "masses": (len(MASSES), 1.0),
+        "friction's error": (1, 1.0),
+        "dead zone": (1, 1.0),  # N m
+        "backlash": (1, 0.01),  # rad
+        "resolution": (1, 0.01),  # rad
+        "latency": (1, 1.0),  # control steps
+        "force noise": (1, 1.0),  # N
+    }
+)
+"""Fields of the privileged state: how many, and what one is; really so, world frame."""
+PRIVILEGED_UNITS: Final[Floats] = np.repeat(
+    [unit for _, unit in PRIVILEGED.values()], [size for size, _ in PRIVILEGED.values()]
+)
 FORCE, SNAP, DIVERGED, TIME, NOT_INSERTED = range(1, 6)
 
 
 class Outcome(NamedTuple):
     """What a control step came to, a row for each episode."""
 
-    observation: NDArray[np.float32]
+    observation: Any
     reward: Floats
     terminated: Bools
     truncated: Bools
@@ -61,6 +89,9 @@ class PhysicsBatch(ABC):
         delta: None, the standard robot.
         holes: None, the paper's dome.
         servos: None, the standard ones.
+        sim_to_real: errors of the machine, as the environments take them.
+        reward_scale: what each term of the reward is multiplied by.
+        privileged: whether observations are dictionaries, with :meth:`privileged`'s as well.
         n: how many.
         threads: of the simulation.
         max_steps: control steps until truncation; None takes the task's.
@@ -72,15 +103,21 @@ class PhysicsBatch(ABC):
     """
 
     n_observed: int
+    length_unit = 0.01
+    """Of the observation, m."""
     increments: Floats
     """What one is of each increment (6,); m and rad."""
 
     def __init__(
         self, level: Any = "standard", geometry: Any = "optimized", delta: Any = None,
-        holes: Any = None, servos: Any = None, *, n: int = 1, threads: int = 1,
+        holes: Any = None, servos: Any = None, *, sim_to_real: Any = None,
+        reward_scale: float = 1.0, privileged: bool = False, n: int = 1, threads: int = 1,
         max_steps: int | None = None,
     ) -> None:  # fmt: skip
         self.task = task = resolve_task(level)
+        self.knobs = resolve_contact(sim_to_real)
+        self.reward_scale = check_number("reward_scale", reward_scale, 0.0, 1e6, above=True)
+        self.is_dict = check_flag("privileged", privileged)
         self.machine = machine = Machine(
             resolve_rrs(geometry),
             resolve_delta(delta),
@@ -94,7 +131,7 @@ class PhysicsBatch(ABC):
         self.n, self.max_steps = n, task.max_steps if max_steps is None else max_steps
         self.twin = Twin(machine, n, threads)
         self._packed = self.twin.packed
-        self._noise = np.array([task.force_noise] * 3 + [task.moment_noise] * 3)
+        self._noise = np.tile([task.force_noise] * 3 + [task.moment_noise] * 3, (n, 1))
         self._mouth_radius = machine.delta.peg_radius + machine.peg.clearance + machine.peg.chamfer
         self.rngs: list[np.random.Generator | None] = [None] * n
         self.steps, self.hole, self.failure = (np.zeros(n, np.int64) for _ in range(3))
@@ -105,6 +142,9 @@ class PhysicsBatch(ABC):
         self._first, self._first_joints = (np.zeros((n, N_AXES)) for _ in range(2))
         self.error, self.friction = np.zeros((n, 4)), np.zeros(n)
         self.peak, self.peak_force = np.zeros(n), np.zeros(n)  # of the last step, of the episode, N
+        self.disturbances = [UNDISTURBED] * n
+        self._late = np.zeros((n, task.substeps, N_AXES))  # joint commands not yet carried out
+        self._geared = np.zeros((n, N_AXES))  # joint commands behind the play
         self.insertion = np.zeros((n, 3))
         """Depth, distance from the axis, m, and misalignment, rad, of where things really are."""
 
@@ -127,6 +167,27 @@ class PhysicsBatch(ABC):
     @abstractmethod
     def observe(self, rows: slice) -> NDArray[np.float32]:
         """Observations of rows (n, fields), with noise that is drawn now."""
+
+    def seen(self, rows: slice) -> Any:
+        """Observations of rows: arrays, or with ``privileged`` dictionaries of them."""
+        own = self.observe(rows)
+        return {"observation": own, "privileged": self.privileged(rows)} if self.is_dict else own
+
+    def privileged(self, rows: slice) -> NDArray[np.float32]:
+        """(n, 44): what no controller knows, for a critic; see :data:`PRIVILEGED`."""
+        now, m = self.twin.readings(), self.machine.task
+        hole_normals = np.array(m.hole_normals)[self.hole[rows]]
+        normals = np.einsum("nij,nj->ni", now.rotation[rows], hole_normals)
+        tips = now.tip[rows] - now.platform[rows] - m.dome_radius * normals
+        errors = [np.hstack(each) - np.hstack(UNDISTURBED) for each in self.disturbances[rows]]
+        parts = [tips / self.length_unit, normals, self._wrench[rows], self.friction[rows, None],
+                 self.error[rows], np.array(errors)]  # fmt: skip
+        fields = np.concatenate(parts, axis=1) / PRIVILEGED_UNITS
+        return np.clip(fields, -LIMIT, LIMIT).astype(np.float32)
+
+    def all_filled(self) -> Bools:
+        """Whether every hole of the task is filled (n,)."""
+        return self.success.copy()
 
     def status(self, row: int) -> str:
         """``"running"``, ``"success"``, or the cause of an episode's failure."""
@@ -153,8 +214,12 @@ class PhysicsBatch(ABC):
         ``fixed`` are the error and the friction that options set, or None, beside those drawn.
         """
         self.error[row] = drawn[0] if fixed[0] is None else fixed[0]
-        self.friction[row] = drawn[1] if fixed[1] is None else fixed[1]
+        if self.knobs.active:
+            self._disturb(row, start, rng.spawn(1)[0])
+        friction = min(drawn[1] * self.disturbances[row].friction, MAX_FRICTION)
+        self.friction[row] = friction if fixed[1] is None else fixed[1]
         base = askew(self.error[row], pivot)
+        self._targets[row] = self._late[row] = self._geared[row] = self.twin.servo_targets(start)
         self._tare[row] = self.twin.place(row, start, base, self.friction[row]).wrench
         self.rngs[row] = rng
         self.command[row] = start
@@ -164,6 +229,40 @@ class PhysicsBatch(ABC):
         rows = slice(row, row + 1)
         self.insertion[rows] = self._measure(self.twin.readings(), rows)
 
+    def _disturb(self, row: int, start: Floats, rng: np.random.Generator) -> None:
+        """Draw a machine that can stand where it starts; ``rng`` serves nothing else."""
+        for _ in range(TRIES):
+            errors = draw_disturbance(self.knobs, rng)
+            try:
+                self.twin.disturb(row, errors)
+                self.twin.place(row, start)
+            except (GeometryError, ArgumentError):
+                continue
+            self.disturbances[row] = errors
+            self._noise[row, :3] = self.task.force_noise + errors.force_noise
+            return
+        raise GeometryError(
+            f"SimToReal.link_length_error = {self.knobs.link_length_error:g}: none of {TRIES} "
+            "machines drawn can take the start; choose a smaller one"
+        )
+
+    def _carried_out(self, led: Floats) -> Floats:
+        """What reaches the joints (n, substeps, 6) of commands (n, 1 or substeps, 6)."""
+        now = np.broadcast_to(led, self._late.shape)
+        late, resolution, play = (
+            np.array([getattr(errors, name) for errors in self.disturbances])[:, None, None]
+            for name in ("latency", "resolution", "backlash")
+        )
+        result = np.where(late, self._late, now)
+        self._late = now.copy()
+        counts = np.where(resolution, resolution, 1.0)
+        result = np.where(resolution, counts * np.round(result / counts), result)
+        for k in range(result.shape[1]):  # a joint goes as far as its play makes it
+            least, most = result[:, k] - play[:, 0] / 2.0, result[:, k] + play[:, 0] / 2.0
+            self._geared = np.clip(self._geared, least, most)
+            result[:, k] = self._geared
+        return result
+
     def _advance(self, wanted: Floats) -> None:
         """Make one control step towards configurations (n, 6), and measure what came of it."""
         task, before = self.task, self._targets
@@ -172,7 +271,9 @@ class PhysicsBatch(ABC):
         self.command = np.where(self.taken[:, None], wanted, self.command)
         self._targets = self.twin.servo_targets(self.command)
         self.steps += 1
-        readings = self.twin.advance(self._lead(before), task.substeps)
+        led = self._lead(before)
+        led = self._carried_out(led) if self.knobs.active else led
+        readings = self.twin.advance(led, task.substeps)
         sensed = readings.wrench - self._tare[:, None]
         # sqrt of einsum takes half the time of numpy's norm on few vectors
         self.peak = np.sqrt(np.einsum("...i,...i", sensed[..., :3], sensed[..., :3])).max(axis=1)
@@ -186,8 +287,8 @@ class PhysicsBatch(ABC):
         self.failure[self.twin.diverged] = DIVERGED
 
     def _lead(self, before: Floats) -> Floats:
-        """Joint commands of a control step: (n, 6), held, or (n, substeps, 6)."""
-        return self._targets
+        """Joint commands of a control step: (n, 1, 6), held, or (n, substeps, 6)."""
+        return self._targets[:, None]
 
     def _measure(self, readings: Readings, rows: slice) -> Floats:
         tip, platform, rotation = (
@@ -212,7 +313,7 @@ class PhysicsBatch(ABC):
         joints, near = self._joints(rows), self._near(rows)
         view = kernels.perceive(joints, near, self.hole[rows], self._packed)
         draws = [rng.normal(size=N_AXES) for rng in self.rngs[rows] if rng is not None]
-        return view, joints, self._wrench[rows] + np.array(draws) * self._noise
+        return view, joints, self._wrench[rows] + np.array(draws) * self._noise[rows]
 
     def _near(self, rows: slice) -> Floats:
         """Configurations (n, 6) near by, from which the 3-RRS's branch is followed."""
@@ -228,13 +329,14 @@ class PhysicsBatch(ABC):
         """Reward terms (n,) of a step; a failure gains nothing and never saves any steps."""
         task, failed = self.task, self.failure > 0
         steps = np.where(failed, self.max_steps - self.steps + 1, 1)
-        return {
+        terms = {
             name: np.where(failed, 0.0, gained),
             "step": -task.step_cost * steps,
             "force": -task.force_cost * np.maximum(self.peak - task.free_force, 0.0),
             "insertion": task.insertion_bonus * inserted,
             "failure": -task.failure_cost * failed,
         }
+        return {name: self.reward_scale * term for name, term in terms.items()}
 
     def _outcome(self, terms: dict[str, Floats], over: Bools) -> Outcome:
         """The step's outcome; truncates what is not over by then."""
@@ -242,7 +344,7 @@ class PhysicsBatch(ABC):
         self.failure[truncated] = TIME
         reward = sum(terms.values(), np.zeros(self.n))
         info = {**self.columns(), "reward_terms": terms}
-        return Outcome(self.observe(slice(None)), reward, over, truncated, info)
+        return Outcome(self.seen(slice(None)), reward, over, truncated, info)
 
     def columns(self) -> dict[str, Any]:
         """``info`` of all episodes, but the reward's terms, in columns (n, ...)."""
@@ -250,6 +352,7 @@ class PhysicsBatch(ABC):
         return {
             "success": self.success.copy(),
             "is_success": self.success.copy(),
+            "all_filled": self.all_filled(),
             "failure": FAILURES[self.failure],
             "depth": depth.copy(),
             "lateral_error": lateral.copy(),
@@ -261,6 +364,7 @@ class PhysicsBatch(ABC):
             "time": self.steps * self.task.dt,
             "friction": self.friction.copy(),
             "error": self.error.copy(),
+            "privileged": self.privileged(slice(None)),
         }
 
 
@@ -319,7 +423,8 @@ class ContactBatch(PhysicsBatch):
         rows = slice(row, row + 1)
         self._first_joints[row] = self._joints(rows)[0]
         info = row_of(self.columns(), row)
-        names = ("depth", "lateral_error", "alignment_error", "hole", "friction", "error")
+        names = ("depth", "lateral_error", "alignment_error", "hole", "friction", "error",
+                 "privileged")  # fmt: skip
         return {name: info[name] for name in names}
 
     def step(self, actions: Floats) -> Outcome:

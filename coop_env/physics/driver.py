@@ -12,10 +12,9 @@ from numpy.typing import ArrayLike
 
 from coop_env.env import CoopInsertionEnv
 from coop_env.errors import ArgumentError, ResetOptionError
-from coop_env.kinematics import delta, rrs
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Machine
-from coop_env.physics.twin import Twin
+from coop_env.physics.twin import Twin, closed_at
 from coop_env.simulation.task import N_AXES
 from coop_env.trajectory import Trajectory, make_trajectory
 
@@ -222,9 +221,7 @@ def replay(
 
 def _stand(driver: Driver, m: Machine, near: Sequence[float] | Floats, patience: float) -> Floats:
     """The configuration (6,) of the measured joints, the 3-RRS's branch followed from ``near``."""
-    angles, before = _numbers(driver.joints, N_AXES, patience), np.asarray(near, np.float64)
-    pose = rrs.forward(angles[3:], before[3:], m.rrs).pose
-    result = np.concatenate([delta.forward(angles[:3], m.delta).position, pose])
+    result = closed_at(_numbers(driver.joints, N_AXES, patience), near, m)
     result[5] = np.clip(result[5], m.rrs.heave_min, m.rrs.heave_max)  # it rests at a limit
     return result
 

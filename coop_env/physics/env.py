@@ -8,12 +8,11 @@ from typing import Any, Final
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
-from numpy.typing import NDArray
 
 from coop_env.env import check_action
 from coop_env.errors import ActionError
 from coop_env.geometry import DeltaGeometry, RRSGeometry
-from coop_env.physics.batch import LIMIT, ContactBatch, PhysicsBatch, row_of
+from coop_env.physics.batch import LIMIT, PRIVILEGED_UNITS, ContactBatch, PhysicsBatch, row_of
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Servos
 from coop_env.physics.task import ContactTask
@@ -21,9 +20,10 @@ from coop_env.physics.whole import WholeBatch
 from coop_env.rendering.modes import Rendered
 from coop_env.rendering.scene import Scene
 from coop_env.simulation.insertion_task import InsertionTask
+from coop_env.simulation.sim_to_real import SimToReal
 from coop_env.simulation.task import N_ACTIONS, N_AXES, EnvParams
 
-Observation = NDArray[np.float32]
+Observation = Any  # an array, or with the privileged state a dictionary of two
 _SLACK: Final = 1e-6  # a float32 policy may miss the bound by its rounding
 
 
@@ -45,11 +45,17 @@ class PhysicsEnv(Rendered):
         holes: InsertionTask | Mapping[str, Any] | None = None,
         servos: Servos | Mapping[str, Any] | None = None,
         *,
+        sim_to_real: str | SimToReal | Mapping[str, Any] | None = None,
+        reward_scale: float = 1.0,
+        privileged: bool = False,
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
         self._set_render_mode(render_mode)
-        self.batch: Any = self.batch_class(level, geometry, delta, holes, servos, **arguments)
+        self.batch: Any = self.batch_class(
+            level, geometry, delta, holes, servos, sim_to_real=sim_to_real,
+            reward_scale=reward_scale, privileged=privileged, **arguments,
+        )  # fmt: skip
         self.task = self.batch.task
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.task.dt))}
         self.observation_space, self.action_space = make_spaces(self.batch, self.discrete)
@@ -84,7 +90,7 @@ class PhysicsEnv(Rendered):
         self._running = True
         if self.render_mode is not None:
             self._follow(self.batch.twin.readings().tip[0], first=True)
-        return self.batch.observe(slice(0, 1))[0], info
+        return pick(self.batch.seen(slice(0, 1)), 0), info
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Make one control step.
@@ -101,7 +107,8 @@ class PhysicsEnv(Rendered):
         if self.render_mode is not None:
             self._follow(self.batch.twin.readings().tip[0])
         info = row_of(outcome.info, 0)
-        return outcome.observation[0], float(outcome.reward[0]), terminated, truncated, info
+        seen = pick(outcome.observation, 0)
+        return seen, float(outcome.reward[0]), terminated, truncated, info
 
     def scene(self) -> Scene:
         """Every body of the scene at this instant, where it really is; world frame.
@@ -195,6 +202,11 @@ class CoopInsertionContactEnv(PhysicsEnv):
             :class:`~coop_env.simulation.insertion_task.InsertionTask`.
         servos: None, or :class:`~coop_env.physics.model.Servos`. Each of these five may be a plain
             mapping of fields.
+        sim_to_real: None, ``"randomized"`` (:data:`~coop_env.simulation.sim_to_real.FORGE`) or a
+            :class:`~coop_env.simulation.sim_to_real.SimToReal`: each episode has another machine.
+        reward_scale: what all rewards are multiplied by.
+        privileged: observations are dictionaries of ``observation`` and ``privileged``, which is
+            ``info["privileged"]``: :data:`~coop_env.physics.batch.PRIVILEGED`.
         render_mode: None, ``"rgb_array"`` or ``"ansi"``; no OpenGL.
 
     Raises:
@@ -281,6 +293,11 @@ class CoopInsertionPhysicsEnv(PhysicsEnv):
             :class:`~coop_env.simulation.insertion_task.InsertionTask`.
         servos: None, or :class:`~coop_env.physics.model.Servos`. Each of these five may be a plain
             mapping of fields.
+        sim_to_real: None, ``"randomized"`` (:data:`~coop_env.simulation.sim_to_real.FORGE`) or a
+            :class:`~coop_env.simulation.sim_to_real.SimToReal`: each episode has another machine.
+        reward_scale: what all rewards are multiplied by.
+        privileged: observations are dictionaries of ``observation`` and ``privileged``, which is
+            ``info["privileged"]``: :data:`~coop_env.physics.batch.PRIVILEGED`.
         stage: 0, the four peripheral holes, or 1, all.
         max_steps: control steps until truncation.
         render_mode: None, ``"rgb_array"`` or ``"ansi"``; no OpenGL.
@@ -298,9 +315,28 @@ class CoopInsertionPhysicsEnv(PhysicsEnv):
     batch_class = WholeBatch
 
 
-def make_spaces(batch: PhysicsBatch, discrete: bool) -> tuple[spaces.Box, spaces.Space[Any]]:
+def pick(observations: Any, row: int) -> Any:
+    """One episode's observation, its own copy, of arrays or of a dictionary of them."""
+    if isinstance(observations, dict):
+        return {name: part[row].copy() for name, part in observations.items()}
+    return observations[row].copy()
+
+
+def with_privileged(own: spaces.Space[Any]) -> spaces.Dict:
+    """The space of observations that have the privileged state as well."""
+    return spaces.Dict({"observation": own, "privileged": box(len(PRIVILEGED_UNITS))})
+
+
+def box(n: int) -> spaces.Box:
+    """The space of n observed fields."""
+    return spaces.Box(-LIMIT, LIMIT, (n,), np.float32)
+
+
+def make_spaces(batch: PhysicsBatch, discrete: bool) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
     """Observation and action space of one environment, its own: a space has a generator."""
-    observations = spaces.Box(-LIMIT, LIMIT, (batch.n_observed,), np.float32)
+    observations: spaces.Space[Any] = box(batch.n_observed)
+    if batch.is_dict:
+        observations = with_privileged(observations)
     if discrete:
         return observations, spaces.Discrete(N_ACTIONS)
     return observations, spaces.Box(-1.0, 1.0, (N_AXES,), np.float32)

@@ -14,12 +14,14 @@ from coop_env.env import CoopInsertionEnv, Observation, check_action
 from coop_env.errors import ArgumentError, StateError, check_number
 from coop_env.physics import move_kernels as kernels
 from coop_env.physics.batch import TIME, in_units, row_of
+from coop_env.physics.env import with_privileged
 from coop_env.physics.joints import Floats
 from coop_env.physics.task import split_options, start_configurations
 from coop_env.physics.whole import WholeBatch
 from coop_env.rendering.scene import Scene
 from coop_env.simulation import batch, start_states
 from coop_env.simulation.observation import observe_batch
+from coop_env.simulation.sim_to_real import SimToReal
 from coop_env.simulation.task import N_AXES
 
 SETTLING: Final = 4
@@ -156,8 +158,10 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         touch: mean force that stops a move, N.
         level: as for :class:`~coop_env.physics.env.CoopInsertionPhysicsEnv`.
         servos: likewise.
-        arguments: as for :class:`~coop_env.env.CoopInsertionEnv`, without ``sim_to_real``,
-            ``pose_model`` and ``collision``.
+        sim_to_real: likewise.
+        privileged: likewise.
+        arguments: as for :class:`~coop_env.env.CoopInsertionEnv`, without ``pose_model`` and
+            ``collision``.
 
     Raises:
         DependencyNotInstalled: on import, if MuJoCo is missing; it names the extra.
@@ -176,19 +180,31 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         touch: float = TOUCH,
         level: Any = "standard",
         servos: Any = None,
+        sim_to_real: Any = None,
+        privileged: bool = False,
         **arguments: Any,
     ) -> None:
-        for name in ("sim_to_real", "pose_model", "collision"):
+        for name in ("pose_model", "collision"):
             if name in arguments:
                 raise ArgumentError(f"{name}: the machine is simulated here; see level and servos")
         super().__init__(**arguments)
         if finish is not None and not callable(finish):
             raise ArgumentError(f"finish = {finish!r}: must be None, or a callable")
         self.touch = check_number("touch", touch, 0.0, above=True)
-        shared = {name: arguments[name] for name in ("geometry", "delta") if name in arguments}
+        shared: dict[str, Any] = {
+            name: arguments[name] for name in ("geometry", "delta") if name in arguments
+        }
+        shared |= {"sim_to_real": sim_to_real, "privileged": privileged}
         self.physics = Lead(finish, level, holes=self.task, servos=servos, **shared)
+        if privileged:
+            self.observation_space: Any = with_privileged(self.observation_space)
         self._steps = max(1, round(self.task.dt / self.physics.task.dt))
         self._own: dict[str, Any] = {}
+
+    @property
+    def sim_to_real(self) -> SimToReal:
+        """What the machine does not know of itself."""
+        return self.physics.knobs
 
     def check_options(self, options: Any) -> start_states.StartOptions:
         """Reset options as :meth:`reset` takes them, checked against the present stage.
@@ -210,7 +226,7 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Start an episode; options ``error`` and ``friction`` beside the kinematic task's.
 
         Raises:
@@ -218,9 +234,9 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
                 environment is left as it was.
         """
         observation, info = super().reset(seed=seed, options=options)
-        return observation, self._merge(info)
+        return self._seen(observation), self._merge(info)
 
-    def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.int64 | int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Make a move.
 
         Raises:
@@ -252,7 +268,12 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         info["collision"] = violation and bool(body.taken[0])
         if self.render_mode is not None:
             self._follow(self._tip())
-        return self._rows[0].copy(), reward, terminated, truncated, info
+        return self._seen(self._rows[0].copy()), reward, terminated, truncated, info
+
+    def _seen(self, own: Observation) -> Any:
+        if not self.physics.is_dict:
+            return own
+        return {"observation": own, "privileged": self.physics.privileged(slice(0, 1))[0]}
 
     def _move(self, action: int) -> bool:
         """Lead the machine along a move; False where it was not made."""
@@ -285,7 +306,8 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         real = row_of(body.columns(), 0)
         if info["inserted"]:  # by now the next hole is the target
             real["distance"], real["alignment_error"] = body.aimed[0].tolist()
-        measured = {name: real[name] for name in ("distance", "alignment_error", "time")}
+        own = ("distance", "alignment_error", "time", "all_filled")
+        measured = {name: real[name] for name in own}
         singular = real["failure"] == "snap"
         return {**real, **info, **measured, "singular": singular, "given_up": [*body.given_up[0]]}
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,8 +20,9 @@ from coop_env.kinematics import delta, rrs
 from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
 from coop_env.physics.engine import mujoco
 from coop_env.physics.joints import Floats, platform_mount, tree_angles
-from coop_env.physics.model import Machine, build_mjcf, to_xml
+from coop_env.physics.model import LOOP_TIME, Machine, build_mjcf, to_xml
 from coop_env.simulation.collision import peg_tip
+from coop_env.simulation.sim_to_real import MASSES, Disturbance
 from coop_env.simulation.task import N_AXES, pack
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -83,8 +85,10 @@ class Twin:
         self.machine = Machine() if machine is None else machine
         self.n = check_integer("n", n, 1)
         self.packed = pack(self.machine.kernel_params())
-        first = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(self.machine)))
-        self.models: list[Any] = [first, *(copy.copy(first) for _ in range(n - 1))]
+        self._nominal = first = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(self.machine)))
+        self.models: list[Any] = [copy.copy(first) for _ in range(n)]
+        self.machines = [self.machine] * n
+        """What each really is; ``machine`` is what all are believed to be."""
         self._start_threads(check_integer("threads", threads, 1))
         self._addresses = {
             name: int(first.joint(name).qposadr[0])
@@ -97,7 +101,7 @@ class Twin:
         self._turns: Floats = np.zeros((n, 3, 3))
         self.diverged: NDArray[np.bool_] = np.zeros(n, bool)
         home = self.machine.home()
-        self._home_angles = self.servo_targets(home)
+        self._home_angles = np.tile(self.servo_targets(home), (n, 1))
         for row in range(n):
             self.place(row, home)
         self._check_hold(home)
@@ -115,14 +119,44 @@ class Twin:
         self.__dict__.update(state)
         self._start_threads(threads)
 
-    def joint_positions(self, configuration: ArrayLike) -> Floats:
+    def disturb(self, row: int, errors: Disturbance) -> None:
+        """Give one machine errors; :meth:`place` has to set it down then.
+
+        Raises:
+            GeometryError: links of such lengths cannot be assembled at home.
+        """
+        real = self.machines[row] = _resized(self.machine, errors.lengths)
+        if real is self.machine:
+            model = copy.copy(self._nominal)
+        else:
+            model = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(real)))
+        self.models[row], self._home_angles[row] = model, joint_targets(real.home(), real)
+        model.actuator_gainprm[:, 0] *= errors.gains
+        model.actuator_biasprm[:, :2] *= errors.gains[:, None]
+        model.actuator_biasprm[:, 2] *= np.sqrt(errors.gains)  # its damping goes with the root
+        dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
+        model.dof_frictionloss[dofs] = errors.dead_zone
+        # by default dry friction creeps: it lets go of half a dead zone within 0.1 s
+        model.dof_solref[dofs, 0], model.dof_solimp[dofs, :2] = LOOP_TIME, 0.9999
+        for name, factor in zip(MASSES, errors.masses, strict=True):
+            bodies = [i for i in range(model.nbody) if model.body(i).name.startswith(name)]
+            model.body_mass[bodies] *= factor
+            model.body_inertia[bodies] *= factor
+            model.body_gravcomp[bodies] /= factor  # what carries them knows the nominal mass
+        mujoco.mj_setConst(model, self._data[0])
+
+    def joint_positions(self, configuration: ArrayLike, machine: Machine | None = None) -> Floats:
         """Generalized coordinates (22,) at (x, y, z, roll, pitch, heave), from the kinematics.
+
+        Args:
+            configuration: (6,).
+            machine: whose kinematics; None, the nominal one's.
 
         Raises:
             ArgumentError: it is not six numbers that both robots can reach.
         """
         c = np.asarray(configuration, np.float64)
-        m = self.machine
+        m = self.machine if machine is None else machine
         angles = tree_angles(c, m.rrs, m.delta) if c.shape == (N_AXES,) else None
         if angles is None or not all(np.isfinite(part).all() for part in angles):
             raise ArgumentError(f"configuration = {configuration!r}: out of the robots' reach")
@@ -142,9 +176,7 @@ class Twin:
 
     def servo_targets(self, configurations: ArrayLike) -> Floats:
         """Joint commands (..., 6), theta then q, rad; NaN where a robot cannot reach."""
-        c = np.asarray(configurations, np.float64)
-        theta = delta.inverse(c[..., :3], self.machine.delta).theta
-        return np.concatenate([theta, rrs.inverse(c[..., 3:], self.machine.rrs).q], axis=-1)
+        return joint_targets(configurations, self.machine)
 
     def believed(self, joints: ArrayLike, previous: ArrayLike) -> Floats:
         """Configurations (..., 6) of measured joints, NaN where the links cannot close.
@@ -153,10 +185,7 @@ class Twin:
             joints: theta and q (..., 6), rad.
             previous: configurations (..., 6) from which the 3-RRS's branch is followed.
         """
-        angles, before = np.asarray(joints, np.float64), np.asarray(previous, np.float64)
-        position = delta.forward(angles[..., :3], self.machine.delta).position
-        pose = rrs.forward(angles[..., 3:], before[..., 3:], self.machine.rrs).pose
-        return np.concatenate([position, pose], axis=-1)
+        return closed_at(joints, previous, self.machine)
 
     def place(
         self, row: int, configuration: ArrayLike, base: ArrayLike | None = None,
@@ -166,7 +195,7 @@ class Twin:
 
         Args:
             row: which machine.
-            configuration: (6,), as the robots believe it.
+            configuration: (6,), as the robots believe it, by the nominal model's joints.
             base: where the 3-RRS's base really stands (5,): x, y, z, m; roll, pitch, rad.
             friction: of the peg; None leaves it.
 
@@ -180,11 +209,14 @@ class Twin:
         mujoco.mju_mat2Quat(model.body_quat[self._base], self._turns[row].ravel())
         if friction is not None:
             model.geom_friction[self._peg, 0] = friction
-        q = self.joint_positions(configuration)
+        joints, real = self.servo_targets(configuration), self.machines[row]
+        if real is not self.machine:
+            configuration = closed_at(joints, configuration, real)
+        q = self.joint_positions(configuration, real)
         self.states[row] = 0.0
         self.states[row, 1 : 1 + q.size] = q
         self.diverged[row] = False
-        self._data[0].ctrl[:] = self.servo_targets(configuration) - self._home_angles
+        self._data[0].ctrl[:] = joints - self._home_angles[row]
         self._sensors[row] = self.inspect(row)[1].sensordata
         return _readings(self._sensors[row].copy())
 
@@ -214,8 +246,8 @@ class Twin:
         Returns:
             The readings, with leading axes (n, steps).
         """
-        held = np.asarray(targets, np.float64) - self._home_angles
-        held = held[:, None] if held.ndim == 2 else held
+        held = np.asarray(targets, np.float64)
+        held = (held[:, None] if held.ndim == 2 else held) - self._home_angles[:, None]
         controls = np.ascontiguousarray(np.broadcast_to(held, (self.n, steps, N_AXES)))
         states = np.empty((self.n, steps, self.states.shape[1]))
         sensors = np.empty((self.n, steps, self._sensors.shape[1]))
@@ -261,6 +293,37 @@ class Twin:
                 "the stiffness or torque_limit, or turn gravity_compensation on"
             )
         self.states = start
+
+
+def joint_targets(configurations: ArrayLike, machine: Machine) -> Floats:
+    """Joint angles (..., 6), theta then q, rad; NaN where a robot cannot reach."""
+    c = np.asarray(configurations, np.float64)
+    theta = delta.inverse(c[..., :3], machine.delta).theta
+    return np.concatenate([theta, rrs.inverse(c[..., 3:], machine.rrs).q], axis=-1)
+
+
+def closed_at(joints: ArrayLike, previous: ArrayLike, machine: Machine) -> Floats:
+    """Configurations (..., 6) of joint angles; see :meth:`Twin.believed`."""
+    angles, before = np.asarray(joints, np.float64), np.asarray(previous, np.float64)
+    position = delta.forward(angles[..., :3], machine.delta).position
+    pose = rrs.forward(angles[..., 3:], before[..., 3:], machine.rrs).pose
+    return np.concatenate([position, pose], axis=-1)
+
+
+def _resized(machine: Machine, factors: Floats) -> Machine:
+    """The machine with its lengths times (8,), in the order of ``machine.MACHINE``."""
+    if (factors == 1.0).all():
+        return machine
+    owners = {
+        "rrs": ("base_radius", "proximal_length", "platform_radius", "distal_length"),
+        "delta": ("base_radius", "effector_radius", "proximal_length", "distal_length"),
+    }
+    robots: dict[str, Any] = {}
+    for k, (robot, names) in enumerate(owners.items()):
+        sizes = zip(names, factors[4 * k : 4 * k + 4].tolist(), strict=True)
+        of = getattr(machine, robot)
+        robots[robot] = replace(of, **{name: getattr(of, name) * factor for name, factor in sizes})
+    return replace(machine, **robots)
 
 
 def rotation_angle(a: Floats, b: Floats) -> Floats:

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import gymnasium
 import numpy as np
 from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from coop_env.errors import check_integer
 from coop_env.physics.batch import ContactBatch, PhysicsBatch
-from coop_env.physics.env import PhysicsEnv, check_increments, make_spaces, move
+from coop_env.physics.env import PhysicsEnv, check_increments, make_spaces, move, pick
+from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
 from coop_env.physics.whole import WholeBatch
 from coop_env.simulation.task import N_ACTIONS, N_AXES
 from coop_env.vector.vector_env import check_actions, seeds_of
 
 Bools = NDArray[np.bool_]
-Step = tuple[NDArray[np.float32], NDArray[np.float64], Bools, Bools, dict[str, Any]]
+Step = tuple[Any, NDArray[np.float64], Bools, Bools, dict[str, Any]]
 
 
 class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
@@ -76,7 +79,7 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
         *,
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:
         """Start all episodes.
 
         Args:
@@ -96,7 +99,7 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
         info = {name: np.array([each[name] for each in firsts], kind)
                 for name, kind in kinds.items()}  # fmt: skip
         everywhere = np.ones(self.num_envs, bool)
-        return self.batch.observe(slice(None)), _masked(info, everywhere)
+        return self.batch.seen(slice(None)), _masked(info, everywhere)
 
     def step(self, actions: Any) -> Step:
         """Make one control step in all environments; those whose episode ends start the next.
@@ -114,9 +117,9 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
             final = np.full(self.num_envs, None, object)
             options = self.batch.check_options(None)
             for row in np.flatnonzero(ended).tolist():
-                final[row] = observations[row].copy()
+                final[row] = pick(observations, row)
                 first = self.batch.reset(row, options, self._rngs[row])
-                observations[row] = self.batch.observe(slice(row, row + 1))[0]
+                _put(observations, row, pick(self.batch.seen(slice(row, row + 1)), 0))
                 for name, value in first.items():
                     if not isinstance(value, dict):
                         infos[name][row], infos[f"_{name}"][row] = value, True
@@ -148,6 +151,84 @@ class CoopInsertionPhysicsVectorEnv(PhysicsVectorEnv):
     """Many :class:`~coop_env.physics.env.CoopInsertionPhysicsEnv`."""
 
     batch_class = WholeBatch
+
+
+class CoopInsertionPhysicsDiscreteVectorEnv(SyncVectorEnv[Any, Any]):
+    """Many :class:`~coop_env.physics.moves.CoopInsertionPhysicsDiscreteEnv`.
+
+    A move takes each machine another number of control steps, so each is simulated by itself, in
+    one of so many threads. Autoreset is as for :class:`PhysicsVectorEnv`.
+
+    Args:
+        num_envs: number of environments.
+        threads: in which they are simulated.
+        max_episode_steps: Gymnasium's limit; the smaller of it and ``max_moves`` holds.
+        arguments: of the single environment, without ``render_mode``.
+
+    Raises:
+        ArgumentError: a number is no positive integer, or another argument is wrong.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        threads: int = 1,
+        max_episode_steps: int | None = None,
+        **arguments: Any,
+    ) -> None:
+        n = check_integer("num_envs", num_envs, 1)
+        self._pool = ThreadPoolExecutor(check_integer("threads", threads, 1))
+        if max_episode_steps is not None:
+            limit = check_integer("max_episode_steps", max_episode_steps, 1)
+            moves = check_integer("max_moves", arguments.get("max_moves", limit), 1)
+            arguments["max_moves"] = min(moves, limit)
+        super().__init__(
+            [lambda: _Ahead(CoopInsertionPhysicsDiscreteEnv(**arguments))] * n,
+            autoreset_mode=AutoresetMode.SAME_STEP,
+        )
+
+    def reset(self, *, seed: Any = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        """Start all episodes; see :meth:`PhysicsVectorEnv.reset`."""
+        return super().reset(seed=seeds_of(seed, self.num_envs), options=options)
+
+    def step(self, actions: Any) -> Any:
+        """Make a move in all environments; those whose episode ends start the next.
+
+        Raises:
+            ActionError: an action is not in the action space.
+            ResetNeeded: :meth:`reset` was never called.
+        """
+        checked = check_actions(actions, self.num_envs, N_ACTIONS)
+        for env, action in zip(self.envs, checked.tolist(), strict=True):
+            env.begin(self._pool, action)  # type: ignore[attr-defined]
+        return super().step(checked)
+
+    def action_masks(self) -> Bools:
+        """(num_envs, 12), of the present states."""
+        return np.array(self.call("action_masks"))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """End the threads and the simulations."""
+        self._pool.shutdown()
+        super().close_extras(**kwargs)
+
+
+class _Ahead(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """An environment whose step was begun in a thread before it is asked for."""
+
+    def begin(self, pool: ThreadPoolExecutor, action: int) -> None:
+        self._result = pool.submit(self.env.step, action)
+
+    def step(self, action: Any) -> Any:
+        return self._result.result()
+
+
+def _put(observations: Any, row: int, one: Any) -> None:
+    if isinstance(observations, dict):
+        for name, part in observations.items():
+            part[row] = one[name]
+    else:
+        observations[row] = one
 
 
 def _masked(columns: dict[str, Any], there: Bools) -> dict[str, Any]:

@@ -41,6 +41,8 @@ class WholeBatch(PhysicsBatch):
     Args as for :class:`~coop_env.physics.batch.PhysicsBatch`, and ``stage``.
     """
 
+    length_unit = 0.1
+
     def __init__(
         self, *arguments: Any, stage: int = 1, max_steps: int = MAX_STEPS, **more: Any
     ) -> None:
@@ -58,7 +60,7 @@ class WholeBatch(PhysicsBatch):
         self._pivot = np.array([0.0, 0.0, machine.rrs.home_heave + machine.task.dome_radius])
         holes = len(machine.task.holes)
         self.n_observed = 30 + holes
-        self.active, self.filled = np.zeros((n, holes), bool), np.zeros((n, holes), bool)
+        self.active, self.filled, self._wanted = (np.zeros((n, holes), bool) for _ in range(3))
         self.given_up: list[list[int]] = [[] for _ in range(n)]
         self.inserted = np.full(n, -1)
         self.distance, self.aimed = np.zeros(n), np.zeros((n, 2))
@@ -90,8 +92,8 @@ class WholeBatch(PhysicsBatch):
         self.hole[row] = state["target"]
         fixed = own.get("error"), own.get("friction")
         self._place(row, start, self._pivot, fixed, drawn, rng)
-        self._targets[row] = self.twin.servo_targets(start)
-        self.active[row], self.filled[row] = state["active"], state["filled"]
+        self.active[row] = self._wanted[row] = state["active"]
+        self.filled[row] = state["filled"]
         self.given_up[row], self.inserted[row] = [], -1
         self.distance[row] = self.to_mouth(row)
 
@@ -129,6 +131,9 @@ class WholeBatch(PhysicsBatch):
     def over(self) -> Bools:
         """Whether every active hole is filled, or the episode has failed."""
         return (self.failure > 0) | ~np.any(self.active & ~self.filled, axis=1)
+
+    def all_filled(self) -> Bools:
+        return np.all(self._wanted <= self.filled, axis=1)
 
     def status(self, row: int) -> str:
         won = self.success[row] and not np.any(self.active[row] & ~self.filled[row])

@@ -42,6 +42,7 @@ def write_reset_outcome(s: Record, out: Record) -> None:
     out.success = out.inserted = out.collision = out.violation = False
     out.duplicate = out.singular = out.terminated = out.truncated = False
     out.n_filled = s.filled.sum()
+    out.all_filled = np.all(s.active <= s.filled)
     out.inserted_hole = -1
     out.sigma_min, out.alignment_error, out.distance = s.sigma, s.angle, s.distance
     out.target = s.target
@@ -90,6 +91,7 @@ def _info(
     terms: list[float],
     success: bool,
     n_filled: int,
+    all_filled: bool,
     inserted: bool,
     inserted_hole: int,
     collision: bool,
@@ -107,6 +109,7 @@ def _info(
         "success": success,
         "is_success": success,
         "n_filled": n_filled,
+        "all_filled": all_filled,
         "inserted": inserted,
         "inserted_hole": inserted_hole,
         "collision": collision,

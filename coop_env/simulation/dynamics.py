@@ -315,6 +315,7 @@ def report(s: Record, p: EnvParams, out: Record) -> None:
     """Write to ``out`` what follows from the state alone."""
     out.success = s.insertions > 0
     out.n_filled = s.filled.sum()
+    out.all_filled = np.all(s.active <= s.filled)
     out.sigma_min = s.sigma
     out.target = s.target
     out.time = s.moves * p.layout.dt

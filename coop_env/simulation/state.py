@@ -79,6 +79,7 @@ OUTCOME: Final = np.dtype(
     [
         ("success", "?"),
         ("n_filled", "i8"),
+        ("all_filled", "?"),  # every active hole
         ("inserted", "?"),
         ("inserted_hole", "i8"),  # -1 for none
         ("collision", "?"),
@@ -100,7 +101,7 @@ OUTCOME: Final = np.dtype(
 )
 """What a move led to."""
 
-INFO_FIELDS: Final = (OUTCOME.names or ())[:14]
+INFO_FIELDS: Final = (OUTCOME.names or ())[:15]
 """Fields of an outcome that go into ``info``, beside the reward's terms."""
 
 

@@ -15,6 +15,7 @@ from coop_env.errors import ActionError, ArgumentError
 from coop_env.physics.vector_env import (
     CoopInsertionContactDiscreteVectorEnv,
     CoopInsertionContactVectorEnv,
+    CoopInsertionPhysicsDiscreteVectorEnv,
 )
 
 ID = "CoopInsertionContact-v0"
@@ -25,6 +26,7 @@ ID = "CoopInsertionContact-v0"
     [
         ("CoopInsertionContact-v0", 1, {}),
         ("CoopInsertionContact-v0", 2, {}),
+        ("CoopInsertionContact-v0", 2, {"sim_to_real": "randomized"}),
         ("CoopInsertionPhysics-v0", 2, {"max_steps": 25}),
     ],
 )
@@ -72,6 +74,52 @@ def same(infos: dict[str, Any], row: int, info: dict[str, Any]) -> None:
             assert infos[key][row] == value
         else:
             np.testing.assert_allclose(infos[key][row], value, rtol=0, atol=1e-12, err_msg=key)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_rows_of_moves_are_single_environments(threads: int) -> None:
+    name = "CoopInsertionPhysicsDiscrete-v0"
+    arguments: dict[str, Any] = {"max_moves": 6, "privileged": True}
+    env: Any = gym.make_vec(name, num_envs=3, threads=threads, **arguments)
+    assert isinstance(env, CoopInsertionPhysicsDiscreteVectorEnv)
+    singles: list[Any] = [gym.make(name, **arguments).unwrapped for _ in range(3)]
+    observations, _ = env.reset(seed=7)
+    rows = [single.reset(seed=7 + k)[0] for k, single in enumerate(singles)]
+    rng = np.random.default_rng(0)
+    for _ in range(14):
+        for key, part in observations.items():
+            np.testing.assert_array_equal(part, [row[key] for row in rows])
+        masks = env.action_masks()
+        np.testing.assert_array_equal(masks, [single.action_masks() for single in singles])
+        actions = np.array([rng.choice(np.flatnonzero(mask)) for mask in masks])
+        observations, rewards, terminated, truncated, infos = env.step(actions)
+        for k, single in enumerate(singles):
+            rows[k], reward, *ends, info = single.step(int(actions[k]))
+            assert (reward, ends) == (rewards[k], [terminated[k], truncated[k]])
+            if any(ends):
+                assert infos["final_info"]["failure"][k] == info["failure"]
+                rows[k], info = single.reset()
+            assert infos["distance"][k] == info["distance"]
+    with pytest.raises(ActionError, match="actions"):
+        env.step(np.array([0, 12, 0]))
+    env.close()
+
+
+def test_dictionaries_are_rows_of_dictionaries_through_an_episodes_end() -> None:
+    arguments: dict[str, Any] = {"privileged": True, "level": {"max_steps": 3}}
+    env: Any = gym.make_vec(ID, num_envs=2, **arguments)
+    single = gym.make(ID, **arguments).unwrapped
+    observations, _ = env.reset(seed=1)
+    row, _ = single.reset(seed=1)
+    for step in range(1, 8):
+        for key, part in observations.items():
+            np.testing.assert_array_equal(part[0], row[key])
+        assert env.observation_space.contains(observations)
+        observations, *_, infos = env.step(np.full((2, 6), -0.3))
+        row, *_ = single.step(np.full(6, -0.3))
+        if step % 3 == 0:
+            assert infos["final_obs"][0]["privileged"].tobytes() == row["privileged"].tobytes()
+            row, _ = single.reset()
 
 
 def test_make_vec_makes_it_and_knows_the_limit() -> None:

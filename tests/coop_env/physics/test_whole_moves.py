@@ -216,7 +216,7 @@ def test_time_is_a_cause() -> None:
 
 
 def test_bad_input_is_refused() -> None:
-    for wrong in ({"sim_to_real": "randomized"}, {"pose_model": "paper"}, {"finish": 3},
+    for wrong in ({"sim_to_real": "random"}, {"pose_model": "paper"}, {"finish": 3},
                   {"touch": 0.0}, {"level": "none"}, {"reward": "none"}):  # fmt: skip
         with pytest.raises(ArgumentError):
             CoopInsertionPhysicsDiscreteEnv(**wrong)

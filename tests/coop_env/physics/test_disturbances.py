@@ -1,0 +1,335 @@
+"""Machines that err: what each knob changes and what it leaves alone, seeds, bounds, bad values."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
+
+from coop_env import CoopInsertionEnv, SimToReal
+from coop_env.errors import ArgumentError
+from coop_env.geometry import GeometryError
+from coop_env.kinematics import delta, rrs
+from coop_env.physics.batch import PRIVILEGED
+from coop_env.physics.env import CoopInsertionContactEnv, CoopInsertionPhysicsEnv
+from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
+from coop_env.physics.validation import loop_residual
+from coop_env.simulation.sim_to_real import (
+    CONTACT_KNOBS,
+    FORGE,
+    KINEMATIC_KNOBS,
+    UNDISTURBED,
+    draw_disturbance,
+)
+
+REST = np.zeros(6)
+ASIDE = np.array([1.0, -0.6, 0.8, 0.5, -0.5, 0.4])
+TURNED: dict[str, tuple[Any, set[str]]] = {
+    "link_length_error": (0.005, {"lengths", "links", "home"}),
+    "servo_gain_error": (0.41, {"stiffness", "damping"}),
+    "servo_dead_zone": (0.33, {"dry friction"}),
+    "mass_error": (0.2, {"masses"}),
+    "friction_error": (1.24, {"friction"}),
+    "force_noise": (1.0, {"force noise"}),
+    "backlash": (0.01, {"backlash"}),
+    "joint_resolution": (0.005, {"resolution"}),
+    "latency": (1, {"latency"}),
+}
+"""A value of each knob, and the parts of the machine that it changes."""
+
+
+def parts(env: CoopInsertionContactEnv) -> dict[str, Any]:
+    """What there is of a machine and of its episode, by name."""
+    body, model = env.batch, env.batch.twin.models[0]
+    real, errors = body.twin.machines[0], body.disturbances[0]
+    names = [model.body(i).name for i in range(model.nbody)]
+    moving = [i for i, name in enumerate(names) if not name.endswith(("base", "world"))]
+    end = model.site("rrs_end1").id
+    return {
+        "lengths": (real.rrs, real.delta),
+        "links": [*model.body_pos[names.index("rrs_distal1")], *model.site_pos[end]],
+        "home": body.twin._home_angles[0],
+        "stiffness": model.actuator_gainprm[:, 0],
+        "damping": model.actuator_biasprm[:, 2],
+        "dry friction": model.dof_frictionloss,
+        "masses": model.body_mass[moving],
+        "carried": (model.body_mass * model.body_gravcomp)[moving],
+        "friction": [model.geom("peg").friction[0], body.friction[0]],
+        "force noise": body._noise[0, :3],
+        "moment noise": body._noise[0, 3:],
+        "backlash": errors.backlash,
+        "resolution": errors.resolution,
+        "latency": errors.latency,
+        "episode": [*body.command[0], body.hole[0], *body.error[0]],
+    }
+
+
+def make(seed: int = 3, **knobs: Any) -> CoopInsertionContactEnv:
+    env = CoopInsertionContactEnv(sim_to_real=knobs or None)
+    env.reset(seed=seed)
+    return env
+
+
+def test_every_knob_is_of_one_kind_or_of_both() -> None:
+    both = {"link_length_error", "backlash", "joint_resolution", "latency", "randomize"}
+    assert {f.name for f in fields(SimToReal)} == both | CONTACT_KNOBS | KINEMATIC_KNOBS
+    assert set(TURNED) == (both - {"randomize"}) | CONTACT_KNOBS
+    assert FORGE.turned == set(TURNED)
+
+
+@pytest.mark.parametrize("knob", TURNED)
+def test_a_knob_changes_its_part_of_the_machine_and_nothing_else(knob: str) -> None:
+    value, expected = TURNED[knob]
+    nominal, other = parts(make()), parts(make(**{knob: value}))
+    changed = {
+        name
+        for name, part in nominal.items()
+        if (part != other[name] if name == "lengths" else not same(part, other[name]))
+    }
+    assert changed == expected
+
+
+def same(a: Any, b: Any) -> bool:
+    """Equal but for the rounding of a model that is written as text, or divided and multiplied."""
+    return np.allclose(a, b, rtol=1e-9, atol=0.0)
+
+
+def test_knobs_at_zero_are_no_knobs() -> None:
+    """Bit for bit, and a disturbed episode leaves nothing behind where its knobs end."""
+    plain, zero = make(), CoopInsertionContactEnv(sim_to_real=SimToReal(randomize=True))
+    zero.reset(seed=3)
+    for _ in range(10):
+        mine, theirs = plain.step(ASIDE), zero.step(ASIDE)
+        assert mine[0].tobytes() == theirs[0].tobytes()
+        assert mine[1] == theirs[1]
+    noisy = make(force_noise=0.5)  # the draws are the same, so is where things are
+    noisy.step(ASIDE)
+    plain.reset(seed=3)
+    plain.step(ASIDE)
+    assert noisy.batch.twin.states.tobytes() == plain.batch.twin.states.tobytes()
+
+
+@pytest.mark.parametrize(
+    "env_class",
+    [CoopInsertionContactEnv, CoopInsertionPhysicsEnv, CoopInsertionPhysicsDiscreteEnv],
+)
+def test_a_seed_gives_the_same_machine(env_class: Any) -> None:
+    env = env_class(sim_to_real="randomized")
+    seen = []
+    for seed in (1, 1, 2):
+        _, info = env.reset(seed=seed)
+        seen.append(info["privileged"])
+    assert np.array_equal(seen[0], seen[1])
+    assert not np.array_equal(seen[0][17:], seen[2][17:])
+    _, info = env.reset()
+    assert not np.array_equal(seen[2][17:], info["privileged"][17:])  # each episode another
+
+
+def test_machines_are_drawn_within_the_bounds() -> None:
+    rng = np.random.default_rng(0)
+    drawn = [draw_disturbance(FORGE, rng) for _ in range(400)]
+    lengths, gains, masses = (np.array([d[k] for d in drawn]) for k in range(3))
+    assert 0.0015 < np.abs(lengths - 1.0).max() <= 0.002
+    assert 1.0 / 1.41 <= gains.min() < 0.75
+    assert 1.35 < gains.max() <= 1.41
+    assert np.mean(gains > 1.0) == pytest.approx(0.5, abs=0.05)
+    assert 0.15 < np.abs(masses - 1.0).max() <= 0.17
+    friction = np.array([d.friction for d in drawn])
+    assert 1.0 / 2.24 <= friction.min() < 0.55 < 1.9 < friction.max() <= 2.24
+    for name in ("dead_zone", "backlash", "resolution", "force_noise"):
+        knob = {"dead_zone": "servo_dead_zone", "resolution": "joint_resolution"}.get(name, name)
+        values = np.array([getattr(d, name) for d in drawn])
+        assert values.min() < 0.1 * getattr(FORGE, knob) < values.max() <= getattr(FORGE, knob)
+    assert np.mean([d.latency for d in drawn]) == pytest.approx(0.5, abs=0.08)
+    fixed = draw_disturbance(replace(FORGE, randomize=False), rng)
+    assert (fixed.dead_zone, fixed.latency, fixed.force_noise) == (0.33, 1.0, 1.0)
+    nothing = draw_disturbance(SimToReal(), rng)
+    assert np.array_equal(np.hstack(nothing), np.hstack(UNDISTURBED))
+
+
+def test_links_of_other_lengths_stand_where_their_kinematics_say() -> None:
+    env = make(link_length_error=0.01)
+    twin, command = env.batch.twin, env.batch.command[0]
+    real, joints, readings = twin.machines[0], twin.servo_targets(command), twin.readings()
+    assert readings.joints[0] == pytest.approx(joints, abs=1e-9)
+    assert loop_residual(twin, 0) < 1e-9
+    position = delta.forward(joints[:3], real.delta).position
+    up = np.array([0.0, 0.0, real.delta.base_height - real.delta.peg_length])
+    assert readings.tip[0] == pytest.approx(position + up, abs=1e-9)
+    assert np.linalg.norm(position - command[:3]) > 1e-4
+    env.step(REST)
+    pose = rrs.forward(readings.joints[0, 3:], command[3:], real.rrs).pose
+    centre = rrs.platform_pose(pose, real.rrs).position
+    still = CoopInsertionContactEnv(sim_to_real={"link_length_error": 0.01})
+    still.reset(seed=3, options={"error": [0.0] * 4})
+    assert still.batch.twin.readings().platform[0] == pytest.approx(centre, abs=1e-9)
+
+
+def test_a_late_command_arrives_a_step_later() -> None:
+    late, prompt = make(latency=1), make()
+    start = late.batch.twin.readings().joints[0]
+    late.step(ASIDE)
+    assert late.batch.twin.readings().joints[0] == pytest.approx(start, abs=2e-5)
+    late.step(REST)
+    prompt.step(ASIDE)
+    moved = prompt.batch.twin.readings().joints[0]
+    assert np.abs(moved - start).max() > 1e-3
+    assert late.batch.twin.readings().joints[0] == pytest.approx(moved, abs=5e-5)
+
+
+def rest(env: CoopInsertionContactEnv, *actions: np.ndarray) -> np.ndarray:
+    """Joint angles after actions and a second's rest, minus what is commanded then."""
+    for action in (*actions, *[REST] * 20):
+        env.step(action)
+    twin = env.batch.twin
+    off: np.ndarray = twin.readings().joints[0] - twin.servo_targets(env.batch.command[0])
+    return off
+
+
+def test_play_is_left_where_a_joint_turns_round() -> None:
+    play = 0.0005
+    off = rest(make(backlash=play), *[ASIDE] * 3, -ASIDE)
+    before = rest(make(), *[ASIDE] * 3, -ASIDE)
+    assert np.abs(before).max() < 2e-5
+    assert np.abs(off) == pytest.approx(np.full(6, play / 2.0), abs=2e-5)
+
+
+def test_commands_go_to_the_nearest_count() -> None:
+    env = make(joint_resolution=0.004)
+    off = rest(env, *[ASIDE] * 3)
+    counts = (off + env.batch.twin.servo_targets(env.batch.command[0])) / 0.004
+    assert counts == pytest.approx(np.round(counts), abs=0.02)
+
+
+def test_dry_friction_takes_up_small_torques() -> None:
+    """Half a millimetre asks for 0.1 N m of the Delta's soft servos."""
+    step = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert np.abs(rest(make(), step)[:3]).max() < 1e-5
+    env = make(servo_dead_zone=0.33)
+    start = env.batch.twin.readings().joints[0, :3]
+    rest(env, step)
+    assert env.batch.twin.readings().joints[0, :3] == pytest.approx(start, abs=1e-5)
+
+
+def test_torques_are_those_of_the_servos_own_stiffness() -> None:
+    """Pressed on the rim, at rest: what each servo holds against is its gain times its error."""
+    env = CoopInsertionContactEnv(sim_to_real={"servo_gain_error": 1.0})
+    env.reset(seed=3, options={"error": [0.0025, 0.0, 0.0, 0.0], "hole": 4})
+    for _ in range(25):
+        env.step([0.0, 0.0, -0.5, 0.0, 0.0, 0.0])
+    off = rest(env)
+    gains = env.batch.disturbances[0].gains
+    assert np.ptp(gains) > 0.3
+    torques = env.batch.twin.inspect(0)[1].actuator_force
+    assert np.abs(torques[:3]).min() > 0.1
+    stiffness = np.repeat([50.0, 1000.0], 3) * gains
+    assert torques == pytest.approx(-stiffness * off, rel=0.02, abs=2e-3)
+
+
+def test_forces_are_as_noisy_as_asked_for() -> None:
+    env = make(force_noise=1.0)
+    felt = [env.step(REST)[0][11:17] * [10.0] * 1 for _ in range(79)]
+    spread = np.std(felt, axis=0)
+    assert spread[:3] == pytest.approx(np.ones(3), abs=0.3)
+    assert (spread[3:] / 10.0 * 0.05 < 0.001).all()
+
+
+def test_friction_that_an_option_sets_has_no_error() -> None:
+    env = CoopInsertionContactEnv(sim_to_real={"friction_error": 1.0})
+    _, info = env.reset(seed=0, options={"friction": 0.25})
+    assert info["friction"] == 0.25
+
+
+@pytest.mark.parametrize("take", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_has_the_same_machine_and_the_same_next_one(take: Any) -> None:
+    env = CoopInsertionContactEnv(sim_to_real="randomized")
+    env.reset(seed=1)
+    env.step(ASIDE)
+    other = take(env)
+    for _ in range(3):
+        np.testing.assert_array_equal(env.step(ASIDE)[0], other.step(ASIDE)[0])
+    mine, theirs = env.reset()[1], other.reset()[1]
+    np.testing.assert_array_equal(mine["privileged"], theirs["privileged"])
+
+
+def test_a_critic_sees_what_is_so() -> None:
+    env = CoopInsertionContactEnv(sim_to_real=FORGE, privileged=True)
+    seen, info = env.reset(seed=2)
+    assert env.observation_space.contains(seen)
+    assert np.array_equal(seen["privileged"], info["privileged"])
+    for _ in range(12):
+        seen, *_, info = env.step([0.1, 0.0, -1.0, 0.0, 0.0, 0.0])
+    ends = np.cumsum([size for size, _ in PRIVILEGED.values()])[:-1]
+    told = dict(zip(PRIVILEGED, np.split(seen["privileged"].astype(float), ends), strict=True))
+    tip, normal = 0.01 * told["tip - mouth"], told["normal"]
+    assert -tip @ normal == pytest.approx(info["depth"], abs=1e-6)
+    assert np.linalg.norm(tip - (tip @ normal) * normal) == pytest.approx(
+        info["lateral_error"], abs=1e-6
+    )
+    assert 10.0 * told["force"] == pytest.approx(info["force"], abs=1e-5)
+    assert told["friction"] == pytest.approx(info["friction"])
+    assert 0.05 * told["base"] == pytest.approx(info["error"], abs=1e-8)
+    errors = env.batch.disturbances[0]
+    assert 1.0 + 0.01 * told["lengths"] == pytest.approx(errors.lengths)
+    assert 1.0 + told["gains"] == pytest.approx(errors.gains)
+    assert told["force noise"] == pytest.approx(errors.force_noise)
+    assert not np.any(make().batch.privileged(slice(0, 1))[0, 17:])  # a nominal machine has none
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"servo_gain_error": -0.1}, "SimToReal.servo_gain_error = -0.1: must be at least 0"),
+        ({"servo_dead_zone": float("nan")}, "SimToReal.servo_dead_zone"),
+        ({"mass_error": 1.0}, "SimToReal.mass_error = 1.0: must be at least 0 and at most 0.9"),
+        ({"friction_error": "much"}, "SimToReal.friction_error = 'much': must be a number"),
+        ({"force_noise": 11.0}, "SimToReal.force_noise"),
+        ({"latency": 2}, "SimToReal.latency"),
+        ({"gain": 1.0}, "sim_to_real has unknown keys"),
+        ("forge", "sim_to_real = 'forge'"),
+        ({"observation_noise": 0.1}, "SimToReal.observation_noise: the machine has contact here"),
+    ],
+)
+def test_one_clear_error_for_what_cannot_be(wrong: Any, words: str) -> None:
+    for env_class in (CoopInsertionContactEnv, CoopInsertionPhysicsDiscreteEnv):
+        with pytest.raises(ArgumentError, match=words):
+            env_class(sim_to_real=wrong)
+
+
+@pytest.mark.parametrize("knob", sorted(CONTACT_KNOBS))
+def test_the_kinematic_task_has_no_knobs_of_contact(knob: str) -> None:
+    with pytest.raises(ArgumentError, match=f"{knob}: only the environments with contact"):
+        CoopInsertionEnv(sim_to_real={knob: 0.1})
+
+
+def test_links_that_never_close_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A Delta that hardly reaches down to the dome; it may draw one machine only."""
+    monkeypatch.setattr("coop_env.physics.batch.TRIES", 1)
+    env = CoopInsertionContactEnv(
+        delta={"base_height": 1.04}, sim_to_real={"link_length_error": 0.05}
+    )
+    for seed in range(40):
+        try:
+            env.reset(seed=seed)
+        except GeometryError as error:
+            said = str(error)
+            break
+    assert "link_length_error = 0.05: none of 1 machines" in said
+
+
+def test_rewards_are_scaled_and_successes_named() -> None:
+    plain, scaled = make(), CoopInsertionContactEnv(reward_scale=0.1)
+    scaled.reset(seed=3)
+    for _ in range(3):
+        one, tenth = plain.step(ASIDE), scaled.step(ASIDE)
+        assert tenth[1] == pytest.approx(0.1 * one[1])
+        assert tenth[1] == pytest.approx(sum(tenth[-1]["reward_terms"].values()))
+    for scale in (0.0, -1.0, "big"):
+        with pytest.raises(ArgumentError, match="reward_scale"):
+            CoopInsertionContactEnv(reward_scale=scale)  # type: ignore[arg-type]
