@@ -7,7 +7,7 @@ error of an uncertain machine, and once as the learner was trained, or with rand
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -32,10 +32,10 @@ Masks = NDArray[np.bool_]
 Policy = Callable[[Observations, Masks], NDArray[Any]]
 #: observations (n, size), masks (n, 12) and indices (n,) of the episodes they are of, to actions
 Chooser = Callable[[Observations, Masks, Sequence[int]], NDArray[Any]]
-#: what chooses in these episodes, from their start on; it may remember them
-MakeChooser = Callable[[Sequence[Episode]], Chooser]
 Rows = list[dict[str, object]]
 OnProgress = Callable[[float], None]  # hears which share is done
+#: plays all these episodes, which are under one condition
+Player = Callable[[Sequence[Episode], "Condition", OnProgress], None]
 SEES_THE_STATE = ("random", "greedy", "lookahead")
 
 
@@ -116,43 +116,71 @@ def evaluate_cell(
         starts: the episodes begin where that number says, not at the preset's starts.
         model: the trained model of a learner.
     """
+    player = in_turn(planner_runner(preset, cell)) if cell.plans else _player(preset, cell, model)
+    acting = {"acting": GREEDY} if preset.evaluation.exploring else {}
+    conditions = [replace(at, columns={**acting, **at.columns}) for at in levels(preset, cell)]
+    return play(player, preset, cell.seed, conditions, progress, starts)
+
+
+def play(
+    player: Player, preset: Preset, seed: int, conditions: Sequence[Condition],
+    progress: OnProgress = no_progress, starts: int | None = None,
+) -> Rows:  # fmt: skip
+    """Rows of a seed's test episodes, played under each condition."""
     rows: Rows = []
-    each = levels(preset, cell)
-    for level, part in zip(each, shares(progress, len(each)), strict=True):
-        tests = preset.evaluation
-        episodes = begin_episodes(level.arguments, cell.seed, tests.episodes, tests.stream, starts)
-        if cell.plans:
-            play_in_turn(planner_runner(preset, cell), episodes, part)
-        else:
-            noise_seed = derive("noise", cell.seed)
-            chooser = _make_chooser(preset, cell, model, level.exploring)(episodes)
-            play_together(chooser, episodes, level.noise, noise_seed, part)
-        acting = {"acting": GREEDY} if preset.evaluation.exploring else {}
-        rows += [episode.row(level.noise) | acting | level.columns for episode in episodes]
+    tests = preset.evaluation
+    for number, condition in enumerate(conditions):
+        episodes = begin_episodes(condition.arguments, seed, tests.episodes, tests.stream, starts)
+        player(episodes, condition, lambda s, n=number: progress((n + s) / len(conditions)))  # type: ignore[misc]
+        rows += [episode.row(condition.noise) | condition.columns for episode in episodes]
     return rows
 
 
-def _make_chooser(preset: Preset, cell: Cell, model: Any, exploring: bool) -> MakeChooser:
-    if cell.method in CONTROLS:
+def in_turn(play_one: Callable[[Episode], None]) -> Player:
+    """Plays one episode after the other."""
+
+    def player(episodes: Sequence[Episode], _: Condition, progress: OnProgress) -> None:
+        for number, episode in enumerate(episodes, start=1):
+            play_one(episode)
+            progress(number / len(episodes))
+
+    return player
+
+
+def by_policy(policy: Policy, seed: int) -> Player:
+    """Plays episodes side by side by a policy that remembers nothing; the noise is of the seed."""
+
+    def player(episodes: Sequence[Episode], at: Condition, progress: OnProgress) -> None:
+        def choose(observations: Observations, masks: Masks, _: Sequence[int]) -> NDArray[Any]:
+            return policy(observations, masks)
+
+        play_together(choose, episodes, at.noise, derive("noise", seed), progress)
+
+    return player
+
+
+def _player(preset: Preset, cell: Cell, model: Any) -> Player:
+    """Plays by a control or a trained model, which explores where the condition says so."""
+
+    def player(episodes: Sequence[Episode], at: Condition, progress: OnProgress) -> None:
+        if cell.method not in CONTROLS:
+            if at.exploring:
+                seed_exploration(model, cell.seed)
+            policy = model_policy(model, not at.exploring)
+            if preset.tracks[cell.track].rows > 1:
+                env = episodes[0].env
+                assert isinstance(env, DecentralizedEnv)
+                policy = each_for_itself(policy, env)
+            by_policy(policy, cell.seed)(episodes, at, progress)
+            return
         from benchmarks.methods.controls import control
 
-        greedy = control(cell.method, preset.tracks[cell.track].controls, cell.seed)
-        if not exploring:
-            return greedy
-        return lambda episodes: with_random_moves(greedy(episodes), episodes, cell.seed)
-    if exploring:
-        seed_exploration(model, cell.seed)
-    policy = model_policy(model, not exploring)
-    if cell.track and preset.tracks[cell.track].rows > 1:
-        return lambda episodes: _rows_of_agents(policy, episodes)
-    return lambda episodes: lambda observations, masks, _: policy(observations, masks)
+        choose = control(cell.method, preset.tracks[cell.track].controls, cell.seed)(episodes)
+        if at.exploring:
+            choose = with_random_moves(choose, episodes, cell.seed)
+        play_together(choose, episodes, at.noise, derive("noise", cell.seed), progress)
 
-
-def _rows_of_agents(policy: Policy, episodes: Sequence[Episode]) -> Chooser:
-    env = episodes[0].env
-    assert isinstance(env, DecentralizedEnv)
-    act = each_for_itself(policy, env)
-    return lambda observations, masks, _: act(observations, masks)
+    return player
 
 
 def with_random_moves(choose: Chooser, episodes: Sequence[Episode], seed: int) -> Chooser:
@@ -173,12 +201,6 @@ def seed_exploration(model: Any, seed: int) -> None:
     """Let all that a model draws when it explores follow from the cell's seed."""
     set_random_seed(derive("explore", seed))
     model.action_space.seed(derive("explore", seed))
-
-
-def shares(progress: OnProgress, parts: int) -> Iterator[OnProgress]:
-    """For each of so many equal parts, what hears which share of it is done."""
-    for number in range(parts):
-        yield lambda share, before=number: progress((before + share) / parts)  # type: ignore[misc]
 
 
 def begin_episodes(
@@ -223,31 +245,6 @@ def play_together(
             episodes[i].move(int(action))
 
 
-def play_in_turn(
-    play: Callable[[Episode], None], episodes: Sequence[Episode], progress: OnProgress = no_progress
-) -> None:
-    """Play one episode after the other."""
-    for number, episode in enumerate(episodes, start=1):
-        play(episode)
-        progress(number / len(episodes))
-
-
-def run_policy(
-    policy: Policy,
-    episodes: Sequence[Episode],
-    noise: float,
-    noise_seed: int,
-    progress: OnProgress = no_progress,
-) -> Rows:
-    """Rows of episodes played by a policy; arguments as :func:`play_together`."""
-
-    def choose(observations: Observations, masks: Masks, _: Sequence[int]) -> NDArray[Any]:
-        return policy(observations, masks)
-
-    play_together(choose, episodes, noise, noise_seed, progress)
-    return [episode.row(noise) for episode in episodes]
-
-
 def model_policy(model: Any, deterministic: bool = True) -> Policy:
     """Actions of an SB3 model, greedy or as in training.
 
@@ -267,36 +264,6 @@ def model_policy(model: Any, deterministic: bool = True) -> Policy:
     # SB3's DQN tosses one coin for a whole batch: episodes are to explore each for itself
     shares_a_coin = isinstance(model, DQN) and not deterministic
     return act_one_by_one if shares_a_coin else act
-
-
-def evaluate_policy(
-    policy: Policy,
-    preset: Preset,
-    seed: int,
-    arguments: dict[str, Any],
-    progress: OnProgress = no_progress,
-) -> Rows:
-    """Rows of a policy of one's own on the test episodes of one seed, at every level of noise."""
-    rows: Rows = []
-    noise, tests = preset.evaluation.noise, preset.evaluation
-    for level, part in zip(noise, shares(progress, len(noise)), strict=True):
-        episodes = begin_episodes(arguments, seed, tests.episodes, tests.stream)
-        rows += run_policy(policy, episodes, level, derive("noise", seed), part)
-    return rows
-
-
-def play_episodes(
-    play: Callable[[Episode], None],
-    preset: Preset,
-    seed: int,
-    arguments: dict[str, Any],
-    progress: OnProgress = no_progress,
-) -> Rows:
-    """Rows of a planner of one's own on the test episodes of one seed; it sees the true state."""
-    tests = preset.evaluation
-    episodes = begin_episodes(arguments, seed, tests.episodes, tests.stream)
-    play_in_turn(play, episodes, progress)
-    return [episode.row() for episode in episodes]
 
 
 def planner_runner(preset: Preset, cell: Cell) -> Callable[[Episode], None]:
@@ -321,7 +288,7 @@ def planner_runner(preset: Preset, cell: Cell) -> Callable[[Episode], None]:
 
 
 def follow(episode: Episode, plan: Callable[[CoopInsertionEnv], Plan]) -> None:
-    """Fill hole after hole by exact plans until none is left, or one has no plan."""
+    """Fill hole after hole by plans until the episode is over, or one has no moves."""
     while not episode.over:
         answer = plan(episode.env)
         if not episode.insertions:
@@ -329,5 +296,6 @@ def follow(episode: Episode, plan: Callable[[CoopInsertionEnv], Plan]) -> None:
         if answer.moves is None or not len(answer.moves):
             episode.failure = answer.status
             return
-        for move in answer.moves[: episode.moves_left]:
-            episode.move(int(move))
+        for move in answer.moves:
+            if not episode.over:
+                episode.move(int(move))

@@ -13,7 +13,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.reporting.verify import check_file
@@ -22,26 +21,6 @@ from benchmarks.runs.store import RunFolder, write_text
 Block = Callable[[str], str]
 #: by name; one of which the data are missing raises KeyError, and stays as it is
 Blocks = Mapping[str, Block]
-
-#: of the gallery: heading, command, pictures; entries of one heading stand together
-GALLERY: Final = (
-    ("The robots", "study media", "media/*"),
-    ("The robots", "study trajectory", "trajectory/*"),
-    ("The robots", "study contact --film", "contact/*"),
-    ("Design of the 3-RRS", "study design", "design/figures/*"),
-    ("Design of the 3-RRS", "study codesign", "codesign/figures/*"),
-    ("The paper at its own scale", "figures --preset paper", "paper/figures/*"),
-    ("Public suites, contact and teams", "figures --preset PRESET", "classic/*/figures/*"),
-    ("Public suites, contact and teams", "figures --preset team", "team/figures/*"),
-    ("The first runs, cut short", "figures --preset cut", "cut/figures/*"),
-    ("The first runs, cut short", "study failures --preset cut --track safe",
-     "cut/failures/*-safe.*"),
-    ("The first runs, cut short", "study failures --preset cut --track memory",
-     "cut/failures/*-memory.*"),
-    ("The first runs, cut short", "study audit", "audit/*"),
-)  # fmt: skip
-COLUMNS: Final = 5
-ENDS: Final = (".png", ".gif")
 
 
 def pattern(name: str) -> re.Pattern[str]:
@@ -104,37 +83,6 @@ def include(results: Path) -> Block:
         return path.read_text(encoding="utf-8")
 
     return read
-
-
-def gallery(results: Path) -> Block:
-    """The block of all pictures as thumbnails, below the commands that write them.
-
-    A caption is the picture's folder and name: the pages that show it say more.
-    """
-
-    def body(_: str) -> str:
-        commands: dict[str, list[str]] = {}
-        cells: dict[str, list[str]] = {}
-        for title, command, glob in GALLERY:
-            for path in sorted(p for p in results.glob(glob) if p.suffix in ENDS):
-                name = path.relative_to(results).as_posix()
-                folder = next(p for p in path.parents if p.name not in ("figures", "failures"))
-                caption = f"{folder.name}: {re.sub('[-_]', ' ', path.stem)}"
-                cell = f"[![](../results/{name})<br>{caption}](../results/{name})"
-                cells.setdefault(title, []).append(cell)
-                known = commands.setdefault(title, [])
-                known += [] if command in known else [command]
-        sections = []
-        for title, result in cells.items():
-            result += [""] * (-len(result) % COLUMNS)
-            lines = ["|" * (COLUMNS + 1), "|---" * COLUMNS + "|"]
-            rows = [result[i : i + COLUMNS] for i in range(0, len(result), COLUMNS)]
-            lines += ["|".join(["", *row, ""]) for row in rows]
-            said = "\n".join(f"    python -m benchmarks {command}" for command in commands[title])
-            sections.append(f"## {title}\n\n{said}\n\n" + "\n".join(lines))
-        return "\n\n".join(sections)
-
-    return body
 
 
 def provenance(preset: str, runs: Sequence[RunFolder], missing: int = 0, controls: int = 0) -> str:

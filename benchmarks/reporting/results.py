@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
 import pandas as pd
 
 from benchmarks.protocol import labels
-from benchmarks.protocol.metrics import GREEDY, SUCCESS, Metric
-from benchmarks.protocol.plan import DESIGN, METHODS, expand, own_error
+from benchmarks.protocol.knowledge import Knowledge, knowledge
+from benchmarks.protocol.metrics import EXPLORING, GREEDY, HOLES, SUCCESS, Metric
+from benchmarks.protocol.plan import (
+    CONTROLS,
+    DESIGN,
+    LEARNERS,
+    METHODS,
+    OPTIMUM_AT_ONCE,
+    expand,
+    own_error,
+)
 from benchmarks.protocol.presets import as_dict, load_preset, preset_names
 from benchmarks.reporting.stats import Value, mean_interval, measured, over_seeds, wilson
+from benchmarks.reporting.tables.table import Number, TableCell
 from benchmarks.runs.store import RunFolder, Store
 
-TRACK_ORDER: Final = tuple(labels.TRACKS)
+SCORED: Final = ("repaired", "safe")  # tracks of the headline; the first that a store has
 Key = tuple[str, str, str, str]  # method, ablation, geometry, track
 LevelKey = tuple[float, float, str]  # noise, error, acting
 
@@ -35,6 +45,7 @@ class Level:
 
 
 MAIN: Final = Level()
+AS_TRAINED: Final = Level(acting=EXPLORING)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,15 +97,22 @@ class Result:
         return result
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Group:
-    """The runs of one configuration, one per seed; empty if there are none.
+    """The runs of one configuration, one per seed, and the level of tests that is meant.
 
-    ``planned`` is how many the preset holds, 0 where that is not known.
+    ``settings`` are the track's, None without one; ``planned`` is how many runs the preset holds, 0
+    where that is not known.
     """
 
+    method: str
+    ablation: str = "full"
+    geometry: str = "optimized"
+    track: str = ""
+    settings: dict[str, Any] | None = None
     runs: tuple[Result, ...] = ()
     planned: int = 0
+    level: Level = MAIN
 
     @property
     def n(self) -> int:
@@ -106,43 +124,76 @@ class Group:
         return bool(self.n or self.planned)
 
     @property
-    def absent(self) -> str:
-        """What a cell says where no run is complete."""
-        return "missing" if self.planned else "-"
+    def knows(self) -> Knowledge:
+        """Its masks and memory."""
+        return knowledge(self.method, self.settings)
 
-    def value(self, metric: Metric, level: Level = MAIN) -> Value:
+    @property
+    def title(self) -> str:
+        """The method in words; all six components off is a method of its own."""
+        name = labels.METHODS.get(self.method, self.method)
+        return labels.MASKED_DQN if self.ablation == "none" else name
+
+    @property
+    def name(self) -> str:
+        """The method and its track in words."""
+        return f"{self.title}, {labels.track(self.track)}" if self.track else self.title
+
+    @property
+    def acting(self) -> str:
+        """The way of acting, in words."""
+        if self.level != AS_TRAINED:
+            return "greedily"
+        return "as trained" if self.method in LEARNERS else "5 % random moves"
+
+    @property
+    def acting_name(self) -> str:
+        """The name, and of a script that makes random moves this."""
+        explores = self.level == AS_TRAINED and self.method in CONTROLS
+        return f"{self.name}, {self.acting}" if explores else self.name
+
+    def at(self, level: Level) -> Group:
+        """The same runs at another level."""
+        return replace(self, level=level)
+
+    def as_trained(self) -> Group:
+        """The same runs as their method explores, where they were tested so; else themselves."""
+        other = self.at(AS_TRAINED)
+        return other if other.success().n else self
+
+    def both(self) -> list[Group]:
+        """The runs greedily, and as trained if they were tested so."""
+        trained = self.as_trained()
+        return [self, trained] if trained != self else [self]
+
+    def tests(self) -> list[pd.DataFrame]:
+        """Test episodes of each run that has some."""
+        return [rows for rows in (run.test(self.level) for run in self.runs) if len(rows)]
+
+    def value(self, metric: Metric) -> Value:
         """A metric of each seed's test episodes, over seeds, with a 95 % interval.
 
         Several seeds: Student's interval over seeds. One: over its episodes, Wilson's interval of
         a proportion and else the bootstrap of a mean.
         """
-        tests = [rows for rows in (run.test(level) for run in self.runs) if len(rows)]
+        tests = self.tests()
 
         def alone() -> tuple[float, float]:
-            (episodes,) = (x for x in (metric.values(rows) for rows in tests) if len(x))
+            (episodes,) = (x for x in map(metric.values, tests) if len(x))
             proportion = (int(episodes.sum()), len(episodes))
             low, high = wilson(*proportion) if metric.proportion else mean_interval(episodes)
             return metric.scale * low, metric.scale * high
 
         return measured([metric.reduce(rows) for rows in tests], alone)
 
-    def success(self, level: Level = MAIN) -> Value:
+    def success(self) -> Value:
         """Success rate in %, with a 95 % interval."""
-        return self.value(SUCCESS, level)
-
-    def change(self, noise: float) -> Value:
-        """Change of the success rate, in points, from no noise to ``noise``, with an interval.
-
-        One seed: over its episodes, which are the same at either level.
-        """
-        noisy = Level(noise)
-        pairs = [(run.test()["success"], run.test(noisy)["success"]) for run in self.runs]
-        changes = [100.0 * (b - a).to_numpy(dtype=float) for a, b in pairs if len(a) == len(b)]
-        return measured([each.mean() for each in changes], lambda: mean_interval(changes[0]))
+        return self.value(SUCCESS)
 
     def singular_per_1000(self) -> Value:
         """Singularity terminations per 1000 training episodes, with an interval as for success."""
-        counts = [(t["singular"], t["episodes"]) for t in self._training() if t["episodes"]]
+        training = [run.meta["training"] for run in self.runs]
+        counts = [(t["singular"], t["episodes"]) for t in training if t and t["episodes"]]
 
         def alone() -> tuple[float, float]:
             low, high = wilson(*counts[0])
@@ -150,20 +201,42 @@ class Group:
 
         return measured([1000.0 * singular / episodes for singular, episodes in counts], alone)
 
-    def _training(self) -> list[dict[str, Any]]:
-        return [run.meta["training"] for run in self.runs if run.meta["training"]]
-
     def meta(self, key: str, scale: float = 1.0) -> Value:
         """A number of meta.json over seeds; null counts as not observed."""
         numbers = [run.meta["training"].get(key) for run in self.runs]
         return over_seeds([math.nan if x is None else scale * float(x) for x in numbers])
 
-    def pooled(self, level: Level = MAIN) -> pd.DataFrame:
-        """All test episodes of all seeds, indexed by initial state for pairing."""
-        frames = [run.test(level).assign(seed=run.seed) for run in self.runs]
-        if not frames:
-            return pd.DataFrame()
-        return pd.concat(frames).set_index(["seed", "episode"])
+    def curves(self) -> list[pd.DataFrame]:
+        """The stored training curves, one per seed."""
+        return [run.folder.rows("curve") for run in self.runs if run.folder.has_rows("curve")]
+
+    def beside(self, other: Group) -> Iterator[tuple[Result, Result, pd.DataFrame]]:
+        """For each seed of both: the runs, and the episodes of both, theirs ``column_other``."""
+        theirs = {run.seed: run for run in other.runs}
+        for run in self.runs:
+            if (its := theirs.get(run.seed)) is not None:
+                rows, beside = run.test(self.level), its.test(other.level)
+                yield run, its, rows.merge(beside, on="episode", suffixes=("", "_other"))
+
+    def excess(self, optimum: Group) -> Value:
+        """Moves to the first insertion above the optimum's, in %, on starts that both solved."""
+        values = []
+        for _, _, both in self.beside(optimum):
+            both = both[(both["success"] == 1) & (both["success_other"] == 1)]
+            if len(both):
+                ratio = both["moves_first"].sum() / both["moves_first_other"].sum()
+                values.append(100.0 * (ratio - 1.0))
+        return over_seeds(values)
+
+    def cell(self, value: Value, digits: int = 1, paper: str = "", suffix: str = "") -> TableCell:
+        """A value of the runs, or the word for its absence."""
+        absent = "missing" if self.planned else "-"
+        return Number(value, digits, suffix, paper) if self.n else absent
+
+    def tested(self, level: Level) -> TableCell:
+        """The success rate at another level, or a dash if it was not tested there."""
+        value = self.at(level).success()
+        return self.cell(value) if value.n or not self.n else "-"
 
 
 class Results:
@@ -171,7 +244,7 @@ class Results:
 
     def __init__(self, store: Store) -> None:
         self.design: RunFolder | None = None
-        result: dict[Key, list[Result]] = {}
+        runs: dict[Key, list[Result]] = {}
         for folder in store.completed():
             if folder.id == DESIGN:
                 self.design = folder
@@ -179,23 +252,29 @@ class Results:
             run = Result.read(folder)
             cell = run.config["cell"]
             key = (cell["method"], cell["ablation"], cell["geometry"], cell["track"])
-            result.setdefault(key, []).append(run)
-        self.planned, self._settings = _planned(store)
-        self._groups = {
-            key: Group(
-                tuple(sorted(result.get(key, []), key=lambda r: r.seed)), self.planned.get(key, 0)
-            )
-            for key in {**result, **self.planned}
-        }
-        for run in self.all():  # what was run counts, not what the preset says today
-            if "track" in run.config:
+            runs.setdefault(key, []).append(run)
+        planned, self._settings = _planned(store)
+        for run in (run for each in runs.values() for run in each):
+            if "track" in run.config:  # what was run counts, not what the preset says today
                 self._settings[run.config["cell"]["track"]] = run.config["track"]
+        self.groups = {
+            key: replace(
+                self._empty(*key),
+                runs=tuple(sorted(runs.get(key, []), key=lambda run: run.seed)),
+                planned=planned.get(key, 0),
+            )
+            for key in {**runs, **planned}
+        }
+
+    def _empty(self, method: str, ablation: str, geometry: str, track: str) -> Group:
+        return Group(method, ablation, geometry, track, self._settings.get(track))
 
     def group(
-        self, method: str, geometry: str = "optimized", track: str = "", ablation: str = "full"
+        self, method: str, track: str = "", geometry: str = "optimized", ablation: str = "full"
     ) -> Group:
-        """The runs of one configuration."""
-        return self._groups.get((method, ablation, geometry, track), Group())
+        """The runs of one configuration, whether it was run or not."""
+        key = (method, ablation, geometry, track)
+        return self.groups.get(key) or self._empty(*key)
 
     def tracks(self) -> list[str]:
         """Tracks that are planned or were run, the usual ones in their order first; no team's."""
@@ -206,7 +285,7 @@ class Results:
         return [track for track in self._tracks() if self._team(track)]
 
     def _tracks(self) -> list[str]:
-        return in_order({key[3] for key in self._groups if key[3]})
+        return in_order({key[3] for key in self.groups if key[3]})
 
     def _team(self, track: str) -> bool:
         return bool((self.settings(track) or {}).get("team"))
@@ -219,27 +298,82 @@ class Results:
         """Whether a track's machine stands where the model does not know."""
         return bool((self.settings(track) or {}).get("sim_to_real"))
 
-    def methods(
-        self, track: str, among: Sequence[str] = METHODS, geometry: str = "optimized"
-    ) -> list[tuple[str, Group]]:
-        """(method, runs) of a track, or of none, that are planned or were run."""
-        result = [(method, self.group(method, geometry, track)) for method in among]
-        return [(method, group) for method, group in result if group.n or group.planned]
-
-    def levels(self) -> list[LevelKey]:
-        """(noise, error, acting) at which any run was tested, in order."""
-        return sorted({level for run in self.all() for level in run.levels})
-
     def all(self) -> list[Result]:
         """Every run but the geometric optimization."""
-        return [run for group in self._groups.values() for run in group.runs]
+        return [run for group in self.groups.values() for run in group.runs]
+
+    def rows(
+        self, among: Sequence[str] = METHODS, uncertain: bool = False, geometry: str = "optimized"
+    ) -> list[Group]:
+        """All methods that are planned or were run, track by track, then the planners of none.
+
+        Of robots that move one at a time: those that move at once have a table of their own.
+        """
+        result = []
+        for track in [t for t in self.tracks() if self.uncertain(t) == uncertain]:
+            for method in among:
+                result.append(self.group(method, track, geometry))
+                if method == "rainbow":
+                    result.append(self.group(method, track, geometry, "none"))
+        if uncertain:  # a method on all tracks of the machine together, the ceiling last
+            result.sort(key=lambda row: (row.method == "optimum", METHODS.index(row.method)))
+        else:
+            in_turn = [method for method in among if method != OPTIMUM_AT_ONCE]
+            result += [self.group(method, "", geometry) for method in in_turn]
+        return [row for row in result if row.known]
+
+    @property
+    def scored(self) -> str:
+        """The track of the headline."""
+        result = [track for track in SCORED if self.group("rainbow", track).known]
+        return result[0] if result else SCORED[0]
+
+    def control_of(self, row: Group, geometry: str = "optimized") -> Group | None:
+        """The best control with a learner's masks, memory, ending and way of acting, or None."""
+        result = self.rows(CONTROLS, self.uncertain(row.track), geometry)
+        alike = [each for each in result if each.knows == row.knows and _ends(each) == _ends(row)]
+        return best(each.as_trained() if row.level == AS_TRAINED else each for each in alike)
+
+    def best_script(self) -> Group | None:
+        """Of the uncertain machine: the best that neither learns nor knows the machine."""
+        scripts = [m for m in METHODS if m not in LEARNERS and m != "optimum"]
+        return best(self.rows(scripts, uncertain=True))
+
+    def references(self, track: str) -> list[Group]:
+        """What bounds a track's learners: the best control that knows as much, and the optimum.
+
+        The control acts as learners do in training, with random moves, where it was tested so.
+        """
+        control = self.control_of(self.group("rainbow", track).as_trained())
+        optima = [self.group("optimum")]
+        if self.uncertain(track):
+            known = complete(self.rows(("optimum",), uncertain=True))[:1]
+            optima = [replace(optimum, track=track) for optimum in known]
+        return complete([*([control] if control else []), *optima])
 
 
 def in_order(tracks: Iterable[str]) -> list[str]:
     """Tracks in the usual order, others after them."""
-    names = set(tracks)
-    known = [track for track in TRACK_ORDER if track in names]
-    return known + sorted(names - set(TRACK_ORDER))
+    usual, names = list(labels.TRACKS), sorted(tracks)
+    return sorted(names, key=lambda track: usual.index(track) if track in usual else len(usual))
+
+
+def complete(result: Iterable[Group]) -> list[Group]:
+    """Those of which there are runs."""
+    return [row for row in result if row.n]
+
+
+def best(result: Iterable[Group]) -> Group | None:
+    """The complete one with the highest success rate, then with the most holes."""
+    return max(
+        complete(result),
+        key=lambda row: (row.success().mean, row.value(HOLES).mean),
+        default=None,
+    )
+
+
+def _ends(row: Group) -> str:
+    return str((row.settings or {}).get("collision", "refuse"))
 
 
 def _planned(store: Store) -> tuple[dict[Key, int], dict[str, dict[str, Any]]]:
@@ -262,15 +396,7 @@ def tail_mean(curve: pd.DataFrame, column: str, share: float = 0.1) -> float:
     """Mean over the episodes that ended in the last ``share`` of a training run's steps.
 
     A row of the curve holds the mean of the episodes since the row before, as many as the count has
-    grown by.
-
-    Args:
-        curve: rows of ``curve.csv``.
-        column: episode_reward, holes, success or duration.
-        share: of the steps.
-
-    Returns:
-        The mean; NaN if no episode ended there.
+    grown by. NaN if no episode ended there.
     """
     ended = curve["episodes"].diff().fillna(curve["episodes"])
     late = (curve["timesteps"] > (1.0 - share) * curve["timesteps"].max()) & (ended > 0)
@@ -278,19 +404,3 @@ def tail_mean(curve: pd.DataFrame, column: str, share: float = 0.1) -> float:
     if not len(weights):
         return math.nan
     return float((curve.loc[late, column] * weights).sum() / weights.sum())
-
-
-def excess_over_optimum(ours: Group, optimum: Group, level: Level = MAIN) -> Value:
-    """Moves to the first insertion above the optimum's, in %, on starts that both solved."""
-    values = []
-    best = {run.seed: run.test() for run in optimum.runs}
-    for run in ours.runs:
-        if run.seed not in best:
-            continue
-        both = run.test(level).merge(best[run.seed], on="episode", suffixes=("", "_optimum"))
-        both = both[(both["success"] == 1) & (both["success_optimum"] == 1)]
-        if len(both):
-            values.append(
-                100.0 * (both["moves_first"].sum() / both["moves_first_optimum"].sum() - 1.0)
-            )
-    return over_seeds(values)

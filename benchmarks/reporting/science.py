@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
+from benchmarks.protocol.paper_values import GEOMETRY_ABLATION, PERFORMANCE
 from benchmarks.reporting.blocks import provenance
-from benchmarks.reporting.results import Results
-from benchmarks.reporting.tables.paper import build_tables
+from benchmarks.reporting.results import Group, Results
+from benchmarks.reporting.tables.beyond import build_tables
 from benchmarks.reporting.tables.table import Number, Table, TableCell
-from benchmarks.reporting.verdicts import of_six, sentences
+from benchmarks.reporting.verdicts import sentences
 from benchmarks.runs.store import Store
 
 PAPER: Final = ("Performance", "Ablation", "Geometry", "As printed")  # docs/results.md
@@ -37,10 +38,23 @@ def short(store: Store) -> str:
 
 
 def six(results: Results) -> Table:
-    """The README's table: success rates, paper and ours."""
+    """The README's table of six rows: success rates, the paper's and ours."""
+    track, printed = results.scored, PERFORMANCE["success"]
+    ours = results.group("rainbow", track).as_trained()
+    initial = results.group("rainbow", track, "initial")
+    methods: list[tuple[str, str, Group | None]] = [
+        ("Rainbow", printed["rainbow"], ours),
+        ("Rainbow, initial geometry", GEOMETRY_ABLATION["success"][0], initial.as_trained()),
+        ("DQN of SB3, which knows no masks", printed["dqn"],
+         results.group("dqn", track).as_trained()),
+        ("DQN with the same masks", "-",
+         results.group("rainbow", track, ablation="none").as_trained()),
+        ("RRT-Connect", printed["rrt_connect"], results.group("rrt_connect")),
+        ("Best script with the same masks", "-", results.control_of(ours)),
+    ]  # fmt: skip
     made: list[list[TableCell]] = [
-        [name, paper, Number(value, digits) if value else "missing"]
-        for name, paper, value, digits in of_six(results)
+        [name, paper, Number(row.success()) if row and row.n else "missing"]
+        for name, paper, row in methods
     ]
     return Table("six", "Success rate (%) on the test episodes", ["Method", "Paper", "Ours"], made)
 
@@ -70,9 +84,10 @@ def science(store: Store, beyond: bool = False) -> str:
 
 def origin(results: Results, preset: str) -> str:
     """How many runs, how long, at which commit and on which machine."""
-    missing = sum(results.planned.values()) - len(results.all())
-    text = provenance(preset, [run.folder for run in results.all()], max(0, missing))
-    if not results.all():
+    folders = [run.folder for run in results.all()]
+    planned = sum(group.planned for group in results.groups.values())
+    text = provenance(preset, folders, max(0, planned - len(folders)))
+    if not folders:
         return text
     return (
         f"{text} Every number is recomputed from `results/{preset}` by "

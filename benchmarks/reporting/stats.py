@@ -41,16 +41,12 @@ class Value:
             return "-"
         return f"[{self.low:.{digits}f}, {self.high:.{digits}f}]"
 
-
-@dataclass(frozen=True)
-class PairedTest:
-    """Two methods on the same initial states: mean difference, t, p and effect size d_z."""
-
-    difference: float
-    t: float
-    p: float
-    effect: float
-    n: int
+    def signed(self, unit: str = "") -> str:
+        """``+3.1 points [1.0, 5.2]``: a difference with its unit and interval, or a dash."""
+        if math.isnan(self.mean):
+            return "-"
+        interval = "" if math.isnan(self.low) else f" {self.interval_text(1)}"
+        return f"{self.mean:+.1f}{unit}{interval}"
 
 
 def over_seeds(values: ArrayLike) -> Value:
@@ -252,24 +248,17 @@ def mean_band(curves: ArrayLike, seed: int = 0) -> tuple[Array, Array, Array]:
     return mean, low, high
 
 
-def paired_t_test(ours: ArrayLike, theirs: ArrayLike) -> PairedTest:
-    """Two-sided paired t-test of equal-length samples; pairs with a NaN are left out.
+def paired_p(differences: ArrayLike) -> float:
+    """p of the two-sided paired t-test, from the differences of the pairs.
 
-    With fewer than two pairs, or with all differences equal, t, p and the effect are NaN unless
-    the samples are identical (p = 1).
+    NaN with fewer than two pairs, or with all differences equal, unless the samples are (p = 1).
     """
-    a, b = np.asarray(ours, dtype=np.float64), np.asarray(theirs, dtype=np.float64)
-    if a.shape != b.shape:
-        raise ValueError(f"paired samples must have one shape, found {a.shape} and {b.shape}")
-    difference = (a - b)[~np.isnan(a - b)]
-    n = int(difference.size)
-    mean = float(difference.mean()) if n else math.nan
-    spread = float(difference.std(ddof=1)) if n > 1 else math.nan
-    if n < 2 or spread <= 1e-9 * abs(mean):  # equal but for rounding
-        same = n > 1 and mean == 0.0
-        return PairedTest(mean, 0.0 if same else math.nan, 1.0 if same else math.nan, math.nan, n)
-    t, p = scipy.stats.ttest_1samp(difference, 0.0)
-    return PairedTest(mean, float(t), float(p), mean / spread, n)
+    data = np.asarray(differences, dtype=np.float64)
+    if len(data) < 2:
+        return math.nan
+    if data.std(ddof=1) <= 1e-9 * abs(data.mean()):  # equal but for rounding
+        return 1.0 if data.mean() == 0.0 else math.nan
+    return float(scipy.stats.ttest_1samp(data, 0.0).pvalue)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

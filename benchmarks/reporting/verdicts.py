@@ -7,7 +7,6 @@ steps than the paper trains, says so and gives no verdict.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Final
 
 from benchmarks.protocol import labels
@@ -24,7 +23,6 @@ from benchmarks.reporting.compared import (
     find,
 )
 from benchmarks.reporting.results import MAIN, Group, Results, tail_mean
-from benchmarks.reporting.rows import Row, control_of, row_of, scored
 from benchmarks.reporting.stats import Value, over_seeds
 
 # Thresholds. A test for each fails when it moves.
@@ -57,40 +55,40 @@ def outcome(comparison: Comparison) -> str:
     return BETTER if comparison.difference.mean > 0.0 else WORSE
 
 
-def ground(row: Row) -> str:
+def ground(row: Group) -> str:
     """Why no verdict can rest on a row's runs; empty if one can."""
-    runs = row.group.runs
+    runs = row.runs
     steps = min((int(run.config["track"]["timesteps"]) for run in runs), default=0)
     if steps < TRAINING_STEPS:
         return f"{steps:,} of the paper's {TRAINING_STEPS:,} steps"
-    return "" if len(runs) >= SEEDS else f"{len(runs)} of {row.group.planned} seeds"
+    return "" if len(runs) >= SEEDS else f"{len(runs)} of {row.planned} seeds"
 
 
 def performance(results: Results, compared: list[Comparison]) -> str:
     """Rainbow against the paper's figure, the best script, masked DQN and the optimum."""
-    greedy = row_of(results, "rainbow", scored(results))
+    greedy = results.group("rainbow", results.scored)
     ours = greedy.as_trained()
-    if not ours.group.n:
+    if not ours.n:
         return ""
     script = find(compared, CONTROL, ours)
     others = [c.theirs for c in compared if (c.question, c.ours) == (MASKED, ours)]
     success = ours.success()
-    n, planned = ours.group.n, ours.group.planned
+    n, planned = ours.n, ours.planned
     so_far = f" ({n} of {planned} seeds so far)" if n < planned else ""
     report = f"Rainbow{so_far} inserts in {_show(success)} % of the test episodes"
     if ours != greedy:
         report += f" as trained, {_show(greedy.success())} greedily"
     report += f" (paper {PERFORMANCE['success']['rainbow']}"
-    optimum = row_of(results, "optimum")
-    report += f", the exact optimum {_show(optimum.success())})" if optimum.group.n else ")"
-    planner = row_of(results, "rrt_lattice")  # the strongest, which plans on the model
-    if planner.group.n:
+    optimum = results.group("optimum")
+    report += f", the exact optimum {_show(optimum.success())})" if optimum.n else ")"
+    planner = results.group("rrt_lattice")  # the strongest, which plans on the model
+    if planner.n:
         report += f", {planner.name} in {_show(planner.success())}"
     if script:
         report += f", the best script under the same masks in {_show(script.theirs.success())}"
     for other in others:
         report += f", {other.name.partition(',')[0]} in {_show(other.success())}"
-        greedily = replace(other, level=MAIN)
+        greedily = other.at(MAIN)
         if other.method == "maskable_ppo" and other != greedily:
             report += f" (greedily {_show(greedily.success())})"
     if why := ground(ours):
@@ -111,18 +109,12 @@ def performance(results: Results, compared: list[Comparison]) -> str:
 
 def components(results: Results, compared: list[Comparison]) -> str:
     """What the six components are worth: together, over masked DQN, and one at a time."""
-    full = row_of(results, "rainbow", scored(results)).as_trained()
-    if not full.group.n:
+    full = results.group("rainbow", results.scored).as_trained()
+    if not full.n:
         return ""
-    together = next(
-        (
-            c
-            for c in compared
-            if (c.question, c.ours) == (MASKED, full) and c.theirs.method == "rainbow"
-        ),
-        None,
-    )
-    singles = [c for c in compared if c.question == ABLATION and c.ours.group.n]
+    masked = results.group("rainbow", full.track, ablation="none")
+    together = next((c for c in compared if c.ours == full and c.theirs in masked.both()), None)
+    singles = [c for c in compared if c.question == ABLATION and c.ours.n]
     parts = []
     if together:
         parts.append(
@@ -149,58 +141,52 @@ def components(results: Results, compared: list[Comparison]) -> str:
 
 
 def _component(comparison: Comparison) -> str:
-    ablation = comparison.ours.group.runs[0].config["cell"]["ablation"]
-    return f"{labels.ABLATIONS[ablation].removeprefix('- ').lower()} ({_points(comparison)})"
+    name = labels.ABLATIONS[comparison.ours.ablation].removeprefix("- ").lower()
+    return f"{name} ({_points(comparison)})"
 
 
 def geometry(results: Results, compared: list[Comparison]) -> str:
     """The three rows of the paper's table: does each go in the paper's direction?"""
-    track = scored(results)
-    after = row_of(results, "rainbow", track).as_trained()
-    before = row_of(results, "rainbow", track, "initial").as_trained()
-    if not (before.group.n and after.group.n):
+    track = results.scored
+    after = results.group("rainbow", track).as_trained()
+    before = results.group("rainbow", track, "initial").as_trained()
+    if not (before.n and after.n):
         return ""
-    rows = [
-        ("steps to 75 %", 1e-5, "steps_to_75", before.group.meta("steps_to_75"),
-         after.group.meta("steps_to_75")),
-        ("success", 1.0, "success", before.success(), after.success()),
-        ("singular ends per 1000 training episodes", 1.0, "singular_per_1000",
-         before.group.singular_per_1000(), after.group.singular_per_1000()),
-    ]  # fmt: skip
-    report, right = [], 0
-    for name, scale, key, low, high in rows:
-        rises = key == "success"
-        right += (high.mean > low.mean) if rises else (high.mean < low.mean)
-        unit = " (1e5)" if scale != 1.0 else " %" if rises else ""
-        first, last = (Value(scale * v.mean, scale * v.std, v.n) for v in (low, high))
-        digits = 2 if scale != 1.0 else 1
+    pair, report, right = (before, after), [], 0
+    for name, key, unit, digits, (low, high) in (
+        ("steps to 75 %", "steps_to_75", " (1e5)", 2,
+         [row.meta("steps_to_75", 1e-5) for row in pair]),
+        ("success", "success", " %", 1, [row.success() for row in pair]),
+        ("singular ends per 1000 training episodes", "singular_per_1000", "", 1,
+         [row.singular_per_1000() for row in pair]),
+    ):  # fmt: skip
+        right += (high.mean > low.mean) if key == "success" else (high.mean < low.mean)
         report.append(
-            f"{name} from {_show(first, digits)} to {_show(last, digits)}{unit} "
+            f"{name} from {_show(low, digits)} to {_show(high, digits)}{unit} "
             f"(paper {' to '.join(GEOMETRY_ABLATION[key])})"
         )
-    ends = {end: control_of(results, row, end) for end, row in
-            (("initial", before), ("optimized", after))}  # fmt: skip
-    if all(ends.values()):
-        shown = " to ".join(_show(row.success()) for row in ends.values() if row)
+    scripts = [results.control_of(row, row.geometry) for row in pair]
+    if all(scripts):
+        shown = " to ".join(_show(row.success()) for row in scripts if row)
         report.append(f"the best script from {shown} %")
     each = find(compared, GEOMETRY, before)
     text = "; ".join(report)
     if why := ground(before) or ground(after):
         return f"**No verdict yet on the design stage** ({why}): {text}."
-    verdict = "reproduces" if right == len(rows) and each and outcome(each) == WORSE else (
+    verdict = "reproduces" if right == 3 and each and outcome(each) == WORSE else (
         "reproduces in part" if right else "does not reproduce")  # fmt: skip
     return f"**The design stage's effect {verdict}**: {text}."
 
 
 def printed(results: Results) -> str:
     """Whether the paper's own reward teaches the task."""
-    row = row_of(results, "rainbow", "printed").as_trained()
-    if not row.group.n:
+    row = results.group("rainbow", "printed").as_trained()
+    if not row.n:
         return ""
     report = f"Rainbow inserts in {_show(row.success())} %"
-    if script := control_of(results, row):
+    if script := results.control_of(row):
         report += f", the best script under the same masks in {_show(script.success())}"
-    reward, holes = (_last_episodes(row.group, name) for name in ("episode_reward", "holes"))
+    reward, holes = (_last_episodes(row, name) for name in ("episode_reward", "holes"))
     report += (
         f"; its last training episodes earn {_show(reward, 0)} and fill {_show(holes, 2)} holes"
     )
@@ -225,48 +211,19 @@ def uncertain(compared: list[Comparison]) -> str:
 
 
 def _last_episodes(group: Group, column: str) -> Value:
-    return over_seeds([tail_mean(run.folder.rows("curve"), column) for run in group.runs])
+    return over_seeds([tail_mean(curve, column) for curve in group.curves()])
 
 
 def _points(comparison: Comparison) -> str:
-    value = comparison.difference
-    interval = "" if math.isnan(value.low) else f" {value.interval_text(1)}"
-    return f"{value.mean:+.1f} points{interval}"
+    return comparison.difference.signed(" points")
 
 
 def _significant(comparison: Comparison) -> str:
     if comparison.difference.n < 2:
         return "on one seed"
-    return {
-        SAME: "no clear difference",
-        BETTER: "a clear gain",
-        WORSE: "a clear loss",
-    }[outcome(comparison)]
+    words = {SAME: "no clear difference", BETTER: "a clear gain", WORSE: "a clear loss"}
+    return words[outcome(comparison)]
 
 
 def _show(value: Value, digits: int = 1) -> str:
     return "none" if math.isnan(value.mean) else value.text(digits)
-
-
-def of_six(results: Results) -> list[tuple[str, str, Value | None, int]]:
-    """The README's six rows: what, the paper's figure, ours, digits."""
-    track = scored(results)
-    ours = row_of(results, "rainbow", track).as_trained()
-    initial = row_of(results, "rainbow", track, "initial").as_trained()
-    dqn = row_of(results, "dqn", track).as_trained()
-    masked = row_of(results, "rainbow", track, ablation="none").as_trained()
-    rrt = row_of(results, "rrt_connect")
-    script = control_of(results, ours)
-    success = PERFORMANCE["success"]
-    rows: list[tuple[str, str, Row | None]] = [
-        ("Rainbow", success["rainbow"], ours),
-        ("Rainbow, initial geometry", GEOMETRY_ABLATION["success"][0], initial),
-        ("DQN of SB3, which knows no masks", success["dqn"], dqn),
-        ("DQN with the same masks", "-", masked),
-        ("RRT-Connect", success["rrt_connect"], rrt),
-        ("Best script with the same masks", "-", script),
-    ]
-    return [
-        (name, paper, row.success() if row and row.group.n else None, 1)
-        for name, paper, row in rows
-    ]  # fmt: skip

@@ -111,7 +111,6 @@ def all_blocks(results: Path) -> Mapping[str, Block]:
         "results": lambda said: science.short(of_store(said)),
         "science": lambda said: science.science(of_store(said.split()[0]), "beyond" in said),
         "classic": public,
-        "gallery": blocks.gallery(results),
     }
     for name in STUDIES:
         result |= study(name).blocks(results)

@@ -120,7 +120,7 @@ class Insertion(Experiment[Cell]):
         return f", success {100 * clean['success'].mean():.0f} % of {len(clean)} test episodes"
 
     def tables(self, store: Store) -> list[Table]:
-        from benchmarks.reporting.tables.paper import build_tables
+        from benchmarks.reporting.tables.beyond import build_tables
 
         return build_tables(store)
 

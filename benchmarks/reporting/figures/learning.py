@@ -1,4 +1,4 @@
-"""The paper's learning figures and ours beyond them, from stored data alone: no torch."""
+"""Training curves over seeds: the paper's learning figures and ours beyond them. No torch here."""
 
 from __future__ import annotations
 
@@ -6,21 +6,17 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
+import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from benchmarks.protocol import labels
 from benchmarks.protocol.metrics import HOLES, N_HOLES, SUCCESS, Metric
 from benchmarks.protocol.plan import ABLATIONS, LEARNERS
 from benchmarks.protocol.presets import rows_of
 from benchmarks.reporting.figures.comparisons import comparisons
-from benchmarks.reporting.figures.curves import (
-    EPISODES,
-    curve_frames,
-    draw_curve,
-    draw_stages,
-    mark_switches,
-)
 from benchmarks.reporting.figures.style import (
     METHOD_COLOURS,
     PALETTE,
@@ -29,39 +25,40 @@ from benchmarks.reporting.figures.style import (
     finish,
     legend_below,
 )
-from benchmarks.reporting.results import Group, Results
-from benchmarks.reporting.rows import Row, complete, references, rows
+from benchmarks.reporting.results import Group, Results, complete
+from benchmarks.reporting.stats import mean_band, moving_average
 
 STAGE_0_HOLES: Final = 4
+EPISODES: Final = 10  # of the paper's moving average
 WIDE: Final = 50  # episodes of the moving average where many lines share the axes
+POINTS: Final = 300
+BY_EPISODE: Final = frozenset({"episode_reward", "holes", "success", "duration"})
 
+Curve = NDArray[np.float64]
 Groups = dict[str, Group]
 
-# figure name -> (column of curve.csv, axis label, logarithmic, caption)
-CURVES: Final[dict[str, tuple[str, str, bool, str]]] = {
+# figure name -> (column of curve.csv, axis label, caption)
+CURVES: Final[dict[str, tuple[str, str, str]]] = {
     "cumulative_reward": (
         "episode_reward",
         "Episode reward",
-        False,
         "Cumulative reward per episode: mean of the last ten, unsmoothed behind it",
     ),
-    "success": ("success", "Success rate", False, "Success rate over training"),
-    "max_q": ("mean_max_q", "Mean max Q", False, "Average maximum Q-value"),
+    "success": ("success", "Success rate", "Success rate over training"),
+    "max_q": ("mean_max_q", "Mean max Q", "Average maximum Q-value"),
     "loss": (
         "loss",
         "Loss",
-        True,
         "Training loss: Rainbow's is a cross-entropy, DQN's a Huber loss, so that levels are not "
         "to be compared between methods",
     ),
     "duration": (
         "duration",
         "Episode duration (s)",
-        False,
         "Duration of an episode: mean of the last ten, unsmoothed behind it",
     ),
 }
-RAW: Final = frozenset({"cumulative_reward", "duration"})
+RAW: Final = ("episode_reward", "duration")  # columns that are shown unsmoothed, too
 
 
 def pictures(results: Results) -> list[Picture]:
@@ -71,27 +68,24 @@ def pictures(results: Results) -> list[Picture]:
     for track in results.tracks():
         result += _learning(results, track)
         result += _variants(results, track)
-    if complete([*rows(results), *rows(results, uncertain=True)]):
+    if complete([*results.rows(), *results.rows(uncertain=True)]):
         result += comparisons(results)
     return result
 
 
 def _learning(results: Results, track: str) -> list[Picture]:
     """The paper's seven learning figures of one track."""
-    groups = {labels.METHODS[method]: group for method, group in results.methods(track, LEARNERS)}
-    if (masked := results.group("rainbow", track=track, ablation="none")).n:
-        groups[labels.MASKED_DQN] = masked
-    if not any(curve_frames(group) for group in groups.values()):
+    learners = [results.group(method, track) for method in LEARNERS]
+    learners.append(results.group("rainbow", track, ablation="none"))
+    groups = {group.title: group for group in learners if group.known}
+    if not any(group.curves() for group in groups.values()):
         return []
-    bounds, of = references(results, track), labels.track(track)
+    bounds, of = results.references(track), labels.track(track)
     result = [
-        Picture(
-            f"{track}_{name}",
-            f"{caption}, {of}.",
-            partial(_curves, groups, column, label, log, name in RAW, bounds=bounds),
-        )
-        for name, (column, label, log, caption) in CURVES.items()
-    ]
+        Picture(f"{track}_{name}", f"{caption}, {of}.",
+                partial(_curves, groups, column, label, bounds=bounds))
+        for name, (column, label, caption) in CURVES.items()
+    ]  # fmt: skip
     result.insert(1, Picture(
         f"{track}_exploration", f"Learning rate, and noise magnitude or epsilon, {of}.",
         partial(_exploration, groups),
@@ -106,11 +100,11 @@ def _learning(results: Results, track: str) -> list[Picture]:
 def _variants(results: Results, track: str) -> list[Picture]:
     """Success over training of the ablations and of both geometries."""
     ablations = {
-        title: results.group("rainbow", track=track, ablation=key)
+        title: results.group("rainbow", track, ablation=key)
         for key, title in labels.ABLATIONS.items()
     }
     geometries = {
-        f"{name} geometry": results.group("rainbow", name, track)
+        f"{name} geometry": results.group("rainbow", track, name)
         for name in ("optimized", "initial")
     }
     result = []
@@ -118,11 +112,11 @@ def _variants(results: Results, track: str) -> list[Picture]:
         ("ablation", ablations, "Success rate with one component removed: mean of the last fifty"),
         ("geometry", geometries, "Success rate on either geometry: mean of the last fifty"),
     ):
-        if sum(bool(curve_frames(group)) for group in groups.values()) > 1:
+        if sum(bool(group.curves()) for group in groups.values()) > 1:
             result.append(Picture(
                 f"{track}_{name}", f"{caption}, {labels.track(track)}.",
                 partial(_curves, groups, "success", "Success rate", window=WIDE,
-                        band=name == "geometry", bounds=references(results, track)),
+                        band=name == "geometry", bounds=results.references(track)),
             ))  # fmt: skip
     return result
 
@@ -130,31 +124,32 @@ def _variants(results: Results, track: str) -> list[Picture]:
 def _teams(results: Results) -> list[Picture]:
     """Success of all teams over ticks, with the components that most of them were trained with."""
     result = {
-        ablation: {
-            track: group
+        ablation: [
+            group
             for track in results.teams()
-            if curve_frames(group := results.group("rainbow", track=track, ablation=ablation))
-        }
+            if (group := results.group("rainbow", track, ablation=ablation)).curves()
+        ]
         for ablation in labels.ABLATIONS
     }
     ablation = max(result, key=lambda name: len(result[name]))
     if not (groups := result[ablation]):
         return []
     caption = f"{labels.ABLATIONS[ablation]}: success rate over training, last fifty episodes."
-    return [Picture("team_success", caption, partial(_over_ticks, results, groups))]
+    return [Picture("team_success", caption, partial(_over_ticks, groups))]
 
 
-def _over_ticks(results: Results, groups: Groups) -> Figure:
+def _over_ticks(groups: Sequence[Group]) -> Figure:
     figure, (axes,) = canvas()
-    settings_of = {track: results.settings(track) or {} for track in groups}
+    settings_of = {group.track: group.settings or {} for group in groups}
     forms = list(dict.fromkeys(settings["team"] for settings in settings_of.values()))
-    for track, group in groups.items():
-        form = settings_of[track]["team"]
-        rows = rows_of(form)
-        frames = [f.assign(timesteps=f["timesteps"] / rows) for f in curve_frames(group)]
-        line = "--" if form != "central" and not settings_of[track].get("sight") else "-"
+    for group in groups:
+        settings = settings_of[group.track]
+        form = settings["team"]
+        frames = [f.assign(timesteps=f["timesteps"] / rows_of(form)) for f in group.curves()]
+        line = "--" if form != "central" and not settings.get("sight") else "-"
         colour = PALETTE[forms.index(form)]
-        draw_curve(axes, frames, "success", labels.track(track), colour, line, False, window=WIDE)
+        name = labels.track(group.track)
+        _draw(axes, frames, "success", name, colour, line, band=False, window=WIDE)
     finish(axes, "Success rate", "Ticks")
     return figure
 
@@ -170,33 +165,27 @@ def _coloured(groups: Groups) -> list[tuple[str, Group, str]]:
 
 
 def _curves(
-    groups: Groups,
-    column: str,
-    label: str,
-    log: bool = False,
-    raw: bool = False,
-    band: bool = True,
-    window: int = EPISODES,
-    bounds: Sequence[Row] = (),
-) -> Figure:
+    groups: Groups, column: str, label: str, band: bool = True, window: int = EPISODES,
+    bounds: Sequence[Group] = (),
+) -> Figure:  # fmt: skip
     figure, (axes,) = canvas()
     for number, (name, group, colour) in enumerate(_coloured(groups)):
-        frames, line = curve_frames(group), "-" if number < len(PALETTE) else "--"
-        draw_curve(axes, frames, column, name, colour, line, band, raw, window)
+        line = "-" if number < len(PALETTE) else "--"
+        _draw(axes, group.curves(), column, name, colour, line, band, window, column in RAW)
     if column == "success":
         _mark_bounds(axes, bounds, SUCCESS, 100.0)
     if column == "mean_max_q":
         _mark_support(axes, groups)
     if band:
-        mark_switches(axes, [(group, colour) for _, group, colour in _coloured(groups)])
+        _mark_switches(axes, groups)
     finish(axes, label)
     legend_below(figure, [axes], 2)
-    if log and axes.get_lines():
+    if column == "loss" and axes.get_lines():
         axes.set_yscale("log")
     return figure
 
 
-def _mark_bounds(axes: Axes, bounds: Sequence[Row], metric: Metric, full: float = 1.0) -> None:
+def _mark_bounds(axes: Axes, bounds: Sequence[Group], metric: Metric, full: float = 1.0) -> None:
     """Where the best control of the track and the optimum are, on the test episodes."""
     for row, line in zip(bounds, ("--", ":"), strict=False):
         level = row.value(metric).mean / full
@@ -206,22 +195,32 @@ def _mark_bounds(axes: Axes, bounds: Sequence[Row], metric: Metric, full: float 
 def _mark_support(axes: Axes, groups: Groups) -> None:
     """The upper end of the support, above which a distributional value cannot go."""
     for group in groups.values():
-        for run in group.runs[:1]:
-            top = run.config["track"]["hyperparameters"]["v_max"]
-            if run.config["cell"]["method"] == "rainbow" and top is not None:
+        if group.method == "rainbow" and group.n:
+            top = group.runs[0].config["track"]["hyperparameters"]["v_max"]
+            if top is not None:
                 axes.axhline(float(top), color="0.4", linestyle="--", linewidth=0.9, label="V_max")
+
+
+def _mark_switches(axes: Axes, groups: Groups) -> None:
+    """A dotted line where each seed's curriculum went from four holes to six."""
+    label: str | None = "curriculum switch"
+    for _, group, colour in _coloured(groups):
+        for run in group.runs:
+            step = run.meta.get("training", {}).get("curriculum_switch")
+            if step is not None:
+                axes.axvline(float(step), color=colour, linestyle=":", linewidth=0.9, alpha=0.8,
+                             label=label)  # fmt: skip
+                label = None
 
 
 def _exploration(groups: Groups) -> Figure:
     figure, (above, below) = canvas(2, sharex=True)
     for name, group, colour in _coloured(groups):
-        frames = curve_frames(group)
-        draw_curve(above, frames, "learning_rate", name, colour)
-        quantity = _quantity(group)
-        if quantity:
-            draw_curve(below, frames, "noise", f"{name}: {quantity}", colour)
+        _draw(above, group.curves(), "learning_rate", name, colour)
+        if quantity := _quantity(group):
+            _draw(below, group.curves(), "noise", f"{name}: {quantity}", colour)
     for axes, label in ((above, "Learning rate"), (below, "Exploration")):
-        mark_switches(axes, [(group, colour) for _, group, colour in _coloured(groups)])
+        _mark_switches(axes, groups)
         finish(axes, label)
         if axes.get_lines():
             axes.set_yscale("log")
@@ -231,28 +230,88 @@ def _exploration(groups: Groups) -> Figure:
 
 def _quantity(group: Group) -> str:
     """What "noise" holds: without noisy layers epsilon, of an actor-critic nothing."""
-    cells = [run.config["cell"] for run in group.runs]
-    if not all(cell["method"] in ("rainbow", "dqn") for cell in cells):
-        return ""
-    quiet = any(
-        cell["method"] == "dqn" or not ABLATIONS[cell["ablation"]].get("noisy", True)
-        for cell in cells
-    )
-    return "epsilon" if quiet else "noise magnitude"
+    if group.method == "rainbow" and ABLATIONS[group.ablation].get("noisy", True):
+        return "noise magnitude"
+    return "epsilon" if group.method in ("rainbow", "dqn") else ""
 
 
-def _holes(groups: Groups, bounds: Sequence[Row]) -> Figure:
+def _holes(groups: Groups, bounds: Sequence[Group]) -> Figure:
     figure, (axes,) = canvas()
     for name, group, colour in _coloured(groups):
-        draw_stages(axes, curve_frames(group), name, colour)
+        _draw_stages(axes, group.curves(), name, colour)
     _mark_bounds(axes, bounds, HOLES)
     for holes, stage in ((STAGE_0_HOLES, 0), (N_HOLES, 1)):
         axes.axhline(holes, color="0.6", linewidth=0.8)
         text = f"all of stage {stage}"
         axes.annotate(text, (0.995, holes), xycoords=("axes fraction", "data"), ha="right",
                       va="bottom", fontsize=7, color="0.4")  # fmt: skip
-    mark_switches(axes, [(group, colour) for _, group, colour in _coloured(groups)])
+    _mark_switches(axes, groups)
     finish(axes, "Holes per episode")
     legend_below(figure, [axes], 2)
     axes.set_ylim(-0.2, N_HOLES + 0.6)
     return figure
+
+
+def _series(frame: pd.DataFrame, column: str, window: int) -> tuple[Curve, Curve]:
+    """Steps and values of one run; what counts episodes as the mean of the last ``window``."""
+    counts = frame["episodes"].diff().fillna(frame["episodes"]).clip(lower=1)
+    rows = frame.assign(counts=counts)[["timesteps", column, "counts"]].dropna()
+    steps, values = rows["timesteps"].to_numpy(float), rows[column].to_numpy(float)
+    if column in BY_EPISODE:
+        values = moving_average(values, window, rows["counts"])
+    return steps, values
+
+
+def _seed_curves(
+    frames: Sequence[pd.DataFrame], column: str, window: int = EPISODES
+) -> tuple[Curve, Curve]:
+    """Steps (T,) that all seeds share, and the seeds' values there (seeds, T); empty if none."""
+    curves = [_series(frame, column, window) for frame in frames]
+    result = [(steps, values) for steps, values in curves if len(steps)]
+    if not result:
+        return np.empty(0), np.empty((0, 0))
+    start = max(steps[0] for steps, _ in result)
+    grid = np.linspace(start, max(start, min(steps[-1] for steps, _ in result)), POINTS)
+    return grid, np.stack([np.interp(grid, steps, values) for steps, values in result])
+
+
+def _draw(
+    axes: Axes, frames: Sequence[pd.DataFrame], column: str, label: str, colour: str,
+    style: str = "-", band: bool = True, window: int = EPISODES, raw: bool = False,
+) -> None:  # fmt: skip
+    """Mean over seeds with its 95 % band, and with ``raw`` the unsmoothed mean faintly behind."""
+    grid, values = _seed_curves(frames, column, window)
+    if not len(grid):
+        return
+    if raw:
+        rough_grid, rough = _seed_curves(frames, column, 1)
+        axes.plot(rough_grid, rough.mean(axis=0), color=colour, alpha=0.25, linewidth=0.7)
+    mean, low, high = mean_band(values)
+    axes.plot(grid, mean, style, color=colour, label=label, linewidth=1.4)
+    if band:
+        axes.fill_between(grid, low, high, color=colour, alpha=0.2, linewidth=0)
+
+
+def _draw_stages(axes: Axes, frames: Sequence[pd.DataFrame], label: str, colour: str) -> None:
+    """Holes per episode, dashed while a seed is in stage 0 and solid in stage 1.
+
+    At steps where seeds are in different stages each stage has the mean of its own seeds, and no
+    band.
+    """
+    kept = [frame for frame in frames if frame["holes"].notna().any()]
+    grid, values = _seed_curves(kept, "holes")
+    if not len(grid):
+        return
+    rows = [np.searchsorted(f["timesteps"].to_numpy(float), grid).clip(0, len(f) - 1) for f in kept]
+    stages = np.stack([f["stage"].to_numpy()[at] for f, at in zip(kept, rows, strict=True)])
+    _, low, high = mean_band(values)
+    for stage, style in ((0, "--"), (1, "-")):
+        inside = stages == stage
+        count = inside.sum(axis=0)
+        if not count.any():
+            continue
+        with np.errstate(invalid="ignore"):
+            mean = np.where(inside, values, 0.0).sum(axis=0) / count
+        axes.plot(grid, mean, style, color=colour, label=f"{label}, stage {stage}", linewidth=1.4)
+        whole = count == len(values)
+        axes.fill_between(grid, low, high, where=whole, color=colour, alpha=0.2, linewidth=0)

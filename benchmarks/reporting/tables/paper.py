@@ -6,174 +6,136 @@ Nothing is trained or played again here, and torch is not imported.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
+
+import pandas as pd
 
 from benchmarks.protocol import labels, paper_values
 from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS
 from benchmarks.protocol.plan import LEARNERS
 from benchmarks.reporting.compared import ABLATION, comparisons, find
-from benchmarks.reporting.results import Group, Level, Results
-from benchmarks.reporting.rows import Row, complete, control_of, row_of, rows, scored
+from benchmarks.reporting.results import MAIN, Group, Level, Results, complete
 from benchmarks.reporting.stats import Value, t_interval
-from benchmarks.reporting.tables.difficulty import difficulty, tracks_of
-from benchmarks.reporting.tables.geometric import design
-from benchmarks.reporting.tables.leaderboard import leaderboard
-from benchmarks.reporting.tables.notes import failure_notes, of_rows, seeds_notes
-from benchmarks.reporting.tables.significance import acting, difference, p_text, significance
-from benchmarks.reporting.tables.table import FLAG_NOTE, Number, Table, TableCell
-from benchmarks.reporting.tables.team import team
-from benchmarks.reporting.tables.uncertain import uncertain
-from benchmarks.runs.store import Store
+from benchmarks.reporting.tables.table import FLAG_NOTE, Number, Table, TableCell, p_text
 
 NOISY: Final = (*LEARNERS, "greedy_observed", "lookahead_observed")  # what sees the observation
 ENDS: Final = ("initial", "optimized")
 COMPARED: Final = ("rrt_connect", "dqn", "rainbow")  # the paper's columns
+BASELINES: Final = ("rrt_connect", "rrt_lattice")
 GREEDILY: Final = "Success rate, greedily (%)"
-
-
-def build_tables(store: Store) -> list[Table]:
-    """All tables of a store, the paper's first."""
-    results = Results(store)
-    if tracks_of(results):  # a preset about the task has no headline
-        return [difficulty(results)]
-    return [
-        performance(results),
-        controls(results),
-        ablation(results),
-        geometry(results),
-        design(results),
-        leaderboard(store, results),
-        significance(results),
-        robustness(results),
-        uncertain(results),
-        *team(results),
-    ]
 
 
 def performance(results: Results) -> Table:
     """Table "performance": the paper's six metrics, its three methods, paper and ours."""
-    track = scored(results)
-    result = [row_of(results, m, track if m in LEARNERS else "").as_trained() for m in COMPARED]
+    track = results.scored
+    result = [results.group(m, track if m in LEARNERS else "").as_trained() for m in COMPARED]
     header = ["Metric"]
     for row in result:
         header += [f"{labels.METHODS[row.method]}, paper", "Ours"]
     made: list[list[TableCell]] = []
     for metric in PAPER_METRICS:
-        printed = paper_values.PERFORMANCE[metric.key]
-        cells: list[TableCell] = []
-        for row in result:
-            paper = printed[row.method]
-            cells += [paper, row.cell(row.value(metric), metric.digits, paper)]
-        made.append([metric.label, *cells])
-    made += _greedily([(row, "-") for row in result])
-    notes = [*_how(result), *seeds_notes(of_rows(result)), *failure_notes(results), FLAG_NOTE]
+        printed = [paper_values.PERFORMANCE[metric.key][row.method] for row in result]
+        ours = [
+            row.cell(row.value(metric), metric.digits, paper)
+            for row, paper in zip(result, printed, strict=True)
+        ]
+        made.append([metric.label, *_in_pairs(printed, ours)])
+    if any(row.level != MAIN for row in result):
+        made.append([GREEDILY, *_in_pairs(["-"] * 3, [row.tested(MAIN) for row in result])])
+    notes = [*_how(result), *seeds_notes(result), *failure_notes(results), FLAG_NOTE]
     return Table("performance", f"Performance, {labels.track(track)}", header, made, notes)
+
+
+def _in_pairs(papers: Sequence[str], ours: Sequence[TableCell]) -> list[TableCell]:
+    return [cell for pair in zip(papers, ours, strict=True) for cell in pair]
 
 
 def controls(results: Results) -> Table:
     """Table "controls": what else learns or plays under the same masks, and the ceiling."""
-    track = scored(results)
-    learners = [
-        row_of(results, "rainbow", track, ablation="none").as_trained(),
-        row_of(results, "maskable_ppo", track).as_trained(),
+    track = results.scored
+    script = results.control_of(results.group("rainbow", track).as_trained())
+    result = [
+        results.group("rainbow", track, ablation="none").as_trained(),
+        results.group("maskable_ppo", track).as_trained(),
+        *([script] if script else []),
+        results.group("optimum"),
     ]
-    script = control_of(results, row_of(results, "rainbow", track).as_trained())
-    result = [*learners, *([script] if script else []), row_of(results, "optimum")]
-    header = ["Metric", labels.MASKED_DQN, labels.METHODS["maskable_ppo"]]
-    header += [f"Best script: {script.name}"] if script else []
-    header += [labels.METHODS["optimum"]]
+    names = [f"Best script: {row.name}" if row is script else row.title for row in result]
     made: list[list[TableCell]] = [
         [metric.label, *(row.cell(row.value(metric), metric.digits) for row in result)]
         for metric in (*PAPER_METRICS, *EXTRA_METRICS[:2])
     ]
-    made += _greedily([(row, "") for row in result])
-    notes = [
-        *_how(result),
-        *seeds_notes({name: row.group for name, row in zip(header[1:], result, strict=True)}),
-    ]
+    if any(row.level != MAIN for row in result):
+        made.append([GREEDILY, *(row.tested(MAIN) for row in result)])
+    notes = [*_how(result), *seeds_notes(result, names)]
     title = f"Beside them, under the same masks, {labels.track(track)}"
-    return Table("controls", title, header, made, notes)
+    return Table("controls", title, ["Metric", *names], made, notes)
 
 
-def _greedily(result: list[tuple[Row, str]]) -> list[list[TableCell]]:
-    """A row of success rates of greedy acting, where any of the methods was tested in both ways."""
-    if all(row.level == Level() for row, _ in result):
-        return []
-    cells: list[TableCell] = []
-    for row, paper in result:
-        cells += [*([paper] if paper else []), replace(row, level=Level()).tested(Level())]
-    return [[GREEDILY, *cells]]
-
-
-def _how(result: list[Row]) -> list[str]:
+def _how(result: list[Group]) -> list[str]:
     """In which way each method acts."""
     ways: dict[str, list[str]] = {}
     for row in complete(result):
-        if row.method in LEARNERS or row.level != Level():
-            ways.setdefault(acting(row), []).append(row.name)
+        if row.method in LEARNERS or row.level != MAIN:
+            ways.setdefault(row.acting, []).append(row.name)
     parts = [f"{', '.join(names)}: {way}" for way, names in ways.items()]
     return [f"Acting: {'; '.join(parts)}."] if parts else []
 
 
 def ablation(results: Results) -> Table:
     """Table "ablation": success rate with one component removed at a time."""
-    track = scored(results)
+    track = results.scored
     header = ["Configuration", "Paper (%)", "Ours, as trained (%)", "Greedily (%)"]
     header += ["Difference to all six (points)", "p (Holm)", "Seeds"]
     made: list[list[TableCell]] = []
-    compared, groups = comparisons(results), {}
+    compared, shown = comparisons(results), {}
     for key, title in labels.ABLATIONS.items():
-        row = row_of(results, "rainbow", track, ablation=key)
+        row = results.group("rainbow", track, ablation=key)
         paper = paper_values.ABLATION.get(key, "")
-        if not (paper or row.group.known):
+        if not (paper or row.known):
             continue
-        groups[title] = row.group
+        shown[title] = row
         trained = row.as_trained()
-        each = find(compared, ABLATION, trained) if row.group.n else None
+        each = find(compared, ABLATION, trained) if row.n else None
         both = trained != row
         made.append([
             title, paper or "-",
-            trained.cell(trained.success(), 1, paper) if both or not row.group.n else "-",
+            trained.cell(trained.success(), 1, paper) if both or not row.n else "-",
             row.cell(row.success(), 1, "" if both else paper),
-            difference(each.difference) if each else "-", p_text(each.p_holm) if each else "-",
-            str(row.group.n),
+            each.difference.signed() if each else "-", p_text(each.p_holm) if each else "-",
+            str(row.n),
         ])  # fmt: skip
-    notes = [*seeds_notes(groups), FLAG_NOTE]
+    notes = [*seeds_notes(shown.values(), shown), FLAG_NOTE]
     title = f"Rainbow with one component removed, {labels.track(track)}"
     return Table("ablation", title, header, made, notes)
 
 
-def _steps_to_75(group: Group, paper: str = "") -> TableCell:
+def _steps_to_75(group: Group, paper: str) -> TableCell:
     """Environment steps to 75 % success, in 1e5; a run that never got there counts as longer."""
-    if not group.n:
-        return group.absent
     value = group.meta("steps_to_75", 1e-5)
     budgets = [1e-5 * float(run.config["track"]["timesteps"]) for run in group.runs]
     missed = group.n - value.n
-    if not value.n:
+    if group.n and not value.n:
         bound = Value(math.nan, n=0, low=min(budgets), high=math.inf)
         return Number(bound, 2, paper=paper, shown="not reached")
     low, high = t_interval(value.mean, value.std, value.n)
     value = replace(value, low=low, high=math.inf if missed else high)
-    return Number(value, 2, f" ({missed} of {group.n} never)" if missed else "", paper)
+    return group.cell(value, 2, paper, f" ({missed} of {group.n} never)" if missed else "")
 
 
 def geometry(results: Results) -> Table:
     """Table "geo_ablation": Rainbow on either geometry; below it the best script and optimum."""
-    track = scored(results)
-    both = {end: row_of(results, "rainbow", track, end).as_trained() for end in ENDS}
-    scripts = {end: control_of(results, both[end], end) for end in ENDS}
-    optima = {end: row_of(results, "optimum", geometry=end) for end in ENDS}
-    printed = paper_values.GEOMETRY_ABLATION
+    track = results.scored
+    both = {end: results.group("rainbow", track, end).as_trained() for end in ENDS}
+    scripts = {end: results.control_of(both[end], end) for end in ENDS}
+    optima = {end: results.group("optimum", geometry=end) for end in ENDS}
 
     def line(label: str, key: str, cell: Callable[[str, str], TableCell]) -> list[TableCell]:
-        papers = dict(zip(ENDS, printed.get(key, ("-", "-")), strict=True))
-        cells = [
-            (papers[end], cell(end, papers[end] if key in printed else "")) for end in ENDS
-        ]  # fmt: skip
-        return [label, *(text for pair in cells for text in pair)]
+        printed = paper_values.GEOMETRY_ABLATION.get(key, ("", ""))
+        cells = [cell(end, paper) for end, paper in zip(ENDS, printed, strict=True)]
+        return [label, *_in_pairs([paper or "-" for paper in printed], cells)]
 
     def script(end: str, _: str) -> TableCell:
         row = scripts[end]
@@ -181,12 +143,12 @@ def geometry(results: Results) -> Table:
 
     made = [
         line("Env. steps to 75 % success (1e5)", "steps_to_75",
-             lambda end, paper: _steps_to_75(both[end].group, paper)),
+             lambda end, paper: _steps_to_75(both[end], paper)),
         line("Final success rate (%)", "success",
              lambda end, paper: both[end].cell(both[end].success(), 1, paper)),
         line("Singularity terminations / 1000 training episodes", "singular_per_1000",
-             lambda end, paper: both[end].cell(both[end].group.singular_per_1000(), 1, paper)),
-        line("Success rate, greedily (%)", "", lambda end, _: both[end].tested(Level())),
+             lambda end, paper: both[end].cell(both[end].singular_per_1000(), 1, paper)),
+        line("Success rate, greedily (%)", "", lambda end, _: both[end].tested(MAIN)),
         line("Best script under the same masks (%)", "", script),
         line("Exact optimum (%)", "", lambda end, _: optima[end].cell(optima[end].success())),
     ]  # fmt: skip
@@ -194,42 +156,117 @@ def geometry(results: Results) -> Table:
         "Metric",
         *(f"{end.capitalize()} geometry, {who}" for end in ENDS for who in ("paper", "ours")),
     ]
-    named = {f"Rainbow on the {end} geometry": both[end].group for end in ENDS}
-    notes = [*_how([both["optimized"]]), *seeds_notes(named), FLAG_NOTE]
+    names = [f"Rainbow on the {end} geometry" for end in ENDS]
+    notes = [*_how([both["optimized"]]), *seeds_notes(both.values(), names), FLAG_NOTE]
     title = f"Effect of the design stage on Rainbow, {labels.track(track)}"
     return Table("geometry", title, header, made, notes)
 
 
+def design(results: Results) -> Table:
+    """Table "results": the geometric optimization, five metrics."""
+    header = ["Metric", "Initial, paper", "Initial, ours", "Optimized, paper", "Optimized, ours"]
+    notes, stored, runs = [], {}, 0
+    if results.design is not None:
+        runs = int(results.design.config()["design"]["runs"])
+        frame = results.design.rows("design").fillna({"note": ""})
+        stored = {str(row["metric"]): row for row in frame.to_dict("records")}
+        notes = [f"Ours: mean ± std over {runs} Nelder-Mead runs, each with its own jitter."]
+        notes += [*filter(None, frame["note"]), FLAG_NOTE]
+    rows: list[list[TableCell]] = []
+    for key, printed in paper_values.DESIGN.items():
+        ours = [
+            _design_cell(stored[key], end, runs, paper) if stored else "missing"
+            for end, paper in zip(ENDS, printed, strict=True)
+        ]
+        rows.append([labels.DESIGN_METRICS[key], *_in_pairs(printed, ours)])
+    return Table("design", "Geometric optimization of the 3-RRS", header, rows, notes)
+
+
+def _design_cell(row: dict[Hashable, Any], end: str, runs: int, paper: str) -> TableCell:
+    """A measured design metric; a range differs from the paper's if either of its ends does."""
+    mean, std, upper = (float(row[f"{end}_{name}"]) for name in ("mean", "std", "high_mean"))
+    low, high = t_interval(mean, std, runs)
+    shown = str(row[end])
+    digits = len(shown.split()[0].rstrip(",").partition(".")[2])
+    number = Number(Value(mean, std, runs, low, high), digits, paper=paper, shown=shown)
+    if math.isnan(upper):
+        return number
+    first, second = paper.strip("[]").split(", ")
+    # of the upper end only the mean is kept
+    last = Number(Value(upper, low=upper, high=upper), paper=second)
+    return replace(number, differs=replace(number, paper=first).flagged or last.flagged)
+
+
 def robustness(results: Results) -> Table:
     """Section "Robustness": greedy success under Gaussian noise on the normalized observation."""
-    track = scored(results)
-    levels = noise_levels(results) or [0.0, 0.01]
-    candidates = [
-        row_of(results, "rainbow", track),
-        row_of(results, "rainbow", track, ablation="none"),
-    ]
-    candidates += [row_of(results, m, track) for m in ("dqn", "maskable_ppo", "lookahead_observed")]
-    result = complete(candidates)
-    header = ["Noise", "Rainbow DQN, paper", *(row.name for row in result)]
-    paper = paper_values.ROBUSTNESS
+    track, paper = results.scored, paper_values.ROBUSTNESS
+    methods = ("dqn", "maskable_ppo", "lookahead_observed")
+    result = complete(
+        [
+            results.group("rainbow", track),
+            results.group("rainbow", track, ablation="none"),
+            *(results.group(method, track) for method in methods),
+        ]
+    )
     made: list[list[TableCell]] = []
-    for x in levels:
+    for x in noise_levels(results) or [0.0, 0.01]:
         cells = [
-            row.cell(
-                row.group.success(Level(x)), 1, paper.get(x, "") if row.method == "rainbow" else ""
-            )
-            for row in result
+            row.cell(row.success(), 1, paper.get(x, "") if row.method == "rainbow" else "")
+            for row in (row.at(Level(x)) for row in result)
         ]
         made.append([f"{x:g}", paper.get(x, "-"), *cells])
     notes = [
-        *seeds_notes(of_rows(result)),
+        *seeds_notes(result),
         "All act greedily. Noise: standard deviation as a share of the normalized range.",
         FLAG_NOTE,
     ]
+    header = ["Noise", "Rainbow DQN, paper", *(row.name for row in result)]
     return Table("robustness", "Success rate (%) under observation noise", header, made, notes)
 
 
 def noise_levels(results: Results) -> list[float]:
     """Levels of observation noise that a run of a known machine was tested at."""
-    tested = [row.group for row in complete(rows(results, NOISY))]
-    return sorted({level[0] for group in tested for run in group.runs for level in run.levels})
+    tested = [run for row in results.rows(NOISY) for run in row.runs]
+    return sorted({level[0] for run in tested for level in run.levels})
+
+
+def seeds_notes(groups: Iterable[Group], names: Iterable[str] | None = None) -> list[str]:
+    """How many seeds and episodes are behind the numbers, and which groups are not complete.
+
+    ``names`` are what the groups are called there, by default their own.
+    """
+    groups = list(groups)
+    called = [row.name for row in groups] if names is None else names
+    by_name = dict(zip(called, groups, strict=True))
+    seeds = sorted({group.n for group in groups if group.n})
+    lengths = sorted({len(run.test()) for group in groups for run in group.runs})
+    if not seeds:
+        return ["No run of this preset is complete."]
+    episodes = "/".join(str(n) for n in lengths)
+    if seeds == [1]:
+        first = f"Ours: n = 1 seed x {episodes} test episodes, so no spread can be given."
+    else:
+        counts = "/".join(str(n) for n in seeds)
+        first = f"Ours: mean ± std over n = {counts} seeds x {episodes} test episodes."
+    partial = [
+        f"{name} {group.n} of {group.planned} seeds"
+        for name, group in by_name.items()
+        if group.n < group.planned
+    ]
+    return [first, *([f"Not complete: {'; '.join(partial)}."] if partial else [])]
+
+
+def failure_notes(results: Results) -> list[str]:
+    """Why the planners of the paper did not insert, and how long they planned."""
+    notes = []
+    for group in complete(results.group(method) for method in BASELINES):
+        rows = pd.concat(group.tests())
+        failed = rows[rows["success"] == 0]
+        causes = failed["failure"].value_counts()
+        text = ", ".join(f"{cause} {count}" for cause, count in sorted(causes.items()))
+        notes.append(
+            f"{group.title}: {len(failed)} of {len(rows)} episodes without an insertion"
+            + (f" ({text})" if text else "")
+            + f"; median planning time {1000 * rows['plan_seconds'].median():.1f} ms."
+        )
+    return notes

@@ -5,17 +5,18 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 from benchmarks.reporting.stats import Value
-from benchmarks.reporting.tables.compare import outside
 from benchmarks.runs.store import write_text
 
 FLAG: Final = "†"
 FLAG_NOTE: Final = f"{FLAG} no number that rounds to the paper's lies in our 95 % interval."
+_NUMBER: Final = re.compile(r"-?\d+(?:\.(\d+))?")
 NARROW: Final = 5  # columns of a table that fits one column of a paper
 
 
@@ -42,7 +43,12 @@ class Number:
     @property
     def flagged(self) -> bool:
         """Whether the paper's number lies outside our interval."""
-        return outside(self.value, self.paper) if self.differs is None else self.differs
+        if self.differs is not None:
+            return self.differs
+        printed = printed_range(self.paper)
+        if printed is None or math.isnan(self.value.low):
+            return False
+        return printed[1] < self.value.low or printed[0] > self.value.high
 
     def plain(self) -> str:
         """The value as printed, without a flag."""
@@ -54,6 +60,23 @@ class Number:
 
 
 TableCell = str | Number
+
+
+def printed_range(text: str) -> tuple[float, float] | None:
+    """The numbers that round to what is printed: half a unit of the last digit to either side.
+
+    >>> printed_range("1.16 ± 0.05")
+    (1.155, 1.165)
+
+    Returns:
+        Lower and upper end, or None where nothing is printed.
+    """
+    match = _NUMBER.match(text)
+    if match is None:
+        return None
+    digits, number = len(match[1] or ""), float(match[0])
+    half = 0.5 * 10.0**-digits
+    return round(number - half, digits + 1), round(number + half, digits + 1)
 
 
 @dataclass(frozen=True)
@@ -154,6 +177,11 @@ class Table:
 def plain(title: str, header: str, rows: Iterable[Iterable[str]]) -> str:
     """A table of texts as Markdown, the header's columns parted by `` | ``."""
     return Table("", title, header.split(" | "), [list(row) for row in rows]).markdown().strip()
+
+
+def p_text(value: float) -> str:
+    """A p, or a dash."""
+    return "-" if math.isnan(value) else "< 0.001" if value < 0.001 else f"{value:.2g}"
 
 
 _PARTS = ("mean", "std", "n", "low", "high")

@@ -77,7 +77,7 @@ class SearchResult:
 
     def policies(self, design: str) -> Group:
         """The policies that were trained on a design."""
-        return self._policies.group("rainbow", design, OF_ONE)
+        return self._policies.group("rainbow", OF_ONE, design)
 
 
 def on_front(rows: pd.DataFrame, floor: float) -> np.ndarray:

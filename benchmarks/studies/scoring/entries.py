@@ -26,13 +26,16 @@ from rich.progress import Progress
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.evaluation.evaluate import (
+    Condition,
     OnProgress,
     Rows,
-    evaluate_policy,
+    by_policy,
+    follow,
+    in_turn,
     model_policy,
     no_progress,
     planner_runner,
-    play_episodes,
+    play,
 )
 from benchmarks.evaluation.model_files import detect_algorithm, fitting_observation, load_model
 from benchmarks.methods.base import Plan
@@ -95,21 +98,23 @@ def prepare(preset: Preset, entry: Entry) -> dict[int, Scorer]:
         cell = Cell(entry.name, "full", GEOMETRY, "", seed)
         if path is None:
             source, protocol = {"algorithm": entry.planner, "sha256": ""}, dict(masks)
-            follow = _planner(preset, entry, seed)
-            play = partial(play_episodes, follow, preset, seed)
+            player, noise = in_turn(_planner(preset, entry, seed)), [0.0]
         else:
             protocol = {"observation": fitting_observation(loaded[path], path), **masks}
             source = {
                 "algorithm": entry.algorithm or detect_algorithm(path),
                 "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
             }
-            play = partial(evaluate_policy, model_policy(loaded[path]), preset, seed)
+            player = by_policy(model_policy(loaded[path]), seed)
+            noise = preset.evaluation.noise
         config = {
             "cell": asdict(cell),
             "evaluation": as_dict(preset.evaluation),
             "entry": {**source, **protocol},
         }
-        return Scorer(cell.id, config, partial(play, env_arguments(preset, cell) | protocol))
+        arguments = env_arguments(preset, cell) | protocol
+        conditions = [Condition(arguments, level) for level in noise]
+        return Scorer(cell.id, config, partial(play, player, preset, seed, conditions))
 
     paths = files or (None,) * number
     return {seed: scorer(seed, path) for seed, path in zip(preset.seeds, paths, strict=True)}
@@ -118,53 +123,39 @@ def prepare(preset: Preset, entry: Entry) -> dict[int, Scorer]:
 def score(
     preset: Preset, results: Path, entry: Entry, console: Console, replace: bool = False
 ) -> None:
-    """Score an entry, write the tables, and show the leaderboard.
+    """Score an entry on the preset's test episodes, store it, and write the leaderboard.
+
+    Complete seeds are kept. With ``replace`` it may take the place of another one of its name.
 
     Raises:
-        BenchmarkError: as :func:`prepare` and :func:`join`.
+        BenchmarkError: the name is taken, or as :func:`prepare`.
     """
-    from benchmarks.reporting.tables.paper import build_tables
+    from benchmarks.reporting.tables.beyond import build_tables
 
-    scorers = prepare(preset, entry)
+    scorers = prepare(preset, entry).values()
     store = Store.open(results, preset.name, create=True)
     with store.lock():
-        folders = join(preset, store, entry, scorers, console, replace)
+        todo = {RunFolder(store.entries / scorer.folder_name): scorer for scorer in scorers}
+        folders = [folder.path for folder in todo]
+        for folder, scorer in todo.items():
+            if (folder.path / "config.yaml").is_file() and folder.config() != scorer.config:
+                if not replace:
+                    raise BenchmarkError(
+                        f"'{entry.name}' is already on the board with another model or protocol "
+                        f"({folder.path}); choose another --name, or --replace it"
+                    )
+                shutil.rmtree(folder.path)
+        if complete := sum(folder.is_complete() for folder in todo):
+            console.print(f"{complete} of {len(todo)} seeds were scored already")
+        with bar(console) as progress:
+            for folder, scorer in todo.items():
+                _score(folder, scorer, preset.name, progress)
         built = {table.name: table for table in build_tables(store)}
         for table in built.values():
             table.write(store.tables)
     console.print(built["leaderboard"].markdown(), markup=False, highlight=False)
     console.print(f"Episodes: {', '.join(map(str, folders))}")
     console.print(f"Leaderboard (CSV, Markdown, LaTeX): {store.tables / 'leaderboard.md'}")
-
-
-def join(
-    preset: Preset, store: Store, entry: Entry, scorers: dict[int, Scorer], console: Console,
-    replace: bool = False,
-) -> list[Path]:  # fmt: skip
-    """Score an entry on the preset's test episodes and store it; complete seeds are kept.
-
-    With ``replace`` it may take the place of another one of its name. Returns the folders of all
-    seeds.
-
-    Raises:
-        BenchmarkError: the name is taken.
-    """
-    result = [(RunFolder(store.entries / each.folder_name), each) for each in scorers.values()]
-    for folder, scorer in result:
-        if (folder.path / "config.yaml").is_file() and folder.config() != scorer.config:
-            if not replace:
-                raise BenchmarkError(
-                    f"'{entry.name}' is already on the board with another model or protocol "
-                    f"({folder.path}); choose another --name, or --replace it"
-                )
-            shutil.rmtree(folder.path)
-    todo = [(folder, scorer) for folder, scorer in result if not folder.is_complete()]
-    if len(todo) < len(result):
-        console.print(f"{len(result) - len(todo)} of {len(result)} seeds were scored already")
-    with bar(console) as progress:
-        for folder, scorer in todo:
-            _score(folder, scorer, preset.name, progress)
-    return [folder.path for folder, _ in result]
 
 
 def _score(folder: RunFolder, scorer: Scorer, preset: str, progress: Progress) -> None:
@@ -212,15 +203,12 @@ def _check(preset: Preset, entry: Entry) -> None:
 def _planner(preset: Preset, entry: Entry, seed: int) -> Callable[[Episode], None]:
     if entry.planner in PERFECT_PLANNERS:
         return planner_runner(preset, Cell(entry.planner, "full", GEOMETRY, "", seed))
-    return plan_and_follow(load_function(entry.planner), entry.planner)
+    ask = checked(load_function(entry.planner), entry.planner)
+    return lambda episode: follow(episode, ask)
 
 
 def load_function(name: str) -> Callable[[Any], Any]:
-    """The function that ``module:function`` names, from the current folder or what is installed.
-
-    Raises:
-        BenchmarkError: there is none.
-    """
+    """The function that ``module:function`` names, from the current folder or what is installed."""
     module_name, colon, function_name = name.partition(":")
     if not colon:
         raise BenchmarkError(
@@ -239,37 +227,25 @@ def load_function(name: str) -> Callable[[Any], Any]:
     return result
 
 
-def plan_and_follow(plan: Callable[[Any], Any], name: str) -> Callable[[Episode], None]:
-    """Play an episode by a planner of one's own: ask for moves, make them, ask again.
+def checked(plan: Callable[[Any], Any], name: str) -> Callable[[Any], Plan]:
+    """A planner of one's own as the harness has them.
 
     ``plan(env)`` returns the moves to make next, as integers from 0 to 11 (or a
     :class:`~benchmarks.methods.base.Plan`); none ends the episode.
     """
 
-    def play(episode: Episode) -> None:
-        while not episode.over:
-            before = episode.env.configuration
-            began = time.perf_counter()
-            answer = plan(episode.env)
-            seconds = time.perf_counter() - began
-            if not np.array_equal(before, episode.env.configuration):
-                raise BenchmarkError(f"planner '{name}' moved the environment; plan on a copy")
-            if not episode.insertions:
-                episode.plan_seconds = seconds
-            moves = _moves(answer.moves if isinstance(answer, Plan) else answer, name)
-            if not moves:
-                episode.failure = answer.status if isinstance(answer, Plan) else "no plan"
-                return
-            _make(moves, episode)
+    def ask(env: Any) -> Plan:
+        before = env.configuration
+        began = time.perf_counter()
+        answer = plan(env)
+        seconds = time.perf_counter() - began
+        if not np.array_equal(before, env.configuration):
+            raise BenchmarkError(f"planner '{name}' moved the environment; plan on a copy")
+        status = answer.status if isinstance(answer, Plan) else "no plan"
+        moves = _moves(answer.moves if isinstance(answer, Plan) else answer, name)
+        return Plan(status, np.array(moves, np.int64), seconds)
 
-    return play
-
-
-def _make(moves: list[int], episode: Episode) -> None:
-    for move in moves:
-        if episode.over:
-            return
-        episode.move(move)
+    return ask
 
 
 def _moves(answer: Any, name: str) -> list[int]:

@@ -9,7 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.evaluation.evaluate import Policy, begin_episodes, run_policy
+from benchmarks.evaluation.evaluate import (
+    Condition,
+    Policy,
+    Rows,
+    begin_episodes,
+    by_policy,
+    no_progress,
+)
 from benchmarks.methods.episodes import Episode, distance_to_segment, dome_frame
 from benchmarks.protocol.seeding import derive, episode_seeds
 from coop_env.env import CoopInsertionEnv
@@ -132,14 +139,19 @@ def test_streams_of_seeds_do_not_meet() -> None:
     assert not streams[0] & trained
 
 
+def run_policy(policy: Policy, episodes: list[Episode], noise: float) -> Rows:
+    by_policy(policy, 7)(episodes, Condition({}, noise), no_progress)
+    return [episode.row(noise) for episode in episodes]
+
+
 def test_running_side_by_side_changes_nothing() -> None:
     def tilt(observations: np.ndarray, masks: np.ndarray) -> np.ndarray:
         # any function of one row alone
         return np.array([int(np.flatnonzero(m)[int(1e4 * o.sum()) % m.sum()])
                          for o, m in zip(observations, masks, strict=True)])  # fmt: skip
 
-    together = run_policy(tilt, begin_episodes(ARGUMENTS, 0, 4), 0.01, 7)
-    alone = [run_policy(tilt, [episode], 0.01, 7)[0] for episode in begin_episodes(ARGUMENTS, 0, 4)]
+    together = run_policy(tilt, begin_episodes(ARGUMENTS, 0, 4), 0.01)
+    alone = [run_policy(tilt, [episode], 0.01)[0] for episode in begin_episodes(ARGUMENTS, 0, 4)]
     assert [repr(row) for row in together] == [repr(row) for row in alone]
 
 
@@ -150,10 +162,10 @@ def test_noise_is_what_it_says_and_stays_in_range() -> None:
         seen.append(observations)
         return np.array([int(np.flatnonzero(mask)[0]) for mask in masks])
 
-    run_policy(watch, begin_episodes(ARGUMENTS, 0, 3), 0.0, 7)
+    run_policy(watch, begin_episodes(ARGUMENTS, 0, 3), 0.0)
     clean = np.concatenate(seen)
     seen.clear()
-    rows = run_policy(watch, begin_episodes(ARGUMENTS, 0, 3), 0.01, 7)
+    rows = run_policy(watch, begin_episodes(ARGUMENTS, 0, 3), 0.01)
     noisy = np.concatenate(seen)
     assert {row["noise"] for row in rows} == {0.01}
     assert noisy.shape == clean.shape

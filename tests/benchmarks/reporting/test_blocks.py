@@ -1,4 +1,4 @@
-"""Generated blocks of pages: includes, the gallery, and blocks of which the data are missing."""
+"""Generated blocks of pages: includes, blocks of which the data are missing, the gallery."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from PIL import Image
 
 from benchmarks.cli import parser
 from benchmarks.errors import BenchmarkError
@@ -18,6 +17,7 @@ from benchmarks.runs.store import write_csv, write_text
 from benchmarks.studies import audit, catalogue
 
 ROOT = Path(__file__).resolve().parents[3]
+GALLERY = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
 INCLUDE = "<!-- include:begin results/audit/scripted.md (written by: x) -->\n<!-- include:end -->\n"
 
 
@@ -74,29 +74,18 @@ def test_every_committed_picture_is_shown() -> None:
     )
     if listed.returncode != 0:
         pytest.skip("not a git checkout")
-    page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
-    shown = set(re.findall(r"!\[\]\(\.\./(results/[^)]+)\)", page))
+    shown = set(re.findall(r"!\[\]\(\.\./(results/[^)]+)\)", GALLERY))
     assert {*listed.stdout.split()} - shown == set()
 
 
-@pytest.mark.parametrize("command", [command for _, command, _ in blocks.GALLERY])
-def test_the_commands_of_the_gallery_exist(command: str) -> None:
-    verb, *words = command.split()
-    if verb == "study":
-        assert words[0] in catalogue.STUDIES
-    else:
-        parser().parse_args([verb, *words])
-
-
-def test_the_gallery_shows_thumbnails_that_link_to_the_picture(tmp_path: Path) -> None:
-    for name in ("media/scene", "cut/figures/safe_loss"):
-        path = tmp_path / "results" / f"{name}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.new("RGB", (4, 4)).save(path)
-    text = blocks.gallery(tmp_path / "results")("")
-    assert "|[![](../results/media/scene.png)<br>media: scene](../results/media/scene.png)|" in text
-    assert "<br>cut: safe loss](../results/cut/figures/safe_loss.png)|" in text
-    assert text.count("python -m benchmarks") == 2
+def test_the_commands_of_the_gallery_exist() -> None:
+    commands = re.findall(r"^ {4}python -m benchmarks (\w+) (.*)", GALLERY, re.MULTILINE)
+    assert len(commands) >= 10
+    for verb, words in commands:
+        if verb == "study":
+            assert words.split()[0] in catalogue.STUDIES
+        else:
+            parser().parse_args([verb, *words.split()])
 
 
 def test_a_changed_digit_is_seen(tmp_path: Path) -> None:

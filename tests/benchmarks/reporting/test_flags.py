@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.reporting.stats import Value
-from benchmarks.reporting.tables.compare import outside, printed_range
-from benchmarks.reporting.tables.paper import build_tables
-from benchmarks.reporting.tables.table import FLAG, Number, Table
+from benchmarks.reporting.tables.beyond import build_tables
+from benchmarks.reporting.tables.table import FLAG, Number, Table, printed_range
 from tests.benchmarks import fabricated_store
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -48,11 +47,11 @@ def test_outside_means_that_no_rounding_reconciles(low: float, width: float, pap
     value = Value(low, low=low, high=low + width)
     candidates = [float(text) + 0.05 * k / 50 for k in range(-50, 51)]
     inside = any(low - 1e-9 <= x <= low + width + 1e-9 for x in candidates)
-    if outside(value, text):
+    if Number(value, paper=text).flagged:
         assert not any(low + 1e-6 < x < low + width - 1e-6 for x in candidates)
     elif width > 0.01:
         assert inside
-    assert not outside(Value(paper + 100.0), text)  # no interval, no verdict
+    assert not Number(Value(paper + 100.0), paper=text).flagged  # no interval, no verdict
 
 
 def table(value: Value, paper: str) -> Table:

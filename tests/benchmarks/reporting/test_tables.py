@@ -20,10 +20,9 @@ from benchmarks.protocol.presets import load_preset
 from benchmarks.reporting.compared import ABLATION as ABLATION_QUESTION
 from benchmarks.reporting.compared import comparisons
 from benchmarks.reporting.figures.learning import pictures
-from benchmarks.reporting.results import Results, excess_over_optimum
-from benchmarks.reporting.rows import control_of, row_of
+from benchmarks.reporting.results import Results
 from benchmarks.reporting.stats import Value
-from benchmarks.reporting.tables.paper import build_tables
+from benchmarks.reporting.tables.beyond import build_tables
 from benchmarks.reporting.tables.table import Number, Table
 from benchmarks.reporting.verify import check_tables
 from benchmarks.runs.store import Store
@@ -100,7 +99,7 @@ def test_controls_stand_under_the_same_masks_and_act_alike(full: Store) -> None:
 def test_a_collision_that_ends_the_episode_has_scripts_of_its_own(full: Store) -> None:
     results = Results(full)
     for track in ("repaired", "terminal"):
-        control = control_of(results, row_of(results, "rainbow", track))
+        control = results.control_of(results.group("rainbow", track))
         assert control is not None
         assert control.track == track
 
@@ -202,7 +201,7 @@ def test_the_tables_of_tasks_have_a_row_for_each(tmp_path: Path) -> None:
 
 def test_excess_counts_only_starts_that_both_solved(make_store: MakeStore) -> None:
     results = Results(make_store([0]))
-    value = excess_over_optimum(results.group("dqn", track="safe"), results.group("optimum"))
+    value = results.group("dqn", "safe").excess(results.group("optimum"))
     assert value.mean == pytest.approx(25.0)
 
 
@@ -245,7 +244,7 @@ def test_figures_are_drawn_and_repeat(make_store: MakeStore, tmp_path: Path) -> 
 
 def test_tables_and_figures_do_without_torch() -> None:
     code = (
-        "import sys, benchmarks.reporting.tables.paper, benchmarks.reporting.figures.learning;"
+        "import sys, benchmarks.reporting.tables.beyond, benchmarks.reporting.figures.learning;"
         "import benchmarks.reporting.verify, benchmarks.reporting.science;"
         "print([m for m in ('torch', 'stable_baselines3', 'sb3_contrib') if m in sys.modules])"
     )

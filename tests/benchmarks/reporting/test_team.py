@@ -8,9 +8,8 @@ import pytest
 
 from benchmarks.reporting.figures.learning import pictures
 from benchmarks.reporting.results import Results
-from benchmarks.reporting.tables.paper import build_tables
+from benchmarks.reporting.tables.beyond import build_tables, team
 from benchmarks.reporting.tables.table import Table
-from benchmarks.reporting.tables.team import team
 from benchmarks.runs.store import Store
 from tests.benchmarks import fabricated_store
 

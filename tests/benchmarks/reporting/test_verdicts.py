@@ -13,7 +13,9 @@ from benchmarks.protocol.plan import expand, settings
 from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.results import Results
-from benchmarks.reporting.verdicts import of_six, sentences
+from benchmarks.reporting.science import six
+from benchmarks.reporting.tables.table import Number
+from benchmarks.reporting.verdicts import sentences
 from benchmarks.runs.store import Store
 
 N = 100
@@ -174,9 +176,10 @@ def test_as_printed_the_task_is_taught_from_half_of_the_episodes_on(
 
 
 def test_the_readmes_six_rows_have_the_papers_figures(results_of: Callable[..., Results]) -> None:
-    rows = {name: (paper, value) for name, paper, value, _ in of_six(results_of(LEARNED))}
+    rows = {row[0]: row[1:] for row in six(results_of(LEARNED)).rows}
     assert len(rows) == 6
-    assert rows["Rainbow"][0] == "95 ± 2"
-    assert rows["Rainbow"][1] is not None
-    assert rows["Rainbow"][1].text(1) == "95.0 ± 1.0"
-    assert rows["RRT-Connect"] == ("55 ± 4", None)
+    paper, ours = rows["Rainbow"]
+    assert paper == "95 ± 2"
+    assert isinstance(ours, Number)
+    assert ours.plain() == "95.0 ± 1.0"
+    assert rows["RRT-Connect"] == ["55 ± 4", "missing"]

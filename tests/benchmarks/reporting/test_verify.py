@@ -16,7 +16,7 @@ from benchmarks.cli import main
 from benchmarks.protocol.plan import expand
 from benchmarks.protocol.presets import load_preset
 from benchmarks.reporting import blocks
-from benchmarks.reporting.tables.paper import build_tables
+from benchmarks.reporting.tables.beyond import build_tables
 from benchmarks.reporting.verify import check_runs, check_tables
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies import catalogue

@@ -18,14 +18,22 @@ from gymnasium import spaces
 
 from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
-from benchmarks.evaluation.evaluate import begin_episodes, model_policy, run_policy
+from benchmarks.evaluation.evaluate import (
+    Condition,
+    begin_episodes,
+    by_policy,
+    follow,
+    model_policy,
+    play,
+)
 from benchmarks.evaluation.model_files import detect_algorithm
 from benchmarks.methods.episodes import Episode
-from benchmarks.protocol.seeding import derive, episode_seeds
-from benchmarks.reporting.tables.paper import build_tables
+from benchmarks.protocol.presets import load_preset
+from benchmarks.protocol.seeding import episode_seeds
+from benchmarks.reporting.tables.beyond import build_tables
 from benchmarks.reporting.verify import check_runs
 from benchmarks.runs.store import Store
-from benchmarks.studies.scoring.entries import plan_and_follow
+from benchmarks.studies.scoring.entries import checked
 from coop_env.env import CoopInsertionEnv
 from sb3_rainbow import Rainbow
 from tests.benchmarks import fabricated_store
@@ -100,12 +108,8 @@ def test_a_model_joins_the_leaderboard_with_one_command(
     assert rows["reset_seed"].unique().tolist() == episode_seeds(0, 2, "validate")
     assert rows["noise"].unique().tolist() == [0.0, 0.01]
     model = CLASSES[name].load(path, device="cpu")
-    expected = run_policy(
-        model_policy(model),
-        begin_episodes({"reward": "progress"}, 0, 2, "validate"),
-        0.01,
-        derive("noise", 0),
-    )
+    player = by_policy(model_policy(model), 0)
+    expected = play(player, load_preset("smoke"), 0, [Condition({"reward": "progress"}, 0.01)])
     noisy = rows[rows["noise"] == 0.01]
     assert noisy["moves"].tolist() == [row["moves"] for row in expected]
     assert noisy["energy"].tolist() == pytest.approx([row["energy"] for row in expected], rel=1e-6)
@@ -265,10 +269,10 @@ def test_a_planner_acts_under_the_masks_that_it_asks_for(flags: list[str], plann
 
 def test_moves_past_the_end_are_not_made() -> None:
     (episode,) = begin_episodes({"reward": "progress", "max_moves": 3}, 0, 1)
-    plan_and_follow(lambda env: [0, 1] * 5, "long")(episode)
+    follow(episode, checked(lambda env: [0, 1] * 5, "long"))
     assert (episode.over, episode.moves) == (True, 3)
     (episode,) = begin_episodes({"reward": "progress"}, 0, 1)
-    plan_and_follow(lambda env: [], "none")(episode)
+    follow(episode, checked(lambda env: [], "none"))
     assert (episode.moves, episode.failure) == (0, "no plan")
 
 
@@ -393,7 +397,7 @@ def test_an_entry_leaves_the_presets_own_tables_alone(
 def test_a_plan_that_is_wrong_in_an_episode_is_named() -> None:
     episode = Episode(CoopInsertionEnv(reward="progress"), 0, 1)
     with pytest.raises(BenchmarkError, match="returned move -1"):
-        plan_and_follow(lambda env: [-1], "backwards")(episode)
+        follow(episode, checked(lambda env: [-1], "backwards"))
 
 
 def test_the_documented_example_runs(

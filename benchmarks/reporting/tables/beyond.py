@@ -1,0 +1,290 @@
+"""Tables that the paper has not: leaderboard, comparisons, uncertain machine, tasks, teams."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from benchmarks.protocol import labels
+from benchmarks.protocol.metrics import HOLES, METRICS
+from benchmarks.protocol.plan import METHODS, OPTIMUM_AT_ONCE
+from benchmarks.reporting.compared import comparisons
+from benchmarks.reporting.results import AS_TRAINED, Group, Level, Result, Results, complete
+from benchmarks.reporting.stats import Value, mean_interval, measured
+from benchmarks.reporting.tables.paper import (
+    ablation,
+    controls,
+    design,
+    geometry,
+    performance,
+    robustness,
+    seeds_notes,
+)
+from benchmarks.reporting.tables.table import Number, Table, TableCell, p_text
+from benchmarks.runs.store import Store
+
+KNOWS: Final = ("Masks", "Memory")  # headers of what stands behind a method's name
+# of the tasks: column -> method, geometry
+PLAYERS: Final[dict[str, tuple[str, str]]] = {
+    "Optimum, initial geometry": ("optimum", "initial"),
+    "Optimum": ("optimum", "optimized"),
+    "RRT-Connect": ("rrt_connect", "optimized"),
+    "Greedy script": ("greedy", "optimized"),
+    "Lookahead": ("lookahead", "optimized"),
+    "Rainbow": ("rainbow", "optimized"),
+}
+IN_TURN: Final = "in_turn"  # the track of one robot at a time with the settings of the teams
+TEAM_METRICS: Final = (METRICS["time_first"], HOLES, METRICS["collisions"])
+TEAMS: Final = {
+    "central": "Rainbow on 49 joint moves",
+    "vdn": "VDN, a sum of two Rainbows",
+    "shared": "Rainbow with shared parameters",
+    "independent": "Independent Rainbows",
+}
+
+
+def build_tables(store: Store) -> list[Table]:
+    """All tables of a store, the paper's first."""
+    results = Results(store)
+    if _tasks(results):  # a preset about the task has no headline
+        return [difficulty(results)]
+    return [
+        performance(results),
+        controls(results),
+        ablation(results),
+        geometry(results),
+        design(results),
+        leaderboard(store, results),
+        significance(results),
+        robustness(results),
+        uncertain(results),
+        *team(results),
+    ]
+
+
+def leaderboard(store: Store, results: Results) -> Table:
+    """Table "leaderboard": a row per method of the nominal machine, and per entry of others.
+
+    Ranked by greedy success rate, then by holes; the optimum stands above them all.
+    """
+    entries: dict[str, list[Result]] = {}
+    for folder in store.entered():
+        result = Result.read(folder)
+        entries.setdefault(result.config["cell"]["method"], []).append(result)
+    shown, brought = complete(results.rows()), []
+    for name, runs in entries.items():
+        entry = runs[0].config["entry"]
+        models = len({run.config["entry"]["sha256"] for run in runs} - {""})
+        brought.append(f"{name} ({entry['algorithm']}{f', models: {models}' if models else ''})")
+        runs.sort(key=lambda run: run.seed)
+        shown.append(Group(name, settings=entry if models else None, runs=tuple(runs)))
+    shown.sort(key=_place)
+    made: list[list[TableCell]] = []
+    rank = 0
+    for row in shown:
+        rank += row.method != "optimum"
+        trained = row.at(AS_TRAINED).success()
+        made.append([
+            "-" if row.method == "optimum" else str(rank), *_head(row),
+            Number(row.success(), 1), Number(trained, 1) if trained.n else "-",
+            Number(row.value(HOLES), HOLES.digits),
+        ])  # fmt: skip
+    header = ["Rank", "Method", *KNOWS, "Success (%)", "Exploring (%)", HOLES.label]
+    notes = [
+        "Optimized geometry, all methods on the same initial states; success and holes of greedy "
+        "acting. Exploring: learners as they were trained, scripts with 5 % of random moves.",
+        *([f"Brought: {', '.join(brought)}."] if brought else []),
+        "Join with one command: python -m benchmarks evaluate --model FILE --name NAME",
+    ]
+    return Table("leaderboard", "Leaderboard", header, made, notes, left=(1, 2, 3))
+
+
+def _head(row: Group) -> list[TableCell]:
+    """The first cells of a row: the method, its masks and memory."""
+    return [row.name, row.knows.masks, row.knows.memory]
+
+
+def _place(row: Group) -> tuple[bool, float, float, str]:
+    return row.method != "optimum", -row.success().mean, -row.value(HOLES).mean, row.name
+
+
+def significance(results: Results) -> Table:
+    """Table "significance": every comparison that a sentence rests on, by question."""
+    header = ["Question", "Method", "Against", "Difference (points)", "p", "p (Holm)", "Seeds"]
+    made: list[list[TableCell]] = [
+        [each.question, f"{each.name}, {each.ours.acting}",
+         f"{each.theirs.name}, {each.theirs.acting}", each.difference.signed(), p_text(each.p),
+         p_text(each.p_holm), str(each.difference.n)]
+        for each in comparisons(results)
+    ]  # fmt: skip
+    notes = [
+        "Success rates, one difference per seed on the same starts (of the geometries: on their "
+        "own): mean with Student's 95 % interval, two-sided paired t-test, Holm within a question.",
+    ]
+    return Table("significance", "Comparisons", header, made, notes, left=(0, 1, 2))
+
+
+def error_levels(results: Results) -> list[float]:
+    """Bounds of the base's displacement, mm, that any run was tested at."""
+    tested = [run for row in results.rows(uncertain=True) for run in row.runs]
+    return sorted({error for run in tested for _, error, _ in run.levels})
+
+
+def uncertain(results: Results) -> Table:
+    """Table "uncertain": each method at its track's own bound, then at the ends.
+
+    It is the ground of the paper's claim that a learned policy in closed loop beats a planner.
+    """
+    levels = error_levels(results)
+    ends = [levels[0], levels[-1]] if levels else []
+    header = ["Method", *KNOWS, "Success (%)", HOLES.label]
+    header += [f"Success (%) at {level:g} mm" for level in ends]
+    made: list[list[TableCell]] = []
+    result = results.rows(uncertain=True)
+    for row in result:
+        there = [row.at(Level(error=level)) for level in ends]
+        cells = [row.cell(each.success()) for each in (row, *there)]
+        cells.insert(1, row.cell(row.value(HOLES), HOLES.digits))
+        made.append([*_head(row), *cells])
+    notes = seeds_notes(result)
+    notes += [
+        f"The base of the 3-RRS is displaced by up to {bound:g} mm along each axis and tilted in "
+        "proportion, drawn anew each episode; masks, observations and plans are those of the "
+        "nominal model."
+        for bound in sorted({run.error for row in result for run in row.runs})
+    ]
+    title = "Success on the uncertain machine"
+    return Table("uncertain", title, header, made, notes, left=(0, 1, 2))
+
+
+def _tasks(results: Results) -> list[str]:
+    """Tracks that change the task and nothing else, in the preset's order."""
+    return [track for track in results.tracks() if (results.settings(track) or {}).get("task")]
+
+
+def difficulty(results: Results) -> Table:
+    """Table "difficulty": success rate (%) by task, one row for each track that changes it.
+
+    Of a learner as trained, a script with 5 % of random moves, a planner's one way of acting.
+    """
+    made: list[list[TableCell]] = []
+    result: list[Group] = []
+    for track in _tasks(results):
+        rows = [results.group(method, track, geometry) for method, geometry in PLAYERS.values()]
+        result += rows
+        cells = [row.cell(row.as_trained().success()) for row in rows]
+        made.append([track.replace("_", " "), *cells])
+    notes = [
+        *seeds_notes(result),
+        "As stated: 10 mm and 5 degrees, moves of 20 mm and 0.03 rad, holes at 30 degrees, a "
+        "collision refuses the move. Each row changes what it names; the best possible step "
+        "sequence is the optimum's. Scripts act with 5 % of random moves, Rainbow as trained, all "
+        "under the paper's masks.",
+    ]
+    return Table("difficulty", "Success rate (%) by task", ["Task", *PLAYERS], made, notes)
+
+
+def team(results: Results) -> list[Table]:
+    """Table "team", where a store has such runs: who moves, who decides in sight of what."""
+    tracks = [*results.teams(), ""]
+    groups = [row for row in results.groups.values() if row.geometry == "optimized"]
+    at_once = [row for t in tracks for row in groups if row.track == t and _at_once(row)]
+    if not at_once:
+        return []
+    ablations = [name for name in labels.ABLATIONS if any(name == row.ablation for row in at_once)]
+    in_turn = results.rows()
+    for name in ablations:
+        row = results.group("rainbow", IN_TURN, ablation=name)
+        in_turn += [row] if row.known and row not in in_turn else []
+    result = sorted([*in_turn, *at_once], key=_order)
+    optimum = results.group(OPTIMUM_AT_ONCE)
+    header = ["Method", "Components", "Robots move", "Decided by", "Success (%)"]
+    header += [*(metric.label for metric in TEAM_METRICS), "Ticks over the optimum at once (%)"]
+    made: list[list[TableCell]] = []
+    for row in result:
+        cells = [row.cell(row.success())]
+        cells += [row.cell(row.value(metric), metric.digits) for metric in TEAM_METRICS]
+        made.append([*_form(row), *cells, row.cell(row.excess(optimum))])
+    notes = [
+        *seeds_notes(result, [f"{row.name}, {row.ablation}" for row in result]),
+        "In turn a tick moves one robot, at once both. Ticks over the optimum: up to the first "
+        "insertion, on starts that both solved.",
+        *(answer for name in ablations for answer in _answers(results, at_once, name)),
+    ]
+    title = "Two robots: both at once or in turn, one agent or two"
+    return [Table("team", title, header, made, notes, left=(0, 1, 2, 3))]
+
+
+def _of(row: Group) -> str:
+    return str((row.settings or {}).get("team") or "")
+
+
+def _sees(row: Group) -> bool:
+    return bool((row.settings or {}).get("sight"))
+
+
+def _at_once(row: Group) -> bool:
+    return bool(_of(row)) or row.method == OPTIMUM_AT_ONCE
+
+
+def _order(row: Group) -> tuple[int, int, bool]:
+    """Learners, the components together, then scripts and planners; in turn before at once."""
+    names = list(labels.ABLATIONS)
+    return METHODS.index(row.method), names.index(row.ablation), _at_once(row)
+
+
+def _form(row: Group) -> list[TableCell]:
+    """Method, its components, whether both robots move at once, and who decides."""
+    kind, learns = _of(row), row.method == "rainbow"
+    name = TEAMS.get(kind, "Rainbow") if learns else labels.METHODS[row.method]
+    sees = ", in sight" if _sees(row) else ", without sight"
+    return [
+        name.removesuffix(", both at once"),
+        labels.ABLATIONS[row.ablation] if learns else "-",
+        "at once" if _at_once(row) else "in turn",
+        f"each robot{sees}" if kind not in ("", "central") else "one for both",
+    ]
+
+
+def _answers(results: Results, at_once: list[Group], ablation: str) -> list[str]:
+    """What decentralization costs, and what moving at once changes, as far as there are runs."""
+    learned = [r for r in complete(at_once) if (r.method, r.ablation) == ("rainbow", ablation)]
+    central = next((row for row in learned if _of(row) == "central"), None)
+    costs = [] if central is None else _costs(central, [r for r in learned if r is not central])
+    compared = []
+    if ablation == "full":
+        optima = results.group("optimum"), results.group(OPTIMUM_AT_ONCE)
+        compared.append(("the exact optimum", *optima))
+    if central is not None:
+        alone = results.group("rainbow", IN_TURN, ablation=ablation)
+        compared.append(("Rainbow", alone, central))
+    gains = [
+        f"{name} changes its ticks by {both.excess(alone).signed(' %')}, its success rate by "
+        f"{_change(both, alone).signed(' points')}"
+        for name, alone, both in compared
+        if alone.n and both.n
+    ]
+    what = labels.ABLATIONS[ablation]
+    answers = {"what decentralization costs": costs, "what moving at once changes": gains}
+    return [
+        f"{what}, {question}: {'; '.join(parts)}." for question, parts in answers.items() if parts
+    ]
+
+
+def _costs(central: Group, others: list[Group]) -> list[str]:
+    """The best decentralized learner with and without sight, beside the central one."""
+    parts = [f"the central Rainbow has {central.success().mean:.1f} %"]
+    for sight, words in ((True, "in sight"), (False, "without sight")):
+        if seen := [row for row in others if _sees(row) == sight]:
+            best = max(seen, key=lambda row: row.success().mean)
+            change = _change(best, central).signed(" points")
+            parts.append(f"{words} {TEAMS[_of(best)]}, the best, changes that by {change}")
+    return parts if len(parts) > 1 else []
+
+
+def _change(ours: Group, theirs: Group) -> Value:
+    """Difference of the success rates on the same starts, in points, over the seeds of both."""
+    changes = [
+        100.0 * (both["success"] - both["success_other"]).to_numpy(float)
+        for _, _, both in ours.beside(theirs)
+    ]
+    return measured([each.mean() for each in changes], lambda: mean_interval(changes[0]))
