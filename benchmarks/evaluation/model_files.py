@@ -58,11 +58,9 @@ def detect_algorithm(path: Path) -> str:
     """The algorithm whose ``save`` wrote the file.
 
     Raises:
-        BenchmarkError: the file is missing, is no model of SB3, or of an algorithm that is not
-            known here or cannot be told.
+        BenchmarkError: the file is no model of SB3, or of an algorithm that is not known here or
+            cannot be told.
     """
-    if not path.is_file():
-        raise BenchmarkError(f"{path} is missing; give a .zip that model.save() wrote")
     if is_model_file(path):
         return "rainbow"
     try:
@@ -81,13 +79,13 @@ def detect_algorithm(path: Path) -> str:
     if module.startswith(_ACTOR_CRITIC):
         # three algorithms share the policy; their settings tell them apart
         return "trpo" if "cg_max_steps" in data else "ppo" if "clip_range" in data else "a2c"
-    for prefix, algorithm in _POLICIES.items():
-        if module.startswith(prefix):
-            return algorithm
-    raise BenchmarkError(
-        f"{path}: its policy is of {module}, from which the algorithm cannot be told; say it with "
-        f"--algorithm: {known(algorithms())}"
-    )
+    found = [name for prefix, name in _POLICIES.items() if module.startswith(prefix)]
+    if not found:
+        raise BenchmarkError(
+            f"{path}: its policy is of {module}, from which the algorithm cannot be told; say it "
+            f"with --algorithm: {known(algorithms())}"
+        )
+    return found[0]
 
 
 def _plain_settings(path: Path) -> dict[str, Any]:
@@ -150,13 +148,20 @@ def load_model(path: Path, algorithm: str | None = None, trust: bool = False) ->
     choices = algorithms()
     if algorithm is not None and algorithm not in choices:
         raise BenchmarkError(f"unknown algorithm '{algorithm}'; known: {known(choices)}")
-    name = detect_algorithm(path) if algorithm is None else algorithm
     if not path.is_file():
         raise BenchmarkError(f"{path} is missing; give a .zip that model.save() wrote")
+    name = detect_algorithm(path) if algorithm is None else algorithm
     if path.name == "policy.zip" and path.with_name("config.yaml").is_file():
         return load_stored(path)
     if is_model_file(path):
-        return _load_packaged(path)
+        try:
+            from sb3_rainbow.zoo.model_file import read_model
+
+            return read_model(path, device="cpu")
+        except ImportError as error:
+            raise BenchmarkError(f"{path} needs pip install '.[zoo]': {error}") from error
+        except ValueError as error:
+            raise BenchmarkError(str(error)) from error
     if not trust:
         raise BenchmarkError(
             f"{path}: a model that SB3 saved runs its author's code when it is loaded; add --trust "
@@ -169,17 +174,6 @@ def load_model(path: Path, algorithm: str | None = None, trust: bool = False) ->
         zipfile.BadZipFile,
     ) as error:  # fmt: skip
         raise BenchmarkError(f"{path} is no model of '{name}': {error}") from error
-
-
-def _load_packaged(path: Path) -> Any:
-    try:
-        from sb3_rainbow.zoo.model_file import read_model
-    except ImportError as error:
-        raise BenchmarkError(f"{path} needs pip install '.[zoo]': {error}") from error
-    try:
-        return read_model(path, device="cpu")
-    except ValueError as error:
-        raise BenchmarkError(str(error)) from error
 
 
 def fitting_observation(model: Any, path: Path) -> str:

@@ -1,19 +1,23 @@
-"""A planner's answer, and the box it searches; ``plan(env)`` gives the one and leaves env alone."""
+"""What planners and scripts share: a planner's answer, the box it searches, the peg's miss."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coop_env.compilation import njit
+from coop_env.kinematics.singularity import Row
+from coop_env.simulation.collision import peg_tip
 from coop_env.simulation.task import EnvParams
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A planner's answer for the environment's current target.
+    """A planner's answer for the environment's current target; planning leaves it alone.
 
     Attributes:
         status: ``"solved"``, or why there is no plan.
@@ -35,3 +39,11 @@ def workspace(p: EnvParams) -> NDArray[np.float64]:
     low = [-d.planar_limit, -d.planar_limit, -reach, -r.max_tilt, -r.max_tilt, r.heave_min]
     high = [d.planar_limit, d.planar_limit, -drop, r.max_tilt, r.max_tilt, r.heave_max]
     return np.array([low, high])
+
+
+@njit(cache=True)
+def tip_distance(effector: Row, mouth: Row, p: EnvParams) -> float:
+    """Distance of the peg's tip from a hole's mouth, where the effector is at a point."""
+    tip = peg_tip(effector[0], effector[1], effector[2], p.delta)
+    dx, dy, dz = mouth[0] - tip[0], mouth[1] - tip[1], mouth[2] - tip[2]
+    return math.sqrt(dx * dx + dy * dy + dz * dz)

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.errors import BenchmarkError, known
+from benchmarks.methods.base import tip_distance
 from benchmarks.methods.episodes import Episode
 from benchmarks.protocol.plan import CONTROLS
 from benchmarks.protocol.presets import Controls
@@ -64,16 +65,8 @@ def control(method: str, weights: Controls, seed: int) -> Callable[[Sequence[Epi
         raise BenchmarkError(f"unknown control '{method}'; known: {known(CONTROLS)}")
     if method == "random":
         return lambda episodes: _random(episodes, seed)
-    ahead = method.startswith("lookahead")
     weight = getattr(weights, f"{method}_angle")
-    play = _observed if method.endswith("_observed") else _informed
-
-    def begin(episodes: Sequence[Episode]) -> Choose:
-        if isinstance(episodes[0].env, CoopInsertionJointEnv):
-            return _at_once(episodes, weight)
-        return play(episodes, weight, ahead)
-
-    return begin
+    return lambda episodes: _scripted(method, episodes, weight)
 
 
 def _random(episodes: Sequence[Episode], seed: int) -> Choose:
@@ -86,49 +79,27 @@ def _random(episodes: Sequence[Episode], seed: int) -> Choose:
     return choose
 
 
-def _informed(episodes: Sequence[Episode], weight: float, ahead: bool) -> Choose:
-    packed = task.pack(episodes[0].env.params)
-
-    def choose(_: Any, masks: NDArray[np.bool_], running: Sequence[int]) -> NDArray[Any]:
-        return choices(_states(episodes, running), weight, ahead, packed)
-
-    return choose
-
-
-def _at_once(episodes: Sequence[Episode], weight: float) -> Choose:
+def _scripted(method: str, episodes: Sequence[Episode], weight: float) -> Choose:
     env = episodes[0].env
     packed = task.pack(env.params)
-
-    def choose(_: Any, masks: NDArray[np.bool_], running: Sequence[int]) -> NDArray[Any]:
-        states = _states(episodes, running)
-        if isinstance(env, Team):
-            return own_choices(states, masks, weight, env.sight, packed)
-        return joint_choices(states, masks, weight, packed)
-
-    return choose
-
-
-def _states(episodes: Sequence[Episode], running: Sequence[int]) -> NDArray[np.void]:
-    states = np.empty(len(running), episodes[0].env.state.dtype)
-    for row, i in enumerate(running):
-        states[row] = episodes[i].env.state
-    return states
-
-
-def _observed(episodes: Sequence[Episode], weight: float, ahead: bool) -> Choose:
-    env = episodes[0].env
-    p = env.params
-    transform = make_observation("paper", True, p, env.task.error_bound)[0]
-    packed = task.pack(p)
+    transform = make_observation("paper", True, env.params, env.task.error_bound)[0]
 
     def choose(
-        observations: NDArray[np.float32], masks: NDArray[np.bool_], _: Sequence[int]
+        observations: NDArray[np.float32], masks: NDArray[np.bool_], running: Sequence[int]
     ) -> NDArray[Any]:
-        seen = observations[:, : len(PAPER_FIELDS)].astype(np.float64)
-        states = np.zeros(len(seen), env.state.dtype)
-        states["mask"] = masks
-        believe(states, seen, transform, packed)
-        return choices(states, weight, ahead, packed)
+        states = np.zeros(len(running), env.state.dtype)
+        if method.endswith("_observed"):
+            states["mask"] = masks
+            seen = observations[:, : len(PAPER_FIELDS)].astype(np.float64)
+            believe(states, seen, transform, packed)
+        else:
+            for row, i in enumerate(running):
+                states[row] = episodes[i].env.state
+        if isinstance(env, Team):
+            return own_choices(states, masks, weight, env.sight, packed)
+        if isinstance(env, CoopInsertionJointEnv):
+            return joint_choices(states, masks, weight, packed)
+        return choices(states, weight, method.startswith("lookahead"), packed)
 
     return choose
 
@@ -136,10 +107,8 @@ def _observed(episodes: Sequence[Episode], weight: float, ahead: bool) -> Choose
 @njit(cache=True)
 def misses(c: Configuration, target: int, p: EnvParams) -> tuple[float, float]:
     """Distance and angle of the peg from the target at a configuration, as the model has it."""
-    tip = peg_tip(c[0], c[1], c[2], p.delta)
     mouth, n = hole(rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs), target, p)
-    dx, dy, dz = mouth[0] - tip[0], mouth[1] - tip[1], mouth[2] - tip[2]
-    distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+    distance = tip_distance((c[0], c[1], c[2]), mouth, p)
     return distance, state.alignment_angle(n[0], n[1], n[2])
 
 

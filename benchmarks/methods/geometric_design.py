@@ -87,11 +87,6 @@ def _text(mean: np.ndarray, std: np.ndarray, digits: int) -> str:
     return f"{mean[0]:.{digits}f} ± {std[0]:.{digits}f}"
 
 
-def geometry_rows(runs: int = 10) -> list[Row]:
-    """The paper's table computed afresh: :func:`measured_runs`, then :func:`table_rows`."""
-    return table_rows(measured_runs(runs, lambda _: None))
-
-
 def run_rows(result: Sequence[Measured]) -> tuple[list[Row], list[Row]]:
     """Rows of the runs, and of every design they evaluated."""
     runs: list[Row] = []

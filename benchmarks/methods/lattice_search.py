@@ -8,19 +8,18 @@ sub-lattice alone are therefore a lower bound that no collision-free path can be
 from __future__ import annotations
 
 import heapq
-import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.methods.base import workspace
+from benchmarks.methods.base import tip_distance, workspace
 from coop_env.compilation import njit
 from coop_env.kinematics import delta_kernels, rrs_forward_kernels, rrs_kernels
 from coop_env.kinematics.rrs_kernels import Pose
 from coop_env.kinematics.singularity import Row
 from coop_env.simulation import machine, state
-from coop_env.simulation.collision import collides, hole, peg_tip
+from coop_env.simulation.collision import collides, hole
 from coop_env.simulation.state import Configuration
 from coop_env.simulation.task import EnvParams
 
@@ -206,17 +205,10 @@ def _meets(lattice: Lattice, point: int, mouth: tuple[float, float, float]) -> b
     if not lattice.delta_free[point // lattice.rrs_free.size]:
         return False
     c = configuration_at(lattice, point)
-    distance = _tip_distance((c[0], c[1], c[2]), mouth, p)
+    distance = tip_distance((c[0], c[1], c[2]), mouth, p)
     if p.task.imperfect and distance < p.task.tolerance + REACH_SLACK:
-        distance = _tip_distance(placed(lattice, c)[1], mouth, p)
+        distance = tip_distance(placed(lattice, c)[1], mouth, p)
     return distance < p.task.tolerance
-
-
-@njit(cache=True)
-def _tip_distance(effector: Row, mouth: Row, p: EnvParams) -> float:
-    tip = peg_tip(effector[0], effector[1], effector[2], p.delta)
-    dx, dy, dz = mouth[0] - tip[0], mouth[1] - tip[1], mouth[2] - tip[2]
-    return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
 @njit(cache=True)

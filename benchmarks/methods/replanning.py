@@ -7,7 +7,6 @@ configuration it led to is barred; and the peg did not go in.
 
 from __future__ import annotations
 
-import math
 import time
 from typing import Final
 
@@ -15,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.methods import lattice_search as search
+from benchmarks.methods.base import tip_distance
 from benchmarks.methods.episodes import Episode
 from benchmarks.methods.lattice_search import Lattice
 from coop_env.compilation import njit
 from coop_env.simulation import state
-from coop_env.simulation.collision import hole, peg_tip
+from coop_env.simulation.collision import hole
 
 WIDEST: Final = 2.0  # tolerances within which a configuration is worth a visit
 RING: Final = 0.25  # tolerances between two rings, of which the inner is searched first
@@ -171,10 +171,8 @@ def _misses(lattice: Lattice, points: np.ndarray, target: int) -> np.ndarray:
     out = np.empty(len(points))
     for i in range(len(points)):
         _, at, _, pose, _ = search.placed(lattice, search.configuration_at(lattice, points[i]))
-        tip = peg_tip(at[0], at[1], at[2], p.delta)
         mouth, n = hole(pose, target, p)
-        dx, dy, dz = mouth[0] - tip[0], mouth[1] - tip[1], mouth[2] - tip[2]
-        distance = math.sqrt(dx * dx + dy * dy + dz * dz)
         angle = state.alignment_angle(n[0], n[1], n[2])
+        distance = tip_distance(at, mouth, p)
         out[i] = max(distance / p.task.tolerance, angle / p.task.angle_tolerance)
     return out

@@ -90,7 +90,7 @@ def provenance(preset: str, runs: Sequence[RunFolder], missing: int = 0, control
     if not runs:
         return f"Preset `{preset}`: no run is complete."
     metas = [run.meta() for run in runs]
-    minutes = sum(run.cpu_seconds() for run in runs) / 60.0
+    minutes = sum(run.seconds("cpu") for run in runs) / 60.0
     commits = sorted({str(meta["commit"])[:9] for meta in metas})
     dirty = " with uncommitted changes" if any(meta["dirty"] for meta in metas) else ""
     at = f"commit {', '.join(commits)}" if len(commits) < 3 else f"{len(commits)} commits"

@@ -59,11 +59,11 @@ def over_seeds(values: ArrayLike) -> Value:
     return Value(float(data.mean()), std, int(data.size))
 
 
-def wilson(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Wilson's score interval of a proportion (Wilson 1927), both ends in [0, 1]."""
+def wilson(successes: int, trials: int) -> tuple[float, float]:
+    """Wilson's 95 % score interval of a proportion (Wilson 1927), both ends in [0, 1]."""
     if trials <= 0:
         return math.nan, math.nan
-    ends = scipy.stats.binomtest(successes, trials).proportion_ci(confidence, "wilson")
+    ends = scipy.stats.binomtest(successes, trials).proportion_ci(0.95, "wilson")
     return float(ends.low), float(ends.high)
 
 
@@ -108,7 +108,6 @@ def stratified_bootstrap(
     statistic: Callable[[Array], Array] = interquartile_means,
     repetitions: int = 2_000,
     confidence: float = 0.95,
-    seed: int = 0,
 ) -> tuple[float, float]:
     """Percentile interval of ``statistic`` by resampling the runs of each task separately.
 
@@ -121,7 +120,6 @@ def stratified_bootstrap(
         statistic: numbers (k,) from k resamples (k, runs, tasks).
         repetitions: bootstrap samples.
         confidence: coverage of the interval.
-        seed: makes the interval repeat.
 
     Returns:
         Lower and upper end; NaN with fewer than two runs.
@@ -129,17 +127,11 @@ def stratified_bootstrap(
     data = _matrix(scores)
     if len(data) < 2:
         return math.nan, math.nan
-    rng = np.random.default_rng(seed)
-    return _percentiles(statistic(_resamples(data, repetitions, rng)), confidence)
+    samples = _resamples(data, repetitions, np.random.default_rng(0))
+    return _percentiles(statistic(samples), confidence)
 
 
-def probability_of_improvement(
-    ours: ArrayLike,
-    theirs: ArrayLike,
-    repetitions: int = 2_000,
-    confidence: float = 0.95,
-    seed: int = 0,
-) -> Value:
+def probability_of_improvement(ours: ArrayLike, theirs: ArrayLike) -> Value:
     """How likely a run of ours is better than one of theirs, on a task drawn at random.
 
     Mean over tasks of P(X > Y) + P(X = Y) / 2 (Agarwal et al. 2021, section 4.3), with the
@@ -148,9 +140,6 @@ def probability_of_improvement(
     Args:
         ours: scores (runs, tasks), more is better.
         theirs: scores (runs, tasks) on the same tasks.
-        repetitions: bootstrap samples.
-        confidence: coverage of the interval.
-        seed: makes the interval repeat.
     """
     x, y = _matrix(ours), _matrix(theirs)
     if x.shape[1] != y.shape[1]:
@@ -160,9 +149,9 @@ def probability_of_improvement(
     point = float(_improvements(x[None], y[None])[0])
     if len(x) < 2 or len(y) < 2:
         return Value(point, n=len(x))
-    rng = np.random.default_rng(seed)
-    draws = _improvements(_resamples(x, repetitions, rng), _resamples(y, repetitions, rng))
-    return Value(point, math.nan, len(x), *_percentiles(draws, confidence))
+    rng = np.random.default_rng(0)
+    draws = _improvements(_resamples(x, 2_000, rng), _resamples(y, 2_000, rng))
+    return Value(point, math.nan, len(x), *_percentiles(draws, 0.95))
 
 
 def _improvements(x: Array, y: Array) -> Array:
@@ -186,32 +175,24 @@ def measured(values: Sequence[float], alone: Callable[[], tuple[float, float]]) 
     return replace(value, low=low, high=high)
 
 
-def t_interval(mean: float, std: float, n: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Student's interval of a mean of which only the sample's mean, deviation and size are kept."""
+def t_interval(mean: float, std: float, n: int) -> tuple[float, float]:
+    """Student's 95 % interval of a mean, from the sample's mean, deviation and size."""
     if n < 2 or math.isnan(std):
         return math.nan, math.nan
     if std == 0.0:  # scipy knows no such distribution
         return mean, mean
-    low, high = scipy.stats.t.interval(confidence, n - 1, mean, std / math.sqrt(n))
+    low, high = scipy.stats.t.interval(0.95, n - 1, mean, std / math.sqrt(n))
     return float(low), float(high)
 
 
 def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> Array:
-    """Share of all scores above each threshold: Agarwal et al. 2021, equation (3).
-
-    Args:
-        scores: (runs, tasks).
-        thresholds: (T,).
-
-    Returns:
-        (T,) shares.
-    """
-    data, tau = _matrix(scores), np.asarray(thresholds, dtype=np.float64)
-    return np.asarray((data.reshape(1, -1) > tau[:, None]).mean(axis=1), dtype=np.float64)
+    """Share (T,) of all scores above each threshold: Agarwal et al. 2021, equation (3)."""
+    above = np.ravel(scores) > np.asarray(thresholds, dtype=np.float64)[:, None]
+    return np.asarray(above.mean(axis=1), dtype=np.float64)
 
 
 def profile_over_seeds(
-    scores: Sequence[ArrayLike], thresholds: ArrayLike, seed: int = 0
+    scores: Sequence[ArrayLike], thresholds: ArrayLike
 ) -> tuple[Array, Array, Array]:
     """Mean performance profile of seeds, each with its own test episodes, and a 95 % band.
 
@@ -221,18 +202,14 @@ def profile_over_seeds(
     Args:
         scores: one array of episode scores per seed.
         thresholds: (T,).
-        seed: makes the band repeat.
 
     Returns:
         Mean, lower and upper end, each (T,); the ends are NaN with fewer than two seeds.
     """
-    profiles = np.stack([
-        performance_profile(np.asarray(s, dtype=np.float64)[:, None], thresholds) for s in scores
-    ])  # fmt: skip
-    return mean_band(profiles, seed)
+    return mean_band(np.stack([performance_profile(each, thresholds) for each in scores]))
 
 
-def mean_band(curves: ArrayLike, seed: int = 0) -> tuple[Array, Array, Array]:
+def mean_band(curves: ArrayLike) -> tuple[Array, Array, Array]:
     """Mean of curves (seeds, T), and at each point a 95 % interval by resampling whole curves.
 
     Returns:
@@ -242,7 +219,7 @@ def mean_band(curves: ArrayLike, seed: int = 0) -> tuple[Array, Array, Array]:
     mean = data.mean(axis=0)
     if len(data) < 2:
         return mean, np.full_like(mean, math.nan), np.full_like(mean, math.nan)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     weights = rng.multinomial(len(data), np.full(len(data), 1.0 / len(data)), 2_000) / len(data)
     low, high = np.quantile(weights @ data, [0.025, 0.975], axis=0)
     return mean, low, high
@@ -272,16 +249,16 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return adjusted
 
 
-def moving_average(values: ArrayLike, window: int, counts: ArrayLike | None = None) -> Array:
+def moving_average(values: ArrayLike, window: int, counts: ArrayLike) -> Array:
     """At each point the mean of the last ``window`` observations; fewer at the start.
 
     Args:
-        values: (n,), each the mean of ``counts`` observations (one by default).
+        values: (n,), each the mean of ``counts`` observations.
         window: observations; of averaged values as many as hold at least these.
         counts: (n,) above 0.
     """
     data = np.asarray(values, dtype=np.float64)
-    weights = np.ones_like(data) if counts is None else np.asarray(counts, dtype=np.float64)
+    weights = np.asarray(counts, dtype=np.float64)
     end = np.cumsum(weights)
     before = end - weights
     start = np.maximum(0, np.searchsorted(before, end - window, side="right") - 1)

@@ -10,6 +10,7 @@ import os
 import signal
 import subprocess
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Protocol
@@ -29,23 +30,29 @@ PINNED: Final = {
 GRACE_SECONDS: Final = 60.0  # for a run to save its checkpoint after it was asked to stop
 
 
-class Job(Protocol):
-    """A run under way."""
+class Job(ABC):
+    """A run under way, whose output goes to ``log``."""
 
-    log: Path
+    def __init__(self, log: Path) -> None:
+        self.log = log
 
+    @abstractmethod
     def poll(self) -> int | None:
         """The process's exit code, None while it runs or waits for its turn."""
 
     def place(self) -> str | None:
         """Where it runs, in a word or none at all; None while it waits for its turn."""
+        return ""
 
     def news(self) -> list[str]:
         """What has happened to it since the last call, one sentence each."""
+        return []
 
+    @abstractmethod
     def stop(self) -> None:
         """Ask it to save and end."""
 
+    @abstractmethod
     def wait(self, seconds: float) -> None:
         """Wait for its end, and end it by force when the time is over."""
 
@@ -66,11 +73,6 @@ class Backend(Protocol):
         """Let go of what the backend holds."""
 
 
-def command(argv: Sequence[str]) -> list[str]:
-    """The command line of a run's process, told whose child it is."""
-    return [sys.executable, "-m", "benchmarks", *argv, "--parent", str(os.getpid())]
-
-
 def spawn(argv: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
     """Start a run's process: pinned to one thread, its output in ``log``."""
     log.parent.mkdir(parents=True, exist_ok=True)
@@ -79,7 +81,7 @@ def spawn(argv: Sequence[str], log: Path) -> subprocess.Popen[bytes]:
     with log.open("ab") as stream:
         # a session of its own: Ctrl-C reaches the harness alone, which then asks politely
         return subprocess.Popen(
-            command(argv),
+            [sys.executable, "-m", "benchmarks", *argv, "--parent", str(os.getpid())],
             stdin=subprocess.DEVNULL,
             stdout=stream,
             stderr=subprocess.STDOUT,
@@ -97,21 +99,15 @@ def end(process: subprocess.Popen[bytes], seconds: float) -> None:
         process.wait()
 
 
-class LocalJob:
+class LocalJob(Job):
     """A child process."""
 
     def __init__(self, argv: Sequence[str], log: Path) -> None:
-        self.log = log
+        super().__init__(log)
         self._process = spawn(argv, log)
 
     def poll(self) -> int | None:
         return self._process.poll()
-
-    def place(self) -> str | None:
-        return ""
-
-    def news(self) -> list[str]:
-        return []
 
     def stop(self) -> None:
         self._process.send_signal(signal.SIGTERM)

@@ -15,6 +15,12 @@ from benchmarks.protocol.presets import Curriculum, Track
 ROWS: Final = 400  # rows of curve.csv at most, so that it can be committed
 REFERENCE_THRESHOLD: Final = 0.75  # the paper's "environment steps to 75 % success" ...
 REFERENCE_WINDOW: Final = 20  # ... over 20 training episodes
+# name of a curve in TensorBoard -> column of curve.csv
+TENSORBOARD: Final = {
+    **{"episode_reward": "episode_reward", "learning_rate": "learning_rate"},
+    **{"noise_magnitude": "noise", "holes_per_episode": "holes", "success_rate": "success"},
+    **{"mean_max_q": "mean_max_q", "loss": "loss", "episode_duration_s": "duration"},
+}
 
 
 def ended(step: dict[str, Any], rows: int) -> list[dict[str, Any]]:
@@ -127,27 +133,15 @@ class CurveRecorder(BaseCallback):
             "noise": self._noise(),
         }
         self.rows.append(row)
-        self._tensorboard(row)
-        self._ended.clear()
-        self._losses.clear()
-        self._next = self.num_timesteps + self.interval
-
-    def _tensorboard(self, row: dict[str, object]) -> None:
-        for name, column in (
-            ("episode_reward", "episode_reward"),
-            ("learning_rate", "learning_rate"),
-            ("noise_magnitude", "noise"),
-            ("holes_per_episode", "holes"),
-            ("success_rate", "success"),
-            ("mean_max_q", "mean_max_q"),
-            ("loss", "loss"),
-            ("episode_duration_s", "duration"),
-        ):
+        for name, column in TENSORBOARD.items():
             value = row[column]
             if isinstance(value, float) and not math.isnan(value):
                 self.logger.record(f"paper/{name}", value)
         self.logger.record("paper/stage", self.curriculum.stage)
         self.logger.dump(self.num_timesteps)
+        self._ended.clear()
+        self._losses.clear()
+        self._next = self.num_timesteps + self.interval
 
     def _mean_max_q(self) -> float:
         observation = self.model._last_obs

@@ -10,14 +10,12 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.runs import machine
 from benchmarks.runs.experiment import C, Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
-
-PROGRESS_SECONDS: Final = 0.5
 
 
 class Stopped(Exception):
@@ -54,15 +52,11 @@ class ProgressReporter:
 
     def __init__(self, folder: RunFolder, stop_requested: StopRequested) -> None:
         self._folder, self._stop_requested = folder, stop_requested
-        self._told = time.perf_counter()
 
     def __call__(self, share: float, note: str = "") -> None:
         if self._stop_requested():
             raise Stopped
-        now = time.perf_counter()
-        if now - self._told >= PROGRESS_SECONDS:
-            self._told = now
-            self._folder.write_progress(share, note)
+        self._folder.report(share, lambda: note)
 
 
 def check_device(device: str) -> None:

@@ -28,7 +28,6 @@ from sb3_rainbow.resume.rng import get_rng_state, set_rng_state
 Model = TypeVar("Model", bound=BaseAlgorithm)
 
 PREFIX: Final = "step-"
-PROGRESS_SECONDS: Final = 0.5
 FULL_BYTES: Final = 1_000_000  # free room below which a failed write is put down to the disk
 # of a network's storage, or of a machine that has too much to do
 PASSING: Final = (
@@ -73,12 +72,13 @@ class RunCallback(BaseCallback):
         self.stop_requested, self.note = stop_requested, note
         self.stopped = False
         self.rng: dict[str, Any] | None = None
-        self.resumed_at: list[int] = []
         self.set_aside: list[str] = []
-        self.made_with = [{"from_step": 0, **_version()}]
-        self._wall, self._cpu = 0.0, 0.0  # of earlier processes
+        self._past: dict[str, Any] = {  # of earlier processes
+            "wall_seconds": 0.0, "cpu_seconds": 0.0, "resumed_at": [],
+            "made_with": [{"from_step": 0, **_version()}],
+        }  # fmt: skip
         self._began = (time.perf_counter(), time.process_time())
-        self._saved = self._told = time.perf_counter()
+        self._saved = time.perf_counter()
 
     def _on_training_start(self) -> None:
         if self.rng is not None:
@@ -87,34 +87,26 @@ class RunCallback(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         # the one point of the loop where model, buffer and environments agree
-        now = time.perf_counter()
-        if now - self._told >= PROGRESS_SECONDS:
-            self._told = now
-            self.folder.write_progress(self.num_timesteps / self.timesteps, self.note())
+        self.folder.report(self.num_timesteps / self.timesteps, self.note)
         if self.stop_requested():
             self.stopped = True
         # before the first step there is nothing to lose, and a learner that resumes at step 0 would
         # reset its environments twice
-        if self.num_timesteps and (self.stopped or now - self._saved >= self.seconds):
+        due = time.perf_counter() - self._saved >= self.seconds
+        if self.num_timesteps and (self.stopped or due):
             self.save()
             self._saved = time.perf_counter()
 
     def _on_step(self) -> bool:
         return not self.stopped
 
-    def _times(self) -> dict[str, float]:
-        """Wall and CPU seconds of the training, over all its processes."""
-        return {
-            "wall_seconds": self._wall + time.perf_counter() - self._began[0],
-            "cpu_seconds": self._cpu + time.process_time() - self._began[1],
-        }
-
     def _history(self) -> dict[str, Any]:
+        """Wall and CPU seconds over all processes of the run, and how they followed each other."""
         return {
-            **self._times(),
-            "resumed_at": self.resumed_at,
+            **self._past,
+            "wall_seconds": self._past["wall_seconds"] + time.perf_counter() - self._began[0],
+            "cpu_seconds": self._past["cpu_seconds"] + time.process_time() - self._began[1],
             "set_aside": self.set_aside,
-            "made_with": self.made_with,
         }
 
     def summary(self, model: BaseAlgorithm) -> dict[str, Any]:
@@ -137,9 +129,10 @@ class RunCallback(BaseCallback):
         A state that lacks something, or is of another environment, is refused before any change.
         """
         rng, parts = state["rng"], [(part, state[name]) for name, part in self.kept.items()]
-        resumed_at, set_aside = state["resumed_at"], state["set_aside"]
-        made_with = state.get("made_with", self.made_with)  # older checkpoints lack it
-        times = state["wall_seconds"], state["cpu_seconds"]
+        # older checkpoints lack made_with
+        past = {name: state[name] for name in self._past if name != "made_with"}
+        made_with = state.get("made_with", self._past["made_with"])
+        set_aside = [*state["set_aside"], *self.set_aside]
         for part, saved in parts:
             if saved is None:
                 model._last_obs = None  # has learn() reset the environments, not as at the start
@@ -147,14 +140,12 @@ class RunCallback(BaseCallback):
                 model.env.seed(derive("train", model.seed or 0, model.num_timesteps))
             else:
                 part.set_state(saved)
-        self.rng = rng
-        self.resumed_at = [*resumed_at, model.num_timesteps]
-        self.set_aside = [*set_aside, *self.set_aside]
-        if _version().items() <= made_with[-1].items():
-            self.made_with = made_with
-        else:  # the same settings, but perhaps not the same code: the run says so
-            self.made_with = [*made_with, {"from_step": model.num_timesteps, **_version()}]
-        self._wall, self._cpu = times
+        if not _version().items() <= made_with[-1].items():
+            # the same settings, but perhaps not the same code: the run says so
+            made_with = [*made_with, {"from_step": model.num_timesteps, **_version()}]
+        resumed_at = [*past["resumed_at"], model.num_timesteps]
+        self.rng, self.set_aside = rng, set_aside
+        self._past = {**past, "resumed_at": resumed_at, "made_with": made_with}
 
 
 def learn(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -12,30 +12,28 @@ from rich.table import Column, Table
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.runs.experiment import Experiment
-from benchmarks.runs.store import RunFolder, Store
+from benchmarks.runs.store import Store
 
 GUESSED_RATE: Final = 1.5e-3  # seconds per unit of work, where nothing was measured yet
 
 
-class Rates:
-    """Seconds per unit of work, from complete runs; the nearest kind of run counts."""
+Rates = dict[tuple[str, ...], float]  # seconds per unit of work, by kind of run
 
-    def __init__(self, experiment: Experiment[Any], runs: Iterable[RunFolder]) -> None:
-        self._experiment = experiment
-        self._totals: dict[tuple[str, ...], tuple[float, int]] = {}
-        for run in runs:
-            config = run.config()
-            for key in experiment.kinds(config):
-                seconds, units = self._totals.get(key, (0.0, 0))
-                self._totals[key] = seconds + run.seconds(), units + experiment.units(config)
 
-    def rate(self, config: dict[str, Any]) -> float | None:
-        """Seconds per unit of work of a run with these settings; None if none like it ran."""
-        for key in self._experiment.kinds(config):
-            if key in self._totals:
-                seconds, units = self._totals[key]
-                return seconds / units
-        return None
+def measure(experiment: Experiment[Any], stores: Iterable[Store]) -> Rates:
+    """The rates of complete runs, without those that this version cannot read."""
+    seconds: Rates = {}
+    units: dict[tuple[str, ...], int] = {}
+    for run in (run for store in stores for run in store.completed()):
+        try:
+            config, took = run.config(), run.seconds()
+            work, kinds = experiment.units(config), [*experiment.kinds(config)]
+        except (BenchmarkError, KeyError, TypeError):
+            continue
+        for kind in kinds:
+            seconds[kind] = seconds.get(kind, 0.0) + took
+            units[kind] = units.get(kind, 0) + work
+    return {kind: seconds[kind] / units[kind] for kind in seconds}
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ def costs(experiment: Experiment[Any], store: Store, others: Sequence[Store] = (
     Raises:
         BenchmarkError: a stored run was made with other settings.
     """
-    own = Rates(experiment, store.completed())
+    own = measure(experiment, [store])
     result = []
     elsewhere: Rates | None = None
     for cell in experiment.cells():
@@ -70,26 +68,16 @@ def costs(experiment: Experiment[Any], store: Store, others: Sequence[Store] = (
         if folder.is_complete():
             result.append(Cost(cell.id, True, 1.0, folder.seconds(), False))
             continue
-        share, rate = folder.progress()[0], own.rate(config)
-        if rate is None:
-            if elsewhere is None:
-                elsewhere = Rates(experiment, _readable(experiment, others))
-            rate = elsewhere.rate(config)
+        kinds = [*experiment.kinds(config)]
+        rates = [own[kind] for kind in kinds if kind in own]
+        if not rates:
+            elsewhere = measure(experiment, others) if elsewhere is None else elsewhere
+            rates = [elsewhere[kind] for kind in kinds if kind in elsewhere]
+        share = folder.progress()[0]
         left = (1.0 - share) * experiment.units(config)
-        seconds = left * (GUESSED_RATE if rate is None else rate)
-        result.append(Cost(cell.id, False, share, seconds, rate is None))
+        seconds = left * (rates[0] if rates else GUESSED_RATE)
+        result.append(Cost(cell.id, False, share, seconds, not rates))
     return result
-
-
-def _readable(experiment: Experiment[Any], stores: Sequence[Store]) -> Iterator[RunFolder]:
-    """Runs of other stores, without those that this version cannot read."""
-    for store in stores:
-        for run in store.completed():
-            try:
-                run.seconds(), experiment.units(run.config())
-            except (BenchmarkError, KeyError, TypeError):
-                continue
-            yield run
 
 
 def wall_seconds(result: Sequence[Cost], jobs: int) -> float:

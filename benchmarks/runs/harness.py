@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Generic
 
@@ -35,14 +35,14 @@ class _Child(Generic[C]):
     started: float | None = None
 
 
-@dataclass(frozen=True)
+@dataclass
 class Outcome:
     """What a run of the harness did."""
 
-    trained: list[str]
-    skipped: list[str]
-    failed: dict[str, Path]
-    interrupted: bool
+    trained: list[str] = field(default_factory=list)
+    skipped: list[str] = field(default_factory=list)
+    failed: dict[str, Path] = field(default_factory=dict)
+    interrupted: bool = False
 
     @property
     def complete(self) -> bool:
@@ -110,15 +110,13 @@ class Harness(Generic[C]):
         self._children: list[_Child[C]] = []
         self._units: dict[str, int] = {}
         self._shares: dict[str, float] = {}
-        self._trained: list[str] = []
-        self._skipped: list[str] = []
-        self._failed: dict[str, Path] = {}
+        self._outcome = Outcome()
 
     def run(self) -> Outcome:
         """Run every missing cell; Ctrl-C or SIGTERM lets the running ones save and stop."""
         self._admit(self.experiment.cells())
         if not self._queue:
-            return self._outcome(False)
+            return self._outcome
         todo = list(self._queue)
         check_disk(self.experiment, self.store, todo, self.backend.slots)
         self.experiment.check(todo)
@@ -139,11 +137,8 @@ class Harness(Generic[C]):
             except KeyboardInterrupt:
                 self.console.print("Stopping: the runs save their checkpoints")
                 self._stop()
-                return self._outcome(True)
-        return self._outcome(False)
-
-    def _outcome(self, interrupted: bool) -> Outcome:
-        return Outcome(self._trained, self._skipped, self._failed, interrupted)
+                self._outcome.interrupted = True
+        return self._outcome
 
     def _admit(self, cells: Sequence[C]) -> None:
         """Queue the cells that are still to run; all are checked against their settings first."""
@@ -152,7 +147,7 @@ class Harness(Generic[C]):
             folder.check_config(config)
             if folder.is_complete():
                 folder.drop_checkpoint()  # left by a process that was killed at its very end
-                self._skipped.append(cell.id)
+                self._outcome.skipped.append(cell.id)
                 continue
             self._queue.append(cell)
             self._units[cell.id] = self.experiment.units(config)
@@ -217,13 +212,13 @@ class Harness(Generic[C]):
     def _report(self, child: _Child[C]) -> None:
         folder, code, log = self.store.run(child.cell.id), child.job.poll(), child.job.log
         if code != 0 or not folder.is_complete():
-            self._failed[folder.id] = log
+            self._outcome.failed[folder.id] = log
             how = f"failed with exit code {code}"
             if code is not None and code < 0:
                 how = f"was killed by signal {-code}, for want of memory perhaps"
             self._say(f"{folder.id}: {how}, see {log}\n{_tail(log)}", "red")
             return
-        self._trained.append(folder.id)
+        self._outcome.trained.append(folder.id)
         seconds = 0.0 if child.started is None else time.perf_counter() - child.started
         self._say(f"{folder.id}: done in {duration(seconds)}{self.experiment.verdict(folder)}")
         for name in folder.meta()["training"].get("set_aside", []):

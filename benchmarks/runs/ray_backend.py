@@ -75,8 +75,18 @@ class RayBackend:
     """
 
     def __init__(self, address: str | None, gpus_per_run: float, jobs: int | None) -> None:
-        check_gpus(gpus_per_run)
-        self.ray = _import_ray()
+        if gpus_per_run < 0.0 or (gpus_per_run > 1.0 and gpus_per_run != int(gpus_per_run)):
+            raise BenchmarkError(
+                f"--gpus-per-run {gpus_per_run:g}: must be a fraction from 0 to 1, or a whole "
+                "number"
+            )
+        try:
+            importlib.import_module("ray.exceptions")
+            self.ray: Any = importlib.import_module("ray")
+        except ImportError as error:
+            raise BenchmarkError(
+                f"--backend ray needs the extra 'cluster': pip install '.[cluster]' ({error})"
+            ) from error
         self.slots = sys.maxsize if jobs is None else jobs
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
@@ -126,11 +136,11 @@ class RayBackend:
         self.ray.shutdown()
 
 
-class RayJob:
+class RayJob(Job):
     """A run in Ray's hands."""
 
     def __init__(self, backend: RayBackend, argv: Sequence[str], folder: RunFolder) -> None:
-        self.log = folder.log
+        super().__init__(folder.log)
         self._backend, self._argv, self._folder = backend, argv, folder
         self._code: int | None = None
         self._news: list[str] = []
@@ -142,7 +152,6 @@ class RayJob:
         self._reference, self._nonce = self._backend.submit(self._argv, self._folder)
 
     def poll(self) -> int | None:
-        """The exit code, None while the run goes on, waits, or is placed again."""
         if self._code is None:
             ready, _ = self._backend.ray.wait([self._reference], timeout=0)
             if ready:
@@ -183,22 +192,19 @@ class RayJob:
         self._code = 2
 
     def place(self) -> str | None:
-        """The host it runs on; None while it waits."""
         worker = _read(self._folder.checkpoint / WORKER)
         return str(worker["host"]) if worker.get("nonce") == self._nonce else None
 
     def news(self) -> list[str]:
-        """What has happened since the last call."""
         news, self._news = self._news, []
         return news
 
     def stop(self) -> None:
-        """Ask the run to save and end; one that waits for its turn never starts."""
+        # one that waits for its turn never starts
         if self._code is None:
             self._backend.ray.cancel(self._reference, force=False, recursive=False)
 
     def wait(self, seconds: float) -> None:
-        """Wait for the run's end."""
         if self._code is None:
             self._backend.ray.wait([self._reference], timeout=max(0.1, seconds))
 
@@ -212,22 +218,3 @@ def _reach(address: str | None) -> None:
     host, _, port = (address or "").rpartition(":")
     if host and "/" not in host and port.isdigit():
         socket.create_connection((host, int(port)), timeout=CONNECT_SECONDS).close()
-
-
-def check_gpus(gpus_per_run: float) -> None:
-    """Raise BenchmarkError if ``gpus_per_run`` is no number of GPUs that Ray takes."""
-    whole = gpus_per_run == int(gpus_per_run)
-    if gpus_per_run < 0.0 or (gpus_per_run > 1.0 and not whole):
-        raise BenchmarkError(
-            f"--gpus-per-run {gpus_per_run:g}: must be a fraction from 0 to 1, or a whole number"
-        )
-
-
-def _import_ray() -> Any:
-    try:
-        importlib.import_module("ray.exceptions")
-        return importlib.import_module("ray")
-    except ImportError as error:
-        raise BenchmarkError(
-            f"--backend ray needs the extra 'cluster': pip install '.[cluster]' ({error})"
-        ) from error

@@ -14,13 +14,13 @@ new one. A run is complete when its meta.json is there: it is written last.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -35,6 +35,7 @@ SCHEMA: Final = 1
 # by libyaml, ten times as fast: a preset has hundreds of settings to read
 SAFE_LOADER: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 WORDS: Final = ("track.description",)  # settings that decide no result
+PROGRESS_SECONDS: Final = 0.5  # between two reports of a run
 BROKEN: Final = "broken-"  # before the name of a checkpoint that could not be read
 
 
@@ -65,16 +66,8 @@ def _write_text(path: Path, text: str) -> None:
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
     """Write rows of equal keys atomically; floats with seven digits, truth values as 0 and 1."""
-
-    def write(temporary: Path) -> None:
-        with temporary.open("w", encoding="utf-8", newline="") as stream:
-            columns = list(rows[0]) if rows else []
-            writer = csv.DictWriter(stream, columns, lineterminator="\n")
-            writer.writeheader()
-            for row in rows:
-                writer.writerow({key: _cell_text(value) for key, value in row.items()})
-
-    write_atomic(path, write)
+    frame = pd.DataFrame([*rows], dtype=object).map(_cell_text)
+    write_text(path, frame.to_csv(index=False, lineterminator="\n"))
 
 
 def _cell_text(value: object) -> object:
@@ -94,6 +87,7 @@ class RunFolder:
         self.checkpoint = path / "checkpoint"
         self.tensorboard = path / "tensorboard"
         self.log = self.checkpoint / "log.txt"
+        self._told = time.perf_counter()
 
     @property
     def id(self) -> str:
@@ -166,16 +160,11 @@ class RunFolder:
             )
         return meta
 
-    def seconds(self) -> float:
-        """Wall-clock time that the complete run took."""
-        meta = self.meta()
+    def seconds(self, clock: str = "wall") -> float:
+        """Time that the complete run took, by the clock ``wall`` or ``cpu``."""
+        meta, name = self.meta(), f"{clock}_seconds"
         # runs of the classic tasks once kept it with the training alone
-        return float(meta.get("wall_seconds") or meta["training"]["wall_seconds"])
-
-    def cpu_seconds(self) -> float:
-        """Processor time that the complete run took."""
-        meta = self.meta()
-        return float(meta.get("cpu_seconds") or meta["training"]["cpu_seconds"])
+        return float(meta.get(name) or meta["training"][name])
 
     def _read(self, name: str, parse: Callable[[str], Any]) -> dict[str, Any]:
         path = self.path / name
@@ -220,6 +209,13 @@ class RunFolder:
         with suppress(OSError):  # a disk that is full ends no run that has no need of it
             write_text(self.checkpoint / "progress.json", text)
 
+    def report(self, done: float, note: Callable[[], str]) -> None:
+        """As :meth:`write_progress`, but not more often than the harness looks."""
+        now = time.perf_counter()
+        if now - self._told >= PROGRESS_SECONDS:
+            self._told = now
+            self.write_progress(done, note())
+
     def progress(self) -> tuple[float, str]:
         """How far the run is, and a word on it."""
         if self.is_complete():
@@ -258,7 +254,6 @@ class Store:
         self.entries = self.folder / "entries"
         self.tables = self.folder / "tables"
         self.figures = self.folder / "figures"
-        self._part: Collection[str] | None = None
 
     @classmethod
     def open(cls, root: Path | str, preset: str, create: bool = False) -> Store:
@@ -273,7 +268,15 @@ class Store:
         # before anything else.
         has_files = any(not path.match(".store.json.*.tmp") for path in store.folder.glob("*"))
         if marker.is_file():
-            store._check_schema(marker)
+            try:
+                schema = json.loads(marker.read_text(encoding="utf-8"))["schema"]
+            except (ValueError, KeyError, TypeError):
+                schema = "unreadable"
+            if schema != SCHEMA:
+                raise BenchmarkError(
+                    f"{store.folder} was written with results schema {schema}, this version reads "
+                    f"{SCHEMA}; move it away or use another --results folder"
+                )
         elif has_files:
             raise BenchmarkError(
                 f"{store.folder} has files but no store.json: it is no results folder of this "
@@ -286,18 +289,6 @@ class Store:
                 f"{store.folder} has no results; run: python -m benchmarks run --preset {preset}"
             )
         return store
-
-    @staticmethod
-    def _check_schema(marker: Path) -> None:
-        try:
-            schema = json.loads(marker.read_text(encoding="utf-8"))["schema"]
-        except (ValueError, KeyError, TypeError):
-            schema = "unreadable"
-        if schema != SCHEMA:
-            raise BenchmarkError(
-                f"{marker.parent} was written with results schema {schema}, this version reads "
-                f"{SCHEMA}; move it away or use another --results folder"
-            )
 
     def lock(self) -> AbstractContextManager[None]:
         """Hold the store for one harness.
@@ -317,20 +308,16 @@ class Store:
 
     def completed(self) -> list[RunFolder]:
         """All complete runs, by id."""
-        runs = [RunFolder(path) for path in sorted((self.folder / "runs").glob("*"))]
-        mine = [run for run in runs if self._part is None or run.id in self._part]
-        return [run for run in mine if run.is_complete()]
-
-    def part(self, ids: Collection[str]) -> Store:
-        """The same store, seen as if it held these runs alone."""
-        store = Store(self.folder.parent, self.folder.name)
-        store._part = ids
-        return store
+        return _complete(self.folder / "runs")
 
     def entered(self) -> list[RunFolder]:
         """All methods that others brought, a folder per name and seed."""
-        entries = [RunFolder(path) for path in sorted(self.entries.glob("*"))]
-        return [entry for entry in entries if entry.is_complete()]
+        return _complete(self.entries)
+
+
+def _complete(folder: Path) -> list[RunFolder]:
+    runs = [RunFolder(path) for path in sorted(folder.glob("*"))]
+    return [run for run in runs if run.is_complete()]
 
 
 @contextmanager

@@ -86,10 +86,11 @@ class Insertion(Experiment[Cell]):
         return {"seeds": seeds, "training": training}
 
     def _optimize(self, folder: RunFolder) -> None:
-        from benchmarks.methods.geometric_design import geometry_rows
+        from benchmarks.methods.geometric_design import measured_runs, table_rows
 
         assert self.preset.design is not None
-        folder.write_rows("design", geometry_rows(self.preset.design.runs))
+        runs = measured_runs(self.preset.design.runs, lambda _: None)
+        folder.write_rows("design", table_rows(runs))
 
     def _train(
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str

@@ -104,70 +104,58 @@ class Table:
 
     def markdown(self) -> str:
         """GitHub-flavoured Markdown with the title above and the notes below."""
-        grid = [[_escape_markdown(text) for text in row] for row in self.texts()]
-        head = [_escape_markdown(text) for text in self.header]
-        widths = [max(len(r[i]) for r in [head, *grid]) for i in range(len(head))]
-        left = {*self.left}
-        lines = [f"**{self.title}**", ""]
-        lines.append(_pipe(head, widths, left))
-        align = ["-" * w if i in left else "-" * (w - 1) + ":" for i, w in enumerate(widths)]
-        lines.append("| " + " | ".join(align) + " |")
-        lines += [_pipe(row, widths, left) for row in grid]
-        if self.notes:
-            lines += ["", *[f"- {note}" for note in self.notes]]
-        return "\n".join(lines) + "\n"
+        columns = []
+        for i, column in enumerate(zip(self.header, *self.texts(), strict=True)):
+            texts = [text.replace("|", r"\|") for text in column]
+            width, left = max(map(len, texts)), i in self.left
+            padded = [text.ljust(width) if left else text.rjust(width) for text in texts]
+            padded.insert(1, "-" * width if left else "-" * (width - 1) + ":")
+            columns.append(padded)
+        lines = [f"| {' | '.join(row)} |" for row in zip(*columns, strict=True)]
+        notes = ["", *[f"- {note}" for note in self.notes]] if self.notes else []
+        return "\n".join([f"**{self.title}**", "", *lines, *notes]) + "\n"
 
     def latex(self) -> str:
         """A booktabs ``table``, across both columns if wide; needs ``\\usepackage{booktabs}``."""
         environment = "table" if len(self.header) <= NARROW else "table*"
         columns = "".join("l" if i in self.left else "c" for i in range(len(self.header)))
+        head, *body = [
+            "        " + " & ".join(text.translate(_LATEX) for text in row) + r" \\"
+            for row in (self.header, *self.texts())
+        ]
         lines = [
             r"% needs \usepackage{booktabs}",
             rf"\begin{{{environment}}}[t]",
-            rf"    \caption{{{_escape_latex(self.title)}}}",
+            rf"    \caption{{{self.title.translate(_LATEX)}}}",
             rf"    \label{{tab:{self.name}}}",
             r"    \centering",
             rf"    \begin{{tabular}}{{{columns}}}",
-            r"        \toprule",
-            "        " + " & ".join(_escape_latex(t) for t in self.header) + r" \\",
-            r"        \midrule",
+            *(r"        \toprule", head, r"        \midrule", *body, r"        \bottomrule"),
+            r"    \end{tabular}",
+            *(rf"    \par\footnotesize {note.translate(_LATEX)}" for note in self.notes),
+            rf"\end{{{environment}}}",
         ]
-        lines += [
-            "        " + " & ".join(_escape_latex(t) for t in row) + r" \\" for row in self.texts()
-        ]
-        lines += [r"        \bottomrule", r"    \end{tabular}"]
-        lines += [rf"    \par\footnotesize {_escape_latex(note)}" for note in self.notes]
-        lines.append(rf"\end{{{environment}}}")
         return "\n".join(lines) + "\n"
 
     def csv(self) -> str:
         """CSV: a column of numbers becomes mean, std, n, low and high."""
-        wide = [
-            any(isinstance(row[i], Number) for row in self.rows) for i in range(len(self.header))
-        ]
-        header: list[str] = []
-        for name, numeric in zip(self.header, wide, strict=True):
-            header += [name, *([f"{name} | {p}" for p in _PARTS] if numeric else [])]
+        columns: list[list[str]] = []
+        for i, texts in enumerate(zip(self.header, *self.texts(), strict=True)):
+            columns.append([*texts])
+            cells = [row[i] for row in self.rows]
+            if any(isinstance(cell, Number) for cell in cells):
+                parts = [(part, [_part(cell, part) for cell in cells]) for part in _PARTS]
+                columns += [[f"{texts[0]} | {part}", *numbers] for part, numbers in parts]
         stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(header)
-        for row in self.rows:
-            record: list[str] = []
-            for cell, numeric in zip(row, wide, strict=True):
-                record.append(cell if isinstance(cell, str) else cell.text())
-                if numeric:
-                    record += _parts(cell)
-            writer.writerow(record)
+        csv.writer(stream, lineterminator="\n").writerows(zip(*columns, strict=True))
         return stream.getvalue()
 
     def write(self, folder: Path) -> list[Path]:
         """Write all three forms, atomically."""
-        paths = []
-        for suffix, text in self.forms().items():
-            path = folder / f"{self.name}{suffix}"
+        texts = {folder / f"{self.name}{end}": text for end, text in self.forms().items()}
+        for path, text in texts.items():
             write_text(path, text)
-            paths.append(path)
-        return paths
+        return [*texts]
 
     def forms(self) -> dict[str, str]:
         """File suffix to contents."""
@@ -187,45 +175,28 @@ def p_text(value: float) -> str:
 _PARTS = ("mean", "std", "n", "low", "high")
 
 
-def _parts(cell: TableCell) -> list[str]:
-    if isinstance(cell, str):
-        return [""] * len(_PARTS)
-    v = cell.value
-    numbers = (v.mean, v.std, float(v.n), v.low, v.high)
-    return ["" if math.isnan(x) else f"{x:.7g}" for x in numbers]
+def _part(cell: TableCell, part: str) -> str:
+    number = math.nan if isinstance(cell, str) else float(getattr(cell.value, part))
+    return "" if math.isnan(number) else f"{number:.7g}"
 
 
-def _pipe(cells: list[str], widths: list[int], left: set[int]) -> str:
-    padded = [
-        c.ljust(w) if i in left else c.rjust(w)
-        for i, (c, w) in enumerate(zip(cells, widths, strict=True))
-    ]
-    return "| " + " | ".join(padded) + " |"
-
-
-def _escape_markdown(text: str) -> str:
-    return text.replace("|", r"\|")
-
-
-_LATEX = {
-    "\\": r"\textbackslash{}",
-    "&": r"\&",
-    "%": r"\%",
-    "#": r"\#",
-    "_": r"\_",
-    "{": r"\{",
-    "}": r"\}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "±": r"$\pm$",
-    "†": r"$^\dagger$",
-    "→": r"$\to$",
-    "°": r"$^\circ$",
-    "²": r"$^2$",
-    "<": "$<$",
-    ">": "$>$",
-}
-
-
-def _escape_latex(text: str) -> str:
-    return "".join(_LATEX.get(character, character) for character in text)
+_LATEX: Final = str.maketrans(
+    {
+        "\\": r"\textbackslash{}",
+        "&": r"\&",
+        "%": r"\%",
+        "#": r"\#",
+        "_": r"\_",
+        "{": r"\{",
+        "}": r"\}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "±": r"$\pm$",
+        "†": r"$^\dagger$",
+        "→": r"$\to$",
+        "°": r"$^\circ$",
+        "²": r"$^2$",
+        "<": "$<$",
+        ">": "$>$",
+    }
+)

@@ -36,7 +36,6 @@ from benchmarks.studies.insertion import Insertion
 
 AGAIN: Final = "again"
 FRESH_EPISODES: Final = 20  # per seed of other starts: five seeds tell +-0.1 of a rate, in minutes
-TIMES: Final = ("plan_seconds",)  # columns that differ from one play to the next
 
 
 class Replay(Insertion):
@@ -134,7 +133,8 @@ class Replay(Insertion):
         rows, equal = [], 0
         for cell in self._cells:
             first, again = (Result.read(s.run(cell.id), {}) for s in (self.source, store))
-            equal += _same(first.episodes, again.episodes)
+            played = [one.episodes.drop(columns="plan_seconds") for one in (first, again)]
+            equal += played[0].equals(played[1])
             rates = [100.0 * one.test()["success"].mean() for one in (first, again)]
             rows.append([cell.id, *(f"{rate:.1f}" for rate in rates)])
         text = plain("Success (%) of the played runs", "run | stored | now", rows)
@@ -173,12 +173,6 @@ def score_again(replay: Replay, console: Console) -> int:
         return 1
     replay.compare(again, console)
     return 0
-
-
-def _same(stored: pd.DataFrame, again: pd.DataFrame) -> bool:
-    """Whether the rows are those of the first time."""
-    first, second = (rows.drop(columns=[*TIMES]) for rows in (stored, again))
-    return first.equals(second)
 
 
 def in_words(rows: pd.DataFrame, name: str) -> Iterator[str]:

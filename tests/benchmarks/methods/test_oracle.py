@@ -1,4 +1,4 @@
-"""The exact lattice optimum: its plans succeed, none shorter does, and infeasible means it."""
+"""The exact optimum, in turn and at once: its plans succeed, none shorter does."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 
 from benchmarks.methods.oracle import LatticeOracle
-from coop_env import CoopInsertionEnv
+from coop_env import CoopInsertionEnv, CoopInsertionJointEnv
 from coop_env.simulation.insertion_task import PAPER_TASK
+from coop_env.simulation.state import INVALID, VALID
+
+Offset = tuple[int, ...]
 
 
 def executes(env: gymnasium.Env[Any, Any], moves: np.ndarray) -> bool:
@@ -26,20 +29,39 @@ def executes(env: gymnasium.Env[Any, Any], moves: np.ndarray) -> bool:
     return False
 
 
+def made(at_once: bool) -> tuple[Any, LatticeOracle]:
+    """An environment whose robots move in turn or at once, and its optimum."""
+    env = CoopInsertionJointEnv() if at_once else CoopInsertionEnv()
+    return env, LatticeOracle(at_once=at_once)
+
+
+both = pytest.mark.parametrize("at_once", [False, True], ids=["in turn", "at once"])
+
+
 @pytest.mark.parametrize("geometry", ["initial", "optimized"])
-def test_plans_insert_in_the_environment_and_leave_it_as_it_was(geometry: str) -> None:
-    env, oracle = CoopInsertionEnv(geometry=geometry), LatticeOracle()
-    solved = 0
+def test_plans_insert_leave_all_as_it_was_and_at_once_are_never_longer(geometry: str) -> None:
+    env, joint_env = CoopInsertionEnv(geometry=geometry), CoopInsertionJointEnv(geometry=geometry)
+    oracle, joint = LatticeOracle(), LatticeOracle(at_once=True)
+    solved = shorter = 0
     for seed in range(40):
         env.reset(seed=seed)
-        before = env.state.tobytes()
-        plan = oracle.plan(env)
-        assert env.state.tobytes() == before
+        joint_env.reset(seed=seed)
+        before = env.state.tobytes(), joint_env.state.tobytes()
+        plan, ticks, alone = oracle.plan(env), joint.plan(joint_env), oracle.plan(joint_env)
+        assert (env.state.tobytes(), joint_env.state.tobytes()) == before
         assert plan.status in ("solved", "infeasible")
-        if plan.moves is not None:
-            solved += 1
-            assert executes(env, plan.moves)
+        assert plan.status == ticks.status == alone.status
+        if plan.moves is None or ticks.moves is None or alone.moves is None:
+            continue
+        solved += 1
+        n = len(plan.moves)
+        assert n == len(alone.moves)
+        assert (n + 1) // 2 <= len(ticks.moves) <= n
+        shorter += len(ticks.moves) < n
+        assert executes(env, plan.moves)
+        assert executes(joint_env, ticks.moves)
     assert solved >= 30
+    assert shorter > solved // 2
 
 
 def test_no_shorter_sequence_inserts() -> None:
@@ -122,44 +144,43 @@ def test_infeasible_means_that_no_lattice_point_meets_the_criterion() -> None:
     assert min(seen.values()) > 0
 
 
-def test_a_peg_beside_the_dome_is_led_around_it() -> None:
-    env = CoopInsertionEnv()
+@both
+def test_a_peg_beside_the_dome_is_led_around_it(at_once: bool) -> None:
+    env, oracle = made(at_once)
     start = {"configuration": (0.0, 0.15, -0.53, 0.0, 0.0, 0.22), "target": 4}
     env.reset(options=start)
-    plan = LatticeOracle().plan(env)
+    plan = oracle.plan(env)
     assert plan.moves is not None
     assert executes(env, plan.moves)
-    env.reset(options=start)
-    sideways_first = sorted(plan.moves, key=lambda move: move // 2 != 1)
-    assert not executes(env, np.array(sideways_first))  # that way is through the dome
+    if not at_once:
+        env.reset(options=start)
+        sideways_first = sorted(plan.moves, key=lambda move: move // 2 != 1)
+        assert not executes(env, np.array(sideways_first))  # that way is through the dome
 
 
-def test_a_peg_already_in_the_hole_needs_a_move() -> None:
-    env = CoopInsertionEnv()
+@both
+def test_a_peg_already_in_the_hole_needs_a_move(at_once: bool) -> None:
+    env, oracle = made(at_once)
     env.reset(seed=0)
-    plan = LatticeOracle().plan(env)
+    plan = oracle.plan(env)
     assert plan.moves is not None
     target = int(env.state["target"])
     for move in plan.moves:
         env.step(move)
     env.reset(options={"configuration": env.configuration, "target": target})
-    again = LatticeOracle().plan(env)
+    again = oracle.plan(env)
     assert again.moves is not None
     assert len(again.moves) <= 2
     assert executes(env, again.moves)
 
 
-def test_an_episode_is_planned_hole_after_hole() -> None:
-    env = CoopInsertionEnv()
-    env.reset(seed=1)
-    plans = LatticeOracle().plan_episode(env)
-    filled = 0
-    for plan in plans:
-        if plan.moves is not None:
-            assert executes(env, plan.moves)
-            filled += 1
-    assert int(env.state["filled"].sum()) == filled
-    assert filled >= 3
+@pytest.mark.parametrize(("at_once", "seed", "least"), [(False, 1, 3), (True, 2, 1)])
+def test_an_episode_is_planned_hole_after_hole(at_once: bool, seed: int, least: int) -> None:
+    env, oracle = made(at_once)
+    env.reset(seed=seed)
+    made_moves = [plan.moves for plan in oracle.plan_episode(env) if plan.moves is not None]
+    assert all(executes(env, moves) for moves in made_moves)
+    assert int(env.state["filled"].sum()) == env.state["insertions"] == len(made_moves) >= least
 
 
 def test_with_sim_to_real_knobs_the_plan_is_the_models() -> None:
@@ -194,3 +215,66 @@ def test_the_node_limit_is_told() -> None:
     assert LatticeOracle(node_limit=1).plan(env).status == "node_limit"
     with pytest.raises(ValueError, match="node_limit = 0"):
         LatticeOracle(node_limit=0)
+
+
+def fewest_ticks(env: CoopInsertionJointEnv, most: int) -> int | None:
+    """Breadth-first over configurations, from ``configuration_status`` and ``state`` alone."""
+    start, steps = env.state["start"], np.array(env.task.steps)
+    target = int(env.state["target"])
+    axes = np.vstack([np.eye(3, dtype=int), -np.eye(3, dtype=int), np.zeros((1, 3), int)])
+    ticks = [np.concatenate(pair) for pair in itertools.product(axes, axes)]
+    probe = CoopInsertionJointEnv(task=env.task)
+    status: dict[Offset, int] = {}
+    here: Offset = tuple(env.state["offset"].tolist())
+    seen, front = {here}, [here]
+    for depth in range(1, most + 1):
+        reached = []
+        for at, tick in itertools.product(front, ticks):
+            to: Offset = tuple((np.array(at) + tick).tolist())
+            if to == at or (to in seen and depth > 2):
+                continue
+            c = start + np.array(to) * steps
+            if to not in status:
+                status[to] = env.configuration_status(c)
+            if status[to] != VALID:
+                assert status[to] >= INVALID
+                continue
+            if to not in seen:
+                seen.add(to)
+                reached.append(to)
+            probe.reset(options={"configuration": c, "target": target})
+            if probe.state["inside"][target]:
+                return depth
+        front = reached
+    return None
+
+
+COARSE = {"linear_step": 0.05, "angular_step": 0.2, "heave_step": 0.04, "tolerance": 0.025}
+
+
+@pytest.mark.slow
+def test_no_fewer_ticks_insert_on_a_coarse_lattice() -> None:
+    task = {**COARSE, "angle_tolerance": 0.15}
+    env, oracle = CoopInsertionJointEnv(task=task), LatticeOracle(at_once=True)
+    lengths = []
+    for seed in range(12):
+        env.reset(seed=seed)
+        plan = oracle.plan(env)
+        if plan.moves is not None and len(plan.moves) <= 4:
+            lengths.append(len(plan.moves))
+            assert fewest_ticks(env, 4) == lengths[-1]
+            assert executes(env, plan.moves)
+    assert len(set(lengths)) > 1
+
+
+def test_no_fewer_ticks_insert_near_the_goal() -> None:
+    env, oracle = CoopInsertionJointEnv(), LatticeOracle(at_once=True)
+    for seed in range(3):
+        env.reset(seed=seed)
+        plan = oracle.plan(env)
+        assert plan.moves is not None
+        for action in plan.moves[:-2]:
+            env.step(action)
+        rest = oracle.plan(env)
+        assert rest.moves is not None
+        assert len(rest.moves) == fewest_ticks(env, 2) == 2

@@ -60,7 +60,8 @@ def test_a_small_picture_keeps_its_colours() -> None:
 def test_tables_and_figures_need_no_torch_and_little_time(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, range(5))
     code = (
-        "import sys; from benchmarks.cli import main;"
+        "import sys, benchmarks.reporting.verify, benchmarks.reporting.science;"
+        "from benchmarks.cli import main;"
         "words = ['--preset', 'quick', '--results', sys.argv[1]];"
         "assert main(['tables', *words]) == main(['figures', *words]) == 0;"
         "heavy = {'torch', 'stable_baselines3', 'sb3_contrib', 'tensorboard'};"

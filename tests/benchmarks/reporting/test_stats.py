@@ -31,9 +31,6 @@ def test_wilsons_interval_by_hand() -> None:
     assert stats.wilson(8, 10) == pytest.approx((centre - half, centre + half), abs=1e-6)
     assert stats.wilson(0, 10)[0] == 0.0
     assert stats.wilson(10, 10)[1] == 1.0
-
-
-def test_wilson_of_no_trials_is_nothing() -> None:
     assert all(math.isnan(end) for end in stats.wilson(0, 0))
 
 
@@ -122,13 +119,6 @@ def test_one_seed_has_no_spread_and_nothing_is_a_dash() -> None:
     assert stats.over_seeds([math.nan]).text(1) == "-"
 
 
-@given(SAMPLES, st.integers(1, 12))
-def test_the_moving_average_is_the_mean_of_the_last(values: list[float], window: int) -> None:
-    ours = stats.moving_average(values, window)
-    theirs = [np.mean(values[max(0, i + 1 - window) : i + 1]) for i in range(len(values))]
-    assert ours == pytest.approx(theirs, abs=1e-6)
-
-
 @pytest.fixture
 def rliable_library(monkeypatch: pytest.MonkeyPatch) -> Any:
     """rliable's library without arch, which does not import beside pandas 3.
@@ -203,11 +193,11 @@ def test_the_bootstrap_interval_of_a_mean_leaves_out_what_is_missing() -> None:
     assert all(math.isnan(end) for end in stats.mean_interval([1.0, math.nan]))
 
 
-@given(SAMPLES, st.integers(1, 12), st.integers(0, 99))
+@given(SAMPLES, st.integers(1, 12), st.integers(0, 99), st.sampled_from([1, 4]))
 def test_a_moving_average_of_averages_holds_enough_observations(
-    values: list[float], window: int, seed: int
+    values: list[float], window: int, seed: int, most: int
 ) -> None:
-    counts = np.random.default_rng(seed).integers(1, 5, len(values))
+    counts = np.random.default_rng(seed).integers(1, most + 1, len(values))
     ours = stats.moving_average(values, window, counts)
     for i, smooth in enumerate(ours):
         start = i

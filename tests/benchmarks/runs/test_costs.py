@@ -6,22 +6,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 from benchmarks.cli import main
 from benchmarks.protocol.plan import expand, settings, units_of
-from benchmarks.protocol.presets import PRESETS, Preset, parse_preset
+from benchmarks.protocol.presets import Preset
 from benchmarks.runs.costs import GUESSED_RATE, Cost, costs, duration, wall_seconds
 from benchmarks.runs.store import Store
 from benchmarks.studies.classic.experiment import Classic
 from benchmarks.studies.classic.presets import LEARN
 from benchmarks.studies.insertion import Insertion
+from tests.benchmarks.smoke import smoke_preset
 
 
 def make(name: str, timesteps: int, **more: Any) -> Preset:
-    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
-    data["tracks"]["safe"]["timesteps"] = timesteps
-    return parse_preset(data | more, name, name)
+    return smoke_preset(name, track={"timesteps": timesteps}, **more)
 
 
 def complete(store: Store, preset: Preset, method: str, seconds: float) -> None:

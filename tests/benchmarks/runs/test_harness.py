@@ -11,36 +11,32 @@ import subprocess
 import sys
 import time
 from collections import namedtuple
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from rich.console import Console
 
 from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import expand
-from benchmarks.protocol.presets import PRESETS, parse_preset
-from benchmarks.protocol.strict import merge
-from benchmarks.runs.backends import LocalBackend
+from benchmarks.runs.backends import Job, LocalBackend
 from benchmarks.runs.cell import StopFlag, run_cell
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.harness import Harness, Outcome, check_disk
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.insertion import Insertion
+from tests.benchmarks.smoke import smoke_file, smoke_preset
+
+Refused = Callable[..., str]
 
 
 @pytest.fixture
 def long_preset(tmp_path: Path) -> Path:
     """One run that no test waits for."""
-    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
-    data["tracks"]["safe"]["timesteps"] = 10_000_000
-    data["runs"] = [{"methods": ["dqn"], "tracks": ["safe"]}]
-    path = tmp_path / "long.yaml"
-    path.write_text(yaml.safe_dump(data), encoding="utf-8")
-    return path
+    runs = [{"methods": ["dqn"], "tracks": ["safe"]}]
+    return smoke_file(tmp_path, "long", track={"timesteps": 10_000_000}, runs=runs)
 
 
 def wait_for(path: Path, seconds: float = 120.0) -> None:
@@ -78,12 +74,9 @@ def test_an_ended_harness_leaves_a_checkpoint_to_resume_from(
 def test_a_run_that_fails_is_told_and_the_others_go_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
     # OMPL's planner refuses the limit when it is built, in the child
-    data["planner"] = {"time_limit": -1.0}
-    data["runs"] = [{"methods": ["rrt_connect", "optimum"]}]
-    path = tmp_path / "odd.yaml"
-    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    planners = [{"methods": ["rrt_connect", "optimum"]}]
+    path = smoke_file(tmp_path, "odd", planner={"time_limit": -1.0}, runs=planners)
     words = ["run", "--preset", str(path), "--results", str(tmp_path / "results"), "--jobs", "1"]
     assert main(words) == 1
     out = capsys.readouterr().out
@@ -94,16 +87,12 @@ def test_a_run_that_fails_is_told_and_the_others_go_on(
 
 
 def test_too_small_a_disk_is_refused_before_the_start(
-    long_preset: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    long_preset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10**12, 10**12, 10**6))
-    words = ["run", "--preset", str(long_preset), "--results", str(tmp_path / "results")]
-    assert main(words) == 2
-    assert "make room" in capsys.readouterr().err
+    words = ["--preset", str(long_preset), "--results", str(tmp_path / "results")]
+    assert "make room" in refused("run", *words)
     assert not (tmp_path / "results" / "long" / "runs").exists()
 
 
@@ -124,27 +113,21 @@ def test_an_orphan_knows_that_it_should_stop() -> None:
     ],
 )
 def test_an_impossible_cell_is_refused_before_the_start(
-    track: dict[str, Any], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    track: dict[str, Any], message: str, tmp_path: Path, refused: Refused
 ) -> None:
-    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
-    data["tracks"]["safe"] = merge(data["tracks"]["safe"], track)
-    data["runs"] = [{"methods": ["rainbow"], "tracks": ["safe"]}]
-    path = tmp_path / "odd.yaml"
-    path.write_text(yaml.safe_dump(data), encoding="utf-8")
-    assert main(["run", "--preset", str(path), "--results", str(tmp_path / "results")]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith("error: ")
-    assert message in err
-    assert err.count("\n") == 1
+    runs = [{"methods": ["rainbow"], "tracks": ["safe"]}]
+    path = smoke_file(tmp_path, "odd", track=track, runs=runs)
+    words = ["--preset", str(path), "--results", str(tmp_path / "results")]
+    assert message in refused("run", *words)
     assert not (tmp_path / "results" / "odd" / "runs").exists()
 
 
-class FakeJob:
+class FakeJob(Job):
     """A run whose progress the test writes."""
 
     def __init__(self, folder: RunFolder, script: Iterator[tuple[float, str]]) -> None:
+        super().__init__(folder.log)
         self.folder, self.script = folder, script
-        self.log = folder.log
         self.code: int | None = None
         self.waits = True
         self.stopped = self.waited = False
@@ -169,9 +152,6 @@ class FakeJob:
 
     def place(self) -> str | None:
         return None if self.waits else "far"
-
-    def news(self) -> list[str]:
-        return []
 
     def stop(self) -> None:
         self.stopped = True
@@ -204,9 +184,8 @@ def fake_run(
     tmp_path: Path, slots: int, scripts: dict[str, list[tuple[float, str]]]
 ) -> tuple[Outcome, FakeBackend, str]:
     """The smoke preset's planners run by a fake backend; returns what a terminal shows."""
-    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
-    data["runs"] = [{"methods": ["rrt_connect", "optimum"], "geometries": ["optimized", "initial"]}]
-    preset = parse_preset(data, "fake", "fake.yaml")
+    runs = [{"methods": ["rrt_connect", "optimum"], "geometries": ["optimized", "initial"]}]
+    preset = smoke_preset("fake", runs=runs)
     store = Store.open(tmp_path, "fake", create=True)
     terminal = Console(file=io.StringIO(), force_terminal=True, width=400, color_system=None)
     backend = FakeBackend(slots, scripts)
@@ -286,10 +265,8 @@ def test_one_process_per_core_with_its_threads_pinned(
 
 
 def test_fewer_jobs_need_less_room(tmp_path: Path) -> None:
-    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
-    data["seeds"] = list(range(50))
-    data["tracks"]["safe"]["hyperparameters"]["buffer_size"] = 10**9
-    preset = parse_preset(data, "big", "big.yaml")
+    track = {"hyperparameters": {"buffer_size": 10**9}}
+    preset = smoke_preset("big", track=track, seeds=[*range(50)])
     store = Store.open(tmp_path, "big", create=True)
     needed = []
     for slots in (1, 2, 1000):
@@ -303,9 +280,7 @@ def test_fewer_jobs_need_less_room(tmp_path: Path) -> None:
 
 
 def test_a_planner_that_is_asked_to_stop_stops(tmp_path: Path) -> None:
-    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
-    data["runs"] = [{"methods": ["optimum"]}]
-    preset = parse_preset(data, "plans", "plans.yaml")
+    preset = smoke_preset("plans", runs=[{"methods": ["optimum"]}])
     (cell,) = expand(preset)
     store = Store.open(tmp_path, "plans", create=True)
     assert not run_cell(Insertion(preset), cell, store, lambda: True)
@@ -314,13 +289,9 @@ def test_a_planner_that_is_asked_to_stop_stops(tmp_path: Path) -> None:
     assert run_cell(Insertion(preset), cell, store)
 
 
-def test_a_preset_without_a_run_is_an_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
-    path = tmp_path / "empty.yaml"
-    path.write_text(yaml.safe_dump(data | {"runs": []}), encoding="utf-8")
+def test_a_preset_without_a_run_is_an_error(tmp_path: Path, refused: Refused) -> None:
+    path = smoke_file(tmp_path, "empty", runs=[])
     for command in ("plan", "run"):
-        assert main([command, "--preset", str(path), "--results", str(tmp_path / "results")]) == 2
-        assert "preset 'empty' holds no run" in capsys.readouterr().err
+        words = ["--preset", str(path), "--results", str(tmp_path / "results")]
+        assert "preset 'empty' holds no run" in refused(command, *words)
     assert not (tmp_path / "results").exists()

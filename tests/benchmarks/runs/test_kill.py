@@ -22,14 +22,14 @@ from typing import Any
 
 import pytest
 import torch
-import yaml
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from benchmarks.protocol.plan import expand
-from benchmarks.protocol.presets import PRESETS, load_preset
+from benchmarks.protocol.presets import load_preset
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.machine import REPOSITORY
 from benchmarks.runs.store import RunFolder, Store
+from tests.benchmarks.smoke import smoke_file
 
 SERVER = "tests.benchmarks.runs.warm_server"
 KILLS = 24  # by the clock; the task asks for 20
@@ -117,25 +117,24 @@ class Ended:
 
 @pytest.fixture(scope="module")
 def preset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
-    track = next(iter(data["tracks"].values()))
-    track["timesteps"] = 240
-    track["hyperparameters"] |= {"net_arch": [32, 32], "n_atoms": 11}
-    # a low bar, so that the curriculum's switch lies within the run
-    track["curriculum"] = {"threshold": -1.0, "window": 1}
-    data["evaluation"] = {"episodes": 1, "noise": [0.0, 0.01]}
-    tracks = list(data["tracks"])
-    # more state to lose: visited configurations, and rollouts of an actor-critic
-    track |= {"mask_singularities": True, "mask_visited": 5}
-    track["ppo"] = {"n_steps": 8, "batch_size": 16, "n_epochs": 2}
-    data["runs"] = [
-        {"methods": ["rainbow", "dqn", "maskable_ppo"], "tracks": tracks},
-        {"methods": ["rainbow"], "tracks": tracks, "ablations": ["no_noisy"]},
-    ]
-    data["checkpoint_seconds"] = 0.01
-    path = tmp_path_factory.mktemp("preset") / "kill.yaml"
-    path.write_text(yaml.safe_dump(data), encoding="utf-8")
-    return path
+    track: dict[str, Any] = {
+        "timesteps": 240,
+        "hyperparameters": {"net_arch": [32, 32], "n_atoms": 11},
+        # a low bar, so that the curriculum's switch lies within the run
+        "curriculum": {"threshold": -1.0, "window": 1},
+        # more state to lose: visited configurations, and rollouts of an actor-critic
+        "mask_singularities": True,
+        "mask_visited": 5,
+        "ppo": {"n_steps": 8, "batch_size": 16, "n_epochs": 2},
+    }
+    return smoke_file(
+        tmp_path_factory.mktemp("preset"), "kill", track=track, checkpoint_seconds=0.01,
+        evaluation={"episodes": 1, "noise": [0.0, 0.01]},
+        runs=[
+            {"methods": ["rainbow", "dqn", "maskable_ppo"], "tracks": ["safe"]},
+            {"methods": ["rainbow"], "tracks": ["safe"], "ablations": ["no_noisy"]},
+        ],
+    )  # fmt: skip
 
 
 @pytest.fixture

@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
-import yaml
 
 from benchmarks.evaluation.evaluate import evaluate_cell
 from benchmarks.evaluation.model_files import load_stored
 from benchmarks.methods.learners import ALGORITHMS, build_model, make_training_env
 from benchmarks.protocol.plan import Cell
-from benchmarks.protocol.presets import PRESETS, Preset, parse_preset
+from benchmarks.protocol.presets import Preset
 from benchmarks.protocol.seeding import derive
 from benchmarks.runs import policy_file
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.store import Store
 from benchmarks.studies.insertion import Insertion
+from tests.benchmarks.smoke import smoke_preset
 
 
 @pytest.fixture(scope="module")
 def preset() -> Preset:
-    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
-    data["evaluation"] = {"episodes": 3, "noise": [0.0]}
-    preset = parse_preset(data, "smoke", "smoke.yaml")
-    track = preset.tracks["safe"]
-    short: dict[str, Any] = {"n_steps": 16, "batch_size": 16, "n_epochs": 1}
-    ppo = dataclasses.replace(track.ppo, **short)
-    track = dataclasses.replace(track, ppo=ppo)
-    return dataclasses.replace(preset, tracks={"safe": track})
+    ppo = {"n_steps": 16, "batch_size": 16, "n_epochs": 1}
+    return smoke_preset(track={"ppo": ppo}, evaluation={"episodes": 3, "noise": [0.0]})
 
 
 @pytest.mark.parametrize("method", sorted(ALGORITHMS))

@@ -16,16 +16,15 @@ from typing import Any
 
 import psutil
 import pytest
-import yaml
 
-from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol.presets import PRESETS, load_preset
+from benchmarks.protocol.presets import load_preset
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.ray_backend import RayJob, run_remotely
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.insertion import Insertion
+from tests.benchmarks.smoke import smoke_file
 
 pytest.importorskip("ray", reason="needs the extra 'cluster'")
 
@@ -37,15 +36,12 @@ CELLS = ("rainbow-optimized-safe-s0", "dqn-optimized-safe-s0")
 
 @pytest.fixture(scope="module")
 def preset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
     # long enough that no run ends between two looks of the test
-    data["tracks"]["safe"]["timesteps"] = 3000
-    data["evaluation"] = {"episodes": 1, "noise": [0.0]}
-    data["runs"] = [{"methods": ["rainbow", "dqn"], "tracks": ["safe"]}]
-    data["checkpoint_seconds"] = 0.2
-    path = tmp_path_factory.mktemp("preset") / "small.yaml"
-    path.write_text(yaml.safe_dump(data), encoding="utf-8")
-    return path
+    return smoke_file(
+        tmp_path_factory.mktemp("preset"), "small", track={"timesteps": 3000},
+        evaluation={"episodes": 1, "noise": [0.0]}, checkpoint_seconds=0.2,
+        runs=[{"methods": ["rainbow", "dqn"], "tracks": ["safe"]}],
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -229,26 +225,22 @@ def test_a_run_that_is_lost_again_and_again_ends(losses: int, code: int, tmp_pat
     ],
 )
 def test_bad_options_are_one_error(
-    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
-    assert main(["run", "--preset", "smoke", "--results", str(tmp_path), *words]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith("error: ")
-    assert message in err
+    assert message in refused("run", "--preset", "smoke", "--results", str(tmp_path), *words)
 
 
 def test_more_gpus_than_any_node_has_are_refused(
-    cluster: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    cluster: Any, tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     words = ["--backend", "ray", "--address", cluster.address, "--gpus-per-run", "2"]
-    assert main(["run", "--preset", "smoke", "--results", str(tmp_path), *words]) == 2
-    assert "--gpus-per-run 2: no node of the cluster has more than 1" in capsys.readouterr().err
+    error = refused("run", "--preset", "smoke", "--results", str(tmp_path), *words)
+    assert "--gpus-per-run 2: no node of the cluster has more than 1" in error
 
 
 def test_without_ray_the_extra_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray.exceptions", None)
     words = ["run", "--preset", "smoke", "--results", str(tmp_path), "--backend", "ray"]
-    assert main(words) == 2
-    assert "needs the extra 'cluster': pip install" in capsys.readouterr().err
+    assert "needs the extra 'cluster': pip install" in refused(*words)

@@ -24,7 +24,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from benchmarks.errors import BenchmarkError
 from benchmarks.methods.learners import ALGORITHMS
 from benchmarks.protocol.plan import Cell
-from benchmarks.protocol.presets import PRESETS, Preset, as_dict, parse_preset
+from benchmarks.protocol.presets import Preset, as_dict
 from benchmarks.runs import machine
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
@@ -32,7 +32,9 @@ from benchmarks.runs.store import RunFolder, Store
 from benchmarks.runs.training import train
 from benchmarks.studies.insertion import Insertion
 from sb3_rainbow import Rainbow
+from tests.benchmarks.smoke import smoke_preset
 
+Whole = dict[str, tuple[dict[str, torch.Tensor], str]]  # weights and curve of each cell
 CELLS = [
     Cell("rainbow", "full", "optimized", "safe", 0),
     Cell("rainbow", "no_noisy", "optimized", "safe", 0),
@@ -42,12 +44,9 @@ CELLS = [
 
 @pytest.fixture(scope="module")
 def preset() -> Preset:
-    data = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
-    data["tracks"]["safe"]["timesteps"] = 400
-    data["evaluation"] = {"episodes": 1, "noise": [0.0]}
     # a low bar, so that the curriculum's switch lies within the run
-    data["tracks"]["safe"]["curriculum"] = {"threshold": -1.0, "window": 1}
-    return parse_preset(data, "smoke", "smoke.yaml")
+    track = {"timesteps": 400, "curriculum": {"threshold": -1.0, "window": 1}}
+    return smoke_preset(track=track, evaluation={"episodes": 1, "noise": [0.0]})
 
 
 def stop_after(rounds: int) -> Callable[[], bool]:
@@ -65,9 +64,7 @@ def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
 
 
 @pytest.fixture(scope="module")
-def uninterrupted(
-    preset: Preset, tmp_path_factory: pytest.TempPathFactory
-) -> dict[str, tuple[dict[str, torch.Tensor], str]]:
+def uninterrupted(preset: Preset, tmp_path_factory: pytest.TempPathFactory) -> Whole:
     runs = {}
     for cell in CELLS:
         folder = RunFolder(tmp_path_factory.mktemp(cell.id))
@@ -80,10 +77,7 @@ def uninterrupted(
 
 @pytest.mark.parametrize("cell", CELLS, ids=lambda cell: cell.id)
 def test_stopping_twice_at_odd_moments_changes_nothing(
-    cell: Cell,
-    preset: Preset,
-    uninterrupted: dict[str, tuple[dict[str, torch.Tensor], str]],
-    tmp_path: Path,
+    cell: Cell, preset: Preset, uninterrupted: Whole, tmp_path: Path
 ) -> None:
     folder = RunFolder(tmp_path)
     assert train(preset, cell, folder, stop_after(17)) is None
@@ -121,9 +115,7 @@ def test_an_actor_critic_resumes_too(preset: Preset, tmp_path: Path) -> None:
 
 
 def test_a_crash_loses_at_most_the_last_interval(
-    preset: Preset,
-    uninterrupted: dict[str, tuple[dict[str, torch.Tensor], str]],
-    tmp_path: Path,
+    preset: Preset, uninterrupted: Whole, tmp_path: Path
 ) -> None:
     eager = dataclasses.replace(preset, checkpoint_seconds=0.0)
     rng = np.random.default_rng(0)
@@ -163,10 +155,7 @@ def test_a_run_says_which_commits_it_was_made_with(
 
 @pytest.mark.parametrize("rounds", [0, 1])
 def test_stopping_at_the_very_start_changes_nothing(
-    rounds: int,
-    preset: Preset,
-    uninterrupted: dict[str, tuple[dict[str, torch.Tensor], str]],
-    tmp_path: Path,
+    rounds: int, preset: Preset, uninterrupted: Whole, tmp_path: Path
 ) -> None:
     folder = RunFolder(tmp_path)
     assert train(preset, CELLS[0], folder, stop_after(rounds)) is None
@@ -215,10 +204,7 @@ def test_a_machine_in_trouble_damages_no_checkpoint(
 
 @pytest.mark.parametrize("name", ["state.pkl", "model.zip", "buffer.pkl"])
 def test_a_damaged_checkpoint_is_named_and_kept_aside(
-    name: str,
-    preset: Preset,
-    uninterrupted: dict[str, tuple[dict[str, torch.Tensor], str]],
-    tmp_path: Path,
+    name: str, preset: Preset, uninterrupted: Whole, tmp_path: Path
 ) -> None:
     folder = RunFolder(tmp_path)
     train(preset, CELLS[0], folder, stop_after(40))
@@ -238,10 +224,7 @@ def test_a_damaged_checkpoint_is_named_and_kept_aside(
 
 
 def test_a_disk_that_fills_up_keeps_the_last_checkpoint(
-    preset: Preset,
-    uninterrupted: dict[str, tuple[dict[str, torch.Tensor], str]],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    preset: Preset, uninterrupted: Whole, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = RunFolder(tmp_path)
     train(preset, CELLS[0], folder, stop_after(10))
@@ -263,9 +246,7 @@ def test_a_disk_that_fills_up_keeps_the_last_checkpoint(
 
 
 def test_a_disk_that_is_really_full_is_told_in_one_line(
-    preset: Preset,
-    uninterrupted: dict[str, tuple[dict[str, torch.Tensor], str]],
-    tmp_path: Path,
+    preset: Preset, uninterrupted: Whole, tmp_path: Path
 ) -> None:
     disk, path = tmp_path / "disk", tmp_path / "smoke.yaml"
     disk.mkdir()

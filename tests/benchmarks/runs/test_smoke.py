@@ -11,17 +11,19 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
 import psutil
 import pytest
-import yaml
 
 from benchmarks.cli import main
-from benchmarks.protocol.presets import PRESETS
 from benchmarks.runs.store import SCHEMA, Store
+from tests.benchmarks.smoke import smoke_file
 
+Capture = pytest.CaptureFixture[str]
+Refused = Callable[..., str]
 RUNS = {
     "rainbow-optimized-safe-s0",
     "dqn-optimized-safe-s0",
@@ -65,6 +67,13 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ):
         assert title in done.stdout
     return folder
+
+
+@pytest.fixture
+def copied(results: Path, tmp_path: Path) -> list[str]:
+    """Arguments for a copy of the results, which the test may change."""
+    shutil.copytree(results / "smoke", tmp_path / "smoke")
+    return ["--preset", "smoke", "--results", str(tmp_path)]
 
 
 def test_all_methods_ran_and_say_how(results: Path) -> None:
@@ -130,7 +139,7 @@ def test_a_second_call_trains_nothing_and_changes_no_result(results: Path) -> No
     assert {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()} == tables
 
 
-def test_plan_verify_and_evaluate(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plan_verify_and_evaluate(results: Path, capsys: Capture) -> None:
     place = ["--preset", "smoke", "--results", str(results)]
     assert main(["plan", *place]) == 0
     out = capsys.readouterr().out
@@ -145,11 +154,8 @@ def test_plan_verify_and_evaluate(results: Path, capsys: pytest.CaptureFixture[s
     assert f"Success rate (%) {100.0 * first['success']:.1f}" in capsys.readouterr().out
 
 
-def test_what_is_stored_comes_out_again(
-    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    shutil.copytree(results / "smoke", tmp_path / "smoke")
-    place = ["evaluate", "--preset", "smoke", "--results", str(tmp_path)]
+def test_what_is_stored_comes_out_again(copied: list[str], tmp_path: Path, capsys: Capture) -> None:
+    place = ["evaluate", *copied]
     rows = tmp_path / "smoke" / "runs" / "rainbow-optimized-safe-s0" / "episodes.csv"
     first = pd.read_csv(rows)
     first.assign(holes=first["holes"] + 1).to_csv(rows, index=False)
@@ -169,14 +175,12 @@ def test_what_is_stored_comes_out_again(
 
 
 def test_runs_without_their_policy_are_complete_and_left_out_of_the_replay(
-    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    results: Path, copied: list[str], tmp_path: Path, capsys: Capture, refused: Refused
 ) -> None:
-    shutil.copytree(results / "smoke", tmp_path / "smoke")
-    place = ["--preset", "smoke", "--results", str(tmp_path)]
     runs = tmp_path / "smoke" / "runs"
     (runs / "dqn-optimized-safe-s0" / "policy.zip").unlink()
     shutil.rmtree(runs / "rrt_connect-optimized-s0")
-    assert main(["evaluate", *place]) == 0
+    assert main(["evaluate", *copied]) == 0
     out = capsys.readouterr().out
     assert "Left out, their policy is not here: 1 runs" in out
     assert "Left out, not run yet: 1 runs" in out
@@ -184,24 +188,19 @@ def test_runs_without_their_policy_are_complete_and_left_out_of_the_replay(
     # and what is complete without its policy is not run again
     planned = "rrt_connect-optimized-s0"
     shutil.copytree(results / "smoke" / "runs" / planned, runs / planned)
-    assert main(["run", *place]) == 0
+    assert main(["run", *copied]) == 0
     assert "5 runs were complete already" in capsys.readouterr().out
     (runs / "rainbow-optimized-safe-s0" / "policy.zip").unlink()
-    assert main(["evaluate", *place]) == 2
-    assert "has no trained policy to score" in capsys.readouterr().err
+    assert "has no trained policy to score" in refused("evaluate", *copied)
 
 
 def test_a_policy_plays_only_under_its_own_settings(
-    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    results: Path, tmp_path: Path, refused: Refused
 ) -> None:
-    preset = yaml.safe_load((PRESETS / "smoke.yaml").read_text(encoding="utf-8"))
-    preset["tracks"]["safe"]["mask_visited"] = 8
-    changed = tmp_path / "smoke.yaml"
-    changed.write_text(yaml.safe_dump(preset), encoding="utf-8")
+    changed = smoke_file(tmp_path, "smoke", track={"mask_visited": 8})
     for command in (["evaluate"], ["study", "failures"]):
         words = [*command, "--preset", str(changed), "--results", str(results)]
-        assert main(words) == 2
-        assert "track.mask_visited: 0 -> 8" in capsys.readouterr().err
+        assert "track.mask_visited: 0 -> 8" in refused(*words)
 
 
 def playing(pid: int) -> list[psutil.Process]:
@@ -224,16 +223,10 @@ def test_what_has_ended_plays_no_more() -> None:
         assert child.pid not in [found.pid for found in playing(os.getpid())]
 
 
-def test_a_lost_process_and_ctrl_c_end_at_once(results: Path, tmp_path: Path) -> None:
-    shutil.copytree(results / "smoke", tmp_path / "smoke")
-    words = [sys.executable, "-m", "benchmarks", "evaluate", "--preset", "smoke"]
+def test_a_lost_process_and_ctrl_c_end_at_once(copied: list[str]) -> None:
+    words = [sys.executable, "-m", "benchmarks", "evaluate", *copied]
     for number, told in ((signal.SIGKILL, "was killed"), (signal.SIGINT, "Interrupted")):
-        done = subprocess.Popen(
-            [*words, "--results", str(tmp_path)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
+        done = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         players: list[psutil.Process] = []
         while not players:
             assert done.poll() is None
@@ -250,22 +243,20 @@ def test_a_lost_process_and_ctrl_c_end_at_once(results: Path, tmp_path: Path) ->
 
 
 def test_a_full_disk_is_one_error(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, refused: Refused
 ) -> None:
     def full(*args: object, **kwargs: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", "episodes.csv")
 
     monkeypatch.setattr("benchmarks.runs.store.RunFolder.write_rows", full)
     words = ["--preset", "smoke", "--results", str(tmp_path), "--cell", "rrt_connect-optimized-s0"]
-    assert main(["train", *words]) == 2
-    assert "No space left on device: episodes.csv; make room" in capsys.readouterr().err
+    assert "No space left on device: episodes.csv; make room" in refused("train", *words)
 
 
 def test_other_starts_are_starts_of_their_own(
-    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    copied: list[str], tmp_path: Path, capsys: Capture
 ) -> None:
-    shutil.copytree(results / "smoke", tmp_path / "smoke")
-    words = ["evaluate", "--preset", "smoke", "--results", str(tmp_path), "--episodes", "3"]
+    words = ["evaluate", *copied, "--episodes", "3"]
     seen: list[set[str]] = []
     for starts in ("1", "2"):
         assert main([*words, "--starts", starts]) == 0
@@ -282,14 +273,10 @@ def test_other_starts_are_starts_of_their_own(
     assert not (seen[0] | seen[1]) & set(stored["start"].astype(str))
 
 
-def test_verify_is_red_after_a_change(
-    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    shutil.copytree(results / "smoke", tmp_path / "smoke")
+def test_verify_is_red_after_a_change(copied: list[str], tmp_path: Path, capsys: Capture) -> None:
     table = tmp_path / "smoke" / "tables" / "performance.csv"
     table.write_text(table.read_text(encoding="utf-8").replace("100", "101", 1), encoding="utf-8")
-    words = ["--preset", "smoke", "--results", str(tmp_path)]
-    assert main(["verify", *words]) == 1
+    assert main(["verify", *copied]) == 1
     assert "performance.csv" in capsys.readouterr().err
 
 
@@ -314,42 +301,17 @@ def test_bad_input_is_one_error_and_writes_nothing(
     message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    refused: Refused,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(words) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ")
-    assert message in error
+    assert message in refused(*words)
     written = [path for path in tmp_path.rglob("*") if path.name != "store.json" and path.is_file()]
     assert written == []
 
 
-def test_results_of_another_version_are_left_alone(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = tmp_path / "smoke"
-    folder.mkdir()
-    (folder / "store.json").write_text('{"schema": 99}', encoding="utf-8")
-    assert main(["run", "--preset", "smoke", "--results", str(tmp_path)]) == 2
-    assert "schema 99" in capsys.readouterr().err
-    assert [path.name for path in folder.iterdir()] == ["store.json"]
-
-
-def test_a_model_that_is_none_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "model.zip"
-    path.write_bytes(b"not a zip")
-    assert main(["evaluate", "--preset", "smoke", "--model", str(path)]) == 2
-    assert "is no model of Stable-Baselines3" in capsys.readouterr().err
-
-
 def test_a_run_made_with_other_settings_is_not_overwritten(
-    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    copied: list[str], tmp_path: Path, refused: Refused
 ) -> None:
-    shutil.copytree(results / "smoke", tmp_path / "smoke")
     config = tmp_path / "smoke" / "runs" / "dqn-optimized-safe-s0" / "config.yaml"
     config.write_text(config.read_text("utf-8").replace("gamma: 0.93", "gamma: 0.5"), "utf-8")
-    assert main(["run", "--preset", "smoke", "--results", str(tmp_path)]) == 2
-    assert "gamma: 0.5 -> 0.93" in capsys.readouterr().err
+    assert "gamma: 0.5 -> 0.93" in refused("run", *copied)

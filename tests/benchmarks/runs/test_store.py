@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -131,13 +132,17 @@ def test_progress_is_not_worth_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize("marker", ['{"schema": 999}', "{}", "not json"])
-def test_another_schema_is_refused_and_left_alone(tmp_path: Path, marker: str) -> None:
-    folder = tmp_path / "smoke"
-    folder.mkdir()
-    (folder / "store.json").write_text(marker, encoding="utf-8")
-    with pytest.raises(BenchmarkError, match="schema"):
-        Store.open(tmp_path, "smoke", create=True)
-    assert (folder / "store.json").read_text(encoding="utf-8") == marker
+def test_another_schema_is_refused_and_left_alone(
+    tmp_path: Path, marker: str, refused: Callable[..., str]
+) -> None:
+    path = tmp_path / "smoke" / "store.json"
+    path.parent.mkdir()
+    path.write_text(marker, encoding="utf-8")
+    schema = "999" if "999" in marker else "unreadable"
+    error = refused("run", "--preset", "smoke", "--results", str(tmp_path))
+    assert f"results schema {schema}, this version reads" in error
+    assert [*path.parent.iterdir()] == [path]
+    assert path.read_text(encoding="utf-8") == marker
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:

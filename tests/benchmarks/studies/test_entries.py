@@ -83,9 +83,13 @@ def board(results: Path) -> pd.DataFrame:
     return pd.read_csv(path, dtype=str).set_index("Method")
 
 
-def evaluate(results: Path, *words: str) -> int:
+def command(results: Path, *words: str) -> list[str]:
     trust = ["--trust"] if "--model" in words else []
-    return main(["evaluate", "--preset", "smoke", "--results", str(results), *words, *trust])
+    return ["evaluate", "--preset", "smoke", "--results", str(results), *words, *trust]
+
+
+def evaluate(results: Path, *words: str) -> int:
+    return main(command(results, *words))
 
 
 @pytest.mark.parametrize("name", ["ppo", "maskable_ppo"])
@@ -138,8 +142,9 @@ def test_the_algorithm_is_read_from_the_file(name: str, train: Callable[..., Pat
 
 
 def test_one_model_per_seed_and_a_second_call_scores_nothing(
-    train: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    train: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    refused: Callable[..., str],
+) -> None:  # fmt: skip
     preset = tmp_path / "two.yaml"
     preset.write_text(
         "description: two seeds\nseeds: [3, 4]\nruns: []\n"
@@ -160,12 +165,10 @@ def test_one_model_per_seed_and_a_second_call_scores_nothing(
     assert "2 of 2 seeds were scored already" in capsys.readouterr().out
     assert [(entry.path / "meta.json").read_bytes() for entry in store.entered()] == before
     # another model under the same name: refused, until it is said
-    assert main([*words, "--model", files[1]]) == 2
-    assert "choose another --name, or --replace it" in capsys.readouterr().err
+    assert "choose another --name, or --replace it" in refused(*words, "--model", files[1])
     assert main([*words, "--model", files[1], "--replace"]) == 0
     assert "models: 1)" in (store.tables / "leaderboard.md").read_text(encoding="utf-8")
-    assert main([*words, "--model", *files, files[0]]) == 2
-    assert "3 models for 2 seeds" in capsys.readouterr().err
+    assert "3 models for 2 seeds" in refused(*words, "--model", *files, files[0])
 
 
 def test_another_observation_is_found_out(train: Callable[..., Path], tmp_path: Path) -> None:
@@ -287,12 +290,10 @@ def test_moves_past_the_end_are_not_made() -> None:
     ],
 )
 def test_a_planner_that_does_wrong_is_one_error(
-    function: str, message: str, planners: Path, capsys: pytest.CaptureFixture[str]
+    function: str, message: str, planners: Path, refused: Callable[..., str]
 ) -> None:
-    assert evaluate(planners, "--planner", f"my_planner:{function}", "--name", "wrong") == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ")
-    assert message in error
+    words = ["--planner", f"my_planner:{function}", "--name", "wrong"]
+    assert message in refused(*command(planners, *words))
     assert not list(planners.rglob("meta.json"))
 
 
@@ -323,28 +324,21 @@ class Elsewhere(gymnasium.Env[Any, Any]):
 )
 def test_wrong_spaces_are_one_error(
     observation: spaces.Space[Any], action: spaces.Space[Any], message: str, tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    refused: Callable[..., str],
 ) -> None:  # fmt: skip
     path = tmp_path / "model.zip"
     stable_baselines3.PPO("MlpPolicy", Elsewhere(observation, action), device="cpu").save(path)
-    assert evaluate(tmp_path / "results", "--model", str(path)) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ")
-    assert message in error
+    assert message in refused(*command(tmp_path / "results", "--model", str(path)))
     assert not (tmp_path / "results").exists()
 
 
 def test_wrong_files_are_one_error(
-    train: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    train: Callable[..., Path], tmp_path: Path, refused: Callable[..., str]
 ) -> None:
     good = train("ppo")
 
     def error_of(path: Path, *words: str) -> str:
-        assert evaluate(tmp_path / "results", "--model", str(path), *words) == 2
-        error = capsys.readouterr().err
-        assert error.startswith("error: ")
-        assert error.count("\n") == 1
-        return error
+        return refused(*command(tmp_path / "results", "--model", str(path), *words))
 
     assert "is missing; give a .zip" in error_of(tmp_path / "none.zip")
     text = tmp_path / "text.zip"
@@ -370,10 +364,10 @@ def test_wrong_files_are_one_error(
 
 
 def test_an_unknown_planner_names_those_that_are(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, refused: Callable[..., str]
 ) -> None:
-    assert evaluate(tmp_path, "--planner", "astar") == 2
-    assert "known: optimum, rrt_connect, rrt_lattice, or module:function" in capsys.readouterr().err
+    error = refused(*command(tmp_path, "--planner", "astar"))
+    assert "known: optimum, rrt_connect, rrt_lattice, or module:function" in error
 
 
 def test_an_entry_leaves_the_presets_own_tables_alone(
