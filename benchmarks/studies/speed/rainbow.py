@@ -1,8 +1,9 @@
-"""How fast Rainbow is: beside SB3's DQN and sb3-contrib's QR-DQN, on one core, in turns.
+"""How fast Rainbow is: beside DQN of SB3 and of SBX, and sb3-contrib's QR-DQN, on one core.
 
 "Rainbow" is the default (compiled kernels for a perceptron on the CPU), beside what torch makes of
-the same update. Net 256-128-64, 51 atoms, 12 observations, 12 actions, batch
-64, a full replay buffer of 1e6, one update per step of an env that costs next to nothing. The
+the same update. Three nets, 51 atoms, 12 observations, 12 actions, batch 64, a full replay buffer
+of 1e6, one update per step of an env that costs next to nothing. SBX's DQN, which computes with
+JAX, takes part where ``sbx-rl`` is installed; the package does not ask for it. The
 methods take turns, so that whatever else the machine does falls on all of them; CPU seconds of the
 process are reported beside wall seconds. On images: random frames, 4 x 84 x 84, batch 32.
 """
@@ -10,7 +11,9 @@ process are reported beside wall seconds. On images: random frames, 4 x 84 x 84,
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping
+import importlib
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
@@ -40,6 +43,9 @@ EPISODE: Final = 100
 REWARD: Final = 0.1
 BASELINE: Final = "SB3 DQN"
 QUANTILES: Final = "sb3-contrib QR-DQN"
+JAX: Final = "SBX DQN"
+#: parts that measure updates, and their hidden layers; the first has the paper's
+NETS: Final = {"updates": [256, 128, 64], "updates_64": [64, 64], "updates_256": [256, 256]}
 IMAGES: Final = (4, 84, 84)
 # least ratio of the first to the baseline that the project asks for
 TARGETS: Final = {"Rainbow": 1.5, "Rainbow, torch eager": 0.75}
@@ -86,7 +92,20 @@ def fill(buffer: Any) -> None:
         buffer.tree.set(np.arange(capacity), rng.uniform(0.5, 2.0, capacity))
 
 
-def make_models(capacity: int = CAPACITY) -> dict[str, Any]:
+def sbx_dqn() -> Any | None:
+    """SBX's DQN, on one thread, or None where it is not installed."""
+    os.environ.setdefault(
+        "XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+    )
+    try:
+        return importlib.import_module("sbx").DQN
+    except ImportError:
+        return None
+
+
+def make_models(
+    capacity: int = CAPACITY, net_arch: Sequence[int] = NETS["updates"]
+) -> dict[str, Any]:
     """The methods by name, trained for a moment, so that kernels are compiled, buffers full."""
     from sb3_contrib import QRDQN
     from stable_baselines3 import DQN
@@ -97,7 +116,7 @@ def make_models(capacity: int = CAPACITY) -> dict[str, Any]:
         **{"train_freq": 1, "gradient_steps": 1, "batch_size": BATCH_SIZE, "learning_starts": 50},
         **{"buffer_size": capacity, "device": "cpu", "seed": 0},
     }
-    net = {"net_arch": [256, 128, 64]}
+    net = {"net_arch": list(net_arch)}
     variants: dict[str, dict[str, Any]] = {
         "Rainbow": {},
         "Rainbow, categorical": {"distributional": "categorical"},
@@ -108,6 +127,8 @@ def make_models(capacity: int = CAPACITY) -> dict[str, Any]:
         BASELINE: DQN("MlpPolicy", StubEnv(), policy_kwargs=net, **settings),
         QUANTILES: QRDQN("MlpPolicy", StubEnv(), policy_kwargs=quantiles, **settings),
     }
+    if (sbx := sbx_dqn()) is not None:
+        models[JAX] = sbx("MlpPolicy", StubEnv(), policy_kwargs=net, **settings)
     for name, arguments in variants.items():
         models[name] = Rainbow("MlpPolicy", StubEnv(), policy_kwargs=net, **settings, **arguments)
     for model in models.values():
@@ -199,7 +220,10 @@ class SpeedRainbow(Measured):
             return measure_updates(players, n, rounds)
 
         return {
-            "updates": lambda _: updates(make_models(), BATCH_SIZE, steps),
+            **{
+                part: lambda _, net=net: updates(make_models(net_arch=net), BATCH_SIZE, steps)
+                for part, net in NETS.items()
+            },
             "images": lambda _: updates(make_image_models(), 32, max(1, steps // 10)),
             "replay": lambda _: measure_replay(rounds),
             "memory_mb": lambda _: measure_memory(),
@@ -208,20 +232,28 @@ class SpeedRainbow(Measured):
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:
         parts, asked = result["parts"], result["asked"]
-        pairs = [("updates", "", name, goal) for name, goal in TARGETS.items()]
+        nets = {part: f" of {net}" for part, net in NETS.items() if part in parts}
         goals = [
-            [f"{name}{where}", *_ratios(parts[part], name), f"{goal:g}"]
-            for part, where, name, goal in [
-                *pairs,
-                ("images", " on images", "Rainbow", IMAGE_TARGET),
+            [f"{name}{where}", *_ratios(parts[part], name, whom), goal]
+            for part, where, name, whom, goal in [
+                *((part, net, name, BASELINE, f"{goal:g}")
+                  for part, net in nets.items() for name, goal in TARGETS.items()),
+                *((part, net, "Rainbow", JAX, f"{TARGETS['Rainbow']:g}")
+                  for part, net in nets.items()),
+                ("images", " on images", "Rainbow", BASELINE, f"{IMAGE_TARGET:g}"),
             ]
-            if name in parts[part]
-        ]
+            if {name, whom} <= parts[part].keys()
+        ]  # fmt: skip
         shown = [
-            plain("Updates per second", _HEADER, _rates(parts["updates"])),
-            plain("Updates per second on images", _HEADER, _rates(parts["images"])),
-            plain(f"Ratios to {BASELINE}", "of | per step | update alone | target", goals),
+            plain(f"Updates per second{net}", _HEADER, _rates(parts[part]))
+            for part, net in nets.items()
         ]
+        shown += [
+            plain("Updates per second on images", _HEADER, _rates(parts["images"])),
+            plain("Ratios", "of | to | per step | update alone | target", goals),
+        ]
+        if not any(JAX in parts[part] for part in nets):
+            shown.append(f"{JAX} was not measured: `sbx-rl` was not installed.")
         replay = parts["replay"]
         return "\n\n".join([
             *shown,
@@ -232,8 +264,10 @@ class SpeedRainbow(Measured):
         ])  # fmt: skip
 
 
-def _ratios(rates: dict[str, dict[str, float]], name: str) -> list[str]:
-    return [f"{rates[name][k] / rates[BASELINE][k]:.2f}" for k in ("learn_cpu", "train_cpu")]
+def _ratios(rates: dict[str, dict[str, float]], name: str, whom: str) -> list[str]:
+    """Whom a method is compared with, and the ratios of its rates to theirs."""
+    kinds = ("learn_cpu", "train_cpu")
+    return [whom, *(f"{rates[name][kind] / rates[whom][kind]:.2f}" for kind in kinds)]
 
 
 def _rates(updates: dict[str, dict[str, float]]) -> Iterator[list[str]]:

@@ -6,6 +6,7 @@ import json
 from typing import Any
 
 import pytest
+from stable_baselines3 import DQN
 from stable_baselines3.common.env_util import make_vec_env
 
 from benchmarks.studies.speed import rainbow
@@ -51,15 +52,21 @@ def test_the_memory_of_a_million_transitions_is_the_buffer_s_alone() -> None:
     assert rainbow.measure_memory() == pytest.approx(expected / 1e6, rel=0.1)
 
 
-def test_each_learner_is_measured() -> None:
-    models = rainbow.make_models(capacity=192)
+@pytest.mark.parametrize("sbx", [None, DQN], ids=["without SBX", "with SBX"])
+def test_each_learner_is_measured(sbx: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rainbow, "sbx_dqn", lambda: sbx)
+    models = rainbow.make_models(capacity=192, net_arch=[16, 8])
     assert set(models) == {
-        *("SB3 DQN", "sb3-contrib QR-DQN"),
+        *("SB3 DQN", "sb3-contrib QR-DQN", *(["SBX DQN"] if sbx else [])),
         *("Rainbow", "Rainbow, categorical", "Rainbow, torch eager"),
     }
+    assert models["Rainbow"].q_net.net_arch == models["SB3 DQN"].q_net.net_arch == [16, 8]
     players = {name: learner(model, 64) for name, model in models.items()}
     found = measure_updates(players, 3, 1)
     assert all(rates["train_cpu"] > 0.0 for rates in found.values())
+
+
+def test_each_learner_of_images_is_measured() -> None:
     images = rainbow.make_image_models()
     assert set(images) == {
         *("SB3 DQN", "sb3-contrib QR-DQN", "Rainbow", "Rainbow, by default two streams of 512")
@@ -82,8 +89,15 @@ def test_the_report_gives_the_ratios_of_the_rates() -> None:
             "memory_mb": 140.4,
         },
     }
-    text = " ".join(rainbow.SpeedRainbow.to_markdown(json.loads(json.dumps(found))).split())
-    assert "| Rainbow | 600 | 1.20 |" in text
-    assert "| Rainbow | 1.20 | 1.20 | 1.5 |" in text
-    assert "| Rainbow on images | 1.20 | 1.20 | 0.9 |" in text
-    assert "12-action masks: 140 MB." in text
+
+    def told() -> str:
+        return " ".join(rainbow.SpeedRainbow.to_markdown(json.loads(json.dumps(found))).split())
+
+    assert "| Rainbow | 600 | 1.20 |" in told()
+    assert "| Rainbow of [256, 128, 64] | SB3 DQN | 1.20 | 1.20 | 1.5 |" in told()
+    assert "| Rainbow on images | SB3 DQN | 1.20 | 1.20 | 0.9 |" in told()
+    assert "12-action masks: 140 MB." in told()
+    assert "SBX DQN was not measured: `sbx-rl` was not installed." in told()
+    found["parts"]["updates_64"] = {**rates, "SBX DQN": dict.fromkeys(kinds, 1200.0)}
+    assert "| Rainbow of [64, 64] | SBX DQN | 0.50 | 0.50 | 1.5 |" in told()
+    assert "was not measured" not in told()
