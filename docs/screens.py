@@ -19,15 +19,19 @@ BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome", "chrome")
 WIDE, NARROW, SCREEN, LONGEST = 1280, 390, 800, 6  # px, px, px, screens
 INDEXES: Final = {"genindex.html", "py-modindex.html", "search.html"}
 
+# The theme wraps its tables after it has loaded; a page is measured once that is done.
 # The text's own height: the frame's is that of the side bar where that is longer. What scrolls
 # inside its own box, such as a wide table, does not make the page scroll.
 MEASURE: Final = """
 const found = {}, waiting = [];
+const TABLES = 'table.docutils:not(.field-list):not(.footnote):not(.citation)';
 for (const page of PAGES) for (const width of WIDTHS) {
   const frame = document.createElement('iframe');
   frame.style.cssText = `width: ${width}px; height: 800px; border: 0`;
   frame.src = page;
-  waiting.push(new Promise(done => { frame.onload = () => setTimeout(() => {
+  waiting.push(new Promise(done => { frame.onload = function look() {
+    const raw = [...frame.contentDocument.querySelectorAll(TABLES)];
+    if (raw.some(table => !table.closest('.wy-table-responsive'))) return setTimeout(look, 200);
     const root = frame.contentDocument, text = root.querySelector('[itemprop=articleBody]');
     const boxes = [...text.querySelectorAll('.wy-table-responsive, pre, div.math')];
     found[`${page} ${width}`] = [
@@ -36,7 +40,7 @@ for (const page of PAGES) for (const width of WIDTHS) {
       Math.max(0, ...boxes.map(box => box.scrollWidth - box.clientWidth)),
     ];
     done();
-  }, 3000); }));
+  }; }));
   document.body.append(frame);
 }
 Promise.all(waiting).then(() => document.body.textContent = JSON.stringify(found));
@@ -78,7 +82,7 @@ def measure(site: Path, chromium: str) -> list[Page]:
         frames.write_text(f"<body><script>{script}</script></body>", encoding="utf-8")
         words = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-web-security",
                  "--allow-file-access-from-files", f"--user-data-dir={folder}/profile",
-                 "--virtual-time-budget=60000", "--dump-dom", frames.as_uri()]  # fmt: skip
+                 "--virtual-time-budget=600000", "--dump-dom", frames.as_uri()]  # fmt: skip
         done = subprocess.run([chromium, *words], capture_output=True, text=True, check=False)
     text = re.search(r"<body>(\{.*\})</body>", done.stdout, re.DOTALL)
     if not text:
