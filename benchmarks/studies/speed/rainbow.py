@@ -219,11 +219,11 @@ class SpeedRainbow(Measured):
             players = {name: learner(model, batch_size) for name, model in models.items()}
             return measure_updates(players, n, rounds)
 
+        def of_net(net: list[int]) -> Part:
+            return lambda _: updates(make_models(net_arch=net), BATCH_SIZE, steps)
+
         return {
-            **{
-                part: lambda _, net=net: updates(make_models(net_arch=net), BATCH_SIZE, steps)
-                for part, net in NETS.items()
-            },
+            **{part: of_net(net) for part, net in NETS.items()},
             "images": lambda _: updates(make_image_models(), 32, max(1, steps // 10)),
             "replay": lambda _: measure_replay(rounds),
             "memory_mb": lambda _: measure_memory(),
