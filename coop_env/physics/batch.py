@@ -174,7 +174,7 @@ class PhysicsBatch(ABC):
         return {"observation": own, "privileged": self.privileged(rows)} if self.is_dict else own
 
     def privileged(self, rows: slice) -> NDArray[np.float32]:
-        """(n, 44): what no controller knows, for a critic; see :data:`PRIVILEGED`."""
+        """(n, 44): what no controller knows, for a critic; see ``PRIVILEGED``."""
         now, m = self.twin.readings(), self.machine.task
         hole_normals = np.array(m.hole_normals)[self.hole[rows]]
         normals = np.einsum("nij,nj->ni", now.rotation[rows], hole_normals)

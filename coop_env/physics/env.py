@@ -202,11 +202,11 @@ class CoopInsertionContactEnv(PhysicsEnv):
             :class:`~coop_env.simulation.insertion_task.InsertionTask`.
         servos: None, or :class:`~coop_env.physics.model.Servos`. Each of these five may be a plain
             mapping of fields.
-        sim_to_real: None, ``"randomized"`` (:data:`~coop_env.simulation.sim_to_real.FORGE`) or a
+        sim_to_real: None, ``"randomized"`` (``sim_to_real.FORGE``) or a
             :class:`~coop_env.simulation.sim_to_real.SimToReal`: each episode has another machine.
         reward_scale: what all rewards are multiplied by.
         privileged: observations are dictionaries of ``observation`` and ``privileged``, which is
-            ``info["privileged"]``: :data:`~coop_env.physics.batch.PRIVILEGED`.
+            ``info["privileged"]``: ``coop_env.physics.batch.PRIVILEGED``.
         render_mode: None, ``"rgb_array"`` or ``"ansi"``; no OpenGL.
 
     Raises:
@@ -293,11 +293,11 @@ class CoopInsertionPhysicsEnv(PhysicsEnv):
             :class:`~coop_env.simulation.insertion_task.InsertionTask`.
         servos: None, or :class:`~coop_env.physics.model.Servos`. Each of these five may be a plain
             mapping of fields.
-        sim_to_real: None, ``"randomized"`` (:data:`~coop_env.simulation.sim_to_real.FORGE`) or a
+        sim_to_real: None, ``"randomized"`` (``sim_to_real.FORGE``) or a
             :class:`~coop_env.simulation.sim_to_real.SimToReal`: each episode has another machine.
         reward_scale: what all rewards are multiplied by.
         privileged: observations are dictionaries of ``observation`` and ``privileged``, which is
-            ``info["privileged"]``: :data:`~coop_env.physics.batch.PRIVILEGED`.
+            ``info["privileged"]``: ``coop_env.physics.batch.PRIVILEGED``.
         stage: 0, the four peripheral holes, or 1, all.
         max_steps: control steps until truncation.
         render_mode: None, ``"rgb_array"`` or ``"ansi"``; no OpenGL.

@@ -34,7 +34,7 @@ class SimToReal:
     FORGE (Noseworthy et al. 2024, arXiv 2408.04587) has published ranges for these five, in the
     file ``forge_env_cfg.py`` of Isaac Lab: gains times or divided by up to 1.41; a dead zone of up
     to 5 N and 1 N m; the held part's mass up to 5 g more or less; the fixed part's friction 0.25 to
-    1.25; a force noise of 1 N. :data:`FORGE` takes them over to this machine.
+    1.25; a force noise of 1 N. ``FORGE`` takes them over to this machine.
 
     Attributes:
         observation_noise: standard deviation of Gaussian noise on the first 12 fields of the
@@ -158,7 +158,7 @@ def _knobs(value: Any, preset: SimToReal, others: frozenset[str], hint: str) -> 
 
 
 def resolve_contact(value: str | SimToReal | Mapping[str, Any] | None) -> SimToReal:
-    """The knobs of an environment with contact; ``"randomized"`` is :data:`FORGE`.
+    """The knobs of an environment with contact; ``"randomized"`` is ``FORGE``.
 
     Raises:
         ArgumentError: it is none of these, or a knob of the kinematic environments is turned.
