@@ -6,6 +6,8 @@ observation, the best script there without a memory; the *medium* one, which is 
 share of its moves, drawn from the allowed ones; and *random* moves, drawn from the allowed ones.
 Episode k begins at the same state for all, which is no state of a test, a validation or a training.
 A dataset is there when it is complete: what was cut off begins anew, the others are kept.
+With ``--contact`` the scripts of the contact task act in it, with their standard gains, and
+``infos`` hold its privileged state.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Final
 
 import gymnasium
@@ -50,6 +53,11 @@ BEHAVIOURS: Final = {
     "medium": f"expert, {RANDOM_SHARE['medium']:.0%} of the moves random",
     "random": "random",
 }
+CONTACT: Final = {
+    "contact-push": "compliant push",
+    "contact-moment": "moment-guided search",
+    "contact-spiral": "spiral search",
+}
 TOGETHER: Final = 32  # episodes side by side: a script is asked once for all of them
 
 
@@ -75,26 +83,62 @@ class Recorder(CoopInsertionEnv):
 
     def buffer(self, seed: int) -> Any:
         """The episode as Minari takes it; one that a behaviour gave up is truncated there."""
-        from minari.data_collector import EpisodeBuffer
+        infos = {"action_masks": np.array(self.masks), "n_filled": np.array(self.filled)}
+        return make_buffer(seed, self.observations, self.steps, infos)
 
-        actions, rewards, terminated, truncated = (
-            np.array(column) for column in zip(*self.steps, strict=True)
-        )
-        truncated[-1] |= not terminated[-1]
-        return EpisodeBuffer(
-            seed=seed,
-            observations=np.array(self.observations),
-            actions=actions.astype(np.int64),
-            rewards=rewards,
-            terminations=terminated,
-            truncations=truncated,
-            infos={"action_masks": np.array(self.masks), "n_filled": np.array(self.filled)},
-        )
+
+class Demonstration:
+    """An episode of the contact task that a script plays to its end."""
+
+    def __init__(self, env: Any, script: Any, number: int) -> None:
+        self.env, self.reset_seed = self, derive("data", number)
+        observation, info = env.reset(seed=self.reset_seed)
+        script.reset()
+        self.observations, self.privileged = [observation], [info["privileged"]]
+        self.steps: list[tuple[Any, float, bool, bool]] = []
+        over = False
+        while not over:
+            action = np.asarray(script(self.observations[-1]), np.float32)
+            observation, reward, terminated, truncated, info = env.step(action)
+            self.observations.append(observation)
+            self.privileged.append(info["privileged"])
+            self.steps.append((action, reward, terminated, truncated))
+            over = terminated or truncated
+        self.task = SimpleNamespace(holes=[info["hole"]])  # its one hole
+        self.moves = len(self.steps)
+        self.insertions = [self.moves] * info["success"]
+        self.reward = sum(step[1] for step in self.steps)
+
+    def buffer(self, seed: int) -> Any:
+        """The episode as Minari takes it."""
+        infos = {"privileged": np.array(self.privileged)}
+        return make_buffer(seed, self.observations, self.steps, infos)
+
+
+def make_buffer(
+    seed: int, observations: Sequence[Any], steps: Sequence[tuple[Any, ...]], infos: dict[str, Any]
+) -> Any:
+    """An episode as Minari takes it; one that was given up is truncated there."""
+    from minari.data_collector import EpisodeBuffer
+
+    actions, rewards, terminated, truncated = (
+        np.array(column) for column in zip(*steps, strict=True)
+    )
+    truncated[-1] |= not terminated[-1]
+    return EpisodeBuffer(
+        seed=seed,
+        observations=np.array(observations),
+        actions=actions,
+        rewards=rewards,
+        terminations=terminated,
+        truncations=truncated,
+        infos=infos,
+    )
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """What decides a dataset. ``behaviour`` is one of :data:`BEHAVIOURS`."""
+    """What decides a dataset. ``behaviour`` is one of ``BEHAVIOURS`` or ``CONTACT``."""
 
     name: str
     behaviour: str
@@ -110,9 +154,22 @@ class Recipe:
         share = RANDOM_SHARE.get(self.behaviour, 0.0)
         return {"behaviour": self.behaviour, "at_least": self.steps, "random_share": share}
 
+    def environment(self) -> Any:
+        """The environment that Minari makes anew."""
+        if self.behaviour in CONTACT:
+            return gymnasium.make("CoopInsertionContact-v0")
+        return gymnasium.make("CoopInsertion-v0", **arguments_of_the_task())
 
-def recipes(steps: int) -> list[Recipe]:
-    """All datasets of one command; the small one comes first."""
+    @property
+    def title(self) -> str:
+        """Who acts."""
+        return {**BEHAVIOURS, **CONTACT}[self.behaviour]
+
+
+def recipes(steps: int, contact: bool = False) -> list[Recipe]:
+    """All datasets of one command; the small one of the moves comes first."""
+    if contact:
+        return [Recipe(name, name, steps) for name in CONTACT]
     small = Recipe("optimum-small", "optimum", min(steps, SMALL))
     return [small, *(Recipe(name, name, steps) for name in BEHAVIOURS)]
 
@@ -125,11 +182,28 @@ def arguments_of_the_task() -> dict[str, Any]:
     return {name: value for name, value in given.items() if value}
 
 
-def play(recipe: Recipe, progress: Callable[[int], None]) -> list[Episode]:
+def demonstrate(recipe: Recipe, progress: Callable[[int], None]) -> list[Demonstration]:
+    """As :func:`play`, in the contact task."""
+    from benchmarks.methods.contact_scripts import SCRIPTS, Gains
+
+    env = recipe.environment().unwrapped
+    script = SCRIPTS[recipe.title](env, Gains())
+    kept: list[Demonstration] = []
+    done = 0
+    while done < recipe.steps:
+        kept.append(Demonstration(env, script, len(kept)))
+        done += kept[-1].moves
+        progress(done)
+    return kept
+
+
+def play(recipe: Recipe, progress: Callable[[int], None]) -> Sequence[Episode | Demonstration]:
     """Whole episodes from the first on, until they have the recipe's steps together.
 
     ``progress`` hears how many there are.
     """
+    if recipe.behaviour in CONTACT:
+        return demonstrate(recipe, progress)
     arguments, oracle = arguments_of_the_task(), LatticeOracle()
     longest = CoopInsertionEnv(**arguments).params.task.max_moves
     kept: list[Episode] = []
@@ -174,7 +248,7 @@ def _mixed(episodes: Sequence[Episode], share: float) -> Chooser:
     return choose
 
 
-def measure(episodes: Sequence[Episode]) -> dict[str, Any]:
+def measure(episodes: Sequence[Episode | Demonstration]) -> dict[str, Any]:
     """What the metadata and the table say of a dataset; starts without a move count, too."""
     rewards = np.array([episode.reward for episode in episodes])
     holes = np.array([len(episode.insertions) for episode in episodes])
@@ -190,12 +264,12 @@ def measure(episodes: Sequence[Episode]) -> dict[str, Any]:
     }
 
 
-def write(root: Path, recipe: Recipe, episodes: Sequence[Episode]) -> None:
+def write(root: Path, recipe: Recipe, episodes: Sequence[Episode | Demonstration]) -> None:
     """Make the dataset beside its place and rename it into it."""
     import minari
 
-    env = gymnasium.make("CoopInsertion-v0", **arguments_of_the_task())
-    buffers = [e.env.buffer(e.reset_seed) for e in episodes if e.moves]  # type: ignore[attr-defined]
+    playing: list[Any] = [e for e in episodes if e.moves]
+    buffers = [e.env.buffer(e.reset_seed) for e in playing]
     root.mkdir(parents=True, exist_ok=True)
     root = root.resolve()  # Minari loses its way below a relative folder
     with tempfile.TemporaryDirectory(dir=root, prefix=".") as temporary, minari_root(temporary):
@@ -204,10 +278,11 @@ def write(root: Path, recipe: Recipe, episodes: Sequence[Episode]) -> None:
             dataset = minari.create_dataset_from_buffers(
                 recipe.id,
                 buffers,
-                env=env,
-                algorithm_name=BEHAVIOURS[recipe.behaviour],
+                env=recipe.environment(),
+                algorithm_name=recipe.title,
                 author="the sb3-rainbow-coop authors",
-                description=f"Insertion by the {BEHAVIOURS[recipe.behaviour]}, with action masks",
+                description=f"Insertion by the {recipe.title}, with "
+                + ("privileged state" if recipe.behaviour in CONTACT else "action masks"),
             )
         record = {"settings": recipe.settings(), "measured": measure(episodes)}
         dataset.storage.update_metadata({**record, "commit": describe()["commit"]})
@@ -247,8 +322,12 @@ def read(root: Path, recipe: Recipe) -> dict[str, Any] | None:
             "delete it, or name another --results"
         )
     size = sum(part.stat().st_size for part in path.parent.iterdir())
-    behaviour = BEHAVIOURS[recipe.behaviour]
-    return {"id": recipe.id, "behaviour": behaviour, "megabytes": size / 1e6, **result["measured"]}
+    return {
+        "id": recipe.id,
+        "behaviour": recipe.title,
+        "megabytes": size / 1e6,
+        **result["measured"],
+    }
 
 
 class Data(Study):
@@ -258,19 +337,25 @@ class Data(Study):
     needs = ("h5py", "minari", "data")
     options = {  # noqa: RUF012
         "--steps": {"type": at_least(1), "default": 100_000, "help": "least steps of each dataset"},
+        "--contact": {"action": "store_true", "help": "demonstrations of the contact task"},
     }
 
     def parts(self) -> dict[str, Part]:
-        todo = [r for r in recipes(self.given.steps) if read(self.folder, r) is None]
+        todo = [r for r in self._recipes() if read(self.folder, r) is None]
         return {recipe.id: partial(self._make, recipe) for recipe in todo}
 
     def _make(self, recipe: Recipe, tick: Tick) -> None:
         write(self.folder, recipe, play(recipe, lambda n: tick(n / recipe.steps)))
 
     def finish(self) -> None:
-        result = (read(self.folder, recipe) for recipe in recipes(self.given.steps))
-        records = [record for record in result if record]
-        write_text(self.folder / "data.json", json.dumps(records, indent=1) + "\n")
+        path = self.folder / "data.json"
+        stored = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
+        made = (read(self.folder, recipe) for recipe in self._recipes())
+        records = {record["id"]: record for record in [*stored, *made] if record}
+        write_text(path, json.dumps(list(records.values()), indent=1) + "\n")
+
+    def _recipes(self) -> list[Recipe]:
+        return recipes(self.given.steps, self.given.contact)
 
     @classmethod
     def files(cls, results: Path) -> dict[Path, str]:

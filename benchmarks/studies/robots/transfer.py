@@ -8,7 +8,9 @@ errors of the machine, in the twin with them, and there with a script or a learn
 where they have arrived. Plans are made on the nominal model, run open loop, and made anew for each
 hole; a player stops where a plan does not bring it to its hole.
 The scripts have the gains that the study ``contact`` chose; what has learned to insert is of preset
-``contact``, a policy for each seed.
+``contact``, a policy for each seed. Where preset ``contact_errors`` has been run, too, scripts and
+policies trained with and without errors of the machine insert on machines within the errors trained
+on and outside of them.
 """
 
 from __future__ import annotations
@@ -33,8 +35,10 @@ from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.reporting.stats import wilson
 from benchmarks.reporting.tables.table import plain
 from benchmarks.studies.base import Measured, Part, Tick, source
-from benchmarks.studies.robots.trials import LEVEL, inserter
+from benchmarks.studies.robots.trials import LEARNED, LEVEL, in_cell, inserter
+from benchmarks.studies.robots.trials import play as play_contact
 from coop_env.env import CoopInsertionEnv
+from coop_env.simulation.sim_to_real import FORGE, SimToReal
 
 PRESET: Final = "cut"
 SEEDS: Final = 5
@@ -56,6 +60,8 @@ FINISHES: Final = {
 }
 """What inserts."""
 WORLDS: Final = ("kinematics", "twin, no error", "twin", *FINISHES)
+INSERTERS: Final = ("compliant push", "moment-guided search", *LEARNED)
+"""What inserts on the machines of :func:`machines`."""
 NO_ERROR: Final = {"position_error": 0.0, "tilt_error": 0.0}
 Row = dict[str, list[Any]]
 Play = Callable[[Episode], str]
@@ -199,6 +205,53 @@ class Watched(Episode):
         return info
 
 
+def machines() -> dict[str, SimToReal]:
+    """Machines of the contact task, by how far off they are; those trained on are up to ``FORGE``.
+
+    At ``n`` times the bounds dead zone, play, latency and noise are that large in every episode.
+    """
+    bounds = {name: getattr(FORGE, name) for name in FORGE.turned - {"latency"}}
+    outside = {
+        f"{n:g} times the bounds": SimToReal(
+            **{name: n * bound for name, bound in bounds.items()}, latency=1
+        )
+        for n in (1.5, 2.0)
+    }
+    return {"nominal": SimToReal(), "within the bounds": FORGE, **outside}
+
+
+def on_machines(name: str, results: Path, episodes: int, tick: Tick) -> Row:
+    """The test episodes of what inserts, on each of :func:`machines`; all policies of a kind."""
+    from coop_env.physics.env import CoopInsertionContactEnv
+
+    found: Row = {}
+    for done, (machine, errors) in enumerate(machines().items()):
+        env = CoopInsertionContactEnv(LEVEL, sim_to_real=errors)
+        kept: Row = {}
+        for seed in range(SEEDS if name in LEARNED else 1):
+            script = inserter(results, name, seed)
+            for key, values in play_contact(env, script, "test", SEEDS * episodes).items():
+                kept.setdefault(key, []).extend(values)
+        found[machine] = [kept]
+        env.close()
+        tick((done + 1) / len(machines()))
+    return found
+
+
+def _machines(parts: Mapping[str, Row]) -> Iterator[str]:
+    """The table of what inserts on machines that err, if it was measured."""
+    rows = [
+        [name, *(in_cell(part[machine][0]) for machine in machines())]
+        for name in INSERTERS
+        if (part := parts.get(f"machines: {name}"))
+    ]
+    if rows:
+        what = "success (%) / median time of successes (s) / median peak force (N)"
+        yield plain(
+            f"One insertion on machines that err: {what}", " | ".join(["", *machines()]), rows
+        )
+
+
 def _cell(name: str, world: str, results: Path, episodes: int, tick: Tick) -> Row:
     """A cell, in a process of its own: OMPL takes one seed per process."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
@@ -247,11 +300,15 @@ class Transfer(Measured):
 
     def measures(self) -> dict[str, Part]:
         place = (self.results, self.given.episodes)
+        errors: dict[str, Part] = {
+            f"machines: {name}": partial(on_machines, name, *place) for name in INSERTERS
+        }
+        trained = all((self.results / "classic" / preset).is_dir() for preset in LEARNED.values())
         return {
             f"{name}: {world}": partial(_cell, name, world, *place)
             for name in PLAYERS
             for world in WORLDS
-        }
+        } | (errors if trained else {})
 
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:
@@ -260,6 +317,7 @@ class Transfer(Measured):
         return "\n\n".join(
             [
                 *_tables(result["parts"]),
+                *_machines(result["parts"]),
                 f"{n} episodes a cell, on the same test starts for all (all of them successful: "
                 f"{low:.0f} to {high:.0f} %, 95 % interval); success: at least one hole. Without a "
                 "script (+) a hole counts as in the kinematic task, within its tolerance; with one "

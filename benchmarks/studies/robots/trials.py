@@ -26,6 +26,8 @@ FRICTIONS: Final = (0.1, 0.2, 0.3, 0.4)
 EPISODES: Final = 50  # of each cell
 TRAINED: Final = 3.0  # mm: the largest error that the task draws
 LEVEL: Final = "standard"  # of what other studies let insert
+LEARNED: Final = {"SAC": "contact", "SAC, trained on machines that err": "contact_errors"}
+"""Presets of the policies that insert."""
 Row = dict[str, Any]
 
 
@@ -86,7 +88,7 @@ class Policy:
 
 
 def inserter(results: Path, name: str, seed: int) -> Any:
-    """A script with the gains that were chosen for it, or ``"SAC"``: a policy of preset contact.
+    """A script with the gains that were chosen for it, or a policy of :data:`LEARNED`.
 
     Raises:
         BenchmarkError: the gains or the policy are not among the results.
@@ -94,13 +96,13 @@ def inserter(results: Path, name: str, seed: int) -> Any:
     from benchmarks.methods.contact_scripts import SCRIPTS, Gains
     from coop_env.physics.task import resolve_task
 
-    learned = name == "SAC"
-    run = f"classic/contact/runs/{LEVEL}-sac-s{seed}/policy.zip"
-    path = results / (run if learned else "contact/scripts.json")
+    preset = LEARNED.get(name)
+    run = f"classic/{preset}/runs/{LEVEL}-sac-s{seed}/policy.zip"
+    path = results / (run if preset else "contact/scripts.json")
     if not path.is_file():
-        command = "run --preset contact" if learned else "contact"
+        command = f"run --preset {preset}" if preset else "contact"
         raise BenchmarkError(f"{path} is missing: run python -m benchmarks {command} first")
-    if learned:
+    if preset:
         return Policy(_stored_sac(path))
     gains = json.loads(path.read_text(encoding="utf-8"))["parts"][LEVEL][name]["gains"]
     task: Any = SimpleNamespace(task=resolve_task(LEVEL))

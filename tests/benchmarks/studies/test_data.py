@@ -62,6 +62,34 @@ def test_the_environment_does_what_a_dataset_says(name: str, results: Path) -> N
         assert all(episode.infos["n_filled"][-1] > 0 for episode in dataset)
 
 
+def test_demonstrations_of_contact_are_what_the_environment_does(results: Path) -> None:
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
+    before = json.loads((results / "data/data.json").read_text("utf-8"))
+    words = ["study", "data", "--contact", "--steps", "100", "--results", str(results)]
+    assert command(words) == 0
+    records = json.loads((results / "data/data.json").read_text("utf-8"))
+    assert records[: len(before)] == before
+    assert [r["id"] for r in records[len(before) :]] == [
+        f"coop-insertion/{name}-v0" for name in data.CONTACT
+    ]
+    for name in data.CONTACT:
+        with data.minari_root(results / "data"):
+            dataset = minari.load_dataset(f"coop-insertion/{name}-v0")
+        assert dataset.total_steps >= 100
+        env = dataset.recover_environment()
+        seeds = [m["seed"] for m in dataset.storage.get_episode_metadata(dataset.episode_indices)]
+        for seed, episode in zip(seeds, dataset, strict=True):
+            observation, info = env.reset(seed=int(seed))
+            for t, action in enumerate(episode.actions):
+                np.testing.assert_array_equal(observation, episode.observations[t])
+                np.testing.assert_array_equal(info["privileged"], episode.infos["privileged"][t])
+                observation, reward, terminated, truncated, info = env.step(action)
+                assert reward == pytest.approx(episode.rewards[t])
+                ends = episode.terminations[t], episode.truncations[t]
+                assert (terminated, truncated) == ends
+            assert terminated or truncated
+
+
 def test_no_episode_is_one_of_a_test_or_a_validation() -> None:
     mine = {derive("data", number) for number in range(2_000)}
     for stream in ("test", "validate", "train", "fresh"):

@@ -18,6 +18,7 @@ from benchmarks.reporting import blocks
 from benchmarks.studies.robots import transfer
 from benchmarks.studies.robots.transfer import Transfer
 from benchmarks.studies.robots.trials import inserter
+from coop_env.simulation.sim_to_real import FORGE, draw_disturbance
 
 RESULTS = Path("results")
 
@@ -93,6 +94,34 @@ def test_a_plan_that_leads_elsewhere_is_named() -> None:
     )
     none = Plan("infeasible", None, 0.0)
     assert transfer.play_one(env, transfer.by_plans(lambda env: none), 0, 1)["failure"] == "no plan"
+
+
+def test_machines_outside_of_the_bounds_are_outside() -> None:
+    pytest.importorskip("mujoco", reason="needs the extra physics")
+    machines = transfer.machines()
+    assert not machines["nominal"].active
+    assert machines["within the bounds"] == FORGE
+    rng = np.random.default_rng(0)
+    for n in (1.5, 2.0):
+        errors = machines[f"{n:g} times the bounds"]
+        drawn = draw_disturbance(errors, rng)
+        assert errors.turned == FORGE.turned
+        assert drawn.dead_zone == n * FORGE.servo_dead_zone
+        assert drawn.force_noise == n * FORGE.force_noise
+        assert drawn.latency == 1.0
+
+
+def test_what_inserts_is_tried_on_every_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco", reason="needs the extra physics")
+    monkeypatch.setattr(transfer, "SEEDS", 2)
+    told: list[float] = []
+    found = transfer.on_machines("moment-guided search", RESULTS, 1, told.append)
+    assert list(found) == list(transfer.machines())
+    assert told[-1] == 1.0
+    assert all(len(rows[0]["success"]) == 2 for rows in found.values())
+    (table,) = transfer._machines({"machines: moment-guided search": found})
+    assert "2 times the bounds" in table
+    assert not list(transfer._machines({}))
 
 
 def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
