@@ -3,8 +3,8 @@
     python -m benchmarks study trajectory
     python -m benchmarks study trajectory --export FOLDER [--model PATH] [--start 0] [--blend]
 
-Without --export, the optimum and a stored Rainbow play the same test starts. Their ways become
-trajectories, stop-and-go and blended, and the twin drives each to the first insertion.
+Without --export, the optimum, RRT-Connect and a stored Rainbow play the same test starts. Their
+ways become trajectories, stop-and-go and blended, and the twin drives each to the first insertion.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from rich.console import Console
 
 from benchmarks.errors import BenchmarkError, at_least
 from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.figures.style import save
 from benchmarks.runs.machine import describe
@@ -49,6 +50,7 @@ MEASURED: Final = (
 """Columns of a start with an insertion, which others leave empty."""
 
 OPTIMUM: Final = "optimum"
+PLANNER: Final = "RRT-Connect"
 
 Play = Callable[[CoopInsertionEnv], Iterator[int]]
 Row = dict[str, Any]
@@ -66,6 +68,17 @@ class Way(NamedTuple):
 def optimum(env: CoopInsertionEnv) -> Iterator[int]:
     """Moves of the exact optimum, hole by hole, as far as there is a plan."""
     for plan in LatticeOracle().plan_episode(env):
+        yield from () if plan.moves is None else map(int, plan.moves)
+
+
+def planner(env: CoopInsertionEnv) -> Iterator[int]:
+    """Moves of RRT-Connect, planned hole by hole and run open loop, as far as a plan does."""
+    from benchmarks.methods.rrt_connect import RRTConnect
+
+    limits, filled = load_preset("cut").planner, -1
+    rrt = RRTConnect(limits.time_limit, limits.max_iterations)
+    while env.running and (done := int(env.state["filled"].sum())) > filled:
+        filled, plan = done, rrt.plan(env)
         yield from () if plan.moves is None else map(int, plan.moves)
 
 
@@ -195,7 +208,8 @@ def measure(method: str, model: Path, starts: int, tick: Tick) -> list[Row]:
     from coop_env.physics.driver import TwinDriver
     from coop_env.physics.model import Machine
 
-    arguments, play = NOMINAL if method == OPTIMUM else stored(model)
+    players = {OPTIMUM: NOMINAL, PLANNER: (NOMINAL[0], planner)}
+    arguments, play = players.get(method) or stored(model)
     driver = TwinDriver(Machine(rrs=GEOMETRIES[arguments.get("geometry", "optimized")]))
     rows: list[Row] = []
     for number, seed in enumerate(episode_seeds(0, starts, "test")):
@@ -208,7 +222,7 @@ class TrajectoryStudy(Measured):
     """Joint trajectories of episodes, on the twin; or the files of one."""
 
     name, file = "trajectory", "trajectory/trajectory.json"
-    needs = ("mujoco", "ruckig", "trajectory")
+    needs = ("mujoco", "ruckig", "ompl", "trajectory")
     options = {  # noqa: RUF012
         "--export": {"type": Path, "metavar": "FOLDER", "help": "place of one episode's files"},
         "--model": {
@@ -249,7 +263,7 @@ class TrajectoryStudy(Measured):
     def measures(self) -> dict[str, Part]:
         asked = self.asked()
         place = (Path(asked["model"]), asked["starts"])
-        return {name: partial(measure, name, *place) for name in (OPTIMUM, "Rainbow")}
+        return {name: partial(measure, name, *place) for name in (OPTIMUM, PLANNER, "Rainbow")}
 
     def finish(self) -> None:
         arguments, play = NOMINAL

@@ -48,7 +48,8 @@ def test_the_tables_follow_from_the_rows(
     assert text.strip() in capsys.readouterr().out
     stored = json.loads((results / "trajectory" / "trajectory.json").read_text("utf-8"))
     rows = pd.DataFrame([row for part in stored["parts"].values() for row in part])
-    assert len(rows) == 8
+    assert len(rows) == 12
+    assert set(rows["method"]) == {"optimum", "RRT-Connect", "Rainbow"}
     done = rows[rows["moves_first"] > 0]
     optimum = done[done["method"] == "optimum"]
     assert len(optimum) > 0
