@@ -25,6 +25,7 @@ from sb3_rainbow.replay.parameters import check_buffer_size, smallest_buffer
 from sb3_rainbow.resume.resumable import ResumableAlgorithm
 from sb3_rainbow.settings import (
     NETWORK_ARGUMENTS,
+    SettingsMismatchError,
     check_settings,
     check_support_of_file,
     default_learning_rate,
@@ -43,8 +44,6 @@ SelfRainbow = TypeVar("SelfRainbow", bound="Rainbow")
 _CLIPPED_TO_WARN = 0.3
 # Updates between two looks at what only the logs need
 _DIAGNOSTICS_INTERVAL = 100
-
-
 _MISSING_MASKS = (
     "The model was trained under action masks and is asked for actions without them, so it may "
     "choose what the env forbids: pass predict(action_masks=...), and evaluate with "
@@ -499,7 +498,12 @@ class Rainbow(ResumableAlgorithm):
             own = support_of(self.distributional, self.v_min, self.v_max)
             check_support_of_file(support_in_file(parameters), own)
             _, parameters, _ = load_from_zip_file(parameters, load_data=False, device=device)
-        super().set_parameters(parameters, exact_match, device)
+        try:
+            super().set_parameters(parameters, exact_match, device)
+        except RuntimeError as error:
+            raise SettingsMismatchError(
+                f"The checkpoint was saved with other settings than the model's: {error}"
+            ) from error
 
     def _excluded_save_params(self) -> list[str]:
         own = ("q_net", "q_net_target", "_learner", "_warned_of_missing_masks")

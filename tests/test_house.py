@@ -54,7 +54,6 @@ FLOORS = {
         "sb3_rainbow.type_aliases",
         "sb3_rainbow.network",
         "sb3_rainbow.masking.conventions",
-        "sb3_rainbow.masking.transitions",
         "sb3_rainbow.replay",
         "sb3_rainbow.masking",
         "sb3_rainbow.policies",

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import torch as th
+from numpy.typing import NDArray
 from torch import nn
 from torch.nn.modules import module as torch_module
 
 from sb3_rainbow.fast import mlp_kernels as kernels
 from sb3_rainbow.fast.adam import AdamOnVector
-from sb3_rainbow.fast.layout import parameters_of, table_of
 from sb3_rainbow.network.noisy_linear import NoisyLinear
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.network.shared_memory import is_dense
@@ -26,6 +26,10 @@ _GLOBAL_HOOKS = ("_global_forward_hooks", "_global_forward_pre_hooks", "_global_
 _TRAINS = attrgetter("requires_grad")
 _VALUES: Any = dict.values
 _HOOKS_OF_PARAMETER = attrgetter("_backward_hooks", "_post_accumulate_grad_hooks")
+_PARAMETERS = {
+    NoisyLinear: ("weight_mu", "weight_sigma", "bias_mu", "bias_sigma"),
+    nn.Linear: ("weight", "bias"),
+}
 
 
 def kernels_apply(
@@ -45,6 +49,30 @@ def kernels_apply(
         and _constants(q_net) == _constants(q_net_target)
         and AdamOnVector.is_possible(optimizer, ids)
     )
+
+
+def parameters_of(net: RainbowNetwork) -> list[nn.Parameter]:
+    """The layers' parameters in the order in which the kernels want them, then the extractor's."""
+    own = [getattr(layer, name) for layer in net.layers for name in _PARAMETERS[type(layer)]]
+    return [*own, *net.features_extractor.parameters()]
+
+
+def table_of(net: RainbowNetwork) -> NDArray[np.int64]:
+    """Sizes and offsets of each layer, ``(n_layers, 8)``."""
+    rows = []
+    parameters = noise = effective = hidden = 0
+    for layer in net.layers:
+        assert isinstance(layer, NoisyLinear | nn.Linear)
+        noisy = isinstance(layer, NoisyLinear)
+        n_in, n_out = layer.in_features, layer.out_features
+        shared = layer.outputs_per_noise if noisy else 1
+        rows.append([n_in, n_out, int(noisy), parameters, noise, effective, hidden, shared])
+        size = (n_in + 1) * n_out
+        parameters += 2 * size if noisy else size
+        noise += n_in + n_out if noisy else 0
+        effective += size if noisy else 0
+        hidden += n_out
+    return np.asarray(rows, dtype=np.int64)
 
 
 def _constants(net: RainbowNetwork) -> tuple[Any, ...]:

@@ -13,7 +13,7 @@ from torch import nn
 from sb3_rainbow.fast import learning_kernels
 from sb3_rainbow.fast import mlp_kernels as kernels
 from sb3_rainbow.fast.adam import AdamOnVector
-from sb3_rainbow.fast.layout import parameters_of, table_of
+from sb3_rainbow.fast.eligibility import parameters_of, table_of
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.network.shared_memory import join, parts, share
 from sb3_rainbow.type_aliases import Batch, Prepared

@@ -14,9 +14,10 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_rainbow.masking.conventions import as_action_masks, capture_terminal_masks
-from sb3_rainbow.masking.transitions import (
+from sb3_rainbow.masking.conventions import (
     LOST_MASK_WARNING,
+    as_action_masks,
+    capture_terminal_masks,
     with_terminal_masks,
     with_terminal_observations,
 )

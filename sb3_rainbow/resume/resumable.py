@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import torch as th
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, TensorDict
+from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback
 
 from sb3_rainbow.masking.masked_off_policy import MaskedOffPolicyAlgorithm
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
@@ -101,24 +101,6 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
 
     def _excluded_save_params(self) -> list[str]:
         return [*super()._excluded_save_params(), "_rng_to_resume"]
-
-    def set_parameters(
-        self,
-        load_path_or_dict: str | TensorDict,
-        exact_match: bool = True,
-        device: th.device | str = "auto",
-    ) -> None:
-        """As SB3's ``set_parameters``.
-
-        Raises:
-            SettingsMismatchError: if the parameters were saved with other settings.
-        """
-        try:
-            super().set_parameters(load_path_or_dict, exact_match, device)
-        except RuntimeError as error:
-            raise SettingsMismatchError(
-                f"The checkpoint was saved with other settings than the model's: {error}"
-            ) from error
 
     def load_replay_buffer(
         self,

@@ -73,7 +73,8 @@ def write_model(model: Rainbow, path: str | os.PathLike[str]) -> None:
     given |= {"policy": model.policy_class, "train_freq": model.train_freq}
     if not model._tau_was_chosen:
         given["tau"] = None
-    arrays = {f"policy.{name}": _array(value) for name, value in model.policy.state_dict().items()}
+    weights = {name: value.cpu().numpy() for name, value in model.policy.state_dict().items()}
+    arrays = {f"policy.{name}": np.ascontiguousarray(value) for name, value in weights.items()}
     unwritable: list[str] = []
 
     def plain(name: str, value: Any, hint: Any) -> Any:
@@ -104,7 +105,7 @@ def write_model(model: Rainbow, path: str | os.PathLike[str]) -> None:
             f"the model cannot be packaged, as only a pickle could hold {'; '.join(unwritable)}: "
             "change that, or share what model.save() writes with who trusts you"
         )
-    _check_shapes(model, {n: tuple(v.shape) for n, v in model.policy.state_dict().items()})
+    _check_shapes(model, {name: value.shape for name, value in weights.items()})
     _write(path, settings, arrays)
 
 
@@ -312,10 +313,6 @@ def _from_plain(name: str, value: Any) -> Any:
     if name == "learning_rate" and isinstance(value, dict):
         return LinearSchedule(**value)
     return tuple(value) if name == "train_freq" else value
-
-
-def _array(tensor: th.Tensor) -> NDArray[Any]:
-    return np.ascontiguousarray(tensor.detach().cpu().numpy())
 
 
 def _write_space(space: spaces.Space[Any], name: str, arrays: Arrays) -> dict[str, Any]:
