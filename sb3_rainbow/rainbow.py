@@ -149,7 +149,7 @@ class Rainbow(ResumableAlgorithm):
         learning_rate: float | Schedule | None = None,
         buffer_size: int = 1_000_000,
         learning_starts: int = 100,
-        batch_size: int = 64,
+        batch_size: int = 128,
         tau: float | None = None,
         gamma: float = 0.99,
         train_freq: int | tuple[int, str] = 4,
