@@ -13,15 +13,20 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 if TYPE_CHECKING:
-    from coop_env.env import CoopInsertionEnv
-    from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, DeltaGeometry, RRSGeometry
-    from coop_env.simulation.insertion_task import InsertionTask
-    from coop_env.simulation.sim_to_real import SimToReal
-    from coop_env.team.joint_env import CoopInsertionJointEnv
-    from coop_env.team.parallel_env import CoopInsertionParallelEnv
-    from coop_env.team.vec_env import CoopInsertionJointVecEnv, CoopInsertionTeamVecEnv
-    from coop_env.vector.vec_env import CoopInsertionVecEnv
-    from coop_env.vector.vector_env import CoopInsertionVectorEnv
+    from coop_env.env import CoopInsertionEnv as CoopInsertionEnv
+    from coop_env.geometry import GEOMETRIES as GEOMETRIES
+    from coop_env.geometry import INITIAL as INITIAL
+    from coop_env.geometry import OPTIMIZED as OPTIMIZED
+    from coop_env.geometry import DeltaGeometry as DeltaGeometry
+    from coop_env.geometry import RRSGeometry as RRSGeometry
+    from coop_env.simulation.insertion_task import InsertionTask as InsertionTask
+    from coop_env.simulation.sim_to_real import SimToReal as SimToReal
+    from coop_env.team.joint_env import CoopInsertionJointEnv as CoopInsertionJointEnv
+    from coop_env.team.parallel_env import CoopInsertionParallelEnv as CoopInsertionParallelEnv
+    from coop_env.team.vec_env import CoopInsertionJointVecEnv as CoopInsertionJointVecEnv
+    from coop_env.team.vec_env import CoopInsertionTeamVecEnv as CoopInsertionTeamVecEnv
+    from coop_env.vector.vec_env import CoopInsertionVecEnv as CoopInsertionVecEnv
+    from coop_env.vector.vector_env import CoopInsertionVectorEnv as CoopInsertionVectorEnv
 
 _HOMES = {
     "CoopInsertionEnv": "coop_env.env",
@@ -42,55 +47,25 @@ _HOMES = {
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "GEOMETRIES",
-    "INITIAL",
-    "OPTIMIZED",
-    "CoopInsertionEnv",
-    "CoopInsertionJointEnv",
-    "CoopInsertionJointVecEnv",
-    "CoopInsertionTeamVecEnv",
-    "CoopInsertionVecEnv",
-    "CoopInsertionVectorEnv",
-    "DeltaGeometry",
-    "InsertionTask",
-    "RRSGeometry",
-    "SimToReal",
-    "__version__",
-    "parallel_env",
-]
+# ``import *`` must not need PettingZoo
+__all__ = sorted({*_HOMES, "__version__", "parallel_env"} - {"CoopInsertionParallelEnv"})
 
-gymnasium.register(
-    id="CoopInsertion-v0",
-    entry_point="coop_env.env:CoopInsertionEnv",
-    max_episode_steps=300,  # whoever gives more max_moves gives this too
-    vector_entry_point="coop_env.vector.vector_env:CoopInsertionVectorEnv",
-)
-for _form in ("", "Discrete"):
+for _name, _steps, _home, _vector_home in (
+    # whoever gives more max_moves or max_steps gives max_episode_steps too
+    ("", 300, "env", "vector.vector_env"),
+    ("Joint", 300, "team.joint_env", "team.joint_env"),
+    ("Contact", 80, "physics.env", "physics.vector_env"),
+    ("ContactDiscrete", 80, "physics.env", "physics.vector_env"),
+    ("Physics", 2400, "physics.env", "physics.vector_env"),
+    ("PhysicsDiscrete", 300, "physics.moves", "physics.vector_env"),
+):
+    _class = f"CoopInsertion{_name}"
     gymnasium.register(
-        id=f"CoopInsertionContact{_form}-v0",
-        entry_point=f"coop_env.physics.env:CoopInsertionContact{_form}Env",
-        max_episode_steps=80,  # whoever gives more max_steps gives this too
-        vector_entry_point=(f"coop_env.physics.vector_env:CoopInsertionContact{_form}VectorEnv"),
+        id=f"{_class}-v0",
+        entry_point=f"coop_env.{_home}:{_class}Env",
+        max_episode_steps=_steps,
+        vector_entry_point=f"coop_env.{_vector_home}:{_class}VectorEnv",
     )
-gymnasium.register(
-    id="CoopInsertionPhysics-v0",
-    entry_point="coop_env.physics.env:CoopInsertionPhysicsEnv",
-    max_episode_steps=2400,
-    vector_entry_point="coop_env.physics.vector_env:CoopInsertionPhysicsVectorEnv",
-)
-gymnasium.register(
-    id="CoopInsertionPhysicsDiscrete-v0",
-    entry_point="coop_env.physics.moves:CoopInsertionPhysicsDiscreteEnv",
-    max_episode_steps=300,
-    vector_entry_point="coop_env.physics.vector_env:CoopInsertionPhysicsDiscreteVectorEnv",
-)
-gymnasium.register(
-    id="CoopInsertionJoint-v0",
-    entry_point="coop_env.team.joint_env:CoopInsertionJointEnv",
-    max_episode_steps=300,
-    vector_entry_point="coop_env.team.joint_env:CoopInsertionJointVectorEnv",
-)
 
 
 def parallel_env(sight: bool = False, **arguments: Any) -> CoopInsertionParallelEnv:

@@ -63,19 +63,9 @@ class RRSGeometry:
     max_joint_jerk: float = MAX_JOINT_JERK
 
     def __post_init__(self) -> None:
-        _check(
-            self,
-            "max_joint_velocity",
-            "max_joint_acceleration",
-            "max_joint_jerk",
-            "base_radius",
-            "proximal_length",
-            "platform_radius",
-            "distal_length",
-            "heave_min",
-            "home_heave",
-        )
-        _check(self, "joint_min", "joint_max", "max_tilt", "heave_max", positive=False)
+        signed = "joint_min", "joint_max", "max_tilt", "heave_max"
+        _check(self, *(name for name in self.__slots__ if name not in signed))
+        _check(self, *signed, positive=False)
         for low, high in (("joint_min", "joint_max"), ("heave_min", "heave_max")):
             a, b = getattr(self, low), getattr(self, high)
             if not a < b:

@@ -12,7 +12,7 @@ from benchmarks.methods import lattice_search as search
 from benchmarks.methods.base import Plan
 from benchmarks.methods.lattice_search import Lattice
 from coop_env.simulation import dynamics, joint
-from coop_env.simulation.state import OUTCOME, aim
+from coop_env.simulation.state import OUTCOME, VALID, aim
 from coop_env.simulation.task import N_ACTIONS, EnvParams
 
 DEFAULT_NODE_LIMIT: Final = 2_000_000
@@ -187,7 +187,7 @@ def _nominal(state: Any, p: EnvParams) -> tuple[Any, EnvParams]:
     twin = np.zeros(1, state.dtype)[0]
     at = tuple(state["configuration"].tolist())
     status = dynamics.begin(twin, at, state["active"], state["filled"], p)
-    if status != dynamics.VALID:  # only the real machine can stand here
+    if status != VALID:  # only the real machine can stand here
         raise ValueError("the model takes this state for a collision or singular: reset first")
     aim(twin, int(state["target"]))
     twin["moves"] = state["moves"]

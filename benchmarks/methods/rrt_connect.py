@@ -22,7 +22,8 @@ from benchmarks.methods.base import Plan, workspace
 from benchmarks.methods.episodes import Episode
 from coop_env.env import CoopInsertionEnv
 from coop_env.kinematics.rrs_kernels import platform_pose
-from coop_env.simulation import collision, dynamics
+from coop_env.simulation import collision
+from coop_env.simulation.state import VALID
 from coop_env.simulation.task import N_AXES
 
 Configuration = NDArray[np.float64]
@@ -137,7 +138,7 @@ def _problem(
     def is_valid(state: Any) -> bool:
         c = np.array(state[0:N_AXES]) * unit + start
         # the peg may touch the dome within a hole's chamfer, as when it moves
-        return env.configuration_status(c) == dynamics.VALID
+        return env.configuration_status(c) == VALID
 
     setup.setStateValidityChecker(is_valid)
     extent = space.getMaximumExtent()
@@ -162,7 +163,7 @@ def retreat(env: CoopInsertionEnv) -> Moves:
     up = np.zeros(N_AXES)
     for steps in range(1, RETREAT + 1):
         up[2] = steps * units(env)[2]
-        if env.configuration_status(env.configuration + up) != dynamics.VALID:
+        if env.configuration_status(env.configuration + up) != VALID:
             return [4] * (steps - 1)
     return [4] * RETREAT
 
@@ -179,7 +180,7 @@ def alignment_pose(env: CoopInsertionEnv, now: Configuration, hole: int) -> Conf
     for steps in (0, 1, -1, 2, -2):
         goal = now.copy()
         goal[3:6] = roll, pitch, now[5] + steps * units(env)[5]
-        if env.configuration_status(goal) == dynamics.VALID:
+        if env.configuration_status(goal) == VALID:
             return goal
     return None
 

@@ -9,58 +9,28 @@ True
 
 from __future__ import annotations
 
-from coop_env.design.metrics import DesignMetrics, measure
-from coop_env.design.optimize import (
-    Atlas,
-    Optimum,
-    at_heaves,
-    atlas,
-    optimize,
-    optimize_globally,
-    repeat,
-)
-from coop_env.design.problem import (
-    DesignError,
-    DesignProblem,
-    Samples,
-    WorkspaceMap,
-    sample_points,
-    workspace_area,
-    workspace_map,
-)
-from coop_env.design.sensitivity import (
-    ThresholdSweep,
-    over_heaves,
-    over_thresholds,
-    slopes,
-    under_tolerances,
-)
-from coop_env.design.validation import Trajectory, TrajectoryReport, cone_trajectory, validate
-
-__all__ = [
-    "Atlas",
-    "DesignError",
-    "DesignMetrics",
-    "DesignProblem",
-    "Optimum",
-    "Samples",
-    "ThresholdSweep",
-    "Trajectory",
-    "TrajectoryReport",
-    "WorkspaceMap",
-    "at_heaves",
-    "atlas",
-    "cone_trajectory",
-    "measure",
-    "optimize",
-    "optimize_globally",
-    "over_heaves",
-    "over_thresholds",
-    "repeat",
-    "sample_points",
-    "slopes",
-    "under_tolerances",
-    "validate",
-    "workspace_area",
-    "workspace_map",
-]
+from coop_env.design.metrics import DesignMetrics as DesignMetrics
+from coop_env.design.metrics import measure as measure
+from coop_env.design.optimize import Atlas as Atlas
+from coop_env.design.optimize import Optimum as Optimum
+from coop_env.design.optimize import at_heaves as at_heaves
+from coop_env.design.optimize import atlas as atlas
+from coop_env.design.optimize import optimize as optimize
+from coop_env.design.optimize import optimize_globally as optimize_globally
+from coop_env.design.optimize import repeat as repeat
+from coop_env.design.problem import DesignError as DesignError
+from coop_env.design.problem import DesignProblem as DesignProblem
+from coop_env.design.problem import Samples as Samples
+from coop_env.design.problem import WorkspaceMap as WorkspaceMap
+from coop_env.design.problem import sample_points as sample_points
+from coop_env.design.problem import workspace_area as workspace_area
+from coop_env.design.problem import workspace_map as workspace_map
+from coop_env.design.sensitivity import ThresholdSweep as ThresholdSweep
+from coop_env.design.sensitivity import over_heaves as over_heaves
+from coop_env.design.sensitivity import over_thresholds as over_thresholds
+from coop_env.design.sensitivity import slopes as slopes
+from coop_env.design.sensitivity import under_tolerances as under_tolerances
+from coop_env.design.validation import Trajectory as Trajectory
+from coop_env.design.validation import TrajectoryReport as TrajectoryReport
+from coop_env.design.validation import cone_trajectory as cone_trajectory
+from coop_env.design.validation import validate as validate

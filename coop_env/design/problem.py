@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.design.kernels import flood, survey
-from coop_env.errors import is_list
+from coop_env.errors import check_integer, check_number, is_list
 from coop_env.geometry import INITIAL, OPTIMIZED, RRSGeometry
 from coop_env.kinematics.rrs_kernels import RRSParams, make_params
 
@@ -76,17 +76,11 @@ class DesignProblem:
         if not is_list(self.heaves) or not len(tuple(self.heaves)):
             raise DesignError(f"heaves = {self.heaves!r}: must be heights, the home heave first")
         object.__setattr__(self, "heaves", tuple(self.heaves))
-        positive = {
-            "eta": self.eta,
-            "distal_length": self.distal_length,
-            "threshold": self.threshold,
-            "extent": self.extent,
-            "max_tilt": self.max_tilt,
-            **{f"heaves[{i}]": heave for i, heave in enumerate(self.heaves)},
-        }
+        positive = {f"heaves[{i}]": heave for i, heave in enumerate(self.heaves)}
+        for name in ("eta", "distal_length", "threshold", "extent", "max_tilt"):
+            positive[name] = getattr(self, name)
         for name, value in positive.items():
-            if not (_is_number(value) and math.isfinite(value) and value > 0.0):
-                raise DesignError(f"{name} = {value!r}: must be a finite number above zero")
+            check_number(name, value, 0.0, above=True, error=DesignError)
         for name in ("joint_min", "joint_max"):
             if not _is_number(getattr(self, name)):
                 raise DesignError(f"{name} = {getattr(self, name)!r}: must be a number")
@@ -96,8 +90,7 @@ class DesignProblem:
             raise DesignError(
                 f"joint_min = {self.joint_min!r} must be below joint_max = {self.joint_max!r}"
             )
-        if not (isinstance(self.cells, int) and self.cells >= 2):
-            raise DesignError(f"cells = {self.cells!r}: must be a whole number of at least 2")
+        check_integer("cells", self.cells, 2, error=DesignError)
         if self.pose_model not in ("exact", "paper"):
             raise DesignError(f"pose_model = {self.pose_model!r}: must be 'exact' or 'paper'")
         if self.over_heaves not in ("min", "mean"):

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from coop_env.compilation import njit
+
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
@@ -56,17 +58,29 @@ def require_broadcast(name_a: str, a: Floats, name_b: str, b: Floats) -> None:
         ) from None
 
 
-def over_rows(
-    kernel: Callable[..., None], params: Any, inputs: tuple[Floats, ...], *kinds: str
-) -> list[Any]:
-    """What a kernel makes of each row of the inputs ``(..., 3)``, which broadcast.
+def over_rows(*kinds: str) -> Callable[[Callable[..., None]], Callable[..., list[Any]]]:
+    """Compile a loop over rows and let it fill arrays for a batch of any shape.
 
-    ``kernel(params, *columns, *outputs)`` gets every component of the inputs as an array ``(n,)``
-    and fills arrays ``(n, ...)`` of the kinds given; a list of these, the batch's axes first.
+    The loop ``(params, *columns, *outputs)`` gets every component of its inputs as an array
+    ``(n,)`` and fills one array ``(n, ...)`` of each kind. What is called in its place takes the
+    params and the inputs ``(..., 3)``, which broadcast, and returns what was filled ``(..., ...)``.
     """
-    lead = np.broadcast_shapes(*(array.shape[:-1] for array in inputs))
-    columns = [np.broadcast_to(array[..., k], lead).flatten() for array in inputs for k in range(3)]
-    outputs = [np.empty(lead, kind) for kind in kinds]
-    rows = [output.reshape(columns[0].size, *output.shape[len(lead) :]) for output in outputs]
-    kernel(params, *columns, *rows)
-    return [output[()] for output in outputs]
+
+    def decorate(loop: Callable[..., None]) -> Callable[..., list[Any]]:
+        kernel, dtypes = njit(cache=True)(loop), [np.dtype(kind) for kind in kinds]
+
+        def fill(params: Any, *inputs: Floats) -> list[Any]:
+            lead = np.broadcast_shapes(*(array.shape[:-1] for array in inputs))
+            shape = (*lead, 3)
+            wide = [a if a.shape == shape else np.broadcast_to(a, shape) for a in inputs]
+            columns = [column for a in wide for column in np.array(a.reshape(-1, 3).T, order="C")]
+            outputs = [np.empty(lead, dtype) for dtype in dtypes]
+            rows = [
+                o.reshape(len(columns[0]), *d.shape) for o, d in zip(outputs, dtypes, strict=True)
+            ]
+            kernel(params, *columns, *rows)
+            return [output[()] for output in outputs]
+
+        return fill
+
+    return decorate

@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from coop_env.compilation import njit
 from coop_env.geometry import DELTA, DeltaGeometry
 from coop_env.kinematics import delta_kernels as kernels
 from coop_env.kinematics._batch import Bools, Floats, ShapeError, as_points, over_rows
@@ -60,14 +59,11 @@ class Forward(NamedTuple):
 _params = lru_cache(maxsize=256)(kernels.make_params)
 
 
-def _at_positions(
-    kernel: Any, position: ArrayLike, geometry: DeltaGeometry, *kinds: str
-) -> list[Any]:
-    points = as_points("position", position, "x", "y", "z")
-    return over_rows(kernel, _params(geometry), (points,), *kinds)
+def _given(position: ArrayLike, geometry: DeltaGeometry) -> tuple[Any, Floats]:
+    return _params(geometry), as_points("position", position, "x", "y", "z")
 
 
-@njit(cache=True)
+@over_rows("3f8", "3f8", "?", "?")
 def _inverse(
     p: Any, x: Any, y: Any, z: Any, theta: Any, margin: Any, reachable: Any, valid: Any
 ) -> None:
@@ -78,10 +74,6 @@ def _inverse(
             theta[n, i] = angles[i] if reachable[n] else math.nan
             margin[n, i] = 1.0 - abs(kernels.limb_triangle(x[n], y[n], z[n], i, p)[1])
         valid[n] = kernels.is_valid(x[n], y[n], z[n], p)
-
-
-def _all_inverse(position: ArrayLike, geometry: DeltaGeometry) -> list[Any]:
-    return _at_positions(_inverse, position, geometry, "3f8", "3f8", "?", "?")
 
 
 def inverse(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Inverse:
@@ -95,11 +87,11 @@ def inverse(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Inverse:
     >>> reachable.tolist()
     [True, True, False]
     """
-    theta, _, reachable, _ = _all_inverse(position, geometry)
+    theta, _, reachable, _ = _inverse(*_given(position, geometry))
     return Inverse(theta, reachable)
 
 
-@njit(cache=True)
+@over_rows("3f8", "f8", "?")
 def _forward(p: Any, a: Any, b: Any, c: Any, position: Any, residual: Any, reachable: Any) -> None:
     """Effector of three actuated angles, and the largest error of a distal length."""
     for n in range(len(a)):
@@ -121,7 +113,7 @@ def forward(theta: ArrayLike, geometry: DeltaGeometry = DELTA) -> Forward:
     ([0.1, -0.05, -0.45], True)
     """
     angles = as_points("theta", theta, "theta0", "theta1", "theta2")
-    return Forward(*over_rows(_forward, _params(geometry), (angles,), "3f8", "f8", "?"))
+    return Forward(*_forward(_params(geometry), angles))
 
 
 def is_valid(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Bools:
@@ -132,7 +124,7 @@ def is_valid(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Bools:
     >>> is_valid([[0.0, 0.0, -0.5], [0.0, 0.0, -0.2], [0.17, 0.0, -0.4]]).tolist()
     [True, False, False]
     """
-    return _all_inverse(position, geometry)[3]
+    return _inverse(*_given(position, geometry))[3]
 
 
 def workspace_margin(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
@@ -141,7 +133,7 @@ def workspace_margin(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Fl
     >>> workspace_margin([[0.0, 0.0, -0.5], [0.0, 0.0, -0.2]]).round(6).tolist()
     [0.15, -0.05]
     """
-    x, y, z = np.moveaxis(as_points("position", position, "x", "y", "z"), -1, 0)
+    x, y, z = np.moveaxis(_given(position, geometry)[1], -1, 0)
     low = -(geometry.proximal_length + geometry.distal_length)
     high = -abs(geometry.proximal_length - geometry.distal_length)
     return np.minimum(np.minimum(z - low, high - z), geometry.planar_limit - np.hypot(x, y))
@@ -154,10 +146,10 @@ def limb_margin(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
     array([[ 0.536,  0.536,  0.536],
            [-0.809, -0.809, -0.809]])
     """
-    return _all_inverse(position, geometry)[1]
+    return _inverse(*_given(position, geometry))[1]
 
 
-@njit(cache=True)
+@over_rows("(3,3)f8", "3f8", "f8", "f8")
 def _jacobian(
     p: Any, x: Any, y: Any, z: Any, matrix: Any, values: Any, signed: Any, kappa: Any
 ) -> None:
@@ -187,10 +179,6 @@ def _jacobian(
         kappa[n] = sigma[0] / sigma[2] if sigma[2] != 0.0 else math.inf
 
 
-def _all_jacobian(position: ArrayLike, geometry: DeltaGeometry) -> list[Any]:
-    return _at_positions(_jacobian, position, geometry, "(3,3)f8", "3f8", "f8", "f8")
-
-
 def jacobian(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
     """J ``(..., 3, 3)`` with ``thetadot = J v / l_a``, dimensionless; NaN out of reach.
 
@@ -201,7 +189,7 @@ def jacobian(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
            [ 0.2678, -0.4639, -0.848 ],
            [ 0.2678,  0.4639, -0.848 ]])
     """
-    return _all_jacobian(position, geometry)[0]
+    return _jacobian(*_given(position, geometry))[0]
 
 
 def singular_values(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
@@ -210,7 +198,7 @@ def singular_values(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Flo
     >>> singular_values([0.0, 0.0, -0.5]).round(4)
     array([1.4687, 0.6561, 0.6561])
     """
-    return _all_jacobian(position, geometry)[1]
+    return _jacobian(*_given(position, geometry))[1]
 
 
 def signed_sigma_min(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
@@ -219,7 +207,7 @@ def signed_sigma_min(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Fl
     >>> float(signed_sigma_min([0.0, 0.0, -0.5]).round(4))
     0.6561
     """
-    return _all_jacobian(position, geometry)[2]
+    return _jacobian(*_given(position, geometry))[2]
 
 
 def condition_number(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
@@ -228,10 +216,10 @@ def condition_number(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Fl
     >>> float(condition_number([0.0, 0.0, -0.5]).round(4))
     2.2387
     """
-    return _all_jacobian(position, geometry)[3]
+    return _jacobian(*_given(position, geometry))[3]
 
 
-@njit(cache=True)
+@over_rows("(3,3,3)f8")
 def _limb_points(p: Any, x: Any, y: Any, z: Any, points: Any) -> None:
     for n in range(len(x)):
         for i in range(3):
@@ -252,4 +240,4 @@ def limb_points(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
            [ 0.2803,  0.    , -0.1196],
            [ 0.04  ,  0.    , -0.5   ]])
     """
-    return _at_positions(_limb_points, position, geometry, "(3,3,3)f8")[0]
+    return _limb_points(*_given(position, geometry))[0]

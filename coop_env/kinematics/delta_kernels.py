@@ -159,14 +159,4 @@ def is_valid(x: float, y: float, z: float, p: DeltaParams) -> bool:
 
 def make_params(geometry: DeltaGeometry) -> DeltaParams:
     """A geometry as the kernels take it."""
-    g = geometry
-    return DeltaParams(
-        g.base_radius,
-        g.effector_radius,
-        g.proximal_length,
-        g.distal_length,
-        g.base_height,
-        g.peg_length,
-        g.peg_radius,
-        g.planar_limit,
-    )
+    return DeltaParams(*(getattr(geometry, name) for name in DeltaParams._fields))

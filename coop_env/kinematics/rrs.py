@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from coop_env.compilation import njit
 from coop_env.geometry import OPTIMIZED, RRSGeometry
 from coop_env.kinematics import rrs_forward_kernels as fk
 from coop_env.kinematics import rrs_kernels as kernels
@@ -97,13 +96,11 @@ def _pose(value: ArrayLike, name: str = "pose") -> Floats:
     return as_points(name, value, "roll", "pitch", "heave")
 
 
-def _at_poses(
-    kernel: Any, pose: ArrayLike, geometry: RRSGeometry, pose_model: str, *kinds: str
-) -> list[Any]:
-    return over_rows(kernel, _params(geometry, pose_model), (_pose(pose),), *kinds)
+def _given(pose: ArrayLike, geometry: RRSGeometry, pose_model: str) -> tuple[Any, Floats]:
+    return _params(geometry, pose_model), _pose(pose)
 
 
-@njit(cache=True)
+@over_rows("3f8", "(3,3)f8", "3f8")
 def _poses(
     p: Any, roll: Any, pitch: Any, heave: Any, position: Any, rotation: Any, offset: Any
 ) -> None:
@@ -120,10 +117,6 @@ def _poses(
             offset[n, i] = c * (at.y + r[1]) - s * (at.x + r[0])
 
 
-def _all_poses(pose: ArrayLike, geometry: RRSGeometry, pose_model: str) -> list[Any]:
-    return _at_poses(_poses, pose, geometry, pose_model, "3f8", "(3,3)f8", "3f8")
-
-
 def platform_pose(
     pose: ArrayLike, geometry: RRSGeometry = OPTIMIZED, pose_model: str = "exact"
 ) -> PlatformPose:
@@ -138,7 +131,7 @@ def platform_pose(
     >>> at.rotation[:, 2].round(6)  # the normal
     array([ 0.389418, -0.182987,  0.902701])
     """
-    position, rotation, _ = _all_poses(pose, geometry, pose_model)
+    position, rotation, _ = _poses(*_given(pose, geometry, pose_model))
     return PlatformPose(position, rotation)
 
 
@@ -171,10 +164,10 @@ def plane_offset(
     >>> (plane_offset([0.3, 0.3, 0.22], pose_model="paper") * 1e3).round(2)  # mm
     array([9.73, 2.43, 2.43])
     """
-    return _all_poses(pose, geometry, pose_model)[2]
+    return _poses(*_given(pose, geometry, pose_model))[2]
 
 
-@njit(cache=True)
+@over_rows("3f8", "3f8", "?", "?")
 def _inverse(
     p: Any, roll: Any, pitch: Any, heave: Any, q: Any, margin: Any, reachable: Any, valid: Any
 ) -> None:
@@ -186,10 +179,6 @@ def _inverse(
             q[n, i] = angles[i] if reachable[n] else math.nan
             margin[n, i] = 1.0 - abs(kernels.limb_triangle(at, i, p)[2])
         valid[n] = kernels.is_valid(roll[n], pitch[n], heave[n], p)
-
-
-def _all_inverse(pose: ArrayLike, geometry: RRSGeometry, pose_model: str) -> list[Any]:
-    return _at_poses(_inverse, pose, geometry, pose_model, "3f8", "3f8", "?", "?")
 
 
 def inverse(
@@ -209,7 +198,7 @@ def inverse(
     >>> reachable.tolist()
     [True, True, False]
     """
-    q, _, reachable, _ = _all_inverse(pose, geometry, pose_model)
+    q, _, reachable, _ = _inverse(*_given(pose, geometry, pose_model))
     return Inverse(q, reachable)
 
 
@@ -221,7 +210,7 @@ def is_valid(
     >>> is_valid([[0.0, 0.0, 0.21], [0.0, 0.0, 0.20], [0.8, 0.0, 0.21]]).tolist()
     [True, False, False]
     """
-    return _all_inverse(pose, geometry, pose_model)[3]
+    return _inverse(*_given(pose, geometry, pose_model))[3]
 
 
 def joint_margin(
@@ -246,10 +235,10 @@ def limb_margin(
     array([[ 0.814,  0.814,  0.814],
            [-1.074, -1.074, -1.074]])
     """
-    return _all_inverse(pose, geometry, pose_model)[1]
+    return _inverse(*_given(pose, geometry, pose_model))[1]
 
 
-@njit(cache=True)
+@over_rows("(3,3)f8", "3f8", "f8", "f8")
 def _jacobian(
     p: Any, roll: Any, pitch: Any, heave: Any, matrix: Any, values: Any, signed: Any, kappa: Any
 ) -> None:
@@ -262,10 +251,6 @@ def _jacobian(
             j, values[n], signed[n] = kernels.singular_state(at, q, p)
             matrix[n, 0], matrix[n, 1], matrix[n, 2] = j
             kappa[n] = values[n, 0] / values[n, 2] if values[n, 2] != 0.0 else math.inf
-
-
-def _all_jacobian(pose: ArrayLike, geometry: RRSGeometry, pose_model: str) -> list[Any]:
-    return _at_poses(_jacobian, pose, geometry, pose_model, "(3,3)f8", "3f8", "f8", "f8")
 
 
 def jacobian(
@@ -282,7 +267,7 @@ def jacobian(
            [ 0.7033,  0.406 ,  0.9003],
            [-0.7033,  0.406 ,  0.9003]])
     """
-    return _all_jacobian(pose, geometry, pose_model)[0]
+    return _jacobian(*_given(pose, geometry, pose_model))[0]
 
 
 def manipulability(
@@ -293,7 +278,7 @@ def manipulability(
     >>> manipulability([0.0, 0.0, 0.21]).condition_number.round(4)
     np.float64(1.5678)
     """
-    return Manipulability(*_all_jacobian(pose, geometry, pose_model)[1:])
+    return Manipulability(*_jacobian(*_given(pose, geometry, pose_model))[1:])
 
 
 def singular_values(
@@ -333,7 +318,7 @@ def condition_number(
     return manipulability(pose, geometry, pose_model).condition_number
 
 
-@njit(cache=True)
+@over_rows("(3,3)f8")
 def _twist_matrix(p: Any, roll: Any, pitch: Any, heave: Any, matrix: Any) -> None:
     matrix[:] = 0.0
     for n in range(len(roll)):
@@ -357,7 +342,7 @@ def twist_matrix(
            [0.    , 1.    , 0.    ],
            [0.    , 0.    , 8.0972]])
     """
-    return _at_poses(_twist_matrix, pose, geometry, pose_model, "(3,3)f8")[0]
+    return _twist_matrix(*_given(pose, geometry, pose_model))[0]
 
 
 def joint_rates(pose: ArrayLike, rates: ArrayLike, geometry: RRSGeometry = OPTIMIZED) -> Floats:
@@ -373,7 +358,7 @@ def joint_rates(pose: ArrayLike, rates: ArrayLike, geometry: RRSGeometry = OPTIM
     )
 
 
-@njit(cache=True)
+@over_rows("3f8", "f8", "?")
 def _forward(
     p: Any, q0: Any, q1: Any, q2: Any, roll: Any, pitch: Any, heave: Any,
     pose: Any, residual: Any, converged: Any,
@@ -416,11 +401,10 @@ def forward(
     angles = as_points("q", q, "q0", "q1", "q2")
     before = _pose(previous, "previous")
     require_broadcast("q", angles, "previous", before)
-    p = _params(geometry, pose_model)
-    return Forward(*over_rows(_forward, p, (angles, before), "3f8", "f8", "?"))
+    return Forward(*_forward(_params(geometry, pose_model), angles, before))
 
 
-@njit(cache=True)
+@over_rows("(3,3,3)f8")
 def _limb_points(p: Any, roll: Any, pitch: Any, heave: Any, points: Any) -> None:
     for n in range(len(roll)):
         at = kernels.platform_pose(roll[n], pitch[n], heave[n], p)
@@ -439,4 +423,4 @@ def limb_points(
            [0.268 , 0.    , 0.0485],
            [0.1114, 0.    , 0.21  ]])
     """
-    return _at_poses(_limb_points, pose, geometry, pose_model, "(3,3,3)f8")[0]
+    return _limb_points(*_given(pose, geometry, pose_model))[0]

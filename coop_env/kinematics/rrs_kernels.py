@@ -11,6 +11,7 @@ import math
 from typing import Final, NamedTuple
 
 from coop_env.compilation import njit
+from coop_env.errors import ArgumentError
 from coop_env.geometry import RRSGeometry
 from coop_env.kinematics.singularity import (
     Matrix3,
@@ -297,25 +298,12 @@ def make_params(geometry: RRSGeometry, pose_model: str = "exact") -> RRSParams:
     """A geometry and a pose model, ``"exact"`` or ``"paper"``, as the kernels take them.
 
     Raises:
-        ValueError: ``pose_model`` is neither.
+        ArgumentError: ``pose_model`` is neither.
     """
     if pose_model not in ("exact", "paper"):
-        raise ValueError(f"pose_model = {pose_model!r}: must be 'exact' or 'paper'")
-    g = geometry
-    p = RRSParams(
-        g.base_radius,
-        g.proximal_length,
-        g.platform_radius,
-        g.distal_length,
-        g.joint_min,
-        g.joint_max,
-        g.max_tilt,
-        g.heave_min,
-        g.heave_max,
-        g.characteristic_length,
-        pose_model == "exact",
-        1.0,
-    )
+        raise ArgumentError(f"pose_model = {pose_model!r}: must be 'exact' or 'paper'")
+    own = [getattr(geometry, name) for name in RRSParams._fields[:-2]]
+    p = RRSParams._make([*own, pose_model == "exact", 1.0])
     # A home that cannot be assembled leaves NaN here; its sigma is NaN everywhere it matters.
-    home = sigma_at(0.0, 0.0, g.home_heave, p)
+    home = sigma_at(0.0, 0.0, geometry.home_heave, p)
     return p._replace(home_sign=-1.0 if home < 0.0 else 1.0)

@@ -10,7 +10,7 @@ the two rods drawn here.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
@@ -52,7 +52,7 @@ COLOURS: Final = MappingProxyType(
 )
 """Display colours (sRGB, 0 to 1) by what they mark."""
 
-_UP: Final = (0.0, 0.0, 1.0)
+_UP: Final = np.array([0.0, 0.0, 1.0])
 _ROD_SPACING: Final = 0.017  # half the distance between a forearm's two rods, m
 _BORE: Final = 0.0055  # radius of a hole as drawn; the peg's is 0.004 m
 _RING: Final = 0.003  # least width of the ring about it, m
@@ -92,10 +92,6 @@ def frame(z: FloatArray, x: FloatArray | None = None) -> FloatArray:
     return np.column_stack([np.cross(j, k), j, k])
 
 
-def _at(position: Sequence[float] | FloatArray) -> FloatArray:
-    return np.asarray(position, dtype=np.float64)
-
-
 def _rod(name: str, a: FloatArray, b: FloatArray, radius: float, colour: str) -> Body:
     mesh = shapes.rod(radius, float(np.linalg.norm(b - a)))
     return Body(name, mesh, frame(b - a), a, COLOURS[colour], 0.35)
@@ -119,18 +115,16 @@ def delta_bodies(scene: Scene) -> Iterator[Body]:
     base = scene.delta_base_joints[0, 2]
     eye = np.eye(3)
     slab = shapes.plate(0.78 * radius, 0.052, 0.014)
-    yield Body("delta/base", slab, eye, _at([0.0, 0.0, base + 0.030]), COLOURS["delta_base"], 0.1)
+    yield Body(
+        "delta/base", slab, eye, np.array([0.0, 0.0, base + 0.030]), COLOURS["delta_base"], 0.1
+    )
     for limb in range(3):
         u, t = radial_axes(limb)
         joint, knee = scene.delta_base_joints[limb], scene.knees[limb]
         end = scene.effector_joints[limb]
         name = f"delta/limb{limb}"
-        post = shapes.prism(
-            ((-0.020, -0.017), (0.020, -0.017), (0.020, 0.017), (-0.020, 0.017)), 0.04
-        )
-        yield Body(
-            f"{name}/mount", post, frame(_at(_UP), u), joint + 0.012 * _at(_UP), COLOURS["housing"]
-        )
+        post = shapes.box(0.020, 0.017, 0.04)
+        yield Body(f"{name}/mount", post, frame(_UP, u), joint + 0.012 * _UP, COLOURS["housing"])
         yield _pin(f"{name}/motor", joint, t, 0.021, 0.032, "housing")
         yield _bar(f"{name}/proximal", joint, knee, t, (0.017, 0.010), "delta")
         for at, part in ((knee, "knee"), (end, "wrist")):
@@ -175,12 +169,8 @@ def rrs_bodies(scene: Scene) -> Iterator[Body]:
         base, elbow = scene.rrs_base_joints[limb], scene.elbows[limb]
         joint = scene.platform_joints[limb]
         name = f"rrs/limb{limb}"
-        foot = shapes.prism(
-            ((-0.018, -0.024), (0.018, -0.024), (0.018, 0.024), (-0.018, 0.024)), 0.012
-        )
-        yield Body(
-            f"{name}/foot", foot, frame(_at(_UP), u), base - 0.008 * _at(_UP), COLOURS["housing"]
-        )
+        foot = shapes.box(0.018, 0.024, 0.012)
+        yield Body(f"{name}/foot", foot, frame(_UP, u), base - 0.008 * _UP, COLOURS["housing"])
         yield _pin(f"{name}/motor", base, t, 0.0125, 0.024, "housing")
         yield _bar(f"{name}/proximal", base, elbow, t, (0.013, 0.0095), "rrs")
         yield _pin(f"{name}/elbow", elbow, t, 0.0065, 0.015, "steel")

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from coop_env.env import CoopInsertionEnv
 from coop_env.geometry import GEOMETRIES
+from coop_env.kinematics.rrs_kernels import make_params
 from coop_env.rendering.bodies import COLOURS, Body, bodies, hole_state
 from coop_env.rendering.scene import Scene
 
@@ -119,23 +120,5 @@ def summary(scene: Scene) -> str:
 
 def geometry_name(env: CoopInsertionEnv) -> str | None:
     """Which of the named geometries the environment has, if any."""
-    rrs = env.params.rrs
-    own = (rrs.base_radius, rrs.proximal_length, rrs.platform_radius, rrs.distal_length)
-    for name, g in GEOMETRIES.items():
-        if own == (g.base_radius, g.proximal_length, g.platform_radius, g.distal_length):
-            return name
-    return None
-
-
-def slider_range(env: CoopInsertionEnv, axis: int) -> tuple[float, float, str]:
-    """Least and greatest value of a degree of freedom, and its unit."""
-    delta, rrs = env.params.delta, env.params.rrs
-    if axis < 2:
-        return -delta.planar_limit, delta.planar_limit, "m"
-    if axis == 2:
-        low = -(delta.proximal_length + delta.distal_length)
-        return low, -abs(delta.proximal_length - delta.distal_length), "m"
-    if axis in ANGLES:
-        tilt = math.degrees(rrs.max_tilt)
-        return -tilt, tilt, "deg"
-    return rrs.heave_min, rrs.heave_max, "m"
+    own = env.params.rrs[:4]  # the lengths
+    return next((name for name, g in GEOMETRIES.items() if make_params(g)[:4] == own), None)

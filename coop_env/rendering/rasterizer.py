@@ -17,7 +17,7 @@ import numpy.typing as npt
 from coop_env.compilation import njit
 from coop_env.kinematics.singularity import Matrix3, Row
 from coop_env.rendering.camera import View
-from coop_env.rendering.shading import SHADOW_CENTRE, SHADOW_REACH, SHADOW_SIZE, shade
+from coop_env.rendering.shading import SHADOW_CENTRE, SHADOW_REACH, SHADOW_SIZE, Shot, shade
 from coop_env.rendering.shapes import FloatArray, IntArray
 
 
@@ -150,18 +150,9 @@ def draw(
     ids = np.full(nearness.shape, -1, dtype=np.int32)
     _fill_depth(screen, triangles.faces, behind, nearness, ids)
     image = np.empty((height, width, 3), dtype=np.uint8)
-    t = triangles
-    shade(
-        (screen, t.normals, t.faces, t.colours, t.gloss),
-        nearness,
-        ids,
-        _row(view.eye),
-        _rows(view.axes),
-        (view.focal * samples, view.centre[0] * samples, view.centre[1] * samples),
-        light.axes,
-        light.nearness,
-        samples,
-        _DISPLAY,
-        image,
-    )
+    t, eye = triangles, _row(view.eye)
+    lens = (view.focal * samples, view.centre[0] * samples, view.centre[1] * samples)
+    model = (screen, t.normals, t.faces, t.colours, t.gloss)
+    shot = Shot(*model, eye, _rows(view.axes), lens, light.axes, light.nearness)
+    shade(shot, nearness, ids, samples, _DISPLAY, image)
     return image

@@ -6,7 +6,7 @@ Colours are linear light until the last step, which looks display values up in a
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,26 @@ FILL: Final = 0.16
 AMBIENT_UP: Final = 0.46
 AMBIENT_DOWN: Final = 0.22
 SHADE: Final = 0.42  # of the floor's light that a shadow takes
+
+
+class Shot(NamedTuple):
+    """What a pixel's colour depends on.
+
+    ``lens`` is (focal length, centre column, centre row), all in samples; ``depth`` is how near to
+    the light each texel's surface is. The model is as in
+    :class:`coop_env.rendering.rasterizer.Triangles`, its vertices on the screen.
+    """
+
+    screen: np.ndarray
+    normals: np.ndarray
+    faces: np.ndarray
+    colours: np.ndarray
+    gloss: np.ndarray
+    eye: Row
+    axes: Matrix3
+    lens: Row
+    light: Matrix3
+    depth: np.ndarray
 
 
 @njit(cache=True, inline="always")
@@ -65,13 +85,7 @@ def _grid_line(position: float, blur: float) -> float:
 
 
 @njit(cache=True)
-def _floor(
-    eye: Row,
-    ray: tuple[float, float, float],
-    pixel: float,
-    light: Matrix3,
-    depth: np.ndarray,
-) -> tuple[float, float, float]:
+def _floor(ray: Row, pixel: float, shot: Shot) -> Row:
     """Colour where a ray meets no body: floor with grid and shadow, fading into the backdrop."""
     up = ray[2] / math.sqrt(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2])
     t = min(max(0.5 + 1.3 * up, 0.0), 1.0)
@@ -80,6 +94,7 @@ def _floor(
     b = HORIZON[2] + t * (SKY[2] - HORIZON[2])
     if ray[2] >= -1e-6:
         return r, g, b
+    eye = shot.eye
     s = (FLOOR_HEIGHT - eye[2]) / ray[2]
     x, y = eye[0] + s * ray[0], eye[1] + s * ray[1]
     rho = math.sqrt(x * x + y * y)
@@ -89,7 +104,7 @@ def _floor(
     share = share * share * (3.0 - 2.0 * share)
     blur = 0.5 * pixel * s
     line = max(_grid_line(x, blur), _grid_line(y, min(blur / abs(up), 0.5 * GRID)))
-    dim = 1.0 - SHADE * (1.0 - _lit(x, y, FLOOR_HEIGHT, light, depth))
+    dim = 1.0 - SHADE * (1.0 - _lit(x, y, FLOOR_HEIGHT, shot.light, shot.depth))
     fr = (FLOOR[0] + line * (LINE[0] - FLOOR[0])) * dim
     fg = (FLOOR[1] + line * (LINE[1] - FLOOR[1])) * dim
     fb = (FLOOR[2] + line * (LINE[2] - FLOOR[2])) * dim
@@ -98,13 +113,8 @@ def _floor(
 
 @njit(cache=True)
 def _surface(
-    normal: tuple[float, float, float],
-    ray: tuple[float, float, float],
-    colour: np.ndarray,
-    gloss: float,
-    lit: float,
-    light: Matrix3,
-) -> tuple[float, float, float]:
+    normal: Row, ray: Row, colour: np.ndarray, gloss: float, lit: float, light: Matrix3
+) -> Row:
     """Lambert's law under one shadowed key light, a fill light at the eye and a sky, with gloss."""
     lx, ly, lz = -light[2][0], -light[2][1], -light[2][2]
     length = math.sqrt(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2])
@@ -126,24 +136,12 @@ def _surface(
 
 
 @njit(cache=True, inline="always")
-def _sample(
-    i: float,
-    j: float,
-    f: int,
-    near: float,
-    model: tuple[np.ndarray, ...],
-    eye: Row,
-    axes: Matrix3,
-    lens: tuple[float, float, float],
-    light: Matrix3,
-    depth: np.ndarray,
-) -> tuple[float, float, float]:
+def _sample(i: float, j: float, f: int, near: float, shot: Shot) -> Row:
     """Colour seen at column ``i`` and row ``j``, where face ``f`` (floor if negative) is nearest.
 
-    ``near`` is 1 / depth, or for the floor the width of a pixel at unit depth. ``lens`` is (focal
-    length, centre column, centre row), all in samples.
+    ``near`` is 1 / depth, or for the floor the width of a pixel at unit depth.
     """
-    screen, normals, faces, colours, gloss = model
+    lens, axes, eye, colours = shot.lens, shot.axes, shot.eye, shot.colours
     u, v = (i - lens[1]) / lens[0], (j - lens[2]) / lens[0]
     ray = (
         u * axes[0][0] + v * axes[1][0] + axes[2][0],
@@ -151,27 +149,23 @@ def _sample(
         u * axes[0][2] + v * axes[1][2] + axes[2][2],
     )
     if f < 0:
-        return _floor(eye, ray, near, light, depth)
-    if gloss[f] < 0.0:
+        return _floor(ray, near, shot)
+    if shot.gloss[f] < 0.0:
         return float(colours[f, 0]), float(colours[f, 1]), float(colours[f, 2])
-    n = _normal(i, j, screen, normals, faces[f])
+    n = _normal(i, j, shot.screen, shot.normals, shot.faces[f])
     s = 1.0 / near
     x = eye[0] + s * ray[0] + 0.003 * n[0]
     y = eye[1] + s * ray[1] + 0.003 * n[1]
     z = eye[2] + s * ray[2] + 0.003 * n[2]
-    return _surface(n, ray, colours[f], gloss[f], _lit(x, y, z, light, depth), light)
+    lit = _lit(x, y, z, shot.light, shot.depth)
+    return _surface(n, ray, colours[f], shot.gloss[f], lit, shot.light)
 
 
 @njit(cache=True)
 def shade(
-    model: tuple[np.ndarray, ...],
+    shot: Shot,
     nearness: np.ndarray,
     ids: np.ndarray,
-    eye: Row,
-    axes: Matrix3,
-    lens: tuple[float, float, float],
-    light: Matrix3,
-    depth: np.ndarray,
     samples: int,
     table: np.ndarray,
     image: np.ndarray,
@@ -193,8 +187,8 @@ def shade(
                     uniform = uniform and ids[j, i] == f
             if uniform:
                 x, y = i0 + 0.5 * samples, j0 + 0.5 * samples
-                near = samples / lens[0] if f < 0 else float(nearness[j0, i0])
-                c = _sample(x, y, f, near, model, eye, axes, lens, light, depth)
+                near = samples / shot.lens[0] if f < 0 else float(nearness[j0, i0])
+                c = _sample(x, y, f, near, shot)
                 for k in range(3):
                     image[row, column, k] = table[int(top * min(c[k], 1.0))]
                 continue
@@ -202,8 +196,8 @@ def shade(
             for j in range(j0, j0 + samples):
                 for i in range(i0, i0 + samples):
                     f = ids[j, i]
-                    near = samples / lens[0] if f < 0 else float(nearness[j, i])
-                    c = _sample(i + 0.5, j + 0.5, f, near, model, eye, axes, lens, light, depth)
+                    near = samples / shot.lens[0] if f < 0 else float(nearness[j, i])
+                    c = _sample(i + 0.5, j + 0.5, f, near, shot)
                     r += min(c[0], 1.0)
                     g += min(c[1], 1.0)
                     b += min(c[2], 1.0)
@@ -213,9 +207,7 @@ def shade(
 
 
 @njit(cache=True)
-def _normal(
-    x: float, y: float, screen: np.ndarray, normals: np.ndarray, face: np.ndarray
-) -> tuple[float, float, float]:
+def _normal(x: float, y: float, screen: np.ndarray, normals: np.ndarray, face: np.ndarray) -> Row:
     """Unit normal at a screen point of a face, blended from its corners."""
     a, b, c = face[0], face[1], face[2]
     abx, aby = screen[b, 0] - screen[a, 0], screen[b, 1] - screen[a, 1]

@@ -95,14 +95,17 @@ def prism(outline: Profile, thickness: float) -> Mesh:
     )
 
 
+def box(x: float, y: float, thickness: float) -> Mesh:
+    """Box from -x to x and -y to y, +- thickness / 2 along z."""
+    return prism(((-x, -y), (x, -y), (x, y), (-x, y)), thickness)
+
+
 def cylinder(radius: float, low: float, high: float, sides: int = 24, chamfer: float = 0.0) -> Mesh:
     """Cylinder about z from ``low`` to ``high``, its two edges broken by ``chamfer``."""
     c = chamfer
     wall: Profile = ((radius, low + c), (radius, high - c))
     if c > 0.0:
         wall = ((radius - c, low), *wall, (radius - c, high))
-    else:
-        wall = ((radius, low), (radius, high))
     return revolve(((0.0, low), *wall, (0.0, high)), sides)
 
 

@@ -27,10 +27,9 @@ from coop_env.rendering.browser import (
     ViewerError,
     geometry_name,
     open_server,
-    slider_range,
     summary,
 )
-from coop_env.simulation.task import AXES, N_ACTIONS
+from coop_env.simulation.task import AXES, N_ACTIONS, axis_bounds
 
 Act = Callable[[Any, npt.NDArray[np.bool_]], int]
 MakeEnv = Callable[[str], CoopInsertionEnv]
@@ -113,13 +112,15 @@ class Viewer:
             switch.on_update(lambda event: self.switch_geometry(str(event.target.value)))
         tabs = gui.add_tab_group()
         with tabs.add_tab("Degrees of freedom"):
-            self.sliders = [self._add_slider(axis) for axis in range(len(AXES))]
+            bounds = np.array(axis_bounds(self.env.params)).T
+            self.sliders = [self._add_slider(k, *bounds[k].tolist()) for k in range(len(AXES))]
         with tabs.add_tab("Moves"):
             self.buttons = [self._add_button(action) for action in range(N_ACTIONS)]
 
-    def _add_slider(self, axis: int) -> Any:
-        low, high, unit = slider_range(self.env, axis)
-        step = 0.5 if axis in ANGLES else 0.001
+    def _add_slider(self, axis: int, low: float, high: float) -> Any:
+        unit, step = "m", 0.001
+        if axis in ANGLES:
+            low, high, unit, step = math.degrees(low), math.degrees(high), "deg", 0.5
         slider = self._server.gui.add_slider(f"{AXES[axis]} [{unit}]", low, high, step, low)
 
         def on_update(event: Any) -> None:

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.compilation import njit
-from coop_env.shield.kernels import free_share, is_certified
+from coop_env.shield.kernels import free_share, is_certified, way_point
 from coop_env.shield.shield import KinematicShield
 from coop_env.simulation.collision import ceiling, lowest
 from coop_env.simulation.state import VALID, configuration_status
-from coop_env.simulation.task import N_AXES, EnvParams, pack, unpack
+from coop_env.simulation.task import N_AXES, EnvParams, axis_bounds, pack, unpack
 
 Floats = NDArray[np.float64]
 CHUNK = 64  # 3-RRS points between two reports of progress
@@ -47,12 +47,7 @@ NOTHING = Certificate(0, 0, 0, 0)
 @njit(cache=True)
 def _harms(c: np.ndarray, a: np.ndarray, looks: int, p: EnvParams) -> bool:
     for i in range(looks + 1):
-        t = i / looks
-        to = (
-            c[0] + t * a[0], c[1] + t * a[1], c[2] + t * a[2],
-            c[3] + t * a[3], c[4] + t * a[4], c[5] + t * a[5],
-        )  # fmt: skip
-        if configuration_status(to, p) != VALID:
+        if configuration_status(way_point(c, a, i / looks), p) != VALID:
             return True
     return False
 
@@ -107,11 +102,8 @@ def check_product(
 
 def lattice(params: EnvParams, origin: Floats) -> tuple[Floats, Floats]:
     """The Delta's points (n, 3) and the 3-RRS's (m, 3) of the lattice through a configuration."""
-    d, r, steps = params.delta, params.rrs, params.layout["step"]
-    down = d.proximal_length + d.distal_length
-    low = [-d.planar_limit, -d.planar_limit, -down, -r.max_tilt, -r.max_tilt, r.heave_min]
-    high = [d.planar_limit, d.planar_limit, 0.0, r.max_tilt, r.max_tilt, r.heave_max]
-    axes = []
+    low, high = axis_bounds(params)
+    steps, axes = params.layout["step"], []
     for k in range(N_AXES):
         first = np.ceil((low[k] - origin[k]) / steps[k] - 1e-9)
         last = np.floor((high[k] - origin[k]) / steps[k] + 1e-9)

@@ -54,7 +54,8 @@ def is_certified(c: Configuration, p: EnvParams, reach: float, clearance: float)
 
 
 @njit(cache=True)
-def _at(c: np.ndarray, a: np.ndarray, t: float) -> Configuration:
+def way_point(c: np.ndarray, a: np.ndarray, t: float) -> Configuration:
+    """The configuration at a share of the way from ``c`` along ``a``."""
     return (
         c[0] + t * a[0],
         c[1] + t * a[1],
@@ -78,12 +79,12 @@ def free_share(c: np.ndarray, a: np.ndarray, p: EnvParams, reach: float, clearan
     """The share of the straight way from ``c`` along ``a`` that keeps all margins, 0 to 1."""
     n = pieces(a)
     for i in range(1, n + 1):
-        if is_certified(_at(c, a, i / n), p, reach, clearance):
+        if is_certified(way_point(c, a, i / n), p, reach, clearance):
             continue
         low, high = (i - 1) / n, i / n
         for _ in range(BISECTIONS):
             middle = 0.5 * (low + high)
-            if is_certified(_at(c, a, middle), p, reach, clearance):
+            if is_certified(way_point(c, a, middle), p, reach, clearance):
                 low = middle
             else:
                 high = middle

@@ -13,7 +13,7 @@ from coop_env.simulation.rewards import TERMS
 from coop_env.simulation.state import INFO_FIELDS, Record, configuration_status
 from coop_env.simulation.task import unpack
 
-_N_FIELDS = len(INFO_FIELDS)  # the reward's terms come next
+_KEYS = ("success", "is_success", *INFO_FIELDS[1:])  # the latter is Gymnasium's name of success
 
 
 @njit(cache=True)
@@ -58,9 +58,21 @@ def status(configuration: np.ndarray, packed: np.ndarray) -> int:
 
 
 def make_infos(outcomes: NDArray[np.void]) -> list[dict[str, Any]]:
-    """The ``info`` of each outcome (n,), by columns: one dictionary display per environment."""
-    columns = (outcomes[name].tolist() for name in INFO_FIELDS)
-    return list(map(_info, outcomes["terms"].tolist(), *columns))
+    """The ``info`` of each outcome (n,)."""
+    columns = (outcomes[name].tolist() for name in (*INFO_FIELDS, "terms"))
+    return [_info(row, row[-1]) for row in zip(*columns, strict=True)]
+
+
+def make_info(outcome: tuple[Any, ...]) -> dict[str, Any]:
+    """The ``info`` of one outcome, a tuple; for a batch of them :func:`make_infos` is faster."""
+    return _info(outcome, outcome[len(INFO_FIELDS)].tolist())
+
+
+def _info(values: tuple[Any, ...], terms: list[float]) -> dict[str, Any]:
+    """The ``info`` of an outcome's fields in their order, and of the reward's terms."""
+    info = dict(zip(_KEYS, (values[0], *values), strict=False))
+    info["reward_terms"] = dict(zip(TERMS, terms, strict=True))
+    return info
 
 
 def make_columns(
@@ -80,56 +92,3 @@ def make_columns(
 
 def _masked(columns: dict[str, Any], there: NDArray[np.bool_]) -> dict[str, Any]:
     return columns | {f"_{name}": there for name in columns}
-
-
-def make_info(outcome: tuple[Any, ...]) -> dict[str, Any]:
-    """The ``info`` of one outcome, a tuple; for a batch of them :func:`make_infos` is faster."""
-    return _info(outcome[_N_FIELDS].tolist(), *outcome[:_N_FIELDS])
-
-
-def _info(
-    terms: list[float],
-    success: bool,
-    n_filled: int,
-    all_filled: bool,
-    inserted: bool,
-    inserted_hole: int,
-    collision: bool,
-    violation: bool,
-    duplicate: bool,
-    singular: bool,
-    sigma_min: float,
-    alignment_error: float,
-    distance: float,
-    target: int,
-    time: float,
-    energy: float,
-) -> dict[str, Any]:
-    return {
-        "success": success,
-        "is_success": success,
-        "n_filled": n_filled,
-        "all_filled": all_filled,
-        "inserted": inserted,
-        "inserted_hole": inserted_hole,
-        "collision": collision,
-        "violation": violation,
-        "duplicate": duplicate,
-        "singular": singular,
-        "sigma_min": sigma_min,
-        "alignment_error": alignment_error,
-        "distance": distance,
-        "target": target,
-        "time": time,
-        "energy": energy,
-        "reward_terms": {
-            "violation": terms[0],
-            "insertion": terms[1],
-            "duplicate": terms[2],
-            "step": terms[3],
-            "distance": terms[4],
-            "progress": terms[5],
-            "proximity": terms[6],
-            "alignment": terms[7],
-        },
-    }

@@ -23,7 +23,6 @@ from coop_env.simulation.state import (
     Configuration,
     Record,
     aim,
-    configuration_status,
     hole_angle,
     hole_distance,
     is_singular,
@@ -38,19 +37,6 @@ from coop_env.simulation.state import (
     update_mask,
 )
 from coop_env.simulation.task import N_AXES, EnvParams
-
-__all__ = [
-    "COLLISION",
-    "HOLD",
-    "INVALID",
-    "SINGULAR",
-    "VALID",
-    "begin",
-    "configuration_status",
-    "settle",
-    "step",
-    "tick",
-]
 
 
 @njit(cache=True)

@@ -15,7 +15,7 @@ from coop_env.simulation import machine
 from coop_env.simulation.collision import hole, peg_tip
 from coop_env.simulation.insertion_task import PAPER_TASK
 from coop_env.simulation.state import Record
-from coop_env.simulation.task import EnvParams, unpack
+from coop_env.simulation.task import EnvParams, axis_bounds, unpack
 
 PAPER_FIELDS: Final = (
     "x", "y", "z", "roll", "pitch", "heave",
@@ -64,14 +64,10 @@ def make_observation(
 
 
 def _bounds(p: EnvParams, error: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    d, r, n_holes = p.delta, p.rrs, int(p.layout["n_holes"])
-    reach, drop = d.proximal_length + d.distal_length, abs(d.proximal_length - d.distal_length)
-    low = [-d.planar_limit, -d.planar_limit, -reach, -r.max_tilt, -r.max_tilt, r.heave_min]
-    high = [d.planar_limit, d.planar_limit, -drop, r.max_tilt, r.max_tilt, r.heave_max]
-    low += [-error] * 3 + [-1.0] * 3 + [0.0] * (n_holes + 1)
-    high += [error] * 3 + [1.0] * 3 + [1.0] * n_holes
-    high += [p.task.max_moves * float(p.layout["dt"])]
-    return np.array(low), np.array(high)
+    n_holes, time = int(p.layout["n_holes"]), p.task.max_moves * float(p.layout["dt"])
+    low, high = axis_bounds(p)
+    low = np.array([*low, *[-error] * 3, *[-1.0] * 3, *[0.0] * (n_holes + 1)])
+    return low, np.array([*high, *[error] * 3, *[1.0] * (3 + n_holes), time])
 
 
 def _largest_error(p: EnvParams) -> float:

@@ -128,8 +128,6 @@ def make_params(
             small for ``mask_visited``.
         GeometryError: the 3-RRS cannot take its home pose.
     """
-    if pose_model not in ("exact", "paper"):
-        raise ArgumentError(f"pose_model = {pose_model!r}: must be 'exact' or 'paper'")
     p = EnvParams(
         rrs_kernels.make_params(rrs, pose_model),
         delta_kernels.make_params(delta),
@@ -147,13 +145,19 @@ def make_params(
     return p
 
 
+def axis_bounds(p: EnvParams) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Least and largest of each axis (6,) within both workspaces; m, rad."""
+    d, r = p.delta, p.rrs
+    reach, drop = d.proximal_length + d.distal_length, abs(d.proximal_length - d.distal_length)
+    low = [-d.planar_limit, -d.planar_limit, -reach, -r.max_tilt, -r.max_tilt, r.heave_min]
+    high = [d.planar_limit, d.planar_limit, -drop, r.max_tilt, r.max_tilt, r.heave_max]
+    return np.array(low), np.array(high)
+
+
 def _check_memory(p: EnvParams, steps: Sequence[float]) -> None:
     """``mask_visited`` tells lattice points apart if no axis is too many steps wide."""
-    d, r = p.delta, p.rrs
-    rise = 2.0 * min(d.proximal_length, d.distal_length)
-    widths = (2.0 * d.planar_limit, rise, 2.0 * r.max_tilt, r.heave_max - r.heave_min)
-    for width, step in zip(widths, (steps[0], steps[2], steps[3], steps[5]), strict=True):
-        least = width / (KEY_SPAN - 2)
+    low, high = axis_bounds(p)
+    for least, step in zip((high - low) / (KEY_SPAN - 2), steps, strict=True):
         if step < least:
             raise ArgumentError(
                 f"mask_visited needs steps of at least {least:.2g} here, not {step:.2g}: make them "
