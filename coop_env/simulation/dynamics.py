@@ -57,8 +57,8 @@ def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p
     for k in range(N_AXES):
         s.start[k] = c[k]
         s.offset[k] = 0
-    s.active[:] = active
-    s.filled[:] = filled
+    for hole in range(len(active)):  # numba compiles a second of shape errors for `s.active[:] =`
+        s.active[hole], s.filled[hole] = active[hole], filled[hole]
     s.sigma = sigma
     s.moves = 0
     s.trailed = 0
