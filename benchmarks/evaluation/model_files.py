@@ -18,7 +18,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from benchmarks.errors import BenchmarkError, known
-from benchmarks.methods.learners import ALGORITHMS, build_small
+from benchmarks.methods.learners import build_small, class_of
+from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset, read_yaml
 from benchmarks.protocol.strict import build
@@ -44,12 +45,10 @@ def algorithms() -> dict[str, Any]:
     import stable_baselines3
 
     return {
-        **ALGORITHMS,
+        **{name: class_of(name) for name, learner in LEARNERS.items() if learner.discrete},
         "a2c": stable_baselines3.A2C,
         "ars": sb3_contrib.ARS,
-        "maskable_ppo": sb3_contrib.MaskablePPO,
         "ppo": stable_baselines3.PPO,
-        "qrdqn": sb3_contrib.QRDQN,
         "trpo": sb3_contrib.TRPO,
     }
 

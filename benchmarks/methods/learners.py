@@ -1,23 +1,30 @@
-"""The learners and their environments, as a preset's track sets them."""
+"""Learners and their environments, built as presets set them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import copy
+import importlib
+import inspect
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, replace
 from typing import Any, Final
 
-from sb3_contrib import MaskablePPO
-from stable_baselines3 import DQN
+import numpy as np
+from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
-from benchmarks.errors import BenchmarkError
+from benchmarks.errors import BenchmarkError, known
 from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.team.networks import DecentralizedVecEnv, IndependentPolicy, SumPolicy
+from benchmarks.protocol.learners import LEARNERS, algorithm_of
 from benchmarks.protocol.plan import ABLATIONS, Cell
-from benchmarks.protocol.presets import Preset, Track
+from benchmarks.protocol.presets import Guide, Preset, Task, Track, as_dict
 from benchmarks.protocol.seeding import derive
+from benchmarks.protocol.strict import build
 from coop_env.shield import ShieldedInsertionVecEnv
 from coop_env.team.vec_env import CoopInsertionJointVecEnv, CoopInsertionTeamVecEnv
 from coop_env.vector.vec_env import CoopInsertionVecEnv
@@ -25,20 +32,25 @@ from sb3_rainbow import Rainbow
 from sb3_rainbow.policies import RainbowPolicy
 
 CHECKED_BUFFER = 10_000
-ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
-    "rainbow": Rainbow,
-    "dqn": DQN,
-    "maskable_ppo": MaskablePPO,
-}
-# hyperparameters that the algorithms know by the same names: SB3's DQN, and what Rainbow adds
-DQN_NAMES: Final = (
+LINEAR: Final = "lin_"  # rl-baselines3-zoo's word for a rate that falls to 0
+# hyperparameters that off-policy learners know by the same names, and what Rainbow adds
+OFF_POLICY: Final = (
     *("buffer_size", "learning_starts", "batch_size", "tau", "gamma"),
     *("gradient_steps", "max_grad_norm"),
 )
-RAINBOW_NAMES: Final = (
+RAINBOW: Final = (
     *("n_steps", "n_atoms", "v_min", "v_max", "sigma0", "alpha", "beta_start", "beta_end"),
     "advantage_learning",
 )
+#: Rainbow's defaults when the suites' settings were chosen, which leave some of them unsaid
+FORMER_DEFAULTS: Final = {
+    "learning_rate": 1e-4,
+    "batch_size": 32,
+    "gradient_steps": 1,
+    "sigma0": 0.5,
+    "exploration_initial_eps": 0.0,
+    "exploration_final_eps": 0.0,
+}
 
 # by a track's team, or for its shield
 VEC_ENVS: Final[dict[str | None, Callable[..., VecEnv]]] = {
@@ -74,54 +86,140 @@ def make_training_env(preset: Preset, cell: Cell) -> VecMonitor:
     return VecMonitor(env)
 
 
+def class_of(method: str) -> type[BaseAlgorithm]:
+    """The algorithm of a method."""
+    module, _, name = LEARNERS[algorithm_of(method)].where.partition(":")
+    result: type[BaseAlgorithm] = getattr(importlib.import_module(module), name)
+    return result
+
+
+def class_on(task: Task, method: str) -> type[BaseAlgorithm]:
+    """The algorithm of a method on a public task, which a script may guide.
+
+    Raises:
+        BenchmarkError: it learns from a script alone, and the task has none.
+    """
+    from benchmarks.methods.guided import Guided, guided
+
+    algorithm = class_of(method)
+    if task.guide is None and issubclass(algorithm, Guided):
+        raise BenchmarkError(f"{task.title}: {method} learns from a script: give the task a guide")
+    # others have no memory to fill
+    fills = task.guide is not None and issubclass(algorithm, OffPolicyAlgorithm)
+    return guided(algorithm) if fills else algorithm
+
+
 def build_model(preset: Preset, cell: Cell, env: VecMonitor, device: str = "cpu") -> BaseAlgorithm:
     """The learner of a cell, untrained."""
-    track = preset.tracks[cell.track]
+    track, algorithm = preset.tracks[cell.track], class_of(cell.method)
+    own = track.methods.get(cell.method, {})
+    arguments = _of_track(track, algorithm) | _checked(algorithm, own, env, cell.method)
+    policy: str | type[RainbowPolicy] = "MlpPolicy"
+    if issubclass(algorithm, Rainbow):
+        arguments |= ABLATIONS[cell.ablation]
+        if arguments.get("noisy", True):  # the paper's explores by its noise alone
+            arguments |= {"exploration_initial_eps": 0.0, "exploration_final_eps": 0.0}
+        policy = POLICIES.get(track.team, policy)
+        if track.team == "vdn":
+            arguments["policy_kwargs"]["columns"] = env.get_attr("columns")[0].tolist()
+    return algorithm(policy, env, seed=derive("learner", cell.seed), device=device, **arguments)
+
+
+def _of_track(track: Track, algorithm: type[BaseAlgorithm]) -> dict[str, Any]:
+    """What an algorithm's constructor takes of a track's hyperparameters."""
     h = track.hyperparameters
-    if cell.method == "maskable_ppo":
-        return _build_ppo(track, cell, env, device)
-    common: dict[str, Any] = {
-        **{name: getattr(h, name) for name in DQN_NAMES},
-        "learning_rate": LinearSchedule(h.learning_rate, h.learning_rate_end, 1.0),
-        "train_freq": 1,
-        "policy_kwargs": {
-            "net_arch": list(h.net_arch),
-            "optimizer_kwargs": {"weight_decay": h.weight_decay},
-        },
-        "seed": derive("learner", cell.seed),
-        "device": device,
-    }
-    epsilon: dict[str, Any] = {
-        "exploration_initial_eps": h.epsilon_start,
-        "exploration_final_eps": h.epsilon_end,
-        "exploration_fraction": min(1.0, h.epsilon_steps / track.timesteps),
-    }
-    if cell.method == "dqn":
-        # SB3 moves the target once per round of collection, not once per update: tau is compounded
-        common["tau"] = 1.0 - (1.0 - h.tau) ** h.gradient_steps
-        return DQN("MlpPolicy", env, target_update_interval=h.n_envs, **common, **epsilon)
-    rainbow = {name: getattr(h, name) for name in RAINBOW_NAMES} | ABLATIONS[cell.ablation]
-    if rainbow.get("noisy", True):  # the paper's explores by its noise alone
-        epsilon |= {"exploration_initial_eps": 0.0, "exploration_final_eps": 0.0}
-    rainbow |= epsilon
-    if track.team == "vdn":
-        common["policy_kwargs"]["columns"] = env.get_attr("columns")[0].tolist()
-    return Rainbow(POLICIES.get(track.team, "MlpPolicy"), env, **common, **rainbow)
+    rates = (h.learning_rate, h.learning_rate_end)
+    network: dict[str, Any] = {"net_arch": list(h.net_arch)}
+    if issubclass(algorithm, OffPolicyAlgorithm):
+        network["optimizer_kwargs"] = {"weight_decay": h.weight_decay}
+        names = (*OFF_POLICY, *RAINBOW) if issubclass(algorithm, Rainbow) else OFF_POLICY
+        given = {name: getattr(h, name) for name in names} | {
+            "train_freq": 1,
+            "exploration_initial_eps": h.epsilon_start,
+            "exploration_final_eps": h.epsilon_end,
+            "exploration_fraction": min(1.0, h.epsilon_steps / track.timesteps),
+        }
+        if not issubclass(algorithm, Rainbow):
+            # SB3 moves the target once per round of collection, not once per update: tau is
+            # compounded
+            given["tau"] = 1.0 - (1.0 - h.tau) ** h.gradient_steps
+            given["target_update_interval"] = h.n_envs
+    else:
+        given = {"gamma": h.gamma, **asdict(track.ppo)}
+        rates = (given["learning_rate"], given["learning_rate_end"])
+    given |= {"learning_rate": LinearSchedule(*rates, 1.0), "policy_kwargs": network}
+    accepted = inspect.signature(algorithm).parameters
+    return {name: value for name, value in given.items() if name in accepted}
 
 
-def _build_ppo(track: Track, cell: Cell, env: VecMonitor, device: str) -> BaseAlgorithm:
-    given = asdict(track.ppo)
-    start, end = given.pop("learning_rate"), given.pop("learning_rate_end")
-    return MaskablePPO(
-        "MlpPolicy",
-        env,
-        learning_rate=LinearSchedule(start, end, 1.0),
-        gamma=track.hyperparameters.gamma,
-        policy_kwargs={"net_arch": list(track.hyperparameters.net_arch)},
-        seed=derive("learner", cell.seed),
-        device=device,
-        **given,
-    )
+def build_on(
+    task: Task, method: str, seed: int, env: VecEnv, network: Mapping[str, Any]
+) -> BaseAlgorithm:
+    """The learner of a public task, untrained, in its environments.
+
+    Args:
+        network: what the policy's arguments hold where the task's settings say nothing.
+
+    Raises:
+        BenchmarkError: a setting is unknown to the method's constructor.
+    """
+    given = copy.deepcopy(task.arguments_of(method))  # SB3 writes into policy_kwargs
+    where = f"{task.title}: {method}"
+    guide = task.guide
+    if guide is not None and (own := given.pop("guide", {})):
+        guide = build(Guide, {**as_dict(guide), **own}, f"{where}: guide")
+    algorithm = class_on(task, method)
+    if issubclass(algorithm, Rainbow) and not task.bare:
+        given = spelled_out(given)
+    arguments = _checked(algorithm, given, env, where)
+    if network:
+        arguments["policy_kwargs"] = {**network, **given.get("policy_kwargs", {})}
+    model = algorithm(task.policy, env, seed=derive("learner", seed), device="cpu", **arguments)
+    if guide is not None and hasattr(model, "follow"):
+        model.follow(guide)
+    return model
+
+
+def _checked(
+    algorithm: type[BaseAlgorithm], given: Mapping[str, Any], env: VecEnv, where: str
+) -> dict[str, Any]:
+    """Constructor arguments of a preset as the algorithm takes them.
+
+    Raises:
+        BenchmarkError: one is unknown, or the learning rate is no number.
+    """
+    accepted, arguments = inspect.signature(algorithm).parameters, dict(given)
+    for name in arguments:
+        if name not in accepted:
+            raise BenchmarkError(f"{where} has no argument '{name}'; known: {known(accepted)}")
+    rate = arguments.get("learning_rate")
+    if isinstance(rate, str):
+        if not rate.startswith(LINEAR):
+            raise BenchmarkError(
+                f"{where}: learning_rate: expected a number or {LINEAR}<number>, "
+                f"found '{rate}' (YAML wants a point in it: 1.0e-3)"
+            )
+        arguments["learning_rate"] = LinearSchedule(float(rate.removeprefix(LINEAR)), 0.0, 1.0)
+    if arguments.get("replay_buffer_class") == "HerReplayBuffer":
+        arguments["replay_buffer_class"] = HerReplayBuffer
+    if (noise := arguments.get("action_noise")) is not None:
+        size = env.action_space.shape
+        assert size is not None
+        arguments["action_noise"] = NormalActionNoise(np.zeros(size), np.full(size, noise))
+    return arguments
+
+
+def spelled_out(arguments: dict[str, Any]) -> dict[str, Any]:
+    """Rainbow's arguments with its :data:`FORMER_DEFAULTS` where they say nothing.
+
+    Then there was no epsilon beside the noise unless one of its three arguments was given.
+    """
+    former = dict(FORMER_DEFAULTS)
+    if not arguments.get("noisy", True) or any("exploration" in name for name in arguments):
+        del former["exploration_initial_eps"], former["exploration_final_eps"]
+    if not {"tau", "target_update_interval"} & arguments.keys():
+        former["tau"] = 1e-3
+    return {**former, **arguments}
 
 
 def build_small(preset: Preset, cell: Cell) -> BaseAlgorithm:
@@ -134,17 +232,25 @@ def build_small(preset: Preset, cell: Cell) -> BaseAlgorithm:
     return build_model(mine, cell, make_training_env(mine, cell))
 
 
-def check_cells(preset: Preset, cells: Sequence[Cell]) -> None:
+def check_kinds(cells: Iterable[Cell], build: Callable[[Cell], BaseAlgorithm], name: str) -> None:
     """Build each kind of these learning cells once, so that what is impossible fails at once.
+
+    Args:
+        cells: of a preset; those that learn count.
+        build: makes the untrained learner of one.
+        name: of the preset.
 
     Raises:
         BenchmarkError: an environment or an algorithm refuses its settings.
     """
-    kinds = {(cell.method, cell.ablation, cell.geometry, cell.track): cell for cell in cells}
-    for cell in kinds.values():
+    for cell in {replace(cell, seed=0): cell for cell in cells if cell.learns}.values():
         try:
-            build_small(preset, cell)
-        except (ValueError, TypeError, AssertionError, ZeroDivisionError) as error:
+            env = build(cell).get_env()
+        except BenchmarkError:
+            raise
+        except Exception as error:  # whatever a constructor makes of what it was given
             raise BenchmarkError(
-                f"preset '{preset.name}': cell {cell.id} is impossible: {error}"
+                f"preset '{name}': cell {cell.id} cannot be built: {type(error).__name__}: {error}"
             ) from error
+        assert env is not None
+        env.close()

@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from benchmarks.protocol.plan import CONTROLS, LEARNERS, PLANNERS
+from benchmarks.protocol.learners import LEARNERS
+from benchmarks.protocol.plan import CONTROLS, PLANNERS
 
-UNMASKED: Final = ("dqn",)
 EXPLORERS: Final = (*LEARNERS, *(method for method in CONTROLS if method != "random"))
 
 
@@ -36,7 +36,7 @@ def knowledge(method: str, track: Mapping[str, Any] | None) -> Knowledge:
         return Knowledge("none", "its plan")
     remembered = []
     masks = "none"
-    if method not in UNMASKED:
+    if method not in LEARNERS or LEARNERS[method].masks:
         masks = "safe" if track.get("mask_singularities") else "paper's"
         if visited := track.get("mask_visited"):
             remembered.append(f"{visited} configurations")

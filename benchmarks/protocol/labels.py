@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from typing import Final
 
+from benchmarks.protocol.learners import LEARNERS, algorithm_of
+from benchmarks.protocol.presets import SUITE_CONTROLS
+
 METHODS: Final = {
+    **{name: learner.title for name, learner in LEARNERS.items() if learner.discrete},
     "rainbow": "Rainbow DQN",
     "dqn": "Vanilla DQN",
-    "maskable_ppo": "MaskablePPO",
     "random": "Random",
     "greedy": "Greedy",
     "lookahead": "Two-move lookahead",
@@ -62,3 +65,12 @@ DESIGN_METRICS: Final = {
 def track(name: str) -> str:
     """A track in words; a track of one's own goes by its name."""
     return TRACKS.get(name, name)
+
+
+def of_suite(method: str) -> str:
+    """A method or control of public tasks in words."""
+    if method in SUITE_CONTROLS:
+        return SUITE_CONTROLS[method]
+    learner = algorithm_of(method)
+    variant = method.removeprefix(learner)[1:].replace("_", " ")
+    return f"{LEARNERS[learner].title}, {variant}" if variant else LEARNERS[learner].title

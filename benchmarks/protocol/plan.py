@@ -2,7 +2,7 @@
 
 A cell is (method, ablation, geometry, track, seed). Learners and controls have a track; planners
 have none, but on an imperfect machine, and see the same test episodes. The geometric optimization
-is one cell of its own.
+is one cell of its own. On public tasks a cell's track is the task, and it has no geometry.
 """
 
 from __future__ import annotations
@@ -13,19 +13,35 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from benchmarks.errors import BenchmarkError, known
-from benchmarks.protocol.presets import Preset, RunGroup, Track, as_dict
+from benchmarks.protocol.learners import LEARNERS, algorithm_of, learner_of
+from benchmarks.protocol.presets import Preset, RunGroup, SuitePreset, Track, as_dict
 
-LEARNERS: Final = ("rainbow", "dqn", "maskable_ppo")
 CONTROLS: Final = ("random", "greedy", "lookahead", "greedy_observed", "lookahead_observed")
 PERFECT_PLANNERS: Final = ("rrt_connect", "rrt_lattice", "optimum")  # without a track
 OPTIMUM_AT_ONCE: Final = "optimum_at_once"  # without one, too: both robots in the same tick
 IMPERFECT_PLANNERS: Final = ("nominal_plan", "plan_search", "rrt_connect", "optimum")
-OF_TEAMS: Final = ("rainbow", "random", "greedy")  # methods of a track with a team
+#: methods of a track with a team
+OF_TEAMS: Final = (*(name for name, each in LEARNERS.items() if each.teams), "random", "greedy")
 PLANNERS: Final = tuple(dict.fromkeys((*PERFECT_PLANNERS, *IMPERFECT_PLANNERS, OPTIMUM_AT_ONCE)))
 DESIGN: Final = "design"
-METHODS: Final = (*LEARNERS, *CONTROLS, *PLANNERS)
-TRANSITION_BYTES: Final = 200
+#: of the insertion task
+METHODS: Final = (
+    *(name for name, each in LEARNERS.items() if each.discrete), *CONTROLS, *PLANNERS
+)  # fmt: skip
 GEOMETRIES: Final = ("initial", "optimized")
+ATARI: Final = "ALE/"
+#: public tasks for which there is a script
+SCRIPTED: Final = (
+    *("CartPole-v1", "Acrobot-v1", "MountainCar-v0", "LunarLander-v3"),
+    *("MinAtar/asterix", "MinAtar/breakout", "MinAtar/freeway", "MinAtar/seaquest"),
+    "MinAtar/space_invaders",
+)
+# bytes of a transition in a checkpointed replay buffer: of the insertion task; two images of
+# 10 x 10 x 7; a stack of frames
+TRANSITION_BYTES: Final = (200, 1_600, 60_000)
+# roughly the seconds of an environment step relative to others, for progress bars alone
+ATARI_COST: Final = 10.0
+CONTROL_COST: Final = 20.0  # of an episode that is tested
 
 # hyperparameters that are left out of a run's settings where they are 0
 _LATER: Final = ("advantage_learning",)
@@ -58,7 +74,10 @@ ABLATIONS: Final[dict[str, dict[str, Any]]] = {
 
 @dataclass(frozen=True, order=True)
 class Cell:
-    """One run of the experiment; ``track`` is empty for planners of a perfect machine."""
+    """One run of the experiment; ``track`` is empty for planners of a perfect machine.
+
+    Of public tasks ``geometry`` is empty, and a method may be ``<learner>_<variant>``.
+    """
 
     method: str
     ablation: str
@@ -71,6 +90,8 @@ class Cell:
         """The run's folder name, unique within a preset."""
         if self.method == DESIGN:
             return DESIGN
+        if not self.geometry:
+            return f"{self.track}-{self.method}-s{self.seed}"
         parts = [self.method]
         if self.ablation != "full":
             parts.append(self.ablation)
@@ -82,7 +103,7 @@ class Cell:
     @property
     def learns(self) -> bool:
         """Whether the cell trains a network."""
-        return self.method in LEARNERS
+        return learner_of(self.method) is not None
 
     @property
     def plans(self) -> bool:
@@ -90,13 +111,21 @@ class Cell:
         return self.method in PLANNERS
 
 
-def expand(preset: Preset) -> list[Cell]:
-    """All cells of ``preset``, each once, the longest runs first.
+def of_task(method: str, task: str, seed: int) -> Cell:
+    """A cell of a public task."""
+    return Cell(method, "full", "", task, seed)
+
+
+def expand(preset: Preset | SuitePreset) -> list[Cell]:
+    """All cells of ``preset``, each once, the longest runs first; of public tasks seed by seed.
 
     Raises:
         BenchmarkError: a method, ablation, geometry or track is unknown or cannot be combined, or
             there is no cell.
     """
+    if isinstance(preset, SuitePreset):  # so that an early stop leaves whole rows
+        suite = _of_suite(preset)
+        return sorted(suite, key=lambda c: (c.seed, -units_of(settings(preset, c))))
     cells: dict[Cell, None] = {}
     for group in preset.runs:
         _check_group(preset, group)
@@ -115,8 +144,20 @@ def expand(preset: Preset) -> list[Cell]:
     return sorted(cells, key=lambda cell: (-units_of(settings(preset, cell)), cell.seed))
 
 
+def _of_suite(preset: SuitePreset) -> list[Cell]:
+    cells = []
+    for key, task in preset.tasks.items():
+        methods = [method for method in preset.methods if method not in task.skip]
+        controls = [c for c in preset.controls if c != "script" or task.env in SCRIPTED]
+        for seed in preset.seeds if task.seeds is None else task.seeds:
+            cells += [of_task(method, key, seed) for method in [*methods, *controls]]
+    return cells
+
+
 def units_of(config: dict[str, Any]) -> int:
     """A rough cost of a run by its settings, in environment steps; decides the order of runs."""
+    if "task" in config:
+        return _units_of_task(config)
     track = config.get("track", {})
     if "timesteps" in track:
         return int(track["timesteps"])
@@ -126,17 +167,34 @@ def units_of(config: dict[str, Any]) -> int:
     return 150 * levels * int(config["evaluation"]["episodes"])
 
 
-def checkpoint_bytes(track: Track) -> int:
-    """Size of a checkpoint of a learner, which is that of its replay buffer, generously."""
-    return TRANSITION_BYTES * track.hyperparameters.buffer_size
+def _units_of_task(config: dict[str, Any]) -> int:
+    cost = ATARI_COST if config["task"]["env"].startswith(ATARI) else 1.0
+    if "arguments" not in config:
+        return round(cost * CONTROL_COST * config["final_episodes"])
+    cost *= LEARNERS[algorithm_of(config["cell"]["method"])].cost
+    return max(1, round(config["task"]["timesteps"] * cost))
 
 
-def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
+def checkpoint_bytes(preset: Preset | SuitePreset, cell: Cell) -> int:
+    """Size of a checkpoint, which is that of a learner's replay buffer, generously."""
+    if not cell.learns:
+        return 0
+    small, large, atari = TRANSITION_BYTES
+    if isinstance(preset, Preset):
+        return small * preset.tracks[cell.track].hyperparameters.buffer_size
+    task = preset.tasks[cell.track]
+    size = int(task.arguments_of(cell.method).get("buffer_size", 1_000_000))
+    return size * (atari if task.env.startswith(ATARI) else large)
+
+
+def settings(preset: Preset | SuitePreset, cell: Cell) -> dict[str, Any]:
     """Everything that decides the cell's result, as plain YAML types: the run's config.yaml.
 
     What has no bearing on it is left out, so that it can change without the run, and so are keys at
     values that runs from before there were these keys had.
     """
+    if isinstance(preset, SuitePreset):
+        return _of_task(preset, cell)
     config: dict[str, Any] = {"cell": asdict(cell)}
     if cell.method == DESIGN:
         config["design"] = as_dict(preset.design)
@@ -154,6 +212,21 @@ def settings(preset: Preset, cell: Cell) -> dict[str, Any]:
     return config
 
 
+def _of_task(preset: SuitePreset, cell: Cell) -> dict[str, Any]:
+    task, kind = preset.tasks[cell.track], "learn" if cell.learns else "control"
+    keys = ["env", "env_kwargs", "eval_episodes"]
+    if cell.learns:
+        keys = ["env", "timesteps", "eval_every", "eval_episodes", "env_kwargs", "policy", "n_envs"]
+        keys += [rare for rare in ("guide", "bare") if getattr(task, rare)]
+    given = as_dict(task)
+    return {
+        "cell": {"kind": kind, "task": cell.track, "method": cell.method, "number": cell.seed},
+        "task": {key: given[key] for key in keys},
+        **({"arguments": task.arguments_of(cell.method)} if cell.learns else {}),
+        "final_episodes": preset.final_episodes,
+    }
+
+
 def _evaluation(preset: Preset, track: Track | None) -> dict[str, Any]:
     config = as_dict(preset.evaluation)
     if track is None or track.sim_to_real is None:
@@ -167,11 +240,13 @@ def _evaluation(preset: Preset, track: Track | None) -> dict[str, Any]:
 
 def _track(track: Track, method: str) -> dict[str, Any]:
     config = as_dict(track)
-    settings_of = {"ppo": ("maskable_ppo",), "controls": CONTROLS}
-    unused = [key for key, methods in settings_of.items() if method not in methods]
-    if method not in LEARNERS:
+    learner = LEARNERS.get(method)
+    unused = [] if learner and learner.on_policy else ["ppo"]
+    unused += [] if method in CONTROLS else ["controls"]
+    config["methods"] = {key: given for key, given in track.methods.items() if key == method}
+    if learner is None:
         unused += ["description", "timesteps", "hyperparameters", "curriculum", "train_nominal"]
-    later = ("sim_to_real", "train_nominal", "mask_refused", "team", "sight", "task")
+    later = ("sim_to_real", "train_nominal", "mask_refused", "team", "sight", "task", "methods")
     unused += [key for key in later if not config[key]]
     unused += ["shield"] if config["shield"] is None else []
     unused += ["collision"] if config["collision"] == "refuse" else []

@@ -1,8 +1,9 @@
 """Presets: YAML files with strict keys that say what is trained, for how long and how often.
 
-``presets/_tracks.yaml`` holds the tracks (a task and the hyperparameters that go with it); a preset
-names the tracks it uses and overrides what it must, usually only ``timesteps``. A track says with
-``base`` which of the library's it varies; without, one of a name that the library has varies that.
+Those with ``tracks`` are of the insertion task, those with ``tasks`` of public ones.
+``presets/_tracks.yaml`` and ``presets/_tasks.yaml`` hold both in full; a preset names those it uses
+and overrides what it must, usually only ``timesteps``. An entry says with ``base`` which of the
+library's it varies; without, one of a name that the library has varies that.
 """
 
 from __future__ import annotations
@@ -10,13 +11,23 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal, TypeVar
 
 import yaml
 from pydantic import AfterValidator, Field
 
 from benchmarks.errors import BenchmarkError, known
-from benchmarks.protocol.strict import STRICT, Count, Number, Seeds, build, merge, with_config
+from benchmarks.protocol.learners import LEARNERS, algorithm_of
+from benchmarks.protocol.strict import (
+    STRICT,
+    Count,
+    Names,
+    Number,
+    Seeds,
+    build,
+    merge,
+    with_config,
+)
 from coop_env.errors import ArgumentError
 from coop_env.geometry import GeometryError, RRSGeometry
 from coop_env.simulation.insertion_task import InsertionTask
@@ -25,6 +36,9 @@ from coop_env.simulation.task import TRAIL
 
 PRESETS = Path(__file__).parent / "presets"
 DEFAULT_PRESET = "quick"
+CONTACT: Final = "coop_env:CoopInsertionContact-v0"
+#: what plays public tasks without learning
+SUITE_CONTROLS: Final = {"random": "Random", "held": "One action", "script": "Script"}
 
 
 def _levels(noise: list[float]) -> list[float]:
@@ -57,6 +71,12 @@ def _task(numbers: dict[str, Any] | None) -> dict[str, Any] | None:
     except (ArgumentError, TypeError) as error:
         raise ValueError(str(error)) from error
     return numbers
+
+
+def _learners(methods: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    if unknown := methods.keys() - LEARNERS.keys():
+        raise ValueError(f"unknown method '{min(unknown)}'; known: {known(LEARNERS)}")
+    return methods
 
 
 def _dimensions(values: dict[str, float]) -> dict[str, float]:
@@ -173,6 +193,9 @@ class Track:
     curriculum: Curriculum = field(default_factory=Curriculum)
     ppo: PPOSettings = field(default_factory=PPOSettings)
     controls: Controls = field(default_factory=Controls)
+    methods: Annotated[dict[str, dict[str, Any]], AfterValidator(_learners)] = field(
+        default_factory=dict
+    )
 
     @property
     def rows(self) -> int:
@@ -250,29 +273,69 @@ class Preset:
     checkpoint_seconds: Number = 60.0
 
 
+@with_config(STRICT)
+@dataclass(frozen=True)
+class Guide:
+    """Of the contact task: the first steps of off-policy learners are a script's, with noise."""
+
+    steps: Count
+    noise: Number  # standard deviation, of a whole increment
+    gains: dict[str, Number] = field(default_factory=dict)  # of the moment-guided search
+
+
+@with_config(STRICT)
+@dataclass(frozen=True)
+class Task:
+    """A public environment, the protocol of its runs, and each method's settings there."""
+
+    title: str
+    env: str
+    timesteps: Count
+    eval_every: Count  # environment steps between two evaluations
+    eval_episodes: Count
+    methods: dict[str, dict[str, Any]]  # constructor arguments, and what changes of the guide
+    arguments: dict[str, Any] = field(default_factory=dict)  # of every method
+    skip: Names = field(default_factory=list)  # the preset's methods that mean nothing here
+    env_kwargs: dict[str, Any] = field(default_factory=dict)
+    policy: str = "MlpPolicy"
+    n_envs: Count = 1
+    goal: Number | None = None  # the mean return at which the task counts as solved
+    seeds: Seeds | None = None  # instead of the preset's
+    published: dict[str, Number] = field(default_factory=dict)  # others' means, by whose they are
+    guide: Guide | None = None
+    bare: bool = False  # Rainbow has its present defaults where the settings say nothing
+    random: Number | None = None  # mean returns of a random player and of a human one
+    human: Number | None = None
+
+    def arguments_of(self, method: str) -> dict[str, Any]:
+        """A method's constructor arguments."""
+        return {**self.arguments, **self.methods[method]}
+
+
+@with_config(STRICT)
+@dataclass(frozen=True)
+class SuitePreset:
+    """Methods and controls on public tasks: what runs, with which settings."""
+
+    name: str
+    description: str
+    seeds: Seeds
+    final_episodes: Count
+    tasks: dict[str, Task]
+    methods: Names = field(default_factory=lambda: ["rainbow", "dqn", "qrdqn"])
+    controls: Names = field(default_factory=list)  # a script only where a task has one
+    checkpoint_seconds: Number = 60.0
+    search: bool = False  # compares settings of an algorithm rather than algorithms
+
+
 def rows_of(team: str | None) -> int:
     """Transitions that one tick of a team makes: one, or one of each agent."""
     return 2 if team in ("shared", "independent") else 1
 
 
-def preset_names(folder: Path = PRESETS) -> list[str]:
+def preset_names() -> list[str]:
     """The presets that come with the package."""
-    return sorted(p.stem for p in folder.glob("*.yaml") if not p.stem.startswith("_"))
-
-
-def preset_file(name: str, folder: Path, kind: str) -> Path:
-    """The file of a preset of ``folder``, or of a path; ``kind`` says in errors what is known.
-
-    Raises:
-        BenchmarkError: there is no such preset.
-    """
-    path = Path(name) if name.endswith((".yaml", ".yml")) else folder / f"{name}.yaml"
-    if not path.is_file() or (path.parent == folder and path.stem.startswith("_")):
-        raise BenchmarkError(
-            f"unknown preset '{name}'; {kind}: {known(preset_names(folder))} "
-            "(or the path of a .yaml file)"
-        )
-    return path
+    return sorted(p.stem for p in PRESETS.glob("*.yaml") if not p.stem.startswith("_"))
 
 
 def absolute(name: str) -> str:
@@ -280,46 +343,103 @@ def absolute(name: str) -> str:
     return str(Path(name).resolve()) if name.endswith((".yaml", ".yml")) else name
 
 
-def load_preset(name: str) -> Preset:
+def load(name: str) -> Preset | SuitePreset:
     """Load a preset by name, or by the path of a ``.yaml`` file of one's own.
 
     Raises:
         BenchmarkError: there is no such preset, or the file has an unknown or impossible key.
     """
-    path = preset_file(name, PRESETS, "known presets")
-    return parse_preset(read_yaml(path), path.stem, str(path.name))
+    path = Path(name) if name.endswith((".yaml", ".yml")) else PRESETS / f"{name}.yaml"
+    if not path.is_file() or (path.parent == PRESETS and path.stem.startswith("_")):
+        raise BenchmarkError(
+            f"unknown preset '{name}'; known presets: {known(preset_names())} "
+            "(or the path of a .yaml file)"
+        )
+    data = read_yaml(path)
+    parse = parse_suite if "tasks" in data else parse_preset
+    return parse(data, path.stem, path.name)
+
+
+def load_preset(name: str) -> Preset:
+    """:func:`load` a preset of the insertion task.
+
+    Raises:
+        BenchmarkError: as :func:`load`, or the preset is of other tasks.
+    """
+    return _of_kind(Preset, load(name), "public tasks, and this is for the insertion task")
+
+
+def load_suite(name: str) -> SuitePreset:
+    """:func:`load` a preset of public tasks.
+
+    Raises:
+        BenchmarkError: as :func:`load`, or the preset is of the insertion task.
+    """
+    return _of_kind(SuitePreset, load(name), "the insertion task, and this is for public tasks")
+
+
+P = TypeVar("P", Preset, SuitePreset)
+
+
+def _of_kind(kind: type[P], preset: Preset | SuitePreset, words: str) -> P:
+    if not isinstance(preset, kind):
+        raise BenchmarkError(f"preset '{preset.name}' is of {words}")
+    return preset
 
 
 def parse_preset(data: dict[str, Any], name: str, where: str) -> Preset:
     """Check and build a preset from what its file holds; ``where`` is named in errors."""
+    tracks = _entries(data, "tracks", where)
+    return build(Preset, {**data, "name": name, "tracks": tracks}, where)
+
+
+def parse_suite(data: dict[str, Any], name: str, where: str) -> SuitePreset:
+    """As :func:`parse_preset`, of public tasks."""
+    tasks = _entries(data, "tasks", where)
+    preset = build(SuitePreset, {**data, "name": name, "tasks": tasks}, where)
+    if preset.search and preset.controls:
+        raise BenchmarkError(f"{where}: controls: a search compares settings, it has none")
+    for control in preset.controls:
+        if control not in SUITE_CONTROLS:
+            raise BenchmarkError(
+                f"{where}: controls: unknown '{control}'; known: {known(SUITE_CONTROLS)}"
+            )
+    for method in preset.methods:
+        algorithm_of(method)
+        for key, task in preset.tasks.items():
+            if method not in {*task.methods, *task.skip}:
+                raise BenchmarkError(
+                    f"{where}: tasks: {key}: methods has no settings for '{method}'"
+                )
+    return preset
+
+
+def _entries(data: dict[str, Any], kind: str, where: str) -> dict[str, Any]:
+    """The tracks or tasks of a preset, each laid over what the library has of its name or base."""
     if "name" in data:
         raise BenchmarkError(f"{where}: unknown key 'name'; the file's name is the preset's name")
-    library = read_yaml(PRESETS / "_tracks.yaml")
-    full = {}
-    for track, given in mapping(data.get("tracks"), f"{where}: tracks").items():
-        override = mapping(given, f"{where}: tracks: {track}")
-        base = override.pop("base", track)
-        if base != track and base not in library:
+    library = read_yaml(PRESETS / f"_{kind}.yaml")
+    result = {}
+    for name, given in _mapping(data.get(kind), f"{where}: {kind}").items():
+        override = _mapping(given, f"{where}: {kind}: {name}")
+        base = override.pop("base", name)
+        if base not in library and (base != name or not override):
             raise BenchmarkError(
-                f"{where}: tracks: {track}: unknown base '{base}'; known: {known(library)}"
+                f"{where}: {kind}: {name}: unknown base '{base}'; known: {known(library)}"
             )
-        full[track] = merge(_from_library(library, base), override)
-    return build(Preset, {**data, "name": name, "tracks": full}, where)
+        result[name] = merge(_from_library(library, base), override)
+    return result
 
 
-def mapping(value: object, where: str) -> dict[str, Any]:
-    """A copy of a mapping that YAML holds; nothing is an empty one.
-
-    Raises:
-        BenchmarkError: it is something else.
-    """
+def _mapping(value: object, where: str) -> dict[str, Any]:
+    """A copy of a mapping that YAML holds; nothing is an empty one."""
     if value is not None and not isinstance(value, dict):
         raise BenchmarkError(f"{where}: expected a mapping, found {value!r}")
     return dict(value or {})
 
 
 def _from_library(library: dict[str, Any], name: str) -> dict[str, Any]:
-    """A track of the library with its own base below it; nothing if there is none."""
+    """An entry of the library with its own base below it; nothing if there is none."""
     own = dict(library.get(name, {}))
     base = own.pop("base", None)
     return merge(_from_library(library, base), own) if base else own
@@ -331,7 +451,7 @@ def as_dict(value: object) -> dict[str, Any]:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """The mapping that a YAML file holds.
+    """The mapping that a YAML file holds, without keys ``x-...``, to which others refer.
 
     Raises:
         BenchmarkError: the file is no YAML, or no mapping.
@@ -343,4 +463,4 @@ def read_yaml(path: Path) -> dict[str, Any]:
         raise BenchmarkError(f"{path.name}: not valid YAML: {reason}") from error
     if not isinstance(data, dict):
         raise BenchmarkError(f"{path.name}: expected a mapping at the top")
-    return data
+    return {key: value for key, value in data.items() if not str(key).startswith("x-")}

@@ -9,7 +9,7 @@ from typing import Final
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol import labels
-from benchmarks.protocol.plan import LEARNERS
+from benchmarks.protocol.learners import LEARNERS
 from benchmarks.reporting.results import Group, Results, complete
 from benchmarks.reporting.stats import Value, holm, measured, paired_p
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
@@ -12,11 +12,11 @@ import pandas as pd
 
 from benchmarks.protocol import labels
 from benchmarks.protocol.knowledge import Knowledge, knowledge
+from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import EXPLORING, GREEDY, HOLES, SUCCESS, Metric
 from benchmarks.protocol.plan import (
     CONTROLS,
     DESIGN,
-    LEARNERS,
     METHODS,
     OPTIMUM_AT_ONCE,
     expand,
@@ -303,7 +303,7 @@ class Results:
         return [run for group in self.groups.values() for run in group.runs]
 
     def rows(
-        self, among: Sequence[str] = METHODS, uncertain: bool = False, geometry: str = "optimized"
+        self, among: Collection[str] = METHODS, uncertain: bool = False, geometry: str = "optimized"
     ) -> list[Group]:
         """All methods that are planned or were run, track by track, then the planners of none.
 
@@ -315,12 +315,13 @@ class Results:
                 result.append(self.group(method, track, geometry))
                 if method == "rainbow":
                     result.append(self.group(method, track, geometry, "none"))
-        if uncertain:  # a method on all tracks of the machine together, the ceiling last
-            result.sort(key=lambda row: (row.method == "optimum", METHODS.index(row.method)))
-        else:
+        if not uncertain:
             in_turn = [method for method in among if method != OPTIMUM_AT_ONCE]
             result += [self.group(method, "", geometry) for method in in_turn]
-        return [row for row in result if row.known]
+        result = [row for row in result if row.known]
+        if uncertain:  # a method on all tracks of the machine together, the ceiling last
+            result.sort(key=lambda row: (row.method == "optimum", METHODS.index(row.method)))
+        return result
 
     @property
     def scored(self) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections import deque
 from typing import Any, Final
 
@@ -67,7 +68,33 @@ class CurriculumCallback(BaseCallback):
         self.stage, self.switched_at = state["stage"], state["switched_at"]
 
 
-class CurveRecorder(BaseCallback):
+class Recorder(BaseCallback):
+    """Keeps the rows of a run's curve, and goes on from a checkpoint."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rows: list[dict[str, Any]] = []
+
+    @abstractmethod
+    def note(self) -> str:
+        """A word on how the training goes."""
+
+    @abstractmethod
+    def finish(self) -> None:
+        """Add the last row, of the trained model."""
+
+    @abstractmethod
+    def summary(self) -> dict[str, Any]:
+        """What meta.json says of the training."""
+
+    @abstractmethod
+    def get_state(self) -> Any: ...
+
+    @abstractmethod
+    def set_state(self, state: Any, /) -> None: ...
+
+
+class CurveRecorder(Recorder):
     """Keeps the paper's seven training curves as rows and writes them to TensorBoard.
 
     A row is the mean over an interval of environment steps: episode reward, holes, success and
@@ -80,7 +107,6 @@ class CurveRecorder(BaseCallback):
         super().__init__()
         self.curriculum = curriculum
         self.interval = max(track.hyperparameters.n_envs, math.ceil(track.timesteps / ROWS))
-        self.rows: list[dict[str, object]] = []
         self.counts = {"episodes": 0, "successes": 0, "singular": 0, "holes": 0}
         self.steps_to_75: int | None = None
         self.recent: deque[bool] = deque(maxlen=REFERENCE_WINDOW)
@@ -94,7 +120,7 @@ class CurveRecorder(BaseCallback):
         if loss is not None and self.num_timesteps > 0:
             self._losses.append(float(loss))
         if self.num_timesteps >= self._next:
-            self.flush()
+            self.finish()
 
     def _on_step(self) -> bool:
         for info in ended(self.locals, self.curriculum.rows):
@@ -114,7 +140,11 @@ class CurveRecorder(BaseCallback):
         reward = float(info["episode"]["r"])
         self._ended.append((reward, float(info["n_filled"]), float(success), float(info["time"])))
 
-    def flush(self) -> None:
+    def note(self) -> str:
+        how = f"success {np.mean(self.recent):.0%}" if self.recent else "warming up"
+        return f"{how}, stage {self.curriculum.stage}"
+
+    def finish(self) -> None:
         """End the interval: one row, one point of each TensorBoard curve."""
         ended = np.array(self._ended, dtype=np.float64).reshape(-1, 4)
         mean = ended.mean(axis=0) if len(ended) else np.full(4, math.nan)
@@ -161,7 +191,6 @@ class CurveRecorder(BaseCallback):
         return float(getattr(self.model, "exploration_rate", 0.0))
 
     def summary(self) -> dict[str, Any]:
-        """What meta.json says of the training."""
         episodes = self.counts["episodes"]
         return {
             "steps_to_75": self.steps_to_75,

@@ -8,14 +8,13 @@ import pickle
 import shutil
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList
-from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -146,33 +145,6 @@ class RunCallback(BaseCallback):
         resumed_at = [*past["resumed_at"], model.num_timesteps]
         self.rng, self.set_aside = rng, set_aside
         self._past = {**past, "resumed_at": resumed_at, "made_with": made_with}
-
-
-def learn(
-    callback: RunCallback,
-    algorithm: type[Model],
-    env: VecEnv,
-    build: Callable[[], Model],
-    callbacks: Sequence[BaseCallback],
-    logger: Logger,
-    device: str = "cpu",
-) -> Model | None:
-    """Train a model under a callback, from its newest checkpoint or as ``build`` makes it.
-
-    ``device`` is where the network of a checkpoint is to live. Returns None if it was stopped.
-    """
-    torch.set_num_threads(1)
-    model = load_newest(callback, algorithm, env, device) or build()
-    model.set_logger(logger)
-    remaining = callback.timesteps - model.num_timesteps
-    if remaining > 0:
-        model.learn(
-            remaining,
-            callback=CallbackList([*callbacks, callback]),
-            log_interval=10**9,  # the callbacks write, at even intervals of steps
-            reset_num_timesteps=model.num_timesteps == 0,
-        )
-    return None if callback.stopped else model
 
 
 def _version() -> dict[str, Any]:

@@ -14,6 +14,9 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 from rich.console import Console
 
 from benchmarks.errors import BenchmarkError, known
+from benchmarks.protocol import plan
+from benchmarks.protocol.plan import Cell
+from benchmarks.protocol.presets import Preset, SuitePreset, absolute, load
 from benchmarks.runs.store import RunFolder, Store
 
 StopRequested = Callable[[], bool]
@@ -135,3 +138,37 @@ class Experiment(ABC, Generic[C]):
     def open_store(self, results: Path, create: bool = False) -> Store:
         """The experiment's store; errors as those of :meth:`~benchmarks.runs.store.Store.open`."""
         return Store.open(results / self.place, self.name, create)
+
+
+P = TypeVar("P", Preset, SuitePreset)
+
+
+class OfPreset(Experiment[Cell], Generic[P]):
+    """Cells of a preset, which is loaded if its name or its file's path is given."""
+
+    def __init__(self, preset: P | str) -> None:
+        self.preset: P = load(preset) if isinstance(preset, str) else preset  # type: ignore[assignment]
+        name = preset if isinstance(preset, str) else preset.name
+        super().__init__(self.preset.name, preset=absolute(name))
+        self._cells = plan.expand(self.preset)
+
+    def cells(self) -> Sequence[Cell]:
+        return self._cells
+
+    def settings(self, cell: Cell) -> dict[str, Any]:
+        return plan.settings(self.preset, cell)
+
+    @abstractmethod
+    def build(self, cell: Cell) -> Any:
+        """The untrained learner of a cell, in its environments."""
+
+    def check(self, todo: Sequence[Cell]) -> None:
+        from benchmarks.methods.learners import check_kinds
+
+        check_kinds(todo, self.build, self.name)
+
+    def units(self, config: dict[str, Any]) -> int:
+        return plan.units_of(config)
+
+    def checkpoint_bytes(self, cell: Cell) -> int:
+        return plan.checkpoint_bytes(self.preset, cell)

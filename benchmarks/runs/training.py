@@ -6,70 +6,104 @@ callbacks agree with one another, so that a resumed run goes on as if it had nev
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
+import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.logger import configure
-from stable_baselines3.common.vec_env import VecMonitor
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
-from benchmarks.methods.learners import ALGORITHMS, build_model, make_training_env
+from benchmarks.methods.learners import build_model, class_of, make_training_env
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset
-from benchmarks.runs.callbacks import CurriculumCallback, CurveRecorder
-from benchmarks.runs.checkpoint import RunCallback, Stateful, learn
+from benchmarks.runs.callbacks import CurriculumCallback, CurveRecorder, Recorder
+from benchmarks.runs.checkpoint import RunCallback, Stateful, load_newest
+from benchmarks.runs.experiment import StopRequested
 from benchmarks.runs.store import RunFolder
 from sb3_rainbow.learner.denormals import flush_denormals
+
+
+def learn(
+    folder: RunFolder,
+    algorithm: type[BaseAlgorithm],
+    build: Callable[[], BaseAlgorithm],
+    env: VecEnv,
+    kept: Mapping[str, Stateful],
+    recorder: Recorder,
+    *,
+    timesteps: int,
+    seconds: float,
+    stop_requested: StopRequested,
+    callbacks: Sequence[BaseCallback] = (),
+    device: str = "cpu",
+) -> tuple[BaseAlgorithm, dict[str, Any]] | None:
+    """Train a model, from its newest checkpoint or as ``build`` makes it; writes ``curve.csv``.
+
+    Args:
+        folder: of the run.
+        algorithm: which loads a checkpoint, its network onto ``device``.
+        build: makes the untrained model.
+        env: its training environments.
+        kept: what else a checkpoint holds, by name, put back in this order; the recorder is last.
+        recorder: makes the rows of the curve.
+        timesteps: the run's length.
+        seconds: wall-clock time between two checkpoints.
+        stop_requested: asked between two rounds of collection.
+        callbacks: before the recorder.
+        device: cpu or cuda.
+
+    Returns:
+        The trained model and what meta.json says of the training, or None if it was stopped.
+    """
+    torch.set_num_threads(1)
+    parts = {**kept, "curve": recorder}
+    callback = RunCallback(folder, parts, seconds, timesteps, stop_requested, recorder.note)
+    model = load_newest(callback, algorithm, env, device) or build()
+    model.set_logger(configure(str(folder.tensorboard), ["tensorboard"]))
+    remaining = timesteps - model.num_timesteps
+    if remaining > 0:
+        model.learn(
+            remaining,
+            callback=CallbackList([*callbacks, recorder, callback]),
+            log_interval=10**9,  # the callbacks write, at even intervals of steps
+            reset_num_timesteps=model.num_timesteps == 0,
+        )
+    if callback.stopped:
+        return None
+    recorder.model, recorder.num_timesteps = model, model.num_timesteps  # if nothing was left to do
+    recorder.finish()
+    folder.write_rows("curve", recorder.rows)
+    return model, {**recorder.summary(), **callback.summary(model)}
 
 
 def train(
     preset: Preset,
     cell: Cell,
     folder: RunFolder,
-    stop_requested: Callable[[], bool] = lambda: False,
+    stop_requested: StopRequested = lambda: False,
     device: str = "cpu",
 ) -> tuple[BaseAlgorithm, dict[str, Any]] | None:
-    """Train a cell, from its newest checkpoint if there is one.
-
-    Returns:
-        The trained model and what meta.json says of the training, or None if it was stopped.
-    """
+    """:func:`learn` a cell of the insertion task."""
     track = preset.tracks[cell.track]
     env = make_training_env(preset, cell)
     curriculum = CurriculumCallback(track.curriculum, track.rows)
-    curve = CurveRecorder(track, curriculum)
-
-    def note() -> str:
-        how = f"success {np.mean(curve.recent):.0%}" if curve.recent else "warming up"
-        return f"{how}, stage {curriculum.stage}"
-
     envs: Any = env.venv
-    kept: dict[str, Stateful] = {
-        "env": envs,
-        "monitor": _Monitor(env),
-        "curriculum": curriculum,
-        "curve": curve,
-    }
-    callback = RunCallback(
-        folder, kept, preset.checkpoint_seconds, track.timesteps, stop_requested, note
-    )
-    logger = configure(str(folder.tensorboard), ["tensorboard"])
     with flush_denormals():  # for every method alike
-        model = learn(
-            callback,
-            ALGORITHMS[cell.method],
-            env,
+        return learn(
+            folder,
+            class_of(cell.method),
             lambda: build_model(preset, cell, env, device),
-            [curriculum, curve],
-            logger,
-            device,
+            env,
+            {"env": envs, "monitor": _Monitor(env), "curriculum": curriculum},
+            CurveRecorder(track, curriculum),
+            timesteps=track.timesteps,
+            seconds=preset.checkpoint_seconds,
+            stop_requested=stop_requested,
+            callbacks=[curriculum],
+            device=device,
         )
-    if model is None:
-        return None
-    curve.flush()
-    folder.write_rows("curve", curve.rows)
-    return model, {**curve.summary(), **callback.summary(model)}
 
 
 class _Monitor:

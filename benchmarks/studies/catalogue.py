@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmarks.errors import BenchmarkError, known
-from benchmarks.protocol.presets import preset_names, read_yaml
+from benchmarks.protocol.presets import SuitePreset, load, preset_names
 from benchmarks.reporting import blocks, science
 from benchmarks.reporting.blocks import Block
 from benchmarks.reporting.verify import Report, check_tables, store_names
@@ -66,13 +66,8 @@ def experiment(preset: str) -> Experiment[Any]:
     Raises:
         BenchmarkError: there is no such preset.
     """
-    from benchmarks.studies.classic import presets as classic
-
-    path = Path(preset)
-    public = preset in classic.preset_names()
-    if path.suffix in (".yaml", ".yml") and path.is_file():
-        public = "tasks" in read_yaml(path)
-    if public:
+    loaded = load(preset)
+    if isinstance(loaded, SuitePreset):
         from benchmarks.studies.classic.experiment import Classic
 
         return Classic(preset)
@@ -83,13 +78,9 @@ def experiment(preset: str) -> Experiment[Any]:
 
 def stores(results: Path) -> dict[str, Path]:
     """The presets of this package that have a store, and its folder."""
-    from benchmarks.studies.classic import presets as classic
-
     result = {name: results / name for name in store_names(results)}
-    public = {name: results / "classic" / name for name in store_names(results / "classic")}
-    return {name: path for name, path in result.items() if name in preset_names()} | {
-        name: path for name, path in public.items() if name in classic.preset_names()
-    }
+    result |= {name: results / "classic" / name for name in store_names(results / "classic")}
+    return {name: path for name, path in result.items() if name in preset_names()}
 
 
 def all_blocks(results: Path) -> Mapping[str, Block]:

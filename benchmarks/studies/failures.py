@@ -28,7 +28,8 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.evaluate import begin_episodes, model_policy
 from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.oracle import LatticeOracle
-from benchmarks.protocol.plan import LEARNERS, Cell, expand, settings
+from benchmarks.protocol.learners import LEARNERS
+from benchmarks.protocol.plan import Cell, expand, settings
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.reporting.blocks import Block
 from benchmarks.reporting.figures.style import canvas, save, style

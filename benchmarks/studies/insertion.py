@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from benchmarks.protocol import plan
 from benchmarks.protocol.plan import DESIGN, Cell
-from benchmarks.protocol.presets import Preset, absolute, load_preset
+from benchmarks.protocol.presets import Preset
 from benchmarks.protocol.seeding import derive
 from benchmarks.runs.cell import ProgressReporter
-from benchmarks.runs.experiment import Experiment, StopRequested
+from benchmarks.runs.experiment import OfPreset, StopRequested
 from benchmarks.runs.store import RunFolder, Store
 
 if TYPE_CHECKING:
@@ -19,32 +18,16 @@ if TYPE_CHECKING:
     from benchmarks.reporting.tables.table import Table
 
 
-class Insertion(Experiment[Cell]):
-    """Cells of a preset, which is loaded if its name or its file's path is given."""
+class Insertion(OfPreset[Preset]):
+    """Learners, controls, planners and the design on the insertion task."""
 
     # the paper's tables; the others are written beside them
     printed = ("performance", "controls", "ablation", "geometry", "design", "team", "difficulty")
 
-    def __init__(self, preset: Preset | str) -> None:
-        self.preset = load_preset(preset) if isinstance(preset, str) else preset
-        name = preset if isinstance(preset, str) else preset.name
-        super().__init__(self.preset.name, preset=absolute(name))
-        self._cells = plan.expand(self.preset)
+    def build(self, cell: Cell) -> Any:
+        from benchmarks.methods.learners import build_small
 
-    def cells(self) -> Sequence[Cell]:
-        return self._cells
-
-    def settings(self, cell: Cell) -> dict[str, Any]:
-        return plan.settings(self.preset, cell)
-
-    def check(self, todo: Sequence[Cell]) -> None:
-        if learning := [cell for cell in todo if cell.learns]:
-            from benchmarks.methods.learners import check_cells
-
-            check_cells(self.preset, learning)
-
-    def units(self, config: dict[str, Any]) -> int:
-        return plan.units_of(config)
+        return build_small(self.preset, cell)
 
     def kinds(self, config: dict[str, Any]) -> Iterator[tuple[str, ...]]:
         cell = config["cell"]
@@ -57,9 +40,6 @@ class Insertion(Experiment[Cell]):
         else:
             yield (cell["method"], cell["geometry"])
         yield (cell["method"],)
-
-    def checkpoint_bytes(self, cell: Cell) -> int:
-        return plan.checkpoint_bytes(self.preset.tracks[cell.track]) if cell.learns else 0
 
     def run(
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str

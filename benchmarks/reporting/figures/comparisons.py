@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.protocol import labels, paper_values
+from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import N_HOLES
-from benchmarks.protocol.plan import LEARNERS, PLANNERS
+from benchmarks.protocol.plan import PLANNERS
 from benchmarks.reporting.figures.style import (
     METHOD_COLOURS,
     PALETTE,

@@ -13,8 +13,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.protocol import labels
+from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import HOLES, N_HOLES, SUCCESS, Metric
-from benchmarks.protocol.plan import ABLATIONS, LEARNERS
+from benchmarks.protocol.plan import ABLATIONS
 from benchmarks.protocol.presets import rows_of
 from benchmarks.reporting.figures.comparisons import comparisons
 from benchmarks.reporting.figures.style import (

@@ -26,6 +26,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
+from benchmarks.protocol.learners import LEARNERS
 from benchmarks.runs.store import write_atomic
 
 matplotlib.use("Agg")
@@ -36,14 +37,12 @@ PALETTE: Final = (
 )
 # one colour per method and one style per track, in every figure; controls from Tol's muted colours
 METHOD_COLOURS: Final = {
-    "rainbow": PALETTE[0], "dqn": PALETTE[1], "masked_dqn": PALETTE[5],
-    "maskable_ppo": PALETTE[2], "qrdqn": PALETTE[2],
+    **{name: PALETTE[learner.colour] for name, learner in LEARNERS.items()},
+    "masked_dqn": PALETTE[5],
     "rrt_connect": PALETTE[3], "rrt_lattice": PALETTE[4], "optimum": PALETTE[6],
     "random": "#DDDDDD", "greedy": "#999933",
     "greedy_observed": "#DDCC77", "lookahead": "#882255", "lookahead_observed": "#AA4499",
     "nominal_plan": "#117733", "plan_search": "#44AA99",
-    "sac": PALETTE[2], "crossq": PALETTE[3], "td3": PALETTE[4], "ppo": PALETTE[5],
-    "bc": PALETTE[6],
 }  # fmt: skip
 TRACK_STYLES: Final = {
     "": "-", "repaired": "-", "terminal": "--",

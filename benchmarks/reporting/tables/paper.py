@@ -13,8 +13,8 @@ from typing import Any, Final
 import pandas as pd
 
 from benchmarks.protocol import labels, paper_values
+from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS
-from benchmarks.protocol.plan import LEARNERS
 from benchmarks.reporting.compared import ABLATION, comparisons, find
 from benchmarks.reporting.results import MAIN, Group, Level, Results, complete
 from benchmarks.reporting.stats import Value, t_interval

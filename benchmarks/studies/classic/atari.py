@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from benchmarks.errors import BenchmarkError
 
-PREFIX: Final = "ALE/"
 FRAMES: Final = 4  # stacked
 EPISODE_STEPS: Final = 27_000  # half an hour of play at 60 frames a second, 4 of them a step
 NOOPS: Final = 30  # at most, at the start of an episode

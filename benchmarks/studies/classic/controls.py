@@ -17,6 +17,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.plan import SCRIPTED
 
 Image = NDArray[np.uint8]  # (channels, 10, 10), of MinAtar
 Script = Callable[[Any], int]
@@ -223,14 +224,7 @@ def _danger(image: Image, place: tuple[int, int], enemies: list[tuple[int, int]]
     return UNSAFE / 2.0 if any(abs(gap) <= 1 for gap in gaps) else 0.0
 
 
-SCRIPTS: Final[dict[str, Script]] = {
-    "CartPole-v1": _cart_pole,
-    "Acrobot-v1": _acrobot,
-    "MountainCar-v0": _mountain_car,
-    "LunarLander-v3": _lunar_lander,
-    "MinAtar/asterix": _asterix,
-    "MinAtar/breakout": _breakout,
-    "MinAtar/freeway": _freeway,
-    "MinAtar/seaquest": _seaquest,
-    "MinAtar/space_invaders": _space_invaders,
-}
+SCRIPTS: Final[dict[str, Script]] = dict(zip(SCRIPTED, (
+    *(_cart_pole, _acrobot, _mountain_car, _lunar_lander),
+    *(_asterix, _breakout, _freeway, _seaquest, _space_invaders),
+), strict=True))  # fmt: skip

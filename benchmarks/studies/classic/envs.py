@@ -12,6 +12,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.plan import ATARI
 from benchmarks.studies.classic import atari
 
 MINATAR: Final = "MinAtar/"
@@ -34,7 +35,7 @@ def make(name: str, training: bool = False, **kwargs: Any) -> gym.Env[Any, Any]:
     """
     if name.startswith(MINATAR):
         return MinAtarEnv(name.removeprefix(MINATAR), **kwargs)
-    if name.startswith(atari.PREFIX):
+    if name.startswith(ATARI):
         return atari.make_atari(name, training, **kwargs)
     if name == MASKED_IDENTITY:
         return MaskedIdentityEnv(**kwargs)

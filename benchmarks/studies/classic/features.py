@@ -7,7 +7,7 @@ from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
-from benchmarks.studies.classic.atari import PREFIX
+from benchmarks.protocol.plan import ATARI
 
 
 class SmallCnn(BaseFeaturesExtractor):
@@ -52,4 +52,4 @@ class DataEfficientCnn(BaseFeaturesExtractor):
 
 def extractor_of(env: str) -> type[BaseFeaturesExtractor]:
     """The extractor for the images of an environment."""
-    return DataEfficientCnn if env.startswith(PREFIX) else SmallCnn
+    return DataEfficientCnn if env.startswith(ATARI) else SmallCnn

@@ -7,6 +7,7 @@ from typing import Final
 
 from matplotlib.figure import Figure
 
+from benchmarks.protocol.labels import of_suite
 from benchmarks.reporting.figures.style import (
     METHOD_COLOURS,
     PALETTE,
@@ -14,7 +15,6 @@ from benchmarks.reporting.figures.style import (
     canvas,
     legend_below,
 )
-from benchmarks.studies.classic.presets import label
 from benchmarks.studies.classic.results import SuiteResults
 from benchmarks.studies.robots.contact_report import draw, levels
 
@@ -52,7 +52,7 @@ def _curves(results: SuiteResults) -> Figure:
                 continue
             steps, mean, low, high = curve
             colour = METHOD_COLOURS.get(method, PALETTE[(3 + number) % len(PALETTE)])
-            axes.plot(steps / 1e3, mean, color=colour, label=label(method), linewidth=1.3)
+            axes.plot(steps / 1e3, mean, color=colour, label=of_suite(method), linewidth=1.3)
             axes.fill_between(steps / 1e3, low, high, color=colour, alpha=0.2, linewidth=0)
         if task.goal is not None:
             axes.axhline(task.goal, color="0.5", linestyle=":", linewidth=1.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import gymnasium as gym
@@ -10,13 +10,15 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from benchmarks.evaluation.evaluate import model_policy
+from benchmarks.protocol.plan import Cell
+from benchmarks.protocol.presets import CONTACT, SuitePreset, Task
 from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.runs.cell import ProgressReporter
+from benchmarks.runs.experiment import StopRequested
 from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.controls import Control, at_random, held, scripted
 from benchmarks.studies.classic.envs import make
-from benchmarks.studies.classic.presets import CONTACT, SuiteCell, SuitePreset, Task
-from sb3_rainbow import Rainbow
 
 IN_MOVES: Final = "coop_env:CoopInsertionContactDiscrete-v0"  # for who cannot act continuously
 PARALLEL: Final = 50  # episodes that a test plays side by side
@@ -46,19 +48,17 @@ def _play(
 ) -> list[tuple[float, int]]:
     discrete = isinstance(model.action_space, spaces.Discrete)
     playing = [make_env(task, discrete) for _ in seeds]
-    masked = isinstance(model, Rainbow | Control) and playing[0].has_wrapper_attr("action_masks")
+    act, masked = model_policy(model), playing[0].has_wrapper_attr("action_masks")
     observations = [env.reset(seed=seed)[0] for env, seed in zip(playing, seeds, strict=True)]
     returns, lengths = [0.0] * len(seeds), [0] * len(seeds)
     active = list(range(len(seeds)))
     while active:
         batch = _stack([observations[i] for i in active])
-        masks: dict[str, Any] = {}
+        masks: Any = None
         if masked:
-            allowed = [playing[i].get_wrapper_attr("action_masks")() for i in active]
-            masks["action_masks"] = np.stack(allowed)
-        actions, _ = model.predict(batch, deterministic=True, **masks)
+            masks = np.stack([playing[i].get_wrapper_attr("action_masks")() for i in active])
         still = []
-        for i, action in zip(active, actions, strict=True):
+        for i, action in zip(active, act(batch, masks), strict=True):
             observations[i], reward, terminated, truncated, _ = playing[i].step(action)
             returns[i] += float(reward)
             lengths[i] += 1
@@ -78,11 +78,11 @@ def _stack(observations: Sequence[Any]) -> Any:
 
 
 def test(
-    model: BaseAlgorithm | Control, preset: SuitePreset, cell: SuiteCell, folder: RunFolder
+    model: BaseAlgorithm | Control, preset: SuitePreset, cell: Cell, folder: RunFolder
 ) -> None:
     """The final test, whose episodes depend on the cell's seed alone; writes ``episodes.csv``."""
-    seeds = episode_seeds(cell.number, preset.final_episodes)
-    played = evaluate(model, preset.tasks[cell.task], seeds)
+    seeds = episode_seeds(cell.seed, preset.final_episodes)
+    played = evaluate(model, preset.tasks[cell.track], seeds)
     folder.write_rows(
         "episodes",
         [
@@ -94,9 +94,9 @@ def test(
 
 def run_control(
     preset: SuitePreset,
-    cell: SuiteCell,
+    cell: Cell,
     folder: RunFolder,
-    stop_requested: Callable[[], bool] = lambda: False,
+    stop_requested: StopRequested = lambda: False,
 ) -> dict[str, Any]:
     """Test what plays without learning on the episodes of a learner; writes ``episodes.csv``.
 
@@ -105,7 +105,7 @@ def run_control(
     Raises:
         Stopped: it was asked to end.
     """
-    task, seed = preset.tasks[cell.task], cell.number
+    task, seed = preset.tasks[cell.track], cell.seed
     report = ProgressReporter(folder, stop_requested)
     env = make_env(task)
     space = env.action_space

@@ -12,10 +12,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from benchmarks.protocol.plan import expand, settings
+from benchmarks.protocol.presets import SuitePreset
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.stats import Value, means, over_seeds, stratified_bootstrap, t_interval
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.classic.presets import CONTROL, LEARN, SuitePreset, expand, settings
 
 Array = NDArray[np.float64]
 
@@ -62,11 +63,11 @@ class SuiteResults:
                 self.missing.append(cell.id)
                 continue
             self.folders.append(folder)
-            self.n_controls += cell.kind == CONTROL
-            curve = folder.rows("curve") if cell.kind == LEARN else pd.DataFrame()
+            self.n_controls += not cell.learns
+            curve = folder.rows("curve") if cell.learns else pd.DataFrame()
             episodes = folder.rows("episodes")
-            run = Run(cell.number, folder.meta(), curve, episodes, folder)
-            self._runs.setdefault((cell.task, cell.method), []).append(run)
+            run = Run(cell.seed, folder.meta(), curve, episodes, folder)
+            self._runs.setdefault((cell.track, cell.method), []).append(run)
 
     def problems(self) -> list[str]:
         """A sentence for each run whose test episodes are not those of its seed."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from benchmarks.protocol.labels import of_suite
+from benchmarks.protocol.presets import load_suite
 from benchmarks.reporting.blocks import provenance
 from benchmarks.reporting.stats import (
     interquartile_mean,
@@ -15,7 +17,6 @@ from benchmarks.reporting.stats import (
 from benchmarks.reporting.tables.table import Number, Table, TableCell
 from benchmarks.runs.store import Store
 from benchmarks.studies.classic.envs import MASKED_IDENTITY
-from benchmarks.studies.classic.presets import label, load_preset
 from benchmarks.studies.classic.results import SuiteResults
 from benchmarks.studies.robots.contact_report import build_contact_tables
 
@@ -58,7 +59,7 @@ def build_tables(results: SuiteResults) -> list[Table]:
 
 def page(store: Store) -> str:
     """The block of a store: where its runs come from, the main tables, each with its figure."""
-    results = SuiteResults(load_preset(store.folder.name), store)
+    results = SuiteResults(load_suite(store.folder.name), store)
     root, missing = f"../results/classic/{store.folder.name}", len(results.missing)
     parts = [provenance(store.folder.name, results.folders, missing, results.n_controls)]
     tables = {table.name: table for table in build_tables(results)}
@@ -92,7 +93,7 @@ def _scores(results: SuiteResults) -> Table:
     return Table(
         "scores",
         f"Return of the last greedy policy, {preset.final_episodes} test episodes per seed",
-        ["Task", "Steps", "Goal", "Seeds", *(label(m) for m in preset.methods), *published],
+        ["Task", "Steps", "Goal", "Seeds", *(of_suite(m) for m in preset.methods), *published],
         rows,
         [
             f"Mean over seeds [{_INTERVAL}]; the test episodes' seeds are used for nothing else.",
@@ -113,7 +114,7 @@ def _controls(results: SuiteResults) -> Table:
     return Table(
         "controls",
         "Without learning, on the same test episodes",
-        ["Task", *map(label, columns)],
+        ["Task", *map(of_suite, columns)],
         rows,
         [" ".join(_CONTROLS[name] for name in preset.controls)],
     )
@@ -124,7 +125,7 @@ def _search(results: SuiteResults) -> Table:
     preset = results.preset
     rows: list[list[TableCell]] = []
     for method in preset.methods:
-        row: list[TableCell] = [label(method)]
+        row: list[TableCell] = [of_suite(method)]
         for key in preset.tasks:
             value = results.score(key, method)
             row += [str(value.n), _with_interval(value.mean, value.low, value.high)]
@@ -153,7 +154,7 @@ def _normalized(results: SuiteResults) -> Table:
             row.append(_with_interval(mean, low, high, 3))
         marks = ((value - base) / scale for value in task.published.values())
         rows.append([*row, ", ".join(f"{mark:.3f}" for mark in marks) or "-"])
-    methods = [label(method) for method in results.preset.methods]
+    methods = [of_suite(method) for method in results.preset.methods]
     return Table(
         "normalized",
         "Human-normalized: a random player has 0, a human 1",
@@ -175,12 +176,16 @@ def _together(results: SuiteResults, tasks: list[str]) -> Table:
         if method != ours:
             value = probability_of_improvement(scores[ours], theirs)
             better = _with_interval(value.mean, value.low, value.high, 2)
-        row: list[TableCell] = [label(method), str(len(theirs)), _with_interval(mean, low, high, 2)]
+        row: list[TableCell] = [
+            of_suite(method),
+            str(len(theirs)),
+            _with_interval(mean, low, high, 2),
+        ]
         rows.append([*row, better])
     return Table(
         "together",
         f"All {len(tasks)} tasks together",
-        ["Method", "Seeds", "Interquartile mean", f"P({label(ours)} is better)"],
+        ["Method", "Seeds", "Interquartile mean", f"P({of_suite(ours)} is better)"],
         rows,
         [
             "On each task the worst run of any method scores 0, the best 1. Measures of Agarwal et "
@@ -210,7 +215,7 @@ def _speed(results: SuiteResults) -> Table:
             trained = [run.meta["training"] for run in runs]
             updates = Number(over_seeds([training["updates"] for training in trained]), 0)
             minutes = over_seeds([training["cpu_seconds"] / 60.0 for training in trained])
-            rows.append([task.title, label(method), *there, updates, Number(minutes, 1)])
+            rows.append([task.title, of_suite(method), *there, updates, Number(minutes, 1)])
     return Table(
         "steps",
         "Environment steps to the goal, updates and time",

@@ -11,9 +11,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from benchmarks.protocol.labels import of_suite
+from benchmarks.protocol.presets import CONTACT
 from benchmarks.reporting.figures.style import METHOD_COLOURS, PALETTE, canvas, legend_below
 from benchmarks.reporting.tables.table import Table, TableCell
-from benchmarks.studies.classic.presets import CONTACT, label
 from benchmarks.studies.classic.results import SuiteResults, student
 from benchmarks.studies.robots.trials import (
     CONDITIONS,
@@ -81,7 +82,7 @@ def build_contact_tables(results: SuiteResults) -> list[Table]:
     for task, level in levels(results).items():
         for method, seeds, rows, interval in _learned(results, task):
             result = [_of(rows, error, None) for error in CONDITIONS]  # the last: as drawn
-            first: list[TableCell] = [level, label(method), str(seeds)]
+            first: list[TableCell] = [level, of_suite(method), str(seeds)]
             over_errors.append([*first, *map(in_cell, result)])
             drawn.append([*first, over_errors[-1][-1], interval, causes(result)])
             rubbed = [in_cell(_of(rows, TRAINED, friction)) for friction in FRICTIONS]
@@ -132,7 +133,7 @@ def draw(results: SuiteResults) -> Figure:
         for method, _, rows, _ in _learned(results, task):
             result = [_of(rows, error, None) for error in ERRORS]
             colour = METHOD_COLOURS.get(method, PALETTE[-1])
-            _lines(column, result, label(method), colour, "-")
+            _lines(column, result, of_suite(method), colour, "-")
         for number, (name, one) in enumerate(_scripts(results, level).items()):
             _lines(column, one["errors"][: len(ERRORS)], name, str(0.15 + 0.2 * number), "--")
         column[0].set_title(f"level {level}")

@@ -15,11 +15,12 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.evaluate import begin_episodes, evaluate_cell, play_together
 from benchmarks.methods.controls import control
 from benchmarks.methods.episodes import env_arguments
-from benchmarks.methods.learners import build_model, check_cells, make_training_env
+from benchmarks.methods.learners import build_model, make_training_env
 from benchmarks.methods.team.env import DecentralizedEnv, each_for_itself, make_env, own_masks
 from benchmarks.protocol.plan import Cell, expand
 from benchmarks.protocol.presets import Controls, Preset, load_preset, parse_preset
 from benchmarks.runs import policy_file
+from benchmarks.studies.insertion import Insertion
 from coop_env import parallel_env
 from coop_env.simulation.joint import HOLD_CHOICE, N_CHOICES, N_JOINT
 from coop_env.team.agents import AGENTS
@@ -241,4 +242,4 @@ def test_the_optimum_at_once_takes_no_more_ticks() -> None:
 def test_a_sum_needs_quantiles() -> None:
     preset = tiny("vdn", v_min=-5.0, v_max=25.0)
     with pytest.raises(BenchmarkError, match="leave v_min and v_max null"):
-        check_cells(preset, expand(preset))
+        Insertion(preset).check(expand(preset))

@@ -13,7 +13,6 @@ from benchmarks.protocol.presets import Preset
 from benchmarks.runs.costs import GUESSED_RATE, Cost, costs, duration, wall_seconds
 from benchmarks.runs.store import Store
 from benchmarks.studies.classic.experiment import Classic
-from benchmarks.studies.classic.presets import LEARN
 from benchmarks.studies.insertion import Insertion
 from tests.benchmarks.smoke import smoke_preset
 
@@ -68,7 +67,7 @@ def test_a_game_costs_what_games_of_its_kind_did_not_what_other_tasks_did(tmp_pa
     assert found["asterix-rainbow-s1"].seconds == pytest.approx(500.0)
     assert found["asterix-qrdqn-s1"].seconds == pytest.approx(600.0)
     assert 300.0 < found["asterix-dqn-s1"].seconds < 600.0  # no run of MinAtar's by DQN
-    learners = {cell.id for cell in suite.cells() if cell.kind == LEARN}
+    learners = {cell.id for cell in suite.cells() if cell.learns}
     assert not any(found[name].guessed for name in learners)
 
 

@@ -9,7 +9,8 @@ import torch
 
 from benchmarks.evaluation.evaluate import evaluate_cell
 from benchmarks.evaluation.model_files import load_stored
-from benchmarks.methods.learners import ALGORITHMS, build_model, make_training_env
+from benchmarks.methods.learners import build_model, make_training_env
+from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset
 from benchmarks.protocol.seeding import derive
@@ -26,7 +27,7 @@ def preset() -> Preset:
     return smoke_preset(track={"ppo": ppo}, evaluation={"episodes": 3, "noise": [0.0]})
 
 
-@pytest.mark.parametrize("method", sorted(ALGORITHMS))
+@pytest.mark.parametrize("method", [name for name, each in LEARNERS.items() if each.discrete])
 def test_the_stored_policy_repeats_the_stored_episodes(
     method: str, preset: Preset, tmp_path: Path
 ) -> None:
@@ -43,7 +44,7 @@ def test_the_stored_policy_repeats_the_stored_episodes(
     assert [row["moves"] for row in again] == stored["moves"].tolist()
 
 
-@pytest.mark.parametrize("method", sorted(ALGORITHMS))
+@pytest.mark.parametrize("method", [name for name, each in LEARNERS.items() if each.discrete])
 def test_half_precision_moves_no_weight_further_than_its_last_bit(
     method: str, preset: Preset
 ) -> None:

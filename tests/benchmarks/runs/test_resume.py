@@ -22,7 +22,7 @@ import yaml
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.methods.learners import ALGORITHMS
+from benchmarks.methods.learners import class_of
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset, as_dict
 from benchmarks.runs import machine
@@ -290,7 +290,7 @@ def test_a_complete_cell_is_skipped_and_its_policy_loads(preset: Preset, tmp_pat
     stamps = {path: path.stat().st_mtime_ns for path in run.path.iterdir()}
     assert run_cell(Insertion(preset), cell, store)
     assert {path: path.stat().st_mtime_ns for path in run.path.iterdir()} == stamps
-    model: Any = ALGORITHMS["rainbow"].load(run.policy, device="cpu")
+    model: Any = class_of("rainbow").load(run.policy, device="cpu")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         seen, masks = np.full(12, 0.5, np.float32), np.ones(12, np.bool_)

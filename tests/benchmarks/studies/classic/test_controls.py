@@ -10,6 +10,8 @@ import pytest
 from gymnasium import spaces
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.plan import expand, of_task
+from benchmarks.protocol.presets import Task, load_suite
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.store import RunFolder, Store
@@ -22,14 +24,13 @@ from benchmarks.studies.classic.controls import (
 )
 from benchmarks.studies.classic.experiment import Classic
 from benchmarks.studies.classic.playing import evaluate, make_env, run_control
-from benchmarks.studies.classic.presets import CONTROL, SuiteCell, Task, expand, load_preset
 
 pytest.importorskip("minatar", reason="needs the extra 'classic'")
 
 TASKS = {
     task.env: task
     for preset in ("control", "minatar")
-    for task in load_preset(preset).tasks.values()
+    for task in load_suite(preset).tasks.values()
 }
 # what each script reaches, less some; Box2D's and MinAtar's episodes differ much
 REACHED = {
@@ -74,17 +75,17 @@ def test_every_allowed_action_is_as_likely() -> None:
 
 
 def test_chance_knows_the_masks_that_rainbow_knows() -> None:
-    task = load_preset("basics").tasks["masked_identity"]
+    task = load_suite("basics").tasks["masked_identity"]
     found = [total for total, _ in evaluate(at_random(space_of(task), 0), task, range(100))]
     assert np.mean(found) == pytest.approx(50 / 4, abs=1.0)  # one in four is right
 
 
 def test_the_action_that_is_held_is_the_best_on_validation_episodes(tmp_path: Path) -> None:
-    preset = dataclasses.replace(load_preset("minatar"), final_episodes=2)
+    preset = dataclasses.replace(load_suite("minatar"), final_episodes=2)
     task = dataclasses.replace(preset.tasks["freeway"], eval_episodes=2)
     preset = dataclasses.replace(preset, tasks={"freeway": task})
     folder = RunFolder(tmp_path / "run")
-    about = run_control(preset, SuiteCell(CONTROL, "freeway", "held", 1), folder)
+    about = run_control(preset, of_task("held", "freeway", 1), folder)
     assert about["action"] == 1  # up, which alone ever crosses the road
     rows = folder.rows("episodes")
     assert rows["seed"].tolist() == episode_seeds(1, 2)
@@ -94,7 +95,7 @@ def test_the_action_that_is_held_is_the_best_on_validation_episodes(tmp_path: Pa
 
 def test_controls_are_runs_of_the_preset_and_can_be_stopped(tmp_path: Path) -> None:
     tiny = Classic("tiny")
-    found = {cell.id for cell in expand(tiny.preset) if cell.kind == CONTROL}
+    found = {cell.id for cell in expand(tiny.preset) if not cell.learns}
     assert {"cartpole-script-s0", "breakout-held-s0", "masked_identity-random-s0"} <= found
     assert "masked_identity-script-s0" not in found
     store = Store.open(tmp_path, "tiny", create=True)
@@ -103,7 +104,7 @@ def test_controls_are_runs_of_the_preset_and_can_be_stopped(tmp_path: Path) -> N
         assert not run_cell(tiny, cell, store, lambda: True)
         assert not store.run(cell.id).is_complete()
     for cell in expand(tiny.preset):
-        if cell.kind == CONTROL:
+        if not cell.learns:
             assert run_cell(tiny, cell, store)
             assert tiny.verdict(store.run(cell.id)).endswith("over 3 test episodes")
 

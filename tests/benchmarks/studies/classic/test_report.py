@@ -10,18 +10,12 @@ import numpy as np
 import pytest
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.plan import expand, settings
+from benchmarks.protocol.presets import SuitePreset, load_suite
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.stats import Value
 from benchmarks.runs.store import Store
 from benchmarks.studies.classic.figures import pictures
-from benchmarks.studies.classic.presets import (
-    CONTROL,
-    LEARN,
-    SuitePreset,
-    expand,
-    load_preset,
-    settings,
-)
 from benchmarks.studies.classic.results import SuiteResults, student
 from benchmarks.studies.classic.tables import build_tables, page
 
@@ -30,7 +24,7 @@ SCORES = {"rainbow": 30.0, "dqn": 20.0, "qrdqn": 10.0, "random": 1.0, "held": 2.
 
 @pytest.fixture(scope="module")
 def preset() -> SuitePreset:
-    return load_preset("public")
+    return load_suite("public")
 
 
 @pytest.fixture(scope="module")
@@ -39,12 +33,12 @@ def store(preset: SuitePreset, tmp_path_factory: pytest.TempPathFactory) -> Stor
     store = Store.open(tmp_path_factory.mktemp("results"), "public", create=True)
     for cell in expand(preset):
         run = store.run(cell.id)
-        final = SCORES[cell.method] + cell.number
+        final = SCORES[cell.method] + cell.seed
         run.write_rows("episodes", [{"episode": i, "return": final + i} for i in (-1, 0, 1)])
         curve: list[dict[str, object]] = [
             {"timesteps": t, "return_mean": final * t / 1000} for t in (0, 500, 1000)
         ]
-        if cell.kind == LEARN:
+        if cell.learns:
             run.write_rows("curve", curve)
         training = {"updates": 7, "cpu_seconds": 60.0, "wall_seconds": 120.0}
         machine = {"commit": "f" * 40, "dirty": False, "machine": {"processor": "abacus"}}
@@ -86,7 +80,7 @@ def test_every_panel_is_drawn_and_the_same_data_gives_the_same_file(
 def test_the_block_says_which_runs_it_shows(preset: SuitePreset, store: Store) -> None:
     text = page(store)
     cells = expand(preset)
-    controls = sum(cell.kind == CONTROL for cell in cells)
+    controls = sum(not cell.learns for cell in cells)
     told = f"{len(cells) - controls} runs and {controls} of controls, {len(cells)} CPU minutes"
     assert told in text
     assert "abacus" in text
@@ -95,11 +89,11 @@ def test_the_block_says_which_runs_it_shows(preset: SuitePreset, store: Store) -
 
 
 def test_published_marks_stand_beside_the_scores(tmp_path: Path) -> None:
-    atari = load_preset("atari100k")
+    atari = load_suite("atari100k")
     store = Store.open(tmp_path, "atari100k", create=True)
     for cell in expand(atari):
         run = store.run(cell.id)
-        run.write_rows("episodes", [{"episode": 0, "return": 5.0 + cell.number}])
+        run.write_rows("episodes", [{"episode": 0, "return": 5.0 + cell.seed}])
         run.write_rows("curve", [{"timesteps": t, "return_mean": 1.0} for t in (0, 500)])
         run.write_meta({"training": {"updates": 7, "cpu_seconds": 60.0}})
     tables = {table.name: table for table in build_tables(SuiteResults(atari, store))}
@@ -126,7 +120,7 @@ def test_controls_have_their_own_table_and_move_no_score(preset: SuitePreset, st
 
 
 def test_runs_that_are_not_what_the_preset_says_are_named(tmp_path: Path) -> None:
-    atari = dataclasses.replace(load_preset("atari100k"), seeds=[3], final_episodes=2, controls=[])
+    atari = dataclasses.replace(load_suite("atari100k"), seeds=[3], final_episodes=2, controls=[])
     store = Store.open(tmp_path, "atari100k", create=True)
     seeds = episode_seeds(3, 2)
     rows = [{"episode": i, "seed": seed, "return": 1.0} for i, seed in enumerate(seeds)]

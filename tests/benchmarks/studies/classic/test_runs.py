@@ -18,20 +18,14 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.plan import expand, of_task, settings
+from benchmarks.protocol.presets import PRESETS, SuitePreset, load_suite
 from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.classic.experiment import Classic
 from benchmarks.studies.classic.playing import evaluate
-from benchmarks.studies.classic.presets import (
-    PRESETS,
-    SuiteCell,
-    SuitePreset,
-    expand,
-    load_preset,
-    settings,
-)
 from benchmarks.studies.classic.train import build_model, run_learner
 from sb3_rainbow import Rainbow
 
@@ -40,7 +34,7 @@ TASKS = ("cartpole", "masked_identity", "breakout")
 
 @pytest.fixture
 def preset() -> SuitePreset:
-    return load_preset("tiny")
+    return load_suite("tiny")
 
 
 def stop_after(rounds: int) -> Callable[[], bool]:
@@ -59,7 +53,7 @@ def test_a_run_that_was_stopped_twice_is_the_run_that_was_not(
 ) -> None:
     if task == "breakout":
         pytest.importorskip("minatar", reason="needs the extra 'classic'")
-    cell = SuiteCell("learn", task, method, 0)
+    cell = of_task(method, task, 0)
     whole = RunFolder(tmp_path / "whole")
     assert run_learner(preset, cell, whole) is not None
     folder = RunFolder(tmp_path / "cut")
@@ -88,8 +82,8 @@ def test_box2d_begins_a_new_episode_and_goes_on(tmp_path: Path) -> None:
     }
     path = tmp_path / "lander.yaml"
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
-    preset, folder = load_preset(str(path)), RunFolder(tmp_path / "run")
-    cell = SuiteCell("learn", "lunarlander", "dqn", 0)
+    preset, folder = load_suite(str(path)), RunFolder(tmp_path / "run")
+    cell = of_task("dqn", "lunarlander", 0)
     assert run_learner(preset, cell, folder, stop_after(40)) is None
     summary = run_learner(preset, cell, folder)
     assert summary is not None
@@ -118,7 +112,7 @@ def test_an_environment_that_cannot_be_kept_goes_on_with_other_episodes(
         return learn(model, *args, **kwargs)
 
     monkeypatch.setattr(OffPolicyAlgorithm, "learn", note)
-    cell, folder = SuiteCell("learn", "cartpole", "dqn", 0), RunFolder(tmp_path / "run")
+    cell, folder = of_task("dqn", "cartpole", 0), RunFolder(tmp_path / "run")
     assert run_learner(preset, cell, folder, stop_after(20)) is None
     assert run_learner(preset, cell, folder) is not None
     assert len(starts) == 2
@@ -126,7 +120,7 @@ def test_an_environment_that_cannot_be_kept_goes_on_with_other_episodes(
 
 
 def test_how_often_a_policy_is_tested_changes_nothing(preset: SuitePreset, tmp_path: Path) -> None:
-    cell = SuiteCell("learn", "cartpole", "rainbow", 0)
+    cell = of_task("rainbow", "cartpole", 0)
     often = dataclasses.replace(preset.tasks["cartpole"], eval_every=50)
     frequent = dataclasses.replace(preset, tasks={"cartpole": often})
     found = []
@@ -146,16 +140,16 @@ def test_how_often_a_policy_is_tested_changes_nothing(preset: SuitePreset, tmp_p
 
 def test_no_test_episode_is_one_of_training_or_validation() -> None:
     for name in ("public", "control", "minatar"):
-        preset = load_preset(name)
+        preset = load_suite(name)
         for cell in expand(preset):
-            if cell.kind != "learn":
+            if not cell.learns:
                 continue
-            task = preset.tasks[cell.task]
+            task = preset.tasks[cell.track]
             # SB3 seeds its environments with the learner's seed and the numbers after it
-            first = derive("learner", cell.number)
+            first = derive("learner", cell.seed)
             training = set(range(first, first + task.n_envs))
-            validation = set(episode_seeds(cell.number, task.eval_episodes, "validate"))
-            test = set(episode_seeds(cell.number, preset.final_episodes, "test"))
+            validation = set(episode_seeds(cell.seed, task.eval_episodes, "validate"))
+            test = set(episode_seeds(cell.seed, preset.final_episodes, "test"))
             assert len(test) == preset.final_episodes
             assert not test & (training | validation)
             assert not validation & training
@@ -253,7 +247,7 @@ def test_bad_words_are_one_clear_error(
         ({"methods": ["a2c"]}, "unknown method 'a2c'; known: "),
         ({"methods": ["dqn", "dqn"]}, "methods: must be some, and differ"),
         ({"methods": []}, "methods: must be some, and differ"),
-        ({"tasks": {"cartpol": {}}}, "tasks: unknown 'cartpol'; known: "),
+        ({"tasks": {"cartpol": {}}}, "tasks: cartpol: unknown base 'cartpol'; known: "),
         ({"tasks": {"cartpole": 5}}, "tasks: cartpole: expected a mapping, found 5"),
         ({"controls": ["held"], "search": True}, "controls: a search compares settings"),
         ({"controls": ["oracle"]}, "controls: unknown 'oracle'; known: held, random, script"),
@@ -267,7 +261,7 @@ def test_bad_presets_are_refused(change: dict[str, object], message: str, tmp_pa
     path = tmp_path / "bad.yaml"
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
     with pytest.raises(BenchmarkError, match=re.escape(message)):
-        load_preset(str(path))
+        load_suite(str(path))
 
 
 @pytest.mark.parametrize(
@@ -295,13 +289,13 @@ def test_what_cannot_be_built_is_said_before_anything_runs(
 ) -> None:
     task = dataclasses.replace(preset.tasks["cartpole"], **change)
     one = Classic(dataclasses.replace(preset, tasks={"cartpole": task}, methods=["dqn"]))
-    with pytest.raises(BenchmarkError, match=f"CartPole-v1: dqn cannot be built: .*{message}"):
+    with pytest.raises(BenchmarkError, match=f"cartpole-dqn-s0 cannot be built: .*{message}"):
         one.check(one.cells())
 
 
 def test_a_check_before_the_start_leaves_the_settings_as_they_are() -> None:
     """SB3 writes the optimizer's class into policy_kwargs, which no config.yaml can hold."""
-    preset = load_preset("public")
+    preset = load_suite("public")
     before = repr(preset)
     for name in ("cartpole", "breakout"):
         for method in preset.methods:
@@ -312,8 +306,8 @@ def test_a_check_before_the_start_leaves_the_settings_as_they_are() -> None:
 
 
 def test_a_task_gives_arguments_to_all_methods_and_skips_some() -> None:
-    preset = load_preset("changes")
-    cells = [cell for cell in expand(preset) if cell.task == "changed_bits"]
+    preset = load_suite("changes")
+    cells = [cell for cell in expand(preset) if cell.track == "changed_bits"]
     assert {preset.methods[i] for i in (0, -2, -1)} <= {cell.method for cell in cells}
     assert "rainbow_one_step" not in {cell.method for cell in cells}
     stored = settings(preset, next(cell for cell in cells if cell.method == "rainbow_tau_0.001"))

@@ -14,12 +14,14 @@ from gymnasium import spaces
 
 from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
+from benchmarks.methods.guided import Guided
+from benchmarks.methods.learners import class_on
+from benchmarks.protocol.plan import of_task
+from benchmarks.protocol.presets import Guide, SuitePreset, Task, load_suite
 from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.playing import make_env
-from benchmarks.studies.classic.presets import Guide, SuiteCell, SuitePreset, Task, load_preset
-from benchmarks.studies.classic.train import build_model, class_of, run_learner
+from benchmarks.studies.classic.train import build_model, run_learner
 from benchmarks.studies.robots import trials
-from benchmarks.studies.robots.guided import Guided
 
 pytest.importorskip("mujoco", reason="needs the extra physics")
 
@@ -28,7 +30,7 @@ METHODS = ("sac", "crossq", "td3", "ppo", "rainbow", "dqn", "bc")
 
 def tiny(steps: int = 120, noise: float = 0.0) -> SuitePreset:
     """The preset's own task and settings, for a few steps."""
-    preset = load_preset("contact")
+    preset = load_suite("contact")
     task = preset.tasks["standard"]
     assert task.guide is not None
     short: dict[str, dict[str, Any]] = {name: dict(task.methods[name]) for name in METHODS}
@@ -98,7 +100,7 @@ def test_a_stopped_run_is_the_run_that_was_not(
     method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trials, "EPISODES", 1)
-    preset, cell = tiny(noise=0.3), SuiteCell("learn", "standard", method, 0)
+    preset, cell = tiny(noise=0.3), of_task(method, "standard", 0)
     calls = iter(range(100))
     whole, cut = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "cut")
     assert run_learner(preset, cell, whole) is not None
@@ -114,7 +116,7 @@ def test_a_stopped_run_is_the_run_that_was_not(
     for name in ("contact", "curve", "episodes"):
         pd.testing.assert_frame_equal(cut.rows(name), whole.rows(name))
     task = preset.tasks["standard"]
-    kept = class_of(task, method).load(cut.policy, device="cpu")
+    kept = class_on(task, method).load(cut.policy, device="cpu")
     discrete = isinstance(kept.action_space, spaces.Discrete)
     again = pd.DataFrame(trials.on_tests(kept, make_env(task, discrete)))
     for name in ("success", "time", "force"):
@@ -122,7 +124,7 @@ def test_a_stopped_run_is_the_run_that_was_not(
 
 
 def test_a_method_may_change_its_guide() -> None:
-    task = load_preset("contact").tasks["standard"]
+    task = load_suite("contact").tasks["standard"]
     assert task.guide is not None
     for method, noise in (("sac", task.guide.noise), ("td3", 1.0)):
         model = build_model(task, method, 0)

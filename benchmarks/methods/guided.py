@@ -6,14 +6,14 @@ buffer with ways that do. They count as steps of the training.
 
 from __future__ import annotations
 
-from typing import Any, Final
+from functools import cache
+from typing import Any
 
 import numpy as np
 import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
-from sb3_contrib import CrossQ
-from stable_baselines3 import DQN, SAC, TD3
+from stable_baselines3 import TD3
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv
@@ -21,8 +21,7 @@ from torch.nn import functional
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.methods.contact_scripts import Gains, MomentSearch
-from benchmarks.studies.classic.presets import Guide
-from sb3_rainbow import Rainbow
+from benchmarks.protocol.presets import Guide
 
 Actions = NDArray[Any]
 
@@ -81,24 +80,12 @@ def _moves(increments: NDArray[np.float32]) -> NDArray[np.int64]:
     return 2 * axes + (increments[np.arange(len(axes)), axes] < 0.0)
 
 
-class GuidedSAC(Guided, SAC):
-    """SAC, guided."""
-
-
-class GuidedTD3(Guided, TD3):
-    """TD3, guided."""
-
-
-class GuidedCrossQ(Guided, CrossQ):
-    """CrossQ, guided."""
-
-
-class GuidedDQN(Guided, DQN):
-    """DQN, guided."""
-
-
-class GuidedRainbow(Guided, Rainbow):
-    """Rainbow, guided."""
+@cache
+def guided(algorithm: type[OffPolicyAlgorithm]) -> type[Guided]:
+    """The algorithm, guided."""
+    if issubclass(algorithm, Guided):
+        return algorithm
+    return type(f"Guided{algorithm.__name__}", (Guided, algorithm), {})
 
 
 class Cloning(Guided, TD3):
@@ -128,13 +115,3 @@ class Cloning(Guided, TD3):
             self.actor.optimizer.step()
         self._n_updates += gradient_steps
         self.logger.record("train/loss", loss.item())
-
-
-GUIDED: Final[dict[str, type[Guided]]] = {
-    "rainbow": GuidedRainbow,
-    "dqn": GuidedDQN,
-    "sac": GuidedSAC,
-    "td3": GuidedTD3,
-    "crossq": GuidedCrossQ,
-    "bc": Cloning,
-}

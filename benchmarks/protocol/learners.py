@@ -1,0 +1,68 @@
+"""The learners of all presets, of the insertion task, its teams and the public tasks: one table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from benchmarks.errors import BenchmarkError, known
+
+
+@dataclass(frozen=True)
+class Learner:
+    """A learning algorithm with Stable-Baselines3's interface.
+
+    Attributes:
+        title: its name in tables and figures.
+        where: its class, as ``module:Class``.
+        colour: its number in the palette of the figures.
+        masks: whether it reads action masks.
+        discrete: whether it chooses among actions, as on the insertion task; else it acts in
+            increments on the contact task.
+        on_policy: whether it takes a track's settings ``ppo`` and has no replay buffer.
+        teams: whether it can command both robots at once.
+        cost: time of an environment step with its updates, relative to Rainbow's.
+    """
+
+    title: str
+    where: str
+    colour: int
+    masks: bool = False
+    discrete: bool = True
+    on_policy: bool = False
+    teams: bool = False
+    cost: float = 1.0
+
+
+LEARNERS: Final[dict[str, Learner]] = {
+    "rainbow": Learner("Rainbow", "sb3_rainbow:Rainbow", 0, masks=True, teams=True),
+    "dqn": Learner("DQN", "stable_baselines3:DQN", 1),
+    "maskable_ppo": Learner(
+        "MaskablePPO", "sb3_contrib:MaskablePPO", 2, masks=True, on_policy=True
+    ),
+    "qrdqn": Learner("QR-DQN", "sb3_contrib:QRDQN", 2, cost=2.0),
+    "sac": Learner("SAC", "stable_baselines3:SAC", 2, discrete=False, cost=4.0),
+    "crossq": Learner("CrossQ", "sb3_contrib:CrossQ", 3, discrete=False, cost=4.0),
+    "td3": Learner("TD3", "stable_baselines3:TD3", 4, discrete=False, cost=3.0),
+    "ppo": Learner("PPO", "stable_baselines3:PPO", 5, discrete=False, on_policy=True),
+    "bc": Learner("Behaviour cloning", "benchmarks.methods.guided:Cloning", 6, discrete=False),
+}
+
+
+def learner_of(method: str) -> str | None:
+    """The learner of a method, which is one, or ``<one>_<variant>``; None if it does not learn."""
+    names = [name for name in LEARNERS if method == name or method.startswith(f"{name}_")]
+    return max(names, key=len, default=None)
+
+
+def algorithm_of(method: str) -> str:
+    """The learner of a method of the public tasks.
+
+    Raises:
+        BenchmarkError: there is none of this name.
+    """
+    if (learner := learner_of(method)) is None:
+        raise BenchmarkError(
+            f"methods: unknown method '{method}'; known: {known(LEARNERS)}, and <one>_<variant>"
+        )
+    return learner
