@@ -181,7 +181,10 @@ class CurveRecorder(Recorder):
             tensor, _ = policy.obs_to_tensor(observation)
             if hasattr(policy, "q_net"):
                 return float(policy.q_net(tensor).max(dim=1).values.mean())
-            return float(policy.predict_values(tensor).mean())
+            if hasattr(policy, "quantile_net"):
+                return float(policy.quantile_net(tensor).mean(dim=1).max(dim=1).values.mean())
+            values = getattr(policy, "predict_values", None)
+            return float(values(tensor).mean()) if values else math.nan
 
     def _noise(self) -> float:
         q_net: Any = getattr(self.model.policy, "q_net", None)

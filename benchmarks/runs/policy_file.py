@@ -18,7 +18,7 @@ import torch
 from benchmarks.runs.store import write_atomic
 
 _UNUSED: Final = (
-    *("q_net_target.", "mlp_extractor.value_net.", "value_net."),
+    *("q_net_target.", "quantile_net_target.", "mlp_extractor.value_net.", "value_net."),
     *("critic.", "critic_target.", "actor_target."),
 )
 """What the acting policy of Rainbow, DQN or an actor-critic never asks, by prefix."""

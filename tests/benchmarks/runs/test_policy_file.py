@@ -24,7 +24,9 @@ from tests.benchmarks.smoke import smoke_preset
 @pytest.fixture(scope="module")
 def preset() -> Preset:
     ppo = {"n_steps": 16, "batch_size": 16, "n_epochs": 1}
-    return smoke_preset(track={"ppo": ppo}, evaluation={"episodes": 3, "noise": [0.0]})
+    own = {"qrdqn": {"policy_kwargs": {"net_arch": [64, 64], "n_quantiles": 20}}}
+    tests = {"episodes": 3, "noise": [0.0]}
+    return smoke_preset(track={"ppo": ppo, "methods": own}, evaluation=tests)
 
 
 @pytest.mark.parametrize("method", [name for name, each in LEARNERS.items() if each.discrete])
@@ -38,6 +40,9 @@ def test_the_stored_policy_repeats_the_stored_episodes(
     assert run.policy.stat().st_size < 400_000
     assert len(run.meta()["training"]["weights_sha256"]) == 64
     model = load_stored(run.policy)
+    if method == "qrdqn":
+        assert model.policy_kwargs["n_quantiles"] == 20
+    assert ("methods" in run.config()["track"]) == (method == "qrdqn")
     again = evaluate_cell(preset, cell, model=model)
     stored = run.rows("episodes")
     assert [row["reward"] for row in again] == pytest.approx(stored["reward"].tolist(), rel=1e-6)
@@ -54,7 +59,7 @@ def test_half_precision_moves_no_weight_further_than_its_last_bit(
     whole = policy_file.digest(model)
     policy_file.reduce_to_acting(model)
     assert policy_file.digest(model) != whole
-    acting = {"rainbow": "q_net", "dqn": "q_net"}.get(method, "action_net")
+    acting = {"rainbow": "q_net", "dqn": "q_net", "qrdqn": "quantile_net"}.get(method, "action_net")
     compared = 0
     for name, value in model.policy.state_dict().items():
         if name.startswith(f"{acting}.") and not name.endswith(("epsilon_in", "epsilon_out")):
