@@ -148,8 +148,20 @@ def _of_track(track: Track, algorithm: type[BaseAlgorithm]) -> dict[str, Any]:
         given = {"gamma": h.gamma, **asdict(track.ppo)}
         rates = (given["learning_rate"], given["learning_rate_end"])
     given |= {"learning_rate": LinearSchedule(*rates, 1.0), "policy_kwargs": network}
-    accepted = inspect.signature(algorithm).parameters
+    accepted = _accepted(algorithm)
     return {name: value for name, value in given.items() if name in accepted}
+
+
+def _accepted(algorithm: type[BaseAlgorithm]) -> list[str]:
+    """The constructor's arguments, with those that ``**kwargs`` hands on to the class above."""
+    names: list[str] = []
+    for each in algorithm.__mro__:
+        if "__init__" in vars(each):
+            parameters = inspect.signature(each).parameters.values()
+            names += [p.name for p in parameters if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)]
+            if not any(p.kind == p.VAR_KEYWORD for p in parameters):
+                break
+    return names
 
 
 def build_on(
@@ -188,7 +200,7 @@ def _checked(
     Raises:
         BenchmarkError: one is unknown, or the learning rate is no number.
     """
-    accepted, arguments = inspect.signature(algorithm).parameters, dict(given)
+    accepted, arguments = _accepted(algorithm), dict(given)
     for name in arguments:
         if name not in accepted:
             raise BenchmarkError(f"{where} has no argument '{name}'; known: {known(accepted)}")
