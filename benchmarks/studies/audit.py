@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from benchmarks.errors import BenchmarkError, at_least
+from benchmarks.errors import BenchmarkError
 from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.methods.scripts import SCRIPTS, Moves, Simulator, moves_of
@@ -28,12 +28,13 @@ from benchmarks.protocol import labels
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.protocol.seeding import episode_seeds
-from benchmarks.reporting.blocks import Block
 from benchmarks.reporting.figures.style import canvas, save, style
 from benchmarks.reporting.results import Results, in_order, tail_mean
+from benchmarks.reporting.stats import over_seeds
+from benchmarks.reporting.tables.table import plain
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import Store, write_csv, write_text
-from benchmarks.studies.base import Part, Study, Tick
+from benchmarks.studies.base import Part, Study, Tick, count
 from coop_env.env import CoopInsertionEnv
 
 CELL: Final = ("track", "method", "ablation", "geometry", "seed")
@@ -112,8 +113,8 @@ def draw(rows: pd.DataFrame, learners: pd.DataFrame) -> Figure:
     tracks = shares.index.tolist()
     for k, script in enumerate(SCRIPTS):
         left.bar(np.arange(len(tracks)) + (k - 2) * 0.16, shares[script], width=0.16, label=script)
-    left.axhline(0.0, color="black", linewidth=0.8)
-    left.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
+    for level, line in ((0.0, "-"), (1.0, ":")):
+        left.axhline(level, color="black", linewidth=0.8, linestyle=line)
     left.set_xticks(np.arange(len(tracks)), [labels.track(name) for name in tracks])
     left.set_ylabel("return / return of inserting")
     left.legend()
@@ -139,20 +140,15 @@ def draw(rows: pd.DataFrame, learners: pd.DataFrame) -> Figure:
 
 def markdown(rows: pd.DataFrame) -> str:
     """The scripts' returns and holes as a Markdown table, one line per track and script."""
-    lines = [
-        "| Reward | Script | Return | Discounted | Holes | Return / inserting |",
-        "|---|---|---|---|---|---|",
-    ]
+    lines = []
     for name, shares in ratios(rows).iterrows():
         for script, share in shares.items():
             result = rows[(rows["track"] == name) & (rows["script"] == script)]
-            lines.append(
-                f"| {labels.track(str(name))} | {script} "
-                f"| {result['return'].mean():.1f} ± {result['return'].std():.1f} "
-                f"| {result['discounted'].mean():.1f} | {result['holes'].mean():.2f} "
-                f"| {share:.2f} |"
-            )
-    return "\n".join(lines) + "\n"
+            mean, earned = result[["discounted", "holes"]].mean(), over_seeds(result["return"])
+            numbers = [earned.text(1), f"{mean['discounted']:.1f}", f"{mean['holes']:.2f}"]
+            lines.append([labels.track(str(name)), str(script), *numbers, f"{share:.2f}"])
+    head = "Reward | Script | Return | Discounted | Holes | Return / inserting"
+    return plain("What each reward pays the scripts", head, lines) + "\n"
 
 
 class Audit(Study):
@@ -161,7 +157,7 @@ class Audit(Study):
     name = "audit"
     options = {  # noqa: RUF012
         "--preset": {"default": "cut", "help": "whose tracks and stored learners"},
-        "--starts": {"type": at_least(1), "default": 100, "help": "validation starts per script"},
+        "--starts": count(100, "validation starts per script"),
     }
 
     def parts(self) -> dict[str, Part]:
@@ -188,10 +184,6 @@ class Audit(Study):
     def files(cls, results: Path) -> dict[Path, str]:
         path = results / "audit" / "scripted.csv"
         return {path.with_suffix(".md"): markdown(pd.read_csv(path))} if path.is_file() else {}
-
-    @classmethod
-    def blocks(cls, results: Path) -> dict[str, Block]:
-        return {}  # pages include the file
 
 
 def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:

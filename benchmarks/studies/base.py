@@ -21,7 +21,7 @@ from typing import Any, ClassVar
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from benchmarks.errors import BenchmarkError
+from benchmarks.errors import BenchmarkError, at_least
 from benchmarks.reporting import blocks
 from benchmarks.reporting.blocks import Block
 from benchmarks.reporting.verify import check_file
@@ -31,6 +31,7 @@ from benchmarks.runs.store import write_text
 Tick = Callable[[float], None]  # hears which share is done
 Part = Callable[[Tick], Any]
 Option = Mapping[str, Any]  # keyword arguments of add_argument
+Act = Callable[[Any, Any], Any]  # an action from an observation and the action masks
 
 
 class Study(ABC):
@@ -192,6 +193,36 @@ class Measured(Study):
             return super().problems(results)
         except KeyError as missing:
             return [f"{results / cls.file} has no {missing}: the command of the study goes on"]
+
+
+def count(default: int | None, what: str, least: int = 1) -> Option:
+    """An option that is a whole number."""
+    return {"type": at_least(least), "default": default, "help": what}
+
+
+def episode(env: Any, act: Callable[[Any], Any], **reset: Any) -> Iterator[dict[str, Any]]:
+    """Play an episode; yields the ``info`` of its reset and of each step.
+
+    Args:
+        env: the environment.
+        act: an action from an observation.
+        reset: arguments of the environment's reset.
+    """
+    observation, info = env.reset(**reset)
+    yield info
+    over = False
+    while not over:
+        observation, _, terminated, truncated, info = env.step(act(observation))
+        over = terminated or truncated
+        yield info
+
+
+def greedy(model: Any) -> Act:
+    """A model's greedy action for one observation."""
+    from benchmarks.evaluation.evaluate import model_policy
+
+    act = model_policy(model)
+    return lambda observation, masks: int(act(observation[None], masks[None])[0])
 
 
 def source(result: Mapping[str, Any], more: str = "") -> str:

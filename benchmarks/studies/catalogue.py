@@ -20,7 +20,7 @@ from benchmarks.studies.base import Study
 #: name -> where it is, and a line of help
 STUDIES: Final = {
     "audit": ("audit:Audit", "returns of scripts and learners under each reward"),
-    "codesign": ("codesign.study:Codesign", "a 3-RRS chosen together with the policy"),
+    "codesign": ("codesign:Codesign", "a 3-RRS chosen together with the policy"),
     "contact": ("robots.contact:Contact", "scripts on the contact task: success, time, force"),
     "data": ("data:Data", "Minari datasets of the task"),
     "design": ("design.study:Design", "the geometric optimization: tables, figures"),
@@ -28,8 +28,8 @@ STUDIES: Final = {
     "media": ("media:Media", "pictures of one episode"),
     "physics": ("robots.physics:Physics", "the physics twin: errors, speed, model folder"),
     "shield": ("robots.shield:Shield", "certificate, adversary and price of the shield"),
-    "speed-env": ("speed.env:SpeedEnv", "steps per second, the optimum"),
-    "speed-rainbow": ("speed.rainbow:SpeedRainbow", "updates per second, replay, memory"),
+    "speed-env": ("speed:SpeedEnv", "steps per second, the optimum"),
+    "speed-rainbow": ("speed:SpeedRainbow", "updates per second, replay, memory"),
     "trajectory": ("trajectory:TrajectoryStudy", "joint trajectories, and files of one episode"),
     "transfer": ("robots.transfer:Transfer", "players of the kinematic task in the twin"),
 }

@@ -23,12 +23,13 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
+from unittest import mock
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.errors import BenchmarkError, at_least
+from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.evaluate import Chooser, follow, play_together
 from benchmarks.methods.controls import control
 from benchmarks.methods.episodes import Episode, env_arguments
@@ -39,7 +40,7 @@ from benchmarks.protocol.seeding import derive
 from benchmarks.reporting.tables.table import Table, TableCell
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
-from benchmarks.studies.base import Part, Study, Tick
+from benchmarks.studies.base import Part, Study, Tick, count
 from coop_env.env import CoopInsertionEnv, Observation
 
 NAMESPACE: Final = "coop-insertion"
@@ -295,15 +296,8 @@ def write(root: Path, recipe: Recipe, episodes: Sequence[Episode | Demonstration
 @contextmanager
 def minari_root(folder: str | os.PathLike[str]) -> Iterator[None]:
     """Where Minari looks for datasets, and puts them."""
-    name = "MINARI_DATASETS_PATH"
-    before = os.environ.get(name)
-    os.environ[name] = os.fspath(folder)
-    try:
+    with mock.patch.dict(os.environ, {"MINARI_DATASETS_PATH": os.fspath(folder)}):
         yield
-    finally:
-        del os.environ[name]
-        if before is not None:
-            os.environ[name] = before
 
 
 def read(root: Path, recipe: Recipe) -> dict[str, Any] | None:
@@ -336,7 +330,7 @@ class Data(Study):
     name = "data"
     needs = ("h5py", "minari", "data")
     options = {  # noqa: RUF012
-        "--steps": {"type": at_least(1), "default": 100_000, "help": "least steps of each dataset"},
+        "--steps": count(100_000, "least steps of each dataset"),
         "--contact": {"action": "store_true", "help": "demonstrations of the contact task"},
     }
 
@@ -367,24 +361,18 @@ class Data(Study):
 
 def to_markdown(records: Sequence[Mapping[str, Any]]) -> str:
     """The table as Markdown."""
-    rows: list[list[TableCell]] = [
-        [
-            f"`{record['id']}`",
-            record["behaviour"],
-            f"{record['steps']:,}",
-            f"{record['starts']:,}",
-            f"{100.0 * record['success']:.1f}",
-            f"{record['holes']:.2f}",
-            f"{100.0 * record['all_holes']:.1f}",
-            f"{record['return']:.1f} ± {record['return_std']:.1f}",
-            f"{record['megabytes']:.1f}",
-        ]
-        for record in records
-    ]
+    rows: list[list[TableCell]] = []
+    for record in records:
+        shares = [f"{100.0 * record[name]:.1f}" for name in ("success", "all_holes")]
+        earned = f"{record['return']:.1f} ± {record['return_std']:.1f}"
+        sizes = [f"{record['steps']:,}", f"{record['starts']:,}", shares[0]]
+        sizes += [f"{record['holes']:.2f}", shares[1], earned, f"{record['megabytes']:.1f}"]
+        rows.append([f"`{record['id']}`", record["behaviour"], *sizes])
     notes = [
         "Success: episodes with an insertion, of all starts; return: mean ± std of the episodes.",
         "Nothing inserts from more starts than the exact optimum: its rows are the ceiling.",
     ]
-    header = ["Dataset", "Behaviour", "Steps", "Starts", "Success (%)", "Holes (of 6)",
-              "All six (%)", "Return", "MB"]  # fmt: skip
-    return Table("data", "Datasets of the insertion task", header, rows, notes, (0, 1)).markdown()
+    header = "Dataset | Behaviour | Steps | Starts | Success (%) | Holes (of 6) | All six (%) | "
+    header += "Return | MB"
+    title = "Datasets of the insertion task"
+    return Table("data", title, header.split(" | "), rows, notes, (0, 1)).markdown()

@@ -20,30 +20,29 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.evaluation.evaluate import begin_episodes, model_policy
+from benchmarks.evaluation.evaluate import begin_episodes
 from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.plan import Cell, expand, settings
 from benchmarks.protocol.presets import Preset, load_preset
-from benchmarks.reporting.blocks import Block
 from benchmarks.reporting.figures.style import canvas, save, style
 from benchmarks.reporting.results import tail_mean
 from benchmarks.reporting.stats import wilson
+from benchmarks.reporting.tables.table import plain
 from benchmarks.runs.store import Store, write_csv
-from benchmarks.studies.base import Part, Study, Tick
+from benchmarks.studies.base import Part, Study, Tick, greedy
 from coop_env.kinematics.rotations import tilt_azimuth
 
-CAUSES: Final = ("infeasible", "singular", "cycle", "wandering")
 RECENT: Final = 40  # moves at the end of an episode ...
 FEW: Final = 4  # ... among which a cycle has at most so many configurations
 TILT_EDGES: Final = (0.0, 10.0, 15.0, 20.0, 25.0, 45.0)  # degrees
 COLOURS: Final = {"infeasible": "0.6", "singular": "C3", "cycle": "C1", "wandering": "C0"}
+CAUSES: Final = tuple(COLOURS)
 
 
 def play(
@@ -51,35 +50,33 @@ def play(
 ) -> list[dict[str, object]]:
     """One row per test episode of a cell's seed."""
     arguments = env_arguments(preset, cell, preset.tracks[cell.track])
-    policy = model_policy(model)
-    rows = []
-    tests = preset.evaluation
+    policy, tests, rows = greedy(model), preset.evaluation, []
     for episode in begin_episodes(arguments, cell.seed, tests.episodes, tests.stream):
-        target, lean = int(episode.env.state["target"]), episode.env.configuration[3:5]
+        env = episode.env
+        target, lean = int(env.state["target"]), env.configuration[3:5]
         roll, pitch = np.degrees(lean).tolist()
-        plan = oracle.plan(episode.env)
+        plan = oracle.plan(env)
         trail, seen, allowed = [], [], []
         singular = False
         while not episode.over and not episode.insertions:
-            masks = episode.env.action_masks()[None]
             seen.append(episode.observation)
-            allowed.append(masks[0])
-            action = int(policy(episode.observation[None], masks)[0])
-            singular = bool(episode.move(action)["singular"])
-            trail.append(episode.env.state["offset"].tobytes())
+            allowed.append(env.action_masks())
+            singular = bool(episode.move(policy(seen[-1], allowed[-1]))["singular"])
+            trail.append(env.state["offset"].tobytes())
         success = bool(episode.insertions)
-        cause = ""
-        if not success:
-            cycles = len(set(trail[-RECENT:])) <= FEW
-            cause = "singular" if singular else "cycle" if cycles else "wandering"
-            cause = "infeasible" if plan.moves is None else cause
+        causes = {
+            "infeasible": plan.moves is None,
+            "singular": singular,
+            "cycle": len(set(trail[-RECENT:])) <= FEW,
+            "wandering": True,
+        }
         rows.append(
             {
                 "seed": cell.seed,
                 "episode": episode.number,
                 "start": episode.start,
                 "target": target,
-                "polar": math.degrees(episode.env.task.holes[target][0]),
+                "polar": math.degrees(env.task.holes[target][0]),
                 "roll": roll,
                 "pitch": pitch,
                 "tilt": float(np.degrees(tilt_azimuth(lean)[0])),
@@ -87,7 +84,7 @@ def play(
                 "success": success,
                 "moves": float(episode.moves) if success else math.nan,
                 "gap": action_gap(model, np.array(seen), np.array(allowed)),
-                "cause": cause,
+                "cause": "" if success else next(cause for cause in CAUSES if causes[cause]),
             }
         )
         tick(len(rows) / tests.episodes)
@@ -122,37 +119,41 @@ def read(path: Path) -> pd.DataFrame:
 
 def summary(rows: pd.DataFrame) -> str:
     """Success, the optimum's and the excess in moves by polar angle and tilt, and the causes."""
-    head = ("Starts", "n", "Success (%)", "Optimum (%)", "Moves over the optimum (%)")
-    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+    table = []
     for label, result in [*_groups(rows, "hole at {:.0f}°"), ("all", rows)]:
         moves, optimum = result.loc[result["success"], ["moves", "optimum"]].dropna().sum()
         excess = 100.0 * (moves / optimum - 1.0) if optimum else math.nan
-        lines.append(
-            f"| {label} | {len(result)} | {100 * result['success'].mean():.1f} "
-            f"| {100 * result['optimum'].notna().mean():.1f} | {excess:.1f} |"
+        shares = (result["success"].mean(), result["optimum"].notna().mean())
+        table.append(
+            [label, str(len(result)), *(f"{100 * x:.1f}" for x in shares), f"{excess:.1f}"]
         )
-    failed = rows.loc[~rows["success"], "cause"].tolist()
+    failed, success = rows.loc[~rows["success"], "cause"].tolist(), rows["success"].mean()
     named = ", ".join(f"{failed.count(cause)} {cause}" for cause in CAUSES)
-    lines += ["", f"{len(failed)} failures of {len(rows)}: {named}."]
+    head = "Starts | n | Success (%) | Optimum (%) | Moves over the optimum (%)"
+    parts = [
+        plain("The first hole, by its angle and by the tilt at the start", head, table),
+        f"{len(failed)} failures of {len(rows)}: {named}.",
+    ]
     acting = rows.groupby("seed")["acting"].first().mean()
     if not math.isnan(acting):  # a training episode ended there
-        lines += [
+        parts.append(
             f"The last tenth of training, with exploration: {100.0 * acting:.1f} % of its "
-            "episodes; the greedy policy on the test episodes: "
-            f"{100.0 * rows['success'].mean():.1f} %."
-        ]
-    solved, cycles = rows.loc[rows["success"], "gap"], rows.loc[rows["cause"] == "cycle", "gap"]
-    parts = [
-        f"{100.0 * result.median():.2f} % where it {what}"
-        for result, what in ((solved, "inserts"), (cycles, "cycles"))
-        if result.notna().any()
-    ]
-    if parts:
-        lines += [
+            f"episodes; the greedy policy on the test episodes: {100.0 * success:.1f} %."
+        )
+    cycles = rows["cause"] == "cycle"
+    if gaps := [
+        f"{100.0 * gap.median():.2f} % where it {what}"
+        for gap, what in (
+            (rows["gap"][rows["success"]], "inserts"),
+            (rows["gap"][cycles], "cycles"),
+        )
+        if gap.notna().any()
+    ]:
+        parts.append(
             "The best action's value over the second best's, median, as a share of the support's "
-            f"width: {', '.join(parts)}."
-        ]
-    return "\n".join(lines) + "\n"
+            f"width: {', '.join(gaps)}."
+        )
+    return "\n\n".join(parts) + "\n"
 
 
 def _groups(rows: pd.DataFrame, hole: str) -> list[tuple[str, pd.DataFrame]]:
@@ -188,22 +189,14 @@ def draw(rows: pd.DataFrame) -> Figure:
     regret.legend()
     for axes in (success, regret):
         axes.set_xticks(at, names, rotation=60, fontsize=8)
-    _map(where, rows)
-    return figure
-
-
-def _map(axes: Axes, rows: pd.DataFrame) -> None:
     solved = rows[rows["success"]]
-    axes.plot(solved["roll"], solved["pitch"], ".", color="C2", alpha=0.25, label="inserted")
-    for cause in CAUSES:
-        result = rows[rows["cause"] == cause]
-        if len(result):
-            label = f"{cause} ({len(result)})"
-            axes.plot(result["roll"], result["pitch"], "o", color=COLOURS[cause], label=label)
-    axes.set_xlabel("roll at the start (°)")
-    axes.set_ylabel("pitch at the start (°)")
-    axes.set_aspect("equal")
-    axes.legend(frameon=True)
+    where.plot(solved["roll"], solved["pitch"], ".", color="C2", alpha=0.25, label="inserted")
+    for cause, result in rows[rows["cause"] != ""].groupby("cause"):
+        label = f"{cause} ({len(result)})"
+        where.plot(result["roll"], result["pitch"], "o", color=COLOURS[str(cause)], label=label)
+    where.set(xlabel="roll at the start (°)", ylabel="pitch at the start (°)", aspect="equal")
+    where.legend(frameon=True)
+    return figure
 
 
 class Failures(Study):
@@ -261,7 +254,3 @@ class Failures(Study):
     def files(cls, results: Path) -> dict[Path, str]:
         paths = sorted(results.glob("*/failures/*.csv"))
         return {path.with_suffix(".md"): summary(read(path)) for path in paths}
-
-    @classmethod
-    def blocks(cls, results: Path) -> dict[str, Block]:
-        return {}  # pages include the files

@@ -16,18 +16,17 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from benchmarks.errors import TRUSTED, BenchmarkError, at_least
+from benchmarks.errors import TRUSTED, BenchmarkError
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.runs.store import write_atomic
-from benchmarks.studies.base import Part, Study, Tick
-from coop_env.env import CoopInsertionEnv, Observation
+from benchmarks.studies.base import Act, Part, Study, Tick, count, episode, greedy
+from coop_env.env import CoopInsertionEnv
 from coop_env.geometry import GEOMETRIES
 from coop_env.rendering import CAMERAS, frame_view, render_frame
 from coop_env.rendering.bodies import COLOURS
 from coop_env.rendering.scene import Scene
 
 Image8 = npt.NDArray[np.uint8]
-Act = Callable[[Observation, npt.NDArray[np.bool_]], int]
 
 SCENE_SIZE: Final = (1120, 630)
 VIDEO_SIZE: Final = (960, 720)
@@ -40,26 +39,20 @@ DEFAULT_SEED: Final = 8
 
 
 class OptimalPlayer:
-    """Plays the lattice optimum to the next hole; plans anew wherever the robots are put.
-
-    Args:
-        env: the environment whose moves it chooses.
-    """
+    """Plays the lattice optimum to the next hole; plans anew wherever the robots are put."""
 
     def __init__(self, env: CoopInsertionEnv) -> None:
-        self._env = env
-        self._oracle = LatticeOracle()
-        self._moves: list[int] = []
-        self._expected: npt.NDArray[np.float64] | None = None
+        self._env, self._oracle, self._moves = env, LatticeOracle(), list[int]()
+        self._expected: npt.NDArray[np.float64] = np.full(6, np.nan)
 
-    def __call__(self, observation: Any, masks: npt.NDArray[np.bool_]) -> int:
+    def __call__(self, observation: Any, masks: Any) -> int:
         """The next move from where the environment is.
 
         Raises:
             BenchmarkError: no sequence of moves inserts the peg in the current target.
         """
         env = self._env
-        if not self._moves or self._lost():
+        if not self._moves or not np.allclose(env.configuration, self._expected, atol=1e-9):
             plan = self._oracle.plan(env)
             if plan.moves is None:
                 raise BenchmarkError(f"no plan from here to hole {env.scene().target}")
@@ -68,10 +61,6 @@ class OptimalPlayer:
         self._expected = env.configuration
         self._expected[move // 2] += env.task.steps[move // 2] * (1.0 - 2.0 * (move % 2))
         return move
-
-    def _lost(self) -> bool:
-        here = self._env.configuration
-        return self._expected is None or not np.allclose(here, self._expected, atol=1e-9)
 
 
 def policy_moves(path: Path, env: CoopInsertionEnv, trust: bool = False) -> Act:
@@ -85,7 +74,6 @@ def policy_moves(path: Path, env: CoopInsertionEnv, trust: bool = False) -> Act:
     Raises:
         BenchmarkError: it cannot be loaded, or was trained on other observations.
     """
-    from benchmarks.evaluation.evaluate import model_policy
     from benchmarks.evaluation.model_files import load_model
 
     model = load_model(path, trust=trust)
@@ -95,24 +83,16 @@ def policy_moves(path: Path, env: CoopInsertionEnv, trust: bool = False) -> Act:
             f"--model {path}: trained on observations of shape {expected}, "
             f"this environment gives {given}"
         )
-    act = model_policy(model)
-    return lambda observation, masks: int(act(observation[None], masks[None])[0])
+    return greedy(model)
 
 
 def play(
     env: CoopInsertionEnv, seed: int, choose: Callable[[CoopInsertionEnv], Act]
 ) -> list[Scene]:
     """The scenes of one episode, from reset to its end."""
-    observation, _ = env.reset(seed=seed)
     act = choose(env)
-    scenes = [env.scene()]
-    over = False
-    while not over:
-        action = act(observation, env.action_masks())
-        observation, _, terminated, truncated, _ = env.step(action)
-        over = terminated or truncated
-        scenes.append(env.scene())
-    return scenes
+    steps = episode(env, lambda seen: act(seen, env.action_masks()), seed=seed)
+    return [env.scene() for _ in steps]
 
 
 def telling_moment(scenes: Sequence[Scene], camera: str) -> int:
@@ -178,7 +158,7 @@ class Media(Study):
         "--geometry": {"choices": sorted(GEOMETRIES), "default": "optimized", "help": "3-RRS"},
         "--model": {"type": Path, "help": "a trained model instead of the optimum"},
         "--trust": {"action": "store_true", "help": TRUSTED},
-        "--seed": {"type": at_least(0), "default": DEFAULT_SEED, "help": "of the episode's start"},
+        "--seed": count(DEFAULT_SEED, "of the episode's start", 0),
         "--camera": {"choices": list(CAMERAS), "default": "iso", "help": "the view"},
     }
 
@@ -188,21 +168,20 @@ class Media(Study):
     def _draw(self, tick: Tick) -> None:
         given, camera = self.given, self.given.camera
         env = CoopInsertionEnv(geometry=given.geometry, render_mode="rgb_array")
-        choose = (
-            OptimalPlayer
-            if given.model is None
-            else partial(policy_moves, given.model, trust=given.trust)
-        )
-        scenes = play(env, given.seed, choose)
+        policy = partial(policy_moves, given.model, trust=given.trust)
+        scenes = play(env, given.seed, OptimalPlayer if given.model is None else policy)
         write_picture(self.folder / "scene.png", scenes[telling_moment(scenes, camera)], camera)
         stills = scenes[::GIF_EVERY] + ([] if len(scenes) % GIF_EVERY else scenes[-1:])
-        frames: list[list[Image8]] = [[], []]
-        for drawn, size, shown in zip(
-            frames, (VIDEO_SIZE, GIF_SIZE), (scenes, stills), strict=True
-        ):
+
+        def draw(shown: Sequence[Scene], size: tuple[int, int], begun: int) -> list[Image8]:
+            frames: list[Image8] = []
             for scene in shown:
-                drawn.append(render_frame(scene, size=size, camera=camera))
-                tick(sum(map(len, frames)) / (len(scenes) + len(stills)))
-        whole = frames[0] + [frames[0][-1]] * round(HOLD_SECONDS * VIDEO_FPS)
-        write_video(self.folder / "episode.mp4", whole, VIDEO_FPS)
-        write_animation(self.folder / "episode.gif", frames[1], VIDEO_FPS / GIF_EVERY)
+                frames.append(render_frame(scene, size=size, camera=camera))
+                tick((begun + len(frames)) / (len(scenes) + len(stills)))
+            return frames
+
+        frames = draw(scenes, VIDEO_SIZE, 0)
+        held = frames[-1:] * round(HOLD_SECONDS * VIDEO_FPS)
+        write_video(self.folder / "episode.mp4", frames + held, VIDEO_FPS)
+        stills_drawn = draw(stills, GIF_SIZE, len(scenes))
+        write_animation(self.folder / "episode.gif", stills_drawn, VIDEO_FPS / GIF_EVERY)

@@ -18,18 +18,18 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
-import yaml
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 from rich.console import Console
 
-from benchmarks.errors import BenchmarkError, at_least
+from benchmarks.errors import BenchmarkError
 from benchmarks.methods.oracle import LatticeOracle
-from benchmarks.protocol.presets import load_preset
+from benchmarks.protocol.presets import load_preset, read_yaml
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.figures.style import save
+from benchmarks.reporting.tables.table import plain
 from benchmarks.runs.machine import describe
-from benchmarks.studies.base import Measured, Part, Tick, source
+from benchmarks.studies.base import Measured, Part, Tick, count, greedy, source
 from coop_env.env import CoopInsertionEnv
 from coop_env.geometry import GEOMETRIES
 from coop_env.simulation.insertion_task import PAPER_TASK
@@ -91,22 +91,21 @@ def stored(path: Path) -> tuple[dict[str, Any], Play]:
     Raises:
         BenchmarkError: the file is missing, is no model, or is not of the single-agent task.
     """
-    from benchmarks.evaluation.evaluate import model_policy
     from benchmarks.evaluation.model_files import fitting_observation, load_model
 
     model = load_model(path)
     arguments: dict[str, Any] = {"observation": fitting_observation(model, path)}
     if (config := path.with_name("config.yaml")).is_file():
-        result = yaml.safe_load(config.read_text(encoding="utf-8"))
+        result = read_yaml(config)
         arguments |= {name: result["track"][name] for name in SEEN if name in result["track"]}
         arguments["geometry"] = result["cell"]["geometry"]
         if arguments["geometry"] not in GEOMETRIES:
             raise BenchmarkError(f"{path}: give a policy on one of {sorted(GEOMETRIES)}")
-    act = model_policy(model)
+    act = greedy(model)
 
     def play(env: CoopInsertionEnv) -> Iterator[int]:
         while env.running:
-            yield int(act(env.observe()[None], env.action_masks()[None])[0])
+            yield act(env.observe(), env.action_masks())
 
     return arguments, play
 
@@ -140,19 +139,14 @@ def rows_of(method: str, way: Way, number: int, driver: TwinDriver) -> Iterator[
             driver.place(way.configurations[0])
             driver.command(first)
             distance, angle = driver.miss(way.target)
-            inserted = distance < PAPER_TASK.tolerance and angle < PAPER_TASK.angle_tolerance
-            errors = np.abs(driver.errors)
-            row |= {
-                "seconds_first": first.duration,
-                "seconds": whole.duration,
-                "blocked_first": len(first.blocked()),
-                "blocked": len(whole.blocked()),
-                "error": 1e3 * float(errors.max()),
-                "error_rms": 1e3 * float(np.sqrt(np.mean(errors**2))),
-                "torque": float(np.abs(driver.torques).max()),
-                "force": float(np.linalg.norm(driver.force())),
-                "inserted": inserted,
-            }
+            errors = 1e3 * np.abs(driver.errors)
+            measured = (
+                *(first.duration, whole.duration, len(first.blocked()), len(whole.blocked())),
+                *(float(errors.max()), float(np.sqrt(np.mean(errors**2)))),
+                *(float(np.abs(driver.torques).max()), float(np.linalg.norm(driver.force()))),
+                distance < PAPER_TASK.tolerance and angle < PAPER_TASK.angle_tolerance,
+            )
+            row |= zip(MEASURED, measured, strict=True)
         yield row
 
 
@@ -161,33 +155,43 @@ def tables(rows: pd.DataFrame) -> str:
     first, whole = [], []
     for (method, kind), all_of in rows.groupby(["method", "kind"], sort=False):
         done = all_of[all_of["moves_first"] > 0]
-        free, name = done["blocked_first"] == 0, f"{method} | {kind}"
-        gentle = int((done["force"] <= FORCE_LIMIT).sum())
+        mean, error = done.mean(numeric_only=True), done["error"]
+        counts = (done["inserted"].astype(bool), done["force"] <= FORCE_LIMIT)
         first.append(
-            f"| {name} | {len(done)} of {len(all_of)} | {done['moves_first'].mean():.1f} "
-            f"| {PAPER_TASK.dt * done['moves_first'].mean():.1f} "
-            f"| {done['seconds_first'].mean():.2f} | {int(free.sum())} "
-            f"| {done['error'].median():.1f} / {done['error'].max():.1f} "
-            f"| {done['error_rms'].mean():.1f} | {done['torque'].max():.1f} "
-            f"| {int(done['inserted'].sum())} | {gentle} |"
+            [
+                *(str(method), str(kind), f"{len(done)} of {len(all_of)}"),
+                *_lengths(mean["moves_first"], mean["seconds_first"]),
+                str(int((done["blocked_first"] == 0).sum())),
+                *(f"{error.median():.1f} / {error.max():.1f}", f"{mean['error_rms']:.1f}"),
+                *(f"{done['torque'].max():.1f}", *(str(int(each.sum())) for each in counts)),
+            ]
         )
+        free = (done["blocked"] == 0).sum(), done["blocked"].sum()
+        lengths = _lengths(mean["moves"], mean["seconds"])
         whole.append(
-            f"| {name} | {done['holes'].mean():.2f} | {done['moves'].mean():.1f} "
-            f"| {PAPER_TASK.dt * done['moves'].mean():.1f} | {done['seconds'].mean():.2f} "
-            f"| {int((done['blocked'] == 0).sum())} | {int(done['blocked'].sum())} |"
+            [str(method), str(kind), f"{mean['holes']:.2f}", *lengths, *(f"{n:.0f}" for n in free)]
         )
-    heads = (
-        "| method | trajectory | starts with an insertion | moves to it | s by moves | s | ways "
-        "free | error, mrad: median / largest peak | rms | peak torque, N m | inserted on the twin "
-        f"| at most {FORCE_LIMIT:.0f} N |",
-        "| method | trajectory | holes | moves | s by moves | s | episodes free | moves blocked |",
+    return "\n\n".join(
+        [
+            plain(
+                "To the first insertion",
+                "method | trajectory | starts with an insertion | moves to it | s by moves | s | "
+                "ways free | error, mrad: median / largest peak | rms | peak torque, N m | "
+                f"inserted on the twin | at most {FORCE_LIMIT:.0f} N",
+                first,
+            ),
+            plain(
+                "The whole episode, of the same starts",
+                "method | trajectory | holes | moves | s by moves | s | episodes free | "
+                "moves blocked",
+                whole,
+            ),
+        ]
     )
-    both = (
-        "\n".join([head, "|---" * (head.count("|") - 1) + "|", *lines])
-        for head, lines in zip(heads, (first, whole), strict=True)
-    )
-    titles = ("To the first insertion", "The whole episode, of the same starts")
-    return "\n\n".join(f"{t}\n\n{table}" for t, table in zip(titles, both, strict=True))
+
+
+def _lengths(moves: float, seconds: float) -> list[str]:
+    return [f"{moves:.1f}", f"{PAPER_TASK.dt * moves:.1f}", f"{seconds:.2f}"]
 
 
 def export(folder: Path, trajectory: Trajectory) -> None:
@@ -229,9 +233,9 @@ class TrajectoryStudy(Measured):
             "type": Path,
             "help": f"policy of a run (default: {MODEL}; with --export the exact optimum)",
         },
-        "--start": {"type": at_least(0), "default": 0, "help": "number of the start to export"},
+        "--start": count(0, "number of the start to export", 0),
         "--blend": {"action": "store_true", "help": "blended moves in what is exported"},
-        "--starts": {"type": at_least(1), "default": 100, "help": "test starts of the tables"},
+        "--starts": count(100, "test starts of the tables"),
     }
 
     @classmethod
@@ -261,8 +265,7 @@ class TrajectoryStudy(Measured):
         return {**kept, "commit": describe()["commit"]}
 
     def measures(self) -> dict[str, Part]:
-        asked = self.asked()
-        place = (Path(asked["model"]), asked["starts"])
+        place = (Path(self.asked()["model"]), self.given.starts)
         return {name: partial(measure, name, *place) for name in (OPTIMUM, PLANNER, "Rainbow")}
 
     def finish(self) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
+from typing import Any
 
 from gymnasium.error import DependencyNotInstalled
 
@@ -11,14 +13,10 @@ from benchmarks.studies.media import OptimalPlayer, policy_moves
 from benchmarks.studies.robots.trials import inserter
 from coop_env.env import CoopInsertionEnv
 from coop_env.rendering.browser import ViewerError
-from coop_env.rendering.viewer import Act, view
+from coop_env.rendering.viewer import view
 
 
-def _kinematic(arguments: argparse.Namespace) -> CoopInsertionEnv:
-    return CoopInsertionEnv(geometry=arguments.geometry, render_mode="rgb_array")
-
-
-def _twin(arguments: argparse.Namespace) -> CoopInsertionEnv:
+def _twin(results: Path, **shown: Any) -> CoopInsertionEnv:
     """The same task on the twin.
 
     Raises:
@@ -28,9 +26,7 @@ def _twin(arguments: argparse.Namespace) -> CoopInsertionEnv:
         from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
     except DependencyNotInstalled as missing:
         raise BenchmarkError(str(missing)) from missing
-    finish = inserter(arguments.results, "spiral search", 0)
-    shown = {"geometry": arguments.geometry, "render_mode": "rgb_array"}
-    return CoopInsertionPhysicsDiscreteEnv(finish, **shown)
+    return CoopInsertionPhysicsDiscreteEnv(inserter(results, "spiral search", 0), **shown)
 
 
 def watch(arguments: argparse.Namespace) -> None:
@@ -39,9 +35,10 @@ def watch(arguments: argparse.Namespace) -> None:
     Args:
         arguments: ``geometry``, ``model``, ``trust``, ``twin``, ``results``, ``host`` and ``port``.
     """
-    env = _twin(arguments) if arguments.twin else _kinematic(arguments)
+    shown = {"geometry": arguments.geometry, "render_mode": "rgb_array"}
+    env = _twin(arguments.results, **shown) if arguments.twin else CoopInsertionEnv(**shown)
     model, trust = arguments.model, arguments.trust
-    act: Act = OptimalPlayer(env) if model is None else policy_moves(model, env, trust)
+    act = OptimalPlayer(env) if model is None else policy_moves(model, env, trust)
     try:
         view(env, act, host=arguments.host, port=arguments.port)
     except ViewerError as error:

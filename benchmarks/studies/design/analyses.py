@@ -1,14 +1,16 @@
-"""The computations of the design study: each returns rows of plain numbers."""
+"""The computations of the design study: each returns rows of plain numbers; and its files."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from benchmarks.methods.geometric_design import Row
+from benchmarks.runs.store import RunFolder, write_atomic
 from coop_env import design
 from coop_env.design import DesignProblem, Optimum
 from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, RRSGeometry
@@ -218,3 +220,25 @@ def map_arrays() -> dict[str, np.ndarray]:
         )
         arrays[f"inside_{name}"] = np.stack([m.inside for m in maps])
     return arrays
+
+
+class DesignStore(RunFolder):
+    """The files of the study: like a run's, with arrays and figures beside them."""
+
+    def __init__(self, results: Path) -> None:
+        super().__init__(Path(results) / "design")
+        self.figures = self.path / "figures"
+
+    def write_maps(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Write ``maps.npz``."""
+
+        def write(temporary: Path) -> None:
+            with temporary.open("wb") as stream:
+                np.savez_compressed(stream, allow_pickle=False, **arrays)
+
+        write_atomic(self.path / "maps.npz", write)
+
+    def maps(self) -> dict[str, np.ndarray]:
+        """Read ``maps.npz``."""
+        with np.load(self.path / "maps.npz") as stored:
+            return dict(stored)

@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from benchmarks.reporting.figures.style import PALETTE, canvas, save, style
-from benchmarks.studies.design.store import DesignStore
+from benchmarks.studies.design.analyses import DesignStore
 
 TITLES: Final = {"initial": "Initial geometry", "optimized": "Optimized geometry"}
 RIM: Final = PALETTE[4]

@@ -36,7 +36,7 @@ from benchmarks.reporting.blocks import Block
 from benchmarks.runs.machine import describe
 from benchmarks.studies.base import Part, Study, Tick
 from benchmarks.studies.design import analyses
-from benchmarks.studies.design.store import DesignStore
+from benchmarks.studies.design.analyses import DesignStore
 
 COLUMNS: Final[dict[str, dict[str, list[list[str]]]]] = yaml.safe_load(
     Path(__file__).with_name("blocks.yaml").read_text(encoding="utf-8")

@@ -10,32 +10,20 @@ friction. Last, both searches insert with other timesteps, contacts and play, an
 
 from __future__ import annotations
 
-import itertools
-import json
 import math
-from collections.abc import Iterator, Mapping
+from collections import deque
 from dataclasses import asdict, replace
 from functools import partial
-from pathlib import Path
+from itertools import product
 from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.errors import at_least
 from benchmarks.reporting.stats import wilson
 from benchmarks.reporting.tables.table import plain
-from benchmarks.studies.base import Measured, Part, Tick, source
-from benchmarks.studies.robots.trials import (
-    CONDITIONS,
-    EPISODES,
-    FRICTIONS,
-    TRAINED,
-    Row,
-    causes,
-    in_cell,
-    play,
-    shown,
-)
+from benchmarks.studies.base import Measured, Part, Tick, count, episode, source
+from benchmarks.studies.robots import trials
+from benchmarks.studies.robots.trials import CONDITIONS, FRICTIONS, TRAINED, WHAT, Row, play
 
 LEVELS: Final = ("easy", "standard", "hard")
 SENSITIVE: Final = ("standard", "hard")  # a round tip finds its hole anyway
@@ -52,34 +40,37 @@ VARIANTS: Final[dict[str, Row]] = {
 PRESSED: Final = 20.0  # N
 
 
-def choose(level: str, name: str, episodes: int) -> dict[str, float]:
+def make(level: str, *, servos: Any = None, **fields: Any) -> Any:
+    """The environment of a level, with other fields of its task."""
+    from coop_env.physics.env import CoopInsertionContactEnv
+    from coop_env.physics.task import resolve_task
+
+    return CoopInsertionContactEnv(replace(resolve_task(level), **fields), servos=servos)
+
+
+def choose(env: Any, name: str, episodes: int) -> dict[str, float]:
     """A script's gains for a level: most successes on validation episodes, then the least time."""
     from benchmarks.methods.contact_scripts import GRIDS, SCRIPTS, Gains
-    from coop_env.physics.env import CoopInsertionContactEnv
 
-    env, grid = CoopInsertionContactEnv(level), GRIDS[name]
-    best: tuple[tuple[float, float], Gains] | None = None
-    for values in itertools.product(*grid.values()):
-        gains = replace(Gains(), **dict(zip(grid, values, strict=True)))
-        result = play(env, SCRIPTS[name](env, gains), "validate", episodes)
-        score = (float(np.mean(result["success"])), -float(np.mean(result["time"])))
-        if best is None or score > best[0]:
-            best = score, gains
-    assert best is not None  # of an empty grid there is one choice
-    return {key: getattr(best[1], key) for key in grid}
+    grid = GRIDS[name]
+    options = [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
+
+    def score(gains: dict[str, float]) -> tuple[float, float]:
+        result = play(env, SCRIPTS[name](env, Gains(**gains)), "validate", episodes)
+        return float(np.mean(result["success"])), -float(np.mean(result["time"]))
+
+    return max(options, key=score)
 
 
 def measure(level: str, episodes: int, tick: Tick) -> Row:
     """All scripts of a level: their gains and their test episodes."""
     from benchmarks.methods.contact_scripts import SCRIPTS, Gains
-    from coop_env.physics.env import CoopInsertionContactEnv
 
-    env = CoopInsertionContactEnv(level)
-    result: Row = {}
-    for done, (name, make) in enumerate(SCRIPTS.items()):
-        gains = choose(level, name, episodes)
+    env, result = make(level), {}
+    for done, (name, kind) in enumerate(SCRIPTS.items()):
+        gains = choose(env, name, episodes)
         tick((done + 0.5) / len(SCRIPTS))
-        script = make(env, replace(Gains(), **gains))
+        script = kind(env, Gains(**gains))
         result[name] = {
             "gains": gains,
             "errors": [play(env, script, "test", episodes, error) for error in CONDITIONS],
@@ -92,12 +83,10 @@ def measure(level: str, episodes: int, tick: Tick) -> Row:
 def sensitivity(level: str, scripts: Row, episodes: int, tick: Tick) -> list[Row]:
     """The searches, as their gains were chosen, under each of :data:`VARIANTS`."""
     from benchmarks.methods.contact_scripts import SCRIPTS, Gains
-    from coop_env.physics.env import CoopInsertionContactEnv
-    from coop_env.physics.task import resolve_task
 
     rows = []
     for variant, fields in VARIANTS.items():
-        env = CoopInsertionContactEnv(replace(resolve_task(level), **fields))
+        env = make(level, **fields)
         for name in (name for name in SEARCHES if name in scripts):
             script = SCRIPTS[name](env, Gains(**scripts[name]["gains"]))
             row = {"variant": variant, "script": name, "yields": yields(level, fields)}
@@ -108,63 +97,37 @@ def sensitivity(level: str, scripts: Row, episodes: int, tick: Tick) -> list[Row
 
 def yields(level: str, fields: Row) -> float:
     """How far a peg sinks into a hole's flat rim until :data:`PRESSED` N are met, m."""
-    from coop_env.physics.env import CoopInsertionContactEnv
     from coop_env.physics.model import Servos
-    from coop_env.physics.task import resolve_task
 
-    task = replace(resolve_task(level), **fields, force_limit=PRESSED, max_steps=1000)
-    env = CoopInsertionContactEnv(task, servos=Servos(delta_stiffness=1000.0))
-    env.reset(seed=0, options={"hole": 4, "error": [0.003, 0.0, 0.0, 0.0], "friction": 0.4})
-    over = False
-    while not over:
-        *_, terminated, truncated, _ = env.step([0.0, 0.0, -0.1, 0.0, 0.0, 0.0])
-        over = terminated or truncated
+    servos = Servos(delta_stiffness=1000.0)
+    env = make(level, servos=servos, **fields, force_limit=PRESSED, max_steps=1000)
+    start = {"hole": 4, "error": [0.003, 0.0, 0.0, 0.0], "friction": 0.4}
+    deque(episode(env, lambda _: [0.0, 0.0, -0.1, 0.0, 0.0, 0.0], seed=0, options=start), 0)
     return -float(min(env.batch.twin.inspect(0)[1].contact.dist, default=0.0))
 
 
-def _tables(parts: Mapping[str, Any]) -> Iterator[str]:
-    what = "success (%) / median time of successes (s) / median peak force (N)"
-    for level in (level for level in LEVELS if level in parts):
-        yield plain(
-            f"Scripts, level `{level}`, over the hole's displacement: {what}",
-            "script | " + " | ".join(map(shown, CONDITIONS)) + " | failures",
-            [
-                [name, *map(in_cell, one["errors"]), causes(one["errors"])]
-                for name, one in parts[level].items()
-            ],
-        )
-    yield plain(
-        f"Scripts, level `standard`, {TRAINED:g} mm, over friction: {what}",
-        "script | " + " | ".join(f"{f:g}" for f in FRICTIONS),
-        [
-            [name, *map(in_cell, one["frictions"])]
-            for name, one in parts.get("standard", {}).items()
-        ],
-    )
-
-
-def _varied(parts: Mapping[str, Any]) -> str:
+def varied(parts: Row) -> str:
+    """The table of what the simulation assumes."""
     return plain(
         f"What the simulation assumes, varied: {SEARCHES[0]}, errors to {TRAINED:g} mm",
-        "level | variant | success (%) / median time (s) / median peak force (N) | "
-        f"largest peak (N) | rim yields at {PRESSED:g} N (mm)",
+        f"level | variant | {WHAT} | largest peak (N) | rim yields at {PRESSED:g} N (mm)",
         [
-            [level, row["variant"], in_cell(row), f"{max(row['force']):.1f}",
-             f"{1e3 * row['yields']:.3f}"]
+            [
+                *(level, row["variant"], trials.in_cell(row)),
+                *(f"{max(row['force']):.1f}", f"{1e3 * row['yields']:.3f}"),
+            ]
             for level in SENSITIVE
             for row in parts.get(f"{level}, varied", [])
             if row["script"] == SEARCHES[0]
         ],
-    )  # fmt: skip
+    )
 
 
 class Contact(Measured):
     """Scripts that insert in contact."""
 
     name, file, needs = "contact", "contact/scripts.json", ("mujoco", "physics")
-    options = {  # noqa: RUF012
-        "--episodes": {"type": at_least(2), "default": EPISODES, "help": "episodes of each cell"},
-    }
+    options = {"--episodes": count(trials.EPISODES, "episodes of each cell", 2)}  # noqa: RUF012
 
     def asked(self) -> dict[str, Any]:
         from benchmarks.methods.contact_scripts import Gains
@@ -182,36 +145,32 @@ class Contact(Measured):
         }
 
     def finish(self) -> None:
-        from benchmarks.methods.contact_scripts import Gains
         from benchmarks.studies.robots.film import write_film
 
-        script = self.result["parts"]["standard"].get("moment-guided search", {"gains": {}})
-        write_film(self.folder, replace(Gains(), **script["gains"]))
+        script = self.result["parts"]["standard"].get(SEARCHES[0], {"gains": {}})
+        write_film(self.folder / "insertion.gif", script["gains"])
 
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:
-        parts, n = result["parts"], result["asked"]["episodes"]
+        n = result["asked"]["episodes"]
+        scripts = [(level, *each) for level in LEVELS for each in result["parts"][level].items()]
         low, high = (100.0 * share for share in wilson(n, n))
         chosen = "; ".join(
-            f"{level}, {name}: "
-            + ", ".join(f"{key} {value:g}" for key, value in one["gains"].items())
-            for level in (level for level in LEVELS if level in parts)
-            for name, one in parts[level].items()
+            f"{level}, {name}: {', '.join(f'{k} {v:g}' for k, v in one['gains'].items())}"
+            for level, name, one in scripts
             if one["gains"]
         )
+        table = plain(
+            f"Scripts over the hole's displacement: {WHAT}",
+            " | ".join(["level", "script", *map(trials.shown, CONDITIONS), "failures"]),
+            [
+                [level, name, *map(trials.in_cell, one["errors"]), trials.causes(one["errors"])]
+                for level, name, one in scripts
+            ],
+        )
         note = (
-            f"{n} episodes a cell (all of them successful: {low:.0f} to {high:.0f} %, 95 % "
-            f"interval); to {TRAINED:g} mm errors are as the task draws them. "
+            f"{n} episodes a cell (all of them successful: {low:.0f} to {high:.0f} %, "
+            f"95 % interval); to {TRAINED:g} mm errors are as the task draws them. "
             f"Gains chosen: {chosen}. {source(result)}"
         )
-        return "\n\n".join([*_tables(parts), note])
-
-    @classmethod
-    def files(cls, results: Path) -> dict[Path, str]:
-        path = results / cls.file
-        if not (files := super().files(results)):
-            return {}
-        result = json.loads(path.read_text(encoding="utf-8"))
-        return files | {
-            path.with_name("varied.md"): _varied(result["parts"]) + f"\n\n{source(result)}\n"
-        }
+        return "\n\n".join([table, varied(result["parts"]), note])

@@ -7,42 +7,29 @@ actions are random, drawn beforehand, with a bias downwards so that the peg meet
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.errors import at_least
 from benchmarks.reporting.tables.table import plain
-from benchmarks.studies.base import Measured, Part, source
-from benchmarks.studies.speed.timing import in_turns, options, resident_mb
+from benchmarks.studies.base import Measured, Part, count, source
+from benchmarks.studies.timing import batch_stepping, in_turns, options, resident_mb, stepping
 from coop_env.geometry import GEOMETRIES
-
-if TYPE_CHECKING:
-    from coop_env.physics.env import CoopInsertionContactEnv
-    from coop_env.physics.vector_env import CoopInsertionContactVectorEnv
 
 BATCH: Final = 16
 SINGLE: Final = "single"
 ENGINE: Final = "engine alone, as many timesteps"
 BATCHES: Final = {f"batch of {BATCH}, {n} thread{'s' * (n > 1)}": n for n in (1, 2)}
 # figure: unit, factor from SI, goal
+DEGREE: Final = float(np.degrees(1.0))
+# an error's name, unit, factor from SI, goal
 ERRORS: Final = {
-    "tip": ("mm", 1e3, 0.05),
-    "platform": ("degrees", float(np.degrees(1.0)), 0.05),
-    "centre": ("mm", 1e3, None),
-    "joints": ("degrees", float(np.degrees(1.0)), None),
-    "loop": ("mm", 1e3, None),
+    "tip": ("tip of the peg", "mm", 1e3, "0.05"),
+    "platform": ("rotation of the platform", "degrees", DEGREE, "0.05"),
+    "centre": ("centre of the platform", "mm", 1e3, ""),
+    "joints": ("worst actuated joint", "degrees", DEGREE, ""),
+    "loop": ("widest gap of a loop", "mm", 1e3, ""),
 }
-NAMES: Final = {
-    "tip": "tip of the peg",
-    "platform": "rotation of the platform",
-    "centre": "centre of the platform",
-    "joints": "worst actuated joint",
-    "loop": "widest gap of a loop",
-}
-STEPS_PER_SECOND: Final = 1000.0
-PER_CORE: Final = 0.9
 
 
 def measure_errors(geometry: str, poses: int) -> dict[str, Any]:
@@ -66,53 +53,24 @@ def _actions(steps: int) -> np.ndarray:
     return np.clip(drawn, -1.0, 1.0)
 
 
-def _single_loop(env: CoopInsertionContactEnv, steps: int) -> Callable[[], None]:
-    actions = _actions(steps).reshape(-1, 6)
-    env.reset(seed=0)
-
-    def loop() -> None:
-        for action in actions:
-            *_, terminated, truncated, _ = env.step(action)
-            if terminated or truncated:
-                env.reset()
-
-    return loop
-
-
-def _batch_loop(env: CoopInsertionContactVectorEnv, steps: int) -> Callable[[], None]:
-    actions = _actions(steps)
-    env.reset(seed=0)
-
-    def loop() -> None:
-        for row in actions:
-            env.step(row)
-
-    return loop
-
-
 def measure_speed(steps: int, rounds: int) -> dict[str, float]:
     """Control steps a CPU second: the single form, batches, and the engine alone above a hole."""
     from coop_env.physics.env import CoopInsertionContactEnv
     from coop_env.physics.twin import Twin
     from coop_env.physics.vector_env import CoopInsertionContactVectorEnv
 
-    twin = Twin()
-    substeps, home = CoopInsertionContactEnv().task.substeps, twin.machine.home()
-    targets = twin.servo_targets(home)[None]
-    steps = BATCH * max(1, steps // BATCH)
+    twin, env, actions = Twin(), CoopInsertionContactEnv(), _actions(steps)
+    targets = twin.servo_targets(twin.machine.home())[None]
+    steps = actions.shape[0] * BATCH
 
     def engine() -> None:
         for _ in range(steps):
-            twin.advance(targets, substeps)
+            twin.advance(targets, env.task.substeps)
 
-    loops = {
-        SINGLE: _single_loop(CoopInsertionContactEnv(), steps),
-        **{
-            name: _batch_loop(CoopInsertionContactVectorEnv(BATCH, threads=n), steps)
-            for name, n in BATCHES.items()
-        },
-        ENGINE: engine,
-    }
+    loops = {SINGLE: stepping(env, actions.reshape(-1, 6))}
+    for name, n in BATCHES.items():
+        loops[name] = batch_stepping(CoopInsertionContactVectorEnv(BATCH, threads=n), actions)
+    loops[ENGINE] = engine
     return {name: steps / each for name, each in in_turns(loops, rounds).items()}
 
 
@@ -120,9 +78,7 @@ def measure_memory(steps: int) -> float:
     """Megabytes that the process grows by over so many control steps after a tenth as many."""
     from coop_env.physics.env import CoopInsertionContactEnv
 
-    env = CoopInsertionContactEnv()
-    chunk = max(1, steps // 10)
-    loop = _single_loop(env, chunk)
+    loop = stepping(CoopInsertionContactEnv(), _actions(max(1, steps // 10)).reshape(-1, 6))
     loop()
     before = resident_mb()
     for _ in range(10):
@@ -135,12 +91,10 @@ class Physics(Measured):
 
     name, file, needs = "physics", "physics/physics.json", ("mujoco", "physics")
     options = {  # noqa: RUF012
-        "--poses": {"type": at_least(1), "default": 1000, "help": "poses of each geometry"},
+        "--poses": count(1000, "poses of each geometry"),
         **options(steps=800, rounds=7),
-        "--memory-steps": {
-            "type": at_least(10), "default": 20_000, "help": "control steps of the memory test",
-        },
-    }  # fmt: skip
+        "--memory-steps": count(20_000, "control steps of the memory test", 10),
+    }
 
     def measures(self) -> dict[str, Part]:
         given = self.given
@@ -163,35 +117,32 @@ class Physics(Measured):
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:
         asked, parts = result["asked"], result["parts"]
-        rows = []
+        errors, speeds, rate = [], [], parts["speed"]
         for geometry in GEOMETRIES:
-            for name, error in parts[f"errors, {geometry}"].items():
-                unit, factor, goal = ERRORS[name]
-                median, largest = (f"{factor * error[of]:.2g}" for of in ("median", "largest"))
-                wanted = "" if goal is None else f"{goal:g}"
-                rows.append([geometry, f"{NAMES[name]}, {unit}", median, largest, wanted])
-        rate, load = parts["speed"], f", load {parts['load']:.1f}"
-        per_core = {name: rate[name] / rate[SINGLE] for name in BATCHES}
-        speeds = [
-            [name, f"{value:,.0f}", f"{per_core[name]:.2f}" if name in per_core else "",
-             f"{STEPS_PER_SECOND:,.0f}" if name == SINGLE else f"{PER_CORE} of single"
-             if name in per_core else ""]
-            for name, value in rate.items()
-        ]  # fmt: skip
-        return "\n\n".join(
-            [
-                plain(
-                    f"Twin against kinematics, {asked['poses']:,} random valid poses",
-                    "geometry | error | median | largest | goal, at most",
-                    rows,
-                ),
-                plain(
-                    "Control steps a CPU second (one is 25 timesteps)",
-                    "form | steps/s | per core, of single | goal, at least",
-                    speeds,
-                ),
-                f"Memory over {asked['memory_steps']:,} control steps: {parts['memory']:+.1f} MB. "
-                f"{source(result, load)} Speed is the median of "
-                f"{asked['rounds']} rounds of {asked['steps']:,} control steps.",
-            ]
+            for key, error in parts[f"errors, {geometry}"].items():
+                name, unit, factor, goal = ERRORS[key]
+                numbers = [f"{factor * error[of]:.2g}" for of in ("median", "largest")]
+                errors.append([geometry, f"{name}, {unit}", *numbers, goal])
+        goals = {SINGLE: "1,000", **dict.fromkeys(BATCHES, "0.9 of single")}
+        for name, value in rate.items():
+            per_core = f"{value / rate[SINGLE]:.2f}" if name in BATCHES else ""
+            speeds.append([name, f"{value:,.0f}", per_core, goals.get(name, "")])
+        tables = [
+            plain(
+                f"Twin against kinematics, {asked['poses']:,} random valid poses",
+                "geometry | error | median | largest | goal, at most",
+                errors,
+            ),
+            plain(
+                "Control steps a CPU second (one is 25 timesteps)",
+                "form | steps/s | per core, of single | goal, at least",
+                speeds,
+            ),
+        ]
+        load = f", load {parts['load']:.1f}"
+        note = (
+            f"Memory over {asked['memory_steps']:,} control steps: {parts['memory']:+.1f} MB. "
+            f"{source(result, load)} Speed is the median of "
+            f"{asked['rounds']} rounds of {asked['steps']:,} control steps."
         )
+        return "\n\n".join([*tables, note])

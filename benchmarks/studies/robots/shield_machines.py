@@ -101,8 +101,8 @@ def search(machines: int, tick: Tick, moves: int = MOVES) -> dict[str, int]:
     total = {"machines": machines, "moves": 0, "harmful": 0}
     for number in range(machines):
         rng = np.random.default_rng(derive("fresh", 16, number))
-        for key, value in attack(draw_machine(rng), moves, rng).items():
-            total[key] += value
+        result = attack(draw_machine(rng), moves, rng)
+        total |= {key: total[key] + value for key, value in result.items()}
         tick((number + 1) / machines)
     return total
 
@@ -123,11 +123,9 @@ def at_the_margin(real: SimToReal, configurations: int) -> dict[str, int]:
             env.reset(seed=int(rng.integers(2**31)), options={"configuration": _edge(shield, rng)})
         except ResetOptionError:
             continue  # this draw of the machine is harmed already, or no start
+        worst = product(corners, (-real.link_length_error, real.link_length_error))
         result["configurations"] += 1
-        result["harmed"] += any(
-            _status(env, corner, length * real.link_length_error) != VALID
-            for corner, length in product(corners, (-1.0, 1.0))
-        )
+        result["harmed"] += any(_status(env, base, longer) != VALID for base, longer in worst)
     return result
 
 
@@ -137,13 +135,10 @@ def _edge(shield: KinematicShield, rng: np.random.Generator) -> Floats:
     high = np.array([0.12, 0.12, -0.45, 0.6, 0.6, 0.25])
     while True:
         c = rng.uniform(low, high)
-        if not shield.is_certified(c):
-            continue
-        down = np.array([0.0, 0.0, -0.1, 0.0, 0.0, 0.0])
-        taken, changed = shield.certify(c, down)
-        if changed:
-            edge: Floats = c + taken
-            return edge
+        if shield.is_certified(c):
+            taken, changed = shield.certify(c, np.array([0.0, 0.0, -0.1, 0.0, 0.0, 0.0]))
+            if changed:
+                return np.asarray(c + taken)
 
 
 def _status(env: CoopInsertionEnv, base: Floats, longer: float) -> int:

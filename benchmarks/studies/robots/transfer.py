@@ -15,9 +15,8 @@ on and outside of them.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
@@ -26,16 +25,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.errors import at_least
-from benchmarks.methods.controls import Choose, control
+from benchmarks.methods.controls import control
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.reporting.stats import wilson
 from benchmarks.reporting.tables.table import plain
-from benchmarks.studies.base import Measured, Part, Tick, source
-from benchmarks.studies.robots.trials import LEARNED, LEVEL, in_cell, inserter
+from benchmarks.studies.base import Act, Measured, Part, Tick, count, greedy, source
+from benchmarks.studies.robots.trials import LEARNED, LEVEL, WHAT, in_cell, inserter
 from benchmarks.studies.robots.trials import play as play_contact
 from coop_env.env import CoopInsertionEnv
 from coop_env.simulation.sim_to_real import FORGE, SimToReal
@@ -98,30 +96,13 @@ def by_plans(plan: Callable[[Any], Any]) -> Play:
     return play
 
 
-def by_policy(path: Path) -> Play:
-    """Moves of a stored policy to the end of the episode."""
-    from benchmarks.evaluation.evaluate import model_policy
-    from benchmarks.evaluation.model_files import load_model
-
-    act = model_policy(load_model(path))
+def by_acting(begin: Callable[[Episode], Act]) -> Play:
+    """Moves of who sees what a policy sees, to the end of the episode."""
 
     def play(episode: Episode) -> str:
+        act = begin(episode)
         while not episode.over:
-            masks = episode.env.action_masks()
-            episode.move(int(act(episode.observation[None], masks[None])[0]))
-        return ""
-
-    return play
-
-
-def by_control(begin: Callable[[Sequence[Episode]], Choose]) -> Play:
-    """Moves of a script that sees what a policy sees, to the end of the episode."""
-
-    def play(episode: Episode) -> str:
-        choose = begin([episode])
-        while not episode.over:
-            masks = episode.env.action_masks()
-            episode.move(int(choose(episode.observation[None], masks[None], [0])[0]))
+            episode.move(act(episode.observation, episode.env.action_masks()))
         return ""
 
     return play
@@ -138,70 +119,73 @@ def player(name: str, preset: Preset, results: Path, seed: int) -> tuple[Play, d
         from benchmarks.methods.oracle import LatticeOracle
         from benchmarks.methods.rrt_connect import RRTConnect
 
-        arguments: dict[str, Any] = {"reward": "progress"}
-        if method == "optimum":
-            return by_plans(LatticeOracle(limits.node_limit).plan), arguments
         number = 1 + derive("planner", seed) % 2**30
-        rrt = RRTConnect(limits.time_limit, limits.max_iterations, number)
-        return by_plans(rrt.plan), arguments
+        planner: Any = LatticeOracle(limits.node_limit)
+        if method == "rrt":
+            planner = RRTConnect(limits.time_limit, limits.max_iterations, number)
+        return by_plans(planner.plan), {"reward": "progress"}
     cell = Cell(method, "full", "optimized", track, seed)
     arguments = env_arguments(preset, cell, preset.tracks[track])
     del arguments["sim_to_real"]  # the machine of this study's worlds, not the track's
-    if method != "rainbow":
-        return by_control(control(method, preset.tracks[track].controls, seed)), arguments
-    return by_policy(results / PRESET / "runs" / cell.id / "policy.zip"), arguments
+    if method == "rainbow":
+        from benchmarks.evaluation.model_files import load_model
+
+        policy = greedy(load_model(results / PRESET / "runs" / cell.id / "policy.zip"))
+        return by_acting(lambda _: policy), arguments
+    script = control(method, preset.tracks[track].controls, seed)
+
+    def begin(episode: Episode) -> Act:
+        choose = script([episode])
+        return lambda seen, masks: int(choose(seen[None], masks[None], [0])[0])
+
+    return by_acting(begin), arguments
 
 
 def measure(name: str, world: str, results: Path, episodes: int = EPISODES) -> Row:
     """A player's test episodes in a world, so many of each seed, a column for each quantity."""
-    preset = load_preset(PRESET)
-    keys = ("success", "first", "holes", "failure", "moves", "time_first", "force")
-    found: Row = {key: [] for key in keys}
+    preset, rows = load_preset(PRESET), []
     for seed in range(SEEDS):
         play, arguments = player(name, preset, results, seed)
         env = make_world(world, results, arguments, seed)
-        for number, start in enumerate(episode_seeds(seed, episodes)):
-            row = play_one(env, play, number, start)
-            for key in keys:
-                found[key].append(row[key])
+        starts = enumerate(episode_seeds(seed, episodes))
+        rows += [play_one(env, play, number, start) for number, start in starts]
         env.close()
-    return found
+    return {key: [row[key] for row in rows] for key in rows[0]}
 
 
 def play_one(env: CoopInsertionEnv, play: Play, number: int, start: int) -> dict[str, Any]:
     """One episode; a failure is why its first hole was not filled."""
     episode = Watched(env, number, start)
     first, why = int(env.state["target"]), play(episode)
-    filled = first in episode.filled
-    info = episode.last
+    filled, info = first in episode.filled, episode.last
     if not filled:
         ended = "singular" if info["singular"] else "time" if episode.over else ""
         gave_up = "not inserted" if first in info.get("given_up", []) else ""
         why = gave_up or info.get("failure", "") or why or ended
     return {
-        "success": bool(episode.filled), "first": filled, "holes": len(episode.filled),
-        "failure": "" if filled else why, "moves": episode.moves,
-        "time_first": round(episode.time_first, 3) if filled else None,
+        "success": bool(episode.filled),
+        "first": filled,
+        "holes": len(episode.filled),
+        "failure": "" if filled else why,
+        "moves": episode.moves,
+        "time_first": round(next(iter(episode.filled.values())), 3) if filled else None,
         "force": round(float(info.get("peak_force", 0.0)), 3),
-    }  # fmt: skip
+    }
 
 
 class Watched(Episode):
-    """An episode that keeps which holes were filled, when the first was, and the last ``info``."""
+    """An episode that keeps which holes were filled, and when, and the last ``info``."""
 
     def __init__(self, env: CoopInsertionEnv, number: int, reset_seed: int) -> None:
         super().__init__(env, number, reset_seed)
-        self.filled: list[int] = []
-        self.time_first = math.nan
+        self.filled: dict[int, float] = {}
         self.last = self._info
 
     def move(self, action: int) -> dict[str, Any]:
         """Make one move and account for it; returns the environment's info."""
         info = self.last = super().move(action)
         if info["inserted"]:
-            self.filled.append(int(info["inserted_hole"]))
-            if len(self.filled) == 1:
-                self.time_first = float(info["time"])
+            self.filled[int(info["inserted_hole"])] = float(info["time"])
         return info
 
 
@@ -246,30 +230,14 @@ def _machines(parts: Mapping[str, Row]) -> Iterator[str]:
         if (part := parts.get(f"machines: {name}"))
     ]
     if rows:
-        what = "success (%) / median time of successes (s) / median peak force (N)"
-        yield plain(
-            f"One insertion on machines that err: {what}", " | ".join(["", *machines()]), rows
-        )
+        title = f"One insertion on machines that err: {WHAT}"
+        yield plain(title, " | ".join(["", *machines()]), rows)
 
 
 def _cell(name: str, world: str, results: Path, episodes: int, tick: Tick) -> Row:
     """A cell, in a process of its own: OMPL takes one seed per process."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         return pool.submit(measure, name, world, results, episodes).result()
-
-
-def _tables(parts: Mapping[str, Row]) -> Iterator[str]:
-    said: dict[str, Callable[[Row], str]] = {
-        "Success (%) / first hole filled (%) / holes filled": _shares,
-        "Episodes without a first hole, by the most frequent cause": _causes,
-        "Median time of the first hole (s) / median peak force (N)": _medians,
-    }
-    for title, cell in said.items():
-        rows = [
-            [name, *(cell(parts[key]) for world in WORLDS if (key := f"{name}: {world}") in parts)]
-            for name in PLAYERS
-        ]
-        yield plain(title, " | ".join(["player", *WORLDS]), rows)
 
 
 def _shares(row: Row) -> str:
@@ -288,15 +256,20 @@ def _medians(row: Row) -> str:
     return f"{time} / {np.median(row['force']):.1f}"
 
 
+TABLES: Final[dict[str, Callable[[Row], str]]] = {
+    "Success (%) / first hole filled (%) / holes filled": _shares,
+    "Episodes without a first hole, by the most frequent cause": _causes,
+    "Median time of the first hole (s) / median peak force (N)": _medians,
+}
+
+
 class Transfer(Measured):
     """Players of the kinematic task in the twin."""
 
     name, file, needs = "transfer", "transfer/transfer.json", ("mujoco", "ompl", "physics")
     options = {  # noqa: RUF012
-        "--episodes": {
-            "type": at_least(1), "default": EPISODES, "help": f"episodes of each of {SEEDS} seeds",
-        },
-    }  # fmt: skip
+        "--episodes": count(EPISODES, f"episodes of each of {SEEDS} seeds"),
+    }
 
     def measures(self) -> dict[str, Part]:
         place = (self.results, self.given.episodes)
@@ -312,15 +285,20 @@ class Transfer(Measured):
 
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:
-        n = SEEDS * result["asked"]["episodes"]
+        parts, n = result["parts"], SEEDS * result["asked"]["episodes"]
         low, high = (100.0 * share for share in wilson(n, n))
-        return "\n\n".join(
-            [
-                *_tables(result["parts"]),
-                *_machines(result["parts"]),
-                f"{n} episodes a cell, on the same test starts for all (all of them successful: "
-                f"{low:.0f} to {high:.0f} %, 95 % interval); success: at least one hole. Without a "
-                "script (+) a hole counts as in the kinematic task, within its tolerance; with one "
-                f"when the peg is 10 mm deep in the bore. {source(result)}",
-            ]
+        tables = [
+            plain(
+                title,
+                " | ".join(["player", *WORLDS]),
+                [[name, *(cell(parts[f"{name}: {w}"]) for w in WORLDS)] for name in PLAYERS],
+            )
+            for title, cell in TABLES.items()
+        ]
+        note = (
+            f"{n} episodes a cell, on the same test starts for all (all of them successful: "
+            f"{low:.0f} to {high:.0f} %, 95 % interval); success: at least one hole. Without a "
+            "script (+) a hole counts as in the kinematic task, within its tolerance; with one "
+            f"when the peg is 10 mm deep in the bore. {source(result)}"
         )
+        return "\n\n".join([*tables, *_machines(parts), note])

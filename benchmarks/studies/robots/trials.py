@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,6 +19,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.model_files import set_weights
 from benchmarks.protocol.presets import read_yaml
 from benchmarks.protocol.seeding import derive
+from benchmarks.studies.base import episode
 
 ERRORS: Final = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # mm
 DRAWN: Final = None  # an error as the task draws it
@@ -28,63 +30,68 @@ TRAINED: Final = 3.0  # mm: the largest error that the task draws
 LEVEL: Final = "standard"  # of what other studies let insert
 LEARNED: Final = {"SAC": "contact", "SAC, trained on machines that err": "contact_errors"}
 """Presets of the policies that insert."""
+#: of a cell of the tables
+WHAT: Final = "success (%) / median time of successes (s) / median peak force (N)"
 Row = dict[str, Any]
 
 
-def options(stream: str, episode: int, error: float | None, friction: float | None) -> Row:
+def options(stream: str, number: int, error: float | None, friction: float | None) -> Row:
     """Reset options of an episode; an ``error`` of ``DRAWN``, not mm, is uniform over the disc."""
-    rng = np.random.default_rng(derive(stream, 13, episode))
+    rng = np.random.default_rng(derive(stream, 13, number))
     share, bearing, lean, side = rng.random(4)
     size = 1e-3 * (TRAINED * math.sqrt(share) if error is None else error)
     tilt = math.radians(lean)
-    bearing, side = 2.0 * math.pi * bearing, 2.0 * math.pi * side
-    result: Row = {
-        "error": [size * math.cos(bearing), size * math.sin(bearing),
-                  tilt * math.cos(side), tilt * math.sin(side)]
-    }  # fmt: skip
-    return result if friction is None else {**result, "friction": friction}
+    offsets = [
+        length * turn(2.0 * math.pi * angle)
+        for length, angle in ((size, bearing), (tilt, side))
+        for turn in (math.cos, math.sin)
+    ]
+    return {"error": offsets} if friction is None else {"error": offsets, "friction": friction}
 
 
 def play(
-    env: Any, script: Any, stream: str, episodes: int,
-    error: float | None = None, friction: float | None = None, also: Sequence[str] = (),
-) -> dict[str, list[Any]]:  # fmt: skip
+    env: Any,
+    script: Any,
+    stream: str,
+    episodes: int,
+    error: float | None = None,
+    friction: float | None = None,
+    also: Sequence[str] = (),
+) -> dict[str, list[Any]]:
     """A script's episodes: success, time, s, peak force, N, and cause of failure, by name.
 
     ``also`` are keys of the last ``info`` to keep.
     """
-    result: dict[str, list[Any]] = {"success": [], "time": [], "force": [], "failure": []}
-    result |= {key: [] for key in also}
-    for episode in range(episodes):
-        given = options(stream, episode, error, friction)
-        seed = derive(stream, 13, episode, 1)
-        observation, _ = env.reset(seed=seed, options=given)
+    rows = []
+    for number in range(episodes):
+        given = options(stream, number, error, friction)
         script.reset()
-        over = False
-        while not over:
-            observation, _, terminated, truncated, info = env.step(script(observation))
-            over = terminated or truncated
-        result["success"].append(bool(info["success"]))
-        result["time"].append(round(float(info["time"]), 3))
-        result["force"].append(round(float(info["peak_force"]), 3))
-        result["failure"].append(info["failure"] or ("" if info["success"] else "time"))
-        for key in also:
-            result[key].append(info[key])
-    return result
+        steps = episode(env, script, seed=derive(stream, 13, number, 1), options=given)
+        (info,) = deque(steps, maxlen=1)
+        row = {
+            "success": bool(info["success"]),
+            "time": round(float(info["time"]), 3),
+            "force": round(float(info["peak_force"]), 3),
+            "failure": info["failure"] or ("" if info["success"] else "time"),
+        }
+        rows.append(row | {key: info[key] for key in also})
+    return {name: [row[name] for row in rows] for name in rows[0]}
 
 
 class Policy:
-    """A trained model as a script: its greedy action."""
+    """A policy as a script: an action from an observation, with no memory to reset."""
 
-    def __init__(self, model: Any) -> None:
-        self.model = model
-
-    def reset(self) -> None:
-        """It keeps nothing from step to step."""
+    def __init__(self, act: Callable[[Any], Any]) -> None:
+        self.reset, self.act = lambda: None, act
 
     def __call__(self, observation: Any) -> Any:
         """The action after an observation (29,)."""
-        return self.model.predict(observation, deterministic=True)[0]
+        return self.act(observation)
+
+
+def of_model(model: Any) -> Policy:
+    """A trained model's greedy actions."""
+    return Policy(lambda observation: model.predict(observation, deterministic=True)[0])
 
 
 def inserter(results: Path, name: str, seed: int) -> Any:
@@ -100,42 +107,43 @@ def inserter(results: Path, name: str, seed: int) -> Any:
     run = f"classic/{preset}/runs/{LEVEL}-sac-s{seed}/policy.zip"
     path = results / (run if preset else "contact/scripts.json")
     if not path.is_file():
-        command = f"run --preset {preset}" if preset else "contact"
+        command = f"run --preset {preset}" if preset else "study contact"
         raise BenchmarkError(f"{path} is missing: run python -m benchmarks {command} first")
-    if preset:
-        return Policy(_stored_sac(path))
-    gains = json.loads(path.read_text(encoding="utf-8"))["parts"][LEVEL][name]["gains"]
-    task: Any = SimpleNamespace(task=resolve_task(LEVEL))
-    return SCRIPTS[name](task, replace(Gains(), **gains))
-
-
-def _stored_sac(path: Path) -> SAC:
-    """The policy of a run of preset contact, built from its settings; of its file, arrays alone."""
-    config = read_yaml(path.with_name("config.yaml"))
+    if not preset:
+        gains = json.loads(path.read_text(encoding="utf-8"))["parts"][LEVEL][name]["gains"]
+        task: Any = SimpleNamespace(task=resolve_task(LEVEL))
+        return SCRIPTS[name](task, replace(Gains(), **gains))
+    config = read_yaml(path.with_name("config.yaml"))  # of the policy's file, arrays alone are read
     env, net = config["task"], config["arguments"]["policy_kwargs"]
     made = gymnasium.make(env["env"], **env["env_kwargs"])
     model = SAC("MlpPolicy", made, buffer_size=1, policy_kwargs=net, device="cpu")
     set_weights(model, path)
-    return model
+    return of_model(model)
 
 
 def on_tests(model: Any, env: Any) -> list[Row]:
     """A model's episodes on the scripts' tests, a row each; errors in mm."""
     rows = []
-    conditions: list[tuple[float | None, float | None]] = [(error, None) for error in CONDITIONS]
-    for error, friction in [*conditions, *((TRAINED, f) for f in FRICTIONS)]:
-        result = play(env, Policy(model), "test", EPISODES, error, friction)
+    conditions = [(error, None) for error in CONDITIONS] + [(TRAINED, f) for f in FRICTIONS]
+    for error, friction in conditions:
+        result = play(env, of_model(model), "test", EPISODES, error, friction)
         for number, values in enumerate(zip(*result.values(), strict=True)):
             row = {"error": error, "friction": friction, "episode": number}
-            rows.append({**row, **dict(zip(result, values, strict=True))})
+            rows.append(row | dict(zip(result, values, strict=True)))
     return rows
 
 
+def medians(result: Mapping[str, Sequence[Any]]) -> tuple[float, float, float]:
+    """Success, %, median time of the successes, s, or NaN, and median peak force, N."""
+    won = np.array(result["success"], bool)
+    time = float(np.median(np.array(result["time"])[won])) if won.any() else math.nan
+    return 100.0 * float(won.mean()), time, float(np.median(result["force"]))
+
+
 def in_cell(result: Mapping[str, Sequence[Any]]) -> str:
-    """Success, %, median time of the successes, s, and median peak force, N."""
-    won = np.array(result["success"])
-    time = f"{np.median(np.array(result['time'])[won]):.2f}" if won.any() else "-"
-    return f"{100.0 * won.mean():.0f} / {time} / {np.median(result['force']):.1f}"
+    """The medians as a table has them."""
+    success, time, force = medians(result)
+    return f"{success:.0f} / {'-' if math.isnan(time) else f'{time:.2f}'} / {force:.1f}"
 
 
 def shown(error: float | None) -> str:
@@ -145,6 +153,5 @@ def shown(error: float | None) -> str:
 
 def causes(rows: Sequence[Mapping[str, Sequence[Any]]]) -> str:
     """How often episodes failed by each cause."""
-    all_of_them = [cause for row in rows for cause in row["failure"] if cause]
-    counted = {cause: all_of_them.count(cause) for cause in sorted(set(all_of_them))}
-    return ", ".join(f"{cause} {n}" for cause, n in counted.items()) or "-"
+    counted = Counter(cause for row in rows for cause in row["failure"] if cause)
+    return ", ".join(f"{cause} {n}" for cause, n in sorted(counted.items())) or "-"

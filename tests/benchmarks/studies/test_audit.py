@@ -64,7 +64,7 @@ def test_scripts_return_what_the_environment_pays() -> None:
     assert means["safe", "farm"][0] < 0.1 * means["safe", "insert one"][0]
     # oscillating earns the dense term of every second move, which is at most 50 x 20 mm
     assert 0.0 < means["printed", "oscillate"][0] < 150 * 50 * 0.02
-    assert "| as printed | farm |" in audit.markdown(rows)
+    assert "| as printed | farm |" in " ".join(audit.markdown(rows).split())
 
 
 def test_each_reward_is_played_once() -> None:

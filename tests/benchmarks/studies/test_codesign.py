@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,9 +14,15 @@ pytest.importorskip("optuna", reason="the extra 'tune' is not installed")
 
 from benchmarks.cli import main
 from benchmarks.runs.store import RunFolder
-from benchmarks.studies.codesign import spaces, study
-from benchmarks.studies.codesign import text as pages
-from benchmarks.studies.codesign.result import SearchResult, on_front, quickest, surest
+from benchmarks.studies import codesign
+from benchmarks.studies.codesign import Codesign
+from benchmarks.studies.codesign_report import (
+    SearchResult,
+    on_front,
+    quickest,
+    rank_correlation,
+    surest,
+)
 from coop_env.design import workspace_area
 from coop_env.geometry import GEOMETRIES, OPTIMIZED
 
@@ -25,15 +30,15 @@ SMALL = ["--designs", "4", "--starts", "3", "--seeds", "2"]
 
 
 def test_a_design_is_the_given_machine_with_some_lengths_changed() -> None:
-    same = spaces.geometry_of({})
+    same = codesign.geometry_of({})
     for name, value in OPTIMIZED.as_dict().items():
         assert getattr(same, name) == pytest.approx(value, abs=1e-12), name
-    higher = spaces.geometry_of({"home_heave": 0.23, "distal_length": 0.25})
+    higher = codesign.geometry_of({"home_heave": 0.23, "distal_length": 0.25})
     assert (higher.heave_min, higher.heave_max) == pytest.approx((0.23, 0.27))
     assert higher.distal_length == 0.25
     assert higher.lambdas == pytest.approx(OPTIMIZED.lambdas)
-    assert spaces.area(OPTIMIZED) == workspace_area(OPTIMIZED)
-    assert spaces.of_row({"design": "initial"}) is GEOMETRIES["initial"]
+    assert codesign.area(OPTIMIZED) == workspace_area(OPTIMIZED)
+    assert codesign.of_row({"design": "initial"}) is GEOMETRIES["initial"]
 
 
 def test_what_cannot_be_assembled_has_no_score() -> None:
@@ -42,17 +47,17 @@ def test_what_cannot_be_assembled_has_no_score() -> None:
         ("home", {"home_heave": 0.33}),
         ("starts", {"lambda1": 1.25, "lambda2": 2.65}),
     ):
-        with pytest.raises(spaces.Unbuilt, match=reason):
-            spaces.build(values)
+        with pytest.raises(codesign.Unbuilt, match=reason):
+            codesign.build(values)
 
 
 def test_the_optimum_of_a_design_is_the_same_for_the_same_starts() -> None:
-    found = spaces.optimum(OPTIMIZED, 0, 6)
-    assert found == spaces.optimum(OPTIMIZED, 0, 6)
+    found = codesign.optimum(OPTIMIZED, 0, 6)
+    assert found == codesign.optimum(OPTIMIZED, 0, 6)
     solved = found.success / 100.0
     assert found.ticks_all == pytest.approx(solved * found.ticks + (1 - solved) * 300)
-    assert spaces.summary([math.nan, 10.0]) == (50.0, 10.0, 155.0)
-    assert spaces.summary([math.nan])[0] == 0.0
+    assert codesign.summary([math.nan, 10.0]) == (50.0, 10.0, 155.0)
+    assert codesign.summary([math.nan])[0] == 0.0
 
 
 def test_a_front_holds_what_no_other_beats() -> None:
@@ -78,47 +83,43 @@ def test_a_rank_correlation_has_an_interval_about_it() -> None:
     rng = np.random.default_rng(1)
     x = rng.normal(size=80)
     y = x + rng.normal(size=80)
-    found = pages.rank_correlation(x, y)
+    found = rank_correlation(x, y)
     assert found.mean == pytest.approx(spearmanr(x, y).statistic)
     assert found.low < found.mean < found.high
     assert found.high - found.low == pytest.approx(4 * 0.75 / math.sqrt(80), rel=0.5)
-    assert pages.rank_correlation([*x, 9.0], [*y, math.nan]).n == 80
-    assert pages.rank_correlation(x, np.ones(80)).n == 0
+    assert rank_correlation([*x, 9.0], [*y, math.nan]).n == 80
+    assert rank_correlation(x, np.ones(80)).n == 0
 
 
 @pytest.mark.slow
 def test_the_largest_area_is_the_one_that_the_design_study_finds() -> None:
-    found = spaces.area_best("lambdas")
+    found = codesign.area_best("lambdas")
     assert found == pytest.approx({"lambda1": 1.438, "lambda2": 1.660}, abs=0.002)
-    assert spaces.area(spaces.geometry_of(found)) == pytest.approx(1.165, abs=5e-4)
+    assert codesign.area(codesign.geometry_of(found)) == pytest.approx(1.165, abs=5e-4)
 
 
 @pytest.mark.slow
-def test_the_command_goes_on_and_can_be_checked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    docs, results = tmp_path / "docs", tmp_path / "results"
-    docs.mkdir()
-    page = docs / "design.md"
-    page.write_text("# Page\n\n<!-- codesign:begin -->\n<!-- codesign:end -->\n", encoding="utf-8")
+def test_the_command_goes_on_and_can_be_checked(site: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = site("codesign")
+    results = here.results
     words = ["study", "codesign", "--results", str(results), "--jobs", "1", *SMALL]
     words += ["--policy-steps", "320"]
-    monkeypatch.setattr(study, "EPISODES", 4)
+    monkeypatch.setattr(codesign, "EPISODES", 4)
     largest = {
         "lambdas": {"lambda1": 1.4386, "lambda2": 1.6591},
         "heights": {"distal_length": 0.27631, "home_heave": 0.28221},
     }
-    monkeypatch.setattr(spaces, "area_best", lambda study: largest[study])
-    score, calls = spaces.optimum, []
+    monkeypatch.setattr(codesign, "area_best", lambda of: largest[of])
+    score, calls = codesign.optimum, []
 
-    def cut_off(*arguments: Any, **named: Any) -> spaces.Reach:
+    def cut_off(*arguments: Any, **named: Any) -> codesign.Reach:
         calls.append(arguments)
         if len(calls) == 7:
             raise KeyboardInterrupt
         return score(*arguments, **named)
 
     with monkeypatch.context() as patched:
-        patched.setattr(spaces, "optimum", cut_off)
+        patched.setattr(codesign, "optimum", cut_off)
         assert main(words) == 130
     folder = results / "codesign"
     assert not (folder / "designs.csv").exists()
@@ -129,15 +130,13 @@ def test_the_command_goes_on_and_can_be_checked(
     assert {"initial", "optimized", "lambdas-area", "heights-area"} <= set(found.choose())
     assert found.policies("heights-area").n == 2
 
-    text = page.read_text("utf-8")
+    text = here.check(Codesign, "codesign/codesign.md", "too few")
     assert text.count("too few designs to say") == 2
     assert "](../results/codesign/figures/fronts.png)" in text
     assert "--designs 4" in found.summary["command"]
     assert (folder / "figures" / "fronts.png").stat().st_size > 10_000
-    assert study.Codesign.problems(results) == []
     tables = folder / "codesign.md"
     tables.write_text(tables.read_text("utf-8").replace("too few", "enough"), encoding="utf-8")
-    assert study.Codesign.problems(results)
-    capsys.readouterr()
+    assert Codesign.problems(results)
     assert main([*words, "--starts", "4"]) == 2
-    assert "starts: 3 -> 4" in capsys.readouterr().err
+    assert "starts: 3 -> 4" in here.capsys.readouterr().err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -13,7 +14,6 @@ pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
 pytest.importorskip("ruckig", reason="ruckig is not installed (extra trajectory)")
 
 from benchmarks.cli import main as command
-from benchmarks.reporting import blocks
 from benchmarks.studies import trajectory
 from benchmarks.studies.trajectory import TrajectoryStudy
 
@@ -34,19 +34,12 @@ def test_one_episode_is_exported(
     assert f"{rows['time'].iloc[-1]:.2f} s in " in capsys.readouterr().out
 
 
-def test_the_tables_follow_from_the_rows(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    docs, results = tmp_path / "docs", tmp_path / "results"
-    docs.mkdir()
-    page = docs / "trajectory.md"
-    page.write_text("# P\n\n<!-- trajectory:begin -->\n<!-- trajectory:end -->\n", encoding="utf-8")
-    places = ["--results", str(results), "--model", str(MODEL)]
+def test_the_tables_follow_from_the_rows(site: Any) -> None:
+    here = site("trajectory")
+    places = ["--results", str(here.results), "--model", str(MODEL)]
     assert command(["study", "trajectory", "--starts", "2", *places]) == 0
-    text = (results / "trajectory" / "trajectory.md").read_text("utf-8")
-    assert text.strip() in page.read_text("utf-8")
-    assert text.strip() in capsys.readouterr().out
-    stored = json.loads((results / "trajectory" / "trajectory.json").read_text("utf-8"))
+    here.check(TrajectoryStudy, "trajectory/trajectory.md", "optimum")
+    stored = json.loads((here.results / "trajectory" / "trajectory.json").read_text("utf-8"))
     rows = pd.DataFrame([row for part in stored["parts"].values() for row in part])
     assert len(rows) == 12
     assert set(rows["method"]) == {"optimum", "RRT-Connect", "Rainbow"}
@@ -57,9 +50,6 @@ def test_the_tables_follow_from_the_rows(
     pairs = done.pivot(index=["method", "start"], columns="kind", values="seconds_first")
     assert (pairs["blended"] <= pairs["stop-and-go"] + 1e-9).all()
     assert (done["seconds_first"] <= done["seconds"] + 1e-9).all()
-    assert not any(found for _, found in blocks.check(results, TrajectoryStudy.blocks(results)))
-    page.write_text(page.read_text("utf-8").replace("optimum", "other"), encoding="utf-8")
-    assert any(found for _, found in blocks.check(results, TrajectoryStudy.blocks(results)))
 
 
 def test_what_cannot_be_exported(

@@ -15,7 +15,7 @@ from benchmarks.protocol import paper_values
 from benchmarks.reporting.figures.style import save, style
 from benchmarks.studies.design import analyses as design_study
 from benchmarks.studies.design import figures as design_figures
-from benchmarks.studies.design.store import DesignStore
+from benchmarks.studies.design.analyses import DesignStore
 
 ROOT = Path(__file__).resolve().parents[4]
 STORED = DesignStore(ROOT / "results")

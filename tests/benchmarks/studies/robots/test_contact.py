@@ -5,14 +5,12 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks.cli import main as command
-from benchmarks.reporting import blocks
 from benchmarks.studies.robots import contact, trials
 from benchmarks.studies.robots.contact import Contact
 
@@ -83,7 +81,7 @@ def test_a_peg_that_slides_from_one_stave_to_the_next_meets_no_blow() -> None:
 
 
 def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    site: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("mujoco", reason="needs the extra physics")
     from benchmarks.methods import contact_scripts
@@ -92,31 +90,23 @@ def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
     monkeypatch.setattr(contact_scripts, "GRIDS", grids)
     scripts = {name: contact_scripts.SCRIPTS[name] for name in grids}
     monkeypatch.setattr(contact_scripts, "SCRIPTS", scripts)
-    docs, results = tmp_path / "docs", tmp_path / "results"
-    docs.mkdir()
     monkeypatch.setattr(contact, "LEVELS", ("standard",))
     monkeypatch.setattr(contact, "SENSITIVE", ("standard",))
-    page = docs / "physics.md"
-    page.write_text("# Page\n\n<!-- contact:begin -->\n<!-- contact:end -->\n", encoding="utf-8")
-    words = ["--results", str(results), "--episodes", "2"]
+    here = site("contact")
+    words = ["--results", str(here.results), "--episodes", "2"]
     assert Contact.main(words) == 0
-    assert (results / "contact" / "insertion.gif").stat().st_size > 0
-    capsys.readouterr()
+    assert (here.results / "contact" / "insertion.gif").stat().st_size > 0
+    here.capsys.readouterr()
     monkeypatch.setattr(contact, "measure", pytest.fail)  # it is not called again
     monkeypatch.setattr(Contact, "finish", lambda self: None)
     assert Contact.main(words) == 0
-    text = (results / "contact" / "scripts.md").read_text("utf-8").strip()
-    assert text in capsys.readouterr().out
-    assert text in page.read_text("utf-8")
-    stored = json.loads((results / "contact" / "scripts.json").read_text("utf-8"))
+    here.check(Contact, "contact/scripts.md", "compliant")
+    stored = json.loads((here.results / "contact" / "scripts.json").read_text("utf-8"))
     level = stored["parts"]["standard"]
     assert level["compliant push"]["errors"][1]["success"] == [True, True]
     rows = {row["variant"]: row for row in stored["parts"]["standard, varied"]}
     assert list(rows) == list(contact.VARIANTS)
     assert rows["contact 20 ms"]["yields"] > rows["contact 10 ms"]["yields"] > 0.0
-    assert not any(found for _, found in blocks.check(results, Contact.blocks(results)))
-    page.write_text(page.read_text("utf-8").replace("compliant", "soft"), encoding="utf-8")
-    assert any(found for _, found in blocks.check(results, Contact.blocks(results)))
 
 
 def test_episodes_are_the_same_for_all_and_no_validation() -> None:
@@ -128,12 +118,13 @@ def test_episodes_are_the_same_for_all_and_no_validation() -> None:
     assert trials.options("test", 3, None, 0.2)["friction"] == 0.2
 
 
+@pytest.mark.parametrize("name", ["contact", "physics", "transfer"])
 def test_without_mujoco_the_extra_is_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name in [*sys.modules]:
-        if name.startswith(("coop_env.physics", "benchmarks.methods.contact_scripts")):
-            monkeypatch.delitem(sys.modules, name)
+    for module in [*sys.modules]:
+        if module.startswith(("coop_env.physics", "benchmarks.methods.contact_scripts")):
+            monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    assert command(["study", "contact"]) == 2
+    assert command(["study", name]) == 2
     assert "sb3-rainbow-coop[physics]" in capsys.readouterr().err

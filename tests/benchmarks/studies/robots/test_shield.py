@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from benchmarks.reporting import blocks
 from benchmarks.studies.robots import shield
 from benchmarks.studies.robots.shield import Shield
 from benchmarks.studies.robots.shield_machines import ERRORS, at_the_margin, attack, draw_machine
@@ -23,14 +21,11 @@ SMALL += ["--machines", "1"]
 
 
 def test_the_command_writes_what_it_prints_and_goes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    site: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    docs, results = tmp_path / "docs", tmp_path / "results"
-    docs.mkdir()
-    page = docs / "shield.md"
-    page.write_text("# Page\n\n<!-- shield:begin -->\n<!-- shield:end -->\n", encoding="utf-8")
+    here = site("shield")
     monkeypatch.setattr(shield, "CONFIGURATIONS", 20)
-    words = ["--results", str(results), *SMALL]
+    words = ["--results", str(here.results), *SMALL]
     with monkeypatch.context() as patched:
         patched.setattr(shield, "harm_of", _interrupted)
         with pytest.raises(KeyboardInterrupt):
@@ -38,10 +33,9 @@ def test_the_command_writes_what_it_prints_and_goes_on(
     with monkeypatch.context() as patched:
         patched.setattr(shield, "prices", _interrupted)  # was done before
         assert Shield.main(words) == 0
-    text = (results / "shield" / "shield.md").read_text("utf-8").strip()
-    assert text in capsys.readouterr().out
-    assert text in page.read_text("utf-8")
-    parts = json.loads((results / "shield" / "shield.json").read_text("utf-8"))["parts"]
+    here.check(Shield, "shield/shield.md", "Certificate")
+    stored = json.loads((here.results / "shield" / "shield.json").read_text("utf-8"))
+    parts = stored["parts"]
     assert parts["certificate"]["sampled"]["harmful"] == 0
     for name in ERRORS:
         assert parts[f"{name}: shielded"]["collisions"] == 0
@@ -55,9 +49,6 @@ def test_the_command_writes_what_it_prints_and_goes_on(
         assert bare["policy"] == guarded["policy"] == "random"
         assert guarded["success"] == [0.0, 0.0]
     assert parts["machines"]["harmful"] == 0
-    assert not any(found for _, found in blocks.check(results, Shield.blocks(results)))
-    page.write_text(page.read_text("utf-8").replace("Certificate", "Proof"), encoding="utf-8")
-    assert any(found for _, found in blocks.check(results, Shield.blocks(results)))
 
 
 def _interrupted(*_: object) -> None:

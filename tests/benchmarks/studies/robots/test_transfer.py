@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from benchmarks.cli import main as command
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import derive
-from benchmarks.reporting import blocks
 from benchmarks.studies.robots import transfer
 from benchmarks.studies.robots.transfer import Transfer
 from benchmarks.studies.robots.trials import inserter
@@ -44,7 +41,7 @@ def test_the_exact_plan_and_a_search_fill_all_holes(world: str, force: float) ->
 
 
 @pytest.mark.parametrize(
-    ("name", "mend"), [("spiral search", "contact"), ("SAC", "run --preset contact")]
+    ("name", "mend"), [("spiral search", "study contact"), ("SAC", "run --preset contact")]
 )
 def test_what_inserts_must_be_there(name: str, mend: str, tmp_path: Path) -> None:
     with pytest.raises(BenchmarkError, match=f"is missing: run python -m benchmarks {mend} first"):
@@ -125,7 +122,7 @@ def test_what_inserts_is_tried_on_every_machine(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    site: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("mujoco", reason="needs the extra physics")
     cell = {
@@ -141,33 +138,14 @@ def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
         return cell
 
     monkeypatch.setattr(transfer, "_cell", measured)
-    docs, results = tmp_path / "docs", tmp_path / "results"
-    docs.mkdir()
-    page = docs / "physics.md"
-    page.write_text("# Page\n\n<!-- transfer:begin -->\n<!-- transfer:end -->\n", encoding="utf-8")
-    words = ["--results", str(results)]
+    here = site("transfer")
+    words = ["--results", str(here.results)]
     with pytest.raises(KeyboardInterrupt):
         Transfer.main(words)
     assert Transfer.main(words) == 0
     assert len(asked) == len(transfer.PLAYERS) * len(transfer.WORLDS) + 1  # the third once more
-    text = (results / "transfer" / "transfer.md").read_text("utf-8").strip()
-    assert text in capsys.readouterr().out
-    assert text in page.read_text("utf-8")
+    text = here.check(Transfer, "transfer/transfer.md", "snap")
     assert "50 / 50 / 3.00" in text
     assert "snap 1" in text
-    stored = json.loads((results / "transfer" / "transfer.json").read_text("utf-8"))
+    stored = json.loads((here.results / "transfer" / "transfer.json").read_text("utf-8"))
     assert stored["parts"]["RRT-Connect: twin"] == cell
-    assert not any(found for _, found in blocks.check(results, Transfer.blocks(results)))
-    page.write_text(page.read_text("utf-8").replace("snap", "slip"), encoding="utf-8")
-    assert any(found for _, found in blocks.check(results, Transfer.blocks(results)))
-
-
-def test_without_mujoco_the_extra_is_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name in [*sys.modules]:
-        if name.startswith("coop_env.physics"):
-            monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    assert command(["study", "transfer"]) == 2
-    assert "sb3-rainbow-coop[physics]" in capsys.readouterr().err

@@ -1,17 +1,37 @@
-"""``python -m benchmarks study speed-rainbow``: what it measures, and what it says."""
+"""Studies ``speed-env`` and ``speed-rainbow``: what they measure, store and say."""
 
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
 from stable_baselines3 import DQN
 from stable_baselines3.common.env_util import make_vec_env
 
-from benchmarks.studies.speed import rainbow
-from benchmarks.studies.speed.timing import Seconds, learner, measure_updates
+from benchmarks.cli import main
+from benchmarks.studies import speed
+from benchmarks.studies.speed import learner, measure_updates
+from benchmarks.studies.timing import Seconds
 from sb3_rainbow import Rainbow
+
+
+def test_the_command_writes_what_it_prints(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    small = ["--steps", "256", "--rounds", "1", "--starts", "3"]
+    assert main(["study", "speed-env", "--results", str(tmp_path), *small]) == 0
+    parts = json.loads((tmp_path / "speed" / "env.json").read_text())["parts"]
+    text = (tmp_path / "speed" / "env.md").read_text()
+    printed = capsys.readouterr().out
+    assert text in printed
+    assert str(tmp_path / "speed") in printed
+    assert all(value > 0.0 for value in parts["steps"].values())
+    assert parts["optimum, optimized"]["feasible"] > 0.0
+    # generous, so that only a gross slip fails here whatever else the machine does
+    assert parts["steps"]["batch of 64"] < parts["steps"]["SB3 DummyVecEnv of 64"]
+    assert speed.SpeedEnv.problems(tmp_path) == []
 
 
 class Clockwork:
@@ -48,14 +68,14 @@ def test_updates_are_counted_whatever_the_number_of_games(kind: str) -> None:
 def test_the_memory_of_a_million_transitions_is_the_buffer_s_alone() -> None:
     # observations once, rewards, actions, ends and the tree; masks come with the first of them
     mask_bytes = 12
-    expected = rainbow.make_buffer().nbytes + mask_bytes * rainbow.CAPACITY
-    assert rainbow.measure_memory() == pytest.approx(expected / 1e6, rel=0.1)
+    expected = speed.make_buffer().nbytes + mask_bytes * speed.CAPACITY
+    assert speed.measure_memory() == pytest.approx(expected / 1e6, rel=0.1)
 
 
 @pytest.mark.parametrize("sbx", [None, DQN], ids=["without SBX", "with SBX"])
 def test_each_learner_is_measured(sbx: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rainbow, "sbx_dqn", lambda: sbx)
-    models = rainbow.make_models(capacity=192, net_arch=[16, 8])
+    monkeypatch.setattr(speed, "sbx_dqn", lambda: sbx)
+    models = speed.make_models([16, 8], capacity=192)
     assert set(models) == {
         *("SB3 DQN", "sb3-contrib QR-DQN", *(["SBX DQN"] if sbx else [])),
         *("Rainbow", "Rainbow, categorical", "Rainbow, torch eager"),
@@ -67,7 +87,7 @@ def test_each_learner_is_measured(sbx: Any, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_each_learner_of_images_is_measured() -> None:
-    images = rainbow.make_image_models()
+    images = speed.make_models(None)
     assert set(images) == {
         *("SB3 DQN", "sb3-contrib QR-DQN", "Rainbow", "Rainbow, by default two streams of 512")
     }
@@ -91,7 +111,7 @@ def test_the_report_gives_the_ratios_of_the_rates() -> None:
     }
 
     def told() -> str:
-        return " ".join(rainbow.SpeedRainbow.to_markdown(json.loads(json.dumps(found))).split())
+        return " ".join(speed.SpeedRainbow.to_markdown(json.loads(json.dumps(found))).split())
 
     assert "| Rainbow | 600 | 1.20 |" in told()
     assert "| Rainbow of [256, 128, 64] | SB3 DQN | 1.20 | 1.20 | 1.5 |" in told()

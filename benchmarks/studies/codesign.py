@@ -1,0 +1,386 @@
+"""The 3-RRS is chosen for what the team achieves, not for its workspace alone.
+
+Two studies, of (lambda1, lambda2) and of (L2, home heave), in two steps. The exact optimum with
+both robots moving at once scores designs for Optuna's NSGA-II: success and mean ticks. Then a
+policy is trained on each of the designs that were chosen, over seeds, and tested on test starts.
+What is complete is kept: the same command goes on. Written to ``results/codesign/`` and to a block
+of ``docs/codesign.md``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import yaml
+from rich.console import Console
+from scipy.optimize import Bounds, differential_evolution
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.protocol.seeding import episode_seeds
+from benchmarks.reporting.figures.style import save, style
+from benchmarks.runs.backends import LocalBackend
+from benchmarks.runs.harness import Harness
+from benchmarks.runs.machine import describe
+from benchmarks.runs.store import RunFolder, Store, write_text
+from benchmarks.studies.base import Part, Study, Tick, count
+from benchmarks.studies.codesign_report import (
+    ALL,
+    BASE,
+    MOST,
+    OF_ONE,
+    POLICIES,
+    POPULATION,
+    STUDIES,
+    UNBUILT,
+    SearchResult,
+    fronts,
+    to_markdown,
+)
+from benchmarks.studies.insertion import Insertion
+from coop_env.design import DesignProblem, measure, workspace_area
+from coop_env.errors import ResetOptionError
+from coop_env.geometry import GEOMETRIES, OPTIMIZED, GeometryError, RRSGeometry
+from coop_env.team.joint_env import CoopInsertionJointEnv
+
+Values = dict[str, float]
+EPISODES: Final = 100  # of a test, for each seed
+#: digits that designs are made with
+DIGITS: Final = {"lambda1": 4, "lambda2": 4, "distal_length": 5, "home_heave": 5}
+BOUNDS: Final[dict[str, tuple[float, float]]] = {
+    "lambda1": (0.8, 2.0),
+    "lambda2": (0.6, 2.8),
+    **{
+        name: (round(low * getattr(OPTIMIZED, name), 5), round(1.35 * getattr(OPTIMIZED, name), 5))
+        for name, low in (("distal_length", 0.75), ("home_heave", 0.65))
+    },
+}
+
+
+class Unbuilt(Exception):
+    """A design without a score, by one of the reasons of :data:`UNBUILT`."""
+
+
+def parameters(geometry: RRSGeometry) -> Values:
+    """What the studies vary, of a geometry."""
+    lambda1, lambda2, _ = geometry.lambdas
+    heights = {name: getattr(geometry, name) for name in STUDIES["heights"]}
+    return {"lambda1": lambda1, "lambda2": lambda2, **heights}
+
+
+def rounded(values: Mapping[str, float]) -> Values:
+    """The values as they are stored, and built."""
+    return {name: round(float(value), DIGITS[name]) for name, value in values.items()}
+
+
+def geometry_of(values: Mapping[str, float]) -> RRSGeometry:
+    """The optimized machine with some parameters changed; the range of heave moves with home.
+
+    Raises:
+        GeometryError: there is no such machine.
+    """
+    of = parameters(OPTIMIZED) | dict(values)
+    rise = of["home_heave"] - OPTIMIZED.home_heave
+    return RRSGeometry.from_lambdas(
+        **of,
+        eta=OPTIMIZED.characteristic_length,
+        heave_min=OPTIMIZED.heave_min + rise,
+        heave_max=OPTIMIZED.heave_max + rise,
+        **{name: getattr(OPTIMIZED, name) for name in ("joint_min", "joint_max", "max_tilt")},
+    )
+
+
+def of_row(row: Mapping[Any, Any]) -> RRSGeometry:
+    """The geometry of a row of designs.csv."""
+    if row["design"] in GEOMETRIES:
+        return GEOMETRIES[row["design"]]
+    return geometry_of({name: row[name] for name in STUDIES[row["study"]]})
+
+
+def area_best(study: str) -> Values:
+    """The values with the largest workspace at home, by differential evolution."""
+    names = STUDIES[study]
+
+    def lost(x: np.ndarray, /) -> float:
+        try:
+            return -area(geometry_of(dict(zip(names, x, strict=True))))
+        except GeometryError:
+            return 0.0
+
+    low, high = np.array([BOUNDS[name] for name in names]).T
+    result = differential_evolution(
+        lost, Bounds(low, high), rng=np.random.default_rng(0), popsize=20, tol=1e-4, polish=False
+    )
+    return rounded(dict(zip(names, map(float, result.x), strict=True)))
+
+
+def _problem(geometry: RRSGeometry) -> DesignProblem:
+    alike = ("distal_length", "joint_min", "joint_max")
+    return DesignProblem(
+        eta=geometry.characteristic_length,
+        heaves=(geometry.home_heave,),
+        **{name: getattr(geometry, name) for name in alike},
+    )
+
+
+def area(geometry: RRSGeometry) -> float:
+    """The paper's objective A_w at the geometry's own home, rad^2."""
+    return workspace_area(geometry, _problem(geometry))
+
+
+def starts_of(geometry: RRSGeometry, seeds: Iterable[int]) -> Iterator[CoopInsertionJointEnv]:
+    """The team's task on a geometry, at the start of each seed's episode.
+
+    Raises:
+        Unbuilt: it has no home pose, or no start state.
+    """
+    try:
+        env = CoopInsertionJointEnv(geometry=geometry, reward="progress")
+    except GeometryError as error:
+        raise Unbuilt("home") from error
+    for seed in seeds:
+        try:
+            env.reset(seed=seed)
+        except ResetOptionError as error:
+            raise Unbuilt("starts") from error
+        yield env
+
+
+def build(values: Mapping[str, float]) -> RRSGeometry:
+    """The geometry of a design that can do the task.
+
+    Raises:
+        Unbuilt: there is none.
+    """
+    try:
+        geometry = geometry_of(values)
+    except GeometryError as error:
+        raise Unbuilt("lengths") from error
+    next(starts_of(geometry, [0]))
+    return geometry
+
+
+class Reach(NamedTuple):
+    """What the exact optimum achieves from so many starts.
+
+    Success in %, mean ticks of those that succeed, and of all, one without a solution counting a
+    whole episode; and how many the search left undecided, which count as not solved.
+    """
+
+    success: float
+    ticks: float
+    ticks_all: float
+    undecided: int
+
+
+def optimum(geometry: RRSGeometry, seed: int, starts: int, stream: str = "validate") -> Reach:
+    """Both robots moving at once, from the fixed starts of a stream's seed.
+
+    A start is drawn, by its fixed seed, among the poses that this geometry can take.
+
+    Raises:
+        Unbuilt: a start found no pose.
+    """
+    oracle = LatticeOracle(at_once=True)
+    lengths, undecided = [], 0
+    for env in starts_of(geometry, episode_seeds(seed, starts, stream)):
+        plan = oracle.plan(env)
+        lengths.append(math.nan if plan.moves is None else float(len(plan.moves)))
+        undecided += plan.status == "node_limit"
+    return Reach(*summary(lengths), undecided)
+
+
+def summary(lengths: Sequence[float]) -> tuple[float, float, float]:
+    """Success in %, mean ticks of those that succeed, and of all, NaN counting a whole episode."""
+    ticks = np.asarray(lengths, dtype=float)
+    solved = np.isfinite(ticks)
+    mean = float(ticks[solved].mean()) if solved.any() else math.nan
+    return 100.0 * float(solved.mean()), mean, float(np.where(solved, ticks, MOST).mean())
+
+
+def score(name: str, study: str, geometry: RRSGeometry, starts: int) -> dict[str, Any]:
+    """A design's row of designs.csv."""
+    reach = optimum(geometry, 0, starts)
+    values = rounded(parameters(geometry))
+    return {"design": name, "study": study, **values, "a_w": area(geometry), **reach._asdict()}
+
+
+def search(
+    folder: Path, study: str, floor: float, designs: int, starts: int, tick: Tick
+) -> tuple[list[dict[str, Any]], dict[str, int]]:
+    """NSGA-II until so many designs have a score: their rows, and how many had none, by reason.
+
+    The journal is on disk: a call that was killed goes on as if it had not been. The sampler holds
+    a design below ``floor``, %, for worse than any above it: one that only reaches the nearest
+    targets looks quick.
+    """
+    import optuna
+    from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
+    from optuna.trial import TrialState
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    path = str(folder / "journal.log")
+    backend = JournalFileBackend(path, lock_obj=JournalFileOpenLock(path))
+    run = optuna.create_study(
+        storage=optuna.storages.JournalStorage(backend),
+        study_name=study,
+        directions=["maximize", "minimize"],
+        load_if_exists=True,
+    )
+    space: Any = {n: optuna.distributions.FloatDistribution(*BOUNDS[n]) for n in STUDIES[study]}
+    for left in run.get_trials(states=(TrialState.RUNNING,)):
+        run.tell(left.number, state=TrialState.FAIL)
+        run.enqueue_trial(left.params)  # takes the place of the one that was cut off
+    while True:
+        rows = [t.user_attrs["row"] for t in run.get_trials(states=(TrialState.COMPLETE,))]
+        reasons = Counter(run.user_attrs.values())
+        skipped = {reason: reasons[reason] for reason in UNBUILT}
+        if len(rows) >= designs:
+            return rows, skipped
+        tick(len(rows) / designs)
+        number = len(rows) + sum(skipped.values())
+        # of its own for each: what is proposed depends on the designs before it alone
+        run.sampler = optuna.samplers.NSGAIISampler(population_size=POPULATION, seed=number)
+        trial = run.ask(space)
+        try:
+            row = score(f"{study}-{number}", study, build(rounded(trial.params)), starts)
+        except Unbuilt as error:
+            run.set_user_attr(str(trial.number), str(error))
+            run.tell(trial, state=TrialState.FAIL)
+            continue
+        trial.set_user_attr("row", row)
+        trial.set_constraint("floor", floor - row["success"])
+        run.tell(trial, (row["success"], row["ticks"] if row["success"] > 0.0 else float(MOST)))
+
+
+class Codesign(Study):
+    """Designs by the optimum, and policies on the chosen ones."""
+
+    name = "codesign"
+    needs = ("optuna", "tune")
+    options = {  # noqa: RUF012
+        "--designs": count(300, "designs scored per study", 2),
+        "--starts": count(200, "validation starts per design", 2),
+        "--seeds": count(5, "trainings per chosen design", 2),
+        "--policy-steps": count(None, "steps of each"),
+        "--jobs": count(None, "processes"),
+    }
+
+    def __init__(self, given: argparse.Namespace) -> None:
+        super().__init__(given)
+        self.run_folder = RunFolder(self.folder)
+        names = ("designs", "starts", "seeds", "policy_steps")
+        self.asked: dict[str, Any] = {name: getattr(given, name) for name in names}
+        self.run_folder.begin({"geometry": BASE, "bounds": [], **self.asked})
+        self.rows: list[dict[str, Any]] = []
+        self.studies: dict[str, Any] = {}
+        self.began = time.process_time()
+
+    def parts(self) -> dict[str, Part]:
+        if (self.folder / "codesign.json").is_file():
+            return {}
+        searches = {study: partial(self._search, study) for study in STUDIES}
+        return {"named designs": self._score_named, **searches}
+
+    def _score_named(self, tick: Tick) -> None:
+        starts = self.asked["starts"]
+        for name, geometry in GEOMETRIES.items():
+            self.rows.append(score(name, ALL if name == BASE else "lambdas", geometry, starts))
+        self.floor = min(row["success"] for row in self.rows)
+        for study in STUDIES:
+            best = geometry_of(area_best(study))
+            self.rows.append(score(f"{study}-area", study, best, starts))
+
+    def _search(self, study: str, tick: Tick) -> None:
+        size = (self.asked["designs"], self.asked["starts"])
+        rows, skipped = search(self.folder, study, self.floor, *size, tick)
+        self.rows += rows
+        bounds = {name: BOUNDS[name] for name in STUDIES[study]}
+        self.studies[study] = {"skipped": skipped, "bounds": bounds}
+
+    def finish(self) -> None:
+        if self.rows:
+            self.run_folder.write_rows("designs", self.rows)
+            record = {
+                **{"command": self.given.command, "machine": describe()},
+                "cpu_seconds": time.process_time() - self.began,
+                **{"floor": self.floor, "most": MOST, "base": BASE, "studies": self.studies},
+            }
+            write_text(self.folder / "codesign.json", json.dumps(record, indent=1) + "\n")
+        with self.run_folder.lock():
+            result = SearchResult(self.folder)
+            self._test(result)
+            self._train(self._write_preset(result))
+        with style():
+            for kind in ("png", "pdf"):
+                figure = fronts(SearchResult(self.folder))
+                save(figure, self.folder / "figures" / f"fronts.{kind}")
+
+    def _test(self, result: SearchResult) -> None:
+        """The optimum of the chosen designs on their test starts, unless it is there."""
+        if self.run_folder.has_rows("chosen"):
+            return
+        rows = []
+        for design, why in result.choose().items():
+            geometry = of_row(result.row(design))
+            # NaN where the cone is out of reach
+            margin = measure(geometry, _problem(geometry)).sigma_cone
+            row = {"design": design, "chosen": why, "sigma_cone": margin}
+            for seed in range(self.asked["seeds"]):
+                reach = optimum(geometry, seed, EPISODES, "test")
+                rows.append({**row, "seed": seed, **reach._asdict()})
+        self.run_folder.write_rows("chosen", rows)
+
+    def _write_preset(self, result: SearchResult) -> Path:
+        """The preset that trains a policy on each of the chosen designs."""
+        steps, chosen = self.asked["policy_steps"], list(result.choose())
+        own = {design: of_row(result.row(design)) for design in chosen if design not in GEOMETRIES}
+        preset = {
+            "description": "A policy on each of the designs that the co-design chose",
+            "seeds": list(range(self.asked["seeds"])),
+            "evaluation": {"episodes": EPISODES, "noise": [0.0], "stream": "test"},
+            "tracks": {OF_ONE: {"timesteps": steps} if steps else None},
+            "geometries": {design: geometry.as_dict() for design, geometry in own.items()},
+            "runs": [{"methods": ["rainbow"], "geometries": chosen, "tracks": [OF_ONE]}],
+        }
+        path = self.folder / f"{POLICIES}.yaml"
+        write_text(path, yaml.safe_dump(preset, sort_keys=False))
+        return path
+
+    def _train(self, preset: Path) -> None:
+        """Run the cells of the preset that are missing.
+
+        Raises:
+            BenchmarkError: some failed.
+            KeyboardInterrupt: it was interrupted; what was done is kept.
+        """
+        experiment, console = Insertion(str(preset)), Console(soft_wrap=True)
+        store = experiment.open_store(self.folder, create=True)
+        with store.lock():
+            outcome = Harness(experiment, store, LocalBackend(self.given.jobs), console).run()
+            if outcome.interrupted:
+                raise KeyboardInterrupt
+            if outcome.close(store, console, lambda: None):
+                raise BenchmarkError(f"{store.folder}: runs failed; the same command tries again")
+
+    @classmethod
+    def files(cls, results: Path) -> dict[Path, str]:
+        folder = results / "codesign"
+        if not (folder / "chosen.csv").is_file():
+            return {}
+        return {folder / "codesign.md": to_markdown(SearchResult(folder)) + "\n"}
+
+    @classmethod
+    def problems(cls, results: Path) -> list[str]:
+        from benchmarks.reporting.verify import check_runs
+
+        return super().problems(results) + check_runs(Store(results / "codesign", POLICIES))

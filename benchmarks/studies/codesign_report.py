@@ -1,0 +1,291 @@
+"""What the co-design stored and which designs it chooses by that: tables, sentences, figure."""
+
+from __future__ import annotations
+
+import json
+import math
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+from scipy.stats import rankdata, spearmanr
+
+from benchmarks.protocol.metrics import METRICS, SUCCESS
+from benchmarks.reporting.figures.style import PALETTE, canvas, legend_below
+from benchmarks.reporting.results import Group, Results
+from benchmarks.reporting.stats import Value, measured
+from benchmarks.reporting.tables.table import Number, Table, TableCell
+from benchmarks.runs.store import RunFolder, Store
+from coop_env.simulation.insertion_task import PAPER_TASK
+
+#: the studies and what each varies
+STUDIES: Final = {
+    "lambdas": ("lambda1", "lambda2"),
+    "heights": ("distal_length", "home_heave"),
+}
+SYMBOLS: Final = {"lambdas": "(λ1, λ2)", "heights": "(L2, home)"}
+POPULATION: Final = 50  # of the sampler; the first is drawn at random
+BASE: Final = "optimized"  # which all studies begin from
+ALL: Final = "all"  # its study
+OF_ONE: Final = "central"  # the track of the policies on chosen designs: both robots at once
+MOST: Final = 300  # ticks of an episode, the task's default
+POLICIES: Final = "policies"
+UNBUILT: Final = {
+    "lengths": "break the paper's constraints on the lengths",
+    "home": "cannot take their home pose within the joint limits",
+    "starts": "have too little workspace for a start state",
+}
+#: least rank correlations for which the area counts as a good proxy, and as one at all
+GOOD, FAIR = 0.8, 0.3
+FEW: Final = 20  # designs, of which nothing is said
+COLOURS: Final = tuple(PALETTE[k] for k in (1, 2, 3, 4, 6))  # of the chosen designs
+BELOW: Final = 3.0  # shown below the floor, %
+
+
+class SearchResult:
+    """The files of a co-design: ``asked``, ``summary`` (codesign.json), ``designs`` by name."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, own = folder, RunFolder(folder)
+        self.asked = own.config()
+        self.summary: dict[str, Any] = json.loads((folder / "codesign.json").read_text("utf-8"))
+        self.designs = own.rows("designs").set_index("design")
+
+    @cached_property
+    def chosen(self) -> pd.DataFrame:
+        """The optimum on test starts, a row for each chosen design and seed."""
+        return RunFolder(self.folder).rows("chosen").fillna({"chosen": ""})
+
+    def row(self, design: str) -> dict[Any, Any]:
+        """The row of a design."""
+        return {"design": design, **self.designs.loc[design].to_dict()}
+
+    def of_study(self, study: str) -> pd.DataFrame:
+        """The designs of a study, and the one that it begins from."""
+        return self.designs[self.designs["study"].isin([study, ALL])]
+
+    def front(self, study: str) -> pd.DataFrame:
+        """The designs of a study that no other beats, the quickest first."""
+        rows = self.of_study(study)
+        return rows[on_front(rows, self.summary["floor"])].sort_values("ticks")
+
+    def choose(self) -> dict[str, str]:
+        """The designs to be tested, and why: ``study: reason, reason; study: reason``."""
+        named = self.designs.index[~self.designs.index.str.contains("-")]
+        chosen: dict[str, list[str]] = {str(name): [] for name in named}
+        success = float(self.designs.loc[BASE, "success"])  # type: ignore[arg-type]
+        for study in STUDIES:
+            rows, reasons = self.of_study(study), dict[str, list[str]]()
+            picks = {
+                "largest A_w": f"{study}-area",
+                "quickest": quickest(rows, success),
+                "surest": surest(rows),
+            }
+            for why, design in picks.items():
+                reasons.setdefault(design, []).append(why)
+            for design, whys in reasons.items():
+                chosen.setdefault(design, []).append(f"{study}: {', '.join(whys)}")
+        return {design: "; ".join(why) for design, why in chosen.items()}
+
+    @cached_property
+    def _policies(self) -> Results:
+        return Results(Store(self.folder, POLICIES))
+
+    def policies(self, design: str) -> Group:
+        """The policies that were trained on a design."""
+        return self._policies.group("rainbow", OF_ONE, design)
+
+
+def on_front(rows: pd.DataFrame, floor: float) -> np.ndarray:
+    """Which rows no other beats in success and ticks alike, among those at the floor or above."""
+    success, ticks = rows["success"].to_numpy(), rows["ticks"].to_numpy()
+    at_least = (success[:, None] >= success) & (ticks[:, None] <= ticks)
+    better = at_least & ((success[:, None] > success) | (ticks[:, None] < ticks))
+    return np.asarray((success >= floor) & ~better.any(axis=0))
+
+
+def quickest(rows: pd.DataFrame, success: float) -> str:
+    """Name of the design with the fewest ticks among those that succeed at least so often."""
+    sure = rows[rows["success"] >= success]
+    return str(sure.sort_values(["ticks", "success"], ascending=[True, False]).index[0])
+
+
+def surest(rows: pd.DataFrame) -> str:
+    """Name of the design that succeeds most often, of equals the one with the fewest ticks."""
+    return str(rows.sort_values(["success", "ticks"], ascending=[False, True]).index[0])
+
+
+def rank_correlation(x: ArrayLike, y: ArrayLike, repetitions: int = 2_000) -> Value:
+    """Spearman's rank correlation over pairs, with a 95 % interval by resampling the pairs.
+
+    NaN where there are fewer than three pairs, or one side is constant.
+    """
+    pairs = np.stack([np.asarray(x, float), np.asarray(y, float)])
+    pairs = pairs[:, np.isfinite(pairs).all(axis=0)]
+    n = pairs.shape[1]
+    if n < 3 or (np.ptp(pairs, axis=1) == 0.0).any():
+        return Value(math.nan, n=0)
+    drawn = np.random.default_rng(0).integers(n, size=(repetitions, n))
+    ranks = rankdata(pairs[:, drawn], axis=-1)
+    ranks -= ranks.mean(axis=-1, keepdims=True)
+    size = np.sqrt((ranks**2).sum(axis=-1).prod(axis=0))
+    values = ranks.prod(axis=0).sum(axis=-1)[size > 0.0] / size[size > 0.0]
+    low, high = np.quantile(values, [0.025, 0.975])
+    return Value(float(spearmanr(*pairs).statistic), n=n, low=float(low), high=float(high))
+
+
+def to_markdown(result: SearchResult) -> str:
+    """All of it as Markdown."""
+    summary, machine = result.summary, result.summary["machine"]
+    runs = Store(result.folder, POLICIES).completed()
+    spent = summary["cpu_seconds"] + sum(float(run.meta()["cpu_seconds"]) for run in runs)
+    parts = [table(result).markdown().strip() for table in (_searched, _proxies, _designs)]
+    parts += [sentence(result, study) for study in STUDIES]
+    parts += [
+        f"Command: `{summary['command']}`. {result.asked['starts']} validation starts for each "
+        f"design, the same seeds for all; {spent / 60.0:.0f} core-minutes in all on "
+        f"{machine['machine']['processor']}, begun at commit {machine['commit'][:9]}.",
+        "![Fronts, chosen designs, and success by area](../results/codesign/figures/fronts.png)",
+    ]
+    return "\n\n".join(parts)
+
+
+def _searched(result: SearchResult) -> Table:
+    rows: list[list[TableCell]] = []
+    for study, of in result.summary["studies"].items():
+        bounds = (f"{name} {low:g} to {high:g}" for name, (low, high) in of["bounds"].items())
+        scored = int((result.designs["study"] == study).sum())
+        counts = (scored, *(of["skipped"][r] for r in UNBUILT), len(result.front(study)))
+        rows.append([SYMBOLS[study], ", ".join(bounds), *map(str, counts)])
+    skipped = f"Skipped designs have no score: they {', or '.join(UNBUILT.values())}."
+    front = (
+        "Front: success against mean ticks over the starts that were solved, of designs that "
+        f"solve at least {result.summary['floor']:.1f} %, the least of the designs that were "
+        "there before; one that solves few reaches the nearest targets alone, and looks quick."
+    )
+    title = "Designs by the exact optimum, both robots moving at once"
+    head = "Study | Bounds (m) | Scored | Skipped: lengths | home | starts | On the front"
+    return Table("search", title, head.split(" | "), rows, [skipped, front], left=(0, 1))
+
+
+def _proxies(result: SearchResult) -> Table:
+    rows: list[list[TableCell]] = []
+    for study in STUDIES:
+        mine = result.of_study(study)
+        numbers = mine.index.str.extract(r"-(\d+)$")[0].astype(float)
+        first = np.isin(numbers, sorted(numbers.dropna())[:POPULATION])
+        good = mine[mine["success"] >= result.summary["floor"]]
+        for name, part in (("all", mine), ("drawn at random", mine[first]), ("on or above", good)):
+            values = [rank_correlation(part["a_w"], part[to]) for to in ("success", "ticks_all")]
+            texts = [f"{v.mean:.2f} {v.interval_text(2)}" if v.n else "-" for v in values]
+            rows.append([SYMBOLS[study], name, str(len(part)), *texts])
+    notes = [
+        "Success and ticks are the optimum's; ticks over all starts, one that was not solved "
+        f"counting all {result.summary['most']}.",
+        f"Spearman's; 95 % intervals by resampling designs. Drawn at random: the first "
+        f"{POPULATION} of the sampler. On or above: the least success of the front.",
+    ]
+    head = ["Study", "Designs", "n", "A_w, success", "A_w, ticks"]
+    return Table("proxy", "Rank correlations over designs", head, rows, notes, left=(0, 1))
+
+
+def _designs(result: SearchResult) -> Table:
+    rows: list[list[TableCell]] = []
+    seconds = PAPER_TASK.dt
+    for design, tests in result.chosen.groupby("design", sort=False):
+        of, group = result.designs.loc[design], result.policies(str(design))
+        margin, why = tests[["sigma_cone", "chosen"]].iloc[0]
+        for study, symbols in SYMBOLS.items():
+            why = why.replace(f"{study}:", symbols)
+        named = [] if "-" in str(design) else [str(design)]
+        rows.append(
+            [
+                "; ".join(filter(None, [*named, why])),
+                *(f"{of[name]:.3f}" for name in STUDIES["lambdas"]),
+                *(f"{1e3 * of[name]:.1f}" for name in STUDIES["heights"]),
+                f"{of['a_w']:.3f}",
+                "-" if math.isnan(margin) else f"{margin:.3f}",
+                Number(over(tests["success"])),
+                Number(over(seconds * tests["ticks"]), 2),
+                Number(over(seconds * tests["ticks_all"]), 2),
+                Number(group.value(SUCCESS)),
+                Number(group.value(METRICS["time_first"]), 2),
+            ]
+        )
+    notes = [
+        f"Mean ± std over seeds, of {result.asked['seeds']} times 100 test starts, which no "
+        "design was chosen by. Time to the first insertion where there is one; all: an "
+        f"episode without one counting {seconds * result.summary['most']:.0f} s.",
+        "Largest A_w: by differential evolution. Quickest: the fewest ticks of the designs "
+        "that succeed at least as often as the one that the study begins from; surest: the "
+        "most often; both by the optimum on validation starts.",
+        "A_w and sigma_min at the design's own home. Optimum and policies move both robots "
+        "at once.",
+    ]
+    head = (
+        "Design | λ1 | λ2 | L2 (mm) | Home (mm) | A_w (rad²) | Least sigma_min in 28° | "
+        "Optimum: success (%) | time (s) | time, all (s) | Policy: success (%) | Policy: time (s)"
+    )
+    return Table("designs", "The designs on test starts", head.split(" | "), rows, notes)
+
+
+def over(values: pd.Series[float]) -> Value:
+    """A number of each seed as their mean, with its interval."""
+    return measured(values.tolist(), lambda: (math.nan, math.nan))
+
+
+def sentence(result: SearchResult, study: str) -> str:
+    """Whether the area was a good proxy for success, by the rank correlation's interval."""
+    mine = result.of_study(study)
+    value = rank_correlation(mine["a_w"], mine["success"])
+    if value.n < FEW:
+        return f"{SYMBOLS[study]}: too few designs to say whether the area is a good proxy."
+    verdict = "at best a rough proxy"
+    if value.low >= FAIR:
+        verdict = "a good proxy" if value.low >= GOOD else "a rough proxy"
+    elif value.high < FAIR:
+        verdict = "no proxy"
+    return f"{SYMBOLS[study]}: the area is {verdict} for the optimum's success."
+
+
+def fronts(result: SearchResult) -> Figure:
+    """Of each study success and ticks of its designs, and success over the area."""
+    figure, panels = canvas(len(STUDIES), 2, (7.2, 6.6))
+    for row, study in enumerate(STUDIES):
+        of_ticks, of_area = panels[2 * row : 2 * row + 2]
+        rows, front = result.of_study(study), result.front(study)
+        for axes, x in ((of_ticks, rows["ticks"]), (of_area, rows["a_w"])):
+            axes.plot(x, rows["success"], ".", color="0.75", ms=3, label="validation starts")
+        of_ticks.step(front["ticks"], front["success"], ".-", where="post", label="their front")
+        least, shown = float(result.summary["floor"]), list(front["ticks"])
+        mine = [d for d in result.chosen["design"].unique() if "-" not in d or d in rows.index]
+        for design, colour in zip(mine, COLOURS, strict=False):
+            tests = result.chosen[result.chosen["design"] == design]
+            label = tests["chosen"].iloc[0].partition(": ")[2] if "-" in design else design
+            ticks, success = over(tests["ticks"]), over(tests["success"])
+            look: dict[str, Any] = {"fmt": "o", "color": colour, "capsize": 2}
+            arms, name = (_arms(success), _arms(ticks)), f"{label}, test starts"
+            of_ticks.errorbar(ticks.mean, success.mean, *arms, mfc="white", label=name, **look)
+            shown.append(ticks.mean)
+            least = min(least, success.mean)
+            if (value := result.policies(design).value(SUCCESS)).n:
+                area, name = result.designs.loc[design, "a_w"], "filled: policy of its own"
+                of_area.errorbar(area, value.mean, _arms(value), label=name, **look)
+        shown = [x for x in shown if not math.isnan(x)] or [0.0]
+        of_ticks.set(xlim=(min(shown) - 0.7, max(shown) + 0.7), ylim=(least - BELOW, 100.5))
+        of_ticks.set(xlabel="mean ticks of the starts solved", ylabel="success (%)")
+        of_ticks.set_title(f"{SYMBOLS[study]}: the optimum")
+        of_area.set(xlabel="$A_w$ (rad²)", ylim=(-2, 102))
+        of_area.set_title(f"{SYMBOLS[study]}: success by area")
+    legend_below(figure, panels)
+    return figure
+
+
+def _arms(value: Value) -> list[list[float]] | None:
+    if math.isnan(value.low):
+        return None
+    return [[max(0.0, value.mean - value.low)], [max(0.0, value.high - value.mean)]]

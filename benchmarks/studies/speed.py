@@ -1,0 +1,394 @@
+"""How fast the environment is, and how fast Rainbow is.
+
+`speed-env`: single and batched steps with their action masks, and the exact optimum. Actions are
+random and drawn beforehand.
+
+`speed-rainbow`: beside DQN of SB3 and of SBX, and sb3-contrib's QR-DQN. "Rainbow" is the default
+(compiled kernels for a perceptron on the CPU), beside what torch makes of the same update. Three
+nets, 51 atoms, 12 observations, 12 actions, batch 64, a full replay buffer of 1e6, one update per
+step of an env that costs next to nothing. SBX's DQN, which computes with JAX, takes part where
+``sbx-rl`` is installed; the package does not ask for it. On images: random frames, 4 x 84 x 84,
+batch 32.
+
+One core, in turns, so that whatever else the machine does falls on all alike; a figure is the CPU
+time of the process in the median round.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import statistics
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from typing import Any, Final
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.reporting.tables.table import plain
+from benchmarks.studies.base import Measured, Part, Tick, count, source
+from benchmarks.studies.timing import (
+    Seconds,
+    batch_stepping,
+    in_turns,
+    options,
+    resident_mb,
+    seconds_of,
+    stepping,
+)
+from coop_env.env import CoopInsertionEnv
+from coop_env.team.joint_env import CoopInsertionJointEnv
+from coop_env.vector.vec_env import CoopInsertionVecEnv
+
+SINGLE: Final = "single, gymnasium.make, Python loop"
+# rows of the optimum: geometry, and whether both robots move at once
+OPTIMA: Final = {
+    **{name: (name, False) for name in ("optimized", "initial")},
+    **{f"{name}, both at once": (name, True) for name in ("optimized", "initial")},
+}
+N_INPUTS: Final = 12
+N_ACTIONS: Final = 12
+BATCH_SIZE: Final = 64
+CAPACITY: Final = 1_000_000
+EPISODE: Final = 100
+REWARD: Final = 0.1
+BASELINE: Final = "SB3 DQN"
+JAX: Final = "SBX DQN"
+#: parts that measure updates, and their hidden layers; the first has the paper's
+NETS: Final = {"updates": [256, 128, 64], "updates_64": [64, 64], "updates_256": [256, 256]}
+IMAGES: Final = (4, 84, 84)
+# least ratio of the first to the baseline that the project asks for
+TARGETS: Final = {"Rainbow": 1.5, "Rainbow, torch eager": 0.75}
+IMAGE_TARGET: Final = 0.9
+# what so many updates take, with the steps of the env between them ("learn") or alone ("train")
+Contestant = Callable[[str, int], Seconds]
+
+
+def measure_steps(steps: int, rounds: int) -> dict[str, float]:
+    """Microseconds a step, median over rounds in turns."""
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    def actions(*of: int) -> NDArray[np.int64]:
+        size = (max(1, steps // of[0]), *of) if of else steps
+        return np.random.default_rng(0).integers(N_ACTIONS, size=size)
+
+    dummies = DummyVecEnv([CoopInsertionEnv] * 64)
+    loops = {
+        SINGLE: stepping(gym.make("CoopInsertion-v0"), actions(), masks=True),
+        "single, without Gymnasium's wrappers": stepping(CoopInsertionEnv(), actions(), masks=True),
+        "SB3 DummyVecEnv of 64": batch_stepping(dummies, actions(64), masks=True),
+    }
+    for n in (1, 8, 64, 256):
+        batch = CoopInsertionVecEnv(n, seed=0)
+        loops[f"batch of {n}"] = batch_stepping(batch, actions(n), masks=True)
+    return in_turns(loops, rounds, unit=1e-6 * steps)
+
+
+def measure_oracle(starts: int, geometry: str, at_once: bool) -> dict[str, float]:
+    """CPU seconds, feasible share and mean length of the exact optimum over the first seeds."""
+    kind = CoopInsertionJointEnv if at_once else CoopInsertionEnv
+    env, oracle = kind(geometry=geometry), LatticeOracle(at_once=at_once)
+    plans = []
+
+    def plan() -> None:
+        for seed in range(starts):
+            env.reset(seed=seed)
+            plans.append(oracle.plan(env))
+
+    env.reset(seed=0)
+    oracle.plan(env)  # its kernels compile
+    seconds = seconds_of(plan).cpu
+    result = [(len(p.moves), p.detail["bound"]) for p in plans if p.moves is not None]
+    moves, bound = np.mean(result, axis=0)
+    return {
+        "seconds": seconds,
+        "feasible": len(result) / starts,
+        "mean_moves": float(moves),
+        "mean_detour": float(moves - bound),
+    }
+
+
+class SpeedEnv(Measured):
+    """Steps with their masks, and the exact optimum."""
+
+    name, file = "speed-env", "speed/env.json"
+    options = {  # noqa: RUF012
+        **options(steps=12_800, rounds=9),
+        "--starts": count(500, "starts of the exact optimum"),
+    }
+
+    def measures(self) -> dict[str, Part]:
+        given = self.given
+        return {
+            "steps": lambda _: measure_steps(given.steps, given.rounds),
+            **{
+                f"optimum, {name}": lambda _, what=what: measure_oracle(given.starts, *what)  # type: ignore[misc]
+                for name, what in OPTIMA.items()
+            },
+        }
+
+    @staticmethod
+    def to_markdown(result: dict[str, Any]) -> str:
+        asked, us = result["asked"], result["parts"]["steps"]
+        steps = [[k, f"{v:.2f}", f"{1e6 / v:,.0f}", f"{us[SINGLE] / v:.2f}"] for k, v in us.items()]
+        optimum = []
+        for name in OPTIMA:
+            if (row := result["parts"].get(f"optimum, {name}")) is None:
+                continue  # measured before there was this one
+            moves = [f"{row['mean_moves']:.1f}", f"{row['mean_detour']:.3f}"]
+            feasible = f"{100 * row['feasible']:.1f} %"
+            optimum.append([name, feasible, *moves, f"{row['seconds']:.1f}"])
+        tables = [
+            plain(
+                "A step with its action masks, CPU time",
+                "method | us a step | steps/s | ratio to the single loop",
+                steps,
+            ),
+            plain(
+                f"Exact optimum over {asked['starts']} starts",
+                "geometry | feasible | mean moves or ticks | of these to avoid collisions | CPU s",
+                optimum,
+            ),
+        ]
+        return "\n\n".join([*tables, _source(result)])
+
+
+def _source(result: dict[str, Any]) -> str:
+    asked = result["asked"]
+    return source(result, f"; medians over {asked['rounds']} rounds of {asked['steps']} steps")
+
+
+class StubEnv(gym.Env[NDArray[Any], np.int64]):
+    """A hundred random observations, episodes of as many steps: only the learner's time counts."""
+
+    def __init__(self, shape: tuple[int, ...] = (N_INPUTS,)) -> None:
+        rng, shown = np.random.default_rng(0), (EPISODE, *shape)
+        if len(shape) > 1:
+            self.observation_space: spaces.Box = spaces.Box(0, 255, shape, np.uint8)
+            self._seen = rng.integers(0, 256, shown, np.uint8)
+        else:
+            self.observation_space = spaces.Box(0.0, 1.0, shape, np.float32)
+            self._seen = rng.random(shown, dtype=np.float32)
+        self.action_space = spaces.Discrete(N_ACTIONS)
+        self._time = 0
+
+    def reset(self, **_: Any) -> tuple[NDArray[Any], dict[str, Any]]:
+        """The first observation."""
+        self._time = 0
+        return self._seen[0], {}
+
+    def step(self, action: np.int64) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
+        """The next observation, the same reward always."""
+        self._time += 1
+        return self._seen[self._time % EPISODE], REWARD, False, self._time >= EPISODE, {}
+
+
+def fill(buffer: Any) -> None:
+    """Make a replay buffer full, without a million calls of ``add``."""
+    capacity, rng = buffer.observations.shape[0], np.random.default_rng(0)
+    for name in ("observations", "next_observations"):
+        if hasattr(buffer, name):
+            getattr(buffer, name)[:, 0] = rng.random((capacity, N_INPUTS), dtype=np.float32)
+    buffer.actions[:, 0, 0] = rng.integers(0, N_ACTIONS, capacity)
+    buffer.rewards[:] = REWARD
+    buffer.full = True
+    if hasattr(buffer, "tree"):
+        buffer.tree.set(np.arange(capacity), rng.uniform(0.5, 2.0, capacity))
+
+
+def sbx_dqn() -> Any | None:
+    """SBX's DQN, on one thread, or None where it is not installed."""
+    os.environ.setdefault(
+        "XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+    )
+    try:
+        return importlib.import_module("sbx").DQN
+    except ImportError:
+        return None
+
+
+def make_models(net_arch: Sequence[int] | None, capacity: int = CAPACITY) -> dict[str, Any]:
+    """The methods by name, trained for a moment, so that kernels are compiled, buffers full.
+
+    Without layers they learn from images: all have DQN's own convolutions, and buffers of 2,000
+    frames that are not filled.
+    """
+    from sb3_contrib import QRDQN
+    from stable_baselines3 import DQN
+    from stable_baselines3.common.torch_layers import NatureCNN
+
+    from sb3_rainbow import Rainbow
+
+    images = net_arch is None
+    net: dict[str, Any] = {} if net_arch is None else {"net_arch": list(net_arch)}
+    plain_net, quantiles = net, {**net, "n_quantiles": 51}
+    variants: dict[str, dict[str, Any]] = {
+        "Rainbow": {},
+        "Rainbow, categorical": {"distributional": "categorical"},
+        "Rainbow, torch eager": {"cpu_kernels": False},
+    }
+    if images:
+        plain_net, quantiles = {}, {"n_quantiles": 51}
+        net = {"features_extractor_class": NatureCNN}
+        variants = {"Rainbow": {}, "Rainbow, by default two streams of 512": {"policy_kwargs": {}}}
+    policy, shape = ("CnnPolicy", IMAGES) if images else ("MlpPolicy", (N_INPUTS,))
+    settings: dict[str, Any] = {
+        **{"train_freq": 1, "gradient_steps": 1, "learning_starts": 50, "device": "cpu", "seed": 0},
+        "batch_size": 32 if images else BATCH_SIZE,
+        "buffer_size": 2_000 if images else capacity,
+    }
+
+    def make(kind: Any, **arguments: Any) -> Any:
+        model = kind(policy, StubEnv(shape), **{**settings, **arguments})
+        if not images:
+            fill(model.replay_buffer)
+        return model.learn(150 if images else 100)
+
+    sbx = None if images else sbx_dqn()
+    return {
+        BASELINE: make(DQN, policy_kwargs=plain_net),
+        "sb3-contrib QR-DQN": make(QRDQN, policy_kwargs=quantiles),
+        **({} if sbx is None else {JAX: make(sbx, policy_kwargs=plain_net)}),
+        **{name: make(Rainbow, **{"policy_kwargs": net, **v}) for name, v in variants.items()},
+    }
+
+
+def learner(model: Any, batch_size: int) -> Contestant:
+    """An algorithm of SB3's kind with a full replay buffer; each step of its envs has an update."""
+
+    def act(kind: str, n: int) -> None:
+        if kind == "learn":
+            model.learn(n * model.n_envs, reset_num_timesteps=False)
+        else:
+            for _ in range(n):
+                model.train(1, batch_size)
+
+    return lambda kind, n: seconds_of(lambda: act(kind, n))
+
+
+def measure_updates(
+    contestants: Mapping[str, Contestant], n_updates: int, rounds: int
+) -> dict[str, dict[str, float]]:
+    """Updates per second of ``learn``, and of ``train`` alone: medians over rounds in turns."""
+    rates: dict[str, dict[str, list[float]]] = {name: {} for name in contestants}
+    for name in list(contestants) * rounds:
+        for kind in ("learn", "train"):
+            for clock, took in contestants[name](kind, n_updates)._asdict().items():
+                rates[name].setdefault(f"{kind}_{clock}", []).append(n_updates / took)
+    return {
+        name: {kind: statistics.median(values) for kind, values in result.items()}
+        for name, result in rates.items()
+    }
+
+
+def make_buffer(**arguments: Any) -> Any:
+    """Rainbow's replay buffer for 1e6 transitions, empty."""
+    from sb3_rainbow import PrioritizedReplayBuffer
+
+    env = StubEnv()
+    both = env.observation_space, env.action_space
+    return PrioritizedReplayBuffer(CAPACITY, *both, device="cpu", **arguments)
+
+
+def measure_replay(rounds: int, n_calls: int = 2000) -> dict[str, float]:
+    """Microseconds to draw 64 of 1e6 and set their priorities, alone and with the transitions."""
+    buffer = make_buffer(n_steps=3)
+    fill(buffer)
+    losses = np.random.default_rng(0).uniform(0.5, 2.0, BATCH_SIZE)
+    actions: dict[str, Callable[[], Any]] = {
+        "sample_and_update_us": lambda: buffer.update_priorities(
+            buffer.tree.sample(BATCH_SIZE), losses
+        ),
+        "sample_transitions_us": partial(buffer.sample, BATCH_SIZE),
+    }
+    return in_turns(actions, rounds, n_calls, unit=1e-6)
+
+
+def measure_memory() -> float:
+    """Megabytes that 1e6 transitions with masks occupy in a fresh process."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        return pool.submit(_buffer_mb).result()
+
+
+def _buffer_mb(n_envs: int = 1000) -> float:
+    obs, zeros = np.zeros((n_envs, N_INPUTS), np.float32), np.zeros(n_envs)
+    masks = np.ones((n_envs, N_ACTIONS), bool)
+    row: tuple[Any, ...] = (obs, obs, zeros, zeros, zeros, [{}] * n_envs, masks)
+    make_buffer(n_envs=n_envs).add(*row)  # the kernels' memory is not the buffer's
+    before = resident_mb()
+    buffer = make_buffer(n_envs=n_envs)
+    while not buffer.full:
+        buffer.add(*row)
+    return resident_mb() - before
+
+
+class SpeedRainbow(Measured):
+    """Updates per second, replay, memory."""
+
+    name, file = "speed-rainbow", "speed/rainbow.json"
+    options = options(steps=1000, rounds=5)
+
+    def __init__(self, given: argparse.Namespace) -> None:
+        super().__init__(given)
+        threadpool_limits(1)
+
+    def measures(self) -> Mapping[str, Part]:
+        steps, rounds = self.given.steps, self.given.rounds
+
+        def updates(net: Sequence[int] | None, _: Tick) -> dict[str, Any]:
+            models, size = make_models(net).items(), 32 if net is None else BATCH_SIZE
+            players = {name: learner(model, size) for name, model in models}
+            return measure_updates(players, max(1, steps // 10) if net is None else steps, rounds)
+
+        return {
+            **{part: partial(updates, net) for part, net in NETS.items()},
+            "images": partial(updates, None),
+            "replay": lambda _: measure_replay(rounds),
+            "memory_mb": lambda _: measure_memory(),
+        }
+
+    @staticmethod
+    def to_markdown(result: dict[str, Any]) -> str:
+        parts, replay = result["parts"], result["parts"]["replay"]
+        nets = {part: f" of {net}" for part, net in NETS.items() if part in parts}
+        pairs = [(net, name, BASELINE, goal) for net in nets for name, goal in TARGETS.items()]
+        pairs += [(net, "Rainbow", JAX, TARGETS["Rainbow"]) for net in nets]
+        pairs += [("images", "Rainbow", BASELINE, IMAGE_TARGET)]
+        where = {**nets, "images": " on images"}
+        goals = [
+            [f"{name}{where[part]}", whom, *_ratios(parts[part], name, whom), f"{goal:g}"]
+            for part, name, whom, goal in pairs
+            if {name, whom} <= parts[part].keys()
+        ]
+        head = "method | per CPU second, steps included | ratio | per wall second | update alone"
+        shown = [plain(f"Updates per second{where[k]}", head, _rates(parts[k])) for k in where]
+        shown.append(plain("Ratios", "of | to | per step | update alone | target", goals))
+        if not any(JAX in parts[part] for part in nets):
+            shown.append(f"{JAX} was not measured: `sbx-rl` was not installed.")
+        note = (
+            "Drawing 64 of 1e6 and setting their priorities: "
+            f"{replay['sample_and_update_us']:.1f} us; drawing with the transitions: "
+            f"{replay['sample_transitions_us']:.1f} us. Resident memory of 1e6 transitions "
+            f"with 12-action masks: {parts['memory_mb']:.0f} MB."
+        )
+        return "\n\n".join([*shown, note, _source(result)])
+
+
+def _ratios(rates: dict[str, dict[str, float]], name: str, whom: str) -> list[str]:
+    kinds = ("learn_cpu", "train_cpu")
+    return [f"{rates[name][kind] / rates[whom][kind]:.2f}" for kind in kinds]
+
+
+def _rates(updates: dict[str, dict[str, float]]) -> Iterator[list[str]]:
+    """Rows: method, its rate, the rate over the baseline's, more rates."""
+    for name, rates in updates.items():
+        shown = [f"{rates[kind]:.0f}" for kind in ("learn_cpu", "learn_wall", "train_cpu")]
+        yield [name, shown[0], _ratios(updates, name, BASELINE)[0], *shown[1:]]

@@ -1,1 +1,0 @@
-"""How fast things are: ratios, measured side by side."""

@@ -1,0 +1,44 @@
+"""What tests of studies share: a page that a study fills."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.reporting import blocks
+from benchmarks.studies.base import Study
+
+
+class Site:
+    """A results folder, and beside it a page with one study's block."""
+
+    def __init__(self, root: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+        self.results, self.page, self.capsys = root / "results", root / "docs" / "page.md", capsys
+        self.page.parent.mkdir()
+        text = f"# Page\n\n<!-- {name}:begin -->\n<!-- {name}:end -->\n"
+        self.page.write_text(text, encoding="utf-8")
+
+    def differs(self, study: type[Study]) -> bool:
+        """Whether the page is not what the stored data say."""
+        return any(found for _, found in blocks.check(self.results, study.blocks(self.results)))
+
+    def check(self, study: type[Study], path: str, word: str) -> str:
+        """The text of a file, which was printed and is on the page; a changed word is noticed."""
+        text = (self.results / path).read_text("utf-8")
+        assert text.strip() in self.capsys.readouterr().out
+        page = self.page.read_text("utf-8")
+        assert text.strip() in page
+        assert word in page
+        assert study.problems(self.results) == []
+        assert not self.differs(study)
+        self.page.write_text(page.replace(word, "other"), encoding="utf-8")
+        assert self.differs(study)
+        return text
+
+
+@pytest.fixture
+def site(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Any:
+    """Makes the site of a study, by its name."""
+    return lambda name: Site(tmp_path, name, capsys)
