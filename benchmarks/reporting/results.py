@@ -22,7 +22,7 @@ from benchmarks.protocol.plan import (
     expand,
     own_error,
 )
-from benchmarks.protocol.presets import as_dict, load_preset, preset_names
+from benchmarks.protocol.presets import Preset, as_dict, load, preset_names
 from benchmarks.reporting.stats import Value, mean_interval, measured, over_seeds, wilson
 from benchmarks.reporting.tables.table import Number, TableCell
 from benchmarks.runs.store import RunFolder, Store
@@ -382,9 +382,10 @@ def _planned(store: Store) -> tuple[dict[Key, int], dict[str, dict[str, Any]]]:
 
     Both are empty if the preset is not at hand.
     """
-    if store.folder.name not in preset_names():
+    name = store.folder.name
+    preset = load(name) if name in preset_names() else None
+    if not isinstance(preset, Preset):  # a file of the user's may have a public preset's name
         return {}, {}
-    preset = load_preset(store.folder.name)
     planned: dict[Key, int] = {}
     for cell in expand(preset):
         if cell.method != DESIGN:

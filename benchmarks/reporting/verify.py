@@ -38,11 +38,6 @@ class Report:
         self.problems += problems
 
 
-def store_names(results: Path) -> list[str]:
-    """The stores right below ``results``."""
-    return sorted(path.parent.name for path in results.glob("*/store.json"))
-
-
 def check_tables(folder: Path, tables: Iterable[Table]) -> list[str]:
     """Whether ``folder`` holds these tables in all their forms, and no other."""
     problems = []

@@ -12,7 +12,7 @@ from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.presets import SuitePreset, load, preset_names
 from benchmarks.reporting import blocks, science
 from benchmarks.reporting.blocks import Block
-from benchmarks.reporting.verify import Report, check_tables, store_names
+from benchmarks.reporting.verify import Report, check_tables
 from benchmarks.runs.experiment import Experiment
 from benchmarks.runs.store import Store
 from benchmarks.studies.base import Study
@@ -78,9 +78,13 @@ def experiment(preset: str) -> Experiment[Any]:
 
 def stores(results: Path) -> dict[str, Path]:
     """The presets of this package that have a store, and its folder."""
-    result = {name: results / name for name in store_names(results)}
-    result |= {name: results / "classic" / name for name in store_names(results / "classic")}
-    return {name: path for name, path in result.items() if name in preset_names()}
+    return {
+        name: path
+        for name in preset_names()
+        for path in (results / name, results / "classic" / name)
+        if (path / "store.json").is_file()
+        and isinstance(load(name), SuitePreset) == (path.parent != results)
+    }
 
 
 def all_blocks(results: Path) -> Mapping[str, Block]:

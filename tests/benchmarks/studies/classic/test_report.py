@@ -15,6 +15,7 @@ from benchmarks.protocol.presets import SuitePreset, load_suite
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.stats import Value
 from benchmarks.runs.store import Store
+from benchmarks.studies.catalogue import stores
 from benchmarks.studies.classic.figures import pictures
 from benchmarks.studies.classic.results import SuiteResults, student
 from benchmarks.studies.classic.tables import build_tables, page
@@ -149,3 +150,10 @@ def test_one_task_is_not_compared_with_itself(preset: SuitePreset, store: Store)
             "controls",
             "steps",
         ]
+
+
+def test_a_store_of_the_other_kind_is_not_the_presets(tmp_path: Path) -> None:
+    """A preset file of one's own may have the name of a public preset."""
+    Store.open(tmp_path, "tiny", create=True)
+    Store.open(tmp_path / "classic", "minatar", create=True)
+    assert stores(tmp_path) == {"minatar": tmp_path / "classic" / "minatar"}
