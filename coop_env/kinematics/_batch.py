@@ -70,16 +70,13 @@ def over_rows(*kinds: str) -> Callable[[Callable[..., None]], Callable[..., list
         kernel, dtypes = njit(cache=True)(loop), [np.dtype(kind) for kind in kinds]
 
         def fill(params: Any, *inputs: Floats) -> list[Any]:
-            lead = np.broadcast_shapes(*(array.shape[:-1] for array in inputs))
-            shape = (*lead, 3)
+            shapes = {array.shape for array in inputs}
+            shape = shapes.pop() if len(shapes) == 1 else np.broadcast_shapes(*shapes)
             wide = [a if a.shape == shape else np.broadcast_to(a, shape) for a in inputs]
             columns = [column for a in wide for column in np.array(a.reshape(-1, 3).T, order="C")]
-            outputs = [np.empty(lead, dtype) for dtype in dtypes]
-            rows = [
-                o.reshape(len(columns[0]), *d.shape) for o, d in zip(outputs, dtypes, strict=True)
-            ]
+            rows = [np.empty(len(columns[0]), dtype) for dtype in dtypes]
             kernel(params, *columns, *rows)
-            return [output[()] for output in outputs]
+            return [row.reshape(shape[:-1] + row.shape[1:])[()] for row in rows]
 
         return fill
 

@@ -143,6 +143,8 @@ class PhysicsBatch(ABC):
         self.error, self.friction = np.zeros((n, 4)), np.zeros(n)
         self.peak, self.peak_force = np.zeros(n), np.zeros(n)  # of the last step, of the episode, N
         self.disturbances = [UNDISTURBED] * n
+        self._machine_errors = np.zeros((n, np.hstack(UNDISTURBED).size))
+        self._hole_normals = np.array(machine.task.hole_normals)
         self._late = np.zeros((n, task.substeps, N_AXES))  # joint commands not yet carried out
         self._geared = np.zeros((n, N_AXES))  # joint commands behind the play
         self.insertion = np.zeros((n, 3))
@@ -175,13 +177,11 @@ class PhysicsBatch(ABC):
 
     def privileged(self, rows: slice) -> NDArray[np.float32]:
         """(n, 44): what no controller knows, for a critic; see ``PRIVILEGED``."""
-        now, m = self.twin.readings(), self.machine.task
-        hole_normals = np.array(m.hole_normals)[self.hole[rows]]
-        normals = np.einsum("nij,nj->ni", now.rotation[rows], hole_normals)
-        tips = now.tip[rows] - now.platform[rows] - m.dome_radius * normals
-        errors = [np.hstack(each) - np.hstack(UNDISTURBED) for each in self.disturbances[rows]]
+        now, radius = self.twin.readings(), self.machine.task.dome_radius
+        normals = np.einsum("nij,nj->ni", now.rotation[rows], self._hole_normals[self.hole[rows]])
+        tips = now.tip[rows] - now.platform[rows] - radius * normals
         parts = [tips / self.length_unit, normals, self._wrench[rows], self.friction[rows, None],
-                 self.error[rows], np.array(errors)]  # fmt: skip
+                 self.error[rows], self._machine_errors[rows]]  # fmt: skip
         fields = np.concatenate(parts, axis=1) / PRIVILEGED_UNITS
         return np.clip(fields, -LIMIT, LIMIT).astype(np.float32)
 
@@ -239,6 +239,7 @@ class PhysicsBatch(ABC):
             except (GeometryError, ArgumentError):
                 continue
             self.disturbances[row] = errors
+            self._machine_errors[row] = np.hstack(errors) - np.hstack(UNDISTURBED)
             self._noise[row, :3] = self.task.force_noise + errors.force_noise
             return
         raise GeometryError(
