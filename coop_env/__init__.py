@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from coop_env.vector.vec_env import CoopInsertionVecEnv as CoopInsertionVecEnv
     from coop_env.vector.vector_env import CoopInsertionVectorEnv as CoopInsertionVectorEnv
 
+# what compiles at a first call, and how long that takes
+_KERNELS = "kinematics, collisions, moves: up to a minute"
 _HOMES = {
     "CoopInsertionEnv": "coop_env.env",
     "CoopInsertionJointEnv": "coop_env.team.joint_env",

@@ -18,10 +18,6 @@ import numba
 from numba.core import event, types
 
 PACKAGE = __name__.partition(".")[0]
-COSTS = {
-    "coop_env": "kinematics, collisions, moves: up to a minute",
-    "sb3_rainbow": "replay, networks and updates: about 10 s",
-}
 _DECLARES = re.compile(r"^from .* import .*\b(njit|intrinsic)$", re.MULTILINE)
 
 
@@ -34,7 +30,7 @@ class _Announcer(event.Listener):
         # A function made by exec, as numba makes some itself, has no module.
         module = event.data["dispatcher"].py_func.__module__ or ""
         if self.again and module.startswith(f"{PACKAGE}."):
-            cost = f"compiling kernels ({COSTS[PACKAGE]} of a processor core)"
+            cost = f"compiling kernels ({sys.modules[PACKAGE]._KERNELS} of a processor core)"
             print(f"{PACKAGE}: {cost}, {self.again}", file=sys.stderr, flush=True)
             self.again = ""
 

@@ -10,6 +10,8 @@ from sb3_rainbow.replay.sum_tree import SumTree
 from sb3_rainbow.settings import HESSEL
 
 __version__ = "0.1.0"
+# what compiles at a first call, and how long that takes
+_KERNELS = "replay, networks and updates: about 10 s"
 
 __all__ = [
     "HESSEL",

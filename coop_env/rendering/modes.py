@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
@@ -14,7 +15,7 @@ from coop_env.errors import ArgumentError
 from coop_env.rendering.scene import Scene
 
 
-class Rendered(gym.Env[Any, Any]):
+class Rendered(gym.Env[Any, Any], ABC):
     """An environment with the modes ``"rgb_array"`` and ``"ansi"``.
 
     ``gymnasium.make(..., render_mode="human")`` shows the pictures of the former in a window, by
@@ -37,9 +38,9 @@ class Rendered(gym.Env[Any, Any]):
         self.render_mode = mode
         self._trace = []
 
+    @abstractmethod
     def scene(self) -> Scene:
         """Every body of the scene at this instant, world frame."""
-        raise NotImplementedError
 
     def render(self) -> Any:
         """A frame (height, width, 3) of uint8, text, or None, as ``render_mode`` says.
