@@ -60,7 +60,14 @@ class RainbowNetwork(AsVector, BasePolicy):
             ``dict(shared=[...], streams=[...])``, where each of the two then has layers of its own.
         noisy_layers: ``"last_two"`` (last hidden layer and head), ``"head"`` or ``"all"``; of
             streams, the last of each.
-        dueling: and all others, see :class:`~sb3_rainbow.Rainbow` and its policies.
+        dueling: separate streams for value and advantages (Wang et al. 2016).
+        noisy: noisy linear layers (Fortunato et al. 2018).
+        sigma0: initial noise scale.
+        distributional: distribution over returns: ``"categorical"`` or True (Bellemare et al.
+            2017), ``"quantile"`` (Dabney et al. 2018), or False for none.
+        n_atoms: atoms of the support, or quantiles.
+        v_min: lowest atom (categorical only).
+        v_max: highest atom (categorical only).
 
     Raises:
         ValueError: for an unknown ``noisy_layers`` or ``distributional``, a ``net_arch`` of

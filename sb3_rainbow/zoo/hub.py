@@ -141,7 +141,17 @@ def package(
 
 
 def load_from_hub(repo_id: str, filename: str, trust: bool = False, **kwargs: Any) -> Rainbow:
-    """Download a file such as ``rainbow-CartPole-v1.zip`` of organization/name and load it."""
+    """Download a file such as ``rainbow-CartPole-v1.zip`` of organization/name and :func:`load` it.
+
+    Args:
+        repo_id: organization/name.
+        filename: name of the model's file there.
+        trust: True takes a file that ``save`` wrote, too, which **runs its author's code**.
+        kwargs: see :func:`load`.
+
+    Raises:
+        ZooError: if it cannot be loaded.
+    """
     return load(hf_hub_download(repo_id, filename), trust, **kwargs)
 
 
@@ -167,7 +177,13 @@ def load(path: str | os.PathLike[str], trust: bool = False, **kwargs: Any) -> Ra
 def load_vec_normalize(
     path: str | os.PathLike[str], venv: VecEnv, trust: bool = False
 ) -> VecNormalize:
-    """As ``VecNormalize.load``, for evaluation; ``trust`` as in :func:`load`.
+    """As ``VecNormalize.load``, from a file of unknown origin, for evaluation.
+
+    Args:
+        path: file of the statistics.
+        venv: env to normalize.
+        trust: True takes a file that ``VecNormalize.save`` wrote, too, which **runs its author's
+            code**.
 
     Raises:
         ZooError: if it cannot be loaded.
