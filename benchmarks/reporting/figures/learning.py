@@ -225,6 +225,7 @@ def _exploration(groups: Groups) -> Figure:
         finish(axes, label)
         if axes.get_lines():
             axes.set_yscale("log")
+    legend_below(figure, [above, below], 2)
     above.set_xlabel("")
     return figure
 
