@@ -6,7 +6,7 @@ first. *Farm* looks on the optimum's way to the first hole, and two moves off it
 where a move and its reversal pay most, goes there and repeats the two until the time is up;
 *oscillate* does so where the episode starts. *Random* takes any unmasked move.
 Beside them stands what the trained policies of a preset came to. Written to ``results/audit/``:
-``scripted.csv``, ``scripted.md``, ``learned.csv``, ``audit.png``, ``meta.json``.
+``scripted.csv``, ``scripted.md``, ``learned.csv``, ``meta.json``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.methods.episodes import env_arguments
@@ -28,7 +27,6 @@ from benchmarks.protocol import labels
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.protocol.seeding import episode_seeds
-from benchmarks.reporting.figures.style import canvas, save, style
 from benchmarks.reporting.results import Results, in_order, tail_mean
 from benchmarks.reporting.stats import over_seeds
 from benchmarks.reporting.tables.table import plain
@@ -39,7 +37,6 @@ from coop_env.env import CoopInsertionEnv
 
 CELL: Final = ("track", "method", "ablation", "geometry", "seed")
 LEARNED: Final = (*CELL, "return", "holes")
-MARKS: Final = {"rainbow": "o", "dqn": "s", "maskable_ppo": "^"}
 
 
 def of_each_reward(preset: Preset) -> Preset:
@@ -99,56 +96,26 @@ def learned(store: Store) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=LEARNED)
 
 
-def ratios(rows: pd.DataFrame) -> pd.DataFrame:
-    """Mean return of each script over that of inserting, by track; above 1 the reward is farmed."""
-    means = rows.groupby(["track", "script"])["return"].mean().unstack()
-    tracks = in_order(str(name) for name in means.index)
-    return means.div(means["insert"], axis=0).loc[tracks, list(SCRIPTS)]
-
-
-def draw(rows: pd.DataFrame, learners: pd.DataFrame) -> Figure:
-    """Left: scripts' returns over that of inserting. Right: what the learners came to."""
-    figure, (left, right) = canvas(1, 2, (9.0, 3.6), grid=False)
-    shares = ratios(rows)
-    tracks = shares.index.tolist()
-    for k, script in enumerate(SCRIPTS):
-        left.bar(np.arange(len(tracks)) + (k - 2) * 0.16, shares[script], width=0.16, label=script)
-    for level, line in ((0.0, "-"), (1.0, ":")):
-        left.axhline(level, color="black", linewidth=0.8, linestyle=line)
-    left.set_xticks(np.arange(len(tracks)), [labels.track(name) for name in tracks])
-    left.set_ylabel("return / return of inserting")
-    left.legend()
-    insert = rows[rows["script"] == "insert"].groupby("track")["return"].mean()
-    learners = learners.query("ablation == 'full' and geometry == 'optimized'")
-    for k, name in enumerate(tracks):
-        for method, mark in MARKS.items():
-            result = learners.query("track == @name and method == @method")
-            if len(result):
-                share, label = result["return"] / insert[name], labels.METHODS[method]
-                label += f", {labels.track(name)}"
-                right.plot(share, result["holes"], mark, color=f"C{k}", label=label, markersize=5)
-    right.axvline(1.0, color="black", linewidth=0.8, linestyle=":")
-    right.set_xlabel("return of the last training episodes / return of inserting")
-    right.set_ylabel("holes per episode")
-    right.set_ylim(-0.2, 6.2)
-    if right.get_legend_handles_labels()[0]:
-        right.legend()
-    else:
-        right.text(0.5, 0.5, "no learner stored", ha="center", transform=right.transAxes)
-    return figure
-
-
-def markdown(rows: pd.DataFrame) -> str:
-    """The scripts' returns and holes as a Markdown table, one line per track and script."""
+def markdown(rows: pd.DataFrame, learners: pd.DataFrame | None = None) -> str:
+    """Returns and holes as a Markdown table, a line for each track and script or learner."""
     lines = []
-    for name, shares in ratios(rows).iterrows():
-        for script, share in shares.items():
-            result = rows[(rows["track"] == name) & (rows["script"] == script)]
-            mean, earned = result[["discounted", "holes"]].mean(), over_seeds(result["return"])
-            numbers = [earned.text(1), f"{mean['discounted']:.1f}", f"{mean['holes']:.2f}"]
-            lines.append([labels.track(str(name)), str(script), *numbers, f"{share:.2f}"])
+    for name in in_order(rows["track"].astype(str).unique()):
+        here = rows[rows["track"] == name].groupby("script", sort=False)
+        insert = here["return"].mean()["insert"]
+
+        def line(who: str, part: pd.DataFrame, of: str = name, scale: float = insert) -> list[str]:
+            mean = part.mean(numeric_only=True)
+            discounted = f"{mean['discounted']:.1f}" if "discounted" in mean else "-"
+            numbers = [over_seeds(part["return"]).text(1), discounted, f"{mean['holes']:.2f}"]
+            return [labels.track(of), who, *numbers, f"{mean['return'] / scale:.2f}"]
+
+        lines += [line(script, here.get_group(script)) for script in SCRIPTS]
+        if learners is not None:
+            mine = learners.query("ablation == 'full' and geometry == 'optimized'")
+            for method, part in mine[mine["track"] == name].groupby("method", sort=False):
+                lines.append(line(f"{labels.METHODS[str(method)]}, trained", part))
     head = "Reward | Script | Return | Discounted | Holes | Return / inserting"
-    return plain("What each reward pays the scripts", head, lines) + "\n"
+    return plain("What each reward pays", head, lines) + "\n"
 
 
 class Audit(Study):
@@ -175,15 +142,14 @@ class Audit(Study):
         record = {**describe(), "starts": self.given.starts, "preset": preset.name}
         write_text(self.folder / "meta.json", json.dumps(record, indent=1, sort_keys=True) + "\n")
 
-    def finish(self) -> None:
-        rows, learners = (pd.read_csv(self.folder / f"{n}.csv") for n in ("scripted", "learned"))
-        with style():
-            save(draw(rows, learners), self.folder / "audit.png")
-
     @classmethod
     def files(cls, results: Path) -> dict[Path, str]:
         path = results / "audit" / "scripted.csv"
-        return {path.with_suffix(".md"): markdown(pd.read_csv(path))} if path.is_file() else {}
+        if not path.is_file():
+            return {}
+        learners = path.with_name("learned.csv")
+        stored = pd.read_csv(learners) if learners.is_file() else None
+        return {path.with_suffix(".md"): markdown(pd.read_csv(path), stored)}
 
 
 def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:

@@ -5,12 +5,10 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
-import torch as th
 
 from benchmarks.cli import main
 from benchmarks.methods.oracle import LatticeOracle
@@ -85,33 +83,15 @@ def test_both_commands_write_what_they_say(
     rows = pd.read_csv(folder / "rainbow-safe.csv")
     assert len(rows) == preset.evaluation.episodes
     assert set(rows.loc[~rows["success"].astype(bool), "cause"]) <= set(failures.CAUSES)
-    assert (folder / "rainbow-safe.png").stat().st_size > 10_000
-    assert rows["gap"].between(0.0, 1.0).all()
     assert rows["acting"].isna().all()  # no training episode ended within so few steps
-    assert "last tenth" not in failures.summary(failures.read(folder / "rainbow-safe.csv"))
+    assert "exploration" not in failures.summary(failures.read(folder / "rainbow-safe.csv"))
     known = failures.read(folder / "rainbow-safe.csv").assign(acting=0.5)
-    assert "with exploration: 50.0 %" in failures.summary(known)
+    assert "with exploration, last tenth of training: 50.0 %" in failures.summary(known)
     assert main(["study", "audit", *words, "--starts", "1"]) == 0
     learned = pd.read_csv(tmp_path / "audit" / "learned.csv")
     assert learned["method"].tolist() == ["rainbow"]
-    assert (tmp_path / "audit" / "audit.png").stat().st_size > 10_000
     with pytest.raises(SystemExit):
         main(["study", "audit", *words, "--starts", "0"])
-
-
-def test_the_action_gap_is_that_of_the_allowed_actions_over_the_support() -> None:
-    class Net:
-        distributional, device, v_min, v_max = True, "cpu", -10.0, 40.0
-
-        def __call__(self, observations: th.Tensor) -> th.Tensor:
-            return observations
-
-    model = SimpleNamespace(q_net=Net())
-    values = np.array([[5.0, 4.0, 9.0], [1.0, 3.0, 0.0], [7.0, 0.0, 0.0]], np.float32)
-    masks = np.array([[1, 1, 0], [1, 1, 1], [1, 0, 0]], bool)
-    assert failures.action_gap(model, values, masks) == pytest.approx(1.5 / 50.0)
-    assert math.isnan(failures.action_gap(model, values[2:], masks[2:]))  # no choice
-    assert math.isnan(failures.action_gap(SimpleNamespace(), values, masks))
 
 
 def test_causes_are_told_apart() -> None:
