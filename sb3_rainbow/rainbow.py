@@ -117,10 +117,6 @@ class Rainbow(ResumableAlgorithm):
         alpha: exponent of the priorities.
         beta_start: importance-sampling exponent at the start of training.
         beta_end: the same at the end; linear in between.
-        advantage_learning: share of ``Q(s, a) - max Q(s, .)`` that is added to each target, in [0,
-            1): advantage learning (Bellemare et al. 2016), which widens the gap between the best
-            action and the others where errors of the values would swallow it. 0 (default) is
-            Rainbow. Raised from 0 later, it takes what was stored under masks for unmasked.
         use_masking: "auto" uses ``action_masks()`` where the env has it.
         cpu_kernels: update ReLU perceptrons on the CPU by compiled kernels, in about a fifth of the
             time of torch's operations.
@@ -181,7 +177,6 @@ class Rainbow(ResumableAlgorithm):
         alpha: float = 0.6,
         beta_start: float = 0.4,
         beta_end: float = 1.0,
-        advantage_learning: float = 0.0,
         use_masking: UseMasking = "auto",
         cpu_kernels: bool = True,
         _init_setup_model: bool = True,
@@ -232,7 +227,6 @@ class Rainbow(ResumableAlgorithm):
         self.alpha = alpha
         self.beta_start = beta_start
         self.beta_end = beta_end
-        self.advantage_learning = advantage_learning
         self.use_masking = use_masking
         self.cpu_kernels = cpu_kernels
 
@@ -306,7 +300,6 @@ class Rainbow(ResumableAlgorithm):
             self.policy,
             self.double_q,
             self.max_grad_norm,
-            self.advantage_learning,
             self.cpu_kernels,
         )
 
@@ -366,10 +359,6 @@ class Rainbow(ResumableAlgorithm):
         self.logger.record("rollout/exploration_rate", self.exploration_rate)
 
     @property
-    def _needs_masks_at_t(self) -> bool:
-        return self.advantage_learning > 0.0
-
-    @property
     def beta(self) -> float:
         """Importance-sampling exponent at the present progress of training."""
         progress = min(max(1.0 - self._current_progress_remaining, 0.0), 1.0)
@@ -391,7 +380,6 @@ class Rainbow(ResumableAlgorithm):
         self._update_learning_rate(self.policy.optimizer)
         learner = self._learner
         learner.double_q, learner.max_grad_norm = self.double_q, self.max_grad_norm
-        learner.advantage_learning = self.advantage_learning
         tau = self.tau if self.target_update_interval is None else None
         losses: list[Any] = []  # numbers, or tensors that nobody has waited for
         with flush_denormals():

@@ -165,8 +165,6 @@ def check_settings(model: Any) -> None:
     """
     check_replay_parameters(model.n_steps, model.gamma, model.alpha, model.beta_start)
     check_shares(beta_end=model.beta_end, tau=model.tau)
-    if not 0.0 <= model.advantage_learning < 1.0:
-        raise ValueError(f"advantage_learning must lie in [0, 1), got {model.advantage_learning}")
     if model.batch_size < 1:
         raise ValueError(f"batch_size must be at least 1, got {model.batch_size}")
     if model.max_grad_norm is not None and not model.max_grad_norm > 0.0:

@@ -31,7 +31,6 @@ class PrioritizedReplayBufferSamples(NamedTuple):
         weights: importance-sampling weights over their batch maximum, ``(B,)``.
         indices: leaves of the sum tree, for ``update_priorities``, ``(B,)``.
         next_action_masks: allowed actions at t + k, ``(B, n_actions)``, None without masks.
-        action_masks: the same at t, None where they were not stored.
     """
 
     observations: th.Tensor | TensorDict
@@ -43,7 +42,6 @@ class PrioritizedReplayBufferSamples(NamedTuple):
     weights: th.Tensor
     indices: NDArray[np.int64]
     next_action_masks: th.Tensor | None = None
-    action_masks: th.Tensor | None = None
 
 
 class Prepared(NamedTuple):
@@ -69,4 +67,3 @@ class Batch(NamedTuple):
     discounts: th.Tensor
     weights: th.Tensor | None
     next_action_masks: th.Tensor | None
-    action_masks: th.Tensor | None = None

@@ -40,7 +40,6 @@ OFF_POLICY: Final = (
 )
 RAINBOW: Final = (
     *("n_steps", "n_atoms", "v_min", "v_max", "sigma0", "alpha", "beta_start", "beta_end"),
-    "advantage_learning",
 )
 #: Rainbow's defaults when the suites' settings were chosen, which leave some of them unsaid
 FORMER_DEFAULTS: Final = {

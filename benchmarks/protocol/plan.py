@@ -43,9 +43,6 @@ TRANSITION_BYTES: Final = (200, 1_600, 60_000)
 ATARI_COST: Final = 10.0
 CONTROL_COST: Final = 20.0  # of an episode that is tested
 
-# hyperparameters that are left out of a run's settings where they are 0
-_LATER: Final = ("advantage_learning",)
-
 # ablation -> the Rainbow constructor arguments that switch components off
 ABLATIONS: Final[dict[str, dict[str, Any]]] = {
     "full": {},
@@ -250,8 +247,6 @@ def _track(track: Track, method: str) -> dict[str, Any]:
     unused += [key for key in later if not config[key]]
     unused += ["shield"] if config["shield"] is None else []
     unused += ["collision"] if config["collision"] == "refuse" else []
-    h = config["hyperparameters"]
-    config["hyperparameters"] = {k: v for k, v in h.items() if v or k not in _LATER}
     return {key: value for key, value in config.items() if key not in unused}
 
 

@@ -116,7 +116,6 @@ class Hyperparameters:
     epsilon_start: Number = 1.0
     epsilon_end: Number = 0.05
     epsilon_steps: int = 10_000
-    advantage_learning: Number = 0.0
 
     @property
     def gradient_steps(self) -> int:

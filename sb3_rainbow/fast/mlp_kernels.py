@@ -231,28 +231,22 @@ def best_actions(
     support: Vector,
     masks: NDArray[np.bool_],
     actions: NDArray[np.int64],
-    taken: NDArray[np.int64],
-    advantages: Vector,
     categorical: bool,
 ) -> None:
-    """The allowed action of the highest expectation, and how far another one's is below it.
+    """Allowed action of the highest expectation.
 
     Args:
         masses: proportional to the atoms' probabilities, ``(B, n_actions * n_atoms)``; if not
             ``categorical``, values themselves, all as likely.
         masks: ``(B, n_actions)``, or ``(0, 0)`` to allow everything.
         actions: result, ``(B,)``.
-        taken: actions to compare with the best, ``(B,)``, or ``(0,)`` for none.
-        advantages: result, their expectations less the best ones, ``(B,)`` or ``(0,)``.
     """
     n_atoms = support.shape[0]
     n_actions = masses.shape[1] // n_atoms
     for b in range(masses.shape[0]):
         best, chosen = np.float32(0.0), -1
         for a in range(n_actions):
-            compared = taken.shape[0] > 0 and taken[b] == a
-            forbidden = masks.shape[0] > 0 and not masks[b, a]
-            if forbidden and not compared:
+            if masks.shape[0] > 0 and not masks[b, a]:
                 continue
             part = masses[b, a * n_atoms : (a + 1) * n_atoms]
             expectation = part[0]
@@ -262,13 +256,9 @@ def best_actions(
                     total += part[j] if categorical else np.float32(1.0)
                     moment += part[j] * (support[j] if categorical else np.float32(1.0))
                 expectation = moment / total
-            if compared:
-                advantages[b] = expectation
-            if not forbidden and (chosen < 0 or expectation > best):
+            if chosen < 0 or expectation > best:
                 best, chosen = expectation, a
         actions[b] = chosen
-        if taken.shape[0] > 0:
-            advantages[b] -= best
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -22,8 +22,6 @@ from sb3_rainbow.type_aliases import Batch, Prepared
 _TINY = float(np.finfo(np.float32).tiny)
 _GRAD = attrgetter("grad")
 _NO_MASKS = np.zeros((0, 0), dtype=np.bool_)
-_NO_ACTIONS = np.zeros(0, dtype=np.int64)
-_NO_VALUES = np.zeros(0, dtype=np.float32)
 _ONE = np.ones(1, dtype=np.float32)
 _NO_GRADIENT = np.zeros((0, 0), dtype=np.float32)
 # An extractor of these parts alone has the same features for the target network, and however often
@@ -74,10 +72,9 @@ class MlpUpdate:
         n_in, n_out = self.table[-1, [kernels.INPUTS, kernels.OUTPUTS]]
         noisy = self.table[-1, kernels.NOISY]
         n_effective = int(self.table[-1, kernels.EFFECTIVE] + noisy * (n_in + 1) * n_out)
-        self._effective, self._effective_target, self._effective_mean = (
-            np.zeros(n_effective, np.float32) for _ in range(3)
+        self._effective, self._effective_target = (
+            np.zeros(n_effective, np.float32) for _ in range(2)
         )
-        self._no_noise = np.zeros_like(self._drawn[1])
         self._capacity = 0
         self._common, self._common_target = (
             np.zeros((q_net.n_atoms, n_in), np.float32) for _ in range(2)
@@ -107,7 +104,6 @@ class MlpUpdate:
         optimizer: th.optim.Optimizer,
         double_q: bool,
         max_grad_norm: float | None,
-        advantage_learning: float = 0.0,
     ) -> tuple[th.Tensor, th.Tensor]:
         """As ``Learner.update``."""
         for noise, drawn in zip(self._noises, self._drawn, strict=True):
@@ -115,7 +111,7 @@ class MlpUpdate:
             kernels.scale_noise(drawn[None], self.table)
         n = batch.actions.shape[0]
         weights = np.ones(n, np.float32) if batch.weights is None else batch.weights.numpy()
-        slope, losses, priorities = self._slopes(batch, weights, double_q, advantage_learning)
+        slope, losses, priorities = self._slopes(batch, weights, double_q)
         obs = self._obs
         learns = self._obs_features.requires_grad
         input_gradient = np.empty_like(obs) if learns else _NO_GRADIENT
@@ -190,7 +186,6 @@ class MlpUpdate:
         batch: Batch,
         weights: NDArray[np.float32],
         double_q: bool,
-        advantage_learning: float,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         """Slope of the weighted mean loss in the taken logits, losses and priorities."""
         net, table, n = self.q_net, self.table, batch.actions.shape[0]
@@ -201,8 +196,6 @@ class MlpUpdate:
             next_obs = next_obs_target = self._features(net, batch.next_observations)
         if apart:
             next_obs_target = self._features(self.q_net_target, batch.next_observations)
-        if advantage_learning > 0.0 and apart:
-            obs_target = self._features(self.q_net_target, batch.observations)
         self._obs_features = self._extract(net, batch.observations)
         obs = self._obs_features.detach().contiguous().numpy()
         for values, drawn, effective in zip(
@@ -226,15 +219,6 @@ class MlpUpdate:
         logits = self._taken(online, units, self._actions, self._common)
         target_logits = self._taken(target, units_target, next_actions, self._common_target)
         returns = batch.rewards.numpy()
-        if advantage_learning > 0.0:
-            advantages = np.empty(n, np.float32)
-            mean = self._values[1], self._effective_mean, table
-            kernels.effective_weights(self._values[1], self._no_noise, table, self._effective_mean)
-            before = obs_target if apart else obs
-            units_before = kernels.hidden_units(*mean, before, self._hidden_target)
-            masks = _array(batch.action_masks)
-            self._best_actions(mean, units_before, masks, self._actions, advantages)
-            returns = returns + np.float32(advantage_learning) * advantages[:, None]
         slope, losses = np.empty_like(logits), np.empty(n, np.float32)
         discounts, dones = batch.discounts.numpy(), batch.dones.numpy()
         priorities = np.empty(n, np.float32)
@@ -264,23 +248,19 @@ class MlpUpdate:
         weights: _Weights,
         units: NDArray[np.float32],
         masks: NDArray[np.bool_] | None,
-        taken: NDArray[np.int64] = _NO_ACTIONS,
-        advantages: NDArray[np.float32] = _NO_VALUES,
     ) -> NDArray[np.int64]:
         net, n = self.q_net, units.shape[0]
         if net.head == "categorical":
             streams = self._streams[:n]
             kernels.all_streams(*weights, units, streams)
-            return self._best_of_streams(streams, masks, taken, advantages)
+            return self._best_of_streams(streams, masks)
         means = kernels.mean_advantages(*weights, units, net.n_atoms, net.dueling)
-        return self._best(means, _ONE, masks, taken, advantages)
+        return self._best(means, _ONE, masks)
 
     def _best_of_streams(
         self,
         streams: NDArray[np.float32],
         masks: NDArray[np.bool_] | None,
-        taken: NDArray[np.int64] = _NO_ACTIONS,
-        advantages: NDArray[np.float32] = _NO_VALUES,
     ) -> NDArray[np.int64]:
         net, n = self.q_net, streams.shape[0]
         categorical = net.head == "categorical"
@@ -288,20 +268,18 @@ class MlpUpdate:
         kernels.join(streams, net.n_atoms, net.dueling, categorical, logits)
         if categorical:
             th.from_numpy(logits).exp_()
-        return self._best(logits, self._support, masks, taken, advantages)
+        return self._best(logits, self._support, masks)
 
     def _best(
         self,
         masses: NDArray[np.float32],
         support: NDArray[np.float32],
         masks: NDArray[np.bool_] | None,
-        taken: NDArray[np.int64],
-        advantages: NDArray[np.float32],
     ) -> NDArray[np.int64]:
         actions = np.empty(masses.shape[0], np.int64)
         kernels.best_actions(
             *(masses, support, _NO_MASKS if masks is None else masks, actions),
-            *(taken, advantages, self.q_net.head == "categorical"),
+            self.q_net.head == "categorical",
         )
         return actions
 

@@ -57,7 +57,7 @@ class Shortcuts:
         return self._mlp
 
     def update(
-        self, batch: Batch, double_q: bool, max_grad_norm: float | None, advantage_learning: float
+        self, batch: Batch, double_q: bool, max_grad_norm: float | None
     ) -> tuple[th.Tensor, th.Tensor] | None:
         """A whole update, noise and optimizer's step included; None where the kernels do not apply.
 
@@ -68,9 +68,7 @@ class Shortcuts:
         if kernels is None:
             return None
         with single_blas_thread():
-            return kernels.update(
-                batch, self.policy.optimizer, double_q, max_grad_norm, advantage_learning
-            )
+            return kernels.update(batch, self.policy.optimizer, double_q, max_grad_norm)
 
     def act(
         self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None

@@ -22,13 +22,12 @@ except ModuleNotFoundError:  # without its folder everything is as it is here, s
 class Learner:
     """Moves a policy's networks.
 
-    ``double_q``, ``advantage_learning`` and ``max_grad_norm`` may change between two updates.
+    ``double_q`` and ``max_grad_norm`` may change between two updates.
 
     Args:
         policy: whose networks and optimizer to work on.
         double_q: double Q-learning.
         max_grad_norm: gradient norm to clip to, None for no clipping.
-        advantage_learning: share of the action's advantage that is added to its target.
         cpu_kernels: whether compiled kernels take over where they can.
     """
 
@@ -37,12 +36,10 @@ class Learner:
         policy: RainbowPolicy,
         double_q: bool,
         max_grad_norm: float | None,
-        advantage_learning: float = 0.0,
         cpu_kernels: bool = True,
     ) -> None:
         self.policy = policy
         self.double_q = double_q
-        self.advantage_learning = advantage_learning
         self.max_grad_norm = max_grad_norm
         available = cpu_kernels and Shortcuts is not None
         self.shortcuts: Shortcuts | None = Shortcuts(policy) if available else None
@@ -72,8 +69,9 @@ class Learner:
             mean loss, scalar, and priorities ``(B,)``; both stay on the device.
         """
         batch = prepared(self.q_net, batch)
-        settings = self.double_q, self.max_grad_norm, self.advantage_learning
-        result = None if self.shortcuts is None else self.shortcuts.update(batch, *settings)
+        result = None
+        if self.shortcuts is not None:
+            result = self.shortcuts.update(batch, self.double_q, self.max_grad_norm)
         if result is None:
             result = self._update(batch)
         if tau is not None:
@@ -85,9 +83,7 @@ class Learner:
         self.q_net.reset_noise()
         self.q_net_target.reset_noise()
         self.policy.update_optimizer()
-        loss, priorities = mean_loss(
-            self.q_net, self.q_net_target, batch, self.double_q, self.advantage_learning
-        )
+        loss, priorities = mean_loss(self.q_net, self.q_net_target, batch, self.double_q)
         self.q_net.zero_grad()
         loss.backward()
         if self.max_grad_norm is not None:
@@ -126,9 +122,7 @@ class Learner:
         self.q_net.set_training_mode(False)  # statistics of normalization layers stay
         values = {"max_q": float(self.q_net(batch.observations).amax(dim=1).mean())}
         if self.q_net.head == "categorical":
-            target = td_target(
-                self.q_net, self.q_net_target, batch, self.double_q, self.advantage_learning
-            )
+            target = td_target(self.q_net, self.q_net_target, batch, self.double_q)
             share = clipped_share(
                 target.next_values,
                 target.rewards,
@@ -169,5 +163,4 @@ def as_batch(samples: Any, gamma: float, masking: bool) -> Batch:
         discounts,
         getattr(samples, "weights", None),
         getattr(samples, "next_action_masks", None) if masking else None,
-        getattr(samples, "action_masks", None) if masking else None,
     )

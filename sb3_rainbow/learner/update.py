@@ -43,28 +43,18 @@ def td_target(
     q_net_target: RainbowNetwork,
     batch: Batch,
     double_q: bool,
-    advantage_learning: float = 0.0,
 ) -> Target:
     """n-step target (Hessel et al. 2018, equation 3), or its scalar form; without gradients.
 
     The action at t + k is the best allowed there by that state's own mask, in the eyes of the
     online network with double Q-learning and of the target network without; its value is always
     the target network's.
-
-    Advantage learning (Bellemare et al. 2016, equation 10) adds a share of the target network's
-    ``Q(s, a) - max Q(s, .)`` at t, the maximum over what was allowed there: the best action keeps
-    its value, and the others fall behind it by up to ``1 / (1 - share)`` times as much as without.
-    By the mean weights: a maximum over noisy values is too high, and every action would pay for it.
     """
     chooser = q_net if double_q else q_net_target
     with th.no_grad():
         q_values = chooser(batch.next_observations, noisy=True)
         actions = mask_q_values(q_values, batch.next_action_masks).argmax(dim=1, keepdim=True)
         discounts, rewards = batch.discounts * (1.0 - batch.dones), batch.rewards
-        if advantage_learning > 0.0:
-            q_values = q_net_target(batch.observations, noisy=False)
-            best = mask_q_values(q_values, batch.action_masks).amax(dim=1, keepdim=True)
-            rewards = rewards + advantage_learning * (q_values.gather(1, batch.actions) - best)
         logits = of_actions(q_net_target.logits(batch.next_observations, noisy=True), actions)
         if q_net.head != "categorical":  # values themselves, be it one or the quantiles
             return Target(rewards + discounts * logits, actions, logits, rewards)
@@ -107,10 +97,9 @@ def mean_loss(
     q_net_target: RainbowNetwork,
     batch: Batch,
     double_q: bool,
-    advantage_learning: float = 0.0,
 ) -> tuple[th.Tensor, th.Tensor]:
     """Importance-weighted mean of the losses, scalar with gradient, and priorities ``(B,)``."""
-    target = td_target(q_net, q_net_target, batch, double_q, advantage_learning)
+    target = td_target(q_net, q_net_target, batch, double_q)
     losses, priorities = td_losses(q_net, batch, target.values)
     return (losses if batch.weights is None else losses * batch.weights).mean(), priorities
 

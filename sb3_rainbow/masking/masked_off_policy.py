@@ -91,11 +91,6 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
             self._episode_num += int(step["dones"].sum())
         return rollout
 
-    @property
-    def _needs_masks_at_t(self) -> bool:
-        """Whether targets look at the state the action was taken in."""
-        return False
-
     def _current_masks(self) -> NDArray[np.bool_]:
         assert self.env is not None
         n_actions = int(self.action_space.n)
@@ -156,12 +151,11 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
         next_obs = original_obs
         if dones.any():
             next_obs = with_terminal_observations(original_obs, dones, infos, normalizer)
-        masks: tuple[NDArray[np.bool_] | None, ...] = ()
+        masks: tuple[NDArray[np.bool_], ...] = ()
         if self._masking:
-            masks_at_t = self._last_action_masks if self._needs_masks_at_t else None
             self._last_action_masks = self._current_masks()
             next_masks, lost = with_terminal_masks(self._last_action_masks, dones, infos)
-            masks = (next_masks, masks_at_t)
+            masks = (next_masks,)
             if lost and not self._warned_of_lost_mask:
                 self._warned_of_lost_mask = True
                 warnings.warn(LOST_MASK_WARNING, stacklevel=2)

@@ -28,7 +28,7 @@ from sb3_rainbow.replay.parameters import (
 from sb3_rainbow.replay.sum_tree import SumTree
 from sb3_rainbow.type_aliases import ObsArray, PrioritizedReplayBufferSamples
 
-_TRIMMED = ("actions", "rewards", "ends", "action_masks", "next_action_masks")
+_TRIMMED = ("actions", "rewards", "ends", "next_action_masks")
 
 
 class PrioritizedReplayBuffer(ReplayBuffer):
@@ -110,7 +110,6 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         self.actions = np.zeros((*shape, self.action_dim), dtype=stored_dtype(self.action_space))
         self.rewards = np.zeros(shape, dtype=np.float32)
         self.ends = np.zeros(shape, dtype=np.uint8)
-        self.action_masks: NDArray[np.bool_] | None = None
         self.next_action_masks: NDArray[np.bool_] | None = None
         # Stored transitions per env whose window is not complete yet
         self._pending = np.zeros(self.n_envs, dtype=np.int64)
@@ -142,8 +141,9 @@ class PrioritizedReplayBuffer(ReplayBuffer):
     @property
     def nbytes(self) -> int:
         """Bytes that all of it occupies once it is full, but for terminal observations."""
-        masks = (self.action_masks, self.next_action_masks)
-        arrays = [self.actions, self.rewards, self.ends, *(m for m in masks if m is not None)]
+        arrays = [self.actions, self.rewards, self.ends]
+        if self.next_action_masks is not None:
+            arrays.append(self.next_action_masks)
         return self._store.nbytes + self.tree.nbytes + sum(array.nbytes for array in arrays)
 
     def add(
@@ -155,7 +155,6 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         done: NDArray,
         infos: list[dict[str, Any]],
         next_action_masks: NDArray[np.bool_] | None = None,
-        action_masks: NDArray[np.bool_] | None = None,
     ) -> None:
         """Store one step of every env.
 
@@ -169,7 +168,6 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             infos: ``"TimeLimit.truncated"`` tells truncations from terminations.
             next_action_masks: actions allowed at ``next_obs``, ``(n_envs, n_actions)``; None allows
                 all.
-            action_masks: the same at ``obs``, for who needs them.
 
         Raises:
             ValueError: for a reward that is not finite in float32; nothing is stored then.
@@ -192,8 +190,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         self._store.write(pos, current, following)
         self.actions[pos] = action.reshape(self.n_envs, self.action_dim)
         self.rewards[pos] = rewards
-        self._store_masks("next_action_masks", pos, next_action_masks)
-        self._store_masks("action_masks", pos, action_masks)
+        self._store_masks(pos, next_action_masks)
 
         ended = np.asarray(done, dtype=bool)
         self.ends[pos] = RUNNING
@@ -224,8 +221,8 @@ class PrioritizedReplayBuffer(ReplayBuffer):
                 self._store.keep_newest(newest, env)
             self._complete(interrupted, newest)
 
-    def _store_masks(self, name: str, pos: int, masks: NDArray[np.bool_] | None) -> None:
-        stored = getattr(self, name)
+    def _store_masks(self, pos: int, masks: NDArray[np.bool_] | None) -> None:
+        stored = self.next_action_masks
         if masks is None:
             if stored is not None:
                 stored[pos] = True
@@ -235,7 +232,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             # zeros take no memory before they are written to, and every row that is drawn was
             stored = np.zeros((self.buffer_size, self.n_envs, n_actions), dtype=np.bool_)
             stored[: self.size()] = True
-            setattr(self, name, stored)
+            self.next_action_masks = stored
             warn_of_memory(self.nbytes)
         stored[pos] = masks
 
@@ -364,10 +361,9 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             "rewards": returns,
             "discounts": discounts,
         }
-        for name, where in (("action_masks", leaves), ("next_action_masks", last_leaves)):
-            masks = getattr(self, name)
-            if masks is not None:
-                parts[name] = masks.reshape(-1, masks.shape[-1])[where]
+        masks = self.next_action_masks
+        if masks is not None:
+            parts["next_action_masks"] = masks.reshape(-1, masks.shape[-1])[last_leaves]
         return parts
 
     def _normalized_returns(

@@ -371,7 +371,6 @@ def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
         ({"n_steps": 0}, "n_steps must be at least 1, got 0"),
         ({"n_steps": 2.5}, "n_steps must be a whole number, got 2.5"),
         ({"max_grad_norm": -1.0}, "max_grad_norm must be positive, or None, got -1.0"),
-        ({"advantage_learning": 1.0}, r"advantage_learning must lie in \[0, 1\), got 1.0"),
         ({"batch_size": 0}, "batch_size must be at least 1, got 0"),
         ({"n_atoms": 20.5}, "n_atoms must be a whole number, at least 1, got 20.5"),
         ({"tau": 1.5}, "tau must lie in .0, 1., got 1.5"),

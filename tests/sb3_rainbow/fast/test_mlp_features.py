@@ -32,13 +32,12 @@ class Convolutions(BaseFeaturesExtractor):
 def make_image_learner(cpu_kernels: bool, **kwargs: Any) -> Learner:
     th.manual_seed(0)
     space = spaces.Box(0, 255, (2, 36, 36), np.uint8)
-    advantage_learning = kwargs.pop("advantage_learning", 0.0)
     double_q = kwargs.pop("double_q", True)
     kwargs = {"distributional": True, "v_min": -4.0, "v_max": 4.0, "n_atoms": 11, **kwargs}
     # A large epsilon, so that Adam does not blow up the rounding of tiny gradients
     kwargs["optimizer_kwargs"] = {"eps": 1e-2}
     policy = CnnPolicy(space, spaces.Discrete(N_ACTIONS), lambda _: 1e-3, **kwargs)
-    return Learner(policy, double_q, 0.5, advantage_learning, cpu_kernels=cpu_kernels)
+    return Learner(policy, double_q, 0.5, cpu_kernels=cpu_kernels)
 
 
 def make_images(seed: int) -> Batch:
@@ -55,7 +54,6 @@ def make_images(seed: int) -> Batch:
         {"net_arch": [16]},
         {"net_arch": []},
         {"net_arch": [16], "double_q": False},
-        {"net_arch": [16], "advantage_learning": 0.7},
         {"net_arch": [16], "noisy": False, "distributional": False},
         {"features_extractor_class": NatureCNN, "net_arch": [], "noisy_layers": "head"},
     ],

@@ -19,9 +19,7 @@ from sb3_rainbow.type_aliases import Batch
 N_ACTIONS = 5
 
 
-def make_learner(
-    cpu_kernels: bool, double_q: bool = True, advantage_learning: float = 0.0, **kwargs: Any
-) -> Learner:
+def make_learner(cpu_kernels: bool, double_q: bool = True, **kwargs: Any) -> Learner:
     th.manual_seed(3)
     settings: dict[str, Any] = {
         "net_arch": [24, 16, 12],
@@ -37,7 +35,7 @@ def make_learner(
     )
     for p in policy.q_net_target.parameters():
         p.data += 0.3 * th.randn_like(p)
-    learner = Learner(policy, double_q, 0.5, advantage_learning, cpu_kernels=cpu_kernels)
+    learner = Learner(policy, double_q, 0.5, cpu_kernels=cpu_kernels)
     assert learner.uses_kernels() == cpu_kernels
     return learner
 
@@ -47,8 +45,6 @@ def make_batch(seed: int, masked: bool) -> Batch:
     n = 32
     masks = th.rand(n, N_ACTIONS, generator=generator) < 0.5
     masks[:, seed % N_ACTIONS] = True
-    masks_before = th.rand(n, N_ACTIONS, generator=generator) < 0.5
-    masks_before[:, 0] = True
     return Batch(
         observations=th.randn(n, 6, generator=generator),
         actions=th.randint(0, N_ACTIONS, (n, 1), generator=generator),
@@ -58,7 +54,6 @@ def make_batch(seed: int, masked: bool) -> Batch:
         discounts=0.9 ** th.randint(1, 4, (n, 1), generator=generator).float(),
         weights=th.rand(n, generator=generator),
         next_action_masks=masks if masked else None,
-        action_masks=masks_before if masked else None,
     )
 
 
@@ -74,12 +69,8 @@ def make_batch(seed: int, masked: bool) -> Batch:
         {"distributional": False, "dueling": False, "noisy": False, "double_q": False},
         {"distributional": "quantile"},
         {"distributional": "quantile", "dueling": False, "double_q": False, "n_atoms": 1},
-        {"distributional": "quantile", "advantage_learning": 0.7, "n_atoms": 8},
         {"net_arch": []},
         {"net_arch": [10]},
-        {"advantage_learning": 0.7},
-        {"advantage_learning": 0.7, "double_q": False},
-        {"advantage_learning": 0.7, "distributional": False, "dueling": False},
     ],
     ids=str,
 )

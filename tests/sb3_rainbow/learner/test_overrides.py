@@ -217,9 +217,7 @@ def test_hooks_on_parameters_are_called(hook: str) -> None:
 
 
 @pytest.mark.parametrize("kernels", [True, False])
-@pytest.mark.parametrize(
-    ("name", "value"), [("double_q", False), ("max_grad_norm", 0.1), ("advantage_learning", 0.9)]
-)
+@pytest.mark.parametrize(("name", "value"), [("double_q", False), ("max_grad_norm", 0.1)])
 def test_settings_of_the_update_may_change_after_the_model_was_made(
     name: str, value: Any, kernels: bool
 ) -> None:

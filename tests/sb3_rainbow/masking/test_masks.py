@@ -105,20 +105,6 @@ def test_no_forbidden_action_is_ever_taken(noisy: bool, n_envs: int) -> None:
     check_stored_masks(model.replay_buffer, n_expected=n_drawable(150, n_envs))
 
 
-@pytest.mark.parametrize("n_envs", [1, 3])
-def test_advantage_learning_stores_the_masks_of_both_states(n_envs: int) -> None:
-    env = DummyVecEnv([make_clock] * n_envs)
-    model = small_model(env, advantage_learning=0.5)
-    model.learn(150)
-    check_stored_masks(model.replay_buffer, n_expected=n_drawable(150, n_envs))
-    assert isinstance(model.replay_buffer, PrioritizedReplayBuffer)
-    samples = model.replay_buffer.samples_at(np.flatnonzero(model.replay_buffer.tree.leaves))
-    assert samples.action_masks is not None
-    for obs, mask in zip(samples.observations, samples.action_masks, strict=True):
-        np.testing.assert_array_equal(mask, mask_at(*obs.tolist()))
-    assert (np.asarray(samples.observations)[:, 1] == 0).any()  # after a reset, too
-
-
 def n_drawable(n_steps: int, n_envs: int) -> int:
     """Of the open episode of each env, the last n - 1 = 2 windows are not complete yet."""
     per_env = n_steps // n_envs

@@ -106,33 +106,6 @@ def test_the_scalar_target() -> None:
     th.testing.assert_close(losses, th.where(errors < 1, 0.5 * errors**2, errors - 0.5))
 
 
-def gap(q_values: np.ndarray, action: int, mask: np.ndarray | None) -> float:
-    allowed = [q for a, q in enumerate(q_values) if mask is None or mask[a]]
-    return float(q_values[action] - max(allowed))
-
-
-@pytest.mark.parametrize("masked", [False, True])
-@pytest.mark.parametrize("distributional", [False, True])
-def test_advantage_learning_adds_a_share_of_the_gap(distributional: bool, masked: bool) -> None:
-    policy = make_policy(distributional=distributional)
-    masks = th.rand(64, N_ACTIONS) < 0.6
-    batch = make_batch()._replace(action_masks=masks if masked else None)
-    masks[th.arange(64), batch.actions[:, 0]] = True
-    nets = (policy.q_net, policy.q_net_target)
-    q_values = policy.q_net_target(batch.observations, noisy=False).detach().numpy()
-    gaps = [
-        gap(q_values[i], int(batch.actions[i]), masks[i].numpy() if masked else None)
-        for i in range(64)
-    ]
-    assert min(gaps) < -0.1
-    assert max(gaps) == 0.0  # the best action's target stays what it was
-    shifted = batch._replace(rewards=batch.rewards + 0.9 * th.tensor(gaps)[:, None])
-    expected = td_target(*nets, shifted, True)
-    found = td_target(*nets, batch, True, advantage_learning=0.9)
-    th.testing.assert_close(found.values, expected.values)
-    th.testing.assert_close(found.rewards, expected.rewards)
-
-
 def test_priorities_are_divergences() -> None:
     policy = make_policy()
     batch = make_batch()
