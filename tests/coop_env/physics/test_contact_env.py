@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import pickle
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
@@ -15,6 +14,7 @@ from gymnasium.utils.env_checker import check_env
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
 
+import pytest
 from scipy.optimize import least_squares
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
@@ -23,10 +23,10 @@ from coop_env.geometry import GeometryError
 from coop_env.kinematics import delta, rrs
 from coop_env.physics.env import CoopInsertionContactEnv
 from coop_env.physics.model import Servos
-from coop_env.physics.task import LEVELS, ContactTask
+from coop_env.physics.task import LEVELS, ContactTask, start_configurations
 from coop_env.physics.twin import last
 
-IDS = ("CoopInsertionContact-v0", "CoopInsertionContactDiscrete-v0")
+IDS = ("CoopInsertionContact-v0", "CoopInsertionContactDiscrete-v0", "CoopInsertionPhysics-v0")
 DOWN = np.array([0.0, 0.0, -0.5, 0.0, 0.0, 0.0])
 
 
@@ -208,9 +208,11 @@ def test_time_runs_out() -> None:
     assert gym.spec(IDS[0]).max_episode_steps == 80
 
 
-def test_a_simulation_that_diverges_ends_with_a_cause() -> None:
-    env = make()
+@pytest.mark.parametrize("name", [IDS[0], IDS[2]])
+def test_a_simulation_that_diverges_ends_with_a_cause(name: str) -> None:
+    env: Any = gym.make(name).unwrapped
     env.reset(seed=0)
+    env.step(np.zeros(6))
     env.batch.twin.states[0, -21:] = 1e12
     observation, reward, terminated, _, info = env.step(np.zeros(6))
     assert terminated
@@ -218,6 +220,17 @@ def test_a_simulation_that_diverges_ends_with_a_cause() -> None:
     assert np.isfinite(observation).all()
     assert np.isfinite([reward, *info["force"], info["depth"], info["lateral_error"]]).all()
     assert np.isfinite(env.reset(seed=0)[0]).all()
+
+
+@pytest.mark.parametrize("name", [IDS[0], IDS[2]])
+def test_a_command_beyond_the_robots_is_not_taken(name: str) -> None:
+    env: Any = gym.make(name).unwrapped
+    env.reset(seed=0)
+    for _ in range(80):
+        *_, info = env.step(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0]))
+    assert info["violation"]
+    assert info["failure"] == ("time" if name == IDS[0] else "")
+    assert env.batch.command[0, 5] <= 0.25
 
 
 def test_what_is_drawn_stays_within_the_task() -> None:
@@ -258,14 +271,6 @@ def test_moves_are_increments() -> None:
         moved[action // 2] = 1.0 if action % 2 == 0 else -1.0
         assert discrete.batch.command[0] - before == pytest.approx(moved * increments, abs=1e-15)
         assert observation.tobytes() == continuous.step(moved)[0].tobytes()
-
-
-def test_a_command_beyond_the_limits_is_not_taken() -> None:
-    env = make()
-    env.reset(seed=0)
-    end = play(env, np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0]))
-    assert end["violation"]
-    assert env.batch.command[0, 5] <= 0.25
 
 
 @pytest.mark.parametrize(
@@ -343,18 +348,41 @@ def test_levels_are_the_task_with_other_pegs() -> None:
     assert not np.isfinite(initial.batch.starts[0]).any()
 
 
+ASLANT = np.array([0.1, 0.0, -0.5, 0.0, 0.0, 0.1])
+ASIDE = np.array([1.0, -0.6, 0.8, 0.5, -0.5, 0.4])
+
+
 @pytest.mark.parametrize("take", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_a_copy_in_the_midst_of_an_episode_goes_on_alike(take: Callable[[Any], Any]) -> None:
-    env = CoopInsertionContactEnv()
-    env.reset(seed=5, options={"error": [0.002, 0.0, 0.0, 0.0]})
-    down = np.array([0.1, 0.0, -0.5, 0.0, 0.0, 0.1], np.float32)
-    for _ in range(25):  # in contact by then
-        env.step(down)
+@pytest.mark.parametrize(
+    ("name", "arguments", "before", "after"),
+    [
+        (IDS[0], {}, [ASLANT] * 25, [ASLANT] * 10),  # in contact by then
+        (IDS[0], {"sim_to_real": "randomized"}, [ASIDE], [ASIDE] * 3),
+        ("CoopInsertionPhysicsDiscrete-v0", {"finish": push}, [0], [1, 5, 4]),
+    ],
+    ids=["nominal", "disturbed", "moves"],
+)
+def test_a_copy_in_the_midst_of_an_episode_goes_on_alike(
+    name: str, arguments: dict[str, Any], before: list[Any], after: list[Any], take: Any
+) -> None:
+    """To the end of this episode, and with the same machine in the next."""
+    env: Any = gym.make(name, **arguments).unwrapped
+    options: dict[str, Any] = {"error": [0.002, 0.0, 0.0, 0.0]}
+    if "finish" in arguments:
+        start = start_configurations(env.physics.machine, 0.045)[2]
+        options = {"configuration": start, "target": 2}
+    env.reset(seed=5, options=options)
+    for action in before:
+        env.step(action)
     other = take(env)
-    for _ in range(10):
-        mine, theirs = env.step(down), other.step(down)
+    for action in after:
+        mine, theirs = env.step(action), other.step(action)
         np.testing.assert_array_equal(mine[0], theirs[0])
         assert mine[1:4] == theirs[1:4]
-    for each in (env, other):
-        each.reset()
-    np.testing.assert_array_equal(env.step(down)[0], other.step(down)[0])
+        assert mine[4]["peak_force"] == theirs[4]["peak_force"]
+    mine, theirs = env.reset()[1], other.reset()[1]
+    np.testing.assert_array_equal(mine.get("privileged"), theirs.get("privileged"))
+    np.testing.assert_array_equal(env.step(after[0])[0], other.step(after[0])[0])
+
+
+pytest.importorskip("mujoco", reason="needs the extra physics")

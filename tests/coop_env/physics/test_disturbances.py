@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
 from dataclasses import fields, replace
 from typing import Any
 
@@ -244,18 +242,6 @@ def test_friction_that_an_option_sets_has_no_error() -> None:
     env = CoopInsertionContactEnv(sim_to_real={"friction_error": 1.0})
     _, info = env.reset(seed=0, options={"friction": 0.25})
     assert info["friction"] == 0.25
-
-
-@pytest.mark.parametrize("take", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_a_copy_has_the_same_machine_and_the_same_next_one(take: Any) -> None:
-    env = CoopInsertionContactEnv(sim_to_real="randomized")
-    env.reset(seed=1)
-    env.step(ASIDE)
-    other = take(env)
-    for _ in range(3):
-        np.testing.assert_array_equal(env.step(ASIDE)[0], other.step(ASIDE)[0])
-    mine, theirs = env.reset()[1], other.reset()[1]
-    np.testing.assert_array_equal(mine["privileged"], theirs["privileged"])
 
 
 def test_a_critic_sees_what_is_so() -> None:
