@@ -1,4 +1,4 @@
-"""Both vector forms: copies that play on, use out of turn, snapshots, options, conventions."""
+"""Both vector forms: seeds, copies that play on, snapshots, options, conventions."""
 
 from __future__ import annotations
 
@@ -294,3 +294,48 @@ def test_a_batch_is_seen_as_single_environments_are() -> None:
     shown = batch.render()
     assert shown is not None
     np.testing.assert_array_equal(shown[0], env.render())
+
+
+def rollout(env: CoopInsertionEnv, n: int, seed: int) -> list[tuple[Any, ...]]:
+    rng = np.random.default_rng(seed)
+    obs, info = env.reset(seed=seed)
+    log: list[tuple[Any, ...]] = [(obs.tobytes(), repr(info))]
+    for _ in range(n):
+        action = rng.choice(np.flatnonzero(env.action_masks()))
+        obs, reward, terminated, truncated, info = env.step(action)
+        log.append((obs.tobytes(), reward, terminated, truncated, repr(info)))
+        if terminated or truncated:
+            obs, info = env.reset()
+            log.append((obs.tobytes(), repr(info)))
+    return log
+
+
+def test_a_seed_repeats_the_whole_course() -> None:
+    assert rollout(CoopInsertionEnv(), 700, 3) == rollout(CoopInsertionEnv(), 700, 3)
+    assert rollout(CoopInsertionEnv(), 5, 3) != rollout(CoopInsertionEnv(), 5, 4)
+
+
+def test_a_move_and_its_reverse_cancel_to_the_last_bit() -> None:
+    env = CoopInsertionEnv()
+    for seed in range(20):
+        env.reset(seed=seed)
+        start = env.state
+        for action in range(12):
+            if not env.action_masks()[action]:
+                continue
+            _, _, terminated, _, info = env.step(action)
+            assert not terminated
+            if not info["collision"]:
+                env.step(action ^ 1)
+        assert env.configuration.tobytes() == start["configuration"].tobytes()
+        assert env.state["q"].tobytes() == start["q"].tobytes()
+
+
+def test_the_stage_changes_at_the_next_reset() -> None:
+    batch = CoopInsertionVecEnv(3, seed=0, stage=0)
+    batch.reset()
+    assert all(state["active"].sum() == 4 for state in batch.get_attr("state"))
+    batch.env_method("set_stage", 1)
+    assert all(state["active"].sum() == 4 for state in batch.get_attr("state"))
+    batch.reset()
+    assert all(state["active"].sum() == 6 for state in batch.get_attr("state"))

@@ -95,28 +95,31 @@ def test_normalized_and_plain_observations_say_the_same() -> None:
         np.testing.assert_allclose(si[9:12], state["normals"][target], atol=1e-7)
 
 
-def test_mask_singularities_excludes_collisions_and_singular_moves() -> None:
-    env = CoopInsertionEnv(geometry="initial", mask_singularities=True, max_moves=10_000)
+@pytest.mark.parametrize(
+    ("geometry", "safe"), [("initial", False), ("optimized", False), ("initial", True)]
+)
+def test_masks_equal_a_check_of_each_neighbour(geometry: str, safe: bool) -> None:
+    """Safe ones exclude collisions and singular moves too."""
+    env = CoopInsertionEnv(geometry=geometry, mask_singularities=safe, max_moves=10_000)
     rng = np.random.default_rng(0)
     towards_trouble = np.ones(12)
     towards_trouble[[5, 6, 8]] = 6.0  # down, and to one side
     env.reset(seed=0)
     hidden = 0
     for _ in range(1000):
+        c, steps = env.configuration, np.repeat(np.diag(env.task.steps), 2, axis=0)
+        steps[1::2] *= -1.0
+        status = np.array([env.configuration_status(c + step) for step in steps])
+        expected = status == 0 if safe else status != 1
         masks = env.action_masks()
-        for action in range(12):
-            c = env.configuration
-            sign = 1 - 2 * (action % 2)
-            c[action // 2] += sign * (0.03 if action // 2 in (3, 4) else 0.02)
-            status = env.configuration_status(c)
-            assert masks[action] == (status == 0)
-            hidden += status > 1
+        assert masks.tolist() == (expected if expected.any() else ~expected).tolist()
+        hidden += (~masks & (status > 1)).sum()
         weights = masks * towards_trouble
         _, _, terminated, truncated, info = env.step(rng.choice(12, p=weights / weights.sum()))
-        assert not info["violation"]
+        assert not (safe and info["violation"])
         if terminated or truncated:
             env.reset()
-    assert hidden > 20
+    assert (hidden > 20) == safe
 
 
 def test_pose_models_differ_where_the_platform_is_tilted() -> None:

@@ -84,7 +84,7 @@ def test_a_refused_reset_leaves_the_generators() -> None:
 
 
 KEYS = {"success", "is_success", "all_filled"}
-TWO: dict[str, Any] = {"task": {"holes": [[0.0, 0.0], [0.5, 0.0]]}, "stage": 1}
+SIX: dict[str, Any] = {"task": {"holes": [[0.0, 0.0], *([0.5, k] for k in range(5))]}}
 
 
 def start(env: CoopInsertionEnv, filled: list[int]) -> dict[str, Any]:
@@ -95,11 +95,11 @@ def start(env: CoopInsertionEnv, filled: list[int]) -> dict[str, Any]:
     return env.reset(options=options)[1]
 
 
-@pytest.mark.parametrize(("filled", "all_filled"), [([], False), ([1], True)])
+@pytest.mark.parametrize(("filled", "all_filled"), [([], False), ([1, 2, 3, 4, 5], True)])
 def test_a_success_is_one_insertion_and_all_filled_is_every_hole(
     filled: list[int], all_filled: bool
 ) -> None:
-    env = CoopInsertionEnv(**TWO)
+    env = CoopInsertionEnv(**SIX)
     info = start(env, filled)
     assert not any(info[key] for key in KEYS)
     *_, terminated, _, info = env.step(5)
