@@ -7,6 +7,7 @@ steps than the paper trains, says so and gives no verdict.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Final
 
 from benchmarks.protocol import labels
@@ -22,7 +23,7 @@ from benchmarks.reporting.compared import (
     comparisons,
     find,
 )
-from benchmarks.reporting.results import MAIN, Group, Results, tail_mean
+from benchmarks.reporting.results import Group, Results, tail_mean
 from benchmarks.reporting.stats import Value, over_seeds
 
 # Thresholds. A test for each fails when it moves.
@@ -73,38 +74,39 @@ def performance(results: Results, compared: list[Comparison]) -> str:
     script = find(compared, CONTROL, ours)
     others = [c.theirs for c in compared if (c.question, c.ours) == (MASKED, ours)]
     success = ours.success()
-    n, planned = ours.n, ours.planned
-    so_far = f" ({n} of {planned} seeds so far)" if n < planned else ""
-    report = f"Rainbow{so_far} inserts in {_show(success)} % of the test episodes"
+    so_far = f" ({ours.n} of {ours.planned} seeds so far)" if ours.n < ours.planned else ""
+    report = (
+        f"With the reward repaired, Rainbow{so_far} inserts in {_show(success)} % of the test "
+        f"episodes (paper {PERFORMANCE['success']['rainbow']})"
+    )
     if ours != greedy:
-        report += f" as trained, {_show(greedy.success())} greedily"
-    report += f" (paper {PERFORMANCE['success']['rainbow']}"
-    optimum = results.group("optimum")
-    report += f", the exact optimum {_show(optimum.success())})" if optimum.n else ")"
-    planner = results.group("rrt_lattice")  # the strongest, which plans on the model
-    if planner.n:
-        report += f", {planner.name} in {_show(planner.success())}"
-    if script:
-        report += f", the best script under the same masks in {_show(script.theirs.success())}"
-    for other in others:
-        report += f", {other.name.partition(',')[0]} in {_show(other.success())}"
-        greedily = other.at(MAIN)
-        if other.method == "maskable_ppo" and other != greedily:
-            report += f" (greedily {_show(greedily.success())})"
+        report += f" as it was trained, with exploration, and in {_show(greedy.success())} greedily"
+    report += "."
+    rivals = [("the best script", script.theirs)] if script else []
+    rivals += [(other.name.partition(",")[0], other) for other in others]
+    if rivals:
+        shown = _joined(f"{name} in {_show(other.success())}" for name, other in rivals)
+        report += f" Beside it, {shown}."
+    # the strongest planner, and the ceiling
+    planner, optimum = results.group("rrt_lattice"), results.group("optimum")
+    models = [(planner.name, planner), ("the exact optimum", optimum)]
+    if models := [(name, row) for name, row in models if row.n]:
+        shown = _joined(f"{name} in {_show(row.success())}" for name, row in models)
+        report += f" Without learning, on the exact model, {shown}."
     if why := ground(ours):
-        return f"**No verdict yet on performance** ({why}): {report}."
+        return f"**No verdict yet on performance** ({why}). {report}"
     reached = success.mean >= SUCCESS_LEAST
     above = script is not None and outcome(script) == BETTER
     far = script is not None and script.difference.mean >= SCRIPT_POINTS
     if not above:
         verdict = "The success rate does not reproduce: a script does as well"
     elif not reached:
-        verdict = "Learning pays, the success rate is missed"
+        verdict = "Learning pays, but the paper's success rate is missed"
     elif not far:
         verdict = f"The success rate reproduces, less than {SCRIPT_POINTS:g} points above a script"
     else:
         verdict = "The success rate reproduces"
-    return f"**{verdict}**: with the reward repaired {report}."
+    return f"**{verdict}.** {report}"
 
 
 def components(results: Results, compared: list[Comparison]) -> str:
@@ -115,29 +117,30 @@ def components(results: Results, compared: list[Comparison]) -> str:
     masked = results.group("rainbow", full.track, ablation="none")
     together = next((c for c in compared if c.ours == full and c.theirs in masked.both()), None)
     singles = [c for c in compared if c.question == ABLATION and c.ours.n]
-    parts = []
-    if together:
-        parts.append(
-            f"all six together change masked DQN's success by {_points(together)}, "
-            f"{_significant(together)}"
-        )
+    if not (together or singles):
+        return ""
     costs = [c for c in singles if outcome(c) == WORSE]
+    report = ""
+    if together:
+        behind = together.difference.signed(" points")
+        report += f" All six together change masked DQN's success by {behind}."
     if singles:
         names = ", ".join(_component(c) for c in costs) or "none"
-        parts.append(f"of {len(singles)} removed one at a time these cost: {names}")
-    if not parts:
-        return ""
-    report = "; ".join(parts)
+        report += f" Of {len(singles)} removed one at a time these cost: {names}."
+    else:
+        report += " No run with one component removed is complete yet."
     short = [ground(row) for row in (full, *(c.ours for c in singles)) if ground(row)]
     if together and ground(together.theirs):
         short.append(f"masked DQN: {ground(together.theirs)}")
     if short:
-        return f"**No verdict yet on the components** ({short[0]}): {report}."
+        return f"**No verdict yet on the components** ({short[0]}).{report}"
     pays = together is not None and outcome(together) == BETTER
+    if not singles:
+        return f"**The six components {'' if pays else 'do not '}pay together.**{report}"
     whole = len(costs) == len(PRINTED_ABLATION) - 1
     verdict = "reproduces" if pays and whole else (
         "reproduces in part" if pays or costs else "does not reproduce")  # fmt: skip
-    return f"**The ablation {verdict}**: {report}."
+    return f"**The ablation {verdict}.**{report}"
 
 
 def _component(comparison: Comparison) -> str:
@@ -154,28 +157,28 @@ def geometry(results: Results, compared: list[Comparison]) -> str:
         return ""
     pair, report, right = (before, after), [], 0
     for name, key, unit, digits, (low, high) in (
+        ("success", "success", " %", 1, [row.success() for row in pair]),
         ("steps to 75 %", "steps_to_75", " (1e5)", 2,
          [row.meta("steps_to_75", 1e-5) for row in pair]),
-        ("success", "success", " %", 1, [row.success() for row in pair]),
         ("singular ends per 1000 training episodes", "singular_per_1000", "", 1,
          [row.singular_per_1000() for row in pair]),
     ):  # fmt: skip
         right += (high.mean > low.mean) if key == "success" else (high.mean < low.mean)
         report.append(
-            f"{name} from {_show(low, digits)} to {_show(high, digits)}{unit} "
+            f"{name}: {_show(low, digits)} to {_show(high, digits)}{unit} "
             f"(paper {' to '.join(GEOMETRY_ABLATION[key])})"
         )
     scripts = [results.control_of(row, row.geometry) for row in pair]
     if all(scripts):
         shown = " to ".join(_show(row.success()) for row in scripts if row)
-        report.append(f"the best script from {shown} %")
+        report.append(f"the best script's success: {shown} %")
     each = find(compared, GEOMETRY, before)
-    text = "; ".join(report)
+    text = f"From the initial to the optimized geometry, {'; '.join(report)}"
     if why := ground(before) or ground(after):
-        return f"**No verdict yet on the design stage** ({why}): {text}."
+        return f"**No verdict yet on the design stage** ({why}). {text}."
     verdict = "reproduces" if right == 3 and each and outcome(each) == WORSE else (
         "reproduces in part" if right else "does not reproduce")  # fmt: skip
-    return f"**The design stage's effect {verdict}**: {text}."
+    return f"**The design stage's effect {verdict}.** {text}."
 
 
 def printed(results: Results) -> str:
@@ -191,9 +194,9 @@ def printed(results: Results) -> str:
         f"; its last training episodes earn {_show(reward, 0)} and fill {_show(holes, 2)} holes"
     )
     if why := ground(row):
-        return f"**No verdict yet on the reward as printed** ({why}): {report}."
+        return f"**No verdict yet on the reward as printed** ({why}). {report}."
     learns = "teaches" if row.success().mean >= LEARNS else "does not teach"
-    return f"**The reward as printed {learns} the task**: {report}."
+    return f"**The reward as printed {learns} the task.** {report}."
 
 
 def uncertain(compared: list[Comparison]) -> str:
@@ -204,7 +207,7 @@ def uncertain(compared: list[Comparison]) -> str:
     chosen = max(result, key=lambda each: each.ours.success().mean)
     verdict = {SAME: "scripts do as well", WORSE: "scripts stay ahead", BETTER: "learning pays"}
     return (
-        f"**On the uncertain machine {verdict[outcome(chosen)]}**: {chosen.ours.name} inserts in "
+        f"**On the uncertain machine {verdict[outcome(chosen)]}.** {chosen.ours.name} inserts in "
         f"{_show(chosen.ours.success())} %, {chosen.theirs.name} in "
         f"{_show(chosen.theirs.success())} ({_points(chosen)})."
     )
@@ -218,11 +221,9 @@ def _points(comparison: Comparison) -> str:
     return comparison.difference.signed(" points")
 
 
-def _significant(comparison: Comparison) -> str:
-    if comparison.difference.n < 2:
-        return "on one seed"
-    words = {SAME: "no clear difference", BETTER: "a clear gain", WORSE: "a clear loss"}
-    return words[outcome(comparison)]
+def _joined(parts: Iterable[str]) -> str:
+    *first, last = parts
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def _show(value: Value, digits: int = 1) -> str:
