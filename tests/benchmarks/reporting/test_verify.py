@@ -40,22 +40,32 @@ def verify(store: Store) -> list[str]:
     return check_tables(store.tables, build_tables(store))
 
 
-@pytest.fixture
-def copy(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results of preset quick, pages about them, the committed design and its pages."""
-    unneeded = shutil.ignore_patterns("figures")
-    shutil.copytree(RESULTS / "design", tmp_path / "results" / "design", ignore=unneeded)
-    (tmp_path / "docs").mkdir()
+    folder = tmp_path_factory.mktemp("original")
+    results, unneeded = folder / "results", shutil.ignore_patterns("figures")
+    shutil.copytree(RESULTS / "design", results / "design", ignore=unneeded)
+    (folder / "docs").mkdir()
     for name in {page for page, _ in of_design()}:
-        shutil.copy(ROOT / "docs" / name, tmp_path / "docs" / name)
-    store = make_store(tmp_path / "results", [0])
+        shutil.copy(ROOT / "docs" / name, folder / "docs" / name)
+    store = make_store(results, [0])
     for table in build_tables(store):
         table.write(store.tables)
     for name, text in PAGES.items():
-        (tmp_path / name).write_text(text, encoding="utf-8")
-    results = tmp_path / "results"
+        (folder / name).write_text(text, encoding="utf-8")
     blocks.rewrite(results, catalogue.all_blocks(results))
-    return tmp_path
+    return folder
+
+
+@pytest.fixture
+def copy(original: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(original, tmp_path, dirs_exist_ok=True))
+
+
+@pytest.fixture
+def store(copy: Path) -> Store:
+    return Store.open(copy / "results", "quick")
 
 
 def words(folder: Path) -> list[str]:
@@ -91,8 +101,7 @@ def test_the_committed_results_are_what_their_episodes_say(
         assert f"{ROOT / page}: its blocks" in out
 
 
-def test_one_digit_of_any_table_is_seen(copy: Path) -> None:
-    store = Store.open(copy / "results", "quick")
+def test_one_digit_of_any_table_is_seen(store: Store) -> None:
     rng = random.Random(0)
     tables = sorted(store.tables.iterdir())
     assert len(tables) >= 21
@@ -170,8 +179,7 @@ def test_the_designs_table_must_follow_from_its_runs(copy: Path) -> None:
     assert f"as the optimized workspace, the mean of runs.csv is {wanted:.7g}" in problem
 
 
-def test_an_episode_that_changed_makes_the_tables_disagree(copy: Path) -> None:
-    store = Store.open(copy / "results", "quick")
+def test_an_episode_that_changed_makes_the_tables_disagree(store: Store) -> None:
     run = learners(store)[0]
     rows = run.rows("episodes")
     rows["success"] = [1 - rows["success"][0], *rows["success"][1:]]
@@ -181,8 +189,7 @@ def test_an_episode_that_changed_makes_the_tables_disagree(copy: Path) -> None:
         assert f"{table}.md differs" in names
 
 
-def test_rows_that_are_not_the_test_episodes_are_named(copy: Path) -> None:
-    store = Store.open(copy / "results", "quick")
+def test_rows_that_are_not_the_test_episodes_are_named(store: Store) -> None:
     assert check_runs(store) == []
     path = store.completed()[-1].path / "episodes.csv"
     text = path.read_text(encoding="utf-8")
@@ -214,8 +221,7 @@ def test_rows_that_are_not_the_test_episodes_are_named(copy: Path) -> None:
     assert "episodes.csv has acting ['exploring'], not ['greedy']" in found
 
 
-def test_a_policy_that_is_not_its_runs_is_named(copy: Path) -> None:
-    store = Store.open(copy / "results", "quick")
+def test_a_policy_that_is_not_its_runs_is_named(store: Store) -> None:
     first, second = learners(store)[:2]
     for run, data in ((first, b"one"), (second, b"two")):
         run.policy.write_bytes(data)
@@ -229,8 +235,9 @@ def test_a_policy_that_is_not_its_runs_is_named(copy: Path) -> None:
     assert check_runs(store) == [f"{run.path}: {wanted}" for run in (first, second)]
 
 
-def test_a_damaged_or_foreign_run_is_named(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    store = Store.open(copy / "results", "quick")
+def test_a_damaged_or_foreign_run_is_named(
+    copy: Path, store: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
     run = learners(store)[0].path
     for name, text, message in (
         ("meta.json", '{"schema": 99}', "has results schema 99, this version reads 1"),
@@ -252,8 +259,7 @@ def test_a_damaged_or_foreign_run_is_named(copy: Path, capsys: pytest.CaptureFix
     assert f"holds the run '{run.name}'" in problem
 
 
-def test_a_table_that_nothing_makes_is_named(copy: Path) -> None:
-    store = Store.open(copy / "results", "quick")
+def test_a_table_that_nothing_makes_is_named(store: Store) -> None:
     (store.tables / "old.md").write_text("95", encoding="utf-8")
     (store.tables / "ablation.csv").unlink()
     missing, old = verify(store)
