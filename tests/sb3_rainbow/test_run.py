@@ -315,31 +315,9 @@ def test_the_target_moves_at_every_update_or_at_an_interval() -> None:
     assert 0.0 < distance(tau=1.0, target_update_interval=64) < distance(tau=0.0)
 
 
-def test_tau_is_sb3s_where_the_target_moves_at_sb3s_interval() -> None:
-    assert Rainbow("MlpPolicy", "CartPole-v1", **FAST).tau == 5e-3
-    copies = Rainbow("MlpPolicy", "CartPole-v1", target_update_interval=32, **FAST)
-    assert copies.tau == 1.0
-    copies.learn(32)
-    before = [p.clone() for p in copies.q_net.parameters()]
-    copies.learn(33, reset_num_timesteps=False)
-    assert all(
-        not th.equal(p, q) for p, q in zip(before, copies.q_net_target.parameters(), strict=True)
-    )
-
-
 def test_more_envs_than_the_target_interval_is_a_warning() -> None:
     with pytest.warns(UserWarning, match=r"number of environments used is greater.*\(2 > 1\)"):
         Rainbow("MlpPolicy", make_vec_env("CartPole-v1", 2), target_update_interval=1, **FAST)
-
-
-def test_polyak_average_of_one_update() -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", tau=0.25, **FAST)
-    before = [p.clone() for p in model.q_net_target.parameters()]
-    for p in model.q_net.parameters():
-        p.data += 1.0
-    model._learner.move_target(0.25)
-    for old, new in zip(before, model.q_net_target.parameters(), strict=True):
-        th.testing.assert_close(new, old + 0.25)
 
 
 def test_training_before_a_window_is_complete_waits() -> None:

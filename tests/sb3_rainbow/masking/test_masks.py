@@ -112,28 +112,48 @@ def n_drawable(n_steps: int, n_envs: int) -> int:
     return (per_env - waiting) * n_envs
 
 
-def test_a_single_env_and_the_action_masker_wrapper() -> None:
-    class Hidden(ClockEnv):
-        action_masks = None  # type: ignore[assignment]
+class Hidden(ClockEnv):
+    """Its masks have another name, which ``ActionMasker`` is told."""
 
-        def allowed(self) -> np.ndarray:
-            return mask_at(self.episode, self.time)
+    action_masks = None  # type: ignore[assignment]
 
-        def step(self, action: int) -> Any:
-            assert self.allowed()[action]
-            self.time += 1
-            return self.observation(), 0.0, False, self.time == self.length, {}
+    def allowed(self) -> np.ndarray:
+        return mask_at(self.episode, self.time)
 
-    model = small_model(ActionMasker(Hidden(), lambda env: env.allowed()))  # type: ignore[attr-defined]
-    model.learn(100)
-    check_stored_masks(model.replay_buffer, 100)
+    def step(self, action: int) -> Any:
+        assert self.allowed()[action]
+        self.time += 1
+        return self.observation(), 0.0, False, self.time == self.length, {}
 
 
-def test_subprocess_envs_with_the_public_wrapper() -> None:
-    env = SubprocVecEnv([make_wrapped_clock] * 2, start_method="fork")
+class Native(DummyVecEnv):
+    """As a batched env would: no gym envs to wrap, the mask in the info."""
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        return [True] * self.num_envs
+
+    def step_wait(self) -> Any:
+        obs, rewards, dones, infos = super().step_wait()
+        for done, info in zip(dones, infos, strict=True):
+            if done:
+                info["terminal_action_mask"] = mask_at(*info["terminal_observation"])
+        return obs, rewards, dones, infos
+
+
+@pytest.mark.parametrize(
+    ("make", "n_envs"),
+    [
+        (lambda: ActionMasker(Hidden(), lambda env: env.allowed()), 1),  # type: ignore[attr-defined]
+        (lambda: SubprocVecEnv([make_wrapped_clock] * 2, start_method="fork"), 2),
+        (lambda: Native([make_clock] * 3), 3),
+    ],
+    ids=["action masker", "subprocesses", "native"],
+)
+def test_masks_of_every_kind_of_env_are_stored(make: Callable[[], Any], n_envs: int) -> None:
+    env = make()
     model = small_model(env)
-    model.learn(60)
-    check_stored_masks(model.replay_buffer, n_drawable(60, 2))
+    model.learn(90)
+    check_stored_masks(model.replay_buffer, n_drawable(90, n_envs))
     env.close()
 
 
@@ -144,25 +164,6 @@ def test_subprocess_envs_without_it_warn_once() -> None:
         model.learn(60)
     assert len(seen) == 1
     env.close()
-
-
-def test_a_native_vec_env_that_reports_the_terminal_mask() -> None:
-    class Native(DummyVecEnv):
-        """As a batched env would: no gym envs to wrap, the mask in the info."""
-
-        def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-            return [True] * self.num_envs
-
-        def step_wait(self) -> Any:
-            obs, rewards, dones, infos = super().step_wait()
-            for done, info in zip(dones, infos, strict=True):
-                if done:
-                    info["terminal_action_mask"] = mask_at(*info["terminal_observation"])
-            return obs, rewards, dones, infos
-
-    model = small_model(Native([make_clock] * 3))
-    model.learn(90)
-    check_stored_masks(model.replay_buffer, 90)
 
 
 def test_a_terminated_state_may_allow_nothing() -> None:
@@ -254,43 +255,38 @@ def test_predict_obeys_masks_of_one_observation_and_of_a_batch() -> None:
     assert action == 4
 
 
+ONES = np.ones((3, N_ACTIONS), np.int8)
+
+
 @pytest.mark.parametrize(
-    ("masks", "message"),
+    ("n", "masks", "message"),
     [
-        (np.ones(N_ACTIONS - 1, bool), r"shape \(1, 6\) \(envs, actions\), got \(1, 5\)"),
-        (np.zeros(N_ACTIONS, bool), "mask of env 0 allows no action"),
-        (np.ones((2, N_ACTIONS), bool), "shape"),
-        (np.arange(N_ACTIONS), "True or False .* not 2: is it a list of actions"),
+        (1, np.ones(N_ACTIONS - 1, bool), r"shape \(1, 6\) \(envs, actions\), got \(1, 5\)"),
+        (1, np.zeros(N_ACTIONS, bool), "mask of env 0 allows no action"),
+        (1, np.ones((2, N_ACTIONS), bool), "shape"),
+        (1, np.arange(N_ACTIONS), "True or False .* not 2: is it a list of actions"),
+        (3, ONES.T, r"shape \(3, 6\) \(envs, actions\), got \(6, 3\)"),  # is not reshaped
+        (3, np.ones(7, bool), r"got \(1, 7\)"),
     ],
 )
-def test_bad_masks_in_predict(masks: np.ndarray, message: str) -> None:
-    model = small_model(ClockEnv())
+def test_bad_masks_in_predict(n: int, masks: np.ndarray, message: str) -> None:
+    model, obs = small_model(ClockEnv()), np.zeros((3, 2), np.float32)
+    for good in (ONES, ONES.reshape(-1)):
+        model.predict(obs, action_masks=good)
     with pytest.raises(ValueError, match=message):
-        model.predict(np.zeros(2, np.float32), action_masks=masks)
-
-
-def test_masks_of_a_batch_in_the_wrong_order_are_not_reshaped() -> None:
-    model = small_model(ClockEnv())
-    obs, masks = np.zeros((3, 2), np.float32), np.ones((3, N_ACTIONS), np.int8)
-    model.predict(obs, action_masks=masks)
-    model.predict(obs, action_masks=masks.reshape(-1))
-    with pytest.raises(ValueError, match=r"shape \(3, 6\) \(envs, actions\), got \(6, 3\)"):
-        model.predict(obs, action_masks=masks.T)
-    with pytest.raises(ValueError, match=r"got \(1, 7\)"):
-        model.predict(obs, action_masks=np.ones(7, bool))
+        model.predict(obs[0] if n == 1 else obs, action_masks=masks)
 
 
 @pytest.mark.parametrize(
     ("bad", "message"),
     [
-        (lambda: np.ones(4, bool), r"must have shape \(1, 6\)"),
-        (lambda: np.zeros(N_ACTIONS, bool), "allows no action"),
+        (np.ones(4, bool), r"must have shape \(1, 6\)"),
+        (np.zeros(N_ACTIONS, bool), "allows no action"),
     ],
 )
-def test_bad_masks_of_an_env(bad: Callable[[], np.ndarray], message: str) -> None:
-    env = ActionMasker(ClockEnv(), lambda _: bad())
+def test_bad_masks_of_an_env(bad: np.ndarray, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        small_model(env).learn(10)
+        small_model(ActionMasker(ClockEnv(), lambda _: bad)).learn(10)
 
 
 def test_use_masking() -> None:

@@ -39,23 +39,21 @@ def slow_projection(
     return out
 
 
-def test_projection_by_hand() -> None:
-    # Atoms -1, 0, 1, 2. r + 0.5 z = 0.25, 0.75, 1.25, 1.75.
-    projected = project([0.1, 0.2, 0.3, 0.4], 0.75, 0.5, -1.0, 2.0)
-    expected = [0.0, 0.1 * 0.75 + 0.2 * 0.25, 0.1 * 0.25 + 0.2 * 0.75, 0.0]
-    expected[2] += 0.3 * 0.75 + 0.4 * 0.25
-    expected[3] += 0.3 * 0.25 + 0.4 * 0.75
+@pytest.mark.parametrize(
+    ("reward", "discount", "expected"),
+    [
+        # r + 0.5 z = 0.25, 0.75, 1.25, 1.75
+        (0.75, 0.5, [0.0, 0.075 + 0.05, 0.025 + 0.15 + 0.225 + 0.1, 0.075 + 0.3]),
+        (0.0, 1.0, [0.1, 0.2, 0.3, 0.4]),  # on the grid
+        (1.0, 1.0, [0.0, 0.1, 0.2, 0.7]),
+        (1.0, 0.0, [0.0, 0.0, 1.0, 0.0]),  # a termination
+        (0.25, 0.0, [0.0, 0.75, 0.25, 0.0]),
+    ],
+)
+def test_projection_by_hand(reward: float, discount: float, expected: list[float]) -> None:
+    """Of 0.1, 0.2, 0.3 and 0.4 at the atoms -1, 0, 1 and 2."""
+    projected = project([0.1, 0.2, 0.3, 0.4], reward, discount, -1.0, 2.0)
     assert projected == pytest.approx(expected, abs=1e-6)
-
-
-def test_an_atom_on_the_grid_keeps_its_mass() -> None:
-    assert project([0.1, 0.2, 0.3, 0.4], 0.0, 1.0, -1.0, 2.0) == pytest.approx([0.1, 0.2, 0.3, 0.4])
-    assert project([0.1, 0.2, 0.3, 0.4], 1.0, 1.0, -1.0, 2.0) == pytest.approx([0.0, 0.1, 0.2, 0.7])
-
-
-def test_a_termination_puts_all_mass_at_the_reward() -> None:
-    assert project([0.1, 0.2, 0.3, 0.4], 1.0, 0.0, -1.0, 2.0) == pytest.approx([0, 0, 1, 0])
-    assert project([0.1, 0.2, 0.3, 0.4], 0.25, 0.0, -1.0, 2.0) == pytest.approx([0, 0.75, 0.25, 0])
 
 
 @settings(max_examples=80, deadline=None)
@@ -75,9 +73,8 @@ def test_projection_agrees_with_a_loop_and_keeps_mass_one(
     projected = np.array(project(p.tolist(), reward, discount, v_min, v_max))
     assert projected.sum() == pytest.approx(1.0, abs=1e-5)
     assert projected.min() >= -1e-6
-    np.testing.assert_allclose(
-        projected, slow_projection(p, reward, discount, v_min, v_max), atol=2e-4
-    )
+    slow = slow_projection(p, reward, discount, v_min, v_max)
+    np.testing.assert_allclose(projected, slow, atol=2e-4)
 
 
 def test_clipped_share_is_the_mass_outside() -> None:

@@ -41,12 +41,6 @@ def test_the_hyperparameters_of_the_package(env_id: str) -> None:
     assert model.num_timesteps == 64
 
 
-def test_a_package_that_announces_its_environments_needs_no_flag() -> None:
-    pytest.importorskip("minatar", reason="needs the extra classic")
-    zoo("train --env MinAtar/Breakout-v1 -n 20 --eval-freq -1 --device cpu --verbose 0")
-    assert trained(1, "MinAtar-Breakout-v1").num_timesteps == 20
-
-
 MASKED = f"--env MaskedZoo-v0 --gym-packages {ENVS}"
 
 
