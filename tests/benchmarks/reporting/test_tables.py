@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import pandas as pd
 import pytest
 import scipy.stats
+from hypothesis import given
+from hypothesis import strategies as st
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol import labels
@@ -18,12 +24,12 @@ from benchmarks.protocol.presets import load_preset
 from benchmarks.reporting.compared import ABLATION as ABLATION_QUESTION
 from benchmarks.reporting.compared import comparisons
 from benchmarks.reporting.figures.learning import pictures
-from benchmarks.reporting.results import Results
+from benchmarks.reporting.results import Level, Result, Results
 from benchmarks.reporting.stats import Value
 from benchmarks.reporting.tables.beyond import build_tables
-from benchmarks.reporting.tables.table import Number, Table
+from benchmarks.reporting.tables.table import FLAG, Number, Table, printed_range
 from benchmarks.reporting.verify import check_tables
-from benchmarks.runs.store import Store
+from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.insertion import Insertion
 from tests.benchmarks import fabricated_store
 
@@ -269,3 +275,122 @@ def test_episodes_that_began_elsewhere_are_no_pairs(make_store: MakeStore) -> No
     path.write_text(path.read_text("utf-8").replace("start3", "start33", 1), encoding="utf-8")
     with pytest.raises(BenchmarkError, match="episode 3 of seed 0 began"):
         build_tables(store)
+
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("95 ± 2", (94.5, 95.5)),
+        ("0.1 ± 0.05", (0.05, 0.15)),
+        ("-7", (-7.5, -6.5)),
+        ("0", (-0.5, 0.5)),
+        ("-", None),
+        ("", None),
+    ],
+)
+def test_a_printed_number_stands_for_all_that_round_to_it(
+    text: str, expected: tuple[float, float] | None
+) -> None:
+    assert printed_range(text) == expected
+
+
+@given(st.floats(-500, 500), st.integers(0, 3))
+def test_every_number_is_in_the_range_of_its_own_print(number: float, digits: int) -> None:
+    printed = printed_range(f"{number:.{digits}f}")
+    assert printed is not None
+    assert printed[0] - 1e-9 <= number <= printed[1] + 1e-9
+
+
+@given(st.floats(-9, 9), st.floats(0, 5), st.floats(-9, 9))
+def test_outside_means_that_no_rounding_reconciles(low: float, width: float, paper: float) -> None:
+    text = f"{paper:.1f}"
+    value = Value(low, low=low, high=low + width)
+    candidates = [float(text) + 0.05 * k / 50 for k in range(-50, 51)]
+    inside = any(low - 1e-9 <= x <= low + width + 1e-9 for x in candidates)
+    if Number(value, paper=text).flagged:
+        assert not any(low + 1e-6 < x < low + width - 1e-6 for x in candidates)
+    elif width > 0.01:
+        assert inside
+    assert not Number(Value(paper + 100.0), paper=text).flagged  # no interval, no verdict
+
+
+def table(value: Value, paper: str) -> Table:
+    return Table("performance", "T", ["M", "Ours"], [["Speed", Number(value, 1, paper=paper)]])
+
+
+def test_the_flag_is_printed() -> None:
+    flagged = table(Value(76.0, low=66.0, high=83.0), "95 ± 2")
+    assert flagged.texts() == [["Speed", f"76.0 {FLAG}"]]
+    assert r"76.0 $^\dagger$" in flagged.latex()
+    agreeing = table(Value(76.0, low=66.0, high=94.6), "95 ± 2")
+    assert agreeing.texts() == [["Speed", "76.0"]]
+
+
+def test_flags_over_seeds_follow_students_interval(tmp_path: Path) -> None:
+    store = fabricated_store.make_store(tmp_path, [0, 1, 2])
+    tables = {table.name: table for table in build_tables(store)}
+    planner = tables["performance"].rows[0][2]
+    assert isinstance(planner, Number)
+    # 50, 40 and 30 %, whose interval is [15.2, 64.8], which holds the paper's 55
+    assert planner.value.high == pytest.approx(64.84, abs=0.01)
+    assert not planner.flagged
+    steps = tables["geometry"].rows[0][4]
+    assert isinstance(steps, Number)
+    # 0.3, 0.3 and never within its steps: more than that cannot be excluded
+    assert steps.value.high == math.inf
+    assert not steps.flagged
+    assert steps.plain() == "0.30 ± 0.00 (1 of 3 never)"
+
+
+def test_a_budget_below_the_papers_number_proves_nothing(tmp_path: Path) -> None:
+    store = fabricated_store.make_store(tmp_path, [2])  # solves 7 of 10: never at 75 %
+    table = next(table for table in build_tables(store) if table.name == "geometry")
+    cell = table.rows[0][4]
+    assert isinstance(cell, Number)
+    assert cell.text() == "not reached"
+    assert not cell.flagged  # the quick preset has fewer steps than the paper needs
+    assert Number(cell.value, paper=f"{cell.value.low / 2:.2f}").flagged
+
+
+ROWS = pd.DataFrame({
+    "episode": [0, 1, 2, 3],
+    "noise": [0.0, 0.01, 0.0, 0.0],
+    "acting": ["greedy", np.nan, "exploring", "greedy"],
+    "error": [3.0, 3.0, 3.0, 8.0],
+})  # fmt: skip
+MACHINE = {"sim_to_real": {"base_position_error": 0.003}}
+
+
+@pytest.mark.parametrize(
+    ("columns", "track", "level", "found"),
+    [
+        (["noise", "acting", "error"], MACHINE, Level(), [0]),
+        (["noise", "acting", "error"], MACHINE, Level(error=8.0), [3]),
+        (["noise", "acting"], {}, Level(), [0, 3]),
+        (["noise", "acting"], {}, Level(acting="exploring"), [2]),
+        (["noise", "acting"], {}, Level(noise=0.01), [1]),
+        (["noise"], {}, Level(), [0, 2, 3]),
+        (["noise"], {}, Level(noise=0.01), [1]),
+        (["noise"], {}, Level(noise=0.02), []),
+    ],
+)
+def test_a_level_has_the_rows_that_were_played_at_it(
+    columns: list[str], track: dict[str, Any], level: Level, found: list[int]
+) -> None:
+    rows = ROWS[["episode", *columns]]
+    result = Result(0, {"track": track}, {}, RunFolder(Path("nowhere")), rows)
+    assert result.test(level)["episode"].tolist() == found
+
+
+def test_rows_of_older_runs_under_other_masks_are_left_out(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path)
+    (tmp_path / "config.yaml").write_text("cell: {seed: 4}\ntrack: {}\n", encoding="utf-8")
+    ROWS.assign(masks=["own", np.nan, "paper", "own"]).to_csv(
+        tmp_path / "episodes.csv", index=False
+    )
+    result = Result.read(folder, {})
+    assert result.seed == 4
+    assert result.episodes["episode"].tolist() == [0, 1, 3]

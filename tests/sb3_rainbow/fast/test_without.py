@@ -1,4 +1,4 @@
-"""The folder of the shortcuts can be deleted: everything works, slower, and learns the same."""
+"""The shortcuts, each time in a process of its own: they can be deleted, and run on one thread."""
 
 import shutil
 import subprocess
@@ -47,3 +47,19 @@ def test_without_the_folder(tmp_path: Path) -> None:
         assert done.stdout.split() == [str(root / "sb3_rainbow/__init__.py"), str(without)]
         weights.append(np.load(tmp_path / f"{without}.npy"))
     np.testing.assert_allclose(weights[0], weights[1], rtol=1e-4, atol=1e-5)
+
+
+_BLAS = """
+from sb3_rainbow.fast.blas import _libraries, single_blas_thread
+for library in _libraries():
+    library.set_num_threads(2)
+before = [library.get_num_threads() for library in _libraries()]
+with single_blas_thread():
+    inside = [library.get_num_threads() for library in _libraries()]
+print(set(inside) <= {1}, before == [library.get_num_threads() for library in _libraries()])
+"""
+
+
+def test_one_thread_inside_and_the_old_number_after() -> None:
+    done = subprocess.run([sys.executable, "-c", _BLAS], capture_output=True, text=True, check=True)
+    assert done.stdout.split()[:2] == ["True", "True"]
