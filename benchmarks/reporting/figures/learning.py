@@ -75,18 +75,22 @@ def pictures(results: Results) -> list[Picture]:
 
 
 def _learning(results: Results, track: str) -> list[Picture]:
-    """The paper's seven learning figures of one track."""
+    """The paper's seven learning figures of the scored track; of another its success alone."""
     learners = [results.group(method, track) for method in LEARNERS]
     learners.append(results.group("rainbow", track, ablation="none"))
     groups = {group.title: group for group in learners if group.known}
     if not any(group.curves() for group in groups.values()):
         return []
     bounds, of = results.references(track), labels.track(track)
+    scored = track == results.scored
     result = [
         Picture(f"{track}_{name}", f"{caption}, {of}.",
                 partial(_curves, groups, column, label, bounds=bounds))
         for name, (column, label, caption) in CURVES.items()
+        if scored or name == "success"
     ]  # fmt: skip
+    if not scored:
+        return result
     result.insert(1, Picture(
         f"{track}_exploration", f"Learning rate, and noise magnitude or epsilon, {of}.",
         partial(_exploration, groups),
@@ -245,8 +249,8 @@ def _holes(groups: Groups, bounds: Sequence[Group]) -> Figure:
     for holes, stage in ((STAGE_0_HOLES, 0), (N_HOLES, 1)):
         axes.axhline(holes, color="0.6", linewidth=0.8)
         text = f"all of stage {stage}"
-        axes.annotate(text, (0.995, holes), xycoords=("axes fraction", "data"), ha="right",
-                      va="bottom", fontsize=7, color="0.4")  # fmt: skip
+        axes.annotate(text, (1.01, holes), xycoords=("axes fraction", "data"), va="center",
+                      fontsize=7, color="0.4", annotation_clip=False)  # fmt: skip
     _mark_switches(axes, groups)
     finish(axes, "Holes per episode")
     legend_below(figure, [axes], 2)
