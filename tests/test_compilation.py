@@ -15,6 +15,7 @@ import pytest
 
 from coop_env import compilation
 from coop_env.compilation import njit
+from tests.process import python
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -65,16 +66,7 @@ def run(code: str, folder: Path, **environment: str) -> str:
     environment["NUMBA_OPT"] = "1"  # compiles faster
     unset = ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")
     kept = {name: value for name, value in os.environ.items() if name not in unset}
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env={**kept, **environment},
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=200,
-    )
-    assert done.returncode == 0, done.stderr
+    done = python("-c", code, env={**kept, **environment}, cwd=folder, timeout=200)
     return "".join(line for line in done.stderr.splitlines() if "compiling" in line)
 
 
@@ -90,14 +82,8 @@ def test_a_cold_cache_is_announced_once(tmp_path: Path, package: str, code: str)
 
 
 def test_it_is_announced_before_it_begins(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", BEFORE],
-        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_OPT": "1"},
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    places = {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_OPT": "1"}
+    done = python("-c", BEFORE, env={**os.environ, **places}, cwd=ROOT)
     first, second = done.stderr.splitlines()
     assert first.startswith("sb3_rainbow: compiling kernels (replay")
     assert second == "numba begins"
@@ -154,13 +140,8 @@ def test_a_cached_kernel_does_not_outlive_a_change_of_one_that_it_calls(
 
     def told() -> list[str]:
         kept = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-        return subprocess.run(
-            [sys.executable, str(caller)],
-            env={**kept, "PYTHONPATH": str(ROOT), "NUMBA_OPT": "1", **places},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.split()
+        env = {**kept, "PYTHONPATH": str(ROOT), "NUMBA_OPT": "1", **places}
+        return python(str(caller), env=env).stdout.split()
 
     assert told() == ["1", "0"]
     assert told() == ["1", "1"]

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from docs.screens import LONGEST, browser, measure
+from tests.process import python
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted((ROOT / "docs").glob("*.md"))
@@ -51,14 +50,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
     nowhere = "http://127.0.0.1:9"  # an inventory or a font from elsewhere would fail
     words = ["-W", "--keep-going", "-q", str(ROOT / "docs"), str(folder)]
-    done = subprocess.run(
-        [sys.executable, "-m", "sphinx", *words],
-        env={**os.environ, "http_proxy": nowhere, "https_proxy": nowhere},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    proxies = {"http_proxy": nowhere, "https_proxy": nowhere}
+    python("-m", "sphinx", *words, env={**os.environ, **proxies})
     return folder
 
 

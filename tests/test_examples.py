@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from sb3_rainbow import Rainbow
+from tests.process import python
 
 ROOT = Path(__file__).resolve().parent.parent
 NOTEBOOK = ROOT / "examples" / "rainbow.ipynb"
@@ -42,15 +41,7 @@ def test_every_example_is_tried() -> None:
 
 def run(*words: str, folder: Path) -> str:
     """What a program prints that is run in ``folder`` and finds the packages of this clone."""
-    done = subprocess.run(
-        [sys.executable, *words],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    done = python(*words, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)})
     assert "Warning" not in done.stderr
     return done.stdout
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import ast
 import configparser
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +13,7 @@ import yaml
 
 import coop_env
 import sb3_rainbow
+from tests.process import python, tracked
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("sb3_rainbow", "coop_env", "benchmarks")
@@ -183,7 +182,7 @@ def test_only_the_batched_envs_touch_sb3() -> None:
 
 def test_importing_the_env_leaves_torch_alone() -> None:
     code = "import sys, coop_env; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False, cwd=ROOT).returncode == 0
+    python("-c", code, cwd=ROOT)
 
 
 def test_docstrings_have_one_style() -> None:
@@ -194,18 +193,9 @@ def test_docstrings_have_one_style() -> None:
 
 def test_no_path_of_one_machine() -> None:
     pattern = re.compile(r"(?<![\w.])/(?:work|home|root)/[a-z]")
-    listed = subprocess.run(
-        ["git", "ls-files", "*.py", "*.md", "*.cfg", "*.toml", "*.yaml", "*.json", "Makefile"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if listed.returncode != 0:
-        pytest.skip("not a git checkout")
     wrong = [
         name
-        for name in listed.stdout.split()
+        for name in tracked("*.py", "*.md", "*.cfg", "*.toml", "*.yaml", "*.json", "Makefile")
         if (ROOT / name).exists() and pattern.search((ROOT / name).read_text(encoding="utf-8"))
     ]
     assert wrong == []

@@ -13,12 +13,14 @@ import venv
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
 from benchmarks.runs.backends import spawn
+from tests.process import python
 from tests.test_docs import python_blocks
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -45,8 +47,7 @@ assert importlib.util.find_spec("benchmarks") is None
 def test_all_say_the_same_pythons() -> None:
     metadata_text = (ROOT / "setup.cfg").read_text(encoding="utf-8")
     named = re.findall(r"Python :: 3\.(\d+)", metadata_text)
-    allowed = re.search(r"python_requires = (.*)", metadata_text)
-    assert allowed is not None
+    allowed: Any = re.search(r"python_requires = (.*)", metadata_text)
     assert named == [str(n) for n in range(30) if f"3.{n}.1" in SpecifierSet(allowed[1])]
     first, last = named[0], named[-1]
     assert f"Python 3.{first} to 3.{last}" in README
@@ -82,7 +83,7 @@ def test_make_refuses_another_python_in_one_line(tmp_path: Path) -> None:
 def test_the_env_needs_nothing_that_draws() -> None:
     """Matplotlib and Pillow are of the extra ``render``; without it there are no pictures alone."""
     code = "import sys, coop_env.env; sys.exit(bool({'matplotlib', 'PIL'} & set(sys.modules)))"
-    assert subprocess.run([sys.executable, "-c", code], check=False, cwd=ROOT).returncode == 0
+    python("-c", code, cwd=ROOT)
 
 
 def test_a_run_finds_the_harness_from_any_folder(
@@ -106,7 +107,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
         shutil.copytree(ROOT / name, sources / name, ignore=without)
     build = ("pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation")
     options = ("--disable-pip-version-check", "--wheel-dir", str(out), str(sources))
-    subprocess.run([sys.executable, "-m", *build, *options], check=True)
+    python("-m", *build, *options)
     (path,) = out.glob("*.whl")
     return path
 

@@ -133,8 +133,7 @@ def test_every_kind_of_observation(env: Any, policy: str) -> None:
     settings = {**FAST, "policy_kwargs": {}, "buffer_size": 100}
     model = Rainbow(policy, env(), **settings)
     model.learn(60)
-    vec_env = model.get_env()
-    assert vec_env is not None
+    vec_env: Any = model.get_env()
     obs: Any = vec_env.reset()
     action, _ = model.predict(obs, deterministic=True)
     assert vec_env.action_space.contains(action[0])

@@ -130,8 +130,7 @@ def test_on_an_uncertain_machine_all_play_at_each_error(method: str, preset: Pre
     assert [level.columns for level in found] == [{"error": 0.0}, {"error": 3.0}]
     none, own = (level.arguments["sim_to_real"] for level in found)
     assert none == SimToReal(observation_noise=0.01, joint_resolution=math.radians(0.1))
-    track = preset.tracks["uncertain"].sim_to_real
-    assert track is not None
+    track: Any = preset.tracks["uncertain"].sim_to_real
     assert dataclasses.asdict(own) == pytest.approx({**dataclasses.asdict(own), **track})
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,8 +28,7 @@ POLICIES = sorted(RESULTS.glob("*/runs/rainbow-*-s0/policy.zip"))
 
 def sampled(model: BaseAlgorithm, number: int) -> NDArray[np.float32]:
     """Random observations (number, size)."""
-    size = model.observation_space.shape
-    assert size is not None
+    size: Any = model.observation_space.shape
     return np.random.default_rng(0).random((number, *size), np.float32)
 
 

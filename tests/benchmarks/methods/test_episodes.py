@@ -84,8 +84,7 @@ def test_each_entry_into_a_filled_hole_is_counted() -> None:
 
     env = CoopInsertionEnv(reward="progress")
     episode = Episode(env, 0, episode_seeds(0, 1)[0])
-    plan = LatticeOracle().plan(env)
-    assert plan.moves is not None
+    plan: Any = LatticeOracle().plan(env)
     infos = [episode.move(int(move)) for move in plan.moves]
     assert episode.row()["duplicates"] == 0
     for _ in range(3):
@@ -99,8 +98,7 @@ def test_an_insertion_is_measured_where_it_happens() -> None:
     env = CoopInsertionEnv(reward="progress")
     episode = Episode(env, 0, episode_seeds(0, 1)[0])
     start, target = dome_frame(env), int(env.state["target"])
-    plan = LatticeOracle().plan(env)
-    assert plan.moves is not None
+    plan: Any = LatticeOracle().plan(env)
     track = [start]
     for move in plan.moves:
         info = episode.move(int(move))

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +19,7 @@ from benchmarks.methods.rrt_connect import RRTConnect, alignment_pose, displacem
 from benchmarks.protocol.seeding import episode_seeds
 from coop_env.env import CoopInsertionEnv
 from coop_env.simulation.insertion_task import PAPER_TASK
+from tests.process import python
 
 UNITS = np.array(PAPER_TASK.steps)
 WALK = st.lists(st.tuples(*[st.floats(-3.0, 3.0) for _ in range(6)]), min_size=1, max_size=5).map(
@@ -58,8 +58,7 @@ def test_the_alignment_pose_turns_every_hole_upright() -> None:
     env = CoopInsertionEnv(reward="progress")
     for hole in range(6):
         env.reset(seed=hole, options={"target": hole})
-        goal = alignment_pose(env, env.configuration, hole)
-        assert goal is not None
+        goal: Any = alignment_pose(env, env.configuration, hole)
         assert env.configuration_status(goal) == 0
         _, info = env.reset(options={"configuration": goal, "target": hole})
         assert info["alignment_error"] == pytest.approx(0.0, abs=1e-9)
@@ -172,11 +171,6 @@ def test_a_seed_repeats_its_plans_from_process_to_process() -> None:
         "env = CoopInsertionEnv(); env.reset(seed=5);"
         "print(RRTConnect(seed={}).plan(env).moves.tolist())"
     )
-    runs = [
-        subprocess.run(
-            [sys.executable, "-c", code.format(seed)], capture_output=True, text=True, check=True
-        ).stdout
-        for seed in (7, 7, 8)
-    ]
+    runs = [python("-c", code.format(seed)).stdout for seed in (7, 7, 8)]
     assert runs[0] == runs[1]
     assert runs[0] != runs[2]

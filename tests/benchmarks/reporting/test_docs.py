@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import re
 import shlex
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from benchmarks.runs.callbacks import ROWS
 from benchmarks.runs.ray_backend import RETRIES
 from benchmarks.runs.store import write_csv, write_text
 from benchmarks.studies import audit, catalogue
+from tests.process import tracked
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 PAGE = (DOCS / "benchmarks.md").read_text("utf-8")
@@ -150,17 +150,8 @@ def test_a_block_without_its_data_stays() -> None:
 
 
 def test_every_committed_picture_is_shown() -> None:
-    listed = subprocess.run(
-        ["git", "ls-files", "results/*.png", "results/*.gif"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if listed.returncode != 0:
-        pytest.skip("not a git checkout")
     shown = set(re.findall(r"!\[\]\(\.\./(results/[^)]+)\)", GALLERY))
-    assert {*listed.stdout.split()} - shown == set()
+    assert {*tracked("results/*.png", "results/*.gif")} - shown == set()
 
 
 def test_the_commands_of_the_gallery_exist() -> None:

@@ -244,8 +244,7 @@ def test_what_earlier_calls_have_done_counts_as_done(tmp_path: Path) -> None:
     for cell in CELLS[:2]:
         store.run(cell).write_progress(0.8, "")
     _, _, text = fake_run(tmp_path, 4, {cell: [(0.8, "")] * 4 + [(1.0, "")] for cell in CELLS})
-    first = re.search(r"all 4 runs .*?(\d+) %", text)
-    assert first is not None
+    first: Any = re.search(r"all 4 runs .*?(\d+) %", text)
     assert int(first[1]) >= 40
 
 
@@ -272,8 +271,7 @@ def test_fewer_jobs_need_less_room(tmp_path: Path) -> None:
     for slots in (1, 2, 1000):
         with pytest.raises(BenchmarkError, match="make room") as caught:
             check_disk(Insertion(preset), store, expand(preset), slots)
-        found = re.search(r": ([\d.]+) GB may be needed for 250 runs", str(caught.value))
-        assert found is not None
+        found: Any = re.search(r": ([\d.]+) GB may be needed for 250 runs", str(caught.value))
         needed.append(float(found[1]))
     # two checkpoints of 200 bytes for each of 1e9 transitions are 400 GB; 100 cells learn
     assert needed == [405.0, 805.0, 40_005.0]

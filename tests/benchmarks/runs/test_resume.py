@@ -68,8 +68,7 @@ def uninterrupted(preset: Preset, tmp_path_factory: pytest.TempPathFactory) -> W
     runs = {}
     for cell in CELLS:
         folder = RunFolder(tmp_path_factory.mktemp(cell.id))
-        trained = train(preset, cell, folder)
-        assert trained is not None
+        trained: Any = train(preset, cell, folder)
         model, _ = trained
         runs[cell.id] = weights(model), (folder.path / "curve.csv").read_text(encoding="utf-8")
     return runs
@@ -84,8 +83,7 @@ def test_stopping_twice_at_odd_moments_changes_nothing(
     assert train(preset, cell, folder, stop_after(40)) is None
     (kept,) = checkpoints(folder.checkpoint)
     assert kept.name == "step-0000000228"  # 17 rounds, then 40 more, of 4 environments
-    trained = train(preset, cell, folder)
-    assert trained is not None
+    trained: Any = train(preset, cell, folder)
     model, summary = trained
     expected, curve = uninterrupted[cell.id]
     assert same(weights(model), expected)
@@ -102,13 +100,11 @@ def test_an_actor_critic_resumes_too(preset: Preset, tmp_path: Path) -> None:
     mine = dataclasses.replace(preset, tracks={"safe": track})
     cell = Cell("maskable_ppo", "full", "optimized", "safe", 0)
     whole, cut = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "cut")
-    expected = train(mine, cell, whole)
-    assert expected is not None
+    expected: Any = train(mine, cell, whole)
     assert train(mine, cell, cut, stop_after(3)) is None
     (kept,) = checkpoints(cut.checkpoint)
     assert kept.name == "step-0000000096"  # three rollouts of eight moves in four environments
-    trained = train(mine, cell, cut)
-    assert trained is not None
+    trained: Any = train(mine, cell, cut)
     assert same(weights(trained[0]), weights(expected[0]))
     curves = [(f.path / "curve.csv").read_text(encoding="utf-8") for f in (whole, cut)]
     assert curves[0] == curves[1]
@@ -133,8 +129,7 @@ def test_a_crash_loses_at_most_the_last_interval(
             train(eager, CELLS[0], folder, fall)
         (kept,) = checkpoints(folder.checkpoint)
         assert kept.name == f"step-{4 * (crash - 1):010d}"
-        trained = train(preset, CELLS[0], folder)
-        assert trained is not None
+        trained: Any = train(preset, CELLS[0], folder)
         assert same(weights(trained[0]), uninterrupted[CELLS[0].id][0])
 
 
@@ -145,8 +140,7 @@ def test_a_run_says_which_commits_it_was_made_with(
     for commit in ("old", "old", "new"):
         monkeypatch.setattr(machine, "describe", lambda c=commit: {"commit": c, "dirty": False})
         train(preset, CELLS[2], folder, stop_after(10))
-    trained = train(preset, CELLS[2], folder)
-    assert trained is not None
+    trained: Any = train(preset, CELLS[2], folder)
     assert trained[1]["made_with"] == [
         {"from_step": 0, "commit": "old", "dirty": False},
         {"from_step": 80, "commit": "new", "dirty": False},
@@ -160,8 +154,7 @@ def test_stopping_at_the_very_start_changes_nothing(
     folder = RunFolder(tmp_path)
     assert train(preset, CELLS[0], folder, stop_after(rounds)) is None
     assert len(checkpoints(folder.checkpoint)) == rounds
-    trained = train(preset, CELLS[0], folder)
-    assert trained is not None
+    trained: Any = train(preset, CELLS[0], folder)
     assert same(weights(trained[0]), uninterrupted[CELLS[0].id][0])
 
 
@@ -196,8 +189,7 @@ def test_a_machine_in_trouble_damages_no_checkpoint(
         with pytest.raises(BenchmarkError, match="it is kept, the same command tries again"):
             train(preset, CELLS[0], folder)
     assert checkpoints(folder.checkpoint) == kept
-    trained = train(preset, CELLS[0], folder)
-    assert trained is not None
+    trained: Any = train(preset, CELLS[0], folder)
     assert trained[1]["set_aside"] == []
     assert trained[1]["resumed_at"]
 
@@ -240,8 +232,7 @@ def test_a_disk_that_fills_up_keeps_the_last_checkpoint(
     (kept,) = checkpoints(folder.checkpoint)
     assert kept.name == "step-0000000040"
     assert not (folder.checkpoint / "saving").exists()  # its room is free again
-    trained = train(preset, CELLS[0], folder)
-    assert trained is not None
+    trained: Any = train(preset, CELLS[0], folder)
     assert same(weights(trained[0]), uninterrupted[CELLS[0].id][0])
 
 

@@ -21,6 +21,7 @@ import pytest
 from benchmarks.cli import main
 from benchmarks.runs.store import SCHEMA, Store
 from tests.benchmarks.smoke import smoke_file
+from tests.process import python
 
 Capture = pytest.CaptureFixture[str]
 Refused = Callable[..., str]
@@ -43,21 +44,16 @@ CURVES = {
 }
 
 
-def harness(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "benchmarks", *words],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "MPLBACKEND": "Agg"},
-        timeout=280,
-    )
+def harness(*words: str) -> str:
+    """What the command prints in a process of its own."""
+    env = {**os.environ, "MPLBACKEND": "Agg"}
+    return python("-m", "benchmarks", *words, env=env, timeout=280).stdout
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("results")
-    done = harness("run", "--preset", "smoke", "--results", str(folder), "--jobs", "2")
-    assert done.returncode == 0, done.stdout + done.stderr
+    out = harness("run", "--preset", "smoke", "--results", str(folder), "--jobs", "2")
     for title in (
         "Geometric optimization",
         "Performance, safe",
@@ -65,7 +61,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "Effect of the design stage on Rainbow",
         "Tables (CSV, Markdown, LaTeX)",
     ):
-        assert title in done.stdout
+        assert title in out
     return folder
 
 
@@ -132,9 +128,8 @@ def test_a_second_call_trains_nothing_and_changes_no_result(results: Path) -> No
     # no process was started: not a file of a run is new, gone or touched
     before = stamps()
     tables = {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()}
-    done = harness("run", "--preset", "smoke", "--results", str(results))
-    assert done.returncode == 0
-    assert "5 runs were complete already" in done.stdout
+    out = harness("run", "--preset", "smoke", "--results", str(results))
+    assert "5 runs were complete already" in out
     assert stamps() == before
     assert {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()} == tables
 

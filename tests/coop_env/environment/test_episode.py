@@ -13,8 +13,7 @@ from coop_env import CoopInsertionEnv
 
 def solve(env: CoopInsertionEnv) -> dict[str, Any]:
     """Run the optimum to the current target; the last info."""
-    moves = LatticeOracle().plan(env).moves
-    assert moves is not None
+    moves: Any = LatticeOracle().plan(env).moves
     for move in moves:
         info = env.step(move)[4]
     return info

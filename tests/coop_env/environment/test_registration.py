@@ -28,8 +28,7 @@ def moves_until_cut(env: gym.Env[Any, Any], most: int = 1000) -> int:
 
 @pytest.mark.parametrize("limit", [40, 300, 450])
 def test_the_limit_is_what_wrappers_see(limit: int) -> None:
-    env = gym.make(ID, max_moves=limit, max_episode_steps=limit)
-    assert env.spec is not None
+    env: Any = gym.make(ID, max_moves=limit, max_episode_steps=limit)
     assert env.spec.max_episode_steps == limit
     assert moves_until_cut(env) == limit
     assert moves_until_cut(gym.make(env.spec)) == limit

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
+from tests.process import python
 
 CODE = """
 import itertools, sys
@@ -26,5 +25,4 @@ for make, name in itertools.product((gymnasium.make, gymnasium.make_vec), ids):
 
 
 def test_the_extra_is_named() -> None:
-    done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    python("-c", CODE)

@@ -184,8 +184,7 @@ def test_staying_in_a_filled_hole_is_no_duplicate() -> None:
     stayed = refused = entered = 0
     for seed in range(4):
         env.reset(seed=seed)
-        moves = oracle.plan(env).moves
-        assert moves is not None
+        moves: Any = oracle.plan(env).moves
         for move in moves:
             info = env.step(int(move))[4]
         assert info["inserted"]

@@ -1,13 +1,12 @@
 """The shortcuts, each time in a process of its own: they can be deleted, and run on one thread."""
 
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 
 import sb3_rainbow
+from tests.process import python
 
 _PROGRAM = """
 import sys
@@ -35,15 +34,8 @@ def test_without_the_folder(tmp_path: Path) -> None:
     shutil.copytree(package, tmp_path / "sb3_rainbow", ignore=lambda *_: ["fast", "__pycache__"])
     weights = []
     for root, without in ((tmp_path, True), (package.parent, False)):
-        done = subprocess.run(
-            [sys.executable, "-c", _PROGRAM, str(tmp_path / f"{without}.npy")],
-            cwd=root,
-            env={"PYTHONPATH": str(root)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
+        file = str(tmp_path / f"{without}.npy")
+        done = python("-c", _PROGRAM, file, cwd=root, env={"PYTHONPATH": str(root)})
         assert done.stdout.split() == [str(root / "sb3_rainbow/__init__.py"), str(without)]
         weights.append(np.load(tmp_path / f"{without}.npy"))
     np.testing.assert_allclose(weights[0], weights[1], rtol=1e-4, atol=1e-5)
@@ -61,5 +53,4 @@ print(set(inside) <= {1}, before == [library.get_num_threads() for library in _l
 
 
 def test_one_thread_inside_and_the_old_number_after() -> None:
-    done = subprocess.run([sys.executable, "-c", _BLAS], capture_output=True, text=True, check=True)
-    assert done.stdout.split()[:2] == ["True", "True"]
+    assert python("-c", _BLAS).stdout.split()[:2] == ["True", "True"]

@@ -191,11 +191,10 @@ def test_an_update_prepares_its_observations_once(monkeypatch: pytest.MonkeyPatc
         return preprocess(net, obs)
 
     for settings in ({}, {"cpu_kernels": False}):
-        model = make(**settings)
+        model: Any = make(**settings)
         model.learn(40)
         monkeypatch.setattr(RainbowNetwork, "_preprocess", counted)
         seen.clear()
-        assert model.replay_buffer is not None
         model._learner.update(as_batch(model.replay_buffer.sample(32), 0.99, False))
         assert seen == [32, 32]
         monkeypatch.undo()
@@ -242,11 +241,10 @@ def test_an_extractor_that_views_its_images_as_rows(policy: str) -> None:
 
 
 def test_statistics_of_a_normalization_do_not_move_with_the_logs() -> None:
-    model = make()
+    model: Any = make()
     model.q_net.activation = nn.Sequential(nn.ReLU(), nn.BatchNorm1d(64))
     model.q_net_target.activation = nn.Sequential(nn.ReLU(), nn.BatchNorm1d(64))
     model.learn(30)
-    assert model.replay_buffer is not None
     batch = as_batch(model.replay_buffer.sample(8), 0.99, False)
     (normalization,) = (m for m in model.q_net.modules() if isinstance(m, nn.BatchNorm1d))
     assert normalization.running_mean is not None

@@ -203,11 +203,10 @@ class GoalEnv(gym.Env):
 
 def test_hindsight_never_joins_the_episodes_before_and_after_a_checkpoint(tmp_path: Any) -> None:
     settings = {**FAST, "prioritized": False, "n_steps": 1, "replay_buffer_class": HerReplayBuffer}
-    model = Rainbow("MultiInputPolicy", GoalEnv(first_episode=1), **settings)
+    model: Any = Rainbow("MultiInputPolicy", GoalEnv(first_episode=1), **settings)
     model.learn(45).save_checkpoint(tmp_path / "c")  # in the middle of an episode
     model = Rainbow.load_checkpoint(tmp_path / "c", GoalEnv(first_episode=100))
     model.learn(55, reset_num_timesteps=False)
-    assert model.replay_buffer is not None
     drawn: Any = model.replay_buffer.sample(1000).observations
     episodes, goals = (drawn[key].numpy() for key in ("observation", "desired_goal"))
     assert {5.0, 100.0} <= set(goals.ravel().tolist())
@@ -216,8 +215,7 @@ def test_hindsight_never_joins_the_episodes_before_and_after_a_checkpoint(tmp_pa
 
 def test_a_checkpoint_of_an_env_that_cannot_tell_its_state_resets_it(tmp_path: Any) -> None:
     Rainbow("MlpPolicy", "CartPole-v1", **FAST).learn(100).save_checkpoint(tmp_path / "c")
-    model = Rainbow.load_checkpoint(tmp_path / "c", gym.make("CartPole-v1"))
-    assert model.replay_buffer is not None
+    model: Any = Rainbow.load_checkpoint(tmp_path / "c", gym.make("CartPole-v1"))
     assert model.replay_buffer.size() == 100
     model.learn(100, reset_num_timesteps=False)
     assert model.num_timesteps == 200

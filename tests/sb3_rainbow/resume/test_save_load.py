@@ -143,9 +143,8 @@ def test_who_only_predicts_needs_no_replay_buffer(tmp_path: Any, n_envs: int) ->
     obs = np.random.default_rng(0).normal(size=(n_envs, 4)).astype(np.float32)
     expected, _ = made.predict(obs, deterministic=True)
     for env in (None, make_vec_env("CartPole-v1", n_envs=n_envs)):
-        loaded = Rainbow.load(tmp_path / "m", env=env, buffer_size=1, seed=0)
+        loaded: Any = Rainbow.load(tmp_path / "m", env=env, buffer_size=1, seed=0)
         np.testing.assert_array_equal(loaded.predict(obs, deterministic=True)[0], expected)
-        assert loaded.replay_buffer is not None
         assert loaded.replay_buffer.buffer_size == 4  # a window and what it leads to
     loaded.learn(60)
     with pytest.raises(ValueError, match="buffer_size=1 is too small"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,8 +63,7 @@ def test_scores_are_means_over_seeds_with_an_interval(preset: SuitePreset, store
     run = results.runs("cartpole", "rainbow")[1]
     assert run.steps_to(15.0) == 500
     assert math.isnan(run.steps_to(99.0))
-    curve = results.curve("cartpole", "rainbow")
-    assert curve is not None
+    curve: Any = results.curve("cartpole", "rainbow")
     np.testing.assert_allclose(curve[1], [0.0, 15.25, 30.5])
 
 

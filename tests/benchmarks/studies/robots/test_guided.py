@@ -31,8 +31,7 @@ METHODS = ("sac", "crossq", "td3", "ppo", "rainbow", "dqn", "bc")
 def tiny(steps: int = 120, noise: float = 0.0) -> SuitePreset:
     """The preset's own task and settings, for a few steps."""
     preset = load_suite("contact")
-    task = preset.tasks["standard"]
-    assert task.guide is not None
+    task: Any = preset.tasks["standard"]
     short: dict[str, dict[str, Any]] = {name: dict(task.methods[name]) for name in METHODS}
     for arguments in short.values():
         arguments |= {"buffer_size": 1_000, "learning_starts": 40, "batch_size": 16}
@@ -106,8 +105,7 @@ def test_a_stopped_run_is_the_run_that_was_not(
     assert run_learner(preset, cell, whole) is not None
     rounds = 2 if method == "ppo" else 50
     assert run_learner(preset, cell, cut, lambda: next(calls) == rounds - 1) is None
-    summary = run_learner(preset, cell, cut)
-    assert summary is not None
+    summary: Any = run_learner(preset, cell, cut)
     assert summary["resumed_at"]
     rows = cut.rows("contact")
     assert len(rows) == 11
@@ -124,8 +122,7 @@ def test_a_stopped_run_is_the_run_that_was_not(
 
 
 def test_a_method_may_change_its_guide() -> None:
-    task = load_suite("contact").tasks["standard"]
-    assert task.guide is not None
+    task: Any = load_suite("contact").tasks["standard"]
     for method, noise in (("sac", task.guide.noise), ("td3", 1.0)):
         model = build_model(task, method, 0)
         assert isinstance(model, Guided)

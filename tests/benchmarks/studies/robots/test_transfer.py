@@ -76,8 +76,7 @@ def test_in_the_kinematic_task_it_is_the_optimum() -> None:
     assert found["holes"] == 6
     env = transfer.make_world("kinematics", RESULTS, {})
     env.reset(seed=derive("validate", 31, 0))
-    moves = LatticeOracle().plan(env).moves
-    assert moves is not None
+    moves: Any = LatticeOracle().plan(env).moves
     assert found["time_first"] == pytest.approx(0.2 * len(moves))
 
 
