@@ -196,7 +196,7 @@ def make_trajectory(
         move_time = max(1, round(check_number("move_time", move_time, 0.0, above=True) / TIMESTEP))
         move_time *= TIMESTEP
     packed = pack(make_params(rrs, rewards.make_reward("progress"), delta=robot, task=bodies))
-    joints, reached = _joints(points, packed)
+    joints, reached = state.joints_of(points, packed)
     if not reached.all():
         index = int(np.argmin(reached))
         raise TrajectoryError(
@@ -278,20 +278,6 @@ def _profiles(
         moves.append(np.swapaxes(samples, 0, 1))
         moves[-1][0, -1] = joints[k + 1]
     return moves
-
-
-@njit(cache=True)
-def _joints(configurations: np.ndarray, packed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Joint angles (n, 6) of configurations (n, 6), rad, and which can be taken (n,)."""
-    p = unpack(packed)
-    joints = np.empty_like(configurations)
-    reached = np.zeros(len(configurations), np.bool_)
-    for i in range(len(configurations)):
-        c = configurations[i]
-        reached[i], theta, _, q = state.joint_angles((c[0], c[1], c[2], c[3], c[4], c[5]), p)
-        for k in range(3):
-            joints[i, k], joints[i, 3 + k] = theta[k], q[k]
-    return joints, reached
 
 
 @njit(cache=True)

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from coop_env.errors import ArgumentError, as_dataclass, check_flag, check_number
 from coop_env.geometry import GeometryError, resolve_delta, resolve_rrs
-from coop_env.kinematics import delta, rrs
 from coop_env.physics import kernels
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Machine, Servos
@@ -33,6 +32,7 @@ from coop_env.rendering.scene import Scene
 from coop_env.simulation.collision import peg_tip
 from coop_env.simulation.insertion_task import PAPER_TASK, InsertionTask
 from coop_env.simulation.sim_to_real import MASSES, UNDISTURBED, draw_disturbance, resolve_contact
+from coop_env.simulation.state import joints_of
 from coop_env.simulation.task import N_AXES
 
 Bools = NDArray[np.bool_]
@@ -267,10 +267,10 @@ class PhysicsBatch(ABC):
     def _advance(self, wanted: Floats) -> None:
         """Make one control step towards configurations (n, 6), and measure what came of it."""
         task, before = self.task, self._targets
-        m = self.machine
-        self.taken = delta.is_valid(wanted[:, :3], m.delta) & rrs.is_valid(wanted[:, 3:], m.rrs)
-        self.command = np.where(self.taken[:, None], wanted, self.command)
-        self._targets = self.twin.servo_targets(self.command)
+        targets, self.taken = joints_of(wanted, self._packed)
+        taken = self.taken[:, None]
+        self.command = np.where(taken, wanted, self.command)
+        self._targets = np.where(taken, targets, before)
         self.steps += 1
         led = self._lead(before)
         led = self._carried_out(led) if self.knobs.active else led
@@ -369,16 +369,11 @@ class PhysicsBatch(ABC):
         }
 
 
-def row_of(columns: Mapping[str, Any], row: int) -> dict[str, Any]:
-    """One episode's ``info``."""
-    return {
-        name: row_of(part, row)
-        if isinstance(part, Mapping)
-        else part[row].copy()
-        if part.ndim > 1
-        else part.item(row)
-        for name, part in columns.items()
-    }
+def row_of(columns: Any, row: int) -> Any:
+    """One episode's own copy of ``info``, or of what is observed."""
+    if isinstance(columns, Mapping):
+        return {name: row_of(part, row) for name, part in columns.items()}
+    return columns[row].copy() if columns.ndim > 1 else columns.item(row)
 
 
 _LENGTH, _ANGLE, _FORCE, _MOMENT = 0.01, 0.05, 10.0, 0.05  # units of the contact task's observation

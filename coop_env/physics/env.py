@@ -90,7 +90,7 @@ class PhysicsEnv(Rendered):
         self._running = True
         if self.render_mode is not None:
             self._follow(self.batch.twin.readings().tip[0], first=True)
-        return pick(self.batch.seen(slice(0, 1)), 0), info
+        return row_of(self.batch.seen(slice(0, 1)), 0), info
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Make one control step.
@@ -107,7 +107,7 @@ class PhysicsEnv(Rendered):
         if self.render_mode is not None:
             self._follow(self.batch.twin.readings().tip[0])
         info = row_of(outcome.info, 0)
-        seen = pick(outcome.observation, 0)
+        seen = row_of(outcome.observation, 0)
         return seen, float(outcome.reward[0]), terminated, truncated, info
 
     def scene(self) -> Scene:
@@ -287,25 +287,9 @@ class CoopInsertionPhysicsEnv(PhysicsEnv):
         level: ``"easy"``, ``"standard"``, ``"hard"`` or a
             :class:`~coop_env.physics.task.ContactTask`, whose errors, peg, friction, noise,
             control period and limits hold; ``{"position_error": 0, "tilt_error": 0}`` has no error.
-        geometry: ``"optimized"``, ``"initial"`` or an :class:`~coop_env.geometry.RRSGeometry`.
-        delta: None, the standard robot, or a :class:`~coop_env.geometry.DeltaGeometry`.
-        holes: None, the paper's task, or an
-            :class:`~coop_env.simulation.insertion_task.InsertionTask`.
-        servos: None, or :class:`~coop_env.physics.model.Servos`. Each of these five may be a plain
-            mapping of fields.
-        sim_to_real: None, ``"randomized"`` (``sim_to_real.FORGE``) or a
-            :class:`~coop_env.simulation.sim_to_real.SimToReal`: each episode has another machine.
-        reward_scale: what all rewards are multiplied by.
-        privileged: observations are dictionaries of ``observation`` and ``privileged``, which is
-            ``info["privileged"]``: ``coop_env.physics.batch.PRIVILEGED``.
         stage: 0, the four peripheral holes, or 1, all.
         max_steps: control steps until truncation.
-        render_mode: None, ``"rgb_array"`` or ``"ansi"``; no OpenGL.
-
-    Raises:
-        DependencyNotInstalled: on import, if MuJoCo is missing; it names the extra.
-        ArgumentError: an argument is unknown or out of range, or the servos cannot hold home.
-        GeometryError: a robot cannot be assembled.
+        arguments: the others of :class:`CoopInsertionContactEnv`, whose errors it raises.
 
     **Version History**
 
@@ -313,13 +297,6 @@ class CoopInsertionPhysicsEnv(PhysicsEnv):
     """
 
     batch_class = WholeBatch
-
-
-def pick(observations: Any, row: int) -> Any:
-    """One episode's observation, its own copy, of arrays or of a dictionary of them."""
-    if isinstance(observations, dict):
-        return {name: part[row].copy() for name, part in observations.items()}
-    return observations[row].copy()
 
 
 def with_privileged(own: spaces.Space[Any]) -> spaces.Dict:

@@ -9,7 +9,7 @@ import numpy as np
 from coop_env.kinematics import rrs
 from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
 from coop_env.physics.joints import Floats
-from coop_env.physics.twin import Twin
+from coop_env.physics.twin import Twin, closed_at
 from coop_env.rendering.scene import Scene, link_points
 
 
@@ -32,7 +32,7 @@ def twin_scene(
     """
     machine = twin.machine
     readings, p = twin.readings(), machine.kernel_params()
-    closed = twin.believed(readings.joints[row], command)
+    closed = closed_at(readings.joints[row], command, machine)
     configuration = np.where(np.isfinite(closed), closed, command)
     arms, limbs, _ = link_points(configuration, p)
     turn = roll_pitch_yaw_matrix([*twin.base[row, 3:], 0.0])

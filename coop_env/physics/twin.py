@@ -178,15 +178,6 @@ class Twin:
         """Joint commands (..., 6), theta then q, rad; NaN where a robot cannot reach."""
         return joint_targets(configurations, self.machine)
 
-    def believed(self, joints: ArrayLike, previous: ArrayLike) -> Floats:
-        """Configurations (..., 6) of measured joints, NaN where the links cannot close.
-
-        Args:
-            joints: theta and q (..., 6), rad.
-            previous: configurations (..., 6) from which the 3-RRS's branch is followed.
-        """
-        return closed_at(joints, previous, self.machine)
-
     def place(
         self, row: int, configuration: ArrayLike, base: ArrayLike | None = None,
         friction: float | None = None,
@@ -303,7 +294,13 @@ def joint_targets(configurations: ArrayLike, machine: Machine) -> Floats:
 
 
 def closed_at(joints: ArrayLike, previous: ArrayLike, machine: Machine) -> Floats:
-    """Configurations (..., 6) of joint angles; see :meth:`Twin.believed`."""
+    """Configurations (..., 6) of measured joints, NaN where the links cannot close.
+
+    Args:
+        joints: theta and q (..., 6), rad.
+        previous: configurations (..., 6) from which the 3-RRS's branch is followed.
+        machine: whose kinematics.
+    """
     angles, before = np.asarray(joints, np.float64), np.asarray(previous, np.float64)
     position = delta.forward(angles[..., :3], machine.delta).position
     pose = rrs.forward(angles[..., 3:], before[..., 3:], machine.rrs).pose

@@ -15,8 +15,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from coop_env.errors import check_integer
-from coop_env.physics.batch import ContactBatch, PhysicsBatch
-from coop_env.physics.env import PhysicsEnv, check_increments, make_spaces, move, pick
+from coop_env.physics.batch import ContactBatch, PhysicsBatch, row_of
+from coop_env.physics.env import PhysicsEnv, check_increments, make_spaces, move
 from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
 from coop_env.physics.whole import WholeBatch
 from coop_env.simulation.task import N_ACTIONS, N_AXES
@@ -117,9 +117,9 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
             final = np.full(self.num_envs, None, object)
             options = self.batch.check_options(None)
             for row in np.flatnonzero(ended).tolist():
-                final[row] = pick(observations, row)
+                final[row] = row_of(observations, row)
                 first = self.batch.reset(row, options, self._rngs[row])
-                _put(observations, row, pick(self.batch.seen(slice(row, row + 1)), 0))
+                _put(observations, row, row_of(self.batch.seen(slice(row, row + 1)), 0))
                 for name, value in first.items():
                     if not isinstance(value, dict):
                         infos[name][row], infos[f"_{name}"][row] = value, True

@@ -20,7 +20,7 @@ from coop_env.simulation import rewards
 from coop_env.simulation.collision import below_ceiling, collides, hole
 from coop_env.simulation.insertion_task import PAPER_TASK
 from coop_env.simulation.machine import MACHINE
-from coop_env.simulation.task import KEY_SPAN, N_ACTIONS, N_AXES, TRAIL, EnvParams
+from coop_env.simulation.task import KEY_SPAN, N_ACTIONS, N_AXES, TRAIL, EnvParams, unpack
 
 VALID: Final = 0
 INVALID: Final = 1
@@ -145,6 +145,20 @@ def joint_angles(c: Configuration, p: EnvParams) -> tuple[bool, Row, Pose, Row]:
         and rrs_kernels.joints_within_limits(q, p.rrs)
     )
     return valid, theta, pose, q
+
+
+@njit(cache=True)
+def joints_of(configurations: np.ndarray, packed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Joint angles (n, 6) of configurations (n, 6), rad, and which can be taken (n,)."""
+    p = unpack(packed)
+    joints = np.empty_like(configurations)
+    reached = np.zeros(len(configurations), np.bool_)
+    for i in range(len(configurations)):
+        c = configurations[i]
+        reached[i], theta, _, q = joint_angles((c[0], c[1], c[2], c[3], c[4], c[5]), p)
+        for k in range(3):
+            joints[i, k], joints[i, 3 + k] = theta[k], q[k]
+    return joints, reached
 
 
 @njit(cache=True)

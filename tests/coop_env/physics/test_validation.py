@@ -12,7 +12,7 @@ import mujoco
 from coop_env.geometry import INITIAL, DeltaGeometry, RRSGeometry
 from coop_env.kinematics import delta, rrs
 from coop_env.physics.model import Machine, Servos
-from coop_env.physics.twin import Twin, last
+from coop_env.physics.twin import Twin, closed_at, last
 from coop_env.physics.validation import draw_poses, loop_residual, validate
 
 OTHER = Machine(
@@ -36,7 +36,9 @@ def test_a_placed_machine_is_assembled_and_its_forward_kinematics_agree() -> Non
     for pose in draw_poses(twin, 10, seed=1):
         readings = twin.place(0, pose)
         assert loop_residual(twin, 0) < 1e-9
-        assert twin.believed(readings.joints, twin.machine.home()) == pytest.approx(pose, abs=1e-9)
+        assert closed_at(readings.joints, twin.machine.home(), twin.machine) == pytest.approx(
+            pose, abs=1e-9
+        )
 
 
 def test_under_its_own_weight_it_sags_along_its_kinematics() -> None:
@@ -44,7 +46,7 @@ def test_under_its_own_weight_it_sags_along_its_kinematics() -> None:
     twin = Twin(Machine(servos=Servos(gravity_compensation=False)))
     home = twin.machine.home()
     readings = last(twin.advance(twin.servo_targets(home)[None], 1500))
-    believed = twin.believed(readings.joints, home[None])[0]
+    believed = closed_at(readings.joints, home[None], twin.machine)[0]
     assert 1e-4 < home[2] - believed[2] < 5e-3
     height = twin.machine.delta.base_height - twin.machine.delta.peg_length
     assert np.linalg.norm(readings.tip[0] - believed[:3] - [0, 0, height]) < 5e-5
@@ -65,7 +67,7 @@ def test_servo_torques_are_the_gradient_of_the_potential_energy() -> None:
     twin.place(0, pose)
     readings = last(twin.advance(twin.servo_targets(pose)[None], 1500))
     held = twin.inspect(0)[1].actuator_force.copy()
-    rest = twin.believed(readings.joints, pose[None])[0]
+    rest = closed_at(readings.joints, pose[None], twin.machine)[0]
     slope = np.empty(6)
     for axis in range(6):
         step = np.zeros(6)
