@@ -107,7 +107,8 @@ def ablation(results: Results) -> Table:
             each.difference.signed() if each else "-", p_text(each.p_holm) if each else "-",
             str(row.n),
         ])  # fmt: skip
-    notes = [*seeds_notes(shown.values(), shown), FLAG_NOTE]
+    names = [title.removeprefix("- ") for title in shown]
+    notes = [*seeds_notes(shown.values(), names), FLAG_NOTE]
     title = f"Rainbow with one component removed, {labels.track(track)}"
     return Table("ablation", title, header, made, notes)
 
