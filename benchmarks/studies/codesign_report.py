@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
-from scipy.stats import rankdata, spearmanr
+from scipy.stats import bootstrap, spearmanr
 
 from benchmarks.protocol.metrics import METRICS, SUCCESS
 from benchmarks.reporting.figures.style import PALETTE, canvas, legend_below
@@ -28,22 +28,14 @@ STUDIES: Final = {
     "heights": ("distal_length", "home_heave"),
 }
 SYMBOLS: Final = {"lambdas": "(λ1, λ2)", "heights": "(L2, home)"}
-POPULATION: Final = 50  # of the sampler; the first is drawn at random
 BASE: Final = "optimized"  # which all studies begin from
 ALL: Final = "all"  # its study
 OF_ONE: Final = "central"  # the track of the policies on chosen designs: both robots at once
 MOST: Final = 300  # ticks of an episode, the task's default
 POLICIES: Final = "policies"
-UNBUILT: Final = {
-    "lengths": "break the paper's constraints on the lengths",
-    "home": "cannot take their home pose within the joint limits",
-    "starts": "have too little workspace for a start state",
-}
 #: least rank correlations for which the area counts as a good proxy, and as one at all
 GOOD, FAIR = 0.8, 0.3
 FEW: Final = 20  # designs, of which nothing is said
-COLOURS: Final = tuple(PALETTE[k] for k in (1, 2, 3, 4, 6))  # of the chosen designs
-BELOW: Final = 3.0  # shown below the floor, %
 
 
 class SearchResult:
@@ -119,23 +111,23 @@ def surest(rows: pd.DataFrame) -> str:
     return str(rows.sort_values(["success", "ticks"], ascending=[False, True]).index[0])
 
 
-def rank_correlation(x: ArrayLike, y: ArrayLike, repetitions: int = 2_000) -> Value:
+def rank_correlation(x: ArrayLike, y: ArrayLike) -> Value:
     """Spearman's rank correlation over pairs, with a 95 % interval by resampling the pairs.
 
-    NaN where there are fewer than three pairs, or one side is constant.
+    NaN where there are fewer than :data:`FEW` pairs, or one side is constant.
     """
     pairs = np.stack([np.asarray(x, float), np.asarray(y, float)])
     pairs = pairs[:, np.isfinite(pairs).all(axis=0)]
-    n = pairs.shape[1]
-    if n < 3 or (np.ptp(pairs, axis=1) == 0.0).any():
+    if pairs.shape[1] < FEW or (np.ptp(pairs, axis=1) == 0.0).any():
         return Value(math.nan, n=0)
-    drawn = np.random.default_rng(0).integers(n, size=(repetitions, n))
-    ranks = rankdata(pairs[:, drawn], axis=-1)
-    ranks -= ranks.mean(axis=-1, keepdims=True)
-    size = np.sqrt((ranks**2).sum(axis=-1).prod(axis=0))
-    values = ranks.prod(axis=0).sum(axis=-1)[size > 0.0] / size[size > 0.0]
-    low, high = np.quantile(values, [0.025, 0.975])
-    return Value(float(spearmanr(*pairs).statistic), n=n, low=float(low), high=float(high))
+
+    def rho(x: Any, y: Any) -> float:
+        return float(spearmanr(x, y).statistic)
+
+    drawn: dict[str, Any] = {"n_resamples": 2_000, "rng": np.random.default_rng(0)}
+    ends = bootstrap(pairs, rho, paired=True, vectorized=False, method="percentile", **drawn)
+    low, high = ends.confidence_interval
+    return Value(rho(*pairs), n=pairs.shape[1], low=float(low), high=float(high))
 
 
 def to_markdown(result: SearchResult) -> str:
@@ -143,8 +135,7 @@ def to_markdown(result: SearchResult) -> str:
     summary, machine = result.summary, result.summary["machine"]
     runs = Store(result.folder, POLICIES).completed()
     spent = summary["cpu_seconds"] + sum(float(run.meta()["cpu_seconds"]) for run in runs)
-    parts = [table(result).markdown().strip() for table in (_searched, _proxies, _designs)]
-    parts += [sentence(result, study) for study in STUDIES]
+    parts = [table(result).markdown().strip() for table in (_searched, _designs)]
     parts += [
         f"Command: `{summary['command']}`. {result.asked['starts']} validation starts for each "
         f"design, the same seeds for all; {spent / 60.0:.0f} core-minutes in all on "
@@ -158,39 +149,31 @@ def _searched(result: SearchResult) -> Table:
     rows: list[list[TableCell]] = []
     for study, of in result.summary["studies"].items():
         bounds = (f"{name} {low:g} to {high:g}" for name, (low, high) in of["bounds"].items())
-        scored = int((result.designs["study"] == study).sum())
-        counts = (scored, *(of["skipped"][r] for r in UNBUILT), len(result.front(study)))
-        rows.append([SYMBOLS[study], ", ".join(bounds), *map(str, counts)])
-    skipped = f"Skipped designs have no score: they {', or '.join(UNBUILT.values())}."
-    front = (
+        mine, skipped = result.of_study(study), sum(of["skipped"].values())
+        counts = ((mine["study"] == study).sum(), skipped, len(result.front(study)))
+        value = rank_correlation(mine["a_w"], mine["success"])
+        proxy = f"{value.mean:.2f} {value.interval_text(2)}: {verdict(value)}"
+        name = [SYMBOLS[study], ", ".join(bounds), *map(str, counts)]
+        rows.append([*name, proxy if value.n else "too few designs"])
+    notes = [
+        "Skipped designs have no score: their lengths break the paper's constraints, they cannot "
+        "take their home pose, or have too little workspace for a start state.",
         "Front: success against mean ticks over the starts that were solved, of designs that "
         f"solve at least {result.summary['floor']:.1f} %, the least of the designs that were "
-        "there before; one that solves few reaches the nearest targets alone, and looks quick."
-    )
-    title = "Designs by the exact optimum, both robots moving at once"
-    head = "Study | Bounds (m) | Scored | Skipped: lengths | home | starts | On the front"
-    return Table("search", title, head.split(" | "), rows, [skipped, front], left=(0, 1))
-
-
-def _proxies(result: SearchResult) -> Table:
-    rows: list[list[TableCell]] = []
-    for study in STUDIES:
-        mine = result.of_study(study)
-        numbers = mine.index.str.extract(r"-(\d+)$")[0].astype(float)
-        first = np.isin(numbers, sorted(numbers.dropna())[:POPULATION])
-        good = mine[mine["success"] >= result.summary["floor"]]
-        for name, part in (("all", mine), ("drawn at random", mine[first]), ("on or above", good)):
-            values = [rank_correlation(part["a_w"], part[to]) for to in ("success", "ticks_all")]
-            texts = [f"{v.mean:.2f} {v.interval_text(2)}" if v.n else "-" for v in values]
-            rows.append([SYMBOLS[study], name, str(len(part)), *texts])
-    notes = [
-        "Success and ticks are the optimum's; ticks over all starts, one that was not solved "
-        f"counting all {result.summary['most']}.",
-        f"Spearman's; 95 % intervals by resampling designs. Drawn at random: the first "
-        f"{POPULATION} of the sampler. On or above: the least success of the front.",
+        "there before; one that solves few reaches the nearest targets alone, and looks quick.",
+        "Proxy: Spearman's rank correlation of A_w and the optimum's success over designs; 95 % "
+        f"interval by resampling designs. Good from {GOOD:g}, rough from {FAIR:g}.",
     ]
-    head = ["Study", "Designs", "n", "A_w, success", "A_w, ticks"]
-    return Table("proxy", "Rank correlations over designs", head, rows, notes, left=(0, 1))
+    title = "Designs by the exact optimum, both robots moving at once"
+    head = "Study | Bounds (m) | Scored | Skipped | On the front | A_w as a proxy for success"
+    return Table("search", title, head.split(" | "), rows, notes, left=(0, 1))
+
+
+def verdict(value: Value) -> str:
+    """Whether the area is a good proxy, by the rank correlation's interval."""
+    if value.low >= FAIR:
+        return "good" if value.low >= GOOD else "rough"
+    return "none" if value.high < FAIR else "at best rough"
 
 
 def _designs(result: SearchResult) -> Table:
@@ -238,54 +221,26 @@ def over(values: pd.Series[float]) -> Value:
     return measured(values.tolist(), lambda: (math.nan, math.nan))
 
 
-def sentence(result: SearchResult, study: str) -> str:
-    """Whether the area was a good proxy for success, by the rank correlation's interval."""
-    mine = result.of_study(study)
-    value = rank_correlation(mine["a_w"], mine["success"])
-    if value.n < FEW:
-        return f"{SYMBOLS[study]}: too few designs to say whether the area is a good proxy."
-    verdict = "at best a rough proxy"
-    if value.low >= FAIR:
-        verdict = "a good proxy" if value.low >= GOOD else "a rough proxy"
-    elif value.high < FAIR:
-        verdict = "no proxy"
-    return f"{SYMBOLS[study]}: the area is {verdict} for the optimum's success."
-
-
 def fronts(result: SearchResult) -> Figure:
-    """Of each study success and ticks of its designs, and success over the area."""
+    """Of each study success over ticks, with the front, and success over the area."""
     figure, panels = canvas(len(STUDIES), 2, (7.2, 6.6))
     for row, study in enumerate(STUDIES):
-        of_ticks, of_area = panels[2 * row : 2 * row + 2]
         rows, front = result.of_study(study), result.front(study)
-        for axes, x in ((of_ticks, rows["ticks"]), (of_area, rows["a_w"])):
-            axes.plot(x, rows["success"], ".", color="0.75", ms=3, label="validation starts")
-        of_ticks.step(front["ticks"], front["success"], ".-", where="post", label="their front")
-        least, shown = float(result.summary["floor"]), list(front["ticks"])
-        mine = [d for d in result.chosen["design"].unique() if "-" not in d or d in rows.index]
-        for design, colour in zip(mine, COLOURS, strict=False):
-            tests = result.chosen[result.chosen["design"] == design]
-            label = tests["chosen"].iloc[0].partition(": ")[2] if "-" in design else design
-            ticks, success = over(tests["ticks"]), over(tests["success"])
-            look: dict[str, Any] = {"fmt": "o", "color": colour, "capsize": 2}
-            arms, name = (_arms(success), _arms(ticks)), f"{label}, test starts"
-            of_ticks.errorbar(ticks.mean, success.mean, *arms, mfc="white", label=name, **look)
-            shown.append(ticks.mean)
-            least = min(least, success.mean)
-            if (value := result.policies(design).value(SUCCESS)).n:
-                area, name = result.designs.loc[design, "a_w"], "filled: policy of its own"
-                of_area.errorbar(area, value.mean, _arms(value), label=name, **look)
-        shown = [x for x in shown if not math.isnan(x)] or [0.0]
-        of_ticks.set(xlim=(min(shown) - 0.7, max(shown) + 0.7), ylim=(least - BELOW, 100.5))
-        of_ticks.set(xlabel="mean ticks of the starts solved", ylabel="success (%)")
-        of_ticks.set_title(f"{SYMBOLS[study]}: the optimum")
-        of_area.set(xlabel="$A_w$ (rad²)", ylim=(-2, 102))
-        of_area.set_title(f"{SYMBOLS[study]}: success by area")
+        of_ticks, of_area = panels[2 * row : 2 * row + 2]
+        of_ticks.step(front["ticks"], front["success"], where="post", label="front", lw=1.2)
+        chosen = result.chosen.groupby("design", sort=False)["chosen"].first()
+        mine = [str(d) for d in chosen.index if d in rows.index or "-" not in str(d)]
+        for axes, x in ((of_ticks, "ticks"), (of_area, "a_w")):
+            axes.plot(rows[x], rows["success"], ".", color="0.75", ms=3, label="designs")
+            for colour, design in zip(PALETTE[1:], mine, strict=False):
+                of, label = result.designs.loc[design], chosen[design].partition(": ")[2] or design
+                axes.plot(of[x], of["success"], "o", color=colour, label=label)
+            axes.set(ylabel="success (%)", title=f"{SYMBOLS[study]}: the optimum")
+        ticks = front["ticks"] if len(front) else rows["ticks"]
+        of_ticks.set(
+            xlabel="mean ticks of the starts solved", xlim=(min(ticks) - 1, max(ticks) + 1)
+        )
+        of_ticks.set_ylim(result.summary["floor"] - 6.0, 100.5)
+        of_area.set_xlabel("$A_w$ (rad²)")
     legend_below(figure, panels)
     return figure
-
-
-def _arms(value: Value) -> list[list[float]] | None:
-    if math.isnan(value.low):
-        return None
-    return [[max(0.0, value.mean - value.low)], [max(0.0, value.high - value.mean)]]

@@ -131,7 +131,7 @@ def test_the_command_goes_on_and_can_be_checked(site: Any, monkeypatch: pytest.M
     assert found.policies("heights-area").n == 2
 
     text = here.check(Codesign, "codesign/codesign.md", "too few")
-    assert text.count("too few designs to say") == 2
+    assert text.count("too few designs") == 2
     assert "](../results/codesign/figures/fronts.png)" in text
     assert "--designs 4" in found.summary["command"]
     assert (folder / "figures" / "fronts.png").stat().st_size > 10_000
