@@ -12,8 +12,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.studies.media import OptimalPlayer, policy_moves
 from benchmarks.studies.robots.trials import inserter
 from coop_env.env import CoopInsertionEnv
-from coop_env.rendering.browser import ViewerError
-from coop_env.rendering.viewer import view
+from coop_env.rendering.viewer import ViewerError, view
 
 
 def _twin(results: Path, **shown: Any) -> CoopInsertionEnv:

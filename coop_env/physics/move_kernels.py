@@ -7,19 +7,12 @@ import numpy as np
 from coop_env.compilation import njit
 from coop_env.kinematics import rrs_kernels
 from coop_env.simulation import dynamics
-from coop_env.simulation.collision import peg_tip
 from coop_env.simulation.state import (
     Configuration,
     Record,
-    aim,
-    hole_angle,
-    hole_distance,
     joint_angles,
     leave,
     neighbour,
-    place_delta,
-    place_rrs,
-    update_inside,
     update_mask,
 )
 from coop_env.simulation.task import EnvParams, unpack
@@ -53,14 +46,9 @@ def begin_again(states: np.ndarray, configuration: np.ndarray, packed: np.ndarra
 @njit(cache=True)
 def _stand(s: Record, c: Configuration, p: EnvParams) -> None:
     _, theta, pose, q = joint_angles(c, p)
-    s.refused[:] = 0
     for k in range(3):
         s.energy += abs(theta[k] - s.theta[k]) + abs(q[k] - s.q[k])
-    place_delta(s, c, theta, peg_tip(c[0], c[1], c[2], p.delta))
-    place_rrs(s, c, pose, q, p)
-    s.sigma = rrs_kernels.signed_sigma_min(pose, q, p.rrs)
-    update_inside(s, p.task.tolerance, p)
-    update_mask(s, True, True, p)
+    dynamics.stand(s, c, theta, pose, q, rrs_kernels.signed_sigma_min(pose, q, p.rrs), p)
 
 
 @njit(cache=True)
@@ -75,41 +63,11 @@ def refuse(states: np.ndarray, action: int, packed: np.ndarray) -> None:
 @njit(cache=True)
 def conclude(
     states: np.ndarray,
-    before: np.ndarray,
     flags: tuple[bool, bool, bool, bool, bool],
     target: int,
     packed: np.ndarray,
     outcomes: np.ndarray,
 ) -> None:
-    """Count the move, write its reward and outcome, and aim at the next target.
-
-    Args:
-        states: (1,), with the holes that are filled and active after the move.
-        before: (1,), the state before it.
-        flags: a violation, an insertion, an entry to a filled hole, the episode's end, that it
-            ends in failure.
-        target: the next one.
-        packed: the parameters.
-        outcomes: (1,), what is written to.
-    """
-    p, s, out = unpack(packed), states[0], outcomes[0]
-    v, z, u, terminated, failed = flags
-    aimed = before[0].target
-    s.moves += 1
-    s.insertions += z
-    s.distance, s.angle = hole_distance(s, aimed), hole_angle(s, aimed)
-    out.alignment_error, out.distance = s.angle, s.distance
-    after = (s.distance, s.angle)
-    aim(s, target)
-    if p.task.visited > 0 and target != aimed:  # the way to the next hole may lead back
-        s.trailed = 0
-        update_mask(s, True, True, p)
-    was = (before[0].distance, before[0].angle)
-    dynamics.reward_of(s, (v, z, u, terminated, failed), was, after, p, out)
-    out.inserted, out.inserted_hole = z, aimed if z else -1
-    out.violation, out.duplicate = v, u
-    out.collision = out.singular = False
-    dynamics.report(s, p, out)
-    out.terminated = terminated
-    out.truncated = not terminated and s.moves >= p.task.max_moves
-    s.over = out.terminated or out.truncated
+    """:func:`coop_env.simulation.dynamics.conclude` of ``states (1,)``, ``outcomes (1,)``."""
+    outcomes[0].collision = outcomes[0].singular = False
+    dynamics.conclude(states[0], flags, target, unpack(packed), outcomes[0])

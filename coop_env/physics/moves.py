@@ -21,7 +21,6 @@ from coop_env.physics.whole import WholeBatch
 from coop_env.rendering.scene import Scene
 from coop_env.simulation import batch, start_states
 from coop_env.simulation.observation import observe_batch
-from coop_env.simulation.sim_to_real import SimToReal
 from coop_env.simulation.task import N_AXES
 
 SETTLING: Final = 4
@@ -196,22 +195,13 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         }
         shared |= {"sim_to_real": sim_to_real, "privileged": privileged}
         self.physics = Lead(finish, level, holes=self.task, servos=servos, **shared)
+        self._knobs = self.physics.knobs
         if privileged:
             self.observation_space: Any = with_privileged(self.observation_space)
         self._steps = max(1, round(self.task.dt / self.physics.task.dt))
         self._own: dict[str, Any] = {}
 
-    @property
-    def sim_to_real(self) -> SimToReal:
-        """What the machine does not know of itself."""
-        return self.physics.knobs
-
     def check_options(self, options: Any) -> start_states.StartOptions:
-        """Reset options as :meth:`reset` takes them, checked against the present stage.
-
-        Raises:
-            ResetOptionError: an option is malformed, or names a state that cannot be taken.
-        """
         own, rest = split_options(options)
         start = super().check_options(rest)
         self._own = own
@@ -227,23 +217,10 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start an episode; options ``error`` and ``friction`` beside the kinematic task's.
-
-        Raises:
-            ResetOptionError: an option is malformed, or names a state that cannot be taken. The
-                environment is left as it was.
-        """
         observation, info = super().reset(seed=seed, options=options)
         return self._seen(observation), self._merge(info)
 
     def step(self, action: np.int64 | int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Make a move.
-
-        Raises:
-            ActionError: ``action`` is not one of the action space. The environment is left as it
-                was.
-            ResetNeeded: the episode is over, or none was started.
-        """
         if not self.running:
             raise ResetNeeded("call reset() first: there is no running episode")
         made, body = check_action(action), self.physics
@@ -254,7 +231,7 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         inside = row["inside"].astype(bool) & filled & ~before[0]["inside"].astype(bool)
         row["filled"], row["active"] = body.filled[0], body.active[0]
         kernels.conclude(
-            self._states, before,
+            self._states,
             (violation, bool(new.any()), not violation and bool(inside.any()),
              bool(body.over[0]), body.failed),
             body.target, self._packed, self._outcomes,
@@ -312,26 +289,15 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         return {**real, **info, **measured, "singular": singular, "given_up": [*body.given_up[0]]}
 
     def scene(self) -> Scene:
-        """Every body of the scene at this instant, where it really is; world frame."""
         return self.physics.scene(0, self._trace)
 
     def close(self) -> None:
-        """End the simulation."""
         super().close()
         self.physics.twin.close()
 
     def get_state(self) -> dict[str, Any]:
-        """There is no snapshot of a simulation.
-
-        Raises:
-            StateError: always.
-        """
+        """There is no snapshot of a simulation: a ``StateError``, as of :meth:`set_state`."""
         raise StateError("the physics environments have no snapshots: reset with the same seed")
 
-    def set_state(self, snapshot: Any) -> Observation:
-        """There is no snapshot of a simulation.
-
-        Raises:
-            StateError: always.
-        """
-        raise StateError("the physics environments have no snapshots: reset with the same seed")
+    def set_state(self, snapshot: Any) -> Any:
+        return self.get_state()

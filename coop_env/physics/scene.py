@@ -10,7 +10,7 @@ from coop_env.kinematics import rrs
 from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
 from coop_env.physics.joints import Floats
 from coop_env.physics.twin import Twin, closed_at
-from coop_env.rendering.scene import Scene, link_points
+from coop_env.rendering.scene import RRS_JOINTS, Scene, posed
 
 
 def twin_scene(
@@ -34,39 +34,27 @@ def twin_scene(
     readings, p = twin.readings(), machine.kernel_params()
     closed = closed_at(readings.joints[row], command, machine)
     configuration = np.where(np.isfinite(closed), closed, command)
-    arms, limbs, _ = link_points(configuration, p)
+    fields = posed(configuration, p, trace)
     turn = roll_pitch_yaw_matrix([*twin.base[row, 3:], 0.0])
-    limbs = limbs @ turn.T + twin.base[row, :3]
+    for name in RRS_JOINTS:
+        fields[name] = fields[name] @ turn.T + twin.base[row, :3]
     rotation, centre = readings.rotation[row], readings.platform[row]
     normals = np.array(machine.task.hole_normals) @ rotation.T
     mouths = centre + machine.task.dome_radius * normals
     target = np.arange(len(normals)) == hole
     tip = readings.tip[row]
+    fields |= {"platform_centre": centre.copy(), "platform_rotation": rotation.copy()}
     return Scene(
-        delta_base_joints=arms[:, 0],
-        knees=arms[:, 1],
-        effector_joints=arms[:, 2],
-        effector=configuration[:3] + np.array([0.0, 0.0, p.delta.base_height]),
+        **fields,
         tip=tip.copy(),
-        peg_radius=p.delta.peg_radius,
-        rrs_base_joints=limbs[:, 0],
-        elbows=limbs[:, 1],
-        platform_joints=limbs[:, 2],
-        platform_centre=centre.copy(),
-        platform_rotation=rotation.copy(),
-        dome_radius=machine.task.dome_radius,
         hole_mouths=mouths,
         hole_normals=normals,
-        chamfer=p.task.chamfer,
         active=target,
         filled=target & (status == "success"),
         target=hole,
         distance=float(np.linalg.norm(mouths[hole] - tip)),
         alignment_error=float(np.arccos(np.clip(normals[hole, 2], -1.0, 1.0))),
         sigma_min=float(rrs.signed_sigma_min(configuration[3:], machine.rrs)),
-        singular_margin=float(p.layout["singular_margin"]),
-        configuration=configuration,
         time=time,
         status=status,
-        trace=np.array(trace, np.float64).reshape(-1, 3),
     )

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coop_env.kinematics.rrs_kernels import Pose, limb_points
+from coop_env.kinematics.rrs_kernels import limb_points
 from coop_env.simulation.collision import arm_points
 from coop_env.simulation.state import joint_angles
 from coop_env.simulation.task import EnvParams
@@ -77,49 +78,45 @@ def _status(state: np.void, sigma: float, margin: float) -> str:
     return "timeout" if sigma >= margin else "singular"
 
 
-def link_points(configuration: Points, p: EnvParams) -> tuple[Points, Points, Pose]:
-    """Where a configuration (6,) puts the links of both robots, world frame, m.
+RRS_JOINTS: Final = ("rrs_base_joints", "elbows", "platform_joints")
+"""Fields of a scene that hold the points of the 3-RRS's limbs."""
 
-    Returns:
-        base joint, knee and effector joint of each Delta limb, (3, 3, 3); base joint, elbow and
-        platform joint of each 3-RRS limb, (3, 3, 3); the platform's pose.
-    """
+
+def posed(configuration: Points, p: EnvParams, trace: Sequence[Points]) -> dict[str, Any]:
+    """The fields of a :class:`Scene` that follow from where a model has its configuration (6,)."""
     x, y, z, roll, pitch, heave = configuration.tolist()
     _, theta, pose, q = joint_angles((x, y, z, roll, pitch, heave), p)
     arms = np.array([arm_points(x, y, z, theta, i, p.delta) for i in range(3)])
     limbs = np.array([limb_points(pose, q[i], i, p.rrs) for i in range(3)])
-    return arms, limbs, pose
+    names = ("delta_base_joints", "knees", "effector_joints", *RRS_JOINTS)
+    return {
+        **dict(zip(names, np.swapaxes(np.concatenate([arms, limbs], axis=1), 0, 1), strict=True)),
+        "configuration": configuration.copy(),
+        "effector": configuration[:3] + np.array([0.0, 0.0, p.delta.base_height]),
+        "peg_radius": p.delta.peg_radius,
+        "platform_centre": np.array(pose[:3]),
+        "platform_rotation": np.array(pose[3:]).reshape(3, 3),
+        "dome_radius": float(p.layout["dome_radius"]),
+        "chamfer": p.task.chamfer,
+        "singular_margin": float(p.layout["singular_margin"]),
+        "trace": np.array(trace, np.float64).reshape(-1, 3),
+    }
 
 
 def make_scene(state: np.void, p: EnvParams, trace: Sequence[Points] = ()) -> Scene:
     """The scene of a row of state; ``trace``: the tip's path."""
-    arms, limbs, pose = link_points(state["configuration"], p)
-    sigma, margin = float(state["sigma"]), float(p.layout["singular_margin"])
+    fields, sigma = posed(state["configuration"], p, trace), float(state["sigma"])
     return Scene(
-        delta_base_joints=arms[:, 0],
-        knees=arms[:, 1],
-        effector_joints=arms[:, 2],
-        effector=state["configuration"][:3] + np.array([0.0, 0.0, p.delta.base_height]),
+        **fields,
         tip=state["tip"].copy(),
-        peg_radius=p.delta.peg_radius,
-        rrs_base_joints=limbs[:, 0],
-        elbows=limbs[:, 1],
-        platform_joints=limbs[:, 2],
-        platform_centre=np.array(pose[:3]),
-        platform_rotation=np.array(pose[3:]).reshape(3, 3),
-        dome_radius=float(p.layout["dome_radius"]),
         hole_mouths=state["mouths"].copy(),
         hole_normals=state["normals"].copy(),
-        chamfer=p.task.chamfer,
         active=state["active"].astype(bool),
         filled=state["filled"].astype(bool),
         target=int(state["target"]),
         distance=float(state["distance"]),
         alignment_error=float(state["angle"]),
         sigma_min=sigma,
-        singular_margin=margin,
-        configuration=state["configuration"].copy(),
         time=float(state["moves"]) * float(p.layout["dt"]),
-        status=_status(state, sigma, margin),
-        trace=np.array(trace, np.float64).reshape(-1, 3),
+        status=_status(state, sigma, fields["singular_margin"]),
     )

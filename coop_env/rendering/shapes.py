@@ -152,13 +152,11 @@ def bar(length: float, start: float, end: float, thickness: float) -> Mesh:
     return prism(tuple(outline), thickness)
 
 
-def plate(
-    corner_distance: float, corner_radius: float, thickness: float, turn: float = 0.0
-) -> Mesh:
-    """Triangular plate with rounded corners at azimuths ``turn`` + 0, 120 and 240 degrees."""
+def plate(corner_distance: float, corner_radius: float, thickness: float) -> Mesh:
+    """Triangular plate with rounded corners at azimuths 0, 120 and 240 degrees."""
     outline: list[tuple[float, float]] = []
     for limb in range(3):
-        azimuth = turn + limb * 2.0 * math.pi / 3.0
+        azimuth = limb * 2.0 * math.pi / 3.0
         x, y = corner_distance * math.cos(azimuth), corner_distance * math.sin(azimuth)
         outline += [
             (x + corner_radius * math.cos(a), y + corner_radius * math.sin(a))

@@ -5,10 +5,12 @@ agent and its environment, :class:`ShieldedInsertionVecEnv` is a batch under its
 :class:`ShieldMargin` says how much distance is kept.
 """
 
-from coop_env.shield.batch import ShieldedInsertionEnv, ShieldedInsertionVecEnv
-from coop_env.shield.margin import ShieldMargin
-from coop_env.shield.shield import KinematicShield
-from coop_env.shield.wrapper import ShieldWrapper
+from coop_env.shield.shield import KinematicShield, ShieldMargin
+from coop_env.shield.wrapper import (
+    ShieldedInsertionEnv,
+    ShieldedInsertionVecEnv,
+    ShieldWrapper,
+)
 
 __all__ = [
     "KinematicShield",

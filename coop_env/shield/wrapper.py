@@ -1,4 +1,4 @@
-"""The shield between an agent and its environment."""
+"""The shield between an agent and its environment, and the task under its masks, in a batch."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from coop_env.env import check_action
+from coop_env.env import CoopInsertionEnv, check_action
 from coop_env.errors import ArgumentError
-from coop_env.shield.margin import ShieldMargin
-from coop_env.shield.shield import KinematicShield
+from coop_env.shield.shield import KinematicShield, ShieldMargin
 from coop_env.simulation.task import N_ACTIONS
+from coop_env.vector.vec_env import CoopInsertionVecEnv
 
 
 class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
@@ -103,3 +103,34 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
             return move, False
         sigma = self.shield.sigma_after(self._configuration())
         return int(np.argmax(np.where(masks, sigma, -np.inf))), True
+
+
+class ShieldedInsertionEnv(CoopInsertionEnv):
+    """A ``CoopInsertion-v0`` whose masks are the ones that :class:`ShieldWrapper` gives it.
+
+    What an agent does against its masks is the environment's own business here, and no
+    intervention.
+
+    Args:
+        shield: None, the default :class:`ShieldMargin`, one, or a mapping of its fields.
+        kwargs: as for :class:`~coop_env.env.CoopInsertionEnv`.
+
+    Raises:
+        ArgumentError: an argument is wrong, or the margins leave nothing.
+    """
+
+    def __init__(
+        self, shield: ShieldMargin | Mapping[str, Any] | None = None, **kwargs: Any
+    ) -> None:
+        super().__init__(**kwargs)
+        self.shield = KinematicShield(self, shield)
+
+    def _masks_of(self, states: NDArray[np.void]) -> NDArray[np.bool_]:
+        inner = [self.shield.allowed_moves(c) for c in states["configuration"]]
+        return self.shield.masks(super()._masks_of(states), np.array(inner))
+
+
+class ShieldedInsertionVecEnv(CoopInsertionVecEnv):
+    """Many :class:`ShieldedInsertionEnv` in one batch, as SB3's ``VecEnv``."""
+
+    env_class = ShieldedInsertionEnv

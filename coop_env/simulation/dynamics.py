@@ -12,6 +12,8 @@ import numpy as np
 
 from coop_env.compilation import njit
 from coop_env.kinematics import delta_kernels, rrs_kernels
+from coop_env.kinematics.rrs_kernels import Pose
+from coop_env.kinematics.singularity import Row
 from coop_env.simulation import machine, rewards
 from coop_env.simulation.collision import below_ceiling, collides, peg_tip
 from coop_env.simulation.state import (
@@ -59,18 +61,26 @@ def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p
         s.offset[k] = 0
     for hole in range(len(active)):  # numba compiles a second of shape errors for `s.active[:] =`
         s.active[hole], s.filled[hole] = active[hole], filled[hole]
-    s.sigma = sigma
     s.moves = 0
     s.trailed = 0
-    s.refused[:] = 0
     s.insertions = 0
     s.energy = 0.0
     s.over = False
+    stand(s, c, theta, pose, q, sigma, p)
+    return VALID
+
+
+@njit(cache=True)
+def stand(
+    s: Record, c: Configuration, theta: Row, pose: Pose, q: Row, sigma: float, p: EnvParams
+) -> None:
+    """Put the nominal machine at a configuration, and write all that follows from that."""
+    s.refused[:] = 0
+    s.sigma = sigma
     place_delta(s, c, theta, peg_tip(c[0], c[1], c[2], p.delta))
     place_rrs(s, c, pose, q, p)
     update_inside(s, p.task.tolerance, p)
     update_mask(s, True, True, p)
-    return VALID
 
 
 @njit(cache=True)
@@ -259,46 +269,54 @@ def tick(s: Record, delta: int, rrs: int, p: EnvParams, out: Record) -> None:
     one of them must hold, and ``mask_refused`` is of single moves.
     """
     before = _in_filled_holes(s)
-    distance, angle = s.distance, s.angle
     delta_status, rrs_status = _attempt(s, delta, rrs, p)
-    s.moves += 1
     singular = delta_status == SINGULAR or rrs_status == SINGULAR
     collision = delta_status == COLLISION or rrs_status == COLLISION
     arrived = (delta != HOLD and delta_status == VALID) or (rrs != HOLD and rrs_status == VALID)
     arrived = arrived and not singular
     v, target = delta_status != VALID or rrs_status != VALID, s.target
-    s.distance, s.angle = hole_distance(s, target), hole_angle(s, target)
     u = arrived and _in_filled_holes(s) & ~before != 0
     z = arrived and _inserts(s, p)
     if z:
         s.filled[target] = 1
-        s.insertions += 1
-    out.alignment_error, out.distance = s.angle, s.distance
-    after = (s.distance, s.angle)
     n_open = open_holes(s)
     terminated = singular or n_open == 0 or (collision and p.task.fatal)
     if z and n_open > 0:
-        aim(s, nearest_open_hole(s))
-        if p.task.visited > 0:  # the way to the next hole may lead back
-            s.trailed = 0
-            update_mask(s, True, True, p)
-    failed = terminated and n_open > 0
-    reward_of(s, (v, z, u, terminated, failed), (distance, angle), after, p, out)
-    out.inserted = z
-    out.inserted_hole = target if z else -1
-    out.collision = collision
-    out.violation = v
-    out.duplicate = u
-    out.singular = singular
-    report(s, p, out)
-    out.terminated = terminated
-    out.truncated = not terminated and s.moves >= p.task.max_moves
-    s.over = out.terminated or out.truncated
+        target = nearest_open_hole(s)
+    out.collision, out.singular = collision, singular
+    conclude(s, (v, z, u, terminated, terminated and n_open > 0), target, p, out)
 
 
 @njit(cache=True)
-def report(s: Record, p: EnvParams, out: Record) -> None:
-    """Write to ``out`` what follows from the state alone."""
+def conclude(
+    s: Record, flags: tuple[bool, bool, bool, bool, bool], target: int, p: EnvParams, out: Record
+) -> None:
+    """Count the move, aim at a target, and write to ``out`` what it has not got yet.
+
+    Args:
+        s: the state, with the holes that are filled and active after the move.
+        flags: a violation, an insertion, an entry to a filled hole, the episode's end, that it
+            ends in failure.
+        target: the next one.
+        p: the parameters.
+        out: the outcome.
+    """
+    v, z, u, terminated, _ = flags
+    aimed, before = s.target, (s.distance, s.angle)
+    s.moves += 1
+    s.insertions += z
+    after = (hole_distance(s, aimed), hole_angle(s, aimed))
+    out.distance, out.alignment_error = after
+    aim(s, target)
+    if p.task.visited > 0 and target != aimed:  # the way to the next hole may lead back
+        s.trailed = 0
+        update_mask(s, True, True, p)
+    _reward(s, flags, before, after, p, out)
+    out.violation, out.inserted, out.duplicate = v, z, u
+    out.inserted_hole = aimed if z else -1
+    out.terminated = terminated
+    out.truncated = not terminated and s.moves >= p.task.max_moves
+    s.over = out.terminated or out.truncated
     out.success = s.insertions > 0
     out.n_filled = s.filled.sum()
     out.all_filled = np.all(s.active <= s.filled)
@@ -309,21 +327,11 @@ def report(s: Record, p: EnvParams, out: Record) -> None:
 
 
 @njit(cache=True)
-def reward_of(
+def _reward(
     s: Record, flags: tuple[bool, bool, bool, bool, bool],
     before: tuple[float, float], after: tuple[float, float], p: EnvParams, out: Record,
 ) -> None:  # fmt: skip
-    """Write the reward and its terms.
-
-    Args:
-        s: the state, moves counted and holes filled.
-        flags: a violation, an insertion, an entry to a filled hole, the episode's end, that it
-            ends in failure.
-        before: distance, m, and angle, rad, to the hole aimed at, before the move.
-        after: after it.
-        p: the parameters.
-        out: what is written to.
-    """
+    """Write the reward and its terms; distance and angle are to the hole that was aimed at."""
     v, z, u, terminated, failed = flags
     n_filled, time = s.filled.sum(), s.moves * p.layout.dt
     if p.reward.paper:

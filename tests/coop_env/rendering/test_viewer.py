@@ -15,8 +15,7 @@ from viser.transforms import SO3
 from coop_env.env import CoopInsertionEnv
 from coop_env.rendering import viewer as viewer_module
 from coop_env.rendering.bodies import bodies
-from coop_env.rendering.browser import ViewerError
-from coop_env.rendering.viewer import Viewer
+from coop_env.rendering.viewer import Viewer, ViewerError
 
 START = (0.0, 0.0, -0.38, 0.0, 0.0, 0.23)
 
