@@ -1,7 +1,7 @@
-"""The README's picture, a video and a short animation of one solved episode.
+"""The README's picture and a short animation of one solved episode.
 
-The exact lattice optimum plays, or with --model a policy. Written to results/media: scene.png,
-episode.mp4 and episode.gif.
+The exact lattice optimum plays, or with --model a policy. Written to results/media: scene.png and
+episode.gif.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import imageio_ffmpeg
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
@@ -22,18 +21,17 @@ from benchmarks.runs.store import write_atomic
 from benchmarks.studies.base import Act, Part, Study, Tick, count, episode, greedy
 from coop_env.env import CoopInsertionEnv
 from coop_env.geometry import GEOMETRIES
-from coop_env.rendering import CAMERAS, frame_view, render_frame
+from coop_env.rendering import render_frame
 from coop_env.rendering.bodies import COLOURS
 from coop_env.rendering.scene import Scene
 
 Image8 = npt.NDArray[np.uint8]
 
 SCENE_SIZE: Final = (1120, 630)
-VIDEO_SIZE: Final = (960, 720)
 GIF_SIZE: Final = (480, 360)
 GIF_EVERY: Final = 2  # moves between two pictures of the animation
 GIF_COLOURS: Final = 144
-VIDEO_FPS: Final = 10  # twice the robots' own pace of one move in 0.2 s
+FPS: Final = 5  # of the animation: twice the robots' own pace of one move in 0.2 s
 HOLD_SECONDS: Final = 2.0  # the last picture stays so long
 DEFAULT_SEED: Final = 8
 
@@ -95,44 +93,10 @@ def play(
     return [env.scene() for _ in steps]
 
 
-def telling_moment(scenes: Sequence[Scene], camera: str) -> int:
-    """Which scene shows most: some holes filled, the next one and its neighbours in sight.
-
-    Sight is the sum over holes of the cosine between normal and the way to the camera, the target
-    counting like all others together.
-    """
-    last = int(scenes[-1].filled.sum())
-
-    def worth(scene: Scene) -> float:
-        view = frame_view(scene, size=SCENE_SIZE, camera=camera)
-        sight = np.maximum(scene.hole_normals @ -view.axes[2], 0.0)
-        near = 0.025 <= scene.distance <= 0.08
-        part = 0.2 * last <= scene.filled.sum() <= 0.7 * last
-        return float(sight.mean() + sight[scene.target]) + near + part
-
-    return int(np.argmax([worth(scene) for scene in scenes]))
-
-
-def write_picture(path: Path, scene: Scene, camera: str) -> None:
-    """A still of the scene, smooth enough for print."""
-    image = Image.fromarray(render_frame(scene, size=SCENE_SIZE, camera=camera, samples=4))
-    write_atomic(path, lambda temporary: image.save(temporary, "PNG", optimize=True))
-
-
-def write_video(path: Path, frames: Sequence[Image8], fps: int) -> None:
-    """H.264 in MP4, which every browser plays."""
-
-    def write(temporary: Path) -> None:
-        height, width = frames[0].shape[:2]
-        writer = imageio_ffmpeg.write_frames(
-            str(temporary), (width, height), fps=fps, quality=6, output_params=["-f", "mp4"]
-        )
-        writer.send(None)
-        for frame in frames:
-            writer.send(np.ascontiguousarray(frame))
-        writer.close()
-
-    write_atomic(path, write)
+def telling_moment(scenes: Sequence[Scene]) -> Scene:
+    """The scene nearest to a hole with half of the last scene's holes filled."""
+    half = scenes[-1].filled.sum() // 2
+    return min(scenes, key=lambda scene: (abs(scene.filled.sum() - half), scene.distance))
 
 
 def write_animation(path: Path, frames: Sequence[Image8], fps: float) -> None:
@@ -159,29 +123,22 @@ class Media(Study):
         "--model": {"type": Path, "help": "a trained model instead of the optimum"},
         "--trust": {"action": "store_true", "help": TRUSTED},
         "--seed": count(DEFAULT_SEED, "of the episode's start", 0),
-        "--camera": {"choices": list(CAMERAS), "default": "iso", "help": "the view"},
     }
 
     def parts(self) -> dict[str, Part]:
         return {"drawing": self._draw}
 
     def _draw(self, tick: Tick) -> None:
-        given, camera = self.given, self.given.camera
+        given = self.given
         env = CoopInsertionEnv(geometry=given.geometry, render_mode="rgb_array")
         policy = partial(policy_moves, given.model, trust=given.trust)
         scenes = play(env, given.seed, OptimalPlayer if given.model is None else policy)
-        write_picture(self.folder / "scene.png", scenes[telling_moment(scenes, camera)], camera)
-        stills = scenes[::GIF_EVERY] + ([] if len(scenes) % GIF_EVERY else scenes[-1:])
-
-        def draw(shown: Sequence[Scene], size: tuple[int, int], begun: int) -> list[Image8]:
-            frames: list[Image8] = []
-            for scene in shown:
-                frames.append(render_frame(scene, size=size, camera=camera))
-                tick((begun + len(frames)) / (len(scenes) + len(stills)))
-            return frames
-
-        frames = draw(scenes, VIDEO_SIZE, 0)
-        held = frames[-1:] * round(HOLD_SECONDS * VIDEO_FPS)
-        write_video(self.folder / "episode.mp4", frames + held, VIDEO_FPS)
-        stills_drawn = draw(stills, GIF_SIZE, len(scenes))
-        write_animation(self.folder / "episode.gif", stills_drawn, VIDEO_FPS / GIF_EVERY)
+        still = render_frame(telling_moment(scenes), size=SCENE_SIZE, samples=4)
+        picture = Image.fromarray(still)
+        write_atomic(self.folder / "scene.png", lambda file: picture.save(file, "PNG"))
+        shown = scenes[::GIF_EVERY] + ([] if len(scenes) % GIF_EVERY else scenes[-1:])
+        frames: list[Image8] = []
+        for scene in shown:
+            frames.append(render_frame(scene, size=GIF_SIZE))
+            tick(len(frames) / len(shown))
+        write_animation(self.folder / "episode.gif", frames, FPS)

@@ -44,8 +44,7 @@ SEEN: Final = ("observation", "mask_singularities", "mask_visited", "mask_refuse
 FORCE_LIMIT: Final = 40.0  # N, as in the contact task
 
 MEASURED: Final = (
-    *("seconds_first", "seconds", "blocked_first", "blocked", "error", "error_rms", "torque"),
-    *("force", "inserted"),
+    *("seconds_first", "seconds", "blocked_first", "error", "torque", "force", "inserted"),
 )
 """Columns of a start with an insertion, which others leave empty."""
 
@@ -62,7 +61,6 @@ class Way(NamedTuple):
     configurations: NDArray[np.float64]
     target: int
     first: int
-    holes: int
 
 
 def optimum(env: CoopInsertionEnv) -> Iterator[int]:
@@ -114,16 +112,15 @@ def played(arguments: dict[str, Any], play: Play, seed: int) -> Way:
     """The way of one episode, and what it filled; a move that was refused adds nothing to it."""
     env = CoopInsertionEnv(**arguments)
     _, info = env.reset(seed=seed)
-    target, first, holes, way = int(info["target"]), 0, 0, [env.configuration]
+    target, first, way = int(info["target"]), 0, [env.configuration]
     for move in play(env):
         _, _, terminated, truncated, info = env.step(move)
         if not (info["violation"] or info["singular"]):
             way.append(env.configuration)
-        holes += bool(info["inserted"])
         first = first or (len(way) - 1 if info["inserted"] else 0)
         if terminated or truncated:
             break
-    return Way(np.array(way), target, first, holes)
+    return Way(np.array(way), target, first)
 
 
 def rows_of(method: str, way: Way, number: int, driver: TwinDriver) -> Iterator[Row]:
@@ -131,7 +128,7 @@ def rows_of(method: str, way: Way, number: int, driver: TwinDriver) -> Iterator[
     geometry = driver.twin.machine.rrs
     for kind, blend in (("stop-and-go", False), ("blended", True)):
         row: Row = {"method": method, "kind": kind, "start": number}
-        row |= {"moves_first": way.first, "moves": len(way.configurations) - 1, "holes": way.holes}
+        row |= {"moves_first": way.first, "moves": len(way.configurations) - 1}
         row |= dict.fromkeys(MEASURED, math.nan)
         if way.first:
             whole = make_trajectory(way.configurations, geometry, blend=blend)
@@ -141,8 +138,7 @@ def rows_of(method: str, way: Way, number: int, driver: TwinDriver) -> Iterator[
             distance, angle = driver.miss(way.target)
             errors = 1e3 * np.abs(driver.errors)
             measured = (
-                *(first.duration, whole.duration, len(first.blocked()), len(whole.blocked())),
-                *(float(errors.max()), float(np.sqrt(np.mean(errors**2)))),
+                *(first.duration, whole.duration, len(first.blocked()), float(errors.max())),
                 *(float(np.abs(driver.torques).max()), float(np.linalg.norm(driver.force()))),
                 distance < PAPER_TASK.tolerance and angle < PAPER_TASK.angle_tolerance,
             )
@@ -150,43 +146,32 @@ def rows_of(method: str, way: Way, number: int, driver: TwinDriver) -> Iterator[
         yield row
 
 
-def tables(rows: pd.DataFrame) -> str:
-    """The rows as two Markdown tables."""
-    first, whole = [], []
+def table(rows: pd.DataFrame) -> str:
+    """The rows as a Markdown table."""
+    lines = []
     for (method, kind), all_of in rows.groupby(["method", "kind"], sort=False):
         done = all_of[all_of["moves_first"] > 0]
         mean, error = done.mean(numeric_only=True), done["error"]
-        counts = (done["inserted"].astype(bool), done["force"] <= FORCE_LIMIT)
-        first.append(
+        counts = (
+            *(done["blocked_first"] == 0, done["inserted"].astype(bool)),
+            done["force"] <= FORCE_LIMIT,
+        )
+        free, inserted, soft = (str(int(each.sum())) for each in counts)
+        lines.append(
             [
                 *(str(method), str(kind), f"{len(done)} of {len(all_of)}"),
                 *_lengths(mean["moves_first"], mean["seconds_first"]),
-                str(int((done["blocked_first"] == 0).sum())),
-                *(f"{error.median():.1f} / {error.max():.1f}", f"{mean['error_rms']:.1f}"),
-                *(f"{done['torque'].max():.1f}", *(str(int(each.sum())) for each in counts)),
+                *(free, f"{error.median():.1f} / {error.max():.1f}"),
+                *(f"{done['torque'].max():.1f}", inserted, soft),
+                " / ".join(_lengths(mean["moves"], mean["seconds"])[1:]),
             ]
         )
-        free = (done["blocked"] == 0).sum(), done["blocked"].sum()
-        lengths = _lengths(mean["moves"], mean["seconds"])
-        whole.append(
-            [str(method), str(kind), f"{mean['holes']:.2f}", *lengths, *(f"{n:.0f}" for n in free)]
-        )
-    return "\n\n".join(
-        [
-            plain(
-                "To the first insertion",
-                "method | trajectory | starts with an insertion | moves to it | s by moves | s | "
-                "ways free | error, mrad: median / largest peak | rms | peak torque, N m | "
-                f"inserted on the twin | at most {FORCE_LIMIT:.0f} N",
-                first,
-            ),
-            plain(
-                "The whole episode, of the same starts",
-                "method | trajectory | holes | moves | s by moves | s | episodes free | "
-                "moves blocked",
-                whole,
-            ),
-        ]
+    return plain(
+        "To the first insertion, and the whole episode",
+        "method | trajectory | starts with an insertion | moves to it | s by moves | s | "
+        "ways free | error, mrad: median / largest peak | peak torque, N m | "
+        f"inserted on the twin | at most {FORCE_LIMIT:.0f} N | episode: s by moves / s",
+        lines,
     )
 
 
@@ -279,4 +264,4 @@ class TrajectoryStudy(Measured):
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:
         rows = pd.DataFrame([row for part in result["parts"].values() for row in part])
-        return f"{tables(rows)}\n\n{source(result)}"
+        return f"{table(rows)}\n\n{source(result)}"

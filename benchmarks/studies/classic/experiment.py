@@ -20,7 +20,7 @@ class Classic(OfPreset[SuitePreset]):
     """Learners and controls on public tasks."""
 
     place = "classic"
-    printed = ("scores", "controls", "normalized", "together", "contact", "friction")
+    printed = ("scores", "controls", "together", "contact")
 
     def build(self, cell: Cell) -> Any:
         from benchmarks.studies.classic.train import build_model

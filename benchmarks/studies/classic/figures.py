@@ -34,12 +34,7 @@ def pictures(results: SuiteResults) -> list[Picture]:
 
 
 def _curves(results: SuiteResults) -> Figure:
-    methods = results.preset.methods
-    tasks = {
-        key: task
-        for key, task in results.preset.tasks.items()
-        if any(results.curve(key, method) is not None for method in methods)
-    } or results.preset.tasks
+    tasks = results.preset.tasks
     columns = min(4, len(tasks))
     rows = math.ceil(len(tasks) / columns)
     figure, grid = canvas(rows, columns, (2.6 * columns, 2.2 * rows + 0.4))

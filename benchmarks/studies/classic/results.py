@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from benchmarks.protocol.plan import expand, settings
 from benchmarks.protocol.presets import SuitePreset
 from benchmarks.protocol.seeding import episode_seeds
-from benchmarks.reporting.stats import Value, means, over_seeds, stratified_bootstrap, t_interval
+from benchmarks.reporting.stats import Value, mean_band, measured, over_seeds
 from benchmarks.runs.store import RunFolder, Store
 
 Array = NDArray[np.float64]
@@ -50,8 +50,7 @@ class SuiteResults:
     """The complete runs of a preset."""
 
     def __init__(self, preset: SuitePreset, store: Store) -> None:
-        self.preset = preset
-        self.root = store.folder.parent.parent  # of all results
+        self.preset, self.root = preset, store.folder.parent.parent  # of all results
         self.folders: list[RunFolder] = []
         self._runs: dict[tuple[str, str], list[Run]] = {}
         self.missing: list[str] = []
@@ -115,14 +114,8 @@ class SuiteResults:
         if not runs:
             return None
         grid = runs[0].curve["timesteps"].to_numpy(dtype=float)
-        returns = np.stack([
-            np.interp(grid, run.curve["timesteps"], run.curve["return_mean"]) for run in runs
-        ])  # fmt: skip
-        ends = np.array([
-            stratified_bootstrap(column[:, None], means) if len(runs) > 1 else (math.nan, math.nan)
-            for column in returns.T
-        ])  # fmt: skip
-        return grid, returns.mean(axis=0), ends[:, 0], ends[:, 1]
+        columns = (run.curve[["timesteps", "return_mean"]].to_numpy().T for run in runs)
+        return grid, *mean_band([np.interp(grid, *column) for column in columns])
 
 
 def student(scores: Sequence[float]) -> Value:
@@ -130,8 +123,4 @@ def student(scores: Sequence[float]) -> Value:
 
     Of so few numbers the bootstrap's percentiles are too narrow.
     """
-    value = over_seeds(scores)
-    if value.n < 3:
-        return value
-    low, high = t_interval(value.mean, value.std, value.n)
-    return replace(value, low=low, high=high)
+    return measured(scores, lambda: (math.nan,) * 2) if len(scores) > 2 else over_seeds(scores)

@@ -9,6 +9,7 @@ from benchmarks.protocol.labels import of_suite
 from benchmarks.protocol.presets import load_suite
 from benchmarks.reporting.blocks import provenance
 from benchmarks.reporting.stats import (
+    Value,
     interquartile_mean,
     over_seeds,
     probability_of_improvement,
@@ -21,10 +22,7 @@ from benchmarks.studies.classic.results import SuiteResults
 from benchmarks.studies.robots.contact_report import build_contact_tables
 
 # tables of the page, each with its figure
-SHOWN: Final = {
-    **{"scores": "curves", "controls": "", "together": ""},
-    **{"contact": "contact", "friction": ""},
-}
+SHOWN: Final = {"scores": "curves", "controls": "", "together": "", "contact": "contact"}
 _INTERVAL = "Student's 95 % interval, of three seeds or more"
 _MASKS = (
     "The masked identity task: only Rainbow reads masks; to DQN and QR-DQN an action that is not "
@@ -47,8 +45,6 @@ def build_tables(results: SuiteResults) -> list[Table]:
         tables.append(_scores(results))
         if results.preset.controls:
             tables.append(_controls(results))
-        if any(task.human is not None for task in results.preset.tasks.values()):
-            tables.append(_normalized(results))
         # who reads masks beside who does not is no comparison of learners
         tasks = [k for k, task in results.preset.tasks.items() if task.env != MASKED_IDENTITY]
         if len(tasks) > 1 and len(results.preset.methods) > 1:
@@ -84,7 +80,7 @@ def _scores(results: SuiteResults) -> Table:
             counts = counts[:1]
         goal = "-" if task.goal is None else f"{task.goal:g}"
         row: list[TableCell] = [task.title, f"{task.timesteps:,}", goal, "/".join(counts)]
-        row += [_with_interval(v.mean, v.low, v.high) for v in values]
+        row += [_with_interval(v) for v in values]
         if published:
             row.append(", ".join(f"{task.published[who]:g}" for who in task.published) or "-")
         rows.append(row)
@@ -110,7 +106,7 @@ def _controls(results: SuiteResults) -> Table:
     rows: list[list[TableCell]] = []
     for key, task in preset.tasks.items():
         values = [results.score(key, name) for name in columns]
-        rows.append([task.title, *(_with_interval(v.mean, v.low, v.high) for v in values)])
+        rows.append([task.title, *(_with_interval(v) for v in values)])
     return Table(
         "controls",
         "Without learning, on the same test episodes",
@@ -128,7 +124,7 @@ def _search(results: SuiteResults) -> Table:
         row: list[TableCell] = [of_suite(method)]
         for key in preset.tasks:
             value = results.score(key, method)
-            row += [str(value.n), _with_interval(value.mean, value.low, value.high)]
+            row += [str(value.n), _with_interval(value)]
         rows.append(row)
     header = [word for task in preset.tasks.values() for word in ("Seeds", task.title)]
     return Table(
@@ -140,29 +136,6 @@ def _search(results: SuiteResults) -> Table:
     )
 
 
-def _normalized(results: SuiteResults) -> Table:
-    """Scores in which a random player has 0 and a human one 1."""
-    rows: list[list[TableCell]] = []
-    for key, task in results.preset.tasks.items():
-        if task.human is None or task.random is None:
-            continue
-        base, scale = task.random, task.human - task.random
-        row: list[TableCell] = [task.title, f"{task.random:g}", f"{task.human:g}"]
-        for method in results.preset.methods:
-            v = results.score(key, method)
-            mean, low, high = ((value - base) / scale for value in (v.mean, v.low, v.high))
-            row.append(_with_interval(mean, low, high, 3))
-        marks = ((value - base) / scale for value in task.published.values())
-        rows.append([*row, ", ".join(f"{mark:.3f}" for mark in marks) or "-"])
-    methods = [of_suite(method) for method in results.preset.methods]
-    return Table(
-        "normalized",
-        "Human-normalized: a random player has 0, a human 1",
-        ["Task", "Random", "Human", *methods, "Published"],
-        rows,
-    )
-
-
 def _together(results: SuiteResults, tasks: list[str]) -> Table:
     """All tasks at once, and how likely a run of the first method is better than another."""
     preset = results.preset
@@ -170,18 +143,13 @@ def _together(results: SuiteResults, tasks: list[str]) -> Table:
     ours = preset.methods[0]
     rows: list[list[TableCell]] = []
     for method, theirs in scores.items():
-        low, high = stratified_bootstrap(theirs) if len(theirs) else (math.nan, math.nan)
-        mean = interquartile_mean(theirs) if len(theirs) else math.nan
-        better = "-"
+        middle, better = Value(math.nan), Value(math.nan)
+        if len(theirs):
+            middle = Value(interquartile_mean(theirs), math.nan, 1, *stratified_bootstrap(theirs))
         if method != ours:
-            value = probability_of_improvement(scores[ours], theirs)
-            better = _with_interval(value.mean, value.low, value.high, 2)
-        row: list[TableCell] = [
-            of_suite(method),
-            str(len(theirs)),
-            _with_interval(mean, low, high, 2),
-        ]
-        rows.append([*row, better])
+            better = probability_of_improvement(scores[ours], theirs)
+        row: list[TableCell] = [of_suite(method), str(len(theirs))]
+        rows.append([*row, _with_interval(middle, 2), _with_interval(better, 2)])
     return Table(
         "together",
         f"All {len(tasks)} tasks together",
@@ -194,13 +162,13 @@ def _together(results: SuiteResults, tasks: list[str]) -> Table:
     )
 
 
-def _with_interval(mean: float, low: float, high: float, digits: int | None = None) -> str:
-    if math.isnan(mean):
+def _with_interval(value: Value, digits: int | None = None) -> str:
+    if math.isnan(value.mean):
         return "-"
     if digits is None:
-        digits = 0 if abs(mean) >= 100 else 1
-    text = f"{mean:.{digits}f}"
-    return text if math.isnan(low) else f"{text} [{low:.{digits}f}, {high:.{digits}f}]"
+        digits = 0 if abs(value.mean) >= 100 else 1
+    interval = "" if math.isnan(value.low) else f" {value.interval_text(digits)}"
+    return f"{value.mean:.{digits}f}{interval}"
 
 
 def _speed(results: SuiteResults) -> Table:

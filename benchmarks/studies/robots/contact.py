@@ -1,11 +1,11 @@
-"""Scripts on the contact task: success, time and force over the hole's error and over friction.
+"""Scripts on the contact task: success, time and force over the hole's error.
 
     python -m benchmarks study contact
 
 Each script's gains are the best of a grid on validation episodes of each level, by success and then
 by time, with errors up to 3 mm. The tests have errors of fixed size to any side, or as the task
-draws them, tilts up to a degree, and friction as the task draws it, or errors of 3 mm and fixed
-friction. Last, both searches insert with other timesteps, contacts and play, and a film is drawn.
+draws them, tilts up to a degree, and friction as the task draws it. Last, both searches insert with
+other timesteps, contacts and play, and a film is drawn.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from benchmarks.reporting.stats import wilson
 from benchmarks.reporting.tables.table import plain
 from benchmarks.studies.base import Measured, Part, Tick, count, episode, source
 from benchmarks.studies.robots import trials
-from benchmarks.studies.robots.trials import CONDITIONS, FRICTIONS, TRAINED, WHAT, Row, play
+from benchmarks.studies.robots.trials import CONDITIONS, TRAINED, WHAT, Row, play
 
 LEVELS: Final = ("easy", "standard", "hard")
 SENSITIVE: Final = ("standard", "hard")  # a round tip finds its hole anyway
@@ -74,7 +74,6 @@ def measure(level: str, episodes: int, tick: Tick) -> Row:
         result[name] = {
             "gains": gains,
             "errors": [play(env, script, "test", episodes, error) for error in CONDITIONS],
-            "frictions": [play(env, script, "test", episodes, TRAINED, f) for f in FRICTIONS],
         }
         tick((done + 1) / len(SCRIPTS))
     return result

@@ -20,7 +20,6 @@ from benchmarks.studies.robots.trials import (
     CONDITIONS,
     DRAWN,
     ERRORS,
-    FRICTIONS,
     TRAINED,
     WHAT,
     causes,
@@ -31,13 +30,12 @@ from benchmarks.studies.robots.trials import (
 
 
 class Entry(NamedTuple):
-    """A method's episodes under each error, the last as the task draws it, and each friction."""
+    """A method's episodes under each error, the last as the task draws it."""
 
     level: str
     name: str
     seeds: str
     errors: list[dict[str, Any]]
-    frictions: list[dict[str, Any]]
     success: str
     look: dict[str, Any]
 
@@ -48,11 +46,13 @@ def levels(results: SuiteResults) -> dict[str, str]:
     return {key: task.env_kwargs["level"] for key, task in tasks if task.env == CONTACT}
 
 
-def _of(rows: pd.DataFrame, error: float | None, friction: float | None) -> dict[str, Any]:
-    """The episodes under one condition, as the scripts' are stored."""
-    for column, value in (("error", error), ("friction", friction)):
-        rows = rows[rows[column].isna() if value is None else rows[column] == value]
-    return {str(name): values.tolist() for name, values in rows.fillna({"failure": ""}).items()}
+def _of(rows: pd.DataFrame, error: float | None) -> dict[str, Any]:
+    """The episodes under an error at the friction that the task draws, as the scripts' are kept."""
+    rows = rows[rows["error"].isna() if error is None else rows["error"] == error]
+    if "friction" in rows:  # older runs were tested at fixed friction, too
+        rows = rows[rows["friction"].isna()]
+    rows = rows.fillna({"failure": ""})
+    return {str(name): values.tolist() for name, values in rows.items()}
 
 
 def _entries(results: SuiteResults) -> Iterator[Entry]:
@@ -63,26 +63,25 @@ def _entries(results: SuiteResults) -> Iterator[Entry]:
         for method in results.preset.methods:
             if not (runs := [run.rows("contact") for run in results.runs(task, method)]):
                 continue
-            value = student([medians(_of(rows, DRAWN, None))[0] for rows in runs])
+            value = student([medians(_of(rows, DRAWN))[0] for rows in runs])
             interval = ""
             if not math.isnan(value.low):
                 interval = f" [{max(value.low, 0.0):.1f}, {min(value.high, 100.0):.1f}]"
             rows = pd.concat(runs)
             yield Entry(
                 *(level, of_suite(method), str(len(runs))),
-                [_of(rows, error, None) for error in CONDITIONS],
-                [_of(rows, TRAINED, friction) for friction in FRICTIONS],
+                [_of(rows, error) for error in CONDITIONS],
                 f"{value.mean:.1f}{interval}",
                 {"color": METHOD_COLOURS.get(method, PALETTE[-1])},
             )
         for number, (name, one) in enumerate(stored.get(level, {}).items()):
             success = f"{medians(one['errors'][-1])[0]:.1f}"
             look = {"color": str(0.15 + 0.2 * number), "linestyle": "--"}
-            yield Entry(level, name, "-", one["errors"], one["frictions"], success, look)
+            yield Entry(level, name, "-", one["errors"], success, look)
 
 
 def build_contact_tables(results: SuiteResults) -> list[Table]:
-    """Success, time and force over the hole's error and over friction; none without such a task."""
+    """Success, time and force over the hole's error; none without such a task."""
     if not (entries := list(_entries(results))):
         return []
     head, size = ["Level", "Method", "Seeds"], f"{TRAINED:g} mm"
@@ -102,13 +101,6 @@ def build_contact_tables(results: SuiteResults) -> list[Table]:
             [*head, *map(shown, CONDITIONS)],
             [[*e[:3], *map(in_cell, e.errors)] for e in entries],
             [f"{same}Beyond {size} is outside of training."],
-            left=(0, 1),
-        ),
-        Table(
-            "friction",
-            f"Contact task at {size} over friction: {WHAT}",
-            [*head, *(f"{f:g}" for f in FRICTIONS)],
-            [[*e[:3], *map(in_cell, e.frictions)] for e in entries],
             left=(0, 1),
         ),
     ]

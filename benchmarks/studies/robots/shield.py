@@ -5,15 +5,13 @@
 The lattice through one start state is looked at in full, and so many others in a sample: no move
 that the shield allows may harm the nominal machine, on its way or at its end. Then the machine errs
 (`SimToReal`), and an adversary takes of the allowed moves one with the least margins left. Last,
-random, adversarial and learned policies play validation starts with and without the shield: its
-interventions, and what it costs, in moves and (with MuJoCo) by increments in contact. Random
-machines are looked at too, and the worst within the bounds of their errors.
+random and learned policies play validation starts with and without the shield: its interventions,
+and what it costs. Random machines are looked at too, and the worst within their bounds.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import asdict
@@ -23,16 +21,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from gymnasium.error import DependencyNotInstalled
 
-from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.model_files import load_model
 from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.reporting.stats import over_seeds
 from benchmarks.reporting.tables.table import plain
 from benchmarks.studies.base import Act, Measured, Part, Tick, count, episode, greedy, source
 from benchmarks.studies.robots.shield_machines import CONFIGURATIONS, ERRORS, at_the_margin, search
-from benchmarks.studies.robots.trials import LEVEL, Policy, inserter, play
 from coop_env import CoopInsertionEnv, SimToReal
 from coop_env.shield import KinematicShield, ShieldMargin, ShieldWrapper
 from coop_env.shield.certificate import NOTHING, certify_lattice, check_product, lattice
@@ -68,12 +63,8 @@ class Adversary:
         return int(self._rng.choice(np.flatnonzero(left == left.min())))
 
 
-def _rng(seed: int) -> np.random.Generator:
-    return np.random.default_rng(derive("fresh", 15, seed))
-
-
 def _at_random(env: CoopInsertionEnv, seed: int) -> Act:
-    rng = _rng(seed)
+    rng = np.random.default_rng(derive("fresh", 15, seed))
     return lambda observation, masks: int(rng.choice(np.flatnonzero(masks)))
 
 
@@ -159,7 +150,6 @@ def prices(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dict[st
     players: list[tuple[str, str, Maker]] = [
         ("random", "paper's", _at_random),
         ("random", "safe", _at_random),
-        ("adversary", "safe", lambda env, seed: Adversary(env, _rng(seed))),
     ]
     for name, runs in LEARNED.items():
         if (results / f"{runs}-s0" / "policy.zip").is_file():
@@ -170,43 +160,6 @@ def prices(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dict[st
         result = [price_of(make, arguments, shielded, seed, episodes) for seed in range(seeds)]
         numbers = {key: [one[key] for one in result] for key in result[0]}
         rows.append({"policy": name, "masks": masks, "shield": shielded, **numbers})
-        tick(len(rows) / (2 * len(players)))
-    return rows
-
-
-def _increments(seed: int) -> Policy:
-    """Uniform increments, whatever is observed."""
-    rng = _rng(seed)
-    return Policy(lambda observation: rng.uniform(-1.0, 1.0, 6).astype(np.float32))
-
-
-def in_contact(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dict[str, Any]]:
-    """Increments in the contact task, with and without the shield; none where MuJoCo is missing.
-
-    What is not among the results is left out.
-    """
-    try:
-        from coop_env.physics.env import CoopInsertionContactEnv
-    except DependencyNotInstalled:
-        return []
-    players: dict[str, Callable[[int], Any]] = {"random": _increments}
-    for name in ("spiral search", "SAC"):
-        with contextlib.suppress(BenchmarkError):
-            inserter(results, name, 0)
-            players[name] = partial(inserter, results, name)
-    env, rows = CoopInsertionContactEnv(LEVEL), []
-    worlds: dict[bool, Any] = {False: env, True: ShieldWrapper(env)}
-    for name, shielded in product(players, worlds):
-        row: dict[str, Any] = {"policy": name, "shield": shielded}
-        row |= {"success": [], "harm": [], "interventions": []}
-        also = ("interventions",) if shielded else ()
-        for seed in range(seeds):
-            result = play(worlds[shielded], players[name](seed), "validate", episodes, also=also)
-            row["success"].append(100.0 * float(np.mean(result["success"])))
-            harmed = [cause in ("force", "snap") for cause in result["failure"]]
-            row["harm"].append(float(np.mean(harmed)))
-            row["interventions"].append(float(np.mean(result.get("interventions", 0.0))))
-        rows.append(row)
         tick(len(rows) / (2 * len(players)))
     return rows
 
@@ -238,11 +191,9 @@ class Shield(Measured):
 
     def measures(self) -> dict[str, Part]:
         given = self.given
-        sample = (given.results, given.episodes, given.seeds)
         ways = {"bare": (max(1, given.moves // 100), False), "shielded": (given.moves, True)}
         return {
-            "prices": partial(prices, *sample),
-            "contact": partial(in_contact, *sample),
+            "prices": partial(prices, given.results, given.episodes, given.seeds),
             "certificate": partial(certificates, given.phases, given.full),
             **{
                 f"{name}: {way}": partial(harm_of, real, *of_way)
@@ -279,9 +230,7 @@ class Shield(Measured):
         costs = [
             [row["policy"], row["masks"], said[row["shield"]], *_numbers(row, digits)]
             for row in parts["prices"]
-        ]
-        touched = [
-            [row["policy"], said[row["shield"]], *_numbers(row, digits)] for row in parts["contact"]
+            if row["policy"] != "adversary"  # of older files
         ]
         worst = [
             [name, *counts(parts[f"{name}: margin"], "configurations harmed")] for name in ERRORS
@@ -304,11 +253,6 @@ class Shield(Measured):
                     "policy | its masks | shield | success (%) | holes | time to the first (s) | "
                     "harmful moves | interventions",
                     costs,
-                ),
-                plain(
-                    f"The same in contact, level `{LEVEL}`, by increments",
-                    "policy | shield | success (%) | force or snap | interventions",
-                    touched,
                 ),
                 plain(
                     "Random machines: moves that the shield allows where the robots may meet",

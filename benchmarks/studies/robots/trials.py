@@ -24,7 +24,6 @@ from benchmarks.studies.base import episode
 ERRORS: Final = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # mm
 DRAWN: Final = None  # an error as the task draws it
 CONDITIONS: Final = (*ERRORS, DRAWN)
-FRICTIONS: Final = (0.1, 0.2, 0.3, 0.4)
 EPISODES: Final = 50  # of each cell
 TRAINED: Final = 3.0  # mm: the largest error that the task draws
 LEVEL: Final = "standard"  # of what other studies let insert
@@ -35,7 +34,7 @@ WHAT: Final = "success (%) / median time of successes (s) / median peak force (N
 Row = dict[str, Any]
 
 
-def options(stream: str, number: int, error: float | None, friction: float | None) -> Row:
+def options(stream: str, number: int, error: float | None, friction: float | None = None) -> Row:
     """Reset options of an episode; an ``error`` of ``DRAWN``, not mm, is uniform over the disc."""
     rng = np.random.default_rng(derive(stream, 13, number))
     share, bearing, lean, side = rng.random(4)
@@ -55,26 +54,20 @@ def play(
     stream: str,
     episodes: int,
     error: float | None = None,
-    friction: float | None = None,
-    also: Sequence[str] = (),
 ) -> dict[str, list[Any]]:
-    """A script's episodes: success, time, s, peak force, N, and cause of failure, by name.
-
-    ``also`` are keys of the last ``info`` to keep.
-    """
+    """A script's episodes: success, time, s, peak force, N, and cause of failure, by name."""
     rows = []
     for number in range(episodes):
-        given = options(stream, number, error, friction)
+        given = options(stream, number, error)
         script.reset()
         steps = episode(env, script, seed=derive(stream, 13, number, 1), options=given)
         (info,) = deque(steps, maxlen=1)
-        row = {
+        rows.append({
             "success": bool(info["success"]),
             "time": round(float(info["time"]), 3),
             "force": round(float(info["peak_force"]), 3),
             "failure": info["failure"] or ("" if info["success"] else "time"),
-        }
-        rows.append(row | {key: info[key] for key in also})
+        })  # fmt: skip
     return {name: [row[name] for row in rows] for name in rows[0]}
 
 
@@ -124,11 +117,10 @@ def inserter(results: Path, name: str, seed: int) -> Any:
 def on_tests(model: Any, env: Any) -> list[Row]:
     """A model's episodes on the scripts' tests, a row each; errors in mm."""
     rows = []
-    conditions = [(error, None) for error in CONDITIONS] + [(TRAINED, f) for f in FRICTIONS]
-    for error, friction in conditions:
-        result = play(env, of_model(model), "test", EPISODES, error, friction)
+    for error in CONDITIONS:
+        result = play(env, of_model(model), "test", EPISODES, error)
         for number, values in enumerate(zip(*result.values(), strict=True)):
-            row = {"error": error, "friction": friction, "episode": number}
+            row = {"error": error, "episode": number}
             rows.append(row | dict(zip(result, values, strict=True)))
     return rows
 

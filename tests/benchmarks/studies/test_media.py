@@ -1,4 +1,4 @@
-"""The command that writes the README's picture, the video and the animation."""
+"""The command that writes the README's picture and the animation."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import imageio_ffmpeg
 import numpy as np
 import pytest
 from PIL import Image
@@ -33,12 +32,12 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
         return scenes[:1] + scenes[-8:]
 
     monkeypatch.setattr(media, "play", play)
-    for name in ("SCENE_SIZE", "VIDEO_SIZE", "GIF_SIZE"):
+    for name in ("SCENE_SIZE", "GIF_SIZE"):
         monkeypatch.setattr(media, name, SIZE)
 
 
 @pytest.mark.usefixtures("short")
-def test_three_files_of_one_solved_episode(
+def test_two_files_of_one_solved_episode(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "media"
@@ -46,18 +45,12 @@ def test_three_files_of_one_solved_episode(
     (out / "scene.png").write_bytes(b"old")
     assert main(["study", "media", "--results", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert sorted(path.name for path in out.iterdir()) == [
-        "episode.gif",
-        "episode.mp4",
-        "scene.png",
-    ]
+    assert sorted(path.name for path in out.iterdir()) == ["episode.gif", "scene.png"]
     assert str(out) in said
     with Image.open(out / "scene.png") as picture:
         assert picture.size == SIZE
     with Image.open(out / "episode.gif") as animation:
         assert animation.n_frames == 5
-    frames, _ = imageio_ffmpeg.count_frames_and_secs(str(out / "episode.mp4"))
-    assert frames == 9 + media.HOLD_SECONDS * media.VIDEO_FPS
 
 
 @pytest.mark.usefixtures("short")

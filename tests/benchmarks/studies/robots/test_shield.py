@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from typing import Any
 
@@ -44,11 +43,6 @@ def test_the_command_writes_what_it_prints_and_goes_on(
     assert sum(bare["harm"]) > 0.0
     assert guarded["harm"] == [0.0, 0.0]
     assert max(guarded["interventions"]) > 0.0
-    if importlib.util.find_spec("mujoco"):
-        bare, guarded = parts["contact"]
-        assert bare["policy"] == guarded["policy"] == "random"
-        assert guarded["success"] == [0.0, 0.0]
-    assert parts["machines"]["harmful"] == 0
 
 
 def _interrupted(*_: object) -> None:
