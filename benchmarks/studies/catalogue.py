@@ -29,7 +29,7 @@ STUDIES: Final = {
     "physics": ("robots.physics:Physics", "the physics twin: errors, speed, model folder"),
     "shield": ("robots.shield:Shield", "certificate, adversary and price of the shield"),
     "speed-env": ("speed:SpeedEnv", "steps per second, the optimum"),
-    "speed-rainbow": ("speed:SpeedRainbow", "updates per second, replay, memory"),
+    "speed-rainbow": ("speed:SpeedRainbow", "updates per second"),
     "trajectory": ("trajectory:TrajectoryStudy", "joint trajectories, and files of one episode"),
     "transfer": ("robots.transfer:Transfer", "players of the kinematic task in the twin"),
 }

@@ -21,9 +21,7 @@ import importlib
 import os
 import statistics
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context
 from typing import Any, Final
 
 import gymnasium as gym
@@ -36,11 +34,9 @@ from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.reporting.tables.table import plain
 from benchmarks.studies.base import Measured, Part, Tick, count, source
 from benchmarks.studies.timing import (
-    Seconds,
     batch_stepping,
     in_turns,
     options,
-    resident_mb,
     seconds_of,
     stepping,
 )
@@ -69,7 +65,7 @@ IMAGES: Final = (4, 84, 84)
 TARGETS: Final = {"Rainbow": 1.5, "Rainbow, torch eager": 0.75}
 IMAGE_TARGET: Final = 0.9
 # what so many updates take, with the steps of the env between them ("learn") or alone ("train")
-Contestant = Callable[[str, int], Seconds]
+Contestant = Callable[[str, int], float]
 
 
 def measure_steps(steps: int, rounds: int) -> dict[str, float]:
@@ -105,7 +101,7 @@ def measure_oracle(starts: int, geometry: str, at_once: bool) -> dict[str, float
 
     env.reset(seed=0)
     oracle.plan(env)  # its kernels compile
-    seconds = seconds_of(plan).cpu
+    seconds = seconds_of(plan)
     result = [(len(p.moves), p.detail["bound"]) for p in plans if p.moves is not None]
     moves, bound = np.mean(result, axis=0)
     return {
@@ -277,61 +273,22 @@ def learner(model: Any, batch_size: int) -> Contestant:
 def measure_updates(
     contestants: Mapping[str, Contestant], n_updates: int, rounds: int
 ) -> dict[str, dict[str, float]]:
-    """Updates per second of ``learn``, and of ``train`` alone: medians over rounds in turns."""
-    rates: dict[str, dict[str, list[float]]] = {name: {} for name in contestants}
+    """Updates per CPU second of ``learn``, and of ``train`` alone: medians over rounds in turns."""
+    kinds = ("learn", "train")
+    rates: dict[str, dict[str, list[float]]] = {
+        name: {f"{kind}_cpu": [] for kind in kinds} for name in contestants
+    }
     for name in list(contestants) * rounds:
-        for kind in ("learn", "train"):
-            for clock, took in contestants[name](kind, n_updates)._asdict().items():
-                rates[name].setdefault(f"{kind}_{clock}", []).append(n_updates / took)
+        for kind in kinds:
+            rates[name][f"{kind}_cpu"].append(n_updates / contestants[name](kind, n_updates))
     return {
         name: {kind: statistics.median(values) for kind, values in result.items()}
         for name, result in rates.items()
     }
 
 
-def make_buffer(**arguments: Any) -> Any:
-    """Rainbow's replay buffer for 1e6 transitions, empty."""
-    from sb3_rainbow import PrioritizedReplayBuffer
-
-    env = StubEnv()
-    both = env.observation_space, env.action_space
-    return PrioritizedReplayBuffer(CAPACITY, *both, device="cpu", **arguments)
-
-
-def measure_replay(rounds: int, n_calls: int = 2000) -> dict[str, float]:
-    """Microseconds to draw 64 of 1e6 and set their priorities, alone and with the transitions."""
-    buffer = make_buffer(n_steps=3)
-    fill(buffer)
-    losses = np.random.default_rng(0).uniform(0.5, 2.0, BATCH_SIZE)
-    actions: dict[str, Callable[[], Any]] = {
-        "sample_and_update_us": lambda: buffer.update_priorities(
-            buffer.tree.sample(BATCH_SIZE), losses
-        ),
-        "sample_transitions_us": partial(buffer.sample, BATCH_SIZE),
-    }
-    return in_turns(actions, rounds, n_calls, unit=1e-6)
-
-
-def measure_memory() -> float:
-    """Megabytes that 1e6 transitions with masks occupy in a fresh process."""
-    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        return pool.submit(_buffer_mb).result()
-
-
-def _buffer_mb(n_envs: int = 1000) -> float:
-    obs, zeros = np.zeros((n_envs, N_INPUTS), np.float32), np.zeros(n_envs)
-    masks = np.ones((n_envs, N_ACTIONS), bool)
-    row: tuple[Any, ...] = (obs, obs, zeros, zeros, zeros, [{}] * n_envs, masks)
-    make_buffer(n_envs=n_envs).add(*row)  # the kernels' memory is not the buffer's
-    before = resident_mb()
-    buffer = make_buffer(n_envs=n_envs)
-    while not buffer.full:
-        buffer.add(*row)
-    return resident_mb() - before
-
-
 class SpeedRainbow(Measured):
-    """Updates per second, replay, memory."""
+    """Updates per second."""
 
     name, file = "speed-rainbow", "speed/rainbow.json"
     options = options(steps=1000, rounds=5)
@@ -351,13 +308,11 @@ class SpeedRainbow(Measured):
         return {
             **{part: partial(updates, net) for part, net in NETS.items()},
             "images": partial(updates, None),
-            "replay": lambda _: measure_replay(rounds),
-            "memory_mb": lambda _: measure_memory(),
         }
 
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:
-        parts, replay = result["parts"], result["parts"]["replay"]
+        parts = result["parts"]
         nets = {part: f" of {net}" for part, net in NETS.items() if part in parts}
         pairs = [(net, name, BASELINE, goal) for net in nets for name, goal in TARGETS.items()]
         pairs += [(net, "Rainbow", JAX, TARGETS["Rainbow"]) for net in nets]
@@ -368,18 +323,12 @@ class SpeedRainbow(Measured):
             for part, name, whom, goal in pairs
             if {name, whom} <= parts[part].keys()
         ]
-        head = "method | per CPU second, steps included | ratio | per wall second | update alone"
-        shown = [plain(f"Updates per second{where[k]}", head, _rates(parts[k])) for k in where]
+        head = "method | steps included | ratio | update alone"
+        shown = [plain(f"Updates per CPU second{where[k]}", head, _rates(parts[k])) for k in where]
         shown.append(plain("Ratios", "of | to | per step | update alone | target", goals))
         if not any(JAX in parts[part] for part in nets):
             shown.append(f"{JAX} was not measured: `sbx-rl` was not installed.")
-        note = (
-            "Drawing 64 of 1e6 and setting their priorities: "
-            f"{replay['sample_and_update_us']:.1f} us; drawing with the transitions: "
-            f"{replay['sample_transitions_us']:.1f} us. Resident memory of 1e6 transitions "
-            f"with 12-action masks: {parts['memory_mb']:.0f} MB."
-        )
-        return "\n\n".join([*shown, note, _source(result)])
+        return "\n\n".join([*shown, _source(result)])
 
 
 def _ratios(rates: dict[str, dict[str, float]], name: str, whom: str) -> list[str]:
@@ -388,7 +337,7 @@ def _ratios(rates: dict[str, dict[str, float]], name: str, whom: str) -> list[st
 
 
 def _rates(updates: dict[str, dict[str, float]]) -> Iterator[list[str]]:
-    """Rows: method, its rate, the rate over the baseline's, more rates."""
+    """Rows: method, its rate, the rate over the baseline's, the rate of updates alone."""
     for name, rates in updates.items():
-        shown = [f"{rates[kind]:.0f}" for kind in ("learn_cpu", "learn_wall", "train_cpu")]
-        yield [name, shown[0], _ratios(updates, name, BASELINE)[0], *shown[1:]]
+        ratio = _ratios(updates, name, BASELINE)[0]
+        yield [name, f"{rates['learn_cpu']:.0f}", ratio, f"{rates['train_cpu']:.0f}"]

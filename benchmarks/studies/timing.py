@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Hashable, Iterable, Mapping
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import psutil
 
@@ -14,20 +14,12 @@ from benchmarks.studies.base import Option, count
 Name = TypeVar("Name", bound=Hashable)
 
 
-class Seconds(NamedTuple):
-    """What a call took."""
-
-    cpu: float
-    wall: float
-
-
-def seconds_of(action: Callable[[], Any], n_calls: int = 1) -> Seconds:
-    """CPU and wall seconds of a call, the mean of so many in a row."""
-    wall, cpu = time.perf_counter(), time.process_time()
+def seconds_of(action: Callable[[], Any], n_calls: int = 1) -> float:
+    """CPU seconds of a call, the mean of so many in a row."""
+    began = time.process_time()
     for _ in range(n_calls):
         action()
-    cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
-    return Seconds(cpu / n_calls, wall / n_calls)
+    return (time.process_time() - began) / n_calls
 
 
 def in_turns(
@@ -37,7 +29,7 @@ def in_turns(
     times: dict[Name, list[float]] = {name: [] for name in actions}
     for _ in range(rounds + 1):
         for name, action in actions.items():
-            times[name].append(seconds_of(action, n_calls).cpu / unit)
+            times[name].append(seconds_of(action, n_calls) / unit)
     return {name: statistics.median(values[1:]) for name, values in times.items()}
 
 
