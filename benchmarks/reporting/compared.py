@@ -13,11 +13,11 @@ from benchmarks.protocol.learners import LEARNERS
 from benchmarks.reporting.results import Group, Results, complete
 from benchmarks.reporting.stats import Value, holm, measured, paired_p
 
-CONTROL: Final = "Learner against the best script that knows the same"
-MASKED: Final = "Rainbow against masked DQN and other learners"
-ABLATION: Final = "One component removed against all six"
-GEOMETRY: Final = "Initial geometry against optimized"
-SCRIPT: Final = "Learner against the best script on the uncertain machine"
+CONTROL: Final = "Learner against best script"
+MASKED: Final = "Rainbow against learners"
+ABLATION: Final = "Without one component"
+GEOMETRY: Final = "Initial against optimized geometry"
+SCRIPT: Final = "On the uncertain machine"
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ steps than the paper trains, says so and gives no verdict.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Final
 
 from benchmarks.protocol import labels
@@ -73,40 +73,38 @@ def performance(results: Results, compared: list[Comparison]) -> str:
         return ""
     script = find(compared, CONTROL, ours)
     others = [c.theirs for c in compared if (c.question, c.ours) == (MASKED, ours)]
-    success = ours.success()
-    so_far = f" ({ours.n} of {ours.planned} seeds so far)" if ours.n < ours.planned else ""
     report = (
-        f"With the reward repaired, Rainbow{so_far} inserts in {_show(success)} % of the test "
-        f"episodes (paper {PERFORMANCE['success']['rainbow']})"
+        f"It inserts in {_rate(ours)} of the test episodes as trained "
+        f"(paper {PERFORMANCE['success']['rainbow']} %)"
+        if ours != greedy
+        else f"It inserts in {_rate(ours)} of the test episodes "
+        f"(paper {PERFORMANCE['success']['rainbow']} %)"
     )
     if ours != greedy:
-        report += f" as it was trained, with exploration, and in {_show(greedy.success())} greedily"
+        report += f" and in {_rate(greedy)} greedily"
     report += "."
     rivals = [("the best script", script.theirs)] if script else []
     rivals += [(other.name.partition(",")[0], other) for other in others]
     if rivals:
-        shown = _joined(f"{name} in {_show(other.success())}" for name, other in rivals)
-        report += f" Beside it, {shown}."
-    # the strongest planner, and the ceiling
+        report += f" In the same way of acting, {_joined(rivals)}."
     planner, optimum = results.group("rrt_lattice"), results.group("optimum")
     models = [(planner.name, planner), ("the exact optimum", optimum)]
     if models := [(name, row) for name, row in models if row.n]:
-        shown = _joined(f"{name} in {_show(row.success())}" for name, row in models)
-        report += f" Without learning, on the exact model, {shown}."
+        report += f" Planning on the exact model needs no learning: {_joined(models)}."
     if why := ground(ours):
         return f"**No verdict yet on performance** ({why}). {report}"
-    reached = success.mean >= SUCCESS_LEAST
+    reached = ours.success().mean >= SUCCESS_LEAST
     above = script is not None and outcome(script) == BETTER
     far = script is not None and script.difference.mean >= SCRIPT_POINTS
     if not above:
         verdict = "The success rate does not reproduce: a script does as well"
     elif not reached:
-        verdict = "Learning pays, but the paper's success rate is missed"
+        verdict = "Rainbow beats the scripts but does not reach the paper's success rate"
     elif not far:
         verdict = f"The success rate reproduces, less than {SCRIPT_POINTS:g} points above a script"
     else:
         verdict = "The success rate reproduces"
-    return f"**{verdict}.** {report}"
+    return f"**{verdict}**{_so_far(ours)}. {report}"
 
 
 def components(results: Results, compared: list[Comparison]) -> str:
@@ -123,12 +121,12 @@ def components(results: Results, compared: list[Comparison]) -> str:
     report = ""
     if together:
         behind = together.difference.signed(" points")
-        report += f" All six together change masked DQN's success by {behind}."
+        report += f" They change the success of Masked DQN, which lacks them, by {behind}."
     if singles:
         names = ", ".join(_component(c) for c in costs) or "none"
-        report += f" Of {len(singles)} removed one at a time these cost: {names}."
+        report += f" Of {len(singles)} that were removed one at a time these cost success: {names}."
     else:
-        report += " No run with one component removed is complete yet."
+        report += " The runs that remove one component at a time are not complete yet."
     short = [ground(row) for row in (full, *(c.ours for c in singles)) if ground(row)]
     if together and ground(together.theirs):
         short.append(f"masked DQN: {ground(together.theirs)}")
@@ -136,7 +134,7 @@ def components(results: Results, compared: list[Comparison]) -> str:
         return f"**No verdict yet on the components** ({short[0]}).{report}"
     pays = together is not None and outcome(together) == BETTER
     if not singles:
-        return f"**The six components {'' if pays else 'do not '}pay together.**{report}"
+        return f"**Together, the six components {'help' if pays else 'do not help'}.**{report}"
     whole = len(costs) == len(PRINTED_ABLATION) - 1
     verdict = "reproduces" if pays and whole else (
         "reproduces in part" if pays or costs else "does not reproduce")  # fmt: skip
@@ -158,27 +156,27 @@ def geometry(results: Results, compared: list[Comparison]) -> str:
     pair, report, right = (before, after), [], 0
     for name, key, unit, digits, (low, high) in (
         ("success", "success", " %", 1, [row.success() for row in pair]),
-        ("steps to 75 %", "steps_to_75", " (1e5)", 2,
+        ("training steps to 75 % success (1e5)", "steps_to_75", "", 2,
          [row.meta("steps_to_75", 1e-5) for row in pair]),
         ("singular ends per 1000 training episodes", "singular_per_1000", "", 1,
          [row.singular_per_1000() for row in pair]),
     ):  # fmt: skip
         right += (high.mean > low.mean) if key == "success" else (high.mean < low.mean)
         report.append(
-            f"{name}: {_show(low, digits)} to {_show(high, digits)}{unit} "
+            f"{name} from {_show(low, digits)} to {_show(high, digits)}{unit} "
             f"(paper {' to '.join(GEOMETRY_ABLATION[key])})"
         )
     scripts = [results.control_of(row, row.geometry) for row in pair]
     if all(scripts):
         shown = " to ".join(_show(row.success()) for row in scripts if row)
-        report.append(f"the best script's success: {shown} %")
+        report.append(f"success of the best script from {shown} %")
     each = find(compared, GEOMETRY, before)
-    text = f"From the initial to the optimized geometry, {'; '.join(report)}"
+    text = f"It optimizes the dimensions of the 3-RRS: {'; '.join(report)}"
     if why := ground(before) or ground(after):
         return f"**No verdict yet on the design stage** ({why}). {text}."
     verdict = "reproduces" if right == 3 and each and outcome(each) == WORSE else (
         "reproduces in part" if right else "does not reproduce")  # fmt: skip
-    return f"**The design stage's effect {verdict}.** {text}."
+    return f"**The design stage's effect {verdict}**{_so_far(before, after)}. {text}."
 
 
 def printed(results: Results) -> str:
@@ -221,9 +219,20 @@ def _points(comparison: Comparison) -> str:
     return comparison.difference.signed(" points")
 
 
-def _joined(parts: Iterable[str]) -> str:
-    *first, last = parts
-    return f"{', '.join(first)} and {last}" if first else last
+def _so_far(*rows: Group) -> str:
+    row = min(rows, key=lambda each: each.n / max(each.planned, 1))
+    return f" ({row.n} of {row.planned} seeds)" if row.n < row.planned else ""
+
+
+def _rate(row: Group) -> str:
+    seed = " (1 seed)" if row.n == 1 else ""
+    return f"{_show(row.success())} %{seed}"
+
+
+def _joined(rows: Sequence[tuple[str, Group]]) -> str:
+    first, *others = (f"{name} in {_rate(row)}" for name, row in rows)
+    *middle, last = [first.replace(" in ", " inserts in ", 1), *others]
+    return f"{', '.join(middle)} and {last}" if middle else last
 
 
 def _show(value: Value, digits: int = 1) -> str:
