@@ -26,7 +26,7 @@ from benchmarks.reporting.figures.style import (
 )
 from benchmarks.reporting.results import Group, Level, Results, complete
 from benchmarks.reporting.stats import Value, profile_over_seeds
-from benchmarks.reporting.tables.beyond import error_levels
+from benchmarks.reporting.tables.beyond import PLAYERS, error_levels, tasks
 from benchmarks.reporting.tables.paper import NOISY, noise_levels
 
 THRESHOLDS: Final = np.linspace(0.0, 1.0, 101)
@@ -66,6 +66,34 @@ def comparisons(results: Results) -> list[Picture]:
             partial(_components, components, results.references(results.scored)),
         ))  # fmt: skip
     return result
+
+
+def difficulty(results: Results) -> Picture:
+    """Success by task."""
+    return Picture(
+        "difficulty",
+        "Success rate by task, with 95 % intervals: optimized geometry, as trained or with 5 % of "
+        "random moves.",
+        partial(_by_task, results),
+    )
+
+
+def _by_task(results: Results) -> Figure:
+    tracks = tasks(results)
+    figure, (axes,) = canvas(size=(7.0, 5.2))
+    for i, (label, (method, geometry)) in enumerate(PLAYERS.items()):
+        rows = [results.group(method, track, geometry).as_trained() for track in tracks]
+        if places := [(y, row.success()) for y, row in enumerate(rows) if row.n]:
+            mean, arms = _arms([value for _, value in places])
+            axes.errorbar(
+                mean, [y + 0.1 * (i - 2.5) for y, _ in places], xerr=arms, fmt="o", markersize=4,
+                capsize=2, color=PALETTE[i], label=label,
+            )  # fmt: skip
+    axes.set_yticks(range(len(tracks)), [track.replace("_", " ") for track in tracks])
+    axes.invert_yaxis()
+    finish(axes, "", "Success rate (%)")
+    legend_below(figure, [axes], 3)
+    return figure
 
 
 def _look(group: Group) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import HOLES, N_HOLES, SUCCESS, Metric
 from benchmarks.protocol.plan import ABLATIONS
 from benchmarks.protocol.presets import rows_of
-from benchmarks.reporting.figures.comparisons import comparisons
+from benchmarks.reporting.figures.comparisons import comparisons, difficulty
 from benchmarks.reporting.figures.style import (
     METHOD_COLOURS,
     PALETTE,
@@ -28,6 +28,7 @@ from benchmarks.reporting.figures.style import (
 )
 from benchmarks.reporting.results import Group, Results, complete
 from benchmarks.reporting.stats import mean_band, moving_average
+from benchmarks.reporting.tables.beyond import tasks
 
 STAGE_0_HOLES: Final = 4
 EPISODES: Final = 10  # of the paper's moving average
@@ -66,6 +67,8 @@ def pictures(results: Results) -> list[Picture]:
     """All figures of a store; of one with teams theirs alone."""
     if result := _teams(results):
         return result
+    if tasks(results):  # a preset about the task
+        return [difficulty(results)]
     for track in results.tracks():
         result += _learning(results, track)
         result += _variants(results, track)

@@ -11,6 +11,7 @@ from benchmarks.reporting.compared import comparisons
 from benchmarks.reporting.results import AS_TRAINED, Group, Level, Result, Results, complete
 from benchmarks.reporting.stats import Value, mean_interval, measured
 from benchmarks.reporting.tables.paper import (
+    ENDS,
     ablation,
     controls,
     design,
@@ -45,7 +46,7 @@ TEAMS: Final = {
 def build_tables(store: Store) -> list[Table]:
     """All tables of a store, the paper's first."""
     results = Results(store)
-    if _tasks(results):  # a preset about the task has no headline
+    if tasks(results):  # a preset about the task has no headline
         return [difficulty(results)]
     return [
         performance(results),
@@ -156,7 +157,7 @@ def uncertain(results: Results) -> Table:
     return Table("uncertain", title, header, made, notes, left=(0, 1, 2))
 
 
-def _tasks(results: Results) -> list[str]:
+def tasks(results: Results) -> list[str]:
     """Tracks that change the task and nothing else, in the preset's order."""
     return [track for track in results.tracks() if (results.settings(track) or {}).get("task")]
 
@@ -168,19 +169,31 @@ def difficulty(results: Results) -> Table:
     """
     made: list[list[TableCell]] = []
     result: list[Group] = []
-    for track in _tasks(results):
+    for track in tasks(results):
         rows = [results.group(method, track, geometry) for method, geometry in PLAYERS.values()]
         result += rows
         cells = [row.cell(row.as_trained().success()) for row in rows]
         made.append([track.replace("_", " "), *cells])
     notes = [
         *seeds_notes(result),
+        *_gains(results),
         "As stated: 10 mm and 5 degrees, moves of 20 mm and 0.03 rad, holes at 30 degrees, a "
         "collision refuses the move. Each row changes what it names; the best possible step "
         "sequence is the optimum's. Scripts act with 5 % of random moves, Rainbow as trained, all "
         "under the paper's masks.",
     ]
     return Table("difficulty", "Success rate (%) by task", ["Task", *PLAYERS], made, notes)
+
+
+def _gains(results: Results) -> list[str]:
+    """What the design stage changes of the optimum's success, task by task."""
+    gains = []
+    for track in tasks(results):
+        before, after = (results.group("optimum", track, name) for name in ENDS)
+        if before.n and after.n:
+            change = after.success().mean - before.success().mean
+            gains.append(f"{track.replace('_', ' ')} {change:+.1f}")
+    return [f"The design stage changes the optimum's points: {', '.join(gains)}."] if gains else []
 
 
 def team(results: Results) -> list[Table]:
