@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import pkgutil
+import sys
 from collections.abc import Callable, Iterable
+from typing import Any
 
 TRUSTED = "load a --model that SB3 saved, which runs its author's code"  # of --trust
 
@@ -15,6 +18,20 @@ class BenchmarkError(ValueError):
 def known(names: Iterable[str]) -> str:
     """``a, b, c`` in a stable order, for the tail of a message."""
     return ", ".join(sorted(names))
+
+
+def resolve(name: str, what: str) -> Any:
+    """What ``module:name`` names, from the current folder or what is installed.
+
+    Raises:
+        BenchmarkError: it cannot be imported.
+    """
+    if "" not in sys.path:
+        sys.path.insert(0, "")  # a console script does not look into the current folder
+    try:
+        return pkgutil.resolve_name(name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise BenchmarkError(f"{what} '{name}' cannot be imported: {error}") from error
 
 
 def at_least(least: int) -> Callable[[str], int]:

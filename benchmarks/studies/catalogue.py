@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from benchmarks.errors import BenchmarkError, known
+from benchmarks.errors import BenchmarkError, known, resolve
 from benchmarks.protocol.presets import SuitePreset, load, preset_names
 from benchmarks.reporting import blocks, science
 from benchmarks.reporting.blocks import Block
@@ -41,17 +39,12 @@ def study(name: str) -> type[Study]:
     Raises:
         BenchmarkError: there is none.
     """
-    where = f"benchmarks.studies.{STUDIES[name][0]}" if name in STUDIES else name
-    module, colon, kind = where.partition(":")
-    if not colon:
+    if name in STUDIES:
+        name = f"benchmarks.studies.{STUDIES[name][0]}"
+    elif ":" not in name:
         message = f"unknown study '{name}'; known: {known(STUDIES)}, or module:Class"
         raise BenchmarkError(message)
-    if "" not in sys.path:
-        sys.path.insert(0, "")
-    try:
-        result: type[Study] = getattr(importlib.import_module(module), kind)
-    except (ImportError, AttributeError) as error:
-        raise BenchmarkError(f"study '{name}' cannot be imported: {error}") from error
+    result: type[Study] = resolve(name, "study")
     return result
 
 

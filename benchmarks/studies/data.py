@@ -68,24 +68,21 @@ class Recorder(CoopInsertionEnv):
     def reset(self, **given: Any) -> tuple[Observation, dict[str, Any]]:
         """As the environment's; begins a new record."""
         observation, info = super().reset(**given)
-        self.observations, self.masks = [observation], [self.action_masks()]
-        self.filled = [int(info["n_filled"])]
-        self.steps: list[tuple[int, float, bool, bool]] = []
+        self.observations, self.steps = [observation], list[tuple[int, float, bool, bool]]()
+        self.infos: dict[str, list[Any]] = {
+            "action_masks": [self.action_masks()],
+            "n_filled": [int(info["n_filled"])],
+        }
         return observation, info
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """As the environment's; what came of the move is kept."""
         observation, reward, terminated, truncated, info = super().step(action)
         self.observations.append(observation)
-        self.masks.append(self.action_masks())
-        self.filled.append(int(info["n_filled"]))
+        self.infos["action_masks"].append(self.action_masks())
+        self.infos["n_filled"].append(int(info["n_filled"]))
         self.steps.append((int(action), reward, terminated, truncated))
         return observation, reward, terminated, truncated, info
-
-    def buffer(self, seed: int) -> Any:
-        """The episode as Minari takes it; one that a behaviour gave up is truncated there."""
-        infos = {"action_masks": np.array(self.masks), "n_filled": np.array(self.filled)}
-        return make_buffer(seed, self.observations, self.steps, infos)
 
 
 class Demonstration:
@@ -95,14 +92,14 @@ class Demonstration:
         self.env, self.reset_seed = self, derive("data", number)
         observation, info = env.reset(seed=self.reset_seed)
         script.reset()
-        self.observations, self.privileged = [observation], [info["privileged"]]
+        self.observations, self.infos = [observation], {"privileged": [info["privileged"]]}
         self.steps: list[tuple[Any, float, bool, bool]] = []
         over = False
         while not over:
             action = np.asarray(script(self.observations[-1]), np.float32)
             observation, reward, terminated, truncated, info = env.step(action)
             self.observations.append(observation)
-            self.privileged.append(info["privileged"])
+            self.infos["privileged"].append(info["privileged"])
             self.steps.append((action, reward, terminated, truncated))
             over = terminated or truncated
         self.task = SimpleNamespace(holes=[info["hole"]])  # its one hole
@@ -110,30 +107,22 @@ class Demonstration:
         self.insertions = [self.moves] * info["success"]
         self.reward = sum(step[1] for step in self.steps)
 
-    def buffer(self, seed: int) -> Any:
-        """The episode as Minari takes it."""
-        infos = {"privileged": np.array(self.privileged)}
-        return make_buffer(seed, self.observations, self.steps, infos)
 
-
-def make_buffer(
-    seed: int, observations: Sequence[Any], steps: Sequence[tuple[Any, ...]], infos: dict[str, Any]
-) -> Any:
-    """An episode as Minari takes it; one that was given up is truncated there."""
+def make_buffer(record: Any, seed: int) -> Any:
+    """An episode as Minari takes it; one that a behaviour gave up is truncated there."""
     from minari.data_collector import EpisodeBuffer
 
-    actions, rewards, terminated, truncated = (
-        np.array(column) for column in zip(*steps, strict=True)
-    )
+    columns = (np.array(column) for column in zip(*record.steps, strict=True))
+    actions, rewards, terminated, truncated = columns
     truncated[-1] |= not terminated[-1]
     return EpisodeBuffer(
         seed=seed,
-        observations=np.array(observations),
+        observations=np.array(record.observations),
         actions=actions,
         rewards=rewards,
         terminations=terminated,
         truncations=truncated,
-        infos=infos,
+        infos={name: np.array(values) for name, values in record.infos.items()},
     )
 
 
@@ -183,47 +172,46 @@ def arguments_of_the_task() -> dict[str, Any]:
     return {name: value for name, value in given.items() if value}
 
 
-def demonstrate(recipe: Recipe, progress: Callable[[int], None]) -> list[Demonstration]:
-    """As :func:`play`, in the contact task."""
-    from benchmarks.methods.contact_scripts import SCRIPTS, Gains
-
-    env = recipe.environment().unwrapped
-    script = SCRIPTS[recipe.title](env, Gains())
-    kept: list[Demonstration] = []
-    done = 0
-    while done < recipe.steps:
-        kept.append(Demonstration(env, script, len(kept)))
-        done += kept[-1].moves
-        progress(done)
-    return kept
-
-
 def play(recipe: Recipe, progress: Callable[[int], None]) -> Sequence[Episode | Demonstration]:
     """Whole episodes from the first on, until they have the recipe's steps together.
 
     ``progress`` hears how many there are.
     """
-    if recipe.behaviour in CONTACT:
-        return demonstrate(recipe, progress)
-    arguments, oracle = arguments_of_the_task(), LatticeOracle()
-    longest = CoopInsertionEnv(**arguments).params.task.max_moves
-    kept: list[Episode] = []
+    together = _demonstrate(recipe) if recipe.behaviour in CONTACT else _move(recipe)
+    kept: list[Any] = []
     done = 0
     while done < recipe.steps:
-        size = min(TOGETHER, (recipe.steps - done) // longest + 1)
-        numbers = range(len(kept), len(kept) + size)
+        for episode in together(len(kept), recipe.steps - done):
+            if done < recipe.steps:
+                kept.append(episode)
+                done += episode.moves
+        progress(done)
+    return kept
+
+
+def _demonstrate(recipe: Recipe) -> Callable[[int, int], list[Demonstration]]:
+    from benchmarks.methods.contact_scripts import SCRIPTS, Gains
+
+    env = recipe.environment().unwrapped
+    script = SCRIPTS[recipe.title](env, Gains())
+    return lambda first, _: [Demonstration(env, script, first)]
+
+
+def _move(recipe: Recipe) -> Callable[[int, int], list[Episode]]:
+    arguments, oracle = arguments_of_the_task(), LatticeOracle()
+    longest = CoopInsertionEnv(**arguments).params.task.max_moves
+
+    def together(first: int, steps: int) -> list[Episode]:
+        numbers = range(first, first + min(TOGETHER, steps // longest + 1))
         batch = [Episode(Recorder(**arguments), n, derive("data", n)) for n in numbers]
         if recipe.behaviour == "optimum":
             for episode in batch:
                 follow(episode, oracle.plan)
         else:
             play_together(_mixed(batch, RANDOM_SHARE[recipe.behaviour]), batch, 0.0, 0)
-        for episode in batch:
-            if done < recipe.steps:
-                kept.append(episode)
-                done += episode.moves
-        progress(done)
-    return kept
+        return batch
+
+    return together
 
 
 def _mixed(episodes: Sequence[Episode], share: float) -> Chooser:
@@ -270,7 +258,7 @@ def write(root: Path, recipe: Recipe, episodes: Sequence[Episode | Demonstration
     import minari
 
     playing: list[Any] = [e for e in episodes if e.moves]
-    buffers = [e.env.buffer(e.reset_seed) for e in playing]
+    buffers = [make_buffer(e.env, e.reset_seed) for e in playing]
     root.mkdir(parents=True, exist_ok=True)
     root = root.resolve()  # Minari loses its way below a relative folder
     with tempfile.TemporaryDirectory(dir=root, prefix=".") as temporary, minari_root(temporary):

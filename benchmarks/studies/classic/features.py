@@ -10,7 +10,18 @@ from torch import nn
 from benchmarks.protocol.plan import ATARI
 
 
-class SmallCnn(BaseFeaturesExtractor):
+class Convolutions(BaseFeaturesExtractor):
+    """Layers on images with channels first."""
+
+    layers: nn.Sequential
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Features, shape ``(B, features_dim)``."""
+        features: torch.Tensor = self.layers(observations)
+        return features
+
+
+class SmallCnn(Convolutions):
     """MinAtar's own convolution (Young and Tian 2019): 16 filters of 3 x 3, then ReLU.
 
     Args:
@@ -23,13 +34,8 @@ class SmallCnn(BaseFeaturesExtractor):
         super().__init__(observation_space, filters * (rows - 2) * (columns - 2))
         self.layers = nn.Sequential(nn.Conv2d(channels, filters, 3), nn.ReLU(), nn.Flatten())
 
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Features, shape ``(B, features_dim)``."""
-        features: torch.Tensor = self.layers(observations)
-        return features
 
-
-class DataEfficientCnn(BaseFeaturesExtractor):
+class DataEfficientCnn(Convolutions):
     """Data-efficient Rainbow's convolutions (van Hasselt et al. 2019): 32, then 64 of 5 x 5 by 5.
 
     Args:
@@ -43,11 +49,6 @@ class DataEfficientCnn(BaseFeaturesExtractor):
         super().__init__(observation_space, 64 * (rows // 5 // 5) * (columns // 5 // 5))
         first, second = nn.Conv2d(channels, 32, 5, stride=5), nn.Conv2d(32, 64, 5, stride=5)
         self.layers = nn.Sequential(first, nn.ReLU(), second, nn.ReLU(), nn.Flatten())
-
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Features, shape ``(B, features_dim)``."""
-        features: torch.Tensor = self.layers(observations)
-        return features
 
 
 def extractor_of(env: str) -> type[BaseFeaturesExtractor]:

@@ -24,14 +24,15 @@ BANDS: Final = {
     "0.21-0.25": (0.21, 0.22, 0.23, 0.24, 0.25),
 }
 ROBUST: Final = "0.20-0.25"
+STEP: Final = 0.02  # of lambda, in the atlas
 MAP_HEAVES: Final = (0.21, 0.22, 0.23, 0.24, 0.25)
 
 
-def atlas_rows(step: float, progress: Callable[[float], None]) -> list[Row]:
+def atlas_rows(progress: Callable[[float], None]) -> list[Row]:
     """A_w in steps of lambda over the designs that meet the constraints."""
     result = design.atlas(
-        lambda1=np.arange(0.5, 2.0 - 1e-9, step),
-        lambda2=np.arange(0.10, 3.40 + 1e-9, step),
+        lambda1=np.arange(0.5, 2.0 - 1e-9, STEP),
+        lambda2=np.arange(0.10, 3.40 + 1e-9, STEP),
         progress=lambda done, of: progress(done / of),
     )
     return [

@@ -54,15 +54,12 @@ class Design(Study):
     name = "design"
     options = {  # noqa: RUF012
         "--runs": {"type": at_least(1), "default": 10, "help": "runs of the optimizer"},
-        "--atlas-step": {"type": float, "default": 0.02, "help": "grid of lambda, 0.005 to 0.5"},
         "--figures-only": {"action": "store_true", "help": "redraw from stored data"},
     }
 
     def __init__(self, given: argparse.Namespace) -> None:
         super().__init__(given)
         self.store, self.began = DesignStore(self.results), time.monotonic()
-        if not 0.005 <= given.atlas_step <= 0.5:
-            raise BenchmarkError(f"--atlas-step {given.atlas_step}: must lie in 0.005 to 0.5")
         if given.figures_only and not self.store.is_complete():
             raise BenchmarkError(
                 f"{self.store.path} holds no study; run: python -m benchmarks study design"
@@ -73,10 +70,8 @@ class Design(Study):
             return {}
         return {
             "optimizer's runs": self._runs,
-            "atlas": self._atlas,
-            "global optimum, bands of heave": self._optima,
-            "sensitivity": self._sensitivity,
-            "test trajectory, pose models, maps": self._trajectory,
+            "atlas, global optimum, bands of heave": self._optima,
+            "sensitivity, test trajectory, pose models, maps": self._sensitivity,
         }
 
     def _write(self, **rows: Any) -> None:
@@ -88,32 +83,24 @@ class Design(Study):
         runs, paths = run_rows(measured)
         self._write(table=table_rows(measured), runs=runs, paths=paths)
 
-    def _atlas(self, tick: Tick) -> None:
-        self.atlas = analyses.atlas_rows(self.given.atlas_step, tick)
-        self._write(atlas=self.atlas)
-
     def _optima(self, tick: Tick) -> None:
-        optima = analyses.optima(self.atlas, tick)
+        atlas = analyses.atlas_rows(lambda share: tick(share / 2))
+        optima = analyses.optima(atlas, lambda share: tick((1 + share) / 2))
         self.robust = optima[f"band {analyses.ROBUST}"][0]
-        self._write(optima=analyses.optimum_rows(optima))
+        self._write(atlas=atlas, optima=analyses.optimum_rows(optima))
 
     def _sensitivity(self, tick: Tick) -> None:
         slopes, tolerances = analyses.tolerance_rows(self.robust)
-        self._write(
-            heave=analyses.heave_rows(self.robust), threshold=analyses.threshold_rows(),
-            slopes=slopes, tolerances=tolerances,
-        )  # fmt: skip
-
-    def _trajectory(self, tick: Tick) -> None:
         trajectory, validation = analyses.trajectory_rows(self.robust)
         self._write(
-            trajectory=trajectory, validation=validation, pose_model=analyses.pose_model_rows(),
+            heave=analyses.heave_rows(self.robust), threshold=analyses.threshold_rows(),
+            slopes=slopes, tolerances=tolerances, trajectory=trajectory, validation=validation,
+            pose_model=analyses.pose_model_rows(),
             pose_model_design=analyses.pose_model_design_rows(),
         )  # fmt: skip
         self.store.write_maps(analyses.map_arrays())
-        made = {"runs": self.given.runs, "atlas_step": self.given.atlas_step}
-        made["seconds"] = round(time.monotonic() - self.began, 1)
-        self.store.write_meta({**describe(), **made})
+        seconds = round(time.monotonic() - self.began, 1)
+        self.store.write_meta({**describe(), "runs": self.given.runs, "seconds": seconds})
 
     def finish(self) -> None:
         from benchmarks.studies.design.figures import write_figures
@@ -167,12 +154,6 @@ def _optima(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(design=frame["design"].replace(DESIGNS), **1e3 * frame[lengths])
 
 
-def _heave(frame: pd.DataFrame) -> pd.DataFrame:
-    """Every centimetre, and all near home."""
-    whole = (frame["heave"] * 1e4).round().astype(int) % 100 == 0
-    return frame[whole | ((frame["heave"] - 0.21).abs() < 0.006)]
-
-
 def _range(frame: pd.DataFrame) -> pd.DataFrame:
     ends = zip(frame["joint_low"], frame["joint_high"], strict=True)
     return frame.assign(range=[f"[{low:.1f}, {high:.1f}]" for low, high in ends])
@@ -181,7 +162,6 @@ def _range(frame: pd.DataFrame) -> pd.DataFrame:
 # what is told of stored rows beyond their columns
 PREPARED: Final[dict[str, Callable[[pd.DataFrame], pd.DataFrame]]] = {
     "optima": _optima,
-    "heave": _heave,
     "threshold": lambda rows: rows.assign(gain=100.0 * (rows["optimized"] / rows["initial"] - 1.0)),
     "validation": _range,
     "pose_model": lambda rows: rows.assign(lost=100.0 * rows["lost"] / 180.0),

@@ -210,61 +210,55 @@ class Shield(Measured):
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:
         """The measurements as Markdown."""
-        asked, parts = result["asked"], result["parts"]
-        said = {False: "no", True: "yes"}
+        asked, parts, said = result["asked"], result["parts"], {False: "no", True: "yes"}
 
         def counts(part: dict[str, int], names: str) -> list[str]:
             return [f"{part[name]:,}" for name in names.split()]
 
         names = {"full": "one start's, in full", "sampled": f"{asked['phases']:,} starts', sampled"}
-        looked = [
-            [names[key], *counts(one, "points moves harmful dead_ends")]
-            for key, one in parts["certificate"].items()
-        ]
-        harms = [
-            [name, shielded, *counts(parts[f"{name}: {way}"], "moves collisions singular")]
-            for name in ERRORS
-            for way, shielded in (("bare", "no"), ("shielded", "yes"))
-        ]
         digits = {"success": 1, "holes": 2, "time": 1, "harm": 2, "interventions": 1}
-        costs = [
-            [row["policy"], row["masks"], said[row["shield"]], *_numbers(row, digits)]
-            for row in parts["prices"]
-            if row["policy"] != "adversary"  # of older files
-        ]
-        worst = [
-            [name, *counts(parts[f"{name}: margin"], "configurations harmed")] for name in ERRORS
-        ]
         margin = ", ".join(f"{name} {value:.3g}" for name, value in asked["margin"].items())
-        return "\n\n".join(
-            [
-                plain(
-                    "Certificate: moves that the shield allows, on the nominal machine",
-                    "lattice | configurations | moves | harmful | dead ends",
-                    looked,
-                ),
-                plain(
-                    "An adversary on machines that err, by the bounds of their errors",
-                    "errors | shield | moves | collisions | singular",
-                    harms,
-                ),
-                plain(
-                    f"Price: {asked['seeds']} seeds, {asked['episodes']} validation starts each",
-                    "policy | its masks | shield | success (%) | holes | time to the first (s) | "
-                    "harmful moves | interventions",
-                    costs,
-                ),
-                plain(
-                    "Random machines: moves that the shield allows where the robots may meet",
-                    "machines | moves | harmful",
-                    [counts(parts["machines"], "machines moves harmful")],
-                ),
-                plain(
-                    "The worst machine within the bounds of its errors, its model at the margin",
-                    "errors | configurations | harmed",
-                    worst,
-                ),
-                "Mean ± std over seeds, of means an episode; a harmful move collides, or ends the "
-                f"episode by a singularity. Margins (rad, m): {margin}. {source(result)}",
-            ]
+        tables = [
+            plain(
+                "Certificate: moves that the shield allows, on the nominal machine",
+                "lattice | configurations | moves | harmful | dead ends",
+                [
+                    [names[key], *counts(one, "points moves harmful dead_ends")]
+                    for key, one in parts["certificate"].items()
+                ],
+            ),
+            plain(
+                "An adversary on machines that err, by the bounds of their errors",
+                "errors | shield | moves | collisions | singular",
+                [
+                    [name, shield, *counts(parts[f"{name}: {way}"], "moves collisions singular")]
+                    for name in ERRORS
+                    for way, shield in (("bare", "no"), ("shielded", "yes"))
+                ],
+            ),
+            plain(
+                f"Price: {asked['seeds']} seeds, {asked['episodes']} validation starts each",
+                "policy | its masks | shield | success (%) | holes | time to the first (s) | "
+                "harmful moves | interventions",
+                [
+                    [row["policy"], row["masks"], said[row["shield"]], *_numbers(row, digits)]
+                    for row in parts["prices"]
+                    if row["policy"] != "adversary"  # of older files
+                ],
+            ),
+            plain(
+                "Random machines: moves that the shield allows where the robots may meet",
+                "machines | moves | harmful",
+                [counts(parts["machines"], "machines moves harmful")],
+            ),
+            plain(
+                "The worst machine within the bounds of its errors, its model at the margin",
+                "errors | configurations | harmed",
+                [[n, *counts(parts[f"{n}: margin"], "configurations harmed")] for n in ERRORS],
+            ),
+        ]
+        note = (
+            "Mean ± std over seeds, of means an episode; a harmful move collides, or ends the "
+            f"episode by a singularity. Margins (rad, m): {margin}. {source(result)}"
         )
+        return "\n\n".join([*tables, note])

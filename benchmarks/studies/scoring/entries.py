@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import importlib
 import re
 import shutil
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -24,7 +22,7 @@ import pandas as pd
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks.errors import BenchmarkError, known
+from benchmarks.errors import BenchmarkError, known, resolve
 from benchmarks.evaluation.evaluate import (
     Condition,
     OnProgress,
@@ -209,18 +207,12 @@ def _planner(preset: Preset, entry: Entry, seed: int) -> Callable[[Episode], Non
 
 def load_function(name: str) -> Callable[[Any], Any]:
     """The function that ``module:function`` names, from the current folder or what is installed."""
-    module_name, colon, function_name = name.partition(":")
-    if not colon:
+    if ":" not in name:
         raise BenchmarkError(
             f"unknown planner '{name}'; known: {known(PERFECT_PLANNERS)}, or module:function of "
             "your own"
         )
-    if "" not in sys.path:
-        sys.path.insert(0, "")  # the console script does not look into the current folder
-    try:
-        function = getattr(importlib.import_module(module_name), function_name)
-    except (ImportError, AttributeError) as error:
-        raise BenchmarkError(f"planner '{name}' cannot be imported: {error}") from error
+    function = resolve(name, "planner")
     if not callable(function):
         raise BenchmarkError(f"planner '{name}' is no function but {type(function).__name__}")
     result: Callable[[Any], Any] = function

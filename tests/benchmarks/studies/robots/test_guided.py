@@ -108,7 +108,7 @@ def test_a_stopped_run_is_the_run_that_was_not(
     summary: Any = run_learner(preset, cell, cut)
     assert summary["resumed_at"]
     rows = cut.rows("contact")
-    assert len(rows) == 11
+    assert len(rows) == 7
     assert set(rows["error"].fillna(-1.0)) == {0.0, 1.0, 2.0, 3.0, 4.0, 5.0, -1.0}
     assert (cut.rows("curve")["timesteps"].iloc[-1]) == 120
     for name in ("contact", "curve", "episodes"):
