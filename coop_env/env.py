@@ -235,25 +235,18 @@ class CoopInsertionEnv(Rendered):
     @property
     def configuration(self) -> NDArray[np.float64]:
         """(x, y, z, roll, pitch, heave), (6,). Delta in its base frame, m; tilt, rad; height, m."""
-        return self._row["configuration"].copy()
+        return self._started_rows()["configuration"][0].copy()
 
     @property
     def state(self) -> np.void:
         """A copy of the kernels' row, ``coop_env.simulation.state.state_dtype()``."""
-        copy = np.empty(1, self._states.dtype)
-        copy[0] = self._row  # row.copy() would go field by field
-        row: np.void = copy[0]
+        row: np.void = self._started_rows().copy()[0]  # row.copy() would go field by field
         return row
 
     @property
     def running(self) -> bool:
         """Whether an episode was started and is not over."""
         return self._started and not self._states["over"][0]
-
-    @property
-    def _row(self) -> np.void:
-        row: np.void = self._started_rows()[0]
-        return row
 
     def _started_rows(self) -> NDArray[np.void]:
         if not self._started:
@@ -296,7 +289,7 @@ class CoopInsertionEnv(Rendered):
             ResetOptionError: an option is malformed, or names a state that cannot be taken. The
                 environment is left as it was.
         """
-        self._restart(self.check_options(options), seed)
+        self._begin(self._draw(self.check_options(options), seed))
         outcome: Any = self._outcomes.item(0)
         return self._rows[0].copy(), batch.make_info(outcome)
 
@@ -308,10 +301,6 @@ class CoopInsertionEnv(Rendered):
         """
         active = self._task.active_holes(self._stage)
         return start_states.StartOptions(options, active, self._params)
-
-    def _restart(self, start: start_states.StartOptions, seed: int | None = None) -> None:
-        """Start an episode: writes the state, its observation and an outcome before any move."""
-        self._begin(self._draw(start, seed))
 
     def _draw(self, start: start_states.StartOptions, seed: int | None = None) -> NDArray[np.void]:
         """Draw a start state (1,); nothing else changes but the generator, unless it fails."""
@@ -326,7 +315,7 @@ class CoopInsertionEnv(Rendered):
             raise
 
     def _begin(self, states: NDArray[np.void]) -> None:
-        """Begin at a start state that was drawn."""
+        """Begin at a start state: writes it, its observation, and an outcome before any move."""
         self._states[:] = states
         self._started = True
         observe_batch(self._states, self._packed, self._observation, self._rows)
@@ -365,7 +354,7 @@ class CoopInsertionEnv(Rendered):
 
     def scene(self) -> Scene:
         """Every body of the scene at this instant, world frame."""
-        return make_scene(self._row, self._params, self._trace)
+        return make_scene(self._started_rows()[0], self._params, self._trace)
 
     def get_state(self) -> dict[str, Any]:
         """An exact, picklable snapshot: state, observation, random generator and stage."""

@@ -6,7 +6,6 @@ the trajectory is sampled: reach, collision and singularity by the environment's
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,11 +82,9 @@ class Trajectory:
     def to_csv(self, path: Path) -> None:
         """Write time, positions, velocities and accelerations, a row a sample; SI units."""
         kinds = ("position", "velocity", "acceleration")
+        names = ["time", *(f"{joint}_{kind}" for kind in kinds for joint in JOINTS)]
         columns = np.column_stack([self.times, self.positions, self.velocities, self.accelerations])
-        with path.open("w", encoding="utf-8", newline="") as stream:
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(["time", *(f"{joint}_{kind}" for kind in kinds for joint in JOINTS)])
-            writer.writerows([[f"{v:.9g}" for v in row] for row in columns])
+        np.savetxt(path, columns, "%.9g", ",", header=",".join(names), comments="")
 
     def to_joint_trajectory(self) -> dict[str, Any]:
         """The fields of ROS 2's ``trajectory_msgs/msg/JointTrajectory``, plain numbers and lists.

@@ -35,10 +35,6 @@ class DesignError(ValueError):
     """A design problem that cannot be solved as posed; the message names the value and the mend."""
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-
-
 @dataclass(frozen=True, slots=True)
 class DesignProblem:
     """The setting in which designs (lambda1, lambda2) are compared. Lengths in m, angles in rad.
@@ -82,8 +78,7 @@ class DesignProblem:
         for name, value in positive.items():
             check_number(name, value, 0.0, above=True, error=DesignError)
         for name in ("joint_min", "joint_max"):
-            if not _is_number(getattr(self, name)):
-                raise DesignError(f"{name} = {getattr(self, name)!r}: must be a number")
+            check_number(name, getattr(self, name), error=DesignError)
         if not self.extent < math.pi / 2:
             raise DesignError(f"extent = {self.extent!r} rad: must be below pi/2")
         if not self.joint_min < self.joint_max:

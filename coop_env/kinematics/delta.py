@@ -20,25 +20,10 @@ from numpy.typing import ArrayLike
 
 from coop_env.geometry import DELTA, DeltaGeometry
 from coop_env.kinematics import delta_kernels as kernels
-from coop_env.kinematics._batch import Bools, Floats, ShapeError, as_points, over_rows
+from coop_env.kinematics._batch import Bools, Floats, as_points, over_rows
+from coop_env.kinematics._batch import ShapeError as ShapeError
 from coop_env.kinematics.rrs_kernels import LIMB_COS, LIMB_SIN
 from coop_env.kinematics.singularity import determinant_3x3, singular_values_3x3
-
-__all__ = [
-    "Forward",
-    "Inverse",
-    "ShapeError",
-    "condition_number",
-    "forward",
-    "inverse",
-    "is_valid",
-    "jacobian",
-    "limb_margin",
-    "limb_points",
-    "signed_sigma_min",
-    "singular_values",
-    "workspace_margin",
-]
 
 
 class Inverse(NamedTuple):

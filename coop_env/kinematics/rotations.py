@@ -10,19 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from coop_env.kinematics._batch import Floats, ShapeError, as_points
-
-__all__ = [
-    "ShapeError",
-    "angle_between",
-    "normal",
-    "roll_pitch",
-    "roll_pitch_yaw_matrix",
-    "tilt_azimuth",
-    "tilt_matrix",
-    "torsion_of",
-    "yaw_of",
-]
+from coop_env.kinematics._batch import Floats, as_points
+from coop_env.kinematics._batch import ShapeError as ShapeError
 
 
 def normal(angles: ArrayLike) -> Floats:

@@ -24,39 +24,9 @@ from numpy.typing import ArrayLike
 from coop_env.geometry import OPTIMIZED, RRSGeometry
 from coop_env.kinematics import rrs_forward_kernels as fk
 from coop_env.kinematics import rrs_kernels as kernels
-from coop_env.kinematics._batch import (
-    Bools,
-    Floats,
-    ShapeError,
-    as_points,
-    over_rows,
-    require_broadcast,
-)
+from coop_env.kinematics._batch import Bools, Floats, as_points, over_rows, require_broadcast
+from coop_env.kinematics._batch import ShapeError as ShapeError
 from coop_env.kinematics.rotations import yaw_of
-
-__all__ = [
-    "Forward",
-    "Inverse",
-    "Manipulability",
-    "PlatformPose",
-    "ShapeError",
-    "condition_number",
-    "forward",
-    "inverse",
-    "is_valid",
-    "jacobian",
-    "joint_margin",
-    "joint_rates",
-    "limb_margin",
-    "limb_points",
-    "manipulability",
-    "parasitic",
-    "plane_offset",
-    "platform_pose",
-    "signed_sigma_min",
-    "singular_values",
-    "twist_matrix",
-]
 
 
 class Manipulability(NamedTuple):

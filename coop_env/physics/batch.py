@@ -14,17 +14,18 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from coop_env.errors import ArgumentError, as_dataclass, check_flag, check_number
+from coop_env.errors import ArgumentError, ResetOptionError, as_dataclass, check_flag, check_number
 from coop_env.geometry import GeometryError, resolve_delta, resolve_rrs
 from coop_env.physics import kernels
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Machine, Servos
 from coop_env.physics.scene import twin_scene
 from coop_env.physics.task import (
+    OWN_OPTIONS,
     askew,
-    check_options,
     draw_error,
     resolve_task,
+    split_options,
     start_configurations,
 )
 from coop_env.physics.twin import Readings, Twin, last
@@ -84,22 +85,11 @@ class PhysicsBatch(ABC):
     """Episodes of a task on the twin; the tasks are subclasses.
 
     Args:
-        level: the task, as :func:`~coop_env.physics.task.resolve_task` takes it.
-        geometry: of the 3-RRS.
-        delta: None, the standard robot.
-        holes: None, the paper's dome.
-        servos: None, the standard ones.
-        sim_to_real: errors of the machine, as the environments take them.
-        reward_scale: what each term of the reward is multiplied by.
-        privileged: whether observations are dictionaries, with :meth:`privileged`'s as well.
         n: how many.
         threads: of the simulation.
         max_steps: control steps until truncation; None takes the task's.
 
-    Raises:
-        GeometryError: a robot cannot be assembled, or no hole can be turned upright.
-        ArgumentError: an argument is of the wrong kind or out of range, the servos cannot hold the
-            machine, or the holes do not fit the dome.
+    The others, and what they raise, are :class:`~coop_env.physics.env.CoopInsertionContactEnv`'s.
     """
 
     n_observed: int
@@ -404,7 +394,18 @@ class ContactBatch(PhysicsBatch):
         self._believed, self._paid = np.zeros((self.n, N_AXES)), np.zeros(self.n)
 
     def check_options(self, options: Any) -> dict[str, Any]:
-        return check_options(options, np.isfinite(self.starts[:, 0]))
+        own, rest = split_options(options)
+        hole, choices = rest.pop("hole", None), self._open.tolist()
+        if rest:
+            known = ["hole", *OWN_OPTIONS]
+            unknown = sorted(map(str, rest))
+            raise ResetOptionError(f"options has unknown keys {unknown}; known: {known}")
+        if hole is None:
+            return own
+        whole = isinstance(hole, (int, np.integer)) and not isinstance(hole, bool)
+        if not whole or hole not in choices:
+            raise ResetOptionError(f"hole = {hole!r}: must be one of {choices}")
+        return {**own, "hole": int(hole)}
 
     def reset(self, row: int, options: Any, rng: np.random.Generator) -> dict[str, Any]:
         error = draw_error(self.task, rng)  # drawn whether or not an option sets it

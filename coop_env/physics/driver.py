@@ -65,11 +65,7 @@ class TwinDriver:
         friction: float | None = None,
     ) -> None:
         self.twin = Twin(machine)
-        servos = self.twin.machine.servos
-        self._kp = np.repeat([servos.delta_stiffness, servos.rrs_stiffness], 3)
-        self._kv = np.repeat(
-            [servos.damping(servos.delta_stiffness), servos.damping(servos.rrs_stiffness)], 3
-        )
+        self._kp, self._kv = self.twin.machine.servos.gains
         self._weight: Floats
         self.place(
             self.twin.machine.home() if configuration is None else configuration, base, friction

@@ -301,17 +301,14 @@ class CoopInsertionPhysicsEnv(PhysicsEnv):
 
 def with_privileged(own: spaces.Space[Any]) -> spaces.Dict:
     """The space of observations that have the privileged state as well."""
-    return spaces.Dict({"observation": own, "privileged": box(len(PRIVILEGED_UNITS))})
-
-
-def box(n: int) -> spaces.Box:
-    """The space of n observed fields."""
-    return spaces.Box(-LIMIT, LIMIT, (n,), np.float32)
+    more = spaces.Box(-LIMIT, LIMIT, PRIVILEGED_UNITS.shape, np.float32)
+    return spaces.Dict({"observation": own, "privileged": more})
 
 
 def make_spaces(batch: PhysicsBatch, discrete: bool) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
     """Observation and action space of one environment, its own: a space has a generator."""
-    observations: spaces.Space[Any] = box(batch.n_observed)
+    observations: spaces.Space[Any]
+    observations = spaces.Box(-LIMIT, LIMIT, (batch.n_observed,), np.float32)
     if batch.is_dict:
         observations = with_privileged(observations)
     if discrete:

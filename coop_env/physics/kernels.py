@@ -56,15 +56,9 @@ def insertion(
 ) -> np.ndarray:
     """(n, 3): depth of the tip below the real mouth, distance from the axis, m; misalignment, rad.
 
-    Beside the mouth depth stops at zero, however far down the dome's side the tip may be.
-
-    Args:
-        tip: (n, 3), where it really is, world frame, m.
-        platform: (n, 3), its centre likewise.
-        rotation: (n, 3, 3), its axes.
-        holes: (n,).
-        mouth_radius: of the chamfer's flats, m.
-        packed: the machine.
+    Beside the mouth, ``mouth_radius`` wide to the chamfer's flats, depth stops at zero, however far
+    down the dome's side the tip may be. ``tip`` (n, 3), the ``platform``'s centre (n, 3) and its
+    ``rotation`` (n, 3, 3) are where they really are, world frame.
     """
     p = unpack(packed)
     result = np.empty((tip.shape[0], 3))

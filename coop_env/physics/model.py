@@ -93,6 +93,12 @@ class Servos:
             else:
                 check_number(name, value, 0.0, 1e6, above=True)
 
+    @property
+    def gains(self) -> tuple[Floats, Floats]:
+        """kp, N m/rad, and kv, N m s/rad, of the six servos (6,), the Delta's first."""
+        stiffness = np.repeat([self.delta_stiffness, self.rrs_stiffness], 3)
+        return stiffness, np.array([self.damping(kp) for kp in stiffness.tolist()])
+
     def damping(self, stiffness: float) -> float:
         """kv of a servo with such a kp, N m s/rad."""
         return 2.0 * (self.damping_time * stiffness) ** 0.5
@@ -274,18 +280,28 @@ def _hinge(
     _add(body, "joint", name=name, type="hinge", axis=list(axis), ref=float(at_home), **more)
 
 
+def _crank(
+    base: ET.Element, robot: str, limb: int, m: Machine, radius: float, angle: float,
+    limits: tuple[float, float],
+) -> ET.Element:  # fmt: skip
+    """A proximal link on its motor; the 3-RRS's angles turn it up, the Delta's down."""
+    up = 1 if robot == "rrs" else -1
+    x = np.cos(angle) * RADIAL[limb] + up * np.sin(angle) * UP
+    link = _body(
+        base, f"{robot}_proximal{limb}", m, pos=radius * RADIAL[limb],
+        xyaxes=[*x, *TANGENTIAL[limb]],
+    )  # fmt: skip
+    _hinge(link, f"{robot}_joint{limb}", (0, -up, 0), angle, armature=m.servos.armature,
+           range=limits)  # fmt: skip
+    return link
+
+
 def _add_rrs(world: ET.Element, asset: ET.Element, m: Machine, angles: TreeAngles) -> None:
     g, radius, (proximal, distal, platform) = m.rrs, m.task.limb_radius, m.servos.rrs_masses
     base = _body(world, "rrs_base", m)
     _add(base, "geom", type="cylinder", size=[g.base_radius, 0.004], pos=[0.0, 0.0, -0.02])
     for i in range(3):
-        c, s = np.cos(angles.q[i]), np.sin(angles.q[i])
-        link = _body(
-            base, f"rrs_proximal{i}", m, pos=g.base_radius * RADIAL[i],
-            xyaxes=[*(c * RADIAL[i] + s * UP), *TANGENTIAL[i]],
-        )  # fmt: skip
-        _hinge(link, f"rrs_joint{i}", (0, -1, 0), angles.q[i], armature=m.servos.armature,
-               range=[g.joint_min, g.joint_max])  # fmt: skip
+        link = _crank(base, "rrs", i, m, g.base_radius, angles.q[i], (g.joint_min, g.joint_max))
         _link(link, g.proximal_length, radius, proximal, **_RRS_BITS)
         c, s = np.cos(angles.elbow[i]), np.sin(angles.elbow[i])
         end = _body(
@@ -335,13 +351,7 @@ def _add_delta(world: ET.Element, m: Machine, angles: TreeAngles, home: Floats) 
     base = _body(world, "delta_base", m, pos=d.base_height * UP)
     _add(base, "geom", type="cylinder", size=[d.base_radius, 0.004], pos=[0.0, 0.0, 0.02])
     for i in range(3):
-        c, s = np.cos(angles.theta[i]), np.sin(angles.theta[i])
-        link = _body(
-            base, f"delta_proximal{i}", m, pos=d.base_radius * RADIAL[i],
-            xyaxes=[*(c * RADIAL[i] - s * UP), *TANGENTIAL[i]],
-        )  # fmt: skip
-        _hinge(link, f"delta_joint{i}", (0, 1, 0), angles.theta[i], armature=m.servos.armature,
-               range=DELTA_RANGE)  # fmt: skip
+        link = _crank(base, "delta", i, m, d.base_radius, angles.theta[i], DELTA_RANGE)
         _link(link, d.proximal_length, radius, proximal)
         c, s = np.cos(angles.swing[i]), np.sin(angles.swing[i])
         end = _body(

@@ -19,16 +19,8 @@ def twin_scene(
 ) -> Scene:  # fmt: skip
     """The scene of one machine: links as the measured joints close them, on the real base.
 
-    Platform, dome, holes and tip are the simulation's own.
-
-    Args:
-        twin: the machines.
-        row: which.
-        command: its commanded configuration (6,).
-        hole: its target.
-        time: since the episode began, s.
-        status: ``"running"``, ``"success"``, or the cause of the failure.
-        trace: where the tip has been.
+    Platform, dome, holes and tip are the simulation's own. ``command`` is the configuration (6,)
+    that the machine was given, ``hole`` its target.
     """
     machine = twin.machine
     readings, p = twin.readings(), machine.kernel_params()

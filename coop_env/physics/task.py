@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from coop_env.errors import (
     ArgumentError,
@@ -24,7 +23,6 @@ from coop_env.kinematics import delta, rrs
 from coop_env.kinematics.rotations import roll_pitch, roll_pitch_yaw_matrix
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import CONTACT_TIME, TIMESTEP, Machine, Peg
-from coop_env.simulation.insertion_task import InsertionTask
 
 Options = dict[str, Any]
 STANDARD_PEG: Final = Peg()
@@ -183,14 +181,6 @@ def askew(error: Floats, pivot: Floats) -> list[float]:
     return [*(pivot + aside - turn @ pivot), *error[2:]]
 
 
-def alignment(holes: InsertionTask) -> Floats:
-    """Roll and pitch (holes, 2) that turn each hole's normal straight up, where the peg points.
-
-    The third row of a 3-RRS's rotation is (-nx, -ny, nz), so ``R h = z`` has n = (-hx, -hy, hz).
-    """
-    return roll_pitch(np.array(holes.hole_normals) * [-1.0, -1.0, 1.0])
-
-
 def start_configurations(machine: Machine, height: float) -> Floats:
     """For each hole the configuration (holes, 6) with the tip ``height`` above its mouth, aligned.
 
@@ -202,7 +192,8 @@ def start_configurations(machine: Machine, height: float) -> Floats:
         GeometryError: it can present none.
     """
     g, robot = machine.rrs, machine.delta
-    tilts = alignment(machine.task)
+    # the third row of a 3-RRS's rotation is (-nx, -ny, nz), so R h = z has n = (-hx, -hy, hz)
+    tilts = roll_pitch(np.array(machine.task.hole_normals) * [-1.0, -1.0, 1.0])
     low, high = g.heave_min + HEAVE_ROOM, g.heave_max - HEAVE_ROOM
     heaves = np.linspace(low, max(low, high), 7)[:, None, None]
     shape = (*heaves.shape[:1], *tilts.shape)
@@ -224,30 +215,6 @@ def start_configurations(machine: Machine, height: float) -> Floats:
         )
     result = np.concatenate([effector[best], poses[best]], axis=1)
     return np.where(good[:, None], result, np.nan)
-
-
-def check_options(options: Any, open_holes: NDArray[np.bool_]) -> Options:
-    """Reset options of the contact task; what is None or missing is left to chance.
-
-    Args:
-        options: ``hole``, ``error``, ``friction``.
-        open_holes: (holes,), those that can be presented.
-
-    Raises:
-        ResetOptionError: one is unknown, malformed or out of range.
-    """
-    own, rest = split_options(options)
-    hole = rest.pop("hole", None)
-    if rest:
-        known = ["hole", *OWN_OPTIONS]
-        raise ResetOptionError(f"options has unknown keys {sorted(map(str, rest))}; known: {known}")
-    if hole is None:
-        return own
-    choices = np.flatnonzero(open_holes).tolist()
-    whole = isinstance(hole, (int, np.integer)) and not isinstance(hole, bool)
-    if not whole or hole not in choices:
-        raise ResetOptionError(f"hole = {hole!r}: must be one of {choices}")
-    return {**own, "hole": int(hole)}
 
 
 def split_options(options: Any) -> tuple[Options, Options]:

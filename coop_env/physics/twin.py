@@ -17,7 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from coop_env.errors import ArgumentError, check_integer
 from coop_env.kinematics import delta, rrs
+from coop_env.kinematics.delta_kernels import DeltaParams
 from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
+from coop_env.kinematics.rrs_kernels import RRSParams
 from coop_env.physics.engine import mujoco
 from coop_env.physics.joints import Floats, platform_mount, tree_angles
 from coop_env.physics.model import LOOP_TIME, Machine, build_mjcf, to_xml
@@ -311,16 +313,14 @@ def _resized(machine: Machine, factors: Floats) -> Machine:
     """The machine with its lengths times (8,), in the order of ``machine.MACHINE``."""
     if (factors == 1.0).all():
         return machine
-    owners = {
-        "rrs": ("base_radius", "proximal_length", "platform_radius", "distal_length"),
-        "delta": ("base_radius", "effector_radius", "proximal_length", "distal_length"),
-    }
-    robots: dict[str, Any] = {}
-    for k, (robot, names) in enumerate(owners.items()):
-        sizes = zip(names, factors[4 * k : 4 * k + 4].tolist(), strict=True)
-        of = getattr(machine, robot)
-        robots[robot] = replace(of, **{name: getattr(of, name) * factor for name, factor in sizes})
-    return replace(machine, **robots)
+    robots: list[Any] = []
+    for of, names, sizes in (
+        (machine.rrs, RRSParams._fields, factors[:4]),
+        (machine.delta, DeltaParams._fields, factors[4:]),
+    ):
+        pairs = zip(names, sizes.tolist(), strict=False)
+        robots.append(replace(of, **{name: getattr(of, name) * factor for name, factor in pairs}))
+    return replace(machine, rrs=robots[0], delta=robots[1])
 
 
 def rotation_angle(a: Floats, b: Floats) -> Floats:

@@ -20,7 +20,7 @@ from coop_env.physics.env import PhysicsEnv, check_increments, make_spaces, move
 from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
 from coop_env.physics.whole import WholeBatch
 from coop_env.simulation.task import N_ACTIONS, N_AXES
-from coop_env.vector.vector_env import check_actions, seeds_of
+from coop_env.vector.vector_env import check_actions, lesser_limit, seeds_of
 
 Bools = NDArray[np.bool_]
 Step = tuple[Any, NDArray[np.float64], Bools, Bools, dict[str, Any]]
@@ -65,8 +65,8 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
         self.batch = self.batch_class(n=num_envs, threads=threads, **arguments)
         self.task = self.batch.task
         if max_episode_steps is not None:
-            limit = check_integer("max_episode_steps", max_episode_steps, 1)
-            self.batch.max_steps = min(self.batch.max_steps, limit)
+            own = self.batch.max_steps
+            self.batch.max_steps = lesser_limit(max_episode_steps, "max_steps", own)
         self.single_observation_space, self.single_action_space = make_spaces(
             self.batch, self.discrete
         )
@@ -94,12 +94,8 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
         if seed is not None or not self._rngs:
             self._rngs = [seeding.np_random(each)[0] for each in seeds_of(seed, self.num_envs)]
         firsts = [self.batch.reset(row, checked, rng) for row, rng in enumerate(self._rngs)]
-        kinds = {name: object if isinstance(value, str) else None
-                 for name, value in firsts[0].items() if not isinstance(value, dict)}  # fmt: skip
-        info = {name: np.array([each[name] for each in firsts], kind)
-                for name, kind in kinds.items()}  # fmt: skip
-        everywhere = np.ones(self.num_envs, bool)
-        return self.batch.seen(slice(None)), _masked(info, everywhere)
+        info = {name: part for name, part in self.batch.columns().items() if name in firsts[0]}
+        return self.batch.seen(slice(None)), _masked(info, np.ones(self.num_envs, bool))
 
     def step(self, actions: Any) -> Step:
         """Make one control step in all environments; those whose episode ends start the next.
@@ -179,25 +175,17 @@ class CoopInsertionPhysicsDiscreteVectorEnv(SyncVectorEnv[Any, Any]):
         n = check_integer("num_envs", num_envs, 1)
         self._pool = ThreadPoolExecutor(check_integer("threads", threads, 1))
         if max_episode_steps is not None:
-            limit = check_integer("max_episode_steps", max_episode_steps, 1)
-            moves = check_integer("max_moves", arguments.get("max_moves", limit), 1)
-            arguments["max_moves"] = min(moves, limit)
+            own = arguments.get("max_moves")
+            arguments["max_moves"] = lesser_limit(max_episode_steps, "max_moves", own)
         super().__init__(
             [lambda: _Ahead(CoopInsertionPhysicsDiscreteEnv(**arguments))] * n,
             autoreset_mode=AutoresetMode.SAME_STEP,
         )
 
     def reset(self, *, seed: Any = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
-        """Start all episodes; see :meth:`PhysicsVectorEnv.reset`."""
         return super().reset(seed=seeds_of(seed, self.num_envs), options=options)
 
     def step(self, actions: Any) -> Any:
-        """Make a move in all environments; those whose episode ends start the next.
-
-        Raises:
-            ActionError: an action is not in the action space.
-            ResetNeeded: :meth:`reset` was never called.
-        """
         checked = check_actions(actions, self.num_envs, N_ACTIONS)
         for env, action in zip(self.envs, checked.tolist(), strict=True):
             env.begin(self._pool, action)  # type: ignore[attr-defined]

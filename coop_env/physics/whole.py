@@ -53,8 +53,8 @@ class WholeBatch(PhysicsBatch):
             machine.rrs, delta=machine.delta, task=machine.task, stage=stage
         )
         self.increments = np.array(machine.task.steps) * min(1.0, self.task.dt / machine.task.dt)
-        gains = (machine.servos.delta_stiffness, machine.servos.rrs_stiffness)
-        self._lag = np.repeat([machine.servos.damping(kp) / kp for kp in gains], 3)  # s
+        stiffness, damping = machine.servos.gains
+        self._lag = damping / stiffness  # s
         self._first[:] = machine.home()
         self._first_joints[:] = self.twin.servo_targets(self._first)
         self._pivot = np.array([0.0, 0.0, machine.rrs.home_heave + machine.task.dome_radius])
@@ -79,13 +79,9 @@ class WholeBatch(PhysicsBatch):
         return {**row_of(self.columns(), row), "reward_terms": {}}
 
     def begin(self, row: int, state: np.void, own: Options, rng: np.random.Generator) -> None:
-        """Set a machine down at a state of the kinematic task.
+        """Set a machine down at a state of the kinematic task, with the error and friction given.
 
-        Args:
-            row: which.
-            state: a row of ``coop_env.simulation.state.state_dtype()``.
-            own: ``error`` and ``friction``, drawn where they are not given.
-            rng: what draws.
+        ``rng`` draws what of these is not in ``own``.
         """
         drawn = draw_error(self.task, rng), float(rng.uniform(*self.task.friction))
         start = np.array(state["configuration"])

@@ -33,11 +33,8 @@ CARD_WIDTH: Final = (0.30, 0.40)  # at most so much of the picture's width, and 
 MIN_WIDTH: Final = 400  # px; a smaller picture has no room to read a card
 SIGMA_FULL: Final = 1.0  # signed sigma_min at which the bar is full
 SIGMA_LOW: Final = 0.15  # the bar warns below the design's threshold (paper, A_w)
-STATUS_COLOURS: Final = {
-    **{"running": MUTED, "success": GOOD, "singular": BAD, "timeout": WARN},
-    # of the physics twin
-    **{"force": BAD, "snap": BAD, "diverged": BAD, "not inserted": BAD, "time": WARN},
-}
+STATUS_COLOURS: Final = {"running": MUTED, "success": GOOD, "timeout": WARN, "time": WARN}
+"""Of a status; every other one is a failure."""
 
 
 @lru_cache(maxsize=16)
@@ -140,16 +137,10 @@ class _Card:
         self.y += self.px(10.0)
 
 
-def _sigma_colour(scene: Scene) -> Ink:
-    if scene.sigma_min < scene.singular_margin:
-        return BAD
-    return WARN if scene.sigma_min < SIGMA_LOW else GOOD
-
-
 def _write(card: _Card, scene: Scene) -> None:
     states = [hole_state(scene, i) for i in range(len(scene.filled))]
     ink = {state: _pixels(COLOURS[state]) for state in ("filled", "target", "open", "inactive")}
-    card.title(f"{scene.time:.1f} s", STATUS_COLOURS[scene.status], scene.status)
+    card.title(f"{scene.time:.1f} s", STATUS_COLOURS.get(scene.status, BAD), scene.status)
     card.dots([ink[state] for state in states])
     total = int(scene.active.sum())
     card.row("filled", f"{states.count('filled')} of {total}", swatch=ink["filled"])
@@ -160,7 +151,8 @@ def _write(card: _Card, scene: Scene) -> None:
     card.row("misaligned", f"{math.degrees(scene.alignment_error):.1f}°")
     roll, pitch = np.degrees(scene.configuration[3:5])
     card.row("tilt", f"{roll:+.0f}°, {pitch:+.0f}°")
-    colour = _sigma_colour(scene)
+    colour = WARN if scene.sigma_min < SIGMA_LOW else GOOD
+    colour = BAD if scene.sigma_min < scene.singular_margin else colour
     card.row("\u03c3 min", f"{scene.sigma_min:+.3f}", colour)
     card.bar(scene.sigma_min, SIGMA_FULL, scene.singular_margin, colour)
 

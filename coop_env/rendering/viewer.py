@@ -235,10 +235,10 @@ class Viewer:
         sign = "+" if action % 2 == 0 else "-"
         button = self._server.gui.add_button(f"{sign} {AXES[action // 2]}")
 
-        def on_click(event: Any) -> None:
+        @button.on_click
+        def _(_: Any) -> None:
             self.move(action)
 
-        button.on_click(on_click)
         return button
 
     def place(self, axis: int, value: float) -> bool:

@@ -137,11 +137,7 @@ class KinematicShield:
             ArgumentError: ``state`` is not six finite numbers.
             ActionError: ``action`` is not.
         """
-        c = _six("state", state)
-        try:
-            a = _six("action", action)
-        except ArgumentError as error:
-            raise ActionError(str(error)) from error
+        c, a = _six("state", state), _six("action", action, ActionError)
         result = np.empty(N_AXES)
         changed = kernels.project(c, a, self.packed, *self.keeps, result)
         return result, bool(changed)
@@ -173,16 +169,16 @@ class KinematicShield:
         return sigma
 
 
-def _six(name: str, value: ArrayLike) -> Floats:
+def _six(name: str, value: ArrayLike, error: type[ValueError] = ArgumentError) -> Floats:
     """Six finite numbers.
 
     Raises:
-        ArgumentError: they are not.
+        error: they are not.
     """
     try:
         result = np.array(as_configuration(value))
     except ResetOptionError:
         result = np.full(N_AXES, np.nan)
     if not np.isfinite(result).all():
-        raise ArgumentError(f"{name} = {value!r}: must be six finite numbers")
+        raise error(f"{name} = {value!r}: must be six finite numbers")
     return result

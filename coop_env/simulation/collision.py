@@ -193,16 +193,7 @@ def collides_elsewhere(
         return True
     if effector[2] - _thickest(p) >= ceiling(pose.z, p):
         return False
-    return _arms_collide(x, y, z, theta, pose, q, p)
-
-
-@njit(cache=True)
-def _arms_collide(
-    x: float, y: float, z: float, theta: Row, pose: Pose, q: Row, p: EnvParams
-) -> bool:
-    """Whether the effector or a forearm touches the dome, the platform or a link."""
     centre = (pose.x, pose.y, pose.z)
-    effector = (x, y, z + p.delta.base_height)
     dome, body, forearm = p.layout.dome_radius, p.layout.effector_radius, p.layout.forearm_radius
     if point_segment_distance(centre, effector, effector) < dome + body:
         return True

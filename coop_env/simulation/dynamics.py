@@ -200,8 +200,8 @@ def _attempt(s: Record, delta: int, rrs: int, p: EnvParams) -> tuple[int, int]:
         delta_status, rrs_status = (VALID, status) if delta == HOLD else (status, VALID)
     else:
         delta_status, rrs_status = _move(s, delta, rrs, p)
-    delta_moved = delta != HOLD and _is_executed(delta_status)
-    rrs_moved = rrs != HOLD and _is_executed(rrs_status)
+    delta_moved = delta != HOLD and delta_status in (VALID, SINGULAR)
+    rrs_moved = rrs != HOLD and rrs_status in (VALID, SINGULAR)
     if not (delta_moved or rrs_moved):
         if p.task.refused:
             s.refused[max(delta, rrs)] = 1
@@ -218,21 +218,6 @@ def _attempt(s: Record, delta: int, rrs: int, p: EnvParams) -> tuple[int, int]:
         update_inside(s, p.task.tolerance, p)
     update_mask(s, delta_moved, rrs_moved, p)
     return delta_status, rrs_status
-
-
-@njit(cache=True)
-def _is_executed(status: int) -> bool:
-    return status in (VALID, SINGULAR)
-
-
-@njit(cache=True)
-def _due(s: Record, action: int, p: EnvParams) -> int:
-    """The action that is executed now: with latency the last one, HOLD at first."""
-    if not (p.task.imperfect and s.machine.latency):
-        return action
-    late = s.machine.pending
-    s.machine.pending = action
-    return late
 
 
 @njit(cache=True)
@@ -255,8 +240,14 @@ def _in_filled_holes(s: Record) -> int:
 
 @njit(cache=True)
 def step(s: Record, action: int, p: EnvParams, out: Record) -> None:
-    """One move of one robot, while the other holds; see :func:`tick`."""
-    due = _due(s, action, p)
+    """One move of one robot, while the other holds; see :func:`tick`.
+
+    With latency the last action is executed now, HOLD at first.
+    """
+    due = action
+    if p.task.imperfect and s.machine.latency:
+        due = s.machine.pending
+        s.machine.pending = action
     tick(s, due if due < 6 else HOLD, due if due >= 6 else HOLD, p, out)
 
 

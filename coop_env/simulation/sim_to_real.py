@@ -187,13 +187,7 @@ def resolve(value: str | SimToReal | Mapping[str, Any] | None, task: InsertionTa
 def draw_machine(m: Any, knobs: SimToReal, p: EnvParams, rng: np.random.Generator) -> None:
     """Write a machine within the knobs' bounds to a record of ``machine.MACHINE``."""
     scale = rng.random(9) if knobs.randomize else np.ones(9)
-    rrs, delta = p.rrs, p.delta
-    nominal = np.array(
-        [
-            rrs.base_radius, rrs.proximal_length, rrs.platform_radius, rrs.distal_length,
-            delta.base_radius, delta.effector_radius, delta.proximal_length, delta.distal_length,
-        ]
-    )  # fmt: skip
+    nominal = np.array([*p.rrs[:4], *p.delta[:4]])
     m["lengths"] = nominal * (1.0 + scale[0] * knobs.link_length_error * rng.uniform(-1.0, 1.0, 8))
     m["base"][:3] = scale[1] * knobs.base_position_error * rng.uniform(-1.0, 1.0, 3)
     m["base"][3:] = scale[2] * knobs.base_tilt_error * rng.uniform(-1.0, 1.0, 2)

@@ -22,18 +22,6 @@ _OWN: Final = {"delta": _AXES[:3], "rrs": _AXES[3:]}
 _HOLE: Final = {"delta": ("e_x", "e_y", "e_z"), "rrs": ("n_x", "n_y", "n_z")}
 
 
-def agent_fields(agent: str, sight: bool, fields: tuple[str, ...]) -> tuple[str, ...]:
-    """The fields that an agent sees, in the order of the single agent's ``fields``.
-
-    Its own configuration and the hole seen from its own end; with ``sight`` also the other's
-    configuration; of the observation ``"markov"`` also the filled holes and the time.
-    """
-    seen = {*_OWN[agent], *_HOLE[agent], *fields[len(PAPER_FIELDS) :]}
-    if sight:
-        seen |= set(_AXES)
-    return tuple(name for name in fields if name in seen)
-
-
 class Team(CoopInsertionJointEnv):
     """A joint environment whose rows and masks are shared out to the agents ``delta``, ``rrs``.
 
@@ -57,7 +45,13 @@ class Team(CoopInsertionJointEnv):
         super().__init__(**kwargs)
         self.sight = check_flag("sight", sight)
         names = markov_fields(len(self.task.holes))[: self.observation_space.shape[0]]
-        self.fields = {agent: agent_fields(agent, self.sight, names) for agent in AGENTS}
+        # one's own configuration and the hole seen from one's own end; with sight also the other's
+        # configuration; of the observation "markov" also the filled holes and the time
+        shared = {*names[len(PAPER_FIELDS) :], *(_AXES if self.sight else ())}
+        self.fields = {
+            agent: tuple(f for f in names if f in {*_OWN[agent], *_HOLE[agent], *shared})
+            for agent in AGENTS
+        }
         self.columns = np.array([[names.index(f) for f in self.fields[a]] for a in AGENTS])
         low, high = self.observation_space.low, self.observation_space.high
         self.agent_spaces: dict[str, spaces.Box] = {

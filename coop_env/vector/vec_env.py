@@ -112,7 +112,6 @@ class CoopInsertionVecEnv(VecEnv):
         self._vector.take(actions)
 
     def step(self, actions: NDArray[Any]) -> StepReturn:
-        """Move ``actions (num_envs,)``: observations, rewards, dones, infos."""
         self.step_async(actions)
         return self.step_wait()
 

@@ -66,9 +66,8 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         **kwargs: Any,
     ) -> None:
         if max_episode_steps is not None:
-            limit = check_integer("max_episode_steps", max_episode_steps, 1)
-            moves = check_integer("max_moves", kwargs.get("max_moves", limit), 1)
-            kwargs["max_moves"] = min(moves, limit)
+            own = kwargs.get("max_moves")
+            kwargs["max_moves"] = lesser_limit(max_episode_steps, "max_moves", own)
         self.env_class = env_class or self.env_class
         for name in ("reset", "step", "action_masks"):
             if getattr(self.env_class, name) is not getattr(CoopInsertionEnv, name):
@@ -111,14 +110,9 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
     def __copy__(self) -> CoopInsertionVectorEnv:
         return copy.deepcopy(self)  # two batches cannot have the same environments' rows
 
-    @property
-    def started(self) -> bool:
-        """Whether every environment was reset."""
-        self._started = self._started or all(env._started for env in self.envs)
-        return self._started
-
     def _require_start(self) -> None:
-        if not self.started:
+        self._started = self._started or all(env._started for env in self.envs)
+        if not self._started:
             raise ResetNeeded("call reset() first: there are no running episodes")
 
     def check_options(self, options: Any) -> list[Any]:
@@ -334,6 +328,16 @@ def set_attributes(envs: Sequence[Any], name: str, values: Sequence[Any]) -> Non
         if isinstance(error, AttributeError):
             raise ArgumentError(f"attribute {name!r} cannot be set: {error}") from error
         raise
+
+
+def lesser_limit(max_episode_steps: Any, name: str, own: Any) -> int:
+    """The smaller of Gymnasium's limit and the environment's ``own``, if there is one.
+
+    Raises:
+        ArgumentError: one is no positive integer.
+    """
+    most = check_integer("max_episode_steps", max_episode_steps, 1)
+    return most if own is None else min(most, check_integer(name, own, 1))
 
 
 def check_actions(actions: Any, n: int, n_actions: int) -> NDArray[Any]:
