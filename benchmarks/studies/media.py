@@ -36,29 +36,20 @@ HOLD_SECONDS: Final = 2.0  # the last picture stays so long
 DEFAULT_SEED: Final = 8
 
 
-class OptimalPlayer:
-    """Plays the lattice optimum to the next hole; plans anew wherever the robots are put."""
+def optimal_moves(env: CoopInsertionEnv) -> Act:
+    """The lattice optimum's next move to the next hole, wherever the robots are.
 
-    def __init__(self, env: CoopInsertionEnv) -> None:
-        self._env, self._oracle, self._moves = env, LatticeOracle(), list[int]()
-        self._expected: npt.NDArray[np.float64] = np.full(6, np.nan)
+    It raises BenchmarkError where no sequence of moves inserts the peg in the current target.
+    """
+    oracle = LatticeOracle()
 
-    def __call__(self, observation: Any, masks: Any) -> int:
-        """The next move from where the environment is.
+    def act(observation: Any, masks: Any) -> int:
+        plan = oracle.plan(env)
+        if plan.moves is None:
+            raise BenchmarkError(f"no plan from here to hole {env.scene().target}")
+        return int(plan.moves[0])
 
-        Raises:
-            BenchmarkError: no sequence of moves inserts the peg in the current target.
-        """
-        env = self._env
-        if not self._moves or not np.allclose(env.configuration, self._expected, atol=1e-9):
-            plan = self._oracle.plan(env)
-            if plan.moves is None:
-                raise BenchmarkError(f"no plan from here to hole {env.scene().target}")
-            self._moves = [int(move) for move in plan.moves]
-        move = self._moves.pop(0)
-        self._expected = env.configuration
-        self._expected[move // 2] += env.task.steps[move // 2] * (1.0 - 2.0 * (move % 2))
-        return move
+    return act
 
 
 def policy_moves(path: Path, env: CoopInsertionEnv, trust: bool = False) -> Act:
@@ -132,7 +123,7 @@ class Media(Study):
         given = self.given
         env = CoopInsertionEnv(geometry=given.geometry, render_mode="rgb_array")
         policy = partial(policy_moves, given.model, trust=given.trust)
-        scenes = play(env, given.seed, OptimalPlayer if given.model is None else policy)
+        scenes = play(env, given.seed, optimal_moves if given.model is None else policy)
         still = render_frame(telling_moment(scenes), size=SCENE_SIZE, samples=4)
         picture = Image.fromarray(still)
         write_atomic(self.folder / "scene.png", lambda file: picture.save(file, "PNG"))

@@ -9,7 +9,7 @@ from typing import Any
 from gymnasium.error import DependencyNotInstalled
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.studies.media import OptimalPlayer, policy_moves
+from benchmarks.studies.media import optimal_moves, policy_moves
 from benchmarks.studies.robots.trials import inserter
 from coop_env.env import CoopInsertionEnv
 from coop_env.rendering.viewer import ViewerError, view
@@ -37,7 +37,7 @@ def watch(arguments: argparse.Namespace) -> None:
     shown = {"geometry": arguments.geometry, "render_mode": "rgb_array"}
     env = _twin(arguments.results, **shown) if arguments.twin else CoopInsertionEnv(**shown)
     model, trust = arguments.model, arguments.trust
-    act = OptimalPlayer(env) if model is None else policy_moves(model, env, trust)
+    act = optimal_moves(env) if model is None else policy_moves(model, env, trust)
     try:
         view(env, act, host=arguments.host, port=arguments.port)
     except ViewerError as error:

@@ -82,13 +82,13 @@ def test_unsolvable_episode_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     nothing = SimpleNamespace(moves=None)
     monkeypatch.setattr("benchmarks.methods.oracle.LatticeOracle.plan", lambda self, env: nothing)
     with pytest.raises(BenchmarkError, match="no plan from here"):
-        media.play(CoopInsertionEnv(), 0, media.OptimalPlayer)
+        media.play(CoopInsertionEnv(), 0, media.optimal_moves)
 
 
 def test_optimum_plans_anew_where_it_is_put() -> None:
     env = CoopInsertionEnv()
     observation, _ = env.reset(seed=8)
-    play = media.OptimalPlayer(env)
+    play = media.optimal_moves(env)
     for _ in range(5):
         observation, *_ = env.step(play(observation, env.action_masks()))
     observation, _ = env.reset(seed=10)
