@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
 
 import pytest
 
 from benchmarks.cli import main
+from tests.benchmarks.runs.warm import Server
 
 
 @pytest.fixture
@@ -22,3 +24,19 @@ def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
         return error
 
     return run
+
+
+@pytest.fixture(scope="session")
+def warm() -> Iterator[Server]:
+    """Its ``children()`` are the processes of a harness without the seconds of their imports."""
+    if not hasattr(os, "fork"):
+        pytest.skip("needs os.fork")
+    server = Server("smoke", ["dqn-optimized-safe-s0", "rrt_connect-optimized-s0"])
+    yield server
+    server.close()
+
+
+@pytest.fixture
+def forked(warm: Server) -> Iterator[None]:
+    with warm.children():
+        yield

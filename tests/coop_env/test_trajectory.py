@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from coop_env.trajectory import JOINTS, TIMESTEP, Trajectory, TrajectoryError, m
 
 SLOW = DeltaGeometry(max_joint_velocity=0.5, max_joint_acceleration=3.0, max_joint_jerk=90.0)
 HOME = np.array([0.0, 0.0, -0.35, 0.0, 0.0, 0.23])
+LOW = HOME - [0.0, 0.0, 0.02, 0.0, 0.0, 0.0]
 
 
 def walk(seed: int, moves: int) -> np.ndarray:
@@ -45,7 +47,7 @@ def angles(configurations: np.ndarray) -> np.ndarray:
 
 
 def lowered() -> Trajectory:
-    return make_trajectory([HOME, HOME - [0.0, 0.0, 0.02, 0.0, 0.0, 0.0]])
+    return make_trajectory([HOME, LOW])
 
 
 @settings(max_examples=40, deadline=None)
@@ -99,14 +101,11 @@ def test_blended_moves_pass_without_a_stop() -> None:
 
 
 def test_a_move_that_was_not_made_takes_no_time() -> None:
-    once, twice = make_trajectory([HOME, HOME]), make_trajectory([HOME, *lowered_ends(), HOME])
+    once, twice = make_trajectory([HOME, HOME]), make_trajectory([HOME, LOW, LOW, HOME])
     assert (once.duration, once.stops.tolist()) == (0.0, [0, 0])
+    task = InsertionTask(dome_radius=0.05)
+    assert make_trajectory([HOME, HOME], task=task).duration == 0.0
     assert twice.duration == pytest.approx(2.0 * lowered().duration, abs=TIMESTEP)
-
-
-def lowered_ends() -> list[np.ndarray]:
-    low = HOME - [0.0, 0.0, 0.02, 0.0, 0.0, 0.0]
-    return [low, low]
 
 
 def test_a_way_through_the_dome_is_not_free() -> None:
@@ -131,22 +130,6 @@ def test_the_clock_of_the_paper_is_kept_or_refused() -> None:
         make_trajectory(way, move_time=0.02)
 
 
-def test_limits_that_admit_nothing() -> None:
-    still = {"max_joint_velocity": 1e-9, "max_joint_acceleration": 1e-9, "max_joint_jerk": 1e-9}
-    with pytest.raises(TrajectoryError, match="move 0: these joint limits admit no trajectory"):
-        make_trajectory([HOME, lowered_ends()[0]], delta=still)
-
-
-def test_a_configuration_out_of_reach_is_named() -> None:
-    way = walk(0, 4)
-    way[2, 0] = 0.5
-    with pytest.raises(TrajectoryError, match=r"configuration 2 of 5, .* is out of reach"):
-        make_trajectory(way)
-    way[2, 0] = np.nan
-    with pytest.raises(TrajectoryError, match="configuration 2 of 5"):
-        make_trajectory(way)
-
-
 @pytest.mark.parametrize("value", [0.0, -1.0, float("inf"), float("nan")])
 @pytest.mark.parametrize("kind", ["velocity", "acceleration", "jerk"])
 def test_limits_that_make_no_sense(kind: str, value: float) -> None:
@@ -157,16 +140,38 @@ def test_limits_that_make_no_sense(kind: str, value: float) -> None:
         RRSGeometry(**{**OPTIMIZED.as_dict(), name: value})
 
 
-def test_arguments_of_the_wrong_form() -> None:
-    for wrong in (HOME, [HOME], [[0.0] * 5] * 2):
-        with pytest.raises(ArgumentError, match="configurations of shape"):
-            make_trajectory(wrong)
-    with pytest.raises(ArgumentError, match="move_time"):
-        make_trajectory([HOME, HOME], move_time=0.0)
-    with pytest.raises(ArgumentError, match="task"):
-        make_trajectory([HOME, HOME], task=3)  # type: ignore[arg-type]
-    task = InsertionTask(dome_radius=0.05)
-    assert make_trajectory([HOME, HOME], task=task).duration == 0.0
+STILL = {"max_joint_velocity": 1e-9, "max_joint_acceleration": 1e-9, "max_joint_jerk": 1e-9}
+FAR = [HOME, HOME, np.array([0.5, *HOME[1:]]), HOME, HOME]
+
+
+@pytest.mark.parametrize(
+    ("way", "arguments", "error", "message"),
+    [
+        (
+            [HOME, LOW],
+            {"delta": STILL},
+            TrajectoryError,
+            "move 0: these joint limits admit no",
+        ),
+        (FAR, {}, TrajectoryError, r"configuration 2 of 5, .* is out of reach"),
+        (
+            [HOME, HOME, np.array([np.nan, *HOME[1:]]), HOME, HOME],
+            {},
+            TrajectoryError,
+            "configuration 2 of 5",
+        ),
+        (HOME, {}, ArgumentError, "configurations of shape"),
+        ([HOME], {}, ArgumentError, "configurations of shape"),
+        ([[0.0] * 5] * 2, {}, ArgumentError, "configurations of shape"),
+        ([HOME, HOME], {"move_time": 0.0}, ArgumentError, "move_time"),
+        ([HOME, HOME], {"task": 3}, ArgumentError, "task"),
+    ],
+)
+def test_what_is_no_trajectory_is_named(
+    way: Any, arguments: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        make_trajectory(way, **arguments)
 
 
 def test_the_csv_holds_every_sample(tmp_path: Path) -> None:

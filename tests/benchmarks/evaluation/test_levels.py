@@ -167,12 +167,6 @@ def test_rows_say_under_which_error_they_were_played(method: str, preset: Preset
     assert 0.0 <= told[0] <= told[-1] <= 1.0
 
 
-def test_controls_and_planners_play_other_starts(preset: Preset) -> None:
-    for method, track in (("greedy", "safe"), ("optimum", "")):
-        one, two = (evaluate_cell(preset, cell(method, track), starts=n) for n in (None, 7))
-        assert not {row["start"] for row in one} & {row["start"] for row in two}
-
-
 def replay(results: Path, episodes: int | None, starts: int | None) -> Replay:
     Store.open(results, "cut", create=True)
     return Replay("cut", results, episodes, starts)

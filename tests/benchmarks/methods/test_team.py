@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.learners import build_model, make_training_env
 from benchmarks.methods.team.env import DecentralizedEnv, each_for_itself, make_env, own_masks
 from benchmarks.protocol.plan import Cell, expand
-from benchmarks.protocol.presets import Controls, Preset, load_preset, parse_preset
+from benchmarks.protocol.presets import Controls, Preset, parse_preset
 from benchmarks.runs import policy_file
 from benchmarks.studies.insertion import Insertion
 from coop_env import parallel_env
@@ -220,23 +219,6 @@ def test_a_random_team_keeps_to_its_masks() -> None:
     play_together(control("random", Controls(), 1)(episodes), episodes, 0.0, 0)
     assert all(episode.over for episode in episodes)
     assert all(episode.violations == episode.collisions for episode in episodes)
-
-
-def test_the_optimum_at_once_takes_no_more_ticks() -> None:
-    preset = load_preset("team")
-    few = dataclasses.replace(preset, evaluation=dataclasses.replace(preset.evaluation, episodes=4))
-    ticks = [
-        [
-            row["insertion_moves"]
-            for row in evaluate_cell(few, Cell(name, "full", "optimized", "", 0))
-        ]
-        for name in ("optimum", "optimum_at_once")
-    ]
-    for in_turn, at_once in zip(*ticks, strict=True):
-        assert bool(in_turn) == bool(at_once)
-        if in_turn:
-            first = [int(str(each).split(";")[0]) for each in (in_turn, at_once)]
-            assert first[0] / 2 <= first[1] <= first[0]
 
 
 def test_a_sum_needs_quantiles() -> None:

@@ -31,6 +31,15 @@ def smoke() -> dict[str, Any]:
     return data
 
 
+def mine(**track: Any) -> dict[str, Any]:
+    return {"tracks": {"mine": track}}
+
+
+def unsure(**knobs: float) -> dict[str, Any]:
+    """On a machine with these errors."""
+    return mine(base="safe", sim_to_real=knobs)
+
+
 @pytest.mark.parametrize("name", ["smoke", "quick", "grid", "paper", "cut", "team"])
 def test_shipped_presets_expand_to_cells_with_unique_folders(name: str) -> None:
     cells = expand(load_preset(name))
@@ -115,6 +124,11 @@ def test_an_unknown_key_is_named_with_the_file_and_the_known_ones(
             },
             "lambda3",
         ),
+        ({"tracks": {"mine": {"base": "sfae"}}}, "unknown base 'sfae'"),
+        (mine(base="vdn", team="qmix"), r"team = 'qmix' is unknown; known: .*vdn"),
+        (unsure(base_position_error=0.003, base_tlit_error=0.0), "base_tlit_error"),
+        (unsure(base_position_error=1.0), "base_position_error"),
+        (unsure(observation_noise=0.01), "must have a base_position_error"),
     ],
 )
 def test_an_impossible_value_is_refused(change: dict[str, Any], word: str) -> None:
@@ -123,56 +137,41 @@ def test_an_impossible_value_is_refused(change: dict[str, Any], word: str) -> No
 
 
 @pytest.mark.parametrize(
-    ("group", "word"),
+    ("method", "track", "more", "word"),
     [
-        ({"methods": ["ppo"], "tracks": ["safe"]}, "unknown method 'ppo'"),
-        ({"methods": ["rainbow"], "tracks": ["best"]}, "unknown track 'best'"),
-        ({"methods": ["rainbow"]}, "needs a track"),
-        ({"methods": ["greedy"]}, "needs a track"),
-        ({"methods": ["optimum"], "tracks": ["safe"]}, "takes no track 'safe'"),
-        ({"methods": ["rrt_lattice"], "tracks": ["unsure"]}, "takes no track 'unsure'"),
-        ({"methods": ["nominal_plan"]}, "needs a track with sim_to_real"),
-        ({"methods": ["greedy"], "tracks": ["far"]}, "errors lack 2.5 mm"),
-        ({"methods": ["dqn"], "tracks": ["safe"], "ablations": ["no_noisy"]}, "only rainbow"),
-        ({"methods": ["rainbow"], "tracks": ["safe"], "ablations": ["no_luck"]}, "no_luck"),
-        ({"methods": ["optimum"], "geometries": ["round"]}, "unknown geometry 'round'"),
-    ],
-)
-def test_an_impossible_cell_is_refused(group: dict[str, Any], word: str) -> None:
-    tracks = smoke()["tracks"] | {
-        "unsure": {"base": "uncertain"},
-        "far": {"base": "uncertain", "sim_to_real": {"base_position_error": 0.0025}},
-    }
-    preset = parse_preset(smoke() | {"tracks": tracks, "runs": [group]}, "mine", "mine.yaml")
-    with pytest.raises(BenchmarkError, match=word):
-        expand(preset)
-
-
-@pytest.mark.parametrize(
-    ("track", "method", "message"),
-    [
-        ({"base": "vdn", "mask_visited": 64}, "rainbow", "mask_visited = 64 .* leave it out"),
-        ({"base": "shared", "mask_refused": True}, "rainbow", "mask_refused = True .* leave it"),
-        ({"base": "uncertain", "mask_visited": 0, "mask_refused": False, "team": "central"},
-         "rainbow", "sim_to_real = .* leave it out"),
-        ({"base": "central", "sight": True}, "rainbow", "sees both robots: leave out sight"),
-        ({"base": "safe", "sight": True}, "rainbow", "name it, or leave it out"),
-        ({"base": "shared", "hyperparameters": {"n_envs": 7}}, "rainbow", "n_envs = 7 is odd"),
-        ({"base": "vdn"}, "dqn", "method 'dqn' has no form for a team; known: greedy, rainbow"),
-        ({"base": "vdn"}, "lookahead", "method 'lookahead' has no form for a team"),
+        ("ppo", "safe", {}, "unknown method 'ppo'"),
+        ("rainbow", "best", {}, "unknown track 'best'"),
+        ("rainbow", None, {}, "needs a track"),
+        ("greedy", None, {}, "needs a track"),
+        ("optimum", "safe", {}, "takes no track 'safe'"),
+        ("rrt_lattice", {"base": "uncertain"}, {}, "takes no track 'mine'"),
+        ("nominal_plan", None, {}, "needs a track with sim_to_real"),
+        ("greedy", {"base": "uncertain", "sim_to_real": {"base_position_error": 0.0025}}, {},
+         "errors lack 2.5 mm"),
+        ("dqn", "safe", {"ablations": ["no_noisy"]}, "only rainbow"),
+        ("rainbow", "safe", {"ablations": ["no_luck"]}, "no_luck"),
+        ("optimum", None, {"geometries": ["round"]}, "unknown geometry 'round'"),
+        # teams
+        ("rainbow", {"base": "vdn", "mask_visited": 64}, {}, "mask_visited = 64 .* leave it out"),
+        ("rainbow", {"base": "shared", "mask_refused": True}, {}, "mask_refused = True .* leave"),
+        ("rainbow", {"base": "uncertain", "mask_visited": 0, "mask_refused": False,
+                     "team": "central"}, {}, "sim_to_real = .* leave it out"),
+        ("rainbow", {"base": "central", "sight": True}, {}, "sees both robots: leave out sight"),
+        ("rainbow", {"base": "safe", "sight": True}, {}, "name it, or leave it out"),
+        ("rainbow", {"base": "shared", "hyperparameters": {"n_envs": 7}}, {}, "n_envs = 7 is odd"),
+        ("dqn", {"base": "vdn"}, {}, "method 'dqn' has no form for a team; known: greedy, rainbow"),
+        ("lookahead", {"base": "vdn"}, {}, "method 'lookahead' has no form for a team"),
     ],
 )  # fmt: skip
-def test_an_impossible_team_is_refused(track: dict[str, Any], method: str, message: str) -> None:
-    runs = [{"methods": [method], "tracks": ["mine"]}]
-    preset = parse_preset(smoke() | {"tracks": {"mine": track}, "runs": runs}, "p", "p.yaml")
-    with pytest.raises(BenchmarkError, match=message):
+def test_an_impossible_cell_is_refused(
+    method: str, track: str | dict[str, Any] | None, more: dict[str, Any], word: str
+) -> None:
+    own = isinstance(track, dict)
+    group = {"methods": [method], **({"tracks": ["mine" if own else track]} if track else {})}
+    tracks = smoke()["tracks"] | ({"mine": track} if own else {})
+    preset = parse_preset(smoke() | {"tracks": tracks, "runs": [group | more]}, "p", "p.yaml")
+    with pytest.raises(BenchmarkError, match=word):
         expand(preset)
-
-
-def test_an_unknown_team_lists_the_known_ones() -> None:
-    data = smoke() | {"tracks": {"mine": {"base": "vdn", "team": "qmix"}}}
-    with pytest.raises(BenchmarkError, match=r"team = 'qmix' is unknown; known: .*vdn"):
-        parse_preset(data, "mine", "mine.yaml")
 
 
 def test_teams_share_one_setting_and_see_as_many_ticks() -> None:
@@ -240,10 +239,6 @@ def test_a_track_may_vary_another_and_that_one_a_third() -> None:
     said |= {"mask_refused": True, "sim_to_real": uncertain.sim_to_real}
     said |= {"controls": uncertain.controls}
     assert dataclasses.replace(memory, **said) == dataclasses.replace(uncertain, **said)
-    data = smoke()
-    data["tracks"] = {"mine": {"base": "sfae"}}
-    with pytest.raises(BenchmarkError, match="unknown base 'sfae'"):
-        parse_preset(data, "mine", "mine.yaml")
 
 
 def test_tracks_change_what_they_are_named_for() -> None:
@@ -291,21 +286,6 @@ def test_what_has_no_bearing_on_a_control_is_not_among_its_settings() -> None:
     assert "controls" not in by_id["rainbow-optimized-uncertain-s0"]["track"]
     assert "errors" not in by_id["greedy-optimized-safe-s0"]["evaluation"]
     assert 3.0 in by_id["optimum-optimized-uncertain-s0"]["evaluation"]["errors"]
-
-
-@pytest.mark.parametrize(
-    ("knobs", "word"),
-    [
-        ({"base_position_error": 0.003, "base_tlit_error": 0.0}, "base_tlit_error"),
-        ({"base_position_error": 1.0}, "base_position_error"),
-        ({"observation_noise": 0.01}, "must have a base_position_error"),
-    ],
-)
-def test_an_impossible_machine_is_refused(knobs: dict[str, float], word: str) -> None:
-    data = smoke()
-    data["tracks"] = {"mine": {"base": "safe", "sim_to_real": knobs}}
-    with pytest.raises(BenchmarkError, match=word):
-        parse_preset(data, "mine", "mine.yaml")
 
 
 def test_bytes_that_are_no_text_are_one_line(tmp_path: Path) -> None:

@@ -277,13 +277,6 @@ def test_a_report_rewrites_the_readme(preset: list[str], copy: Path) -> None:
     assert readme.read_bytes() == before
 
 
-def test_nothing_to_verify_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(words(tmp_path)) == 2
-    assert "has no results" in capsys.readouterr().err
-    assert main(["report", "--results", str(tmp_path)]) == 2
-    assert "has no results" in capsys.readouterr().err
-
-
 def test_the_public_tasks_tables_must_follow_from_their_runs(tmp_path: Path) -> None:
     store = Store.open(tmp_path / "results" / "classic", "public", create=True)
     public = catalogue.experiment("public")  # no run yet: dashes

@@ -6,13 +6,10 @@ process that trains; a warm server forks it, so that its imports are paid once.
 
 from __future__ import annotations
 
-import json
 import os
 import random
 import shutil
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -27,11 +24,10 @@ from stable_baselines3.common.save_util import load_from_zip_file
 from benchmarks.protocol.plan import expand
 from benchmarks.protocol.presets import load_preset
 from benchmarks.runs.checkpoint import checkpoints
-from benchmarks.runs.machine import REPOSITORY
 from benchmarks.runs.store import RunFolder, Store
+from tests.benchmarks.runs.warm import Server
 from tests.benchmarks.smoke import smoke_file
 
-SERVER = "tests.benchmarks.runs.warm_server"
 KILLS = 24  # by the clock; the task asks for 20
 INSIDE = 12  # of these, surely inside training
 TORN = 3  # of these, while a checkpoint was being written
@@ -39,50 +35,6 @@ CRASHES = 10  # at file operations, half of them among the last
 GIVE_UP = 200  # kills, if the clock never hits a checkpoint
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs os.fork")
-
-
-class Server:
-    """Speaks with tests/benchmarks/runs/warm_server.py."""
-
-    def __init__(self, preset: Path, cells: list[str]) -> None:
-        self.preset = preset
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", SERVER, str(preset), *cells],
-            cwd=REPOSITORY,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "CUDA_VISIBLE_DEVICES": "", "OMP_NUM_THREADS": "1"},
-        )
-        assert self._read() == "ready"
-
-    def _read(self) -> str:
-        assert self.process.stdout is not None
-        return self.process.stdout.readline().strip()
-
-    def _ask(self, request: dict[str, Any]) -> int:
-        assert self.process.stdin is not None
-        self.process.stdin.write(json.dumps(request) + "\n")
-        self.process.stdin.flush()
-        return int(self._read())
-
-    def start(self, cell: str, results: Path, crash: int | None = None) -> int:
-        """Start a run; returns its process id."""
-        results.mkdir(parents=True, exist_ok=True)
-        words = ["train", "--preset", str(self.preset), "--results", str(results), "--cell", cell]
-        request: dict[str, Any] = {"argv": words, "log": str(results / "log.txt")}
-        if crash is not None:
-            request["crash"] = crash
-        return self._ask(request)
-
-    def wait(self, pid: int) -> int:
-        return self._ask({"wait": pid})
-
-    def close(self) -> None:
-        with self.process as process:
-            assert process.stdin is not None
-            process.stdin.close()
-            process.wait(30)
 
 
 @dataclass(frozen=True)
@@ -152,7 +104,7 @@ def cells(preset: Path) -> list[str]:
 
 @pytest.fixture(scope="module")
 def server(preset: Path, cells: list[str]) -> Iterator[Server]:
-    server = Server(preset, cells)
+    server = Server(str(preset), cells)
     yield server
     server.close()
 
@@ -166,7 +118,7 @@ def uninterrupted(
     for cell in cells:
         results = tmp_path_factory.mktemp("uninterrupted")
         began = time.monotonic()
-        assert server.wait(server.start(cell, results)) == 0, (results / "log.txt").read_text()
+        assert server.wait(server.train(cell, results)) == 0, (results / "log.txt").read_text()
         ended[cell] = Ended.read(Store(results, "kill").run(cell)), time.monotonic() - began
     return ended
 
@@ -192,7 +144,7 @@ def test_kills_at_random_moments_change_nothing(
         results = scratch / str(completed)
         run = Store(results, "kill").run(cell)
         before = newest(run)
-        pid = server.start(cell, results)
+        pid = server.train(cell, results)
         time.sleep(rng.uniform(0.0, 0.4 * seconds))
         # every sixth time the run is asked to stop, as Ctrl-C does
         number = signal.SIGKILL if attempt % 6 else rng.choice([signal.SIGTERM, signal.SIGINT])
@@ -226,7 +178,7 @@ def test_a_kill_at_any_file_operation_changes_nothing(
 ) -> None:
     cell = cells[0]
     expected, _ = uninterrupted[cell]
-    assert server.wait(server.start(cell, scratch / "count", crash=-1)) == 0
+    assert server.wait(server.train(cell, scratch / "count", crash=-1)) == 0
     operations = int((scratch / "count" / "log.txt.count").read_text(encoding="utf-8"))
     assert operations > 40
     rng = random.Random(1)
@@ -235,11 +187,11 @@ def test_a_kill_at_any_file_operation_changes_nothing(
     points = rng.sample(range(last.start), CRASHES // 2) + rng.sample(last, CRASHES // 2)
     for point in points:
         results = scratch / str(point)
-        pid = server.start(cell, results, crash=point)
+        pid = server.train(cell, results, crash=point)
         code = server.wait(pid)
         # how many checkpoints there are depends on the clock, so the very last may not come
         assert code == -signal.SIGKILL or (code == 0 and point > operations / 2)
-        assert server.wait(server.start(cell, results)) == 0, (results / "log.txt").read_text()
+        assert server.wait(server.train(cell, results)) == 0, (results / "log.txt").read_text()
         run = Store(results, "kill").run(cell)
         Ended.read(run).assert_equals(expected)
         assert not list(run.path.rglob("*.tmp*"))

@@ -92,24 +92,6 @@ def test_stopping_twice_at_odd_moments_changes_nothing(
     assert summary["timesteps"] == 400
 
 
-def test_an_actor_critic_resumes_too(preset: Preset, tmp_path: Path) -> None:
-    track = preset.tracks["safe"]
-    short: dict[str, Any] = {"n_steps": 8, "batch_size": 16, "n_epochs": 2}
-    ppo = dataclasses.replace(track.ppo, **short)
-    track = dataclasses.replace(track, ppo=ppo, timesteps=256)
-    mine = dataclasses.replace(preset, tracks={"safe": track})
-    cell = Cell("maskable_ppo", "full", "optimized", "safe", 0)
-    whole, cut = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "cut")
-    expected: Any = train(mine, cell, whole)
-    assert train(mine, cell, cut, stop_after(3)) is None
-    (kept,) = checkpoints(cut.checkpoint)
-    assert kept.name == "step-0000000096"  # three rollouts of eight moves in four environments
-    trained: Any = train(mine, cell, cut)
-    assert same(weights(trained[0]), weights(expected[0]))
-    curves = [(f.path / "curve.csv").read_text(encoding="utf-8") for f in (whole, cut)]
-    assert curves[0] == curves[1]
-
-
 def test_a_crash_loses_at_most_the_last_interval(
     preset: Preset, uninterrupted: Whole, tmp_path: Path
 ) -> None:

@@ -14,6 +14,7 @@ from benchmarks.reporting.results import Results
 from benchmarks.runs.policy_file import digest
 from benchmarks.runs.store import Store
 from benchmarks.runs.training import train
+from tests.benchmarks.runs.warm import Server
 
 SMALL = {
     **{"n_envs": 4, "batch_size": 16, "buffer_size": 1000, "learning_starts": 100},
@@ -23,7 +24,7 @@ TRACKS = ("in_turn", "central", "vdn", "shared_sight", "independent")
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def results(tmp_path_factory: pytest.TempPathFactory, warm: Server) -> Path:
     folder = tmp_path_factory.mktemp("team")
     preset = {
         "description": "teams in seconds",
@@ -38,7 +39,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ],
     }
     (folder / "tiny.yaml").write_text(yaml.safe_dump(preset), encoding="utf-8")
-    assert main(["run", *_words(folder), "--jobs", "1"]) == 0
+    with warm.children():
+        assert main(["run", *_words(folder), "--jobs", "1"]) == 0
     return folder
 
 

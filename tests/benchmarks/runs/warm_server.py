@@ -2,7 +2,8 @@
 
 One JSON object per line: ``{"argv": [...], "log": path, "crash": n}`` starts
 ``python -m benchmarks <argv>`` in a fork and answers its process id; ``{"wait": pid}`` answers its
-exit code, negative for a signal. With ``crash``, the fork kills itself before its n-th operation on
+exit code, negative for a signal, and ``{"poll": pid}`` without waiting, null while it runs. With
+``crash``, the fork kills itself before its n-th operation on
 files (counted from 0), and without being killed writes how many there were to ``<log>.count``.
 """
 
@@ -76,9 +77,10 @@ def main() -> None:
     print("ready", flush=True)
     for line in sys.stdin:
         request = json.loads(line)
-        if "wait" in request:
-            _, status = os.waitpid(request["wait"], 0)
-            print(os.waitstatus_to_exitcode(status), flush=True)
+        if "wait" in request or "poll" in request:
+            asked = ("wait", 0) if "wait" in request else ("poll", os.WNOHANG)
+            pid, status = os.waitpid(request[asked[0]], asked[1])
+            print(os.waitstatus_to_exitcode(status) if pid else "null", flush=True)
             continue
         pid = os.fork()
         if pid == 0:

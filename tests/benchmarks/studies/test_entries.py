@@ -17,7 +17,6 @@ import stable_baselines3
 from gymnasium import spaces
 
 from benchmarks.cli import main
-from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.evaluate import (
     Condition,
     begin_episodes,
@@ -27,7 +26,6 @@ from benchmarks.evaluation.evaluate import (
     play,
 )
 from benchmarks.evaluation.model_files import detect_algorithm
-from benchmarks.methods.episodes import Episode
 from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.tables.beyond import build_tables
@@ -363,13 +361,6 @@ def test_wrong_files_are_one_error(
     assert "either --model or --planner" in error_of(good, "--planner", "optimum")
 
 
-def test_an_unknown_planner_names_those_that_are(
-    tmp_path: Path, refused: Callable[..., str]
-) -> None:
-    error = refused(*command(tmp_path, "--planner", "astar"))
-    assert "known: optimum, rrt_connect, rrt_lattice, or module:function" in error
-
-
 def test_an_entry_leaves_the_presets_own_tables_alone(
     train: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -386,12 +377,6 @@ def test_an_entry_leaves_the_presets_own_tables_alone(
     assert rows["Method"].iloc[-1] == "mine"
     ranks = rows["Rank"].tolist()
     assert ranks == ["-", *[str(rank) for rank in range(1, len(ranks))]]
-
-
-def test_a_plan_that_is_wrong_in_an_episode_is_named() -> None:
-    episode = Episode(CoopInsertionEnv(reward="progress"), 0, 1)
-    with pytest.raises(BenchmarkError, match="returned move -1"):
-        follow(episode, checked(lambda env: [-1], "backwards"))
 
 
 def test_the_documented_example_runs(

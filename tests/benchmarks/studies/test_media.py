@@ -37,45 +37,23 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("short")
-def test_two_files_of_one_solved_episode(
+def test_two_files_of_one_solved_episode_are_the_same_for_the_same_seed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "media"
-    out.mkdir()
+    out, again = (tmp_path / name / "media" for name in ("a", "b"))
+    out.mkdir(parents=True)
     (out / "scene.png").write_bytes(b"old")
-    assert main(["study", "media", "--results", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
+    for folder in (out, again):
+        words = ["--results", str(folder.parent), "--seed", "3"]
+        assert main(["study", "media", *words]) == 0
+        assert str(folder) in capsys.readouterr().out
     assert sorted(path.name for path in out.iterdir()) == ["episode.gif", "scene.png"]
-    assert str(out) in said
     with Image.open(out / "scene.png") as picture:
         assert picture.size == SIZE
     with Image.open(out / "episode.gif") as animation:
         assert animation.n_frames == 5
-
-
-@pytest.mark.usefixtures("short")
-def test_same_seed_same_picture(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        assert main(["study", "media", "--results", str(tmp_path / name), "--seed", "3"]) == 0
     for name in ("scene.png", "episode.gif"):
-        first, second = (tmp_path / folder / "media" / name for folder in ("a", "b"))
-        assert first.read_bytes() == second.read_bytes()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--model", "nowhere.zip"], "nowhere.zip is missing"),
-        (["--model", __file__], "is no model of Stable-Baselines3"),
-    ],
-)
-def test_bad_arguments_are_one_error_and_nothing_is_written(
-    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "media"
-    assert main(["study", "media", *arguments, "--results", str(tmp_path)]) == 2
-    assert message in capsys.readouterr().err
-    assert not out.exists()
+        assert (out / name).read_bytes() == (again / name).read_bytes()
 
 
 def test_unsolvable_episode_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

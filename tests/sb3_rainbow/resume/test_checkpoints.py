@@ -36,8 +36,9 @@ def test_two_runs_with_one_seed_are_identical(n_envs: int, noisy: bool) -> None:
         assert_same(run(7), run(8))
 
 
-@pytest.mark.parametrize("noisy", [True, False])
-def test_a_cut_run_equals_a_whole_one(tmp_path: Any, noisy: bool) -> None:
+@pytest.mark.parametrize(("noisy", "again"), [(True, False), (False, False), (True, True)])
+def test_a_cut_run_equals_a_whole_one(tmp_path: Any, noisy: bool, again: bool) -> None:
+    """Also where the loaded model is saved again before it goes on."""
     # Annealing depends on a run's length: constant schedules make both runs comparable.
     settings = {**FAST, "noisy": noisy, "beta_end": 0.4, "exploration_final_eps": 1.0}
     whole = Rainbow("MlpPolicy", "CartPole-v1", **settings).learn(500)
@@ -47,8 +48,11 @@ def test_a_cut_run_equals_a_whole_one(tmp_path: Any, noisy: bool) -> None:
     first.save_replay_buffer(tmp_path / "buffer")
     env = first.get_env()
     del first
-    set_random_seed(1)
-    second = Rainbow.load(tmp_path / "model", env=env, force_reset=False)
+    for seed in range(1 + again):
+        set_random_seed(seed)
+        second = Rainbow.load(tmp_path / "model", env=env, force_reset=False)
+        if again:
+            second.save(tmp_path / "model")
     second.load_replay_buffer(tmp_path / "buffer")
     second.learn(150, reset_num_timesteps=False)
     assert_same(whole, second)
@@ -79,23 +83,6 @@ def test_a_new_seed_wins_over_the_saved_generators(tmp_path: Any, way: str) -> N
     assert draw(1) == draw(1)
     # The seed of the first run is a new one too where it is given again.
     assert len({draw(seed)[:2] for seed in (None, 1, 2, 7)}) == 4
-
-
-def test_a_loaded_model_that_is_saved_again_still_resumes(tmp_path: Any) -> None:
-    settings = {**FAST, "beta_end": 0.4}
-    whole = Rainbow("MlpPolicy", "CartPole-v1", **settings).learn(120)
-    first = Rainbow("MlpPolicy", "CartPole-v1", **settings).learn(80)
-    first.save(tmp_path / "m")
-    first.save_replay_buffer(tmp_path / "b")
-    env = first.get_env()
-    set_random_seed(1)
-    again = Rainbow.load(tmp_path / "m", env=env, force_reset=False)
-    again.save(tmp_path / "m2")
-    set_random_seed(2)
-    second = Rainbow.load(tmp_path / "m2", env=env, force_reset=False)
-    second.load_replay_buffer(tmp_path / "b")
-    second.learn(40, reset_num_timesteps=False)
-    assert_same(whole, second)
 
 
 def test_a_checkpoint_in_the_middle_of_a_run_with_several_envs(tmp_path: Any) -> None:

@@ -222,23 +222,6 @@ def test_the_command_from_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixtur
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["tables"], "has no results; run: python -m benchmarks run --preset tiny"),
-        (["train", "--cell", "x"], "has no cell 'x'"),
-    ],
-)
-def test_bad_words_are_one_clear_error(
-    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*words, "--preset", "tiny", "--results", str(tmp_path)]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith("error: ")
-    assert message in told
-    assert told.count("\n") == 1
-
-
-@pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"seeds": [1, 1]}, "seeds: must be some, and differ"),

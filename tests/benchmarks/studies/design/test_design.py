@@ -109,10 +109,3 @@ def test_maps_are_the_designs(tmp_path: Path) -> None:
     assert maps["inside_optimized"][0].sum() * cell == pytest.approx(1.1636, abs=1e-3)
     sigma = maps["sigma_optimized"][0].astype(float)
     assert np.nanmin(sigma[maps["inside_optimized"][0]]) >= 0.149
-
-
-def test_bad_input_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["study", "design", "--results", str(tmp_path)]
-    assert main([*words, "--figures-only"]) == 2
-    assert "run: python -m benchmarks study design" in capsys.readouterr().err
-    assert not (tmp_path / "design").exists()

@@ -15,37 +15,27 @@ from benchmarks.studies.robots import contact, trials
 from benchmarks.studies.robots.contact import Contact
 
 
-def test_each_script_finds_what_it_can() -> None:
+def test_each_script_finds_what_it_can_and_searches_press_less_than_a_stiff_push() -> None:
     """Within clearance and chamfer a push does; beyond it takes a search."""
     pytest.importorskip("mujoco", reason="needs the extra physics")
     from benchmarks.methods.contact_scripts import SCRIPTS, Gains
     from coop_env.physics.env import CoopInsertionContactEnv
 
     env = CoopInsertionContactEnv("standard")
-    won = {
-        (name, error): sum(trials.play(env, make(env, Gains()), "validate", 4, error)["success"])
+    found = {
+        (name, error): trials.play(env, make(env, Gains()), "validate", 4, error)
         for name, make in SCRIPTS.items()
         for error in (1.0, 3.0)
     }
+    won = {key: sum(rows["success"]) for key, rows in found.items()}
     assert all(won[name, 1.0] == 4 for name in SCRIPTS)
     assert won["stiff push", 3.0] == won["compliant push", 3.0] == 0
     assert won["moment-guided search", 3.0] >= 3
     assert won["spiral search", 3.0] >= 3
-
-
-def test_searches_press_less_than_a_stiff_push() -> None:
-    pytest.importorskip("mujoco", reason="needs the extra physics")
-    from benchmarks.methods.contact_scripts import SCRIPTS, Gains
-    from coop_env.physics.env import CoopInsertionContactEnv
-
-    env = CoopInsertionContactEnv("standard")
-    found = {
-        name: trials.play(env, make(env, Gains()), "validate", 3, 3.0)
-        for name, make in SCRIPTS.items()
-    }
-    assert set(found["stiff push"]["failure"]) <= {"force", "snap"}
+    stiff = found["stiff push", 3.0]
+    assert set(stiff["failure"]) <= {"force", "snap"}
     for name in ("compliant push", "moment-guided search", "spiral search"):
-        assert max(found[name]["force"]) < 0.5 * min(found["stiff push"]["force"])
+        assert max(found[name, 3.0]["force"]) < 0.5 * min(stiff["force"])
 
 
 def searched(hold: float, episodes: int, **fields: Any) -> dict[str, list[Any]]:

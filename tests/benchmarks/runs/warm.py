@@ -1,0 +1,97 @@
+"""Speaks with ``warm_server.py``, of which runs are forked: their imports are paid once."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.runs.machine import REPOSITORY
+
+SERVER = "tests.benchmarks.runs.warm_server"
+
+
+class Server:
+    """A process that has run these cells of a preset."""
+
+    def __init__(self, preset: str, cells: Sequence[str]) -> None:
+        self.preset = preset
+        self.process: Any = subprocess.Popen(
+            [sys.executable, "-m", SERVER, preset, *cells],
+            cwd=REPOSITORY,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "CUDA_VISIBLE_DEVICES": "", "OMP_NUM_THREADS": "1"},
+        )
+        assert self._read() == "ready"
+
+    def _read(self) -> str:
+        return str(self.process.stdout.readline().strip())
+
+    def ask(self, **request: Any) -> Any:
+        self.process.stdin.write(json.dumps(request) + "\n")
+        self.process.stdin.flush()
+        return json.loads(self._read())
+
+    def train(self, cell: str, results: Path, **crash: int) -> int:
+        """Start a run; returns its process id."""
+        results.mkdir(parents=True, exist_ok=True)
+        words = ["train", "--preset", self.preset, "--results", str(results), "--cell", cell]
+        return int(self.ask(argv=words, log=str(results / "log.txt"), **crash))
+
+    def wait(self, pid: int) -> int:
+        return int(self.ask(wait=pid))
+
+    @contextmanager
+    def children(self) -> Iterator[None]:
+        """Runs that a harness of this process starts are forked meanwhile."""
+
+        def spawn(argv: Sequence[str], log: Path) -> Forked:
+            log.parent.mkdir(parents=True, exist_ok=True)
+            words = [*argv, "--parent", str(self.process.pid)]
+            return Forked(self, self.ask(argv=words, log=str(log)))
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("benchmarks.runs.backends.spawn", spawn)
+            yield
+
+    def close(self) -> None:
+        with self.process as process:
+            process.stdin.close()
+            process.wait(30)
+
+
+class Forked:
+    """A fork, as far as a harness needs a ``Popen``."""
+
+    def __init__(self, server: Server, pid: int) -> None:
+        self.server, self.pid = server, pid
+        self.code: int | None = None
+
+    def poll(self) -> int | None:
+        if self.code is None:
+            self.code = self.server.ask(poll=self.pid)
+        return self.code
+
+    def send_signal(self, number: int) -> None:
+        os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        self.send_signal(signal.SIGKILL)
+
+    def wait(self, seconds: float = 60.0) -> None:
+        end = time.monotonic() + seconds
+        while self.poll() is None:
+            if time.monotonic() > end:
+                raise subprocess.TimeoutExpired("fork", seconds)
+            time.sleep(0.05)
