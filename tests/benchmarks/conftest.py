@@ -31,7 +31,8 @@ def warm() -> Iterator[Server]:
     """Its ``children()`` are the processes of a harness without the seconds of their imports."""
     if not hasattr(os, "fork"):
         pytest.skip("needs os.fork")
-    server = Server("smoke", ["dqn-optimized-safe-s0", "rrt_connect-optimized-s0"])
+    learners = ("rainbow-optimized-safe-s0", "dqn-optimized-safe-s0")
+    server = Server("smoke", *learners, "rrt_connect-optimized-s0")
     yield server
     server.close()
 

@@ -8,7 +8,6 @@ import re
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections import namedtuple
 from collections.abc import Callable, Iterator, Sequence
@@ -27,6 +26,7 @@ from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.harness import Harness, Outcome, check_disk
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.insertion import Insertion
+from tests.benchmarks.runs.warm import Server
 from tests.benchmarks.smoke import smoke_file, smoke_preset
 
 Refused = Callable[..., str]
@@ -48,29 +48,26 @@ def wait_for(path: Path, seconds: float = 120.0) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_ended_harness_leaves_a_checkpoint_to_resume_from(
-    number: signal.Signals, long_preset: Path, tmp_path: Path
+    number: signal.Signals, long_preset: Path, tmp_path: Path, warm: Server
 ) -> None:
+    """Its run is a process of its own."""
     words = ["run", "--preset", str(long_preset), "--results", str(tmp_path / "results")]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "benchmarks", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
+    process = warm.start(tmp_path / "out.txt", *words)
     run = Store(tmp_path / "results", "long").run("dqn-optimized-safe-s0")
     wait_for(run.checkpoint / "progress.json")
     process.send_signal(number)
-    out, _ = process.communicate(timeout=100)
+    code = process.wait(100)
     deadline = time.monotonic() + 60
     while not checkpoints(run.checkpoint):
         assert time.monotonic() < deadline, (run.checkpoint / "log.txt").read_text()
         time.sleep(0.1)
     assert not run.is_complete()
     if number == signal.SIGINT:
-        assert process.returncode == 130
-        assert "the same command resumes" in out
+        assert code == 130
+        assert "the same command resumes" in (tmp_path / "out.txt").read_text("utf-8")
 
 
+@pytest.mark.usefixtures("forked")
 def test_a_run_that_fails_is_told_and_the_others_go_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -34,8 +34,6 @@ TORN = 3  # of these, while a checkpoint was being written
 CRASHES = 10  # at file operations, half of them among the last
 GIVE_UP = 200  # kills, if the clock never hits a checkpoint
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs os.fork")
-
 
 @dataclass(frozen=True)
 class Ended:
@@ -103,22 +101,15 @@ def cells(preset: Path) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def server(preset: Path, cells: list[str]) -> Iterator[Server]:
-    server = Server(str(preset), cells)
-    yield server
-    server.close()
-
-
-@pytest.fixture(scope="module")
 def uninterrupted(
-    server: Server, cells: list[str], tmp_path_factory: pytest.TempPathFactory
+    warm: Server, preset: Path, cells: list[str], tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, tuple[Ended, float]]:
     """Each cell's result and its duration in seconds."""
     ended = {}
     for cell in cells:
         results = tmp_path_factory.mktemp("uninterrupted")
         began = time.monotonic()
-        assert server.wait(server.train(cell, results)) == 0, (results / "log.txt").read_text()
+        assert warm.wait(warm.train(preset, cell, results)) == 0, (results / "log.txt").read_text()
         ended[cell] = Ended.read(Store(results, "kill").run(cell)), time.monotonic() - began
     return ended
 
@@ -129,7 +120,8 @@ def newest(run: RunFolder) -> int:
 
 
 def test_kills_at_random_moments_change_nothing(
-    server: Server,
+    warm: Server,
+    preset: Path,
     cells: list[str],
     uninterrupted: dict[str, tuple[Ended, float]],
     scratch: Path,
@@ -144,12 +136,12 @@ def test_kills_at_random_moments_change_nothing(
         results = scratch / str(completed)
         run = Store(results, "kill").run(cell)
         before = newest(run)
-        pid = server.train(cell, results)
+        pid = warm.train(preset, cell, results)
         time.sleep(rng.uniform(0.0, 0.4 * seconds))
         # every sixth time the run is asked to stop, as Ctrl-C does
         number = signal.SIGKILL if attempt % 6 else rng.choice([signal.SIGTERM, signal.SIGINT])
         os.kill(pid, number)
-        code = server.wait(pid)
+        code = warm.wait(pid)
         if code == 0:  # the run was faster than the signal
             assert not run.checkpoint.exists()
             Ended.read(run).assert_equals(expected)
@@ -171,14 +163,15 @@ def test_kills_at_random_moments_change_nothing(
 
 
 def test_a_kill_at_any_file_operation_changes_nothing(
-    server: Server,
+    warm: Server,
+    preset: Path,
     cells: list[str],
     uninterrupted: dict[str, tuple[Ended, float]],
     scratch: Path,
 ) -> None:
     cell = cells[0]
     expected, _ = uninterrupted[cell]
-    assert server.wait(server.train(cell, scratch / "count", crash=-1)) == 0
+    assert warm.wait(warm.train(preset, cell, scratch / "count", crash=-1)) == 0
     operations = int((scratch / "count" / "log.txt.count").read_text(encoding="utf-8"))
     assert operations > 40
     rng = random.Random(1)
@@ -187,11 +180,11 @@ def test_a_kill_at_any_file_operation_changes_nothing(
     points = rng.sample(range(last.start), CRASHES // 2) + rng.sample(last, CRASHES // 2)
     for point in points:
         results = scratch / str(point)
-        pid = server.train(cell, results, crash=point)
-        code = server.wait(pid)
+        pid = warm.train(preset, cell, results, crash=point)
+        code = warm.wait(pid)
         # how many checkpoints there are depends on the clock, so the very last may not come
         assert code == -signal.SIGKILL or (code == 0 and point > operations / 2)
-        assert server.wait(server.train(cell, results)) == 0, (results / "log.txt").read_text()
+        assert warm.wait(warm.train(preset, cell, results)) == 0, (results / "log.txt").read_text()
         run = Store(results, "kill").run(cell)
         Ended.read(run).assert_equals(expected)
         assert not list(run.path.rglob("*.tmp*"))

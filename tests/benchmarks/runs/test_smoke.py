@@ -20,6 +20,7 @@ import pytest
 
 from benchmarks.cli import main
 from benchmarks.runs.store import SCHEMA, Store
+from tests.benchmarks.runs.warm import Server
 from tests.benchmarks.smoke import smoke_file
 from tests.process import python
 
@@ -120,7 +121,7 @@ def test_tensorboard_has_the_papers_curves(results: Path) -> None:
     }
 
 
-def test_a_second_call_trains_nothing_and_changes_no_result(results: Path) -> None:
+def test_a_second_call_trains_nothing_and_changes_no_result(results: Path, capsys: Capture) -> None:
     def stamps() -> dict[Path, int]:
         files = [p for p in results.rglob("*") if p.is_file() and "runs" in p.parts]
         return {path: path.stat().st_mtime_ns for path in files}
@@ -128,8 +129,8 @@ def test_a_second_call_trains_nothing_and_changes_no_result(results: Path) -> No
     # no process was started: not a file of a run is new, gone or touched
     before = stamps()
     tables = {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()}
-    out = harness("run", "--preset", "smoke", "--results", str(results))
-    assert "5 runs were complete already" in out
+    assert main(["run", "--preset", "smoke", "--results", str(results)]) == 0
+    assert "5 runs were complete already" in capsys.readouterr().out
     assert stamps() == before
     assert {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()} == tables
 
@@ -210,20 +211,22 @@ def test_what_has_ended_plays_no_more() -> None:
         assert child.pid not in [found.pid for found in playing(os.getpid())]
 
 
-def test_a_lost_process_and_ctrl_c_end_at_once(copied: list[str]) -> None:
-    words = [sys.executable, "-m", "benchmarks", "evaluate", *copied]
+def test_a_lost_process_and_ctrl_c_end_at_once(
+    copied: list[str], tmp_path: Path, warm: Server
+) -> None:
     for number, told in ((signal.SIGKILL, "was killed"), (signal.SIGINT, "Interrupted")):
-        done = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        log = tmp_path / f"{number}.txt"
+        done = warm.start(log, "evaluate", *copied)
         players: list[psutil.Process] = []
         while not players:
             assert done.poll() is None
             time.sleep(0.05)
             players = playing(done.pid)
         os.kill(players[0].pid if number == signal.SIGKILL else done.pid, number)
-        out, _ = done.communicate(timeout=60)
+        assert done.wait(60) == (1 if number == signal.SIGKILL else 130)
+        out = log.read_text(encoding="utf-8")
         assert told in out
         assert "Traceback" not in out
-        assert done.returncode == (1 if number == signal.SIGKILL else 130)
         assert "Success (%) of the played runs" not in out
         _, alive = psutil.wait_procs(players, timeout=30)
         assert not alive

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from benchmarks.runs.machine import REPOSITORY
@@ -23,8 +24,7 @@ SERVER = "tests.benchmarks.runs.warm_server"
 class Server:
     """A process that has run these cells of a preset."""
 
-    def __init__(self, preset: str, cells: Sequence[str]) -> None:
-        self.preset = preset
+    def __init__(self, preset: str, *cells: str) -> None:
         self.process: Any = subprocess.Popen(
             [sys.executable, "-m", SERVER, preset, *cells],
             cwd=REPOSITORY,
@@ -43,10 +43,14 @@ class Server:
         self.process.stdin.flush()
         return json.loads(self._read())
 
-    def train(self, cell: str, results: Path, **crash: int) -> int:
+    def start(self, log: Path, *words: str) -> Forked:
+        """Start ``python -m benchmarks`` with these words."""
+        return Forked(self, self.ask(argv=words, log=str(log)))
+
+    def train(self, preset: Path, cell: str, results: Path, **crash: int) -> int:
         """Start a run; returns its process id."""
         results.mkdir(parents=True, exist_ok=True)
-        words = ["train", "--preset", self.preset, "--results", str(results), "--cell", cell]
+        words = ["train", "--preset", str(preset), "--results", str(results), "--cell", cell]
         return int(self.ask(argv=words, log=str(results / "log.txt"), **crash))
 
     def wait(self, pid: int) -> int:
@@ -58,17 +62,18 @@ class Server:
 
         def spawn(argv: Sequence[str], log: Path) -> Forked:
             log.parent.mkdir(parents=True, exist_ok=True)
-            words = [*argv, "--parent", str(self.process.pid)]
-            return Forked(self, self.ask(argv=words, log=str(log)))
+            return self.start(log, *argv, "--parent", str(self.process.pid))
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("benchmarks.runs.backends.spawn", spawn)
+            patch.setattr("benchmarks.runs.harness.POLL_SECONDS", 0.1)
             yield
 
     def close(self) -> None:
+        for left in psutil.Process(self.process.pid).children(recursive=True):
+            left.kill()  # of a test that failed
         with self.process as process:
-            process.stdin.close()
-            process.wait(30)
+            process.kill()
 
 
 class Forked:
@@ -89,9 +94,10 @@ class Forked:
     def kill(self) -> None:
         self.send_signal(signal.SIGKILL)
 
-    def wait(self, seconds: float = 60.0) -> None:
+    def wait(self, seconds: float = 60.0) -> int | None:
         end = time.monotonic() + seconds
         while self.poll() is None:
             if time.monotonic() > end:
                 raise subprocess.TimeoutExpired("fork", seconds)
             time.sleep(0.05)
+        return self.code

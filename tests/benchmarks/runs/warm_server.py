@@ -14,6 +14,7 @@ import os
 import signal
 import sys
 import tempfile
+import traceback
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,8 @@ def run(request: dict[str, Any]) -> None:
     log = os.open(request["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(log, 1)
     os.dup2(log, 2)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a run before may have left its own
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     code = 1
     try:
         operations = None
@@ -58,7 +61,11 @@ def run(request: dict[str, Any]) -> None:
         code = main(request["argv"])
         if operations is not None:
             Path(f"{request['log']}.count").write_text(str(operations.count), encoding="utf-8")
+    except BaseException:
+        traceback.print_exc()
     finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
         os._exit(code)
 
 

@@ -197,6 +197,7 @@ def test_a_complete_run_is_kept_and_other_settings_are_refused(
         run_cell(Classic(dataclasses.replace(preset, final_episodes=4)), cell, store)
 
 
+@pytest.mark.usefixtures("forked")
 def test_the_command_from_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     data = yaml.safe_load((PRESETS / "tiny.yaml").read_text(encoding="utf-8"))
     data |= {"methods": ["rainbow"]}
