@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coop_env.env import CoopInsertionEnv, Observation, check_action
 from coop_env.errors import ArgumentError, StateError, check_number
-from coop_env.physics import move_kernels as kernels
+from coop_env.physics import kernels
 from coop_env.physics.batch import TIME, in_units, row_of
 from coop_env.physics.env import with_privileged
 from coop_env.physics.joints import Floats

@@ -115,7 +115,9 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
             for row in np.flatnonzero(ended).tolist():
                 final[row] = row_of(observations, row)
                 first = self.batch.reset(row, options, self._rngs[row])
-                _put(observations, row, row_of(self.batch.seen(slice(row, row + 1)), 0))
+                seen = self.batch.seen(slice(row, row + 1))
+                for whole, new in zip(_arrays(observations), _arrays(seen), strict=True):
+                    whole[row] = new[0]
                 for name, value in first.items():
                     if not isinstance(value, dict):
                         infos[name][row], infos[f"_{name}"][row] = value, True
@@ -211,12 +213,8 @@ class _Ahead(gymnasium.Wrapper[Any, Any, Any, Any]):
         return self._result.result()
 
 
-def _put(observations: Any, row: int, one: Any) -> None:
-    if isinstance(observations, dict):
-        for name, part in observations.items():
-            part[row] = one[name]
-    else:
-        observations[row] = one
+def _arrays(observations: Any) -> list[Any]:
+    return list(observations.values()) if isinstance(observations, dict) else [observations]
 
 
 def _masked(columns: dict[str, Any], there: Bools) -> dict[str, Any]:

@@ -2,14 +2,15 @@
 
 No OpenGL is needed, and unlike a painter's algorithm a depth buffer shows links that pass behind
 the dome correctly. Two passes of one triangle loop (from the light, from the eye) fill depth
-buffers; a third pass shades each pixel and the floor.
+buffers; a third pass shades each pixel and the floor with its grid. Colours are linear light until
+the last step, which looks display values up in a table.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,8 +18,26 @@ import numpy.typing as npt
 from coop_env.compilation import njit
 from coop_env.kinematics.singularity import Matrix3, Row
 from coop_env.rendering.camera import View
-from coop_env.rendering.shading import SHADOW_CENTRE, SHADOW_REACH, SHADOW_SIZE, Shot, shade
 from coop_env.rendering.shapes import FloatArray, IntArray
+
+SHADOW_SIZE: Final = 640
+SHADOW_REACH: Final = 0.66  # half the side of the square that the light covers, m
+SHADOW_CENTRE: Final = (0.0, 0.0, 0.36)
+SHADOW_BIAS: Final = 0.006
+FLOOR_HEIGHT: Final = -0.024
+GRID: Final = 0.10  # m between lines
+FLOOR_FADE: Final = (0.40, 0.95)  # the floor runs out between these radii, m
+
+# Linear light. The sky also lights what faces up, the ground what faces down.
+SKY: Final = (0.92, 0.94, 0.97)
+HORIZON: Final = (0.80, 0.84, 0.89)
+FLOOR: Final = (0.78, 0.80, 0.83)
+LINE: Final = (0.52, 0.56, 0.62)
+KEY: Final = 0.58
+FILL: Final = 0.16
+AMBIENT_UP: Final = 0.46
+AMBIENT_DOWN: Final = 0.22
+SHADE: Final = 0.42  # of the floor's light that a shadow takes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +75,196 @@ def _display_table(entries: int = 4096) -> npt.NDArray[np.uint8]:
 
 
 _DISPLAY: Final = _display_table()
+
+
+class Shot(NamedTuple):
+    """What a pixel's colour depends on.
+
+    ``lens`` is (focal length, centre column, centre row), all in samples; ``depth`` is how near to
+    the light each texel's surface is. The model is as in :class:`Triangles`, with its vertices on
+    the screen.
+    """
+
+    screen: np.ndarray
+    normals: np.ndarray
+    faces: np.ndarray
+    colours: np.ndarray
+    gloss: np.ndarray
+    eye: Row
+    axes: Matrix3
+    lens: Row
+    light: Matrix3
+    depth: np.ndarray
+
+
+@njit(cache=True, inline="always")
+def _lit(x: float, y: float, z: float, light: Matrix3, depth: np.ndarray) -> float:
+    """Share of the key light that reaches a point: 3 x 3 texels, blended."""
+    scale = 0.5 * SHADOW_SIZE / SHADOW_REACH
+    dx, dy, dz = x - SHADOW_CENTRE[0], y - SHADOW_CENTRE[1], z - SHADOW_CENTRE[2]
+    u = (dx * light[0][0] + dy * light[0][1] + dz * light[0][2]) * scale + 0.5 * SHADOW_SIZE - 0.5
+    v = (dx * light[1][0] + dy * light[1][1] + dz * light[1][2]) * scale + 0.5 * SHADOW_SIZE - 0.5
+    near = -(dx * light[2][0] + dy * light[2][1] + dz * light[2][2]) + SHADOW_BIAS
+    i, j = math.floor(u), math.floor(v)
+    if i < 1 or j < 1 or i >= SHADOW_SIZE - 2 or j >= SHADOW_SIZE - 2:
+        return 1.0
+    fu, fv = u - i, v - j
+    total = 0.0
+    for dj in range(-1, 3):
+        wv = 1.0 - fv if dj == -1 else (fv if dj == 2 else 1.0)
+        for di in range(-1, 3):
+            wu = 1.0 - fu if di == -1 else (fu if di == 2 else 1.0)
+            if depth[j + dj, i + di] <= near:
+                total += wu * wv
+    return total / 9.0
+
+
+@njit(cache=True)
+def _grid_line(position: float, blur: float) -> float:
+    """How much of a grid line a pixel of half-width ``blur`` (m) sees at a coordinate."""
+    offset = abs(position - GRID * math.floor(position / GRID + 0.5))
+    half = 0.0009
+    covered = min(offset + blur, half) - max(offset - blur, -half)
+    return max(covered, 0.0) / (2.0 * blur)
+
+
+@njit(cache=True)
+def _floor(ray: Row, pixel: float, shot: Shot) -> Row:
+    """Colour where a ray meets no body: floor with grid and shadow, fading into the backdrop."""
+    up = ray[2] / math.sqrt(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2])
+    t = min(max(0.5 + 1.3 * up, 0.0), 1.0)
+    r = HORIZON[0] + t * (SKY[0] - HORIZON[0])
+    g = HORIZON[1] + t * (SKY[1] - HORIZON[1])
+    b = HORIZON[2] + t * (SKY[2] - HORIZON[2])
+    if ray[2] >= -1e-6:
+        return r, g, b
+    eye = shot.eye
+    s = (FLOOR_HEIGHT - eye[2]) / ray[2]
+    x, y = eye[0] + s * ray[0], eye[1] + s * ray[1]
+    rho = math.sqrt(x * x + y * y)
+    if rho >= FLOOR_FADE[1] or s < 0.0:
+        return r, g, b
+    share = min((FLOOR_FADE[1] - rho) / (FLOOR_FADE[1] - FLOOR_FADE[0]), 1.0)
+    share = share * share * (3.0 - 2.0 * share)
+    blur = 0.5 * pixel * s
+    line = max(_grid_line(x, blur), _grid_line(y, min(blur / abs(up), 0.5 * GRID)))
+    dim = 1.0 - SHADE * (1.0 - _lit(x, y, FLOOR_HEIGHT, shot.light, shot.depth))
+    fr = (FLOOR[0] + line * (LINE[0] - FLOOR[0])) * dim
+    fg = (FLOOR[1] + line * (LINE[1] - FLOOR[1])) * dim
+    fb = (FLOOR[2] + line * (LINE[2] - FLOOR[2])) * dim
+    return r + share * (fr - r), g + share * (fg - g), b + share * (fb - b)
+
+
+@njit(cache=True)
+def _surface(
+    normal: Row, ray: Row, colour: np.ndarray, gloss: float, lit: float, light: Matrix3
+) -> Row:
+    """Lambert's law under one shadowed key light, a fill light at the eye and a sky, with gloss."""
+    lx, ly, lz = -light[2][0], -light[2][1], -light[2][2]
+    length = math.sqrt(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2])
+    vx, vy, vz = -ray[0] / length, -ray[1] / length, -ray[2] / length
+    facing = normal[0] * vx + normal[1] * vy + normal[2] * vz
+    key = lit * max(normal[0] * lx + normal[1] * ly + normal[2] * lz, 0.0)
+    sky = AMBIENT_DOWN + (AMBIENT_UP - AMBIENT_DOWN) * 0.5 * (1.0 + normal[2])
+    diffuse = KEY * key + sky + FILL * max(facing, 0.0)
+    hx, hy, hz = lx + vx, ly + vy, lz + vz
+    half = math.sqrt(hx * hx + hy * hy + hz * hz)
+    shine = max((normal[0] * hx + normal[1] * hy + normal[2] * hz) / half, 0.0)
+    shine = shine**8
+    shine = lit * gloss * shine * shine * shine * shine
+    return (
+        colour[0] * diffuse + shine,
+        colour[1] * diffuse + shine,
+        colour[2] * diffuse + shine,
+    )
+
+
+@njit(cache=True, inline="always")
+def _sample(i: float, j: float, f: int, near: float, shot: Shot) -> Row:
+    """Colour seen at column ``i`` and row ``j``, where face ``f`` (floor if negative) is nearest.
+
+    ``near`` is 1 / depth, or for the floor the width of a pixel at unit depth.
+    """
+    lens, axes, eye, colours = shot.lens, shot.axes, shot.eye, shot.colours
+    u, v = (i - lens[1]) / lens[0], (j - lens[2]) / lens[0]
+    ray = (
+        u * axes[0][0] + v * axes[1][0] + axes[2][0],
+        u * axes[0][1] + v * axes[1][1] + axes[2][1],
+        u * axes[0][2] + v * axes[1][2] + axes[2][2],
+    )
+    if f < 0:
+        return _floor(ray, near, shot)
+    if shot.gloss[f] < 0.0:
+        return float(colours[f, 0]), float(colours[f, 1]), float(colours[f, 2])
+    n = _normal(i, j, shot.screen, shot.normals, shot.faces[f])
+    s = 1.0 / near
+    x = eye[0] + s * ray[0] + 0.003 * n[0]
+    y = eye[1] + s * ray[1] + 0.003 * n[1]
+    z = eye[2] + s * ray[2] + 0.003 * n[2]
+    lit = _lit(x, y, z, shot.light, shot.depth)
+    return _surface(n, ray, colours[f], shot.gloss[f], lit, shot.light)
+
+
+@njit(cache=True)
+def shade(
+    shot: Shot,
+    nearness: np.ndarray,
+    ids: np.ndarray,
+    samples: int,
+    table: np.ndarray,
+    image: np.ndarray,
+) -> None:
+    """Colour of each pixel of ``image`` (uint8), the mean of samples x samples rays.
+
+    A pixel that one face (or the floor) fills takes one ray: only edges need more, because normals,
+    shadows and grid lines are smooth by themselves.
+    """
+    top = len(table) - 1
+    share = top / (samples * samples)
+    for row in range(image.shape[0]):
+        for column in range(image.shape[1]):
+            j0, i0 = row * samples, column * samples
+            f = ids[j0, i0]
+            uniform = True
+            for j in range(j0, j0 + samples):
+                for i in range(i0, i0 + samples):
+                    uniform = uniform and ids[j, i] == f
+            if uniform:
+                x, y = i0 + 0.5 * samples, j0 + 0.5 * samples
+                near = samples / shot.lens[0] if f < 0 else float(nearness[j0, i0])
+                c = _sample(x, y, f, near, shot)
+                for k in range(3):
+                    image[row, column, k] = table[int(top * min(c[k], 1.0))]
+                continue
+            r, g, b = 0.0, 0.0, 0.0
+            for j in range(j0, j0 + samples):
+                for i in range(i0, i0 + samples):
+                    f = ids[j, i]
+                    near = samples / shot.lens[0] if f < 0 else float(nearness[j, i])
+                    c = _sample(i + 0.5, j + 0.5, f, near, shot)
+                    r += min(c[0], 1.0)
+                    g += min(c[1], 1.0)
+                    b += min(c[2], 1.0)
+            image[row, column, 0] = table[int(r * share)]
+            image[row, column, 1] = table[int(g * share)]
+            image[row, column, 2] = table[int(b * share)]
+
+
+@njit(cache=True)
+def _normal(x: float, y: float, screen: np.ndarray, normals: np.ndarray, face: np.ndarray) -> Row:
+    """Unit normal at a screen point of a face, blended from its corners."""
+    a, b, c = face[0], face[1], face[2]
+    abx, aby = screen[b, 0] - screen[a, 0], screen[b, 1] - screen[a, 1]
+    acx, acy = screen[c, 0] - screen[a, 0], screen[c, 1] - screen[a, 1]
+    dx, dy = x - screen[a, 0], y - screen[a, 1]
+    inverse = 1.0 / (abx * acy - aby * acx)
+    wb, wc = (dx * acy - dy * acx) * inverse, (dy * abx - dx * aby) * inverse
+    wa = 1.0 - wb - wc
+    nx = wa * normals[a, 0] + wb * normals[b, 0] + wc * normals[c, 0]
+    ny = wa * normals[a, 1] + wb * normals[b, 1] + wc * normals[c, 1]
+    nz = wa * normals[a, 2] + wb * normals[b, 2] + wc * normals[c, 2]
+    length = math.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
+    return nx / length, ny / length, nz / length
 
 
 @njit(cache=True)
