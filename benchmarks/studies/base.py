@@ -16,12 +16,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from benchmarks.errors import BenchmarkError, at_least
+from benchmarks.protocol.presets import read_yaml
 from benchmarks.reporting import blocks
 from benchmarks.reporting.blocks import Block
 from benchmarks.reporting.verify import check_file
@@ -223,6 +224,31 @@ def greedy(model: Any) -> Act:
 
     act = model_policy(model)
     return lambda observation, masks: int(act(observation[None], masks[None])[0])
+
+
+#: what of a track decides a policy's view of the nominal task
+SEEN: Final = ("observation", "mask_singularities", "mask_visited", "mask_refused")
+
+
+def stored_player(path: Path, trust: bool = False) -> tuple[dict[str, Any], Act]:
+    """The arguments of the environment that a model was trained in, and its greedy actions.
+
+    Args:
+        path: of its file; a run's has its ``config.yaml`` beside it.
+        trust: as :func:`benchmarks.evaluation.model_files.load_model`.
+
+    Raises:
+        BenchmarkError: the file is missing, is no model, or is not of the single-agent task.
+    """
+    from benchmarks.evaluation.model_files import fitting_observation, load_model
+
+    model = load_model(path, trust=trust)
+    arguments: dict[str, Any] = {"observation": fitting_observation(model, path)}
+    if (config := path.with_name("config.yaml")).is_file():
+        result = read_yaml(config)
+        arguments |= {name: result["track"][name] for name in SEEN if name in result["track"]}
+        arguments["geometry"] = result["cell"]["geometry"]
+    return arguments, greedy(model)
 
 
 def source(result: Mapping[str, Any], more: str = "") -> str:

@@ -7,7 +7,6 @@ episode.gif.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,7 +17,7 @@ from PIL import Image
 from benchmarks.errors import TRUSTED, BenchmarkError
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.runs.store import write_atomic
-from benchmarks.studies.base import Act, Part, Study, Tick, count, episode, greedy
+from benchmarks.studies.base import Act, Part, Study, Tick, count, episode, stored_player
 from coop_env.env import CoopInsertionEnv
 from coop_env.geometry import GEOMETRIES
 from coop_env.rendering import render_frame
@@ -52,34 +51,17 @@ def optimal_moves(env: CoopInsertionEnv) -> Act:
     return act
 
 
-def policy_moves(path: Path, env: CoopInsertionEnv, trust: bool = False) -> Act:
-    """Greedy actions of a trained model.
-
-    Args:
-        path: of its file.
-        env: that it is to act in.
-        trust: as :func:`benchmarks.evaluation.model_files.load_model`.
-
-    Raises:
-        BenchmarkError: it cannot be loaded, or was trained on other observations.
-    """
-    from benchmarks.evaluation.model_files import load_model
-
-    model = load_model(path, trust=trust)
-    expected, given = model.observation_space.shape, env.observation_space.shape
-    if expected != given:
-        raise BenchmarkError(
-            f"--model {path}: trained on observations of shape {expected}, "
-            f"this environment gives {given}"
-        )
-    return greedy(model)
+def player(
+    model: Path | None, trust: bool, make: Callable[..., CoopInsertionEnv], **shown: Any
+) -> tuple[CoopInsertionEnv, Act]:
+    """The environment to be shown, and who plays: a model under its own masks, or the optimum."""
+    arguments, act = ({}, None) if model is None else stored_player(model, trust)
+    env = make(**arguments | {"render_mode": "rgb_array", **shown})
+    return env, act or optimal_moves(env)
 
 
-def play(
-    env: CoopInsertionEnv, seed: int, choose: Callable[[CoopInsertionEnv], Act]
-) -> list[Scene]:
+def play(env: CoopInsertionEnv, seed: int, act: Act) -> list[Scene]:
     """The scenes of one episode, from reset to its end."""
-    act = choose(env)
     steps = episode(env, lambda seen: act(seen, env.action_masks()), seed=seed)
     return [env.scene() for _ in steps]
 
@@ -121,9 +103,8 @@ class Media(Study):
 
     def _draw(self, tick: Tick) -> None:
         given = self.given
-        env = CoopInsertionEnv(geometry=given.geometry, render_mode="rgb_array")
-        policy = partial(policy_moves, given.model, trust=given.trust)
-        scenes = play(env, given.seed, optimal_moves if given.model is None else policy)
+        env, act = player(given.model, given.trust, CoopInsertionEnv, geometry=given.geometry)
+        scenes = play(env, given.seed, act)
         still = render_frame(telling_moment(scenes), size=SCENE_SIZE, samples=4)
         picture = Image.fromarray(still)
         write_atomic(self.folder / "scene.png", lambda file: picture.save(file, "PNG"))

@@ -24,12 +24,12 @@ from rich.console import Console
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.methods.oracle import LatticeOracle
-from benchmarks.protocol.presets import load_preset, read_yaml
+from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.figures.style import save
 from benchmarks.reporting.tables.table import plain
 from benchmarks.runs.machine import describe
-from benchmarks.studies.base import Measured, Part, Tick, count, greedy, source
+from benchmarks.studies.base import Measured, Part, Tick, count, source, stored_player
 from coop_env.env import CoopInsertionEnv
 from coop_env.geometry import GEOMETRIES
 from coop_env.simulation.insertion_task import PAPER_TASK
@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from coop_env.physics.driver import TwinDriver
 
 MODEL: Final = Path("cut/runs/rainbow-optimized-safe-s0/policy.zip")
-SEEN: Final = ("observation", "mask_singularities", "mask_visited", "mask_refused")
-"""What of a track decides a policy's view of the nominal task."""
 FORCE_LIMIT: Final = 40.0  # N, as in the contact task
 
 MEASURED: Final = (
@@ -89,17 +87,9 @@ def stored(path: Path) -> tuple[dict[str, Any], Play]:
     Raises:
         BenchmarkError: the file is missing, is no model, or is not of the single-agent task.
     """
-    from benchmarks.evaluation.model_files import fitting_observation, load_model
-
-    model = load_model(path)
-    arguments: dict[str, Any] = {"observation": fitting_observation(model, path)}
-    if (config := path.with_name("config.yaml")).is_file():
-        result = read_yaml(config)
-        arguments |= {name: result["track"][name] for name in SEEN if name in result["track"]}
-        arguments["geometry"] = result["cell"]["geometry"]
-        if arguments["geometry"] not in GEOMETRIES:
-            raise BenchmarkError(f"{path}: give a policy on one of {sorted(GEOMETRIES)}")
-    act = greedy(model)
+    arguments, act = stored_player(path)
+    if arguments.get("geometry", "optimized") not in GEOMETRIES:
+        raise BenchmarkError(f"{path}: give a policy on one of {sorted(GEOMETRIES)}")
 
     def play(env: CoopInsertionEnv) -> Iterator[int]:
         while env.running:

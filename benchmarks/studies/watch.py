@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gymnasium.error import DependencyNotInstalled
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.studies.media import optimal_moves, policy_moves
+from benchmarks.studies.media import player
 from benchmarks.studies.robots.trials import inserter
 from coop_env.env import CoopInsertionEnv
 from coop_env.rendering.viewer import ViewerError, view
@@ -34,10 +35,8 @@ def watch(arguments: argparse.Namespace) -> None:
     Args:
         arguments: ``geometry``, ``model``, ``trust``, ``twin``, ``results``, ``host`` and ``port``.
     """
-    shown = {"geometry": arguments.geometry, "render_mode": "rgb_array"}
-    env = _twin(arguments.results, **shown) if arguments.twin else CoopInsertionEnv(**shown)
-    model, trust = arguments.model, arguments.trust
-    act = optimal_moves(env) if model is None else policy_moves(model, env, trust)
+    make = partial(_twin, arguments.results) if arguments.twin else CoopInsertionEnv
+    env, act = player(arguments.model, arguments.trust, make, geometry=arguments.geometry)
     try:
         view(env, act, host=arguments.host, port=arguments.port)
     except ViewerError as error:

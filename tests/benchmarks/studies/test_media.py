@@ -59,8 +59,9 @@ def test_two_files_of_one_solved_episode_are_the_same_for_the_same_seed(
 def test_unsolvable_episode_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     nothing = SimpleNamespace(moves=None)
     monkeypatch.setattr("benchmarks.methods.oracle.LatticeOracle.plan", lambda self, env: nothing)
+    env = CoopInsertionEnv()
     with pytest.raises(BenchmarkError, match="no plan from here"):
-        media.play(CoopInsertionEnv(), 0, media.optimal_moves)
+        media.play(env, 0, media.optimal_moves(env))
 
 
 def test_optimum_plans_anew_where_it_is_put() -> None:
