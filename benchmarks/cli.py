@@ -154,7 +154,7 @@ def _of_stored(method: str) -> Callable[[Given], None]:
 
 
 def report(given: Given) -> None:
-    """Tables and figures of presets, then the blocks of all pages beside the results folder."""
+    """Tables and figures of presets and studies, then the blocks of all pages beside the folder."""
     from benchmarks.reporting import blocks
 
     names = [given.preset] if given.preset else list(catalogue.stores(given.results))
@@ -162,6 +162,8 @@ def report(given: Given) -> None:
         raise BenchmarkError(f"{given.results} has no results; run: python -m benchmarks run")
     for name in names:
         _of_stored("report")(argparse.Namespace(preset=name, results=given.results))
+    if not given.preset:
+        catalogue.write_studies(given.results)
     for page in blocks.rewrite(given.results, catalogue.all_blocks(given.results)):
         print(f"{page}: rewritten")
 

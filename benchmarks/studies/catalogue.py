@@ -12,7 +12,7 @@ from benchmarks.reporting import blocks, science
 from benchmarks.reporting.blocks import Block
 from benchmarks.reporting.verify import Report, check_tables
 from benchmarks.runs.experiment import Experiment
-from benchmarks.runs.store import Store
+from benchmarks.runs.store import Store, write_text
 from benchmarks.studies.base import Study
 
 #: name -> where it is, and a line of help
@@ -51,6 +51,13 @@ def study(name: str) -> type[Study]:
 def run_study(name: str, argv: list[str]) -> int:
     """Run a study by its command line; returns the exit code."""
     return study(name).main(argv)
+
+
+def write_studies(results: Path) -> None:
+    """Write the files of all studies anew from what is stored."""
+    for name in STUDIES:
+        for path, text in study(name).files(results).items():
+            write_text(path, text)
 
 
 def experiment(preset: str) -> Experiment[Any]:
