@@ -32,7 +32,7 @@ ABLATIONS: Final = {
     "no_noisy": "- NoisyNets",
     "no_distributional": "- Distributional head",
     "no_double_q": "- Double Q-learning",
-    "double_dueling": "Double Q-learning and dueling head alone",
+    "double_dueling": "Double Q and dueling alone",
     "none": "All six off (masked DQN)",
 }
 TRACKS: Final = {

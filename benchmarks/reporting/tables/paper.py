@@ -252,7 +252,7 @@ def seeds_notes(groups: Iterable[Group], names: Iterable[str] | None = None) -> 
     partial = [
         f"{name} {group.n} of {group.planned} seeds"
         for name, group in by_name.items()
-        if group.n < group.planned
+        if 0 < group.n < group.planned  # "missing" says the rest
     ]
     return [first, *([f"Not complete: {'; '.join(partial)}."] if partial else [])]
 
