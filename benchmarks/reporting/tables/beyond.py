@@ -178,8 +178,7 @@ def difficulty(results: Results) -> Table:
         *seeds_notes(result),
         *_gains(results),
         "As stated: 10 mm and 5 degrees, moves of 20 mm and 0.03 rad, holes at 30 degrees, a "
-        "collision refuses the move. Each row changes what it names; the best possible step "
-        "sequence is the optimum's. Scripts act with 5 % of random moves, Rainbow as trained, all "
+        "collision refuses the move. Scripts act with 5 % of random moves, Rainbow as trained, all "
         "under the paper's masks.",
     ]
     return Table("difficulty", "Success rate (%) by task", ["Task", *PLAYERS], made, notes)
