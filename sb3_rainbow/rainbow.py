@@ -118,8 +118,8 @@ class Rainbow(ResumableAlgorithm):
         beta_start: importance-sampling exponent at the start of training.
         beta_end: the same at the end; linear in between.
         use_masking: "auto" uses ``action_masks()`` where the env has it.
-        cpu_kernels: update ReLU perceptrons on the CPU by compiled kernels, in about a fifth of the
-            time of torch's operations.
+        cpu_kernels: update ReLU perceptrons on the CPU by compiled kernels, in a quarter to two
+            fifths of the time of torch's operations.
         _init_setup_model: whether to build the network at the creation of the instance.
 
     Raises:
