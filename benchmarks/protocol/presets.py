@@ -303,8 +303,6 @@ class Task:
     published: dict[str, Number] = field(default_factory=dict)  # others' means, by whose they are
     guide: Guide | None = None
     bare: bool = False  # Rainbow has its present defaults where the settings say nothing
-    random: Number | None = None  # mean returns of a random player and of a human one
-    human: Number | None = None
 
     def arguments_of(self, method: str) -> dict[str, Any]:
         """A method's constructor arguments."""

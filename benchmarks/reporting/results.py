@@ -119,6 +119,11 @@ class Group:
         return len(self.runs)
 
     @property
+    def lead(self) -> str:
+        """What stands behind a value of one seed, which is a lead and no finding."""
+        return " (1 seed)" if self.n == 1 else ""
+
+    @property
     def known(self) -> bool:
         """Whether there are runs, or are to be some."""
         return bool(self.n or self.planned)

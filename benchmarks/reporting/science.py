@@ -53,15 +53,11 @@ def six(results: Results) -> Table:
         ("Best script, with the same masks", "-", results.control_of(ours)),
     ]  # fmt: skip
     made: list[list[TableCell]] = [
-        [name, paper, _of_seeds(row) if row and row.n else "missing"]
+        [name, paper, Number(row.success(), suffix=row.lead) if row and row.n else "missing"]
         for name, paper, row in methods
     ]
     title = "Success rate (%) on the test episodes, learners as trained"
     return Table("six", title, ["Method", "Paper", "Ours"], made)
-
-
-def _of_seeds(row: Group) -> Number:
-    return Number(row.success(), suffix=" (1 seed)" if row.n == 1 else "")
 
 
 def science(store: Store, beyond: bool = False) -> str:

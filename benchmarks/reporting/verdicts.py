@@ -73,13 +73,9 @@ def performance(results: Results, compared: list[Comparison]) -> str:
         return ""
     script = find(compared, CONTROL, ours)
     others = [c.theirs for c in compared if (c.question, c.ours) == (MASKED, ours)]
-    report = (
-        f"It inserts in {_rate(ours)} of the test episodes as trained "
-        f"(paper {PERFORMANCE['success']['rainbow']} %)"
-        if ours != greedy
-        else f"It inserts in {_rate(ours)} of the test episodes "
-        f"(paper {PERFORMANCE['success']['rainbow']} %)"
-    )
+    way = " as trained" if ours != greedy else ""
+    paper = PERFORMANCE["success"]["rainbow"]
+    report = f"It inserts in {_rate(ours)} of the test episodes{way} (paper {paper} %)"
     if ours != greedy:
         report += f" and in {_rate(greedy)} greedily"
     report += "."
@@ -114,29 +110,34 @@ def components(results: Results, compared: list[Comparison]) -> str:
         return ""
     masked = results.group("rainbow", full.track, ablation="none")
     together = next((c for c in compared if c.ours == full and c.theirs in masked.both()), None)
-    singles = [c for c in compared if c.question == ABLATION and c.ours.n]
+    wanted = len(PRINTED_ABLATION) - 1
+    singles = [
+        c
+        for c in compared
+        if c.question == ABLATION and c.ours.n and c.ours.ablation in PRINTED_ABLATION
+    ]
     if not (together or singles):
         return ""
     costs = [c for c in singles if outcome(c) == WORSE]
-    report = ""
+    report, rests_on = "", [full]
     if together:
         behind = together.difference.signed(" points")
         report += f" They change the success of Masked DQN, which lacks them, by {behind}."
-    if singles:
+    if len(singles) == wanted:
         names = ", ".join(_component(c) for c in costs) or "none"
-        report += f" Of {len(singles)} that were removed one at a time these cost success: {names}."
+        report += f" Of {wanted} that were removed one at a time these cost success: {names}."
+        rests_on += [c.ours for c in singles]
     else:
-        report += " The runs that remove one component at a time are not complete yet."
-    short = [ground(row) for row in (full, *(c.ours for c in singles)) if ground(row)]
+        report += f" Runs that remove one of them are there for {len(singles)} of {wanted} so far."
+    short = [ground(row) for row in rests_on if ground(row)]
     if together and ground(together.theirs):
         short.append(f"masked DQN: {ground(together.theirs)}")
     if short:
         return f"**No verdict yet on the components** ({short[0]}).{report}"
     pays = together is not None and outcome(together) == BETTER
-    if not singles:
+    if len(singles) < wanted:
         return f"**Together, the six components {'help' if pays else 'do not help'}.**{report}"
-    whole = len(costs) == len(PRINTED_ABLATION) - 1
-    verdict = "reproduces" if pays and whole else (
+    verdict = "reproduces" if pays and len(costs) == wanted else (
         "reproduces in part" if pays or costs else "does not reproduce")  # fmt: skip
     return f"**The ablation {verdict}.**{report}"
 
@@ -225,14 +226,13 @@ def _so_far(*rows: Group) -> str:
 
 
 def _rate(row: Group) -> str:
-    seed = " (1 seed)" if row.n == 1 else ""
-    return f"{_show(row.success())} %{seed}"
+    return f"{_show(row.success())} %{row.lead}"
 
 
 def _joined(rows: Sequence[tuple[str, Group]]) -> str:
-    first, *others = (f"{name} in {_rate(row)}" for name, row in rows)
-    *middle, last = [first.replace(" in ", " inserts in ", 1), *others]
-    return f"{', '.join(middle)} and {last}" if middle else last
+    (name, row), *others = rows
+    parts = [f"{name} inserts in {_rate(row)}", *(f"{n} in {_rate(r)}" for n, r in others)]
+    return " and ".join(filter(None, [", ".join(parts[:-1]), parts[-1]]))
 
 
 def _show(value: Value, digits: int = 1) -> str:

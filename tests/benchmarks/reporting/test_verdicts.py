@@ -149,6 +149,13 @@ def test_what_the_components_are_worth(
     assert tell(runs)["components"].startswith(f"**{verdict}")
 
 
+def test_some_of_the_removals_are_no_verdict_on_the_ablation(tell: Tell) -> None:
+    runs = {name: seeds for name, seeds in _removed(noisy=[95]).items() if "dueling" not in name}
+    told = tell(runs)["components"]
+    assert told.startswith("**Together, the six components help.**")
+    assert told.endswith("Runs that remove one of them are there for 5 of 6 so far.")
+
+
 def test_the_components_are_named_with_their_cost(tell: Tell) -> None:
     told = tell(_removed(noisy=[95, 97, 93]))["components"]
     assert "change the success of Masked DQN, which lacks them, by +25.0 points" in told
