@@ -28,6 +28,7 @@ from benchmarks.reporting.tables.table import Number, TableCell
 from benchmarks.runs.store import RunFolder, Store
 
 SCORED: Final = ("repaired", "safe")  # tracks of the headline; the first that a store has
+SEEDS: Final = 3  # of a finding; fewer are a lead
 Key = tuple[str, str, str, str]  # method, ablation, geometry, track
 LevelKey = tuple[float, float, str]  # noise, error, acting
 
@@ -120,8 +121,8 @@ class Group:
 
     @property
     def lead(self) -> str:
-        """What stands behind a value of one seed, which is a lead and no finding."""
-        return " (1 seed)" if self.n == 1 else ""
+        """What stands behind a value of so few seeds that it is a lead and no finding."""
+        return f" ({self.n} seed{'s' * (self.n > 1)})" if 0 < self.n < SEEDS else ""
 
     @property
     def known(self) -> bool:

@@ -23,7 +23,7 @@ from benchmarks.reporting.compared import (
     comparisons,
     find,
 )
-from benchmarks.reporting.results import Group, Results, tail_mean
+from benchmarks.reporting.results import SEEDS, Group, Results, tail_mean
 from benchmarks.reporting.stats import Value, over_seeds
 
 # Thresholds. A test for each fails when it moves.
@@ -31,7 +31,6 @@ SIGNIFICANCE: Final = 0.05  # of a difference over seeds, after Holm: the field'
 SUCCESS_LEAST: Final = 93.0  # %: the paper's mean less its standard deviation
 SCRIPT_POINTS: Final = 25.0  # above the best script under the same masks
 LEARNS: Final = 50.0  # %: from half of the episodes on a method counts as having learned the task
-SEEDS: Final = 3  # fewer are a lead
 
 BETTER, SAME, WORSE = "better", "same", "worse"
 
