@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from benchmarks.protocol.paper_values import GEOMETRY_ABLATION, PERFORMANCE
+from benchmarks.protocol.paper_values import PERFORMANCE
 from benchmarks.reporting.blocks import provenance
 from benchmarks.reporting.results import Group, Results
 from benchmarks.reporting.tables.beyond import build_tables
@@ -30,10 +30,10 @@ SECTIONS: Final[tuple[tuple[str, tuple[str, ...], tuple[str, ...], dict[str, str
 
 
 def short(store: Store) -> str:
-    """What README shows: three sentences and a table of six rows."""
+    """What README shows: the first paragraph of three verdicts, and a table of six rows."""
     results = Results(store)
     report = sentences(results)
-    parts = [report[topic] for topic in SHORT if topic in report]
+    parts = [report[topic].partition("\n\n")[0] for topic in SHORT if topic in report]
     return "\n\n".join(part.strip() for part in [*parts, six(results).markdown()])
 
 
@@ -41,15 +41,13 @@ def six(results: Results) -> Table:
     """The README's table of six rows: success rates, the paper's and ours."""
     track, printed = results.scored, PERFORMANCE["success"]
     ours = results.group("rainbow", track).as_trained()
-    initial = results.group("rainbow", track, "initial")
     methods: list[tuple[str, str, Group | None]] = [
         ("Rainbow", printed["rainbow"], ours),
-        ("Rainbow, before the design stage", GEOMETRY_ABLATION["success"][0], initial.as_trained()),
         ("Vanilla DQN (SB3's, without masks)", printed["dqn"],
          results.group("dqn", track).as_trained()),
-        ("Masked DQN", "-",
-         results.group("rainbow", track, ablation="none").as_trained()),
         ("RRT-Connect, the paper's planner", printed["rrt_connect"], results.group("rrt_connect")),
+        ("Masked DQN", "-", results.group("rainbow", track, ablation="none").as_trained()),
+        ("MaskablePPO", "-", results.group("maskable_ppo", track).as_trained()),
         ("Best script, with the same masks", "-", results.control_of(ours)),
     ]  # fmt: skip
     made: list[list[TableCell]] = [

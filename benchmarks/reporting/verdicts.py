@@ -1,7 +1,8 @@
 """Does the paper reproduce? Sentences that can fail, from stored runs and the thresholds below.
 
-A sentence whose runs are missing is left out; one that rests on fewer than three seeds, or on fewer
-steps than the paper trains, says so and gives no verdict.
+Each is a paragraph of one sentence, which the README shows, and one of details below it. A sentence
+whose runs are missing is left out; one that rests on fewer than three seeds, or on fewer steps than
+the paper trains, says so and gives no verdict.
 """
 
 from __future__ import annotations
@@ -71,35 +72,38 @@ def performance(results: Results, compared: list[Comparison]) -> str:
     if not ours.n:
         return ""
     script = find(compared, CONTROL, ours)
-    others = [c.theirs for c in compared if (c.question, c.ours) == (MASKED, ours)]
+    rivals = [c.theirs for c in compared if (c.question, c.ours) == (MASKED, ours)]
+    others = [(rival.name.partition(",")[0], rival) for rival in rivals]
     way = " as trained" if ours != greedy else ""
     paper = PERFORMANCE["success"]["rainbow"]
-    report = f"It inserts in {_rate(ours)} of the test episodes{way} (paper {paper} %)"
+    said = f"it inserts in {_rate(ours)} of the test episodes{way} (paper {paper} %)"
+    if script:
+        said += f", the best script in {_rate(script.theirs)}"
+    if (optimum := results.group("optimum")).n:
+        said += f", and the exact optimum, which needs a model and no learning, in {_rate(optimum)}"
+    details = []
     if ours != greedy:
-        report += f" and in {_rate(greedy)} greedily"
-    report += "."
-    rivals = [("the best script", script.theirs)] if script else []
-    rivals += [(other.name.partition(",")[0], other) for other in others]
-    if rivals:
-        report += f" In the same way of acting, {_joined(rivals)}."
-    planner, optimum = results.group("rrt_lattice"), results.group("optimum")
-    models = [(planner.name, planner), ("the exact optimum", optimum)]
-    if models := [(name, row) for name, row in models if row.n]:
-        report += f" Planning on the exact model needs no learning: {_joined(models)}."
+        details.append(f"Greedily, Rainbow inserts in {_rate(greedy)}.")
+    if others:
+        details.append(f"{'As trained, ' if way else ''}{_joined(others)}.")
+    if (planner := results.group("rrt_lattice")).n:
+        details.append(f"{planner.name}, which needs a model too, inserts in {_rate(planner)}.")
     if why := ground(ours):
-        return f"**No verdict yet on performance** ({why}). {report}"
-    reached = ours.success().mean >= SUCCESS_LEAST
-    above = script is not None and outcome(script) == BETTER
-    far = script is not None and script.difference.mean >= SCRIPT_POINTS
-    if not above:
-        verdict = "The success rate does not reproduce: a script does as well"
-    elif not reached:
-        verdict = "Rainbow beats the scripts but does not reach the paper's success rate"
-    elif not far:
-        verdict = f"The success rate reproduces, less than {SCRIPT_POINTS:g} points above a script"
+        verdict, so_far = "No verdict yet on performance", f" ({why})"
     else:
-        verdict = "The success rate reproduces"
-    return f"**{verdict}**{_so_far(ours)}. {report}"
+        verdict, so_far = _on_success(ours, script), _so_far(ours)
+    return _paragraphs(f"**{verdict}**{so_far}: {said}.", details)
+
+
+def _on_success(ours: Group, script: Comparison | None) -> str:
+    reached = ours.success().mean >= SUCCESS_LEAST
+    if script is None or outcome(script) != BETTER:
+        return "The success rate does not reproduce: a script does as well"
+    if not reached:
+        return "Rainbow beats the scripts but does not reach the paper's success rate"
+    if script.difference.mean < SCRIPT_POINTS:
+        return f"The success rate reproduces, less than {SCRIPT_POINTS:g} points above a script"
+    return "The success rate reproduces"
 
 
 def components(results: Results, compared: list[Comparison]) -> str:
@@ -118,27 +122,31 @@ def components(results: Results, compared: list[Comparison]) -> str:
     if not (together or singles):
         return ""
     costs = [c for c in singles if outcome(c) == WORSE]
-    report, rests_on = "", [full]
+    said, details, rests_on = "", "", [full]
     if together:
         behind = together.difference.signed(" points")
-        report += f" They change the success of Masked DQN, which lacks them, by {behind}."
+        said = f": they change the success of Masked DQN, which lacks them, by {behind}"
     if len(singles) == wanted:
         names = ", ".join(_component(c) for c in costs) or "none"
-        report += f" Of {wanted} that were removed one at a time these cost success: {names}."
+        details = f"Of {wanted} that were removed one at a time these cost success: {names}."
         rests_on += [c.ours for c in singles]
     else:
-        report += f" Runs that remove one of them are there for {len(singles)} of {wanted} so far."
+        details = f"Runs that remove one of them are there for {len(singles)} of {wanted} so far."
     short = [ground(row) for row in rests_on if ground(row)]
     if together and ground(together.theirs):
         short.append(f"masked DQN: {ground(together.theirs)}")
-    if short:
-        return f"**No verdict yet on the components** ({short[0]}).{report}"
     pays = together is not None and outcome(together) == BETTER
-    if len(singles) < wanted:
-        return f"**Together, the six components {'help' if pays else 'do not help'}.**{report}"
-    verdict = "reproduces" if pays and len(costs) == wanted else (
-        "reproduces in part" if pays or costs else "does not reproduce")  # fmt: skip
-    return f"**The ablation {verdict}.**{report}"
+    if short:
+        verdict = f"**No verdict yet on the components** ({short[0]})"
+    elif len(singles) < wanted:
+        verdict = f"**Together, the six components {'help' if pays else 'do not help'}**"
+    elif pays and len(costs) == wanted:
+        verdict = "**The ablation of the six components reproduces**"
+    elif pays or costs:
+        verdict = "**The ablation of the six components reproduces in part**"
+    else:
+        verdict = "**The ablation of the six components does not reproduce**"
+    return _paragraphs(f"{verdict}{said}.", [details])
 
 
 def _component(comparison: Comparison) -> str:
@@ -171,12 +179,15 @@ def geometry(results: Results, compared: list[Comparison]) -> str:
         shown = " to ".join(_show(row.success()) for row in scripts if row)
         report.append(f"success of the best script from {shown} %")
     each = find(compared, GEOMETRY, before)
-    text = f"It optimizes the dimensions of the 3-RRS: {'; '.join(report)}"
     if why := ground(before) or ground(after):
-        return f"**No verdict yet on the design stage** ({why}). {text}."
-    verdict = "reproduces" if right == 3 and each and outcome(each) == WORSE else (
-        "reproduces in part" if right else "does not reproduce")  # fmt: skip
-    return f"**The design stage's effect {verdict}**{_so_far(before, after)}. {text}."
+        verdict = f"**No verdict yet on the design stage** ({why})"
+    elif right == 3 and each and outcome(each) == WORSE:
+        verdict = f"**The design stage's effect reproduces**{_so_far(before, after)}"
+    else:
+        part = "reproduces in part" if right else "does not reproduce"
+        verdict = f"**The design stage's effect {part}**{_so_far(before, after)}"
+    said = f"{verdict}: better dimensions of the 3-RRS change Rainbow's {report[0]}."
+    return _paragraphs(said, [f"They change the {'; the '.join(report[1:])}."])
 
 
 def printed(results: Results) -> str:
@@ -222,6 +233,10 @@ def _points(comparison: Comparison) -> str:
 def _so_far(*rows: Group) -> str:
     row = min(rows, key=lambda each: each.n / max(each.planned, 1))
     return f" ({row.n} of {row.planned} seeds)" if row.n < row.planned else ""
+
+
+def _paragraphs(said: str, details: Sequence[str]) -> str:
+    return "\n\n".join(filter(None, [said, " ".join(details)]))
 
 
 def _rate(row: Group) -> str:
