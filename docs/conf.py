@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import sys
-from importlib.metadata import version as installed
+from importlib.metadata import metadata
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,8 @@ from sphinx.application import Sphinx
 sys.path.insert(0, str(Path(__file__).parent.parent))  # benchmarks is not installed
 
 project = "sb3-rainbow-coop"
-author = "the sb3-rainbow-coop authors"
-release = version = installed(project)
+author = metadata(project)["Author"]
+release = version = metadata(project)["Version"]
 
 extensions = [
     "myst_parser",

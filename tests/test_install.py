@@ -55,6 +55,13 @@ def test_all_say_the_same_pythons() -> None:
         assert re.search(rf"3\D+{first}\D", (ROOT / text).read_text("utf-8"))
 
 
+def test_author_and_address_are_those_of_setup_cfg() -> None:
+    said = dict(re.findall(r"^(author|url) = (.*)$", (ROOT / "setup.cfg").read_text("utf-8"), re.M))
+    for name in ("CITATION.cff", "LICENSE", "docs/citing.md"):
+        assert said["author"] in (ROOT / name).read_text(encoding="utf-8"), name
+    assert said["url"] in (ROOT / "examples" / "rainbow.ipynb").read_text(encoding="utf-8")
+
+
 def test_make_refuses_another_python_in_one_line(tmp_path: Path) -> None:
     """A python that is too new by its own word: make has nothing else to go by."""
     pretender = tmp_path / "python3.14"

@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from importlib.metadata import metadata
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
@@ -269,7 +270,7 @@ def write(root: Path, recipe: Recipe, episodes: Sequence[Episode | Demonstration
                 buffers,
                 env=recipe.environment(),
                 algorithm_name=recipe.title,
-                author="the sb3-rainbow-coop authors",
+                author=metadata("sb3-rainbow-coop")["Author"],
                 description=f"Insertion by the {recipe.title}, with "
                 + ("privileged state" if recipe.behaviour in CONTACT else "action masks"),
             )
