@@ -7,6 +7,7 @@ error of an uncertain machine, and once as the learner was trained, or with rand
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -20,7 +21,7 @@ from benchmarks.methods.base import Plan
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.methods.team.env import DecentralizedEnv, each_for_itself, make_env
 from benchmarks.protocol.knowledge import explores
-from benchmarks.protocol.metrics import EXPLORING, GREEDY, RANDOM_MOVES
+from benchmarks.protocol.metrics import EXPLORING, FIRST, GREEDY, RANDOM_MOVES
 from benchmarks.protocol.plan import CONTROLS, OPTIMUM_AT_ONCE, Cell, own_error
 from benchmarks.protocol.presets import Preset, as_dict
 from benchmarks.protocol.seeding import derive, episode_seeds
@@ -132,7 +133,9 @@ def play(
     for number, condition in enumerate(conditions):
         episodes = begin_episodes(condition.arguments, seed, tests.episodes, tests.stream, starts)
         player(episodes, condition, lambda s, n=number: progress((n + s) / len(conditions)))  # type: ignore[misc]
-        rows += [episode.row(condition.noise) | condition.columns for episode in episodes]
+        for episode in episodes:
+            seconds = math.nan if condition.noise else episode.seconds_first(condition.arguments)
+            rows.append(episode.row(condition.noise) | condition.columns | {FIRST: seconds})
     return rows
 
 

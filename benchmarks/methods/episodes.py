@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import defaultdict
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from benchmarks.protocol.presets import Preset, Track
 from coop_env.env import CoopInsertionEnv, Observation
 from coop_env.geometry import RRSGeometry
 from coop_env.kinematics.rrs_kernels import platform_pose
+from coop_env.trajectory import make_trajectory
 
 Point = NDArray[np.float64]
 
@@ -85,6 +87,7 @@ class Episode:
         self.plan_seconds = math.nan
         self._target = int(info["target"])
         self._track = [dome_frame(env)]
+        self._way = [env.state["configuration"].copy()]
         self._at_first: defaultdict[str, float] = defaultdict(lambda: math.nan)
         self._info = info
 
@@ -109,6 +112,8 @@ class Episode:
         self.duplicates += bool(info["duplicate"])
         if not self.insertions:
             self._track.append(dome_frame(self.env))
+            if not (info["violation"] or info["singular"]):
+                self._way.append(self.env.state["configuration"].copy())
         if info["inserted"]:
             self.insertions.append(self.moves)
             self.alignments.append(math.degrees(info["alignment_error"]))
@@ -131,6 +136,20 @@ class Episode:
             "collisions_first": float(self.collisions),
             "energy_first": float(info["energy"]),
         }
+
+    def seconds_first(self, arguments: Mapping[str, Any]) -> float:
+        """Seconds to the first insertion under the joints' limits, stop-and-go; NaN without one.
+
+        Moves that were refused take no time.
+
+        Args:
+            arguments: of the episode's environment.
+        """
+        if not self.insertions or arguments.get("sim_to_real"):
+            return math.nan
+        geometry = arguments.get("geometry", "optimized")
+        task = arguments.get("task")
+        return make_trajectory(np.array(self._way), geometry, task=task).duration
 
     def row(self, noise: float = 0.0) -> dict[str, object]:
         """The episode's row of episodes.csv; what needs an insertion is empty without one."""

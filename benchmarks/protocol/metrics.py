@@ -60,10 +60,14 @@ EXTRA_METRICS: Final = (
     Metric("singular", "Singularity terminations / 1000 ep.", "singular", 0, 1000.0, True),
 )
 
+FIRST: Final = "seconds_first"  # column: stop-and-go under the joints' limits, docs/trajectory.md
+# a move counts 0.2 s in the paper's completion time, and this in the joints' own
+JOINTS_TIME: Final = Metric(FIRST, "The same by the joints' limits (s)", FIRST, 2)
+
 N_HOLES: Final = 6
 GREEDY: Final = "greedy"  # in column "acting": the best action, always
 # as a learner was trained: with its noise, epsilon or sampling; a script with random moves
 EXPLORING: Final = "exploring"
 RANDOM_MOVES: Final = 0.05  # share of them in a script that explores
 HOLES: Final = EXTRA_METRICS[0]
-METRICS: Final = {metric.key: metric for metric in (*PAPER_METRICS, *EXTRA_METRICS)}
+METRICS: Final = {each.key: each for each in (*PAPER_METRICS, *EXTRA_METRICS, JOINTS_TIME)}

@@ -239,10 +239,14 @@ class Group:
         absent = "missing" if self.planned else "-"
         return Number(value, digits, suffix, paper) if self.n else absent
 
+    def measure(self, metric: Metric) -> TableCell:
+        """A metric, or a dash if the runs' test episodes do not have it."""
+        value = self.value(metric)
+        return self.cell(value, metric.digits) if value.n or not self.n else "-"
+
     def tested(self, level: Level) -> TableCell:
         """The success rate at another level, or a dash if it was not tested there."""
-        value = self.at(level).success()
-        return self.cell(value) if value.n or not self.n else "-"
+        return self.at(level).measure(SUCCESS)
 
 
 class Results:

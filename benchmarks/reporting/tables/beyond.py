@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from benchmarks.protocol import labels
-from benchmarks.protocol.metrics import HOLES, METRICS
+from benchmarks.protocol.metrics import HOLES, JOINTS_TIME, METRICS, SUCCESS
 from benchmarks.protocol.plan import METHODS, OPTIMUM_AT_ONCE
 from benchmarks.reporting.compared import comparisons
 from benchmarks.reporting.results import AS_TRAINED, Group, Level, Result, Results, complete
@@ -34,7 +34,7 @@ PLAYERS: Final[dict[str, tuple[str, str]]] = {
     "Rainbow": ("rainbow", "optimized"),
 }
 IN_TURN: Final = "in_turn"  # the track of one robot at a time with the settings of the teams
-TEAM_METRICS: Final = (METRICS["time_first"], HOLES, METRICS["collisions"])
+TEAM_METRICS: Final = (METRICS["time_first"], JOINTS_TIME, HOLES, METRICS["collisions"])
 TEAMS: Final = {
     "central": "Rainbow on 49 joint moves",
     "vdn": "VDN, a sum of two Rainbows",
@@ -213,8 +213,7 @@ def team(results: Results) -> list[Table]:
     header += [*(metric.label for metric in TEAM_METRICS), "Ticks over the optimum at once (%)"]
     made: list[list[TableCell]] = []
     for row in result:
-        cells = [row.cell(row.success())]
-        cells += [row.cell(row.value(metric), metric.digits) for metric in TEAM_METRICS]
+        cells = [row.measure(metric) for metric in (SUCCESS, *TEAM_METRICS)]
         made.append([*_form(row), *cells, row.cell(row.excess(optimum))])
     notes = [
         *seeds_notes(result, [f"{row.name}, {row.ablation}" for row in result]),

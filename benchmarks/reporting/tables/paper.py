@@ -14,7 +14,7 @@ import pandas as pd
 
 from benchmarks.protocol import labels, paper_values
 from benchmarks.protocol.learners import LEARNERS
-from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS
+from benchmarks.protocol.metrics import EXTRA_METRICS, JOINTS_TIME, METRICS, PAPER_METRICS, Metric
 from benchmarks.reporting.compared import ABLATION, comparisons, find
 from benchmarks.reporting.results import MAIN, Group, Level, Results, complete
 from benchmarks.reporting.stats import Value, t_interval
@@ -42,10 +42,16 @@ def performance(results: Results) -> Table:
             for row, paper in zip(result, printed, strict=True)
         ]
         made.append([metric.label, *_in_pairs(printed, ours)])
+        if metric.key == "time_first":
+            made.append([JOINTS_TIME.label, *_in_pairs(["-"] * 3, _measures(JOINTS_TIME, result))])
     if any(row.level != MAIN for row in result):
         made.append([GREEDILY, *_in_pairs(["-"] * 3, [row.tested(MAIN) for row in result])])
     notes = [*_how(result), *seeds_notes(result), *failure_notes(results), FLAG_NOTE]
     return Table("performance", f"Performance, {labels.track(track)}", header, made, notes)
+
+
+def _measures(metric: Metric, result: Sequence[Group]) -> list[TableCell]:
+    return [row.measure(metric) for row in result]
 
 
 def _in_pairs(papers: Sequence[str], ours: Sequence[TableCell]) -> list[TableCell]:
@@ -63,10 +69,9 @@ def controls(results: Results) -> Table:
         results.group("optimum"),
     ]
     names = [f"Best script: {row.name}" if row is script else row.title for row in result]
-    made: list[list[TableCell]] = [
-        [metric.label, *(row.cell(row.value(metric), metric.digits) for row in result)]
-        for metric in (*PAPER_METRICS, *EXTRA_METRICS[:2])
-    ]
+    metrics = [*PAPER_METRICS, *EXTRA_METRICS[:2]]
+    metrics.insert(1 + metrics.index(METRICS["time_first"]), JOINTS_TIME)
+    made: list[list[TableCell]] = [[m.label, *_measures(m, result)] for m in metrics]
     if any(row.level != MAIN for row in result):
         made.append([GREEDILY, *(row.tested(MAIN) for row in result)])
     notes = [*_how(result), *seeds_notes(result, names)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,12 @@ from benchmarks.evaluation.evaluate import (
     no_progress,
 )
 from benchmarks.methods.episodes import Episode, distance_to_segment, dome_frame
+from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.protocol.seeding import derive, episode_seeds
 from coop_env.env import CoopInsertionEnv
+from coop_env.geometry import GEOMETRIES
 from coop_env.simulation.insertion_task import PAPER_TASK
+from coop_env.trajectory import make_trajectory
 
 ARGUMENTS: dict[str, Any] = {"reward": "progress", "max_moves": 40}
 COORDINATE = st.floats(-1.0, 1.0)
@@ -172,3 +176,25 @@ def test_noise_is_what_it_says_and_stays_in_range() -> None:
     assert noisy.max() <= 1.0
     inside = (clean > 0.05) & (clean < 0.95)
     assert (noisy - clean)[inside].std() == pytest.approx(0.01, rel=0.1)
+
+
+def test_seconds_to_the_first_insertion_are_those_of_the_joints_trajectory() -> None:
+    env = CoopInsertionEnv(reward="progress", mask_singularities=False)
+    episode = Episode(env, 0, episode_seeds(0, 1)[0])
+    rng, oracle, way, refused = np.random.default_rng(0), LatticeOracle(), [], 0
+    way.append(env.configuration)
+    while not episode.insertions:  # the optimum, with a third of random moves, some refused
+        moves = oracle.plan(env).moves
+        assert moves is not None
+        info = episode.move(int(rng.integers(12) if rng.random() < 0.3 else moves[0]))
+        refused += bool(info["violation"])
+        way.append(env.configuration)
+    assert refused
+    met = [at for k, at in enumerate(way) if k == 0 or not np.array_equal(at, way[k - 1])]
+    assert episode.seconds_first({}) == make_trajectory(np.array(met)).duration
+    slow = {"geometry": dataclasses.replace(GEOMETRIES["optimized"], max_joint_velocity=0.3)}
+    assert episode.seconds_first(slow) > episode.seconds_first({})
+
+
+def test_an_episode_without_an_insertion_has_no_seconds() -> None:
+    assert np.isnan(Episode(CoopInsertionEnv(), 0, 0).seconds_first({}))
