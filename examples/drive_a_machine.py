@@ -20,8 +20,8 @@ def policy(observation, action_masks):  # type: ignore[no-untyped-def]
 env = CoopInsertionEnv()
 _, info = env.reset(seed=int(sys.argv[1]) if len(sys.argv) > 1 else 0)
 driver = TwinDriver(configuration=env.configuration)
-found = replay(policy, driver, target=info["target"], holes=1, mask_singularities=True)
-print(f"{found.stopped}: {found.moves} moves in {found.seconds:.2f} s, "
-      f"largest force {found.force:.1f} N, error {1000 * found.error:.2f} mrad")  # fmt: skip
+report = replay(policy, driver, target=info["target"], holes=1, mask_singularities=True)
+print(f"{report.stopped}: {report.moves} moves in {report.seconds:.2f} s, "
+      f"largest force {report.force:.1f} N, error {1000 * report.error:.2f} mrad")  # fmt: skip
 distance, angle = driver.miss(info["target"])
 print(f"tip {1000 * distance:.1f} mm from the mouth it aimed at, {angle:.3f} rad off its axis")

@@ -71,9 +71,9 @@ def run(code: str, folder: Path, **environment: str) -> list[str]:
 @pytest.mark.parametrize(("package", "code"), [("sb3_rainbow", LEARN), ("coop_env", KINEMATICS)])
 def test_a_cold_cache_is_announced_once_and_first(tmp_path: Path, package: str, code: str) -> None:
     places = {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
-    told, begins = run(BEGINS + code, tmp_path, **places)
-    assert told.startswith(f"{package}: compiling kernels (")
-    assert told.endswith(
+    report, begins = run(BEGINS + code, tmp_path, **places)
+    assert report.startswith(f"{package}: compiling kernels (")
+    assert report.endswith(
         " of a processor core), once after an install: then they come from numba's cache"
     )
     assert begins == "numba begins compiling"
@@ -98,9 +98,9 @@ def test_where_nothing_can_be_written(
         (source.parent / "__pycache__").touch()
     if archived:
         place = Path(shutil.make_archive(str(place), "zip", place))
-    (told,) = run(code, tmp_path, PYTHONPATH=str(place), HOME=os.devnull)
-    assert told.startswith(f"{package}: compiling kernels (")
-    assert told.endswith("set NUMBA_CACHE_DIR to one that can")
+    (report,) = run(code, tmp_path, PYTHONPATH=str(place), HOME=os.devnull)
+    assert report.startswith(f"{package}: compiling kernels (")
+    assert report.endswith("set NUMBA_CACHE_DIR to one that can")
 
 
 @pytest.mark.parametrize("module", MODULES)
@@ -131,15 +131,15 @@ def test_a_cached_kernel_does_not_outlive_a_change_of_one_that_it_calls(
     )
     places = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")} if elsewhere else {}
 
-    def told() -> list[str]:
+    def report() -> list[str]:
         kept = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
         env = {**kept, "PYTHONPATH": str(ROOT), "NUMBA_OPT": "1", **places}
         return python(str(caller), env=env).stdout.split()
 
-    assert told() == ["1", "0"]
-    assert told() == ["1", "1"]
+    assert report() == ["1", "0"]
+    assert report() == ["1", "1"]
     called.write_text(called.read_text().replace("return 1", "return 2"))
-    assert told() == ["2", "0"]
+    assert report() == ["2", "0"]
 
 
 @pytest.mark.parametrize("module", MODULES)

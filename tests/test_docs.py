@@ -37,11 +37,11 @@ def python_blocks(page: str) -> list[tuple[str, str]]:
 
     Such a block stands after the line ``<!-- not run: the reason -->``.
     """
-    found = re.findall(r"(?:<!-- not run: (.*?) -->\n\n)?^```python\n(.*?)^```", page, re.M | re.S)
+    result = re.findall(r"(?:<!-- not run: (.*?) -->\n\n)?^```python\n(.*?)^```", page, re.M | re.S)
     for pattern, less in SHORTER:
-        found = [(reason, re.sub(pattern, less, block)) for reason, block in found]
-    assert len(found) == page.count("```python\n")
-    return [(block, reason) for reason, block in found]
+        result = [(reason, re.sub(pattern, less, block)) for reason, block in result]
+    assert len(result) == page.count("```python\n")
+    return [(block, reason) for reason, block in result]
 
 
 @pytest.fixture(scope="module")

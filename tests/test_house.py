@@ -82,12 +82,12 @@ def _is_within(module: str, prefix: str) -> bool:
 
 
 def _sources() -> dict[str, Path]:
-    found = {}
+    result = {}
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
             parts = path.relative_to(ROOT).with_suffix("").parts
-            found[".".join(p for p in parts if p != "__init__")] = path
-    return found
+            result[".".join(p for p in parts if p != "__init__")] = path
+    return result
 
 
 SOURCES = _sources()

@@ -170,7 +170,7 @@ def test_the_readme_runs_where_only_the_wheel_and_its_needs_are(
 
 def needed(requirements: list[str]) -> set[str]:
     """Names of the distributions that these requirements come to, extras only where asked for."""
-    found: set[str] = set()
+    result: set[str] = set()
     asked = [Requirement(text) for text in requirements]
     while asked:
         one = asked.pop()
@@ -178,10 +178,10 @@ def needed(requirements: list[str]) -> set[str]:
         if one.marker and not any(one.marker.evaluate({"extra": extra}) for extra in extras):
             continue
         name = re.sub(r"[-_.]+", "-", one.name).lower()
-        if name not in found:
-            found.add(name)
+        if name not in result:
+            result.add(name)
             asked += [Requirement(text) for text in metadata.requires(name) or []]
-    return found
+    return result
 
 
 def tops(name: str) -> Iterator[Path]:

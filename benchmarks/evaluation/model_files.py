@@ -78,13 +78,13 @@ def detect_algorithm(path: Path) -> str:
     if module.startswith(_ACTOR_CRITIC):
         # three algorithms share the policy; their settings tell them apart
         return "trpo" if "cg_max_steps" in data else "ppo" if "clip_range" in data else "a2c"
-    found = [name for prefix, name in _POLICIES.items() if module.startswith(prefix)]
-    if not found:
+    policies = [name for prefix, name in _POLICIES.items() if module.startswith(prefix)]
+    if not policies:
         raise BenchmarkError(
             f"{path}: its policy is of {module}, from which the algorithm cannot be told; say it "
             f"with --algorithm: {known(algorithms())}"
         )
-    return found[0]
+    return policies[0]
 
 
 def _plain_settings(path: Path) -> dict[str, Any]:

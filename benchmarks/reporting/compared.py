@@ -48,13 +48,13 @@ def comparisons(results: Results) -> list[Comparison]:
     """All comparisons of a store, each p corrected by Holm over those of its question."""
     asked: dict[str, list[tuple[Group, Group, list[float]]]] = {}
     for question, ours, theirs in _pairs(results):
-        if theirs is not None and (found := differences(question, ours, theirs)):
-            asked.setdefault(question, []).append((ours, theirs, found))
+        if theirs is not None and (points := differences(question, ours, theirs)):
+            asked.setdefault(question, []).append((ours, theirs, points))
     result = []
     for question, pairs in asked.items():
-        tests = [paired_p(found) for _, _, found in pairs]
-        for (ours, theirs, found), p, p_holm in zip(pairs, tests, holm(tests), strict=True):
-            value = measured(found, lambda: (math.nan, math.nan))
+        tests = [paired_p(points) for _, _, found in pairs]
+        for (ours, theirs, points), p, p_holm in zip(pairs, tests, holm(tests), strict=True):
+            value = measured(points, lambda: (math.nan, math.nan))
             result.append(Comparison(question, ours, theirs, value, p, p_holm))
     return result
 

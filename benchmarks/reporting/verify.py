@@ -96,9 +96,9 @@ def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...],
     seeds = episode_seeds(cell.seed, evaluation["episodes"], stream)
     for name, wanted in _levels(result, cell).items():
         column = rows[name] if name in rows else pd.Series([], dtype=float)
-        found = sorted(column.astype(float).unique().tolist())
-        if found != sorted(wanted):
-            problems.append(f"episodes.csv has {name} {found}, not {wanted}")
+        stored = sorted(column.astype(float).unique().tolist())
+        if stored != sorted(wanted):
+            problems.append(f"episodes.csv has {name} {stored}, not {wanted}")
     acting = {acting for _, _, acting in result.levels}
     wanted_acting = [EXPLORING, GREEDY] if explores(cell.method, evaluation) else [GREEDY]
     if sorted(acting) != wanted_acting:

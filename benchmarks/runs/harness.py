@@ -130,7 +130,7 @@ class Harness(Generic[C]):
         )
         with Progress(*columns, console=self.console, refresh_per_second=2) as progress:
             overall = progress.add_task("", note="")
-            self._tell(progress, overall)
+            self._show(progress, overall)
             try:
                 with terminable():
                     self._loop(progress, overall)
@@ -163,7 +163,7 @@ class Harness(Generic[C]):
             time.sleep(POLL_SECONDS)
             for child in list(self._children):
                 self._look_after(child, progress)
-            self._tell(progress, overall)
+            self._show(progress, overall)
 
     def _start(self, cell: C, progress: Progress) -> _Child[C]:
         argv = [
@@ -198,7 +198,7 @@ class Harness(Generic[C]):
             self._shares[name] = 1.0
             self._report(child)
 
-    def _tell(self, progress: Progress, overall: TaskID) -> None:
+    def _show(self, progress: Progress, overall: TaskID) -> None:
         """How far everything is."""
         waiting = len(self._queue) + sum(child.job.place() is None for child in self._children)
         progress.update(

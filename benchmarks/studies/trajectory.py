@@ -38,7 +38,7 @@ from coop_env.trajectory import Trajectory, make_trajectory
 if TYPE_CHECKING:
     from coop_env.physics.driver import TwinDriver
 
-MODEL: Final = Path("cut/runs/rainbow-optimized-safe-s0/policy.zip")
+MODEL: Final = Path("paper/runs/rainbow-optimized-repaired-s0/policy.zip")
 FORCE_LIMIT: Final = 40.0  # N, as in the contact task
 
 MEASURED: Final = (

@@ -169,8 +169,8 @@ def optimize(
         GeometryError: the start breaks the paper's constraints.
         DesignError: the start has no workspace, or breaks a constraint; or a value is not finite.
 
-    >>> found = optimize()
-    >>> found.converged, round(found.value, 1), found.value > found.start_value
+    >>> optimum = optimize()
+    >>> optimum.converged, round(optimum.value, 1), optimum.value > optimum.start_value
     (True, 1.2, True)
     """
     if not simplex > 0.0:
@@ -303,9 +303,9 @@ def atlas(
     value = np.full((len(rows), len(columns)), np.nan)
     for i, a in enumerate(rows):
         for j, b in enumerate(columns):
-            found = cost.value(float(a), float(b))
-            if found >= 0.0:
-                value[i, j] = found
+            objective_value = cost.value(float(a), float(b))
+            if objective_value >= 0.0:
+                value[i, j] = objective_value
         if progress is not None:
             progress(i + 1, len(rows))
     return Atlas(rows, columns, value)

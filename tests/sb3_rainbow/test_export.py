@@ -31,9 +31,9 @@ def drawn(space: spaces.Space, n: int) -> Any:
 
 
 def masks(n: int, n_actions: int) -> np.ndarray:
-    found = np.random.default_rng(0).random((n, n_actions)) < 0.5
-    found[:, 0] |= ~found.any(axis=1)
-    return found
+    result = np.random.default_rng(0).random((n, n_actions)) < 0.5
+    result[:, 0] |= ~result.any(axis=1)
+    return result
 
 
 def images() -> FakeImageEnv:

@@ -78,9 +78,11 @@ def test_each_component_off_and_on(off: tuple[str, ...], n_envs: int) -> None:
 
 def test_returns_beyond_the_support_are_told_once() -> None:
     narrow = Rainbow("MlpPolicy", "CartPole-v1", v_min=0.0, v_max=1.5, **FAST)
-    with pytest.warns(UserWarning, match=r"outside of the support \[0.0, 1.5\].*quantile") as told:
+    with pytest.warns(
+        UserWarning, match=r"outside of the support \[0.0, 1.5\].*quantile"
+    ) as report:
         narrow.learn(900)
-    assert len(told) == 1
+    assert len(report) == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         Rainbow("MlpPolicy", "CartPole-v1", **FAST).learn(100)
@@ -250,15 +252,15 @@ def test_what_is_logged() -> None:
 
 def test_beta_runs_linearly_from_start_to_end() -> None:
     model = Rainbow("MlpPolicy", "CartPole-v1", beta_start=0.2, beta_end=0.8, **FAST)
-    found = []
+    result = []
 
     def note(*_: Any) -> bool:
-        found.append(model.beta)
+        result.append(model.beta)
         return True
 
     model.learn(100, callback=note)
     # The callback of step i + 1 sees the progress after step i.
-    np.testing.assert_allclose(found, 0.2 + 0.6 * np.arange(100) / 100, atol=1e-9)
+    np.testing.assert_allclose(result, 0.2 + 0.6 * np.arange(100) / 100, atol=1e-9)
 
 
 @pytest.mark.parametrize("noisy", [True, False])

@@ -208,7 +208,7 @@ def on_machines(name: str, results: Path, episodes: int, tick: Tick) -> Row:
     """The test episodes of what inserts, on each of :func:`machines`; all policies of a kind."""
     from coop_env.physics.env import CoopInsertionContactEnv
 
-    found: Row = {}
+    rows: Row = {}
     for done, (machine, errors) in enumerate(machines().items()):
         env = CoopInsertionContactEnv(LEVEL, sim_to_real=errors)
         kept: Row = {}
@@ -216,10 +216,10 @@ def on_machines(name: str, results: Path, episodes: int, tick: Tick) -> Row:
             script = inserter(results, name, seed)
             for key, values in play_contact(env, script, "test", SEEDS * episodes).items():
                 kept.setdefault(key, []).extend(values)
-        found[machine] = [kept]
+        rows[machine] = [kept]
         env.close()
         tick((done + 1) / len(machines()))
-    return found
+    return rows
 
 
 def _machines(parts: Mapping[str, Row]) -> Iterator[str]:

@@ -61,9 +61,9 @@ def cell(method: str, track: str) -> Cell:
 def test_what_sees_the_state_is_played_without_noise(
     method: str, track: str, noise: list[float], preset: Preset
 ) -> None:
-    found = levels(preset, cell(method, track))
-    assert [level.noise for level in found] == noise
-    assert all(not level.columns for level in found)
+    result = levels(preset, cell(method, track))
+    assert [level.noise for level in result] == noise
+    assert all(not level.columns for level in result)
 
 
 @pytest.mark.parametrize(
@@ -84,10 +84,10 @@ def test_who_has_two_ways_of_acting_is_played_in_both(
     both = dataclasses.replace(
         preset, evaluation=dataclasses.replace(preset.evaluation, exploring=True)
     )
-    found = levels(both, cell(method, track))
-    assert [level.columns for level in found] == columns
-    assert [level.exploring for level in found] == ["acting" in each for each in columns]
-    assert found[-1].noise == 0.0
+    result = levels(both, cell(method, track))
+    assert [level.columns for level in result] == columns
+    assert [level.exploring for level in result] == ["acting" in each for each in columns]
+    assert result[-1].noise == 0.0
 
 
 @pytest.mark.parametrize("method", ["rainbow", "dqn", "maskable_ppo", "greedy"])
@@ -126,9 +126,9 @@ def test_a_script_that_explores_makes_one_move_of_twenty_at_random() -> None:
 
 @pytest.mark.parametrize("method", ["rainbow", "maskable_ppo", "greedy", "plan_search", "optimum"])
 def test_on_an_uncertain_machine_all_play_at_each_error(method: str, preset: Preset) -> None:
-    found = levels(preset, cell(method, "uncertain"))
-    assert [level.columns for level in found] == [{"error": 0.0}, {"error": 3.0}]
-    none, own = (level.arguments["sim_to_real"] for level in found)
+    result = levels(preset, cell(method, "uncertain"))
+    assert [level.columns for level in result] == [{"error": 0.0}, {"error": 3.0}]
+    none, own = (level.arguments["sim_to_real"] for level in result)
     assert none == SimToReal(observation_noise=0.01, joint_resolution=math.radians(0.1))
     track: Any = preset.tracks["uncertain"].sim_to_real
     assert dataclasses.asdict(own) == pytest.approx({**dataclasses.asdict(own), **track})
@@ -160,11 +160,11 @@ def test_training_draws_machines_unless_it_is_nominal(preset: Preset) -> None:
 def test_rows_say_under_which_error_they_were_played(method: str, preset: Preset) -> None:
     mine = cell(method, "uncertain")
     model = build_model(preset, mine, make_training_env(preset, mine))
-    told: list[float] = []
-    rows = evaluate_cell(preset, mine, told.append, model=model)
+    report: list[float] = []
+    rows = evaluate_cell(preset, mine, report.append, model=model)
     assert [(row["error"], row["episode"]) for row in rows] == [(0, 0), (0, 1), (3, 0), (3, 1)]
-    assert told == sorted(told)
-    assert 0.0 <= told[0] <= told[-1] <= 1.0
+    assert report == sorted(report)
+    assert 0.0 <= report[0] <= report[-1] <= 1.0
 
 
 def replay(results: Path, episodes: int | None, starts: int | None) -> Replay:
@@ -173,7 +173,7 @@ def replay(results: Path, episodes: int | None, starts: int | None) -> Replay:
 
 
 @pytest.mark.parametrize(
-    ("method", "track", "found"),
+    ("method", "track", "result"),
     [
         ("rainbow", "safe", [{}]),
         ("greedy_observed", "safe", [{}]),
@@ -183,14 +183,14 @@ def replay(results: Path, episodes: int | None, starts: int | None) -> Replay:
     ],
 )
 def test_other_starts_are_played_as_the_headline_has_them(
-    method: str, track: str, found: list[dict[str, object]], tmp_path: Path
+    method: str, track: str, result: list[dict[str, object]], tmp_path: Path
 ) -> None:
     cell = Cell(method, "full", "optimized", track, 0)
     fresh = replay(tmp_path, None, 7)
     preset = fresh.shortened(cell)
     assert preset.evaluation.episodes == FRESH_EPISODES
     mine = levels(preset, cell)
-    assert [level.columns for level in mine] == found
+    assert [level.columns for level in mine] == result
     assert all(level.noise == 0.0 for level in mine)
     # the same machine as in the stored episodes, to the bit
     whole = [level.arguments for level in levels(fresh.preset, cell)]

@@ -38,14 +38,14 @@ def after(env: CoopInsertionEnv, action: int, weight: float) -> tuple[float, Coo
 
 def least(env: CoopInsertionEnv, weight: float, ahead: bool) -> list[tuple[float, float]]:
     """How good every move is, by making it, and with ``ahead`` every other one after it."""
-    found = [(math.inf, math.inf)] * 12
+    result = [(math.inf, math.inf)] * 12
     for action in np.flatnonzero(env.action_masks()).tolist():
         cost, probe = after(env, action, weight)
-        found[action] = (cost, cost)
+        result[action] = (cost, cost)
         if ahead and cost >= 0.0:
             second = [after(probe, int(a), weight)[0] for a in np.flatnonzero(probe.action_masks())]
-            found[action] = (min(second), cost)
-    return found
+            result[action] = (min(second), cost)
+    return result
 
 
 def choose(method: str, episode: Episode) -> int:

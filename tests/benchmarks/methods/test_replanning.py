@@ -47,12 +47,12 @@ def test_on_the_machine_that_is_modelled_the_plan_is_the_optimums() -> None:
 
 def test_who_searches_finds_what_a_plan_alone_does_not() -> None:
     plan = play(Replanner(False, 2_000_000).play, UNSURE)
-    found = play(Replanner(True, 2_000_000).play, UNSURE)
+    result = play(Replanner(True, 2_000_000).play, UNSURE)
     ceiling = play(optimum(True), UNSURE)
-    assert rate(plan) + 0.1 < rate(found) <= rate(ceiling)
+    assert rate(plan) + 0.1 < rate(result) <= rate(ceiling)
     # who knows the machine is not refused, and gets there first
     assert all(e.violations == 0 for e in ceiling)
-    for best, ours in zip(ceiling, found, strict=True):
+    for best, ours in zip(ceiling, result, strict=True):
         if ours.insertions:
             assert best.insertions[0] <= ours.insertions[0]
 

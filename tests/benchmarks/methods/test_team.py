@@ -172,16 +172,16 @@ def test_rows_of_agents_act_as_in_the_batch_that_they_learned_in() -> None:
 
 def costs(env: Any, weight: float) -> np.ndarray:
     """Distance and angle of every joint move's end, and its potential, by making it."""
-    found = np.full((N_JOINT, 3), math.inf)
+    result = np.full((N_JOINT, 3), math.inf)
     snapshot = env.get_state()
     for action in range(N_JOINT):
         env.set_state(snapshot)
         info = env.step(action)[-1]
         if not info["violation"]:
             d, a = 500.0 * info["distance"], info["alignment_error"]
-            found[action] = d, a, -1.0 if info["inserted"] else d + weight * a
+            result[action] = d, a, -1.0 if info["inserted"] else d + weight * a
     env.set_state(snapshot)
-    return found
+    return result
 
 
 @pytest.mark.parametrize("team", ["central", "in sight", "without"])
@@ -195,18 +195,18 @@ def test_the_greedy_moves_have_the_least_potential(team: str) -> None:
     for _ in range(25):
         env = episode.env
         mask = env.action_masks()
-        found = np.where(mask[:, None], costs(env, 120.0), math.inf)
+        result = np.where(mask[:, None], costs(env, 120.0), math.inf)
         (action,) = chooser(episode.observation[None], mask[None], [0])
         delta, rrs = divmod(int(action), N_CHOICES)
         if team == "central":
-            assert found[action, 2] == pytest.approx(found[:-1, 2].min(), abs=1e-9)
+            assert result[action, 2] == pytest.approx(result[:-1, 2].min(), abs=1e-9)
         else:
             alone = [N_CHOICES * delta + HOLD_CHOICE, N_CHOICES * HOLD_CHOICE + rrs]
-            options = [found[HOLD_CHOICE::N_CHOICES], found[N_CHOICES * HOLD_CHOICE :]]
+            options = [result[HOLD_CHOICE::N_CHOICES], result[N_CHOICES * HOLD_CHOICE :]]
             for agent in range(2):
                 what = 2 if sight else agent
                 least = options[agent][:, what].min()
-                chosen = found[alone[agent], what]
+                chosen = result[alone[agent], what]
                 assert chosen == pytest.approx(least, abs=1e-6) or not (sight or chosen < math.inf)
         inserted |= bool(episode.move(int(action))["inserted"])
         if episode.over or inserted:

@@ -334,8 +334,8 @@ VISITED = {**SAFE, "mask_visited": 64}
 def test_who_has_a_memory_says_so(
     method: str, track: dict[str, Any] | None, masks: str, memory: str
 ) -> None:
-    found = knowledge(method, track)
-    assert (found.masks, found.memory) == (masks, memory)
+    result = knowledge(method, track)
+    assert (result.masks, result.memory) == (masks, memory)
 
 
 def test_only_what_remembers_nothing_claims_so() -> None:

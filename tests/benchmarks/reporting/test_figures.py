@@ -32,11 +32,11 @@ PAPER_FIGURES = {
 def test_every_figure_is_drawn_under_a_caption_of_its_own(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, [0, 1, 2])
     assert main(["report", "--preset", "quick", "--results", str(tmp_path)]) == 0
-    found = {picture.name: picture for picture in pictures(Results(store))}
-    assert {path.stem for path in store.figures.iterdir()} == set(found)
-    assert {f"safe_{name}" for name in PAPER_FIGURES} <= set(found)
-    assert {"robustness", "performance_profile", "ablation_comparison"} <= set(found)
-    captions = [picture.caption for picture in found.values()]
+    result = {picture.name: picture for picture in pictures(Results(store))}
+    assert {path.stem for path in store.figures.iterdir()} == set(result)
+    assert {f"safe_{name}" for name in PAPER_FIGURES} <= set(result)
+    assert {"robustness", "performance_profile", "ablation_comparison"} <= set(result)
+    captions = [picture.caption for picture in result.values()]
     assert len(set(captions)) == len(captions)
 
 

@@ -100,8 +100,8 @@ def test_a_row_says_what_the_runs_did(
     name: str, row: str, first: int, cells: list[str], tables: dict[str, Table]
 ) -> None:
     label = 1 if name == "leaderboard" else 0
-    (found,) = (each for each in tables[name].texts() if each[label] == row)
-    assert found[first:][: len(cells)] == cells
+    (cells_of_row,) = (each for each in tables[name].texts() if each[label] == row)
+    assert cells_of_row[first:][: len(cells)] == cells
 
 
 def test_tables_have_the_papers_rows_and_columns(full: Store, tables: dict[str, Table]) -> None:
@@ -167,8 +167,8 @@ def test_comparisons_are_corrected_within_their_question(tmp_path: Path) -> None
         rows = run.rows("episodes")
         rows.loc[rows.index[rows["acting"] == "exploring"][:lost], "success"] = 0
         rows.to_csv(run.path / "episodes.csv", index=False)
-    found = {(c.question, c.name): c for c in comparisons(Results(full))}
-    one = found[ABLATION_QUESTION, "- Dueling head, repaired"]
+    by_name = {(c.question, c.name): c for c in comparisons(Results(full))}
+    one = by_name[ABLATION_QUESTION, "- Dueling head, repaired"]
     differences = [-40.0, -30.0, -50.0]
     assert one.difference.mean == pytest.approx(-40.0)
     assert one.p == pytest.approx(scipy.stats.ttest_1samp(differences, 0.0).pvalue)
@@ -227,12 +227,12 @@ def test_an_empty_store_gives_tables_of_dashes(tmp_path: Path) -> None:
 
 
 def test_figures_are_drawn_and_repeat(make_store: MakeStore, tmp_path: Path) -> None:
-    found = {picture.name: picture for picture in pictures(Results(make_store([0, 1])))}
-    assert {"safe_cumulative_reward", "safe_loss", "robustness"} <= set(found)
+    by_name = {picture.name: picture for picture in pictures(Results(make_store([0, 1])))}
+    assert {"safe_cumulative_reward", "safe_loss", "robustness"} <= set(by_name)
     for name in ("safe_cumulative_reward", "performance_profile"):
-        data = found[name].write(tmp_path).read_bytes()
+        data = by_name[name].write(tmp_path).read_bytes()
         assert data.startswith(b"\x89PNG")
-        assert found[name].write(tmp_path).read_bytes() == data
+        assert by_name[name].write(tmp_path).read_bytes() == data
 
 
 def test_markup_of_tables_is_escaped() -> None:
@@ -256,17 +256,17 @@ def test_a_partly_finished_preset_shows_what_is_missing(tmp_path: Path) -> None:
 
     store = fabricated_store.make_store(tmp_path, range(5), "cut", keep)
     built = build_tables(store)
-    found = {table.name: table for table in built}
-    table = found["performance"]
+    by_name = {table.name: table for table in built}
+    table = by_name["performance"]
     rows = {row[0]: row[1:] for row in table.texts()}
     assert rows["Success rate (%)"][3] == "55.0 ± 7.1"
     assert rows["Success rate (%)"][5] == "70.0 ± 15.8 †"
     (note,) = (note for note in table.notes if note.startswith("Not complete"))
     assert "Vanilla DQN, safe 2 of 5 seeds" in note
     assert "Rainbow DQN, safe" not in note
-    assert found["controls"].header[1] == "Masked DQN"  # none of five seeds: its cells say so
-    assert {row[1] for row in found["controls"].texts()} == {"missing"}
-    board = {row[1] for row in found["leaderboard"].texts()}
+    assert by_name["controls"].header[1] == "Masked DQN"  # none of five seeds: its cells say so
+    assert {row[1] for row in by_name["controls"].texts()} == {"missing"}
+    board = {row[1] for row in by_name["leaderboard"].texts()}
     assert "Greedy, safe" not in board
     for table in built:
         table.write(store.tables)
@@ -369,7 +369,7 @@ MACHINE = {"sim_to_real": {"base_position_error": 0.003}}
 
 
 @pytest.mark.parametrize(
-    ("columns", "track", "level", "found"),
+    ("columns", "track", "level", "episodes"),
     [
         (["noise", "acting", "error"], MACHINE, Level(), [0]),
         (["noise", "acting", "error"], MACHINE, Level(error=8.0), [3]),
@@ -382,11 +382,11 @@ MACHINE = {"sim_to_real": {"base_position_error": 0.003}}
     ],
 )
 def test_a_level_has_the_rows_that_were_played_at_it(
-    columns: list[str], track: dict[str, Any], level: Level, found: list[int]
+    columns: list[str], track: dict[str, Any], level: Level, episodes: list[int]
 ) -> None:
     rows = ROWS[["episode", *columns]]
     result = Result(0, {"track": track}, {}, RunFolder(Path("nowhere")), rows)
-    assert result.test(level)["episode"].tolist() == found
+    assert result.test(level)["episode"].tolist() == episodes
 
 
 def test_rows_of_older_runs_under_other_masks_are_left_out(tmp_path: Path) -> None:

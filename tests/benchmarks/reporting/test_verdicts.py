@@ -26,7 +26,7 @@ SCRIPT_INITIAL = "lookahead-initial-repaired"
 LEARNED = {RAINBOW: [95, 96, 94], MASKED: [70, 72, 68], SCRIPT: [50, 52, 49], OPTIMUM: [97, 98, 97]}
 TRAINED = {"steps_to_75": 200_000, "singular": 0, "episodes": 1000}
 
-Tell = Callable[..., dict[str, str]]
+Reports = Callable[..., dict[str, str]]
 
 
 @pytest.fixture
@@ -62,20 +62,20 @@ def results_of(tmp_path: Path) -> Callable[..., Results]:
                     for t in (100, 200)
                 ]  # fmt: skip
                 run.write_rows("curve", curve)
-                told = (training or {}).get(name, TRAINED)
-                run.write_meta({"cell": cell.id, "training": told if cell.learns else {}})
+                report = (training or {}).get(name, TRAINED)
+                run.write_meta({"cell": cell.id, "training": report if cell.learns else {}})
         return Results(store)
 
     return write
 
 
 @pytest.fixture
-def tell(results_of: Callable[..., Results]) -> Tell:
+def report_of(results_of: Callable[..., Results]) -> Reports:
     return lambda *given, **named: sentences(results_of(*given, **named))
 
 
-def test_the_success_rate_reproduces(tell: Tell) -> None:
-    said, details = tell(LEARNED)["performance"].split("\n\n")
+def test_the_success_rate_reproduces(report_of: Reports) -> None:
+    said, details = report_of(LEARNED)["performance"].split("\n\n")
     assert said.startswith(
         "**The success rate reproduces** (3 of 5 seeds): it inserts in 95.0 ± 1.0"
     )
@@ -101,22 +101,22 @@ def test_the_success_rate_reproduces(tell: Tell) -> None:
     ],
 )
 def test_each_threshold_of_performance(
-    change: dict[str, list[int]], verdict: str, tell: Tell
+    change: dict[str, list[int]], verdict: str, report_of: Reports
 ) -> None:
-    assert tell({**LEARNED, **change})["performance"].startswith(f"**{verdict}")
+    assert report_of({**LEARNED, **change})["performance"].startswith(f"**{verdict}")
 
 
-def test_a_cut_budget_gives_no_verdict(tell: Tell) -> None:
-    told = tell(LEARNED, steps=120_000)
+def test_a_cut_budget_gives_no_verdict(report_of: Reports) -> None:
+    report = report_of(LEARNED, steps=120_000)
     assert (
-        "No verdict yet on performance** (120,000 of the paper's 1,500,000" in told["performance"]
+        "No verdict yet on performance** (120,000 of the paper's 1,500,000" in report["performance"]
     )
-    assert "No verdict yet on the components" in told["components"]
+    assert "No verdict yet on the components" in report["components"]
 
 
-def test_without_a_run_there_is_no_sentence(tell: Tell, tmp_path: Path) -> None:
+def test_without_a_run_there_is_no_sentence(report_of: Reports, tmp_path: Path) -> None:
     assert sentences(Results(Store.open(tmp_path / "empty", "paper", create=True))) == {}
-    assert set(tell({OPTIMUM: [97]})) == set()
+    assert set(report_of({OPTIMUM: [97]})) == set()
 
 
 SIX = ("prioritized", "dueling", "n_steps", "noisy", "distributional", "double_q")
@@ -147,23 +147,23 @@ def _removed(**changed: list[int]) -> dict[str, list[int]]:
     ],
 )
 def test_what_the_components_are_worth(
-    runs: dict[str, list[int]], verdict: str, tell: Tell
+    runs: dict[str, list[int]], verdict: str, report_of: Reports
 ) -> None:
-    assert tell(runs)["components"].startswith(f"**{verdict}")
+    assert report_of(runs)["components"].startswith(f"**{verdict}")
 
 
-def test_some_of_the_removals_are_no_verdict_on_the_ablation(tell: Tell) -> None:
+def test_some_of_the_removals_are_no_verdict_on_the_ablation(report_of: Reports) -> None:
     runs = {name: seeds for name, seeds in _removed(noisy=[95]).items() if "dueling" not in name}
-    told = tell(runs)["components"]
-    assert told.startswith("**Together, the six components help**:")
-    assert told.endswith("Runs that remove one of them are there for 5 of 6 so far.")
+    report = report_of(runs)["components"]
+    assert report.startswith("**Together, the six components help**:")
+    assert report.endswith("Runs that remove one of them are there for 5 of 6 so far.")
 
 
-def test_the_components_are_named_with_their_cost(tell: Tell) -> None:
-    told = tell(_removed(noisy=[95, 97, 93]))["components"]
-    assert "change the success of Masked DQN, which lacks them, by +25.0 points" in told
-    assert "dueling head (-14.7 points" in told
-    assert "noisynets" not in told
+def test_the_components_are_named_with_their_cost(report_of: Reports) -> None:
+    report = report_of(_removed(noisy=[95, 97, 93]))["components"]
+    assert "change the success of Masked DQN, which lacks them, by +25.0 points" in report
+    assert "dueling head (-14.7 points" in report
+    assert "noisynets" not in report
 
 
 @pytest.mark.parametrize(
@@ -180,21 +180,21 @@ def test_the_components_are_named_with_their_cost(tell: Tell) -> None:
     ],
 )
 def test_the_design_stage_is_held_against_the_papers_three_rows(
-    before: list[int], training: dict[str, int], verdict: str, tell: Tell
+    before: list[int], training: dict[str, int], verdict: str, report_of: Reports
 ) -> None:
     runs = {**LEARNED, INITIAL: before, SCRIPT_INITIAL: [40, 40, 41]}
-    told = tell(runs, {INITIAL: {**TRAINED, **training}})["geometry"]
-    assert verdict in told
-    assert "success of the best script from 40.3 ± 0.6 to 50.3 ± 1.5 %" in told
+    report = report_of(runs, {INITIAL: {**TRAINED, **training}})["geometry"]
+    assert verdict in report
+    assert "success of the best script from 40.3 ± 0.6 to 50.3 ± 1.5 %" in report
 
 
 @pytest.mark.parametrize(("solved", "word"), [(49, "does not teach"), (50, "teaches")])
 def test_as_printed_the_task_is_taught_from_half_of_the_episodes_on(
-    solved: int, word: str, tell: Tell
+    solved: int, word: str, report_of: Reports
 ) -> None:
-    told = tell({PRINTED: [solved] * 3})["printed"]
-    assert told.startswith(f"**The reward as printed {word} the task.**")
-    assert "earn 1000 ± 0 and fill 0.10 ± 0.00 holes" in told
+    report = report_of({PRINTED: [solved] * 3})["printed"]
+    assert report.startswith(f"**The reward as printed {word} the task.**")
+    assert "earn 1000 ± 0 and fill 0.10 ± 0.00 holes" in report
 
 
 def test_the_readmes_six_rows_have_the_papers_figures(results_of: Callable[..., Results]) -> None:

@@ -144,7 +144,7 @@ def test_text_outside_the_readmes_block_is_free(copy: Path) -> None:
 def check_design(copy: Path) -> list[str]:
     results = copy / "results"
     known = Design.blocks(results)
-    pages = [problem for _, found in blocks.check(results, known) for problem in found]
+    pages = [problem for _, result in blocks.check(results, known) for problem in result]
     return Design.problems(results) + pages
 
 
@@ -158,9 +158,9 @@ def of_design() -> Iterator[tuple[str, str]]:
 
 def test_one_digit_of_any_generated_block_of_the_docs_is_seen(copy: Path) -> None:
     rng = random.Random(2)
-    found = list(of_design())
-    assert len(found) >= 7
-    for page, name in found:
+    result = list(of_design())
+    assert len(result) >= 7
+    for page, name in result:
         path = copy / "docs" / page
         kept = path.read_bytes()
         line = change_digit(path, rng, f"<!-- {name}:begin", f"<!-- {name}:end")
@@ -197,9 +197,9 @@ def test_rows_that_are_not_the_test_episodes_are_named(store: Store) -> None:
 
     def problem(changed: str) -> str:
         path.write_text(changed, encoding="utf-8")
-        (found,) = check_runs(store)
+        (result,) = check_runs(store)
         path.write_text(text, encoding="utf-8")
-        return found
+        return result
 
     assert "rows at noise 0.0, error 0 mm, acting greedy, not one for each" in problem(
         "".join(lines[:5] + lines[6:])
@@ -214,11 +214,11 @@ def test_rows_that_are_not_the_test_episodes_are_named(store: Store) -> None:
     learner = learners(store)[0]
     rows = learner.rows("episodes")
     rows[rows["noise"] == 0.0].to_csv(learner.path / "episodes.csv", index=False)
-    (found,) = check_runs(store)
-    assert "episodes.csv has noise [0.0], not [0.0, " in found
+    (result,) = check_runs(store)
+    assert "episodes.csv has noise [0.0], not [0.0, " in result
     rows.assign(acting="exploring").to_csv(learner.path / "episodes.csv", index=False)
-    (found,) = check_runs(store)
-    assert "episodes.csv has acting ['exploring'], not ['greedy']" in found
+    (result,) = check_runs(store)
+    assert "episodes.csv has acting ['exploring'], not ['greedy']" in result
 
 
 def test_a_policy_that_is_not_its_runs_is_named(store: Store) -> None:

@@ -36,14 +36,14 @@ def test_cost_comes_from_the_nearest_runs(tmp_path: Path) -> None:
     complete(elsewhere, other, "rainbow", 999.0)  # the preset's own run counts
     complete(elsewhere, other, "dqn", 5.0)
     store.run("dqn-optimized-safe-s1").write_progress(0.25, "")
-    found = {cost.id: cost for cost in costs(Insertion(preset), store, [elsewhere])}
-    assert found["rainbow-optimized-safe-s0"].state == "complete"
-    assert found["rainbow-optimized-safe-s0"].seconds == 20.0
-    assert found["rainbow-optimized-safe-s1"].seconds == pytest.approx(20.0)
-    assert found["dqn-optimized-safe-s0"].seconds == pytest.approx(10.0)  # twice the steps
-    assert found["dqn-optimized-safe-s1"].seconds == pytest.approx(7.5)
-    assert found["dqn-optimized-safe-s1"].state == "25 %"
-    guessed = found["optimum-optimized-s0"]
+    planned = {cost.id: cost for cost in costs(Insertion(preset), store, [elsewhere])}
+    assert planned["rainbow-optimized-safe-s0"].state == "complete"
+    assert planned["rainbow-optimized-safe-s0"].seconds == 20.0
+    assert planned["rainbow-optimized-safe-s1"].seconds == pytest.approx(20.0)
+    assert planned["dqn-optimized-safe-s0"].seconds == pytest.approx(10.0)  # twice the steps
+    assert planned["dqn-optimized-safe-s1"].seconds == pytest.approx(7.5)
+    assert planned["dqn-optimized-safe-s1"].state == "25 %"
+    guessed = planned["optimum-optimized-s0"]
     assert guessed.guessed
     optimum = next(settings(preset, cell) for cell in expand(preset) if cell.id == guessed.id)
     assert guessed.seconds == pytest.approx(GUESSED_RATE * units_of(optimum))
@@ -62,13 +62,13 @@ def test_a_game_costs_what_games_of_its_kind_did_not_what_other_tasks_did(tmp_pa
         run = elsewhere.run(name)
         run.begin(experiment.settings(cell))
         run.write_meta({"wall_seconds": seconds})
-    found = {cost.id: cost for cost in costs(suite, store, [elsewhere])}
-    assert found["freeway-rainbow-s1"].seconds == pytest.approx(500.0)  # five times the steps
-    assert found["asterix-rainbow-s1"].seconds == pytest.approx(500.0)
-    assert found["asterix-qrdqn-s1"].seconds == pytest.approx(600.0)
-    assert 300.0 < found["asterix-dqn-s1"].seconds < 600.0  # no run of MinAtar's by DQN
+    planned = {cost.id: cost for cost in costs(suite, store, [elsewhere])}
+    assert planned["freeway-rainbow-s1"].seconds == pytest.approx(500.0)  # five times the steps
+    assert planned["asterix-rainbow-s1"].seconds == pytest.approx(500.0)
+    assert planned["asterix-qrdqn-s1"].seconds == pytest.approx(600.0)
+    assert 300.0 < planned["asterix-dqn-s1"].seconds < 600.0  # no run of MinAtar's by DQN
     learners = {cell.id for cell in suite.cells() if cell.learns}
-    assert not any(found[name].guessed for name in learners)
+    assert not any(planned[name].guessed for name in learners)
 
 
 def test_runs_of_another_version_are_no_measure(tmp_path: Path) -> None:
@@ -82,11 +82,11 @@ def test_runs_of_another_version_are_no_measure(tmp_path: Path) -> None:
 
 
 def test_time_left_is_that_of_processes_taking_the_next_run() -> None:
-    found = [Cost("a", False, 0.0, seconds, False) for seconds in (5.0, 4.0, 3.0, 2.0)]
-    found.append(Cost("a", True, 1.0, 100.0, False))
-    assert wall_seconds(found, 1) == 14.0
-    assert wall_seconds(found, 2) == 7.0  # 5 and 2 beside 4 and 3
-    assert wall_seconds(found, 9) == 5.0
+    planned = [Cost("a", False, 0.0, seconds, False) for seconds in (5.0, 4.0, 3.0, 2.0)]
+    planned.append(Cost("a", True, 1.0, 100.0, False))
+    assert wall_seconds(planned, 1) == 14.0
+    assert wall_seconds(planned, 2) == 7.0  # 5 and 2 beside 4 and 3
+    assert wall_seconds(planned, 9) == 5.0
 
 
 @pytest.mark.parametrize(

@@ -268,8 +268,8 @@ def test_fewer_jobs_need_less_room(tmp_path: Path) -> None:
     for slots in (1, 2, 1000):
         with pytest.raises(BenchmarkError, match="make room") as caught:
             check_disk(Insertion(preset), store, expand(preset), slots)
-        found: Any = re.search(r": ([\d.]+) GB may be needed for 250 runs", str(caught.value))
-        needed.append(float(found[1]))
+        result: Any = re.search(r": ([\d.]+) GB may be needed for 250 runs", str(caught.value))
+        needed.append(float(result[1]))
     # two checkpoints of 200 bytes for each of 1e9 transitions are 400 GB; 100 cells learn
     assert needed == [405.0, 805.0, 40_005.0]
 

@@ -76,13 +76,13 @@ def harness(*words: str) -> subprocess.Popen[str]:
 
 def wait_for(condition: Callable[[], Any], process: subprocess.Popen[str]) -> Any:
     deadline = time.monotonic() + 120
-    while not (found := condition()):
+    while not (result := condition()):
         assert process.poll() is None, process.communicate()[0]
         if time.monotonic() > deadline:
             process.kill()  # or later tests meet it
             raise AssertionError(process.communicate()[0])
         time.sleep(0.02)
-    return found
+    return result
 
 
 def worker(run: RunFolder) -> dict[str, Any]:
@@ -111,11 +111,11 @@ def test_a_lost_worker_and_a_lost_node_change_nothing(
         workers.append(wait_for(partial(worker, run), process))
         # on a busy machine it would be trained before the other has begun
         os.kill(workers[-1]["run"], signal.SIGSTOP)
-    on_second = [psutil.Process(found["pid"]).ppid() == raylet for found in workers]
+    on_second = [psutil.Process(result["pid"]).ppid() == raylet for result in workers]
     assert sorted(on_second) == [False, True]  # one run on each node
     on_head = on_second.index(False)
-    for found in workers:
-        os.kill(found["run"], signal.SIGCONT)
+    for result in workers:
+        os.kill(result["run"], signal.SIGCONT)
     os.kill(workers[on_head]["pid"], signal.SIGKILL)
     cluster.remove_node(second, allow_graceful=False)
     out, _ = process.communicate(timeout=240)
@@ -143,12 +143,14 @@ def test_ctrl_c_leaves_a_checkpoint_and_no_process(
     words = ["--preset", str(preset), "--results", str(tmp_path)]
     process = harness(*words, "--backend", "ray", "--address", cluster.address)
     runs = [Store(tmp_path, "small").run(cell) for cell in CELLS]
-    found = wait_for(lambda: next(filter(None, map(worker, runs)), None), process)
+    result = wait_for(lambda: next(filter(None, map(worker, runs)), None), process)
     process.send_signal(signal.SIGINT)
     out, _ = process.communicate(timeout=120)
     assert process.returncode == 130, out
     assert "the same command resumes" in out
-    assert not psutil.pid_exists(found["run"]) or psutil.Process(found["run"]).status() == "zombie"
+    assert (
+        not psutil.pid_exists(result["run"]) or psutil.Process(result["run"]).status() == "zombie"
+    )
     assert sum(len(checkpoints(run.checkpoint)) for run in runs) == 1
     assert not any(run.is_complete() for run in runs)
 

@@ -193,13 +193,13 @@ def test_a_policy_plays_only_under_its_own_settings(
 
 def playing(pid: int) -> list[psutil.Process]:
     """The processes that a process has started to play, but for those that have ended."""
-    found = []
+    result = []
     for child in psutil.Process(pid).children():
         # git, which tells the commit, ends at any moment: between these lines, too
         with contextlib.suppress(psutil.NoSuchProcess):  # a zombie is one of these
             if "cell" in child.cmdline() and child.status() != psutil.STATUS_ZOMBIE:
-                found.append(child)
-    return found
+                result.append(child)
+    return result
 
 
 def test_what_has_ended_plays_no_more() -> None:
@@ -208,13 +208,13 @@ def test_what_has_ended_plays_no_more() -> None:
         while psutil.Process(child.pid).status() != psutil.STATUS_ZOMBIE:
             assert time.monotonic() < deadline
             time.sleep(0.02)
-        assert child.pid not in [found.pid for found in playing(os.getpid())]
+        assert child.pid not in [result.pid for result in playing(os.getpid())]
 
 
 def test_a_lost_process_and_ctrl_c_end_at_once(
     copied: list[str], tmp_path: Path, warm: Server
 ) -> None:
-    for number, told in ((signal.SIGKILL, "was killed"), (signal.SIGINT, "Interrupted")):
+    for number, report in ((signal.SIGKILL, "was killed"), (signal.SIGINT, "Interrupted")):
         log = tmp_path / f"{number}.txt"
         done = warm.start(log, "evaluate", *copied)
         players: list[psutil.Process] = []
@@ -225,7 +225,7 @@ def test_a_lost_process_and_ctrl_c_end_at_once(
         os.kill(players[0].pid if number == signal.SIGKILL else done.pid, number)
         assert done.wait(60) == (1 if number == signal.SIGKILL else 130)
         out = log.read_text(encoding="utf-8")
-        assert told in out
+        assert report in out
         assert "Traceback" not in out
         assert "Success (%) of the played runs" not in out
         _, alive = psutil.wait_procs(players, timeout=30)
@@ -256,9 +256,9 @@ def test_other_starts_are_starts_of_their_own(
         folder = tmp_path / "again" / f"starts-{starts}" / "smoke" / "runs"
         runs = [pd.read_csv(path) for path in sorted(folder.glob("*/episodes.csv"))]
         assert len(runs) == 5
-        found = [set(rows.loc[rows["noise"] == 0.0, "start"].astype(str)) for rows in runs]
-        assert all(starts == found[0] for starts in found)  # the same for every method
-        seen.append(found[0])
+        result = [set(rows.loc[rows["noise"] == 0.0, "start"].astype(str)) for rows in runs]
+        assert all(starts == result[0] for starts in result)  # the same for every method
+        seen.append(result[0])
     stored = pd.read_csv(tmp_path / "smoke" / "runs" / "optimum-optimized-s0" / "episodes.csv")
     assert not seen[0] & seen[1]
     assert not (seen[0] | seen[1]) & set(stored["start"].astype(str))

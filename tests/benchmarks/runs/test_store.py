@@ -71,7 +71,7 @@ def test_a_run_is_complete_when_meta_is_there_and_not_before(tmp_path: Path) -> 
     assert store.completed() == []
     run.write_meta({"wall_seconds": 1.0})
     assert run.is_complete()
-    assert [found.id for found in store.completed()] == ["cell"]
+    assert [result.id for result in store.completed()] == ["cell"]
     assert run.meta() == {"schema": SCHEMA, "wall_seconds": 1.0}
     run.drop_checkpoint()
     assert run.progress() == (1.0, "complete")

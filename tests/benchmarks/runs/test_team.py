@@ -88,7 +88,7 @@ def test_a_team_that_was_stopped_goes_on_as_if_never(
 ) -> None:
     preset = load_preset(str(results / "tiny.yaml"))
     (cell,) = [c for c in expand(preset) if (c.track, c.method) == (track, "rainbow")][-1:]
-    found = []
+    result = []
     for name in ("whole", "stopped"):
         folder = Store.open(tmp_path, name, create=True).run(cell.id)
         folder.begin(settings(preset, cell))
@@ -98,5 +98,5 @@ def test_a_team_that_was_stopped_goes_on_as_if_never(
         trained = trained or train(preset, cell, folder)
         assert trained is not None
         assert bool(trained[1]["resumed_at"]) == (name == "stopped")
-        found.append(digest(trained[0]))
-    assert found[0] == found[1]
+        result.append(digest(trained[0]))
+    assert result[0] == result[1]

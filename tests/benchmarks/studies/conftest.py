@@ -22,7 +22,7 @@ class Site:
 
     def differs(self, study: type[Study]) -> bool:
         """Whether the page is not what the stored data say."""
-        return any(found for _, found in blocks.check(self.results, study.blocks(self.results)))
+        return any(result for _, result in blocks.check(self.results, study.blocks(self.results)))
 
     def check(self, study: type[Study], path: str, word: str) -> str:
         """The text of a file, which was printed and is on the page; a changed word is noticed."""

@@ -50,8 +50,8 @@ def test_scripts_return_what_the_environment_pays() -> None:
     rows = audit.scripted(dataclasses.replace(preset, tracks=tracks), 2)
     assert set(rows["script"]) == set(SCRIPTS)
     means = {
-        (track, script): (float(found["return"].mean()), float(found["holes"].mean()))
-        for (track, script), found in rows.groupby(["track", "script"])
+        (track, script): (float(result["return"].mean()), float(result["holes"].mean()))
+        for (track, script), result in rows.groupby(["track", "script"])
     }
     for name in ("printed", "safe"):
         assert means[name, "farm"][1] == means[name, "oscillate"][1] == 0

@@ -52,10 +52,10 @@ def test_what_cannot_be_assembled_has_no_score() -> None:
 
 
 def test_the_optimum_of_a_design_is_the_same_for_the_same_starts() -> None:
-    found = codesign.optimum(OPTIMIZED, 0, 6)
-    assert found == codesign.optimum(OPTIMIZED, 0, 6)
-    solved = found.success / 100.0
-    assert found.ticks_all == pytest.approx(solved * found.ticks + (1 - solved) * 300)
+    result = codesign.optimum(OPTIMIZED, 0, 6)
+    assert result == codesign.optimum(OPTIMIZED, 0, 6)
+    solved = result.success / 100.0
+    assert result.ticks_all == pytest.approx(solved * result.ticks + (1 - solved) * 300)
     assert codesign.summary([math.nan, 10.0]) == (50.0, 10.0, 155.0)
     assert codesign.summary([math.nan])[0] == 0.0
 
@@ -83,19 +83,19 @@ def test_a_rank_correlation_has_an_interval_about_it() -> None:
     rng = np.random.default_rng(1)
     x = rng.normal(size=80)
     y = x + rng.normal(size=80)
-    found = rank_correlation(x, y)
-    assert found.mean == pytest.approx(spearmanr(x, y).statistic)
-    assert found.low < found.mean < found.high
-    assert found.high - found.low == pytest.approx(4 * 0.75 / math.sqrt(80), rel=0.5)
+    result = rank_correlation(x, y)
+    assert result.mean == pytest.approx(spearmanr(x, y).statistic)
+    assert result.low < result.mean < result.high
+    assert result.high - result.low == pytest.approx(4 * 0.75 / math.sqrt(80), rel=0.5)
     assert rank_correlation([*x, 9.0], [*y, math.nan]).n == 80
     assert rank_correlation(x, np.ones(80)).n == 0
 
 
 @pytest.mark.slow
 def test_the_largest_area_is_the_one_that_the_design_study_finds() -> None:
-    found = codesign.area_best("lambdas")
-    assert found == pytest.approx({"lambda1": 1.438, "lambda2": 1.660}, abs=0.002)
-    assert codesign.area(codesign.geometry_of(found)) == pytest.approx(1.165, abs=5e-4)
+    result = codesign.area_best("lambdas")
+    assert result == pytest.approx({"lambda1": 1.438, "lambda2": 1.660}, abs=0.002)
+    assert codesign.area(codesign.geometry_of(result)) == pytest.approx(1.165, abs=5e-4)
 
 
 @pytest.mark.slow
@@ -124,16 +124,16 @@ def test_the_command_goes_on_and_can_be_checked(site: Any, monkeypatch: pytest.M
     folder = results / "codesign"
     assert not (folder / "designs.csv").exists()
     assert main(words) == 0
-    found = SearchResult(folder)
+    result = SearchResult(folder)
     rows = RunFolder(folder).rows("designs")
     assert len(rows) == 2 * 4 + 4
-    assert {"initial", "optimized", "lambdas-area", "heights-area"} <= set(found.choose())
-    assert found.policies("heights-area").n == 2
+    assert {"initial", "optimized", "lambdas-area", "heights-area"} <= set(result.choose())
+    assert result.policies("heights-area").n == 2
 
     text = here.check(Codesign, "codesign/codesign.md", "too few")
     assert text.count("too few designs") == 2
     assert "](../results/codesign/figures/fronts.png)" in text
-    assert "--designs 4" in found.summary["command"]
+    assert "--designs 4" in result.summary["command"]
     assert (folder / "figures" / "fronts.png").stat().st_size > 10_000
     tables = folder / "codesign.md"
     tables.write_text(tables.read_text("utf-8").replace("too few", "enough"), encoding="utf-8")

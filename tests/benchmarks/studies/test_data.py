@@ -136,14 +136,14 @@ def test_a_dataset_of_another_recipe_is_refused(
 def test_starts_without_a_move_count_as_failures() -> None:
     idle, done = (Episode(data.Recorder(), n, n) for n in range(2))
     done.moves, done.insertions, done.reward = 30, [30], 20.0
-    found = data.measure([idle, done])
-    assert (found["starts"], found["episodes"], found["steps"]) == (2, 1, 30)
-    assert (found["success"], found["holes"], found["return"]) == (0.5, 0.5, 10.0)
+    result = data.measure([idle, done])
+    assert (result["starts"], result["episodes"], result["steps"]) == (2, 1, 30)
+    assert (result["success"], result["holes"], result["return"]) == (0.5, 0.5, 10.0)
 
 
 def test_the_dataset_in_git_is_the_one_of_the_table() -> None:
     (small, *_) = data.recipes(100_000)
     stored = json.loads((ROOT / "results/data/data.json").read_text("utf-8"))
-    found: Any = data.read(ROOT / "results" / "data", small)
-    assert found == pytest.approx(stored[0])
-    assert found["megabytes"] < 1.0
+    result: Any = data.read(ROOT / "results" / "data", small)
+    assert result == pytest.approx(stored[0])
+    assert result["megabytes"] < 1.0

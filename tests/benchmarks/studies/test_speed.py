@@ -44,10 +44,10 @@ class Clockwork:
 
 
 def test_rates_are_medians_over_the_rounds() -> None:
-    found = measure_updates({"a": Clockwork([0.1, 0.5, 0.2]), "b": Clockwork([1.0] * 3)}, 7, 3)
-    assert found["a"]["learn_cpu"] == pytest.approx(5.0)
-    assert found["b"]["learn_cpu"] == pytest.approx(1.0)
-    assert found["b"]["train_cpu"] == pytest.approx(1000.0)
+    result = measure_updates({"a": Clockwork([0.1, 0.5, 0.2]), "b": Clockwork([1.0] * 3)}, 7, 3)
+    assert result["a"]["learn_cpu"] == pytest.approx(5.0)
+    assert result["b"]["learn_cpu"] == pytest.approx(1.0)
+    assert result["b"]["train_cpu"] == pytest.approx(1000.0)
 
 
 @pytest.mark.parametrize("kind", ["learn", "train"])
@@ -70,8 +70,8 @@ def test_each_learner_is_measured(sbx: Any, monkeypatch: pytest.MonkeyPatch) -> 
     }
     assert models["Rainbow"].q_net.net_arch == models["SB3 DQN"].q_net.net_arch == [16, 8]
     players = {name: learner(model, 64) for name, model in models.items()}
-    found = measure_updates(players, 3, 1)
-    assert all(rates["train_cpu"] > 0.0 for rates in found.values())
+    result = measure_updates(players, 3, 1)
+    assert all(rates["train_cpu"] > 0.0 for rates in result.values())
 
 
 def test_each_learner_of_images_is_measured() -> None:
@@ -86,7 +86,7 @@ def test_the_report_gives_the_ratios_of_the_rates() -> None:
     rates = {
         name: dict.fromkeys(kinds, rate) for name, rate in (("SB3 DQN", 500.0), ("Rainbow", 600.0))
     }
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         "command": "c",
         "asked": {"rounds": 1, "steps": 1},
         "machine": {"machine": {"processor": "p"}, "commit": "0"},
@@ -96,13 +96,13 @@ def test_the_report_gives_the_ratios_of_the_rates() -> None:
         },
     }
 
-    def told() -> str:
-        return " ".join(speed.SpeedRainbow.to_markdown(json.loads(json.dumps(found))).split())
+    def report() -> str:
+        return " ".join(speed.SpeedRainbow.to_markdown(json.loads(json.dumps(result))).split())
 
-    assert "| Rainbow | 600 | 1.20 | 600 |" in told()
-    assert "| Rainbow of [256, 128, 64] | SB3 DQN | 1.20 | 1.20 | 1.5 |" in told()
-    assert "| Rainbow on images | SB3 DQN | 1.20 | 1.20 | 0.9 |" in told()
-    assert "SBX DQN was not measured: `sbx-rl` was not installed." in told()
-    found["parts"]["updates_64"] = {**rates, "SBX DQN": dict.fromkeys(kinds, 1200.0)}
-    assert "| Rainbow of [64, 64] | SBX DQN | 0.50 | 0.50 | 1.5 |" in told()
-    assert "was not measured" not in told()
+    assert "| Rainbow | 600 | 1.20 | 600 |" in report()
+    assert "| Rainbow of [256, 128, 64] | SB3 DQN | 1.20 | 1.20 | 1.5 |" in report()
+    assert "| Rainbow on images | SB3 DQN | 1.20 | 1.20 | 0.9 |" in report()
+    assert "SBX DQN was not measured: `sbx-rl` was not installed." in report()
+    result["parts"]["updates_64"] = {**rates, "SBX DQN": dict.fromkeys(kinds, 1200.0)}
+    assert "| Rainbow of [64, 64] | SBX DQN | 0.50 | 0.50 | 1.5 |" in report()
+    assert "was not measured" not in report()

@@ -252,19 +252,19 @@ def test_a_critic_sees_what_is_so() -> None:
     for _ in range(12):
         seen, *_, info = env.step([0.1, 0.0, -1.0, 0.0, 0.0, 0.0])
     ends = np.cumsum([size for size, _ in PRIVILEGED.values()])[:-1]
-    told = dict(zip(PRIVILEGED, np.split(seen["privileged"].astype(float), ends), strict=True))
-    tip, normal = 0.01 * told["tip - mouth"], told["normal"]
+    report = dict(zip(PRIVILEGED, np.split(seen["privileged"].astype(float), ends), strict=True))
+    tip, normal = 0.01 * report["tip - mouth"], report["normal"]
     assert -tip @ normal == pytest.approx(info["depth"], abs=1e-6)
     assert np.linalg.norm(tip - (tip @ normal) * normal) == pytest.approx(
         info["lateral_error"], abs=1e-6
     )
-    assert 10.0 * told["force"] == pytest.approx(info["force"], abs=1e-5)
-    assert told["friction"] == pytest.approx(info["friction"])
-    assert 0.05 * told["base"] == pytest.approx(info["error"], abs=1e-8)
+    assert 10.0 * report["force"] == pytest.approx(info["force"], abs=1e-5)
+    assert report["friction"] == pytest.approx(info["friction"])
+    assert 0.05 * report["base"] == pytest.approx(info["error"], abs=1e-8)
     errors = env.batch.disturbances[0]
-    assert 1.0 + 0.01 * told["lengths"] == pytest.approx(errors.lengths)
-    assert 1.0 + told["gains"] == pytest.approx(errors.gains)
-    assert told["force noise"] == pytest.approx(errors.force_noise)
+    assert 1.0 + 0.01 * report["lengths"] == pytest.approx(errors.lengths)
+    assert 1.0 + report["gains"] == pytest.approx(errors.gains)
+    assert report["force noise"] == pytest.approx(errors.force_noise)
     assert not np.any(make().batch.privileged(slice(0, 1))[0, 17:])  # a nominal machine has none
 
 

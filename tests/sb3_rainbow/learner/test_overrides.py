@@ -41,15 +41,15 @@ def calls_during(model: Rainbow, calls: list[Any]) -> tuple[int, int]:
     """Calls in choosing one action, and within two updates."""
     model.learn(24)
     model._n_updates = 50  # no look for the logs now
-    found = []
+    result = []
     for action in (
         lambda: model._explore(np.zeros((1, 4), np.float32), None),
         lambda: model.train(2, 8),
     ):
         del calls[:]
         action()
-        found.append(len(calls))
-    return found[0], found[1]
+        result.append(len(calls))
+    return result[0], result[1]
 
 
 @pytest.mark.parametrize("where", ["class", "instance"])
@@ -161,7 +161,7 @@ CHANGES = [wrap, subclass, activate, normalize, hook, shadow]
 @pytest.mark.parametrize("change", CHANGES)
 def test_changed_parts_act_and_learn(change: Callable[[RainbowNetwork], None]) -> None:
     """A model changed under way goes on as one that never had kernels."""
-    found = []
+    result = []
     for cpu_kernels in (True, False):
         kwargs = {"net_arch": [16]}
         model = Rainbow(
@@ -178,9 +178,9 @@ def test_changed_parts_act_and_learn(change: Callable[[RainbowNetwork], None]) -
         assert not model._learner.uses_kernels()
         after = list(model.q_net.parameters())
         assert not any(th.equal(p, q) for p, q in zip(before, after, strict=True))
-        found.append((nn.utils.parameters_to_vector(after), model.replay_buffer))
-    th.testing.assert_close(found[0][0], found[1][0])
-    np.testing.assert_array_equal(found[0][1].actions, found[1][1].actions)  # type: ignore[union-attr]
+        result.append((nn.utils.parameters_to_vector(after), model.replay_buffer))
+    th.testing.assert_close(result[0][0], result[1][0])
+    np.testing.assert_array_equal(result[0][1].actions, result[1][1].actions)  # type: ignore[union-attr]
 
 
 def test_a_network_that_is_the_packages_own_gets_its_kernels_back() -> None:

@@ -103,12 +103,12 @@ def test_a_narrow_support_far_from_zero_loses_no_digits() -> None:
         th.full((20, 1), float(discount)), v_min, v_max,
     )  # fmt: skip
     predicted = th.tensor(logits, dtype=th.float32)
-    found = categorical_losses(predicted, projected) - target_entropies(projected)
+    result = categorical_losses(predicted, projected) - target_entropies(projected)
     wanted = [
         entropy(slow_projection(p, float(reward), float(discount), v_min, v_max), q)
         for p, reward, q in zip(target, rewards, np.exp(logits), strict=True)
     ]
-    np.testing.assert_allclose(found, wanted, rtol=5e-5)
+    np.testing.assert_allclose(result, wanted, rtol=5e-5)
     share = clipped_share(th.full((1, 51), 1 / 51), th.zeros(1, 1), th.ones(1, 1), v_min, v_max)
     assert share.item() == 0.0
 

@@ -45,10 +45,10 @@ def hindsight(**kwargs: Any) -> Rainbow:
 def test_what_hindsight_cannot_do_is_off_with_one_warning(tmp_path: Any) -> None:
     with pytest.warns(
         UserWarning, match="HerReplayBuffer .*: prioritized=False, n_steps=1"
-    ) as told:
+    ) as report:
         model = hindsight()
-    assert len(told) == 1
-    assert told[0].filename == __file__
+    assert len(report) == 1
+    assert report[0].filename == __file__
     assert (model.prioritized, model.n_steps) == (False, 1)
     model.learn(60)
     assert model._n_updates > 0

@@ -300,9 +300,9 @@ def test_statistics_of_a_dict_travel_along() -> None:
     loaded = hub.load_vec_normalize("statistics.zip", make_vec_env(SimpleMultiObsEnv))
     rows: Any = env.observation_space.sample()
     wanted: Any = env.normalize_obs(rows)
-    found: Any = loaded.normalize_obs(rows)
+    result: Any = loaded.normalize_obs(rows)
     for key in wanted:
-        np.testing.assert_array_equal(found[key], wanted[key])
+        np.testing.assert_array_equal(result[key], wanted[key])
 
 
 def test_files_that_are_no_model_of_rainbow() -> None:

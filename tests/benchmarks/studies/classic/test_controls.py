@@ -76,8 +76,8 @@ def test_every_allowed_action_is_as_likely() -> None:
 
 def test_chance_knows_the_masks_that_rainbow_knows() -> None:
     task = load_suite("basics").tasks["masked_identity"]
-    found = [total for total, _ in evaluate(at_random(space_of(task), 0), task, range(100))]
-    assert np.mean(found) == pytest.approx(50 / 4, abs=1.0)  # one in four is right
+    result = [total for total, _ in evaluate(at_random(space_of(task), 0), task, range(100))]
+    assert np.mean(result) == pytest.approx(50 / 4, abs=1.0)  # one in four is right
 
 
 def test_the_action_that_is_held_is_the_best_on_validation_episodes(tmp_path: Path) -> None:
@@ -95,9 +95,9 @@ def test_the_action_that_is_held_is_the_best_on_validation_episodes(tmp_path: Pa
 
 def test_controls_are_runs_of_the_preset_and_can_be_stopped(tmp_path: Path) -> None:
     tiny = Classic("tiny")
-    found = {cell.id for cell in expand(tiny.preset) if not cell.learns}
-    assert {"cartpole-script-s0", "breakout-held-s0", "masked_identity-random-s0"} <= found
-    assert "masked_identity-script-s0" not in found
+    result = {cell.id for cell in expand(tiny.preset) if not cell.learns}
+    assert {"cartpole-script-s0", "breakout-held-s0", "masked_identity-random-s0"} <= result
+    assert "masked_identity-script-s0" not in result
     store = Store.open(tmp_path, "tiny", create=True)
     for name in ("cartpole-held-s0", "cartpole-script-s0"):
         cell = tiny.find(name)

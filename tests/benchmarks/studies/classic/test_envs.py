@@ -98,8 +98,8 @@ def test_the_small_cnn_is_a_convolution() -> None:
     assert isinstance(layer, torch.nn.Conv2d)
     assert layer.bias is not None
     by_hand = (layer.weight[5] * images[1, :, 4:7, 6:9]).sum() + layer.bias[5]
-    found = features.view(3, 16, 8, 8)[1, 5, 4, 6]
-    torch.testing.assert_close(found, by_hand.clamp(min=0.0))
+    result = features.view(3, 16, 8, 8)[1, 5, 4, 6]
+    torch.testing.assert_close(result, by_hand.clamp(min=0.0))
 
 
 def test_the_masks_of_masked_identity_allow_the_right_action() -> None:

@@ -82,8 +82,8 @@ def test_the_block_says_which_runs_it_shows(preset: SuitePreset, store: Store) -
     text = page(store)
     cells = expand(preset)
     controls = sum(not cell.learns for cell in cells)
-    told = f"{len(cells) - controls} runs and {controls} of controls, {len(cells)} CPU minutes"
-    assert told in text
+    report = f"{len(cells) - controls} runs and {controls} of controls, {len(cells)} CPU minutes"
+    assert report in text
     assert "abacus" in text
     assert "(../results/classic/public/figures/curves.png)" in text
     assert f"{preset.final_episodes} test episodes per seed" in text

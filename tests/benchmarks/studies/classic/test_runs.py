@@ -121,11 +121,11 @@ def test_how_often_a_policy_is_tested_changes_nothing(preset: SuitePreset, tmp_p
     cell = of_task("rainbow", "cartpole", 0)
     often = dataclasses.replace(preset.tasks["cartpole"], eval_every=50)
     frequent = dataclasses.replace(preset, tasks={"cartpole": often})
-    found = []
+    result = []
     for name, what in (("seldom", preset), ("often", frequent)):
         folder = RunFolder(tmp_path / name)
         run_learner(what, cell, folder)
-        found.append(folder.rows("episodes"))
+        result.append(folder.rows("episodes"))
     curve = RunFolder(tmp_path / "often").rows("curve")
     assert len(curve) > 10
     module = importlib.import_module("tensorboard.backend.event_processing.event_accumulator")
@@ -133,7 +133,7 @@ def test_how_often_a_policy_is_tested_changes_nothing(preset: SuitePreset, tmp_p
     events.Reload()
     shown = [(point.step, point.value) for point in events.Scalars("eval/mean_reward")]
     np.testing.assert_allclose(shown, curve[["timesteps", "return_mean"]], rtol=1e-6)
-    pd.testing.assert_frame_equal(found[0], found[1])
+    pd.testing.assert_frame_equal(result[0], result[1])
 
 
 def test_no_test_episode_is_one_of_training_or_validation() -> None:
@@ -206,9 +206,9 @@ def test_the_command_from_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixtur
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
     words = ["--preset", str(path), "--results", str(tmp_path / "results"), "--jobs", "1"]
     assert main(["run", *words]) == 0
-    told = capfd.readouterr().out
-    assert "masked_identity-rainbow-s0: done in" in told
-    assert "Masked identity" in told
+    report = capfd.readouterr().out
+    assert "masked_identity-rainbow-s0: done in" in report
+    assert "Masked identity" in report
     folder = tmp_path / "results" / "classic" / "few"
     assert (folder / "tables" / "scores.csv").is_file()
     assert (folder / "figures" / "curves.png").read_bytes()[:4] == b"\x89PNG"
@@ -217,9 +217,9 @@ def test_the_command_from_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixtur
     assert "sb3-contrib" in meta["versions"]
     assert sum(p.stat().st_size for p in (folder / "runs").rglob("*.*")) < 20_000
     assert main(["plan", *words]) == 0
-    told = capfd.readouterr().out
-    assert "3 cells of preset 'few'" in told
-    assert ", 0 to run" in told
+    report = capfd.readouterr().out
+    assert "3 cells of preset 'few'" in report
+    assert ", 0 to run" in report
 
 
 @pytest.mark.parametrize(

@@ -23,8 +23,8 @@ STORED = DesignStore(ROOT / "results")
 
 def test_the_tables_rows_are_the_papers_five() -> None:
     shares: list[float] = []
-    found = measured_runs(2, shares.append)
-    rows = {str(row["metric"]): row for row in table_rows(found)}
+    result = measured_runs(2, shares.append)
+    rows = {str(row["metric"]): row for row in table_rows(result)}
     assert list(rows) == list(paper_values.DESIGN)
     assert shares == [0.5, 1.0]
     assert rows["workspace"]["initial_mean"] == pytest.approx(0.82, abs=0.005)
@@ -34,7 +34,7 @@ def test_the_tables_rows_are_the_papers_five() -> None:
     for metric in ("sigma_min", "condition", "joint_range"):
         assert len(str(rows[metric]["note"])) > 40, "a row that does not match says why"
     json.dumps(list(rows.values()), allow_nan=False)
-    runs, paths = run_rows(found)
+    runs, paths = run_rows(result)
     assert [run["seed"] for run in runs] == [0, 1]
     assert len(paths) == sum(int(str(run["evaluations"])) for run in runs)
 

@@ -22,20 +22,20 @@ def test_each_script_finds_what_it_can_and_searches_press_less_than_a_stiff_push
     from coop_env.physics.env import CoopInsertionContactEnv
 
     env = CoopInsertionContactEnv("standard")
-    found = {
+    result = {
         (name, error): trials.play(env, make(env, Gains()), "validate", 4, error)
         for name, make in SCRIPTS.items()
         for error in (1.0, 3.0)
     }
-    won = {key: sum(rows["success"]) for key, rows in found.items()}
+    won = {key: sum(rows["success"]) for key, rows in result.items()}
     assert all(won[name, 1.0] == 4 for name in SCRIPTS)
     assert won["stiff push", 3.0] == won["compliant push", 3.0] == 0
     assert won["moment-guided search", 3.0] >= 3
     assert won["spiral search", 3.0] >= 3
-    stiff = found["stiff push", 3.0]
+    stiff = result["stiff push", 3.0]
     assert set(stiff["failure"]) <= {"force", "snap"}
     for name in ("compliant push", "moment-guided search", "spiral search"):
-        assert max(found[name, 3.0]["force"]) < 0.5 * min(stiff["force"])
+        assert max(result[name, 3.0]["force"]) < 0.5 * min(stiff["force"])
 
 
 def searched(hold: float, episodes: int, **fields: Any) -> dict[str, list[Any]]:
@@ -65,9 +65,9 @@ def test_half_the_timestep_changes_neither_success_nor_force() -> None:
 def test_a_peg_that_slides_from_one_stave_to_the_next_meets_no_blow() -> None:
     """Episode 47 met 74 N in a single timestep: taken for 3 mm deep in the next stave's side."""
     pytest.importorskip("mujoco", reason="needs the extra physics")
-    found = searched(3.0, 48)
-    assert max(found["force"]) < 20.0
-    assert "force" not in found["failure"]
+    result = searched(3.0, 48)
+    assert max(result["force"]) < 20.0
+    assert "force" not in result["failure"]
 
 
 def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(

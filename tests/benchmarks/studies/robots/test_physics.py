@@ -19,7 +19,7 @@ def test_the_command_writes_what_it_prints(site: Any) -> None:
     here.check(Physics, "physics/physics.md", "tip of the peg")
     folder = here.results / "physics"
     assert (folder / "model" / "coop_insertion.xml").is_file()
-    found = json.loads((folder / "physics.json").read_text("utf-8"))
+    result = json.loads((folder / "physics.json").read_text("utf-8"))
     for geometry in ("initial", "optimized"):
-        assert 0.0 < found["parts"][f"errors, {geometry}"]["tip"]["largest"] < 5e-5
-    assert min(found["parts"]["speed"].values()) > 0.0
+        assert 0.0 < result["parts"][f"errors, {geometry}"]["tip"]["largest"] < 5e-5
+    assert min(result["parts"]["speed"].values()) > 0.0

@@ -75,9 +75,9 @@ def test_no_certified_move_harms_another_machine(machine: dict[str, Any] | None)
     rng = np.random.default_rng(0)
     env = draw_machine(rng) if machine is None else CoopInsertionEnv(**machine)
     env.reset(seed=1)
-    found = attack(env, 10_000, rng)
-    assert found["moves"] >= 10_000
-    assert found["harmful"] == 0
+    result = attack(env, 10_000, rng)
+    assert result["moves"] >= 10_000
+    assert result["harmful"] == 0
 
 
 def test_the_margin_covers_the_worst_machine_within_its_bounds_and_no_worse_one() -> None:

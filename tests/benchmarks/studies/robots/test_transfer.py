@@ -34,10 +34,10 @@ def _optimum(world: str, seed: int) -> dict[str, Any]:
 )
 def test_the_exact_plan_and_a_search_fill_all_holes(world: str, force: float) -> None:
     pytest.importorskip("mujoco", reason="needs the extra physics")
-    found = _optimum(world, 3)
-    assert found["holes"] == 6
-    assert found["failure"] == ""
-    assert found["force"] < force
+    result = _optimum(world, 3)
+    assert result["holes"] == 6
+    assert result["failure"] == ""
+    assert result["force"] < force
 
 
 @pytest.mark.parametrize(
@@ -57,27 +57,27 @@ def test_a_script_plays_under_the_masks_and_the_memory_of_a_track(world: str) ->
     env = transfer.make_world(world, RESULTS, arguments)
     assert arguments["mask_visited"] == 64
     assert arguments["mask_refused"]
-    found = transfer.play_one(env, play, 0, derive("validate", 31, 3))
-    assert found["holes"] >= 1
-    assert found["first"]
+    result = transfer.play_one(env, play, 0, derive("validate", 31, 3))
+    assert result["holes"] >= 1
+    assert result["first"]
 
 
 def test_a_push_finds_no_hole_that_is_too_far_off() -> None:
     pytest.importorskip("mujoco", reason="needs the extra physics")
-    found = _optimum("+ push", 3)
-    assert not found["first"]
-    assert found["failure"] == "not inserted"
+    result = _optimum("+ push", 3)
+    assert not result["first"]
+    assert result["failure"] == "not inserted"
 
 
 def test_in_the_kinematic_task_it_is_the_optimum() -> None:
     from benchmarks.methods.oracle import LatticeOracle
 
-    found = _optimum("kinematics", 0)
-    assert found["holes"] == 6
+    result = _optimum("kinematics", 0)
+    assert result["holes"] == 6
     env = transfer.make_world("kinematics", RESULTS, {})
     env.reset(seed=derive("validate", 31, 0))
     moves: Any = LatticeOracle().plan(env).moves
-    assert found["time_first"] == pytest.approx(0.2 * len(moves))
+    assert result["time_first"] == pytest.approx(0.2 * len(moves))
 
 
 def test_a_plan_that_leads_elsewhere_is_named() -> None:
@@ -110,12 +110,12 @@ def test_machines_outside_of_the_bounds_are_outside() -> None:
 def test_what_inserts_is_tried_on_every_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco", reason="needs the extra physics")
     monkeypatch.setattr(transfer, "SEEDS", 2)
-    told: list[float] = []
-    found = transfer.on_machines("moment-guided search", RESULTS, 1, told.append)
-    assert list(found) == list(transfer.machines())
-    assert told[-1] == 1.0
-    assert all(len(rows[0]["success"]) == 2 for rows in found.values())
-    (table,) = transfer._machines({"machines: moment-guided search": found})
+    report: list[float] = []
+    result = transfer.on_machines("moment-guided search", RESULTS, 1, report.append)
+    assert list(result) == list(transfer.machines())
+    assert report[-1] == 1.0
+    assert all(len(rows[0]["success"]) == 2 for rows in result.values())
+    (table,) = transfer._machines({"machines: moment-guided search": result})
     assert "2 times the bounds" in table
     assert not list(transfer._machines({}))
 
