@@ -52,7 +52,7 @@ def comparisons(results: Results) -> list[Comparison]:
             asked.setdefault(question, []).append((ours, theirs, points))
     result = []
     for question, pairs in asked.items():
-        tests = [paired_p(points) for _, _, found in pairs]
+        tests = [paired_p(points) for _, _, points in pairs]
         for (ours, theirs, points), p, p_holm in zip(pairs, tests, holm(tests), strict=True):
             value = measured(points, lambda: (math.nan, math.nan))
             result.append(Comparison(question, ours, theirs, value, p, p_holm))

@@ -19,6 +19,7 @@ from benchmarks.reporting.tables.paper import (
     performance,
     robustness,
     seeds_notes,
+    timed,
 )
 from benchmarks.reporting.tables.table import Number, Table, TableCell, p_text
 from benchmarks.runs.store import Store
@@ -210,10 +211,11 @@ def team(results: Results) -> list[Table]:
     result = sorted([*in_turn, *at_once], key=_order)
     optimum = results.group(OPTIMUM_AT_ONCE)
     header = ["Method", "Components", "Robots move", "Decided by", "Success (%)"]
-    header += [*(metric.label for metric in TEAM_METRICS), "Ticks over the optimum at once (%)"]
+    metrics = [m for m in TEAM_METRICS if m != JOINTS_TIME or timed(result)]
+    header += [*(metric.label for metric in metrics), "Ticks over the optimum at once (%)"]
     made: list[list[TableCell]] = []
     for row in result:
-        cells = [row.measure(metric) for metric in (SUCCESS, *TEAM_METRICS)]
+        cells = [row.measure(metric) for metric in (SUCCESS, *metrics)]
         made.append([*_form(row), *cells, row.cell(row.excess(optimum))])
     notes = [
         *seeds_notes(result, [f"{row.name}, {row.ablation}" for row in result]),

@@ -42,12 +42,17 @@ def performance(results: Results) -> Table:
             for row, paper in zip(result, printed, strict=True)
         ]
         made.append([metric.label, *_in_pairs(printed, ours)])
-        if metric.key == "time_first":
+        if metric.key == "time_first" and timed(result):
             made.append([JOINTS_TIME.label, *_in_pairs(["-"] * 3, _measures(JOINTS_TIME, result))])
     if any(row.level != MAIN for row in result):
         made.append([GREEDILY, *_in_pairs(["-"] * 3, [row.tested(MAIN) for row in result])])
     notes = [*_how(result), *seeds_notes(result), *failure_notes(results), FLAG_NOTE]
     return Table("performance", f"Performance, {labels.track(track)}", header, made, notes)
+
+
+def timed(rows: Iterable[Group]) -> bool:
+    """Whether the test episodes of any know the joints' time; those of older runs do not."""
+    return any(row.value(JOINTS_TIME).n for row in rows)
 
 
 def _measures(metric: Metric, result: Sequence[Group]) -> list[TableCell]:
@@ -70,7 +75,8 @@ def controls(results: Results) -> Table:
     ]
     names = [f"Best script: {row.name}" if row is script else row.title for row in result]
     metrics = [*PAPER_METRICS, *EXTRA_METRICS[:2]]
-    metrics.insert(1 + metrics.index(METRICS["time_first"]), JOINTS_TIME)
+    if timed(result):
+        metrics.insert(1 + metrics.index(METRICS["time_first"]), JOINTS_TIME)
     made: list[list[TableCell]] = [[m.label, *_measures(m, result)] for m in metrics]
     if any(row.level != MAIN for row in result):
         made.append([GREEDILY, *(row.tested(MAIN) for row in result)])

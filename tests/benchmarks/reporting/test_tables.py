@@ -177,6 +177,26 @@ def test_comparisons_are_corrected_within_their_question(tmp_path: Path) -> None
     assert any(row[1] == "- Dueling head, repaired, as trained" for row in table.texts())
 
 
+def test_each_comparison_has_the_p_of_its_own_differences(tmp_path: Path) -> None:
+    """Two removals of different spread: neither takes the other's p."""
+    full = make_full(tmp_path)
+    spread = {"no_dueling": (3, 2, 4), "no_double_q": (1, 5, 0)}
+    for ablation, losses in spread.items():
+        for seed, lost in enumerate(losses):
+            run = full.run(f"rainbow-{ablation}-optimized-repaired-s{seed}")
+            rows = run.rows("episodes")
+            rows.loc[rows.index[rows["acting"] == "exploring"][:lost], "success"] = 0
+            rows.to_csv(run.path / "episodes.csv", index=False)
+    compared = comparisons(Results(full))
+    for ablation, losses in spread.items():
+        (one,) = (
+            c for c in compared if (c.question, c.ours.ablation) == (ABLATION_QUESTION, ablation)
+        )
+        differences = [-10.0 * (lost + 1) for lost in losses]  # one more is lost without it
+        expected = scipy.stats.ttest_1samp(differences, 0.0).pvalue
+        assert one.p == pytest.approx(expected)
+
+
 def test_the_tables_of_tasks_have_a_row_for_each(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, [0], "difficulty")
     (table,) = build_tables(store)
