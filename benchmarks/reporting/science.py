@@ -13,7 +13,7 @@ from benchmarks.reporting.verdicts import sentences
 from benchmarks.runs.store import Store
 
 PAPER: Final = ("Performance", "Ablation", "Geometry", "As printed")  # docs/results.md
-SHORT: Final = ("performance", "components", "geometry")  # the sentences of the README
+SHORT: Final = ("in_short", "performance", "components", "geometry")  # the README's
 # of the page of science: heading, sentences, tables, figures with what they show
 SECTIONS: Final[tuple[tuple[str, tuple[str, ...], tuple[str, ...], dict[str, str]], ...]] = (
     ("Performance", ("performance",), ("performance", "controls"),

@@ -1,15 +1,15 @@
 """Does the paper reproduce? Sentences that can fail, from stored runs and the thresholds below.
 
-Each is a paragraph of one sentence, which the README shows, and one of details below it. A sentence
-whose runs are missing is left out; one that rests on fewer than three seeds, or on fewer steps than
-the paper trains, says so and gives no verdict.
+Each is a paragraph of one or two sentences, which the README shows, and one of details below it.
+What has no runs is left out; what rests on fewer than three seeds, or on fewer steps than the paper
+trains, says so and gives no verdict.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 from benchmarks.protocol import labels
 from benchmarks.protocol.paper_values import ABLATION as PRINTED_ABLATION
@@ -31,22 +31,43 @@ from benchmarks.reporting.stats import Value, over_seeds
 SIGNIFICANCE: Final = 0.05  # of a difference over seeds, after Holm: the field's custom
 SUCCESS_LEAST: Final = 93.0  # %: the paper's mean less its standard deviation
 SCRIPT_POINTS: Final = 25.0  # above the best script under the same masks
+EQUAL: Final = 5.0  # points: two methods whose difference surely lies within are equally good
 LEARNS: Final = 50.0  # %: from half of the episodes on a method counts as having learned the task
 
 BETTER, SAME, WORSE = "better", "same", "worse"
+YES, IN_PART, NO = "Yes", "In part", "No"
+
+
+class Verdict(NamedTuple):
+    """Whether a claim of the paper holds, empty where that is open, and the words."""
+
+    holds: str
+    words: str
 
 
 def sentences(results: Results) -> dict[str, str]:
     """Sentences by what they speak of; only those whose runs are there."""
     compared = comparisons(results)
-    report = {
+    claims = {
         "performance": performance(results, compared),
         "components": components(results, compared),
         "geometry": geometry(results, compared),
+    }
+    report = {
+        "in_short": in_short([claim.holds for claim in claims.values()]),
+        **{topic: claim.words for topic, claim in claims.items()},
         "printed": printed(results),
         "uncertain": uncertain(compared),
     }
     return {topic: sentence for topic, sentence in report.items() if sentence}
+
+
+def in_short(claims: Sequence[str]) -> str:
+    """One word for the claims that have a verdict; nothing if none has."""
+    decided = [claim for claim in claims if claim]
+    if not decided:
+        return ""
+    return f"**{decided[0] if len(set(decided)) == 1 else IN_PART}.**"
 
 
 def outcome(comparison: Comparison) -> str:
@@ -54,6 +75,14 @@ def outcome(comparison: Comparison) -> str:
     if not comparison.p_holm < SIGNIFICANCE:
         return SAME
     return BETTER if comparison.difference.mean > 0.0 else WORSE
+
+
+def as_well(comparison: Comparison) -> str:
+    """Whether theirs does better, or as well, which takes more than a lack of significance."""
+    if outcome(comparison) == WORSE:
+        return "better"
+    difference = comparison.difference
+    return "as well" if difference.low > -EQUAL and difference.high < EQUAL else ""
 
 
 def ground(row: Group) -> str:
@@ -65,23 +94,27 @@ def ground(row: Group) -> str:
     return "" if len(runs) >= SEEDS else f"{len(runs)} of {row.planned} seeds"
 
 
-def performance(results: Results, compared: list[Comparison]) -> str:
+def performance(results: Results, compared: list[Comparison]) -> Verdict:
     """Rainbow against the paper's figure, the best script, masked DQN and the optimum."""
     greedy = results.group("rainbow", results.scored)
     ours = greedy.as_trained()
     if not ours.n:
-        return ""
+        return Verdict("", "")
     script = find(compared, CONTROL, ours)
-    rivals = [c.theirs for c in compared if (c.question, c.ours) == (MASKED, ours)]
-    others = [(rival.name.partition(",")[0], rival) for rival in rivals]
+    rivals = [c for c in compared if (c.question, c.ours) == (MASKED, ours)]
+    others = [(c.theirs.title, c.theirs) for c in rivals]
     way = " as trained" if ours != greedy else ""
     paper = PERFORMANCE["success"]["rainbow"]
-    said = f"it inserts in {_rate(ours)} of the test episodes{way} (paper {paper} %)"
-    if script:
-        said += f", the best script in {_rate(script.theirs)}"
-    if (optimum := results.group("optimum")).n:
-        said += f", and the exact optimum, which needs a model and no learning, in {_rate(optimum)}"
+    said = f"Rainbow inserts in {_rate(ours)} of the test episodes (paper {paper} %)"
+    said += f", a script in {_rate(script.theirs)}." if script else "."
+    for rival in rivals:
+        if not ground(rival.theirs) and (as_good := as_well(rival)):
+            said += f" {rival.theirs.title} does {as_good}."
     details = []
+    if (optimum := results.group("optimum")).n:
+        details.append(
+            f"The exact optimum, which needs a model and no learning, inserts in {_rate(optimum)}."
+        )
     if ours != greedy:
         details.append(f"Greedily, Rainbow inserts in {_rate(greedy)}.")
     if others:
@@ -89,28 +122,31 @@ def performance(results: Results, compared: list[Comparison]) -> str:
     if (planner := results.group("rrt_lattice")).n:
         details.append(f"{planner.name}, which needs a model too, inserts in {_rate(planner)}.")
     if why := ground(ours):
-        verdict, so_far = "No verdict yet on performance", f" ({why})"
+        holds, verdict, so_far = "", "No verdict yet on the success rate", f" ({why})"
     else:
-        verdict, so_far = _on_success(ours, script), _so_far(ours)
-    return _paragraphs(f"**{verdict}**{so_far}: {said}.", details)
+        (holds, verdict), so_far = _on_success(ours, script), _so_far(ours)
+    return Verdict(holds, _paragraphs(f"**{verdict}{so_far}.** {said}", details))
 
 
-def _on_success(ours: Group, script: Comparison | None) -> str:
+def _on_success(ours: Group, script: Comparison | None) -> Verdict:
     reached = ours.success().mean >= SUCCESS_LEAST
     if script is None or outcome(script) != BETTER:
-        return "The success rate does not reproduce: a script does as well"
+        return Verdict(NO, "The success rate does not reproduce: a script does as well")
     if not reached:
-        return "Rainbow beats the scripts but does not reach the paper's success rate"
+        return Verdict(
+            IN_PART, "Rainbow beats the scripts but stays below the paper's success rate"
+        )
     if script.difference.mean < SCRIPT_POINTS:
-        return f"The success rate reproduces, less than {SCRIPT_POINTS:g} points above a script"
-    return "The success rate reproduces"
+        near = f"less than {SCRIPT_POINTS:g} points above a script"
+        return Verdict(YES, f"The success rate reproduces, {near}")
+    return Verdict(YES, "The success rate reproduces")
 
 
-def components(results: Results, compared: list[Comparison]) -> str:
+def components(results: Results, compared: list[Comparison]) -> Verdict:
     """What the six components are worth: together, over masked DQN, and one at a time."""
     full = results.group("rainbow", results.scored).as_trained()
     if not full.n:
-        return ""
+        return Verdict("", "")
     masked = results.group("rainbow", full.track, ablation="none")
     together = next((c for c in compared if c.ours == full and c.theirs in masked.both()), None)
     wanted = len(PRINTED_ABLATION) - 1
@@ -120,33 +156,36 @@ def components(results: Results, compared: list[Comparison]) -> str:
         if c.question == ABLATION and c.ours.n and c.ours.ablation in PRINTED_ABLATION
     ]
     if not (together or singles):
-        return ""
+        return Verdict("", "")
     costs = [c for c in singles if outcome(c) == WORSE]
     said, details, rests_on = "", "", [full]
     if together:
-        behind = together.difference.signed(" points")
-        said = f": they change the success of Masked DQN, which lacks them, by {behind}"
+        said = (
+            f" Rainbow's success rate differs by {_points(together)} from that of masked DQN, "
+            "which lacks them."
+        )
     if len(singles) == wanted:
         names = ", ".join(_component(c) for c in costs) or "none"
         details = f"Of {wanted} that were removed one at a time these cost success: {names}."
         rests_on += [c.ours for c in singles]
     else:
-        details = f"Runs that remove one of them are there for {len(singles)} of {wanted} so far."
+        details = f"Removals of one at a time have been run for {len(singles)} of {wanted}."
     short = [ground(row) for row in rests_on if ground(row)]
     if together and ground(together.theirs):
         short.append(f"masked DQN: {ground(together.theirs)}")
     pays = together is not None and outcome(together) == BETTER
     if short:
-        verdict = f"**No verdict yet on the components** ({short[0]})"
+        holds, verdict = "", f"**No verdict yet on the components ({short[0]}).**"
     elif len(singles) < wanted:
-        verdict = f"**Together, the six components {'help' if pays else 'do not help'}**"
+        holds = IN_PART if pays else NO
+        verdict = f"**Together, Rainbow's six components {'help' if pays else 'do not help'}.**"
     elif pays and len(costs) == wanted:
-        verdict = "**The ablation of the six components reproduces**"
+        holds, verdict = YES, "**The ablation of the six components reproduces.**"
     elif pays or costs:
-        verdict = "**The ablation of the six components reproduces in part**"
+        holds, verdict = IN_PART, "**The ablation of the six components reproduces in part.**"
     else:
-        verdict = "**The ablation of the six components does not reproduce**"
-    return _paragraphs(f"{verdict}{said}.", [details])
+        holds, verdict = NO, "**The ablation of the six components does not reproduce.**"
+    return Verdict(holds, _paragraphs(f"{verdict}{said}", [details]))
 
 
 def _component(comparison: Comparison) -> str:
@@ -154,13 +193,13 @@ def _component(comparison: Comparison) -> str:
     return f"{name} ({_points(comparison)})"
 
 
-def geometry(results: Results, compared: list[Comparison]) -> str:
+def geometry(results: Results, compared: list[Comparison]) -> Verdict:
     """The three rows of the paper's table: does each go in the paper's direction?"""
     track = results.scored
     after = results.group("rainbow", track).as_trained()
     before = results.group("rainbow", track, "initial").as_trained()
     if not (before.n and after.n):
-        return ""
+        return Verdict("", "")
     pair, report, right = (before, after), [], 0
     for name, key, unit, digits, (low, high) in (
         ("success", "success", " %", 1, [row.success() for row in pair]),
@@ -180,14 +219,17 @@ def geometry(results: Results, compared: list[Comparison]) -> str:
         report.append(f"success of the best script from {shown} %")
     each = find(compared, GEOMETRY, before)
     if why := ground(before) or ground(after):
-        verdict = f"**No verdict yet on the design stage** ({why})"
-    elif right == 3 and each and outcome(each) == WORSE:
-        verdict = f"**The design stage's effect reproduces**{_so_far(before, after)}"
+        holds, verdict, so_far = "", "No verdict yet on the design stage", f" ({why})"
     else:
-        part = "reproduces in part" if right else "does not reproduce"
-        verdict = f"**The design stage's effect {part}**{_so_far(before, after)}"
-    said = f"{verdict}: better dimensions of the 3-RRS change Rainbow's {report[0]}."
-    return _paragraphs(said, [f"They change the {'; the '.join(report[1:])}."])
+        so_far = _so_far(before, after)
+        if right == 3 and each and outcome(each) == WORSE:
+            holds, verdict = YES, "The design stage's gain reproduces"
+        elif right:
+            holds, verdict = IN_PART, "The design stage's gain reproduces in part"
+        else:
+            holds, verdict = NO, "The design stage's gain does not reproduce"
+    said = f"**{verdict}{so_far}.** Better dimensions of the 3-RRS change Rainbow's {report[0]}."
+    return Verdict(holds, _paragraphs(said, [f"They change the {'; the '.join(report[1:])}."]))
 
 
 def printed(results: Results) -> str:

@@ -15,7 +15,7 @@ from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.results import Results
 from benchmarks.reporting.science import six
 from benchmarks.reporting.tables.table import Number
-from benchmarks.reporting.verdicts import sentences
+from benchmarks.reporting.verdicts import in_short, sentences
 from benchmarks.runs.store import Store
 
 N = 100
@@ -76,14 +76,14 @@ def report_of(results_of: Callable[..., Results]) -> Reports:
 
 def test_the_success_rate_reproduces(report_of: Reports) -> None:
     said, details = report_of(LEARNED)["performance"].split("\n\n")
-    assert said.startswith(
-        "**The success rate reproduces** (3 of 5 seeds): it inserts in 95.0 ± 1.0"
+    assert said == (
+        "**The success rate reproduces (3 of 5 seeds).** Rainbow inserts in 95.0 ± 1.0 % of the "
+        "test episodes (paper 95 ± 2 %), a script in 50.3 ± 1.5 %."
     )
-    assert (
-        "of the test episodes as trained (paper 95 ± 2 %), the best script in 50.3 ± 1.5 %" in said
+    assert details.startswith(
+        "The exact optimum, which needs a model and no learning, inserts in 97.3 ± 0.6 %."
     )
-    assert said.endswith("the exact optimum, which needs a model and no learning, in 97.3 ± 0.6 %.")
-    assert details.startswith("Greedily, Rainbow inserts in 95.0 ± 1.0 %.")
+    assert "Greedily, Rainbow inserts in 95.0 ± 1.0 %." in details
     assert "As trained, Masked DQN inserts in 70.0 ± 2.0 %." in details
 
 
@@ -92,12 +92,12 @@ def test_the_success_rate_reproduces(report_of: Reports) -> None:
     [
         (
             {RAINBOW: [92, 93, 93]},
-            "Rainbow beats the scripts but does not reach the paper's success rate",
+            "Rainbow beats the scripts but stays below the paper's success rate",
         ),
         ({SCRIPT: [71, 72, 71]}, "The success rate reproduces, less than 25 points above a script"),
         ({SCRIPT: [94, 97, 95]}, "The success rate does not reproduce: a script does as well"),
         ({SCRIPT: [98, 99, 97]}, "The success rate does not reproduce: a script does as well"),
-        ({RAINBOW: [95, 96]}, "No verdict yet on performance** (2 of 5 seeds)"),
+        ({RAINBOW: [95, 96]}, "No verdict yet on the success rate (2 of 5 seeds)."),
     ],
 )
 def test_each_threshold_of_performance(
@@ -109,9 +109,44 @@ def test_each_threshold_of_performance(
 def test_a_cut_budget_gives_no_verdict(report_of: Reports) -> None:
     report = report_of(LEARNED, steps=120_000)
     assert (
-        "No verdict yet on performance** (120,000 of the paper's 1,500,000" in report["performance"]
+        "No verdict yet on the success rate (120,000 of the paper's 1,500,000"
+        in report["performance"]
     )
     assert "No verdict yet on the components" in report["components"]
+    assert "in_short" not in report
+
+
+PPO = "maskable_ppo-optimized-repaired"
+
+
+@pytest.mark.parametrize(
+    ("solved", "said"),
+    [
+        ([95, 97, 94], " MaskablePPO does as well."),
+        ([85, 96, 99], "a script in 50.3 ± 1.5 %."),  # no significant difference is no equality
+        ([99, 100, 99], " MaskablePPO does better."),
+        ([99, 100], "a script in 50.3 ± 1.5 %."),
+    ],
+)
+def test_a_learner_that_does_as_well_is_named(
+    solved: list[int], said: str, report_of: Reports
+) -> None:
+    report = report_of({**LEARNED, PPO: solved})["performance"]
+    assert report.partition("\n\n")[0].endswith(said)
+
+
+@pytest.mark.parametrize(
+    ("claims", "word"),
+    [
+        (["Yes", "", "Yes"], "**Yes.**"),
+        (["No", "No"], "**No.**"),
+        (["Yes", "No"], "**In part.**"),
+        (["In part"], "**In part.**"),
+        (["", ""], ""),
+    ],
+)
+def test_one_word_for_all_claims(claims: list[str], word: str) -> None:
+    assert in_short(claims) == word
 
 
 def test_without_a_run_there_is_no_sentence(report_of: Reports, tmp_path: Path) -> None:
@@ -130,20 +165,23 @@ def _removed(**changed: list[int]) -> dict[str, list[int]]:
 @pytest.mark.parametrize(
     ("runs", "verdict"),
     [
-        (_removed(), "The ablation of the six components reproduces**:"),
-        (_removed(noisy=[95, 97, 93]), "The ablation of the six components reproduces in part**:"),
+        (_removed(), "The ablation of the six components reproduces.**"),
+        (_removed(noisy=[95, 97, 93]), "The ablation of the six components reproduces in part.**"),
         (
             _removed(noisy=[95, 97, 93]) | {MASKED: [95, 97, 93]},
-            "The ablation of the six components reproduces in part**:",
+            "The ablation of the six components reproduces in part.**",
         ),
         (
             _removed(**{name: [95, 97, 93] for name in SIX}) | {MASKED: [95, 97, 93]},
-            "The ablation of the six components does not reproduce**:",
+            "The ablation of the six components does not reproduce.**",
         ),
-        (LEARNED, "Together, the six components help**:"),
-        ({**LEARNED, MASKED: [95, 97, 93]}, "Together, the six components do not help**:"),
-        (_removed(noisy=[95]), "No verdict yet on the components** (1 of 5 seeds)"),
-        ({**LEARNED, MASKED: [70]}, "No verdict yet on the components** (masked DQN: 1 of 5"),
+        (LEARNED, "Together, Rainbow's six components help.**"),
+        ({**LEARNED, MASKED: [95, 97, 93]}, "Together, Rainbow's six components do not help.**"),
+        (_removed(noisy=[95]), "No verdict yet on the components (1 of 5 seeds).**"),
+        (
+            {**LEARNED, MASKED: [70]},
+            "No verdict yet on the components (masked DQN: 1 of 5 seeds).**",
+        ),
     ],
 )
 def test_what_the_components_are_worth(
@@ -155,13 +193,13 @@ def test_what_the_components_are_worth(
 def test_some_of_the_removals_are_no_verdict_on_the_ablation(report_of: Reports) -> None:
     runs = {name: seeds for name, seeds in _removed(noisy=[95]).items() if "dueling" not in name}
     report = report_of(runs)["components"]
-    assert report.startswith("**Together, the six components help**:")
-    assert report.endswith("Runs that remove one of them are there for 5 of 6 so far.")
+    assert report.startswith("**Together, Rainbow's six components help.**")
+    assert report.endswith("Removals of one at a time have been run for 5 of 6.")
 
 
 def test_the_components_are_named_with_their_cost(report_of: Reports) -> None:
     report = report_of(_removed(noisy=[95, 97, 93]))["components"]
-    assert "change the success of Masked DQN, which lacks them, by +25.0 points" in report
+    assert "differs by +25.0 points" in report
     assert "dueling head (-14.7 points" in report
     assert "noisynets" not in report
 
@@ -169,13 +207,25 @@ def test_the_components_are_named_with_their_cost(report_of: Reports) -> None:
 @pytest.mark.parametrize(
     ("before", "training", "verdict"),
     [
-        ([80, 82, 79], {"steps_to_75": 300_000, "singular": 40}, "effect reproduces**"),
-        ([80, 82, 79], {"steps_to_75": 100_000, "singular": 40}, "effect reproduces in part**"),
-        ([97, 98, 99], {"steps_to_75": 100_000, "singular": 0}, "effect does not reproduce**"),
+        (
+            [80, 82, 79],
+            {"steps_to_75": 300_000, "singular": 40},
+            "gain reproduces (3 of 5 seeds).**",
+        ),
+        (
+            [80, 82, 79],
+            {"steps_to_75": 100_000, "singular": 40},
+            "gain reproduces in part (3 of 5 seeds).**",
+        ),
+        (
+            [97, 98, 99],
+            {"steps_to_75": 100_000, "singular": 0},
+            "gain does not reproduce (3 of 5 seeds).**",
+        ),
         (
             [80, 82],
             {"steps_to_75": 300_000, "singular": 40},
-            "No verdict yet on the design stage**",
+            "No verdict yet on the design stage (2 of 5 seeds).**",
         ),
     ],
 )
