@@ -34,7 +34,8 @@ def short(store: Store) -> str:
     results = Results(store)
     report = sentences(results)
     parts = [report[topic].partition("\n\n")[0] for topic in SHORT if topic in report]
-    return "\n\n".join(part.strip() for part in [*parts, six(results).markdown()])
+    parts += [six(results).markdown(), f"So far {complete_of(results)} are complete."]
+    return "\n\n".join(part.strip() for part in parts)
 
 
 def six(results: Results) -> Table:
@@ -46,9 +47,9 @@ def six(results: Results) -> Table:
         ("Vanilla DQN (SB3's, without masks)", printed["dqn"],
          results.group("dqn", track).as_trained()),
         ("RRT-Connect, the paper's planner", printed["rrt_connect"], results.group("rrt_connect")),
-        ("Masked DQN", "-", results.group("rainbow", track, ablation="none").as_trained()),
         ("MaskablePPO", "-", results.group("maskable_ppo", track).as_trained()),
         ("Best script, with the same masks", "-", results.control_of(ours)),
+        ("Exact optimum, which needs a model", "-", results.group("optimum")),
     ]  # fmt: skip
     made: list[list[TableCell]] = [
         [name, paper, Number(row.success(), suffix=row.lead) if row and row.n else "missing"]
@@ -77,15 +78,25 @@ def science(store: Store, beyond: bool = False) -> str:
             if (store.figures / f"{name}.png").is_file()
         ]
     if not beyond:
-        parts.append(origin(results, store.folder.name))
+        parts.insert(0, origin(results, store.folder.name))
     return "\n\n".join(part.strip() for part in parts if part.strip())
+
+
+def planned(results: Results) -> int:
+    """How many runs the preset holds."""
+    return sum(group.planned for group in results.groups.values())
+
+
+def complete_of(results: Results) -> str:
+    """``92 of 185 runs``."""
+    done = len(results.all())
+    return f"{done} of {max(done, planned(results))} runs"
 
 
 def origin(results: Results, preset: str) -> str:
     """How many runs, how long, at which commit and on which machine."""
     folders = [run.folder for run in results.all()]
-    planned = sum(group.planned for group in results.groups.values())
-    text = provenance(preset, folders, max(0, planned - len(folders)))
+    text = provenance(preset, folders, max(0, planned(results) - len(folders)))
     if not folders:
         return text
     return (

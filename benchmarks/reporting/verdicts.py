@@ -7,6 +7,7 @@ trains, says so and gives no verdict.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -80,9 +81,9 @@ def outcome(comparison: Comparison) -> str:
 def as_well(comparison: Comparison) -> str:
     """Whether theirs does better, or as well, which takes more than a lack of significance."""
     if outcome(comparison) == WORSE:
-        return "better"
+        return "better than Rainbow"
     difference = comparison.difference
-    return "as well" if difference.low > -EQUAL and difference.high < EQUAL else ""
+    return "as good as Rainbow" if difference.low > -EQUAL and difference.high < EQUAL else ""
 
 
 def ground(row: Group) -> str:
@@ -105,22 +106,22 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
     others = [(c.theirs.title, c.theirs) for c in rivals]
     way = " as trained" if ours != greedy else ""
     paper = PERFORMANCE["success"]["rainbow"]
-    said = f"Rainbow inserts in {_rate(ours)} of the test episodes (paper {paper} %)"
-    said += f", a script in {_rate(script.theirs)}." if script else "."
+    said = f"Rainbow succeeds in {_rate(ours)} of the test episodes (paper {paper} %)"
+    said += f", the best script in {_rate(script.theirs)}." if script else "."
     for rival in rivals:
         if not ground(rival.theirs) and (as_good := as_well(rival)):
-            said += f" {rival.theirs.title} does {as_good}."
+            said += f" {rival.theirs.title} is {as_good}."
     details = []
     if (optimum := results.group("optimum")).n:
         details.append(
-            f"The exact optimum, which needs a model and no learning, inserts in {_rate(optimum)}."
+            f"The exact optimum, which needs a model and no learning, reaches {_rate(optimum)}."
         )
     if ours != greedy:
-        details.append(f"Greedily, Rainbow inserts in {_rate(greedy)}.")
+        details.append(f"Greedily, Rainbow reaches {_rate(greedy)}.")
     if others:
         details.append(f"{'As trained, ' if way else ''}{_joined(others)}.")
     if (planner := results.group("rrt_lattice")).n:
-        details.append(f"{planner.name}, which needs a model too, inserts in {_rate(planner)}.")
+        details.append(f"{planner.name}, which needs a model too, reaches {_rate(planner)}.")
     if why := ground(ours):
         holds, verdict, so_far = "", "No verdict yet on the success rate", f" ({why})"
     else:
@@ -161,15 +162,14 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
     said, details, rests_on = "", "", [full]
     if together:
         said = (
-            f" Rainbow's success rate differs by {_points(together)} from that of masked DQN, "
-            "which lacks them."
+            f" Rainbow's success rate is {_above(together)} that of masked DQN, which lacks them."
         )
     if len(singles) == wanted:
         names = ", ".join(_component(c) for c in costs) or "none"
         details = f"Of {wanted} that were removed one at a time these cost success: {names}."
         rests_on += [c.ours for c in singles]
     else:
-        details = f"Removals of one at a time have been run for {len(singles)} of {wanted}."
+        details = f"Of {wanted} removals of one component, {len(singles)} have been run so far."
     short = [ground(row) for row in rests_on if ground(row)]
     if together and ground(together.theirs):
         short.append(f"masked DQN: {ground(together.theirs)}")
@@ -202,34 +202,38 @@ def geometry(results: Results, compared: list[Comparison]) -> Verdict:
         return Verdict("", "")
     pair, report, right = (before, after), [], 0
     for name, key, unit, digits, (low, high) in (
-        ("success", "success", " %", 1, [row.success() for row in pair]),
-        ("training steps to 75 % success (1e5)", "steps_to_75", "", 2,
+        ("success rate", "success", " %", 1, [row.success() for row in pair]),
+        ("number of training steps to 75 % success (1e5)", "steps_to_75", "", 2,
          [row.meta("steps_to_75", 1e-5) for row in pair]),
-        ("singular ends per 1000 training episodes", "singular_per_1000", "", 1,
+        ("number of singularity terminations in 1000 training episodes", "singular_per_1000", "", 1,
          [row.singular_per_1000() for row in pair]),
     ):  # fmt: skip
         right += (high.mean > low.mean) if key == "success" else (high.mean < low.mean)
         report.append(
-            f"{name} from {_show(low, digits)} to {_show(high, digits)}{unit} "
+            f"{name} {_verb(low, high)} from {_show(low, digits)} to {_show(high, digits)}{unit} "
             f"(paper {' to '.join(GEOMETRY_ABLATION[key])})"
         )
-    scripts = [results.control_of(row, row.geometry) for row in pair]
-    if all(scripts):
-        shown = " to ".join(_show(row.success()) for row in scripts if row)
-        report.append(f"success of the best script from {shown} %")
     each = find(compared, GEOMETRY, before)
     if why := ground(before) or ground(after):
-        holds, verdict, so_far = "", "No verdict yet on the design stage", f" ({why})"
+        holds, verdict, so_far = "", "No verdict yet on optimizing the 3-RRS", f" ({why})"
     else:
         so_far = _so_far(before, after)
         if right == 3 and each and outcome(each) == WORSE:
-            holds, verdict = YES, "The design stage's gain reproduces"
+            holds, verdict = YES, "The gain from optimizing the 3-RRS reproduces"
         elif right:
-            holds, verdict = IN_PART, "The design stage's gain reproduces in part"
+            holds, verdict = IN_PART, "The gain from optimizing the 3-RRS reproduces in part"
         else:
-            holds, verdict = NO, "The design stage's gain does not reproduce"
-    said = f"**{verdict}{so_far}.** Better dimensions of the 3-RRS change Rainbow's {report[0]}."
-    return Verdict(holds, _paragraphs(said, [f"They change the {'; the '.join(report[1:])}."]))
+            holds, verdict = NO, "The gain from optimizing the 3-RRS does not reproduce"
+    said = f"**{verdict}{so_far}.** Rainbow's {report[0]}."
+    details = [f"Its {'; its '.join(report[1:])}."]
+    scripts = [results.control_of(row, row.geometry) for row in pair]
+    if all(scripts):
+        low, high = (row.success() for row in scripts if row)
+        details.append(
+            f"The success rate of the best script {_verb(low, high)} from {_show(low)} to "
+            f"{_show(high)} %."
+        )
+    return Verdict(holds, _paragraphs(said, details))
 
 
 def printed(results: Results) -> str:
@@ -268,13 +272,26 @@ def _last_episodes(group: Group, column: str) -> Value:
     return over_seeds([tail_mean(curve, column) for curve in group.curves()])
 
 
+def _verb(before: Value, after: Value) -> str:
+    return "rises" if after.mean > before.mean else "falls"
+
+
+def _above(comparison: Comparison) -> str:
+    """``25.0 points [16.6, 33.4] above``, or below."""
+    change = comparison.difference
+    if change.mean >= 0.0:
+        return f"{change.signed(' points').removeprefix('+')} above"
+    turned = dataclasses.replace(change, mean=-change.mean, low=-change.high, high=-change.low)
+    return f"{turned.signed(' points').removeprefix('+')} below"
+
+
 def _points(comparison: Comparison) -> str:
     return comparison.difference.signed(" points")
 
 
 def _so_far(*rows: Group) -> str:
     row = min(rows, key=lambda each: each.n / max(each.planned, 1))
-    return f" ({row.n} of {row.planned} seeds)" if row.n < row.planned else ""
+    return f" ({row.n} of {row.planned} seeds so far)" if row.n < row.planned else ""
 
 
 def _paragraphs(said: str, details: Sequence[str]) -> str:

@@ -91,8 +91,7 @@ def _how(result: list[Group]) -> list[str]:
     for row in complete(result):
         if row.method in LEARNERS or row.level != MAIN:
             ways.setdefault(row.acting, []).append(row.name)
-    parts = [f"{', '.join(names)}: {way}" for way, names in ways.items()]
-    return [f"Acting: {'; '.join(parts)}."] if parts else []
+    return [f"Acting {way}: {'; '.join(names)}." for way, names in ways.items()]
 
 
 def ablation(results: Results) -> Table:
@@ -256,10 +255,10 @@ def seeds_notes(groups: Iterable[Group], names: Iterable[str] | None = None) -> 
         return ["No run of this preset is complete."]
     episodes = "/".join(str(n) for n in lengths)
     if seeds == [1]:
-        first = f"Ours: n = 1 seed x {episodes} test episodes, so no spread can be given."
+        first = f"Ours: 1 seed x {episodes} test episodes, so no spread can be given."
     else:
-        counts = "/".join(str(n) for n in seeds)
-        first = f"Ours: mean ± std over n = {counts} seeds x {episodes} test episodes."
+        counts = " or ".join(str(n) for n in seeds)
+        first = f"Ours: mean ± std over {counts} seeds x {episodes} test episodes."
     partial = [
         f"{name} {group.n} of {group.planned} seeds"
         for name, group in by_name.items()

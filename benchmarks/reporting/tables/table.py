@@ -15,7 +15,7 @@ from benchmarks.reporting.stats import Value
 from benchmarks.runs.store import write_text
 
 FLAG: Final = "†"
-FLAG_NOTE: Final = f"{FLAG} no number that rounds to the paper's lies in our 95 % interval."
+FLAG_NOTE: Final = f"{FLAG} the paper's value, rounded as printed, is outside our 95 % interval."
 _NUMBER: Final = re.compile(r"-?\d+(?:\.(\d+))?")
 NARROW: Final = 5  # columns of a table that fits one column of a paper
 
