@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 from benchmarks.protocol import labels
 from benchmarks.protocol.paper_values import ABLATION as PRINTED_ABLATION
 from benchmarks.protocol.paper_values import GEOMETRY_ABLATION, PERFORMANCE, TRAINING_STEPS
+from benchmarks.protocol.plan import CONTROLS
 from benchmarks.reporting.compared import (
     ABLATION,
     CONTROL,
@@ -25,7 +26,7 @@ from benchmarks.reporting.compared import (
     comparisons,
     find,
 )
-from benchmarks.reporting.results import SEEDS, Group, Results, tail_mean
+from benchmarks.reporting.results import NOISY, SEEDS, Group, Level, Results, best, tail_mean
 from benchmarks.reporting.stats import Value, over_seeds
 
 # Thresholds. A test for each fails when it moves.
@@ -111,6 +112,7 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
     for rival in rivals:
         if not ground(rival.theirs) and (as_good := as_well(rival)):
             said += f" {rival.theirs.title} is {as_good}."
+    said += under_noise(results, greedy)
     details = []
     if (optimum := results.group("optimum")).n:
         details.append(
@@ -127,6 +129,23 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
     else:
         (holds, verdict), so_far = _on_success(ours, script), _so_far(ours)
     return Verdict(holds, _paragraphs(f"**{verdict}{so_far}.** {said}", details))
+
+
+def under_noise(results: Results, greedy: Group) -> str:
+    """Ours and the best script where noise on the observation, in place of random moves, helps it
+    most; empty where nothing was tested so.
+    """
+    levels = {level[0] for run in greedy.runs for level in run.levels if level[0] > 0.0}
+    scripts = [results.group(name, greedy.track) for name in NOISY if name in CONTROLS]
+    tested = [row.at(Level(noise)) for noise in levels for row in scripts if row.n]
+    chosen = best(row for row in tested if row.success().n)
+    if chosen is None:
+        return ""
+    ours = greedy.at(chosen.level)
+    return (
+        f" With noise of {chosen.level.noise:g} on what it observes, the best script reaches "
+        f"{_rate(chosen)}, Rainbow {_rate(ours)}."
+    )
 
 
 def _on_success(ours: Group, script: Comparison | None) -> Verdict:

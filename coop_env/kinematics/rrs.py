@@ -346,7 +346,7 @@ def forward(
 ) -> Forward:
     """Poses of actuated angles, on the branch of the poses before them.
 
-    Up to eight poses close the limbs for one q. This walks q in a straight line from the angles of
+    Up to 16 poses close the limbs for one q. This walks q in a straight line from the angles of
     ``previous`` and tracks the pose by Newton's method, in steps short enough that it contracts,
     with det A kept on its side. Where the branch ends on the way, in a parallel singularity, it
     says ``converged=False`` and gives NaN: it never jumps to another assembly mode.

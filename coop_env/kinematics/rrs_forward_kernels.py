@@ -1,6 +1,6 @@
 """Scalar kernels of the 3-RRS's forward kinematics: continuation that stays on its branch.
 
-Given actuated angles q, up to eight platform poses close the limbs. Which of them the machine is in
+Given actuated angles q, up to 16 platform poses close the limbs. Which of them the machine is in
 follows from where it was, so the solver walks q from the previous pose's angles to the goal's and
 tracks the pose, refusing every step in which Newton's method could have left the branch.
 """
