@@ -61,8 +61,7 @@ figures: $(STAMP) ## Regenerate the figures and numbers of README, design, resul
 	@$(BIN)/python -m benchmarks report --preset cut
 	@$(BIN)/python -m benchmarks study media
 	@$(BIN)/python -m benchmarks study audit
-	@$(BIN)/python -m benchmarks study failures --preset cut --track safe
-	@$(BIN)/python -m benchmarks study failures --preset cut --track memory
+	@$(BIN)/python -m benchmarks study failures
 
 dist: $(STAMP) ## Wheel and sdist in dist/, each installed into an empty environment and tried
 	@rm -rf dist build/dist && mkdir -p build/dist

@@ -107,8 +107,8 @@ class Failures(Study):
 
     name = "failures"
     options = {  # noqa: RUF012
-        "--preset": {"default": "cut", "help": "whose stored policies"},
-        "--track": {"default": "safe", "help": "their track"},
+        "--preset": {"default": "paper", "help": "whose stored policies"},
+        "--track": {"default": "repaired", "help": "their track"},
         "--method": {"default": "rainbow", "choices": LEARNERS, "help": "the learner"},
         "--geometry": {"default": "optimized", "help": "of the 3-RRS"},
     }
