@@ -108,7 +108,7 @@ class Failures(Study):
     name = "failures"
     options = {  # noqa: RUF012
         "--preset": {"default": "paper", "help": "whose stored policies"},
-        "--track": {"default": "repaired", "help": "their track"},
+        "--track": {"help": "their track (default: the preset's first)"},
         "--method": {"default": "rainbow", "choices": LEARNERS, "help": "the learner"},
         "--geometry": {"default": "optimized", "help": "of the 3-RRS"},
     }
@@ -118,12 +118,13 @@ class Failures(Study):
         self.preset = load_preset(given.preset)
         self.store = Store.open(self.results, self.preset.name)
         self.folder = self.store.folder / "failures"
-        wanted = Cell(given.method, "full", given.geometry, given.track, 0)
+        self.track = given.track or next(iter(self.preset.tracks))
+        wanted = Cell(given.method, "full", given.geometry, self.track, 0)
         alike = (cell for cell in expand(self.preset) if replace(cell, seed=0) == wanted)
         self.cells = sorted(cell for cell in alike if self.store.run(cell.id).has_policy())
         if not self.cells:
             raise BenchmarkError(
-                f"{self.store.folder} has no stored policy of {given.method}, track {given.track}, "
+                f"{self.store.folder} has no stored policy of {given.method}, track {self.track}, "
                 f"geometry {given.geometry}; run: python -m benchmarks run --preset "
                 f"{self.preset.name}"
             )
@@ -146,7 +147,7 @@ class Failures(Study):
         self.rows += [{**row, "acting": acting} for row in played]
 
     def finish(self) -> None:
-        name = f"{self.given.method}-{self.given.track}"
+        name = f"{self.given.method}-{self.track}"
         if self.given.geometry != "optimized":
             name += f"-{self.given.geometry}"
         write_csv(self.folder / f"{name}.csv", self.rows)
