@@ -361,6 +361,8 @@ def to_markdown(records: Sequence[Mapping[str, Any]]) -> str:
         "Success: episodes with an insertion, of all starts; return: mean ± std of the episodes.",
         "Nothing inserts from more starts than the exact optimum: its rows are the ceiling.",
     ]
+    if any("/contact-" in record["id"] for record in records):
+        notes.append("The contact task, `contact-`, has other starts and one hole.")
     header = "Dataset | Behaviour | Steps | Starts | Success (%) | Holes (of 6) | All six (%) | "
     header += "Return | MB"
     title = "Datasets of the insertion task"
