@@ -126,7 +126,7 @@ def expand(preset: Preset | SuitePreset) -> list[Cell]:
     cells: dict[Cell, None] = {}
     for group in preset.runs:
         _check_group(preset, group)
-        for seed in preset.seeds:
+        for seed in preset.seeds if group.seeds is None else group.seeds:
             for method in group.methods:
                 for ablation in group.ablations:
                     for geometry in group.geometries:

@@ -245,12 +245,13 @@ class DesignSettings:
 @with_config(STRICT)
 @dataclass(frozen=True)
 class RunGroup:
-    """A product of methods, ablations, geometries and tracks; seeds multiply all groups."""
+    """A product of methods, ablations, geometries, tracks and seeds."""
 
     methods: list[str]
     ablations: list[str] = field(default_factory=lambda: ["full"])
     geometries: list[str] = field(default_factory=lambda: ["optimized"])
     tracks: list[str] = field(default_factory=list)
+    seeds: Seeds | None = None  # instead of the preset's
 
 
 @with_config(STRICT)

@@ -47,6 +47,21 @@ def test_shipped_presets_expand_to_cells_with_unique_folders(name: str) -> None:
     assert name in preset_names()
 
 
+def test_a_group_of_runs_may_have_seeds_of_its_own() -> None:
+    data = smoke()
+    data["seeds"], data["runs"] = (
+        [0, 1],
+        [
+            {"methods": ["greedy"], "tracks": ["safe"], "seeds": [7]},
+            {"methods": ["optimum"]},
+        ],
+    )
+    preset = parse_preset(data, "smoke", "here")
+    assert {(c.method, c.seed) for c in expand(preset) if c.method != "design"} == {
+        *(("greedy", 7), ("optimum", 0), ("optimum", 1))
+    }
+
+
 def test_the_quick_preset_fills_every_row_of_the_papers_tables() -> None:
     ids = {cell.id for cell in expand(load_preset("quick"))}
     wanted = {f"rainbow-{a}-optimized-safe-s0" for a in ABLATIONS if a != "full"}
