@@ -28,7 +28,6 @@ from benchmarks.reporting.tables.table import Number, TableCell
 from benchmarks.runs.store import RunFolder, Store
 
 SCORED: Final = ("repaired", "safe")  # tracks of the headline; the first that a store has
-NOISY: Final = (*LEARNERS, "greedy_observed", "lookahead_observed")  # what sees the observation
 SEEDS: Final = 3  # of a finding; fewer are a lead
 Key = tuple[str, str, str, str]  # method, ablation, geometry, track
 LevelKey = tuple[float, float, str]  # noise, error, acting

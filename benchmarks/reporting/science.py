@@ -30,7 +30,7 @@ SECTIONS: Final[tuple[tuple[str, tuple[str, ...], tuple[str, ...], dict[str, str
 
 
 def short(store: Store) -> str:
-    """What README shows: the first paragraph of three verdicts, and a table of six rows."""
+    """What README shows: one word, three verdicts, a table of six rows, how much has been run."""
     results = Results(store)
     report = sentences(results)
     parts = [report[topic].partition("\n\n")[0] for topic in SHORT if topic in report]

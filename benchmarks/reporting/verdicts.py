@@ -26,8 +26,9 @@ from benchmarks.reporting.compared import (
     comparisons,
     find,
 )
-from benchmarks.reporting.results import NOISY, SEEDS, Group, Level, Results, best, tail_mean
+from benchmarks.reporting.results import SEEDS, Group, Level, Results, best, tail_mean
 from benchmarks.reporting.stats import Value, over_seeds
+from benchmarks.reporting.tables.paper import NOISY, noise_levels
 
 # Thresholds. A test for each fails when it moves.
 SIGNIFICANCE: Final = 0.05  # of a difference over seeds, after Holm: the field's custom
@@ -135,9 +136,9 @@ def under_noise(results: Results, greedy: Group) -> str:
     """Ours and the best script where noise on the observation, in place of random moves, helps it
     most; empty where nothing was tested so.
     """
-    levels = {level[0] for run in greedy.runs for level in run.levels if level[0] > 0.0}
     scripts = [results.group(name, greedy.track) for name in NOISY if name in CONTROLS]
-    tested = [row.at(Level(noise)) for noise in levels for row in scripts if row.n]
+    levels = [Level(noise) for noise in noise_levels(results) if noise]
+    tested = [row.at(level) for level in levels for row in scripts if row.n]
     chosen = best(row for row in tested if row.success().n)
     if chosen is None:
         return ""
@@ -292,6 +293,8 @@ def _last_episodes(group: Group, column: str) -> Value:
 
 
 def _verb(before: Value, after: Value) -> str:
+    if after.mean == before.mean or math.isnan(after.mean - before.mean):
+        return "goes"
     return "rises" if after.mean > before.mean else "falls"
 
 

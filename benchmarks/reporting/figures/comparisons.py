@@ -24,10 +24,10 @@ from benchmarks.reporting.figures.style import (
     finish,
     legend_below,
 )
-from benchmarks.reporting.results import NOISY, Group, Level, Results, complete
+from benchmarks.reporting.results import Group, Level, Results, complete
 from benchmarks.reporting.stats import Value, profile_over_seeds
 from benchmarks.reporting.tables.beyond import PLAYERS, error_levels, tasks
-from benchmarks.reporting.tables.paper import noise_levels
+from benchmarks.reporting.tables.paper import NOISY, noise_levels
 
 THRESHOLDS: Final = np.linspace(0.0, 1.0, 101)
 

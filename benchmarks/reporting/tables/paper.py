@@ -16,10 +16,11 @@ from benchmarks.protocol import labels, paper_values
 from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import EXTRA_METRICS, JOINTS_TIME, METRICS, PAPER_METRICS, Metric
 from benchmarks.reporting.compared import ABLATION, comparisons, find
-from benchmarks.reporting.results import MAIN, NOISY, Group, Level, Results, complete
+from benchmarks.reporting.results import MAIN, Group, Level, Results, complete
 from benchmarks.reporting.stats import Value, t_interval
 from benchmarks.reporting.tables.table import FLAG_NOTE, Number, Table, TableCell, p_text
 
+NOISY: Final = (*LEARNERS, "greedy_observed", "lookahead_observed")  # what sees the observation
 ENDS: Final = ("initial", "optimized")
 COMPARED: Final = ("rrt_connect", "dqn", "rainbow")  # the paper's columns
 BASELINES: Final = ("rrt_connect", "rrt_lattice")
@@ -90,7 +91,7 @@ def _how(result: list[Group]) -> list[str]:
     for row in complete(result):
         if row.method in LEARNERS or row.level != MAIN:
             ways.setdefault(row.acting, []).append(row.name)
-    return [f"Acting {way}: {'; '.join(names)}." for way, names in ways.items()]
+    return [f"{way.capitalize()}: {'; '.join(names)}." for way, names in ways.items()]
 
 
 def ablation(results: Results) -> Table:

@@ -41,9 +41,12 @@ class Entry(NamedTuple):
 
 
 def levels(results: SuiteResults) -> dict[str, str]:
-    """The preset's contact tasks: their keys, and the level of each."""
-    tasks = results.preset.tasks.items()
-    return {key: task.env_kwargs["level"] for key, task in tasks if task.env == CONTACT}
+    """The preset's contact tasks on the scripts' machine, which does not err: key and level."""
+    return {
+        key: task.env_kwargs["level"]
+        for key, task in results.preset.tasks.items()
+        if task.env == CONTACT and "sim_to_real" not in task.env_kwargs
+    }
 
 
 def _of(rows: pd.DataFrame, error: float | None) -> dict[str, Any]:

@@ -110,7 +110,7 @@ def test_tables_have_the_papers_rows_and_columns(full: Store, tables: dict[str, 
         "Metric", "RRT-Connect, paper", "Ours", "Vanilla DQN, paper", "Ours", "Rainbow DQN, paper",
         "Ours",
     ]  # fmt: skip
-    acting = "Acting as trained: Vanilla DQN, repaired; Rainbow DQN, repaired."
+    acting = "As trained: Vanilla DQN, repaired; Rainbow DQN, repaired."
     assert acting in performance.notes
     assert any("precision 18" in note for note in performance.notes)
     # under the same masks, acting alike

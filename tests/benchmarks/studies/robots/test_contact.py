@@ -5,14 +5,23 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks.cli import main as command
+from benchmarks.protocol.presets import load
 from benchmarks.studies.robots import contact, trials
 from benchmarks.studies.robots.contact import Contact
+from benchmarks.studies.robots.contact_report import levels
+
+
+def test_scripts_stand_only_beside_learners_of_the_same_machine() -> None:
+    of: dict[str, Any] = {n: SimpleNamespace(preset=load(n)) for n in ("contact", "contact_errors")}
+    assert set(levels(of["contact"]).values()) == {"standard", "hard"}
+    assert levels(of["contact_errors"]) == {}
 
 
 def test_each_script_finds_what_it_can_and_searches_press_less_than_a_stiff_push() -> None:
