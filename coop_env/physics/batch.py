@@ -23,6 +23,7 @@ from coop_env.physics.joints import Floats
 from coop_env.physics.model import Machine, Servos
 from coop_env.physics.task import (
     OWN_OPTIONS,
+    Options,
     askew,
     draw_error,
     resolve_task,
@@ -226,18 +227,18 @@ class PhysicsBatch(ABC):
         )
 
     def _place(
-        self, row: int, start: Floats, pivot: Floats, fixed: tuple[Any, Any],
+        self, row: int, start: Floats, pivot: Floats, own: Options,
         drawn: tuple[Floats, float], rng: np.random.Generator,
     ) -> None:  # fmt: skip
         """Set a machine down at rest; its base stands askew about ``pivot``.
 
-        ``fixed`` are the error and the friction that options set, or None, beside those drawn.
+        ``drawn`` are the error and the friction that hold where none is in the options.
         """
-        self.error[row] = drawn[0] if fixed[0] is None else fixed[0]
+        self.error[row] = own.get("error", drawn[0])
         if self.knobs.active:
             self._disturb(row, start, rng.spawn(1)[0])
         friction = min(drawn[1] * self.disturbances[row].friction, MAX_FRICTION)
-        self.friction[row] = friction if fixed[1] is None else fixed[1]
+        self.friction[row] = own.get("friction", friction)
         base = askew(self.error[row], pivot)
         self._targets[row] = self._late[row] = self._geared[row] = self.twin.servo_targets(start)
         self._tare[row] = self.twin.place(row, start, base, self.friction[row]).wrench
@@ -443,8 +444,7 @@ class ContactBatch(PhysicsBatch):
         self.hole[row] = options.get("hole", hole)
         start = self.starts[self.hole[row]]
         mouth = start[:3] + self._to_tip - [0.0, 0.0, self.task.start_height]
-        fixed = options.get("error"), options.get("friction")
-        self._place(row, start, mouth, fixed, (error, friction), rng)
+        self._place(row, start, mouth, options, (error, friction), rng)
         self._first[row] = self._believed[row] = start
         self._paid[row] = self.insertion[row, 0]
         rows = slice(row, row + 1)

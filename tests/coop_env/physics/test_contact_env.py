@@ -252,19 +252,16 @@ def test_actions_that_are_none(env: CoopInsertionContactEnv, action: Any) -> Non
     assert np.array_equal(env.batch.twin.states, state)
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
+def test_reset_options_that_cannot_be() -> None:
+    env, wrong = CoopInsertionContactEnv(), [
         {"hole": 6}, {"hole": True}, {"hole": np.array([1, 2])},
         {"error": [0.0, 0.0]}, {"error": [np.nan] * 4}, {"error": dict.fromkeys(range(4))},
         {"error": {0.0: 1, 0.001: 1, 0.002: 1, 0.003: 1}},
         {"error": [0.1, 0, 0, 0]}, {"friction": 0.0}, {"force": 1}, 7,
-    ],
-)  # fmt: skip
-def test_reset_options_that_cannot_be(options: Any) -> None:
-    env = CoopInsertionContactEnv()
-    with pytest.raises(ResetOptionError):
-        env.reset(options=options)
+    ]  # fmt: skip
+    for options in wrong:
+        with pytest.raises(ResetOptionError):
+            env.reset(options=options)  # type: ignore[arg-type]
     with pytest.raises(ResetNeeded):
         env.step(DOWN)
 
