@@ -6,7 +6,6 @@ actuated joint: the frames of the twin's MJCF.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -17,9 +16,9 @@ from numpy.typing import NDArray
 
 from coop_env.env import CoopInsertionEnv
 from coop_env.errors import ArgumentError
-from coop_env.physics.model import Machine
-from coop_env.rendering.bodies import Body, bodies, radial_axes
-from coop_env.rendering.scene import Scene
+from coop_env.physics.engine import mujoco
+from coop_env.physics.model import Machine, build_mjcf, to_xml
+from coop_env.rendering.bodies import ROD_SPACING, SIDES, Body, bodies, pixels
 
 try:
     import trimesh
@@ -31,13 +30,6 @@ except ImportError as error:
 Floats = NDArray[np.float64]
 
 UNITS: Final = {"m": 1.0, "mm": 1000.0}
-SIDES: Final = {"left": -1.0, "right": 1.0}
-"""The two rods of a forearm, by the side of the limb's plane that they lie on."""
-_ON_BASE: Final = ("mount", "motor", "foot", "base")
-_ON_LINK: Final = {
-    "proximal": "proximal", "knee": "proximal", "elbow": "proximal", "distal": "distal",
-    "ball": "distal", "left": "rod", "right": "rod",
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,59 +58,21 @@ def links(machine: Machine | None = None) -> list[Link]:
     m = Machine() if machine is None else machine
     env = CoopInsertionEnv(m.rrs, delta=m.delta, task=m.task)
     env.reset(seed=0, options={"configuration": m.home()})
-    scene = env.scene()
     parts: dict[str, list[Body]] = {}
-    for part in bodies(scene):
+    for part in bodies(env.scene()):
         if not part.shines:  # the arrow at the target
-            parts.setdefault(_owner(part.name), []).append(part)
-    return [
-        Link(name, rotation, position, _joined(parts[name], rotation, position))
-        for name, rotation, position in _frames(scene, parts)
-    ]
-
-
-def _owner(part: str) -> str:
-    """The link that a part of the picture belongs to."""
-    robot, *middle, name = part.split("/")
-    if robot == "holes" or name in ("platform", "dome"):
-        return "platform"
-    if name in _ON_BASE:
-        return f"{robot}_base"
-    kind = _ON_LINK.get(name.split("_")[0])
-    if kind is None or not middle:
-        return "effector"  # with the wrists' pins, chuck and peg
-    limb = f"{robot}_{kind}{middle[0].removeprefix('limb')}"
-    return f"{limb}_{name.split('_')[0]}" if kind == "rod" else limb
-
-
-def _frames(scene: Scene, parts: dict[str, list[Body]]) -> Iterator[tuple[str, Floats, Floats]]:
-    height = scene.delta_base_joints[0, 2]
-    yield "delta_base", np.eye(3), np.array([0.0, 0.0, height])
-    yield "rrs_base", np.eye(3), np.zeros(3)
-    for i in range(3):
-        tangent = radial_axes(i)[1]
-        joint, knee, end = (
-            points[i] for points in (scene.delta_base_joints, scene.knees, scene.effector_joints)
-        )
-        yield f"delta_proximal{i}", _along(knee - joint, tangent), joint
-        for side in SIDES:
-            (rod,) = (part for part in parts[f"delta_rod{i}_{side}"] if part.name.endswith(side))
-            yield f"delta_rod{i}_{side}", _along(end - knee, tangent), rod.position
-        base, elbow, ball = (
-            points[i] for points in (scene.rrs_base_joints, scene.elbows, scene.platform_joints)
-        )
-        yield f"rrs_proximal{i}", _along(elbow - base, tangent), base
-        yield f"rrs_distal{i}", _along(ball - elbow, tangent), elbow
-    yield "effector", np.eye(3), scene.effector
-    yield "platform", scene.platform_rotation, scene.platform_centre
-
-
-def _along(x: Floats, y: Floats) -> Floats:
-    """Rotation whose first column is along x, and whose second is as near to y as can be."""
-    first = x / np.linalg.norm(x)
-    second = y - (y @ first) * first
-    second /= np.linalg.norm(second)
-    return np.column_stack([first, second, np.cross(first, second)])
+            parts.setdefault(part.name.split("/")[0], []).append(part)
+    model = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(m)))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    result = []
+    for name in sorted(parts, key=lambda name: not name.endswith("base")):
+        body, _, side = name.rpartition("_") if "_rod" in name else (name, "", "")
+        rotation = np.round(data.body(body).xmat.reshape(3, 3), 12)
+        aside = ROD_SPACING * SIDES.get(side, 0.0) * rotation[:, 1]
+        position = np.round(data.body(body).xpos + aside, 12)
+        result.append(Link(name, rotation, position, _joined(parts[name], rotation, position)))
+    return result
 
 
 def _joined(parts: list[Body], rotation: Floats, position: Floats) -> Any:
@@ -126,7 +80,7 @@ def _joined(parts: list[Body], rotation: Floats, position: Floats) -> Any:
     for part in parts:
         world = part.mesh.vertices @ part.rotation.T + part.position
         mesh = trimesh.Trimesh((world - position) @ rotation, part.mesh.faces)
-        colour = [*(round(255 * c) for c in part.colour), 255]
+        colour = [*pixels(part.colour), 255]
         mesh.visual = trimesh.visual.ColorVisuals(mesh, face_colors=colour)
         meshes.append(mesh)
     return trimesh.util.concatenate(meshes)

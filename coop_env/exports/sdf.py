@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from coop_env.exports.meshes import SIDES, Link, links, save_stl
+from coop_env.exports.meshes import Link, links, save_stl
 from coop_env.geometry import DeltaGeometry, RRSGeometry
 from coop_env.physics.engine import mujoco
 from coop_env.physics.joints import tree_angles
 from coop_env.physics.model import DELTA_RANGE, Machine, build_mjcf, to_xml
+from coop_env.rendering.bodies import SIDES
 
 Floats = NDArray[np.float64]
 VERSION: Final = "1.9"

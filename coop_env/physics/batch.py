@@ -16,20 +16,22 @@ from numpy.typing import NDArray
 
 from coop_env.errors import ArgumentError, ResetOptionError, as_dataclass, check_flag, check_number
 from coop_env.geometry import GeometryError, resolve_delta, resolve_rrs
+from coop_env.kinematics import rrs
+from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
 from coop_env.physics import kernels
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Machine, Servos
-from coop_env.physics.scene import twin_scene
 from coop_env.physics.task import (
     OWN_OPTIONS,
+    Options,
     askew,
     draw_error,
     resolve_task,
     split_options,
     start_configurations,
 )
-from coop_env.physics.twin import Readings, Twin, last
-from coop_env.rendering.scene import Scene
+from coop_env.physics.twin import Readings, Twin, closed_at, last
+from coop_env.rendering.scene import RRS_JOINTS, Scene, posed
 from coop_env.simulation.collision import peg_tip
 from coop_env.simulation.insertion_task import PAPER_TASK, InsertionTask
 from coop_env.simulation.sim_to_real import MASSES, UNDISTURBED, draw_disturbance, resolve_contact
@@ -186,28 +188,57 @@ class PhysicsBatch(ABC):
     def scene(self, row: int, trace: Sequence[Floats]) -> Scene:
         """Every body of an episode's scene, where it really is; world frame.
 
+        Links are as the measured joints close them, on the real base; platform, dome, holes and tip
+        are the simulation's own.
+
         Raises:
             ResetNeeded: there was no reset yet.
         """
         if self.rngs[row] is None:
             raise ResetNeeded("call reset() first: there is no state yet")
-        time = float(self.steps[row]) * self.task.dt
+        machine, readings, base = self.machine, self.twin.readings(), self.twin.base[row]
+        closed = closed_at(readings.joints[row], self.command[row], machine)
+        configuration = np.where(np.isfinite(closed), closed, self.command[row])
+        fields = posed(configuration, machine.kernel_params(), trace)
+        turn = roll_pitch_yaw_matrix([*base[3:], 0.0])
+        for name in RRS_JOINTS:
+            fields[name] = fields[name] @ turn.T + base[:3]
+        rotation, centre, tip = (
+            part[row].copy() for part in (readings.rotation, readings.platform, readings.tip)
+        )
+        normals = self._hole_normals @ rotation.T
+        mouths = centre + machine.task.dome_radius * normals
         hole, status = int(self.hole[row]), self.status(row)
-        return twin_scene(self.twin, row, self.command[row], hole, time, status, trace)
+        target = np.arange(len(normals)) == hole
+        fields |= {"platform_centre": centre, "platform_rotation": rotation}
+        return Scene(
+            **fields,
+            tip=tip,
+            hole_mouths=mouths,
+            hole_normals=normals,
+            active=target,
+            filled=target & (status == "success"),
+            target=hole,
+            distance=float(np.linalg.norm(mouths[hole] - tip)),
+            alignment_error=float(np.arccos(np.clip(normals[hole, 2], -1.0, 1.0))),
+            sigma_min=float(rrs.signed_sigma_min(configuration[3:], machine.rrs)),
+            time=float(self.steps[row]) * self.task.dt,
+            status=status,
+        )
 
     def _place(
-        self, row: int, start: Floats, pivot: Floats, fixed: tuple[Any, Any],
+        self, row: int, start: Floats, pivot: Floats, own: Options,
         drawn: tuple[Floats, float], rng: np.random.Generator,
     ) -> None:  # fmt: skip
         """Set a machine down at rest; its base stands askew about ``pivot``.
 
-        ``fixed`` are the error and the friction that options set, or None, beside those drawn.
+        ``drawn`` are the error and the friction that hold where none is in the options.
         """
-        self.error[row] = drawn[0] if fixed[0] is None else fixed[0]
+        self.error[row] = own.get("error", drawn[0])
         if self.knobs.active:
             self._disturb(row, start, rng.spawn(1)[0])
         friction = min(drawn[1] * self.disturbances[row].friction, MAX_FRICTION)
-        self.friction[row] = friction if fixed[1] is None else fixed[1]
+        self.friction[row] = own.get("friction", friction)
         base = askew(self.error[row], pivot)
         self._targets[row] = self._late[row] = self._geared[row] = self.twin.servo_targets(start)
         self._tare[row] = self.twin.place(row, start, base, self.friction[row]).wrench
@@ -413,8 +444,7 @@ class ContactBatch(PhysicsBatch):
         self.hole[row] = options.get("hole", hole)
         start = self.starts[self.hole[row]]
         mouth = start[:3] + self._to_tip - [0.0, 0.0, self.task.start_height]
-        fixed = options.get("error"), options.get("friction")
-        self._place(row, start, mouth, fixed, (error, friction), rng)
+        self._place(row, start, mouth, options, (error, friction), rng)
         self._first[row] = self._believed[row] = start
         self._paid[row] = self.insertion[row, 0]
         rows = slice(row, row + 1)

@@ -82,8 +82,7 @@ def dome_solids(task: InsertionTask, bore: Bore) -> Iterator[tuple[str, Vertices
     if ring >= radius:
         raise ArgumentError(f"a spot face of {ring:.3g} m does not fit dome_radius {radius:g} m")
     half = math.asin(ring / radius)
-    _check_spacing(normals, half)
-    _check_depth(normals, bore, radius, ring)
+    _check_holes(normals, bore, radius, half)
     turns = tilt_matrix(normals)
     for i, turn in enumerate(turns):
         for k, stave in enumerate(staves(bore)):
@@ -97,25 +96,25 @@ def dome_solids(task: InsertionTask, bore: Bore) -> Iterator[tuple[str, Vertices
         yield f"dome{k}", np.concatenate([radius * triangle, (radius - bore.depth) * triangle])
 
 
-def _check_spacing(normals: NDArray[np.float64], half: float) -> None:
+def _check_holes(normals: NDArray[np.float64], bore: Bore, radius: float, half: float) -> None:
+    """Whether spot faces, ``half`` rad wide, and bores stay clear of each other and of the rim."""
+    nearest = math.inf
     for i, a in enumerate(normals):
         if a[2] < math.sin(1.2 * half):
             raise ArgumentError(f"holes[{i}] is too near to the dome's rim for its spot face")
         for j in range(i):
-            if angle_between(a, normals[j]) < 2.4 * half:
+            apart = float(angle_between(a, normals[j]))
+            nearest = min(nearest, apart)
+            if apart < 2.4 * half:
                 raise ArgumentError(
                     f"holes[{j}] and holes[{i}] are too near to each other for their spot faces"
                 )
-
-
-def _check_depth(normals: NDArray[np.float64], bore: Bore, radius: float, ring: float) -> None:
-    """Towards the dome's centre bores come nearer to each other, and prisms to the bores."""
-    inner, flat = radius - bore.depth, math.cos(math.pi / STAVES)
+    # towards the dome's centre bores come nearer to each other, and prisms to the bores
+    ring, inner, flat = radius * math.sin(half), radius - bore.depth, math.cos(math.pi / STAVES)
     corner = bore.radius / flat
     clear = ring * flat * inner / radius >= corner
-    apart = math.asin(min(1.0, ring / inner)) + math.asin(min(1.0, corner / inner))
-    pairs = [angle_between(a, normals[j]) for i, a in enumerate(normals) for j in range(i)]
-    if not clear or min(pairs, default=math.inf) < apart:
+    least = math.asin(min(1.0, ring / inner)) + math.asin(min(1.0, corner / inner))
+    if not clear or nearest < least:
         raise ArgumentError(
             f"hole depth {bore.depth:g} m: bores of {bore.radius:g} m do not stay clear of each "
             f"other's walls so far down in dome_radius {radius:g} m"

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import Final
 
@@ -252,15 +251,11 @@ def _add_sensors(root: ET.Element) -> None:
     for robot in ("delta", "rrs"):
         for i in range(3):
             _add(sensor, "jointpos", name=f"{robot}_angle{i}", joint=f"{robot}_joint{i}")
-    for name, kind, body in (
-        ("tip", "site", "tip"), ("platform", "xbody", "platform"),
-    ):  # fmt: skip
-        _add(sensor, "framepos", name=f"{name}_position", objtype=kind, objname=body)
+    for name, kind in (("tip", "site"), ("platform", "xbody")):
+        _add(sensor, "framepos", name=f"{name}_position", objtype=kind, objname=name)
+    body = {"objtype": "xbody", "objname": "platform"}
     for axis in "xyz":
-        _add(
-            sensor, f"frame{axis}axis", name=f"platform_{axis}", objtype="xbody",
-            objname="platform",
-        )  # fmt: skip
+        _add(sensor, f"frame{axis}axis", name=f"platform_{axis}", **body)
 
 
 def _body(parent: ET.Element, name: str, machine: Machine, **attributes: object) -> ET.Element:
@@ -275,9 +270,9 @@ def _link(body: ET.Element, length: float, radius: float, mass: float, **bits: o
 
 
 def _hinge(
-    body: ET.Element, name: str, axis: Iterable[float], at_home: float, **more: object
+    body: ET.Element, name: str, axis: tuple[int, int, int], at_home: float, **more: object
 ) -> None:
-    _add(body, "joint", name=name, type="hinge", axis=list(axis), ref=float(at_home), **more)
+    _add(body, "joint", name=name, type="hinge", axis=axis, ref=at_home, **more)
 
 
 def _crank(
@@ -296,6 +291,12 @@ def _crank(
     return link
 
 
+def _at_end(link: ET.Element, name: str, m: Machine, length: float, turn: float) -> ET.Element:
+    """The next body in a limb's plane, turned up from the link before."""
+    axes = [np.cos(turn), 0.0, np.sin(turn), 0.0, 1.0, 0.0]
+    return _body(link, name, m, pos=[length, 0.0, 0.0], xyaxes=axes)
+
+
 def _add_rrs(world: ET.Element, asset: ET.Element, m: Machine, angles: TreeAngles) -> None:
     g, radius, (proximal, distal, platform) = m.rrs, m.task.limb_radius, m.servos.rrs_masses
     base = _body(world, "rrs_base", m)
@@ -303,11 +304,7 @@ def _add_rrs(world: ET.Element, asset: ET.Element, m: Machine, angles: TreeAngle
     for i in range(3):
         link = _crank(base, "rrs", i, m, g.base_radius, angles.q[i], (g.joint_min, g.joint_max))
         _link(link, g.proximal_length, radius, proximal, **_RRS_BITS)
-        c, s = np.cos(angles.elbow[i]), np.sin(angles.elbow[i])
-        end = _body(
-            link, f"rrs_distal{i}", m, pos=[g.proximal_length, 0.0, 0.0],
-            xyaxes=[c, 0.0, s, 0.0, 1.0, 0.0],
-        )  # fmt: skip
+        end = _at_end(link, f"rrs_distal{i}", m, g.proximal_length, angles.elbow[i])
         _hinge(end, f"rrs_elbow{i}", (0, -1, 0), angles.elbow[i])
         _link(end, g.distal_length, radius, distal, **_RRS_BITS)
         if i:
@@ -343,28 +340,21 @@ def _add_platform(
 
 
 def _add_delta(world: ET.Element, m: Machine, angles: TreeAngles, home: Floats) -> None:
-    d, radius, (proximal, rod, effector, peg) = (
-        m.delta,
-        m.task.forearm_radius,
-        m.servos.delta_masses,
-    )
+    d, radius = m.delta, m.task.forearm_radius
+    proximal, rod, effector, peg = m.servos.delta_masses
     base = _body(world, "delta_base", m, pos=d.base_height * UP)
     _add(base, "geom", type="cylinder", size=[d.base_radius, 0.004], pos=[0.0, 0.0, 0.02])
     for i in range(3):
         link = _crank(base, "delta", i, m, d.base_radius, angles.theta[i], DELTA_RANGE)
         _link(link, d.proximal_length, radius, proximal)
-        c, s = np.cos(angles.swing[i]), np.sin(angles.swing[i])
-        end = _body(
-            link, f"delta_rod{i}", m, pos=[d.proximal_length, 0.0, 0.0],
-            xyaxes=[c, 0.0, -s, 0.0, 1.0, 0.0],
-        )  # fmt: skip
+        end = _at_end(link, f"delta_rod{i}", m, d.proximal_length, -angles.swing[i])
         _hinge(end, f"delta_swing{i}", (0, 1, 0), angles.swing[i])
         _hinge(end, f"delta_sway{i}", (0, 0, 1), angles.sway[i])
         _link(end, d.distal_length, radius, rod, **_DELTA_BITS)
         _add(end, "site", name=f"delta_end{i}", pos=[d.distal_length, 0.0, 0.0])
     body = _body(base, "effector", m, pos=home[:3])
     for axis, name, at_home in zip(np.eye(3), "xyz", home[:3], strict=True):
-        _add(body, "joint", name=f"effector_{name}", type="slide", axis=axis, ref=float(at_home))
+        _add(body, "joint", name=f"effector_{name}", type="slide", axis=axis, ref=at_home)
     if m.effector_play > 0.0:
         for axis, name in zip(np.eye(3), "xy", strict=False):
             _add(body, "joint", name=f"effector_play_{name}", type="hinge", axis=axis,

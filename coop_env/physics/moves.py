@@ -57,11 +57,6 @@ class Lead(WholeBatch):
         """Whether the episode has failed."""
         return bool(self.failure[0])
 
-    @property
-    def force(self) -> float:
-        """Mean force on the peg over the last control step, without noise, N."""
-        return float(np.linalg.norm(self._wrench[0, :3]))
-
     def reached(self) -> bool:
         """Whether the tip really meets the kinematic task's criterion at the target."""
         task, (_, _, angle) = self.machine.task, self.insertion[0]
@@ -82,7 +77,8 @@ class Lead(WholeBatch):
         n = max(steps, math.ceil(float(np.max(np.abs(way) / self.increments)) - 1e-9))
         for k in range(1, n + 1):
             self.advance((start + way * (k / n))[None])
-            if self.failed or not self.taken[0] or self.force > touch:
+            touched = np.linalg.norm(self._wrench[0, :3]) > touch
+            if self.failed or not self.taken[0] or touched:
                 return False
         return True
 

@@ -92,10 +92,6 @@ class Twin:
         self.machines = [self.machine] * n
         """What each really is; ``machine`` is what all are believed to be."""
         self._start_threads(check_integer("threads", threads, 1))
-        self._addresses = {
-            name: int(first.joint(name).qposadr[0])
-            for name in (first.joint(i).name for i in range(first.njnt))
-        }
         self._base, self._peg = first.body("rrs_base").id, first.geom("peg").id
         self.states: Floats = np.zeros((n, mujoco.mj_stateSize(first, _STATE)))
         self._sensors: Floats = np.zeros((n, first.nsensordata))
@@ -164,16 +160,11 @@ class Twin:
             raise ArgumentError(f"configuration = {configuration!r}: out of the robots' reach")
         at_home = platform_mount(tree_angles(m.home(), m.rrs, m.delta))
         turn = at_home @ platform_mount(angles).T @ angles.rotation
-        q: Floats = np.zeros(self.models[0].nq)
-        groups = {"rrs_joint": angles.q, "rrs_elbow": angles.elbow, "delta_joint": angles.theta,
-                  "delta_swing": angles.swing, "delta_sway": angles.sway}  # fmt: skip
-        for name, values in groups.items():
-            for i in range(3):
-                q[self._addresses[f"{name}{i}"]] = values[i]
-        for axis, value in zip("xyz", c[:3], strict=True):
-            q[self._addresses[f"effector_{axis}"]] = value
-        ball = self._addresses["platform_ball"]
-        mujoco.mju_mat2Quat(q[ball : ball + 4], turn.ravel())
+        q: Floats = np.zeros(self.models[0].nq)  # in the order of the tree: limbs, rods, effector
+        q[[0, 6, 8]], q[[1, 7, 9]] = angles.q, angles.elbow
+        mujoco.mju_mat2Quat(q[2:6], turn.ravel())  # on the end of limb 0
+        q[10:19] = np.column_stack([angles.theta, angles.swing, angles.sway]).ravel()
+        q[19:22] = c[:3]
         return q
 
     def servo_targets(self, configurations: ArrayLike) -> Floats:

@@ -95,6 +95,5 @@ def _errors(twin: Twin, readings: Readings, goals: Floats) -> Floats:
 def loop_residual(twin: Twin, row: int) -> float:
     """The farthest that two ends tied by a loop are apart now, m."""
     model, data = twin.inspect(row)
-    ends = [data.site_xpos[model.equality(i).obj1id[0]] for i in range(model.neq)]
-    sockets = [data.site_xpos[model.equality(i).obj2id[0]] for i in range(model.neq)]
-    return float(np.linalg.norm(np.array(ends) - np.array(sockets), axis=1).max())
+    apart = data.site_xpos[model.eq_obj1id] - data.site_xpos[model.eq_obj2id]
+    return float(np.linalg.norm(apart, axis=1).max())

@@ -72,7 +72,7 @@ class WholeBatch(PhysicsBatch):
         return own, rest
 
     def reset(self, row: int, options: Any, rng: np.random.Generator) -> dict[str, Any]:
-        own, rest = options or ({}, {})
+        own, rest = options
         self._starts.np_random = rng  # one stream: a seed's start is the kinematic one's
         self._starts.reset(options=rest)
         self.begin(row, self._starts.state, own, rng)
@@ -86,8 +86,7 @@ class WholeBatch(PhysicsBatch):
         drawn = draw_error(self.task, rng), float(rng.uniform(*self.task.friction))
         start = np.array(state["configuration"])
         self.hole[row] = state["target"]
-        fixed = own.get("error"), own.get("friction")
-        self._place(row, start, self._pivot, fixed, drawn, rng)
+        self._place(row, start, self._pivot, own, drawn, rng)
         self.active[row] = self._wanted[row] = state["active"]
         self.filled[row] = state["filled"]
         self.given_up[row], self.inserted[row] = [], -1

@@ -12,11 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 
+from coop_env.physics.joints import RADIAL, TANGENTIAL, UP
 from coop_env.rendering import shapes
 from coop_env.rendering.scene import Scene
 from coop_env.rendering.shapes import FloatArray, Mesh
@@ -52,8 +54,16 @@ COLOURS: Final = MappingProxyType(
 )
 """Display colours (sRGB, 0 to 1) by what they mark."""
 
-_UP: Final = np.array([0.0, 0.0, 1.0])
-_ROD_SPACING: Final = 0.017  # half the distance between a forearm's two rods, m
+
+def pixels(colour: Colour) -> tuple[int, int, int]:
+    """A display colour as bytes."""
+    red, green, blue = (round(255 * c) for c in colour)
+    return red, green, blue
+
+
+SIDES: Final = MappingProxyType({"left": -1.0, "right": 1.0})
+"""The two rods of a forearm, by the side of the limb's plane that they lie on."""
+ROD_SPACING: Final = 0.017  # half the distance between a forearm's two rods, m
 _BORE: Final = 0.0055  # radius of a hole as drawn; the peg's is 0.004 m
 _RING: Final = 0.003  # least width of the ring about it, m
 _LIFT: Final = 0.0006  # marks stand this proud of the dome, m
@@ -63,8 +73,8 @@ _LIFT: Final = 0.0006  # marks stand this proud of the dome, m
 class Body:
     """A mesh placed in the world: point = rotation @ vertex + position.
 
-    ``name`` is unique within a scene and stays with the part from one scene to the next; a part
-    that ``shines`` is drawn without shading.
+    ``name`` is that of the rigid link, a slash, and the part's own: unique within a scene, and the
+    same from one scene to the next. A part that ``shines`` is drawn without shading.
     """
 
     name: str
@@ -74,12 +84,6 @@ class Body:
     colour: Colour
     gloss: float = 0.15
     shines: bool = False
-
-
-def radial_axes(limb: int) -> tuple[FloatArray, FloatArray]:
-    """Radial u_i and tangential t_i unit vectors of a limb of either robot."""
-    a = limb * 2.0 * math.pi / 3.0
-    return np.array([math.cos(a), math.sin(a), 0.0]), np.array([-math.sin(a), math.cos(a), 0.0])
 
 
 def frame(z: FloatArray, x: FloatArray | None = None) -> FloatArray:
@@ -115,32 +119,28 @@ def delta_bodies(scene: Scene) -> Iterator[Body]:
     base = scene.delta_base_joints[0, 2]
     eye = np.eye(3)
     slab = shapes.plate(0.78 * radius, 0.052, 0.014)
-    yield Body(
-        "delta/base", slab, eye, np.array([0.0, 0.0, base + 0.030]), COLOURS["delta_base"], 0.1
-    )
+    above = np.array([0.0, 0.0, base + 0.030])
+    yield Body("delta_base/plate", slab, eye, above, COLOURS["delta_base"], 0.1)
     for limb in range(3):
-        u, t = radial_axes(limb)
+        u, t = RADIAL[limb], TANGENTIAL[limb]
         joint, knee = scene.delta_base_joints[limb], scene.knees[limb]
         end = scene.effector_joints[limb]
-        name = f"delta/limb{limb}"
-        post = shapes.box(0.020, 0.017, 0.04)
-        yield Body(f"{name}/mount", post, frame(_UP, u), joint + 0.012 * _UP, COLOURS["housing"])
-        yield _pin(f"{name}/motor", joint, t, 0.021, 0.032, "housing")
-        yield _bar(f"{name}/proximal", joint, knee, t, (0.017, 0.010), "delta")
-        for at, part in ((knee, "knee"), (end, "wrist")):
-            yield _pin(f"{name}/{part}", at, t, 0.0055, _ROD_SPACING + 0.004, "steel")
-        for sign in (-1.0, 1.0):
-            shift = sign * _ROD_SPACING * t
-            side = "left" if sign < 0.0 else "right"
-            yield _rod(f"{name}/{side}", knee + shift, end + shift, 0.0042, "forearm")
+        post, mount = shapes.box(0.020, 0.017, 0.04), f"delta_base/mount{limb}"
+        yield Body(mount, post, frame(UP, u), joint + 0.012 * UP, COLOURS["housing"])
+        yield _pin(f"delta_base/motor{limb}", joint, t, 0.021, 0.032, "housing")
+        arm = f"delta_proximal{limb}"
+        yield _bar(f"{arm}/bar", joint, knee, t, (0.017, 0.010), "delta")
+        for at, name in ((knee, f"{arm}/knee"), (end, f"effector/wrist{limb}")):
+            yield _pin(name, at, t, 0.0055, ROD_SPACING + 0.004, "steel")
+        for side, sign in SIDES.items():
+            shift, rod = sign * ROD_SPACING * t, f"delta_rod{limb}_{side}"
+            yield _rod(f"{rod}/rod", knee + shift, end + shift, 0.0042, "forearm")
+            ball = shapes.sphere(0.0072)
             for at, part in ((knee, "ball"), (end, "socket")):
-                yield Body(
-                    f"{name}/{side}_{part}", shapes.sphere(0.0072), eye, at + shift,
-                    COLOURS["steel"], 0.4,
-                )  # fmt: skip
+                yield Body(f"{rod}/{part}", ball, eye, at + shift, COLOURS["steel"], 0.4)
     joint_radius = float(np.linalg.norm((scene.effector_joints[0] - scene.effector)[:2]))
     disc = shapes.plate(joint_radius - 0.008, 0.016, 0.012)
-    yield Body("delta/effector", disc, eye, scene.effector, COLOURS["delta"], 0.25)
+    yield Body("effector/plate", disc, eye, scene.effector, COLOURS["delta"], 0.25)
     yield from _peg_bodies(scene)
 
 
@@ -151,11 +151,11 @@ def _peg_bodies(scene: Scene) -> Iterator[Body]:
     chuck = shapes.revolve(
         ((0.0, -0.022), (0.007, -0.022), (0.013, -0.006), (0.013, 0.014), (0.0, 0.014))
     )
-    yield Body("delta/chuck", chuck, eye, scene.effector, COLOURS["housing"], 0.3)
+    yield Body("effector/chuck", chuck, eye, scene.effector, COLOURS["housing"], 0.3)
     peg = shapes.revolve(
         ((0.0, 0.0), (0.55 * r, 0.0), (r, 0.8 * r), (r, length), (0.0, length)), 20
     )
-    yield Body("delta/peg", peg, eye, scene.tip, COLOURS["peg"], 0.4)
+    yield Body("effector/peg", peg, eye, scene.tip, COLOURS["peg"], 0.4)
 
 
 def rrs_bodies(scene: Scene) -> Iterator[Body]:
@@ -163,25 +163,25 @@ def rrs_bodies(scene: Scene) -> Iterator[Body]:
     radius = float(np.linalg.norm(scene.rrs_base_joints[0, :2]))
     eye = np.eye(3)
     ground = shapes.cylinder(radius + 0.032, -0.024, -0.012, 72, chamfer=0.002)
-    yield Body("rrs/base", ground, eye, np.zeros(3), COLOURS["rrs_base"], 0.1)
+    yield Body("rrs_base/plate", ground, eye, np.zeros(3), COLOURS["rrs_base"], 0.1)
     for limb in range(3):
-        u, t = radial_axes(limb)
+        u, t = RADIAL[limb], TANGENTIAL[limb]
         base, elbow = scene.rrs_base_joints[limb], scene.elbows[limb]
         joint = scene.platform_joints[limb]
-        name = f"rrs/limb{limb}"
-        foot = shapes.box(0.018, 0.024, 0.012)
-        yield Body(f"{name}/foot", foot, frame(_UP, u), base - 0.008 * _UP, COLOURS["housing"])
-        yield _pin(f"{name}/motor", base, t, 0.0125, 0.024, "housing")
-        yield _bar(f"{name}/proximal", base, elbow, t, (0.013, 0.0095), "rrs")
-        yield _pin(f"{name}/elbow", elbow, t, 0.0065, 0.015, "steel")
-        yield _rod(f"{name}/distal", elbow, joint, 0.0062, "distal")
-        yield Body(f"{name}/ball", shapes.sphere(0.0105, 20), eye, joint, COLOURS["steel"], 0.5)
+        block, foot = shapes.box(0.018, 0.024, 0.012), f"rrs_base/foot{limb}"
+        yield Body(foot, block, frame(UP, u), base - 0.008 * UP, COLOURS["housing"])
+        yield _pin(f"rrs_base/motor{limb}", base, t, 0.0125, 0.024, "housing")
+        near, far = f"rrs_proximal{limb}", f"rrs_distal{limb}"
+        yield _bar(f"{near}/bar", base, elbow, t, (0.013, 0.0095), "rrs")
+        yield _pin(f"{near}/elbow", elbow, t, 0.0065, 0.015, "steel")
+        yield _rod(f"{far}/rod", elbow, joint, 0.0062, "distal")
+        yield Body(f"{far}/ball", shapes.sphere(0.0105, 20), eye, joint, COLOURS["steel"], 0.5)
     reach = float(np.linalg.norm(scene.platform_joints[0] - scene.platform_centre))
     turn, centre = scene.platform_rotation, scene.platform_centre
     disc = shapes.cylinder(reach - 0.004, -0.005, 0.004, 72, chamfer=0.001)
-    yield Body("rrs/platform", disc, turn, centre, COLOURS["platform"], 0.15)
+    yield Body("platform/plate", disc, turn, centre, COLOURS["platform"], 0.15)
     dome = shapes.cap(scene.dome_radius, 0.0, math.pi / 2.0, 20, 72)
-    yield Body("rrs/dome", dome, turn, centre, COLOURS["dome"], 0.12)
+    yield Body("platform/dome", dome, turn, centre, COLOURS["dome"], 0.12)
 
 
 def hole_state(scene: Scene, index: int) -> str:
@@ -204,33 +204,29 @@ def hole_bodies(scene: Scene) -> Iterator[Body]:
         state = hole_state(scene, index)
         turn, centre = frame(normal), scene.platform_centre
         ring = shapes.cap(radius + _LIFT, inner, outer, 3, 28)
-        yield Body(f"holes/{index}/ring", ring, turn, centre, COLOURS[state], 0.1)
+        yield Body(f"platform/ring{index}", ring, turn, centre, COLOURS[state], 0.1)
         bore = shapes.cap(radius + _LIFT, 0.0, inner, 2, 28)
-        yield Body(f"holes/{index}/bore", bore, turn, centre, COLOURS["bore"], 0.0)
+        yield Body(f"platform/bore{index}", bore, turn, centre, COLOURS["bore"], 0.0)
         if state == "filled":
             plug = shapes.cylinder(0.85 * _BORE, 0.0, 0.011, 20, chamfer=0.001)
-            yield Body(
-                f"holes/{index}/plug", plug, turn, scene.hole_mouths[index], COLOURS["filled"]
-            )
+            at, name = scene.hole_mouths[index], f"platform/plug{index}"
+            yield Body(name, plug, turn, at, COLOURS["filled"])
         elif state == "target":
             # beyond the peg's way in, so that it never hides the tip
             start = scene.hole_mouths[index] + 0.012 * normal
             mesh = shapes.arrow(0.055, 0.0017)
-            yield Body("holes/normal", mesh, turn, start, COLOURS["target"], 0.0, shines=True)
+            yield Body("target/normal", mesh, turn, start, COLOURS["target"], 0.0, shines=True)
 
 
-def trace_bodies(trace: FloatArray) -> Iterator[Body]:
-    """The way of the tip, (n, 3) m, as a thin tube; nothing for fewer than two points."""
-    for i in range(len(trace) - 1):
-        a, b = trace[i], trace[i + 1]
+def trace_bodies(scene: Scene) -> Iterator[Body]:
+    """The way of the tip as a thin tube; nothing for fewer than two points."""
+    for i, (a, b) in enumerate(pairwise(scene.trace)):
         if float(np.linalg.norm(b - a)) > 1e-6:
             mesh = shapes.rod(0.0013, float(np.linalg.norm(b - a)), 6)
             yield Body(f"trace/{i}", mesh, frame(b - a), a, COLOURS["trace"], 0.0, shines=True)
 
 
-def bodies(scene: Scene, trace: FloatArray | None = None) -> list[Body]:
+def bodies(scene: Scene) -> list[Body]:
     """Everything there is to draw."""
-    parts = [*delta_bodies(scene), *rrs_bodies(scene), *hole_bodies(scene)]
-    if trace is not None:
-        parts.extend(trace_bodies(trace))
-    return parts
+    parts = (delta_bodies, rrs_bodies, hole_bodies, trace_bodies)
+    return [body for part in parts for body in part(scene)]

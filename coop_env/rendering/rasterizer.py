@@ -9,7 +9,6 @@ the last step, which looks display values up in a table.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -40,8 +39,7 @@ AMBIENT_DOWN: Final = 0.22
 SHADE: Final = 0.42  # of the floor's light that a shadow takes
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Triangles:
+class Triangles(NamedTuple):
     """What to draw: vertices, normals (n, 3); faces (m, 3); linear colours (m, 3); gloss (m,).
 
     A negative gloss marks a face that shines by itself: no shading, no shadow.
@@ -54,9 +52,10 @@ class Triangles:
     gloss: npt.NDArray[np.float32]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Light:
-    """Right, down and forward of the key light, and how near to it each texel's surface is."""
+class Light(NamedTuple):
+    """Right, down and forward of the key light, and how near to it (-depth, m) each texel's
+    surface is.
+    """
 
     axes: Matrix3
     nearness: npt.NDArray[np.float32]
@@ -80,27 +79,21 @@ _DISPLAY: Final = _display_table()
 class Shot(NamedTuple):
     """What a pixel's colour depends on.
 
-    ``lens`` is (focal length, centre column, centre row), all in samples; ``depth`` is how near to
-    the light each texel's surface is. The model is as in :class:`Triangles`, with its vertices on
-    the screen.
+    ``model`` has its vertices on the screen; ``lens`` is (focal length, centre column, centre row),
+    all in samples.
     """
 
-    screen: np.ndarray
-    normals: np.ndarray
-    faces: np.ndarray
-    colours: np.ndarray
-    gloss: np.ndarray
+    model: Triangles
     eye: Row
     axes: Matrix3
     lens: Row
-    light: Matrix3
-    depth: np.ndarray
+    light: Light
 
 
 @njit(cache=True, inline="always")
-def _lit(x: float, y: float, z: float, light: Matrix3, depth: np.ndarray) -> float:
+def _lit(x: float, y: float, z: float, key: Light) -> float:
     """Share of the key light that reaches a point: 3 x 3 texels, blended."""
-    scale = 0.5 * SHADOW_SIZE / SHADOW_REACH
+    scale, light = 0.5 * SHADOW_SIZE / SHADOW_REACH, key.axes
     dx, dy, dz = x - SHADOW_CENTRE[0], y - SHADOW_CENTRE[1], z - SHADOW_CENTRE[2]
     u = (dx * light[0][0] + dy * light[0][1] + dz * light[0][2]) * scale + 0.5 * SHADOW_SIZE - 0.5
     v = (dx * light[1][0] + dy * light[1][1] + dz * light[1][2]) * scale + 0.5 * SHADOW_SIZE - 0.5
@@ -114,7 +107,7 @@ def _lit(x: float, y: float, z: float, light: Matrix3, depth: np.ndarray) -> flo
         wv = 1.0 - fv if dj == -1 else (fv if dj == 2 else 1.0)
         for di in range(-1, 3):
             wu = 1.0 - fu if di == -1 else (fu if di == 2 else 1.0)
-            if depth[j + dj, i + di] <= near:
+            if key.nearness[j + dj, i + di] <= near:
                 total += wu * wv
     return total / 9.0
 
@@ -148,7 +141,7 @@ def _floor(ray: Row, pixel: float, shot: Shot) -> Row:
     share = share * share * (3.0 - 2.0 * share)
     blur = 0.5 * pixel * s
     line = max(_grid_line(x, blur), _grid_line(y, min(blur / abs(up), 0.5 * GRID)))
-    dim = 1.0 - SHADE * (1.0 - _lit(x, y, FLOOR_HEIGHT, shot.light, shot.depth))
+    dim = 1.0 - SHADE * (1.0 - _lit(x, y, FLOOR_HEIGHT, shot.light))
     fr = (FLOOR[0] + line * (LINE[0] - FLOOR[0])) * dim
     fg = (FLOOR[1] + line * (LINE[1] - FLOOR[1])) * dim
     fb = (FLOOR[2] + line * (LINE[2] - FLOOR[2])) * dim
@@ -185,7 +178,7 @@ def _sample(i: float, j: float, f: int, near: float, shot: Shot) -> Row:
 
     ``near`` is 1 / depth, or for the floor the width of a pixel at unit depth.
     """
-    lens, axes, eye, colours = shot.lens, shot.axes, shot.eye, shot.colours
+    lens, axes, eye, model = shot.lens, shot.axes, shot.eye, shot.model
     u, v = (i - lens[1]) / lens[0], (j - lens[2]) / lens[0]
     ray = (
         u * axes[0][0] + v * axes[1][0] + axes[2][0],
@@ -194,66 +187,55 @@ def _sample(i: float, j: float, f: int, near: float, shot: Shot) -> Row:
     )
     if f < 0:
         return _floor(ray, near, shot)
-    if shot.gloss[f] < 0.0:
-        return float(colours[f, 0]), float(colours[f, 1]), float(colours[f, 2])
-    n = _normal(i, j, shot.screen, shot.normals, shot.faces[f])
+    colour = model.colours[f]
+    if model.gloss[f] < 0.0:
+        return float(colour[0]), float(colour[1]), float(colour[2])
+    n = _normal(i, j, model, f)
     s = 1.0 / near
     x = eye[0] + s * ray[0] + 0.003 * n[0]
     y = eye[1] + s * ray[1] + 0.003 * n[1]
     z = eye[2] + s * ray[2] + 0.003 * n[2]
-    lit = _lit(x, y, z, shot.light, shot.depth)
-    return _surface(n, ray, colours[f], shot.gloss[f], lit, shot.light)
+    return _surface(n, ray, colour, model.gloss[f], _lit(x, y, z, shot.light), shot.light.axes)
 
 
 @njit(cache=True)
 def shade(
-    shot: Shot,
-    nearness: np.ndarray,
-    ids: np.ndarray,
-    samples: int,
-    table: np.ndarray,
-    image: np.ndarray,
+    shot: Shot, nearness: np.ndarray, ids: np.ndarray, samples: int, image: np.ndarray
 ) -> None:
     """Colour of each pixel of ``image`` (uint8), the mean of samples x samples rays.
 
     A pixel that one face (or the floor) fills takes one ray: only edges need more, because normals,
     shadows and grid lines are smooth by themselves.
     """
-    top = len(table) - 1
-    share = top / (samples * samples)
     for row in range(image.shape[0]):
         for column in range(image.shape[1]):
             j0, i0 = row * samples, column * samples
-            f = ids[j0, i0]
             uniform = True
             for j in range(j0, j0 + samples):
                 for i in range(i0, i0 + samples):
-                    uniform = uniform and ids[j, i] == f
-            if uniform:
-                x, y = i0 + 0.5 * samples, j0 + 0.5 * samples
-                near = samples / shot.lens[0] if f < 0 else float(nearness[j0, i0])
-                c = _sample(x, y, f, near, shot)
-                for k in range(3):
-                    image[row, column, k] = table[int(top * min(c[k], 1.0))]
-                continue
+                    uniform = uniform and ids[j, i] == ids[j0, i0]
+            rays = 1 if uniform else samples
+            half = 0.5 * (samples // rays)
             r, g, b = 0.0, 0.0, 0.0
-            for j in range(j0, j0 + samples):
-                for i in range(i0, i0 + samples):
+            for j in range(j0, j0 + rays):
+                for i in range(i0, i0 + rays):
                     f = ids[j, i]
                     near = samples / shot.lens[0] if f < 0 else float(nearness[j, i])
-                    c = _sample(i + 0.5, j + 0.5, f, near, shot)
+                    c = _sample(i + half, j + half, f, near, shot)
                     r += min(c[0], 1.0)
                     g += min(c[1], 1.0)
                     b += min(c[2], 1.0)
-            image[row, column, 0] = table[int(r * share)]
-            image[row, column, 1] = table[int(g * share)]
-            image[row, column, 2] = table[int(b * share)]
+            share = (len(_DISPLAY) - 1) / (rays * rays)
+            image[row, column, 0] = _DISPLAY[int(r * share)]
+            image[row, column, 1] = _DISPLAY[int(g * share)]
+            image[row, column, 2] = _DISPLAY[int(b * share)]
 
 
 @njit(cache=True)
-def _normal(x: float, y: float, screen: np.ndarray, normals: np.ndarray, face: np.ndarray) -> Row:
+def _normal(x: float, y: float, model: Triangles, f: int) -> Row:
     """Unit normal at a screen point of a face, blended from its corners."""
-    a, b, c = face[0], face[1], face[2]
+    screen, normals = model.vertices, model.normals
+    a, b, c = model.faces[f, 0], model.faces[f, 1], model.faces[f, 2]
     abx, aby = screen[b, 0] - screen[a, 0], screen[b, 1] - screen[a, 1]
     acx, acy = screen[c, 0] - screen[a, 0], screen[c, 1] - screen[a, 1]
     dx, dy = x - screen[a, 0], y - screen[a, 1]
@@ -317,18 +299,6 @@ def _rows(m: FloatArray) -> Matrix3:
     return _row(m[0]), _row(m[1]), _row(m[2])
 
 
-def _shadow(triangles: Triangles, light: FloatArray) -> npt.NDArray[np.float32]:
-    """Nearness to the light (-depth, m) of the first surface in each texel."""
-    seen = (triangles.vertices - SHADOW_CENTRE) @ light.T
-    scale = 0.5 * SHADOW_SIZE / SHADOW_REACH
-    seen[:, :2] = seen[:, :2] * scale + 0.5 * SHADOW_SIZE
-    seen[:, 2] *= -1.0
-    nearness = np.full((SHADOW_SIZE, SHADOW_SIZE), -1e9, dtype=np.float32)
-    ids = np.empty((SHADOW_SIZE, SHADOW_SIZE), dtype=np.int32)
-    _fill_depth(seen, triangles.faces, triangles.gloss < 0.0, nearness, ids)
-    return nearness
-
-
 def cast_light(triangles: Triangles, azimuth: float) -> Light:
     """The key light: above and to the left of a camera at ``azimuth`` (degrees).
 
@@ -340,7 +310,14 @@ def cast_light(triangles: Triangles, azimuth: float) -> Light:
     towards = np.array([c * math.cos(azimuth), c * math.sin(azimuth), math.sin(elevation)])
     right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
     axes = np.stack([right, np.cross(right, towards), -towards])
-    return Light(_rows(axes), _shadow(triangles, axes))
+    seen = (triangles.vertices - SHADOW_CENTRE) @ axes.T
+    scale = 0.5 * SHADOW_SIZE / SHADOW_REACH
+    seen[:, :2] = seen[:, :2] * scale + 0.5 * SHADOW_SIZE
+    seen[:, 2] *= -1.0
+    nearness = np.full((SHADOW_SIZE, SHADOW_SIZE), -1e9, dtype=np.float32)
+    ids = np.empty((SHADOW_SIZE, SHADOW_SIZE), dtype=np.int32)
+    _fill_depth(seen, triangles.faces, triangles.gloss < 0.0, nearness, ids)
+    return Light(_rows(axes), nearness)
 
 
 def draw(
@@ -359,9 +336,7 @@ def draw(
     ids = np.full(nearness.shape, -1, dtype=np.int32)
     _fill_depth(screen, triangles.faces, behind, nearness, ids)
     image = np.empty((height, width, 3), dtype=np.uint8)
-    t, eye = triangles, _row(view.eye)
     lens = (view.focal * samples, view.centre[0] * samples, view.centre[1] * samples)
-    model = (screen, t.normals, t.faces, t.colours, t.gloss)
-    shot = Shot(*model, eye, _rows(view.axes), lens, light.axes, light.nearness)
-    shade(shot, nearness, ids, samples, _DISPLAY, image)
+    model = triangles._replace(vertices=screen)
+    shade(Shot(model, _row(view.eye), _rows(view.axes), lens, light), nearness, ids, samples, image)
     return image

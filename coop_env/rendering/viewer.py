@@ -22,9 +22,11 @@ from coop_env.env import CoopInsertionEnv
 from coop_env.errors import ResetOptionError
 from coop_env.geometry import GEOMETRIES
 from coop_env.kinematics.rrs_kernels import make_params
-from coop_env.rendering.bodies import COLOURS, Body, bodies, hole_state
+from coop_env.rendering.bodies import COLOURS, Body, bodies, hole_state, pixels
 from coop_env.rendering.scene import Scene
+from coop_env.simulation.state import COLLISION, INVALID
 from coop_env.simulation.task import AXES, N_ACTIONS, axis_bounds
+from coop_env.trajectory import REASONS
 
 if TYPE_CHECKING:
     import viser
@@ -32,12 +34,6 @@ if TYPE_CHECKING:
 Act = Callable[[Any, npt.NDArray[np.bool_]], int]
 MakeEnv = Callable[[str], CoopInsertionEnv]
 
-_REFUSALS: Final = {
-    1: "out of reach or beyond a joint limit",
-    2: "the robots would collide",
-    3: "too near a singularity, or beyond it",
-}
-_SIGMA_FULL: Final = 1.0
 _ANGLES: Final = (3, 4)
 """Axes that the view shows in degrees."""
 
@@ -60,12 +56,10 @@ def _open_server(host: str, port: int) -> viser.ViserServer:
         ) from error
     if not 1 <= port <= 65535:
         raise ViewerError(f"port {port}: must be 1 to 65535")
-    with socket.socket() as probe:  # viser would quietly take another port
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            raise ViewerError(f"{host}:{port} cannot be used ({error}): try another port") from None
+    try:
+        socket.create_server((host, port)).close()  # viser would quietly take another port
+    except OSError as error:
+        raise ViewerError(f"{host}:{port} cannot be used ({error}): try another port") from None
     return viser.ViserServer(host, port, label="Cooperative insertion", verbose=False)
 
 
@@ -89,52 +83,42 @@ class _Stage:
 
     def show(self, scene: Scene) -> None:
         """Move what moved, add what is new or looks different, remove what is gone."""
-        present = {body.name: body for body in bodies(scene, scene.trace)}
+        from viser.transforms import SO3
+
+        present = {body.name: body for body in bodies(scene)}
         with self._server.atomic():
-            for name in [n for n in self._shown if n not in present]:
-                self._shown.pop(name)[1].remove()
+            for name, (old, handle) in list(self._shown.items()):
+                new = present.get(name)
+                if new is None or new.mesh is not old.mesh or new.colour != old.colour:
+                    self._shown.pop(name)
+                    handle.remove()
             for name, body in present.items():
-                old = self._shown.get(name)
-                if old is None or old[0].mesh is not body.mesh or old[0].colour != body.colour:
-                    handle = self._add(body, old)
+                if name in self._shown:
+                    handle = self._shown[name][1]
                 else:
-                    handle = old[1]
-                    handle.position, handle.wxyz = body.position, _quaternion(body)
+                    colour, mesh = pixels(body.colour), _weld(body)
+                    handle = self._server.scene.add_mesh_simple(f"/{name}", *mesh, color=colour)
+                handle.position = body.position
+                handle.wxyz = SO3.from_matrix(body.rotation).wxyz
                 self._shown[name] = (body, handle)
-
-    def _add(self, body: Body, old: tuple[Body, Any] | None) -> Any:
-        if old is not None:
-            old[1].remove()
-        vertices, faces = _weld(body)
-        red, green, blue = (round(255 * c) for c in body.colour)
-        return self._server.scene.add_mesh_simple(
-            f"/{body.name}",
-            vertices,
-            faces,
-            color=(red, green, blue),
-            position=body.position,
-            wxyz=_quaternion(body),
-        )
-
-
-def _quaternion(body: Body) -> npt.NDArray[np.float64]:
-    from viser.transforms import SO3
-
-    return np.asarray(SO3.from_matrix(body.rotation).wxyz)
 
 
 def _summary(scene: Scene) -> str:
     """Time, holes in their colours, target and margin, as Markdown."""
-    marks = []
-    for index in range(len(scene.filled)):
-        red, green, blue = (round(255 * c) for c in COLOURS[hole_state(scene, index)])
-        marks.append(f'<span style="color:rgb({red},{green},{blue})">⬤</span>')
+    marks = [
+        f'<span style="color:rgb{pixels(COLOURS[hole_state(scene, index)])}">⬤</span>'
+        for index in range(len(scene.filled))
+    ]
     return (
         f"**{scene.time:.1f} s**, {scene.status}, {int(scene.filled.sum())} of "
         f"{int(scene.active.sum())} filled\n\n{' '.join(marks)}\n\n"
         f"target {scene.target}: {1e3 * scene.distance:.0f} mm, "
         f"{math.degrees(scene.alignment_error):.1f}°; sigma_min {scene.sigma_min:+.3f}"
     )
+
+
+def _name(action: int) -> str:
+    return f"{'+-'[action % 2]} {AXES[action // 2]}"
 
 
 def _geometry_name(env: CoopInsertionEnv) -> str | None:
@@ -168,11 +152,9 @@ class Viewer:
     ) -> None:
         self.env = env
         self._observation, _ = env.reset()
-        scene = env.scene()
-        bodies(scene, scene.trace)  # what compiles for it has compiled before anyone can look
+        bodies(env.scene())  # what compiles for it has compiled before anyone can look
         env.action_masks()
         self._server = _open_server(host, port)
-        self.port = port
         self._act = act
         self._make_env = make_env
         self._lock = threading.RLock()  # the browser's events come on threads of their own
@@ -232,8 +214,7 @@ class Viewer:
         return slider
 
     def _add_button(self, action: int) -> Any:
-        sign = "+" if action % 2 == 0 else "-"
-        button = self._server.gui.add_button(f"{sign} {AXES[action // 2]}")
+        button = self._server.gui.add_button(_name(action))
 
         @button.on_click
         def _(_: Any) -> None:
@@ -253,7 +234,7 @@ class Viewer:
             configuration[axis] = math.radians(value) if axis in _ANGLES else value
             status = self.env.configuration_status(configuration)
             if status != 0:
-                return self._refuse(f"{AXES[axis]} = {value:g}: {_REFUSALS[status]}")
+                return self._refuse(f"{AXES[axis]} = {value:g}: {REASONS[status]}")
             scene = self.env.scene()
             options: dict[str, Any] = {"configuration": configuration}
             if not scene.filled[scene.target]:
@@ -268,14 +249,14 @@ class Viewer:
     def move(self, action: int) -> bool:
         """Make one of the twelve moves; a masked or colliding one is refused with a message."""
         with self._lock:
-            name = f"{'+-'[action % 2]} {AXES[action // 2]}"
+            name = _name(action)
             if self.env.scene().status != "running":
                 return self._refuse("the episode is over: reset, or move a slider")
             if not self.env.action_masks()[action]:
-                return self._refuse(f"{name}: {_REFUSALS[1]}")
+                return self._refuse(f"{name}: {REASONS[INVALID]}")
             self._observation, reward, _, _, info = self.env.step(action)
             if info["collision"]:
-                return self._refuse(f"{name}: {_REFUSALS[2]}")
+                return self._refuse(f"{name}: {REASONS[COLLISION]}")
             self._show(f"{name}: reward {reward:+.2f}" + (", inserted" * info["inserted"]))
             return True
 
@@ -344,8 +325,7 @@ class Viewer:
         self._stage.show(scene)
         self.message.content = message
         self.status.content = _summary(scene)
-        share = min(max(scene.sigma_min / _SIGMA_FULL, 0.0), 1.0)
-        self._margin.value = 100.0 * share
+        self._margin.value = 100.0 * min(max(scene.sigma_min, 0.0), 1.0)
         self._margin.color = "green" if scene.sigma_min >= 3 * scene.singular_margin else "red"
         for axis, slider in enumerate(self.sliders):
             value = scene.configuration[axis]

@@ -5,10 +5,11 @@ agent and its environment, :class:`ShieldedInsertionVecEnv` is a batch under its
 :class:`ShieldMargin` says how much distance is kept.
 """
 
-from coop_env.shield.shield import KinematicShield, ShieldMargin
-from coop_env.shield.wrapper import (
+from coop_env.shield.shield import (
+    KinematicShield,
     ShieldedInsertionEnv,
     ShieldedInsertionVecEnv,
+    ShieldMargin,
     ShieldWrapper,
 )
 

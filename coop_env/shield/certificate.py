@@ -63,7 +63,7 @@ def _check(
         c[3:] = rrs[r]
         for d in range(delta.shape[0]):
             c[:3] = delta[d]
-            if not is_certified((c[0], c[1], c[2], c[3], c[4], c[5]), p, reach, clearance):
+            if not is_certified(way_point(c, a, 0.0), p, reach, clearance):
                 continue
             result[0] += 1
             degree = 0

@@ -11,10 +11,6 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
-
-pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
-
-import pytest
 from scipy.optimize import least_squares
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
@@ -23,37 +19,22 @@ from coop_env.geometry import GeometryError
 from coop_env.kinematics import delta, rrs
 from coop_env.physics.env import CoopInsertionContactEnv
 from coop_env.physics.model import Servos
-from coop_env.physics.task import LEVELS, ContactTask, start_configurations
+from coop_env.physics.task import LEVELS, ContactTask
 from coop_env.physics.twin import last
+from tests.coop_env.physics.episodes import ASIDE, PUSH, REST, RIM, above, play
 
 IDS = ("CoopInsertionContact-v0", "CoopInsertionContactDiscrete-v0", "CoopInsertionPhysics-v0")
-DOWN = np.array([0.0, 0.0, -0.5, 0.0, 0.0, 0.0])
+DOWN = 0.5 * PUSH
 
 
-def make(**kwargs: Any) -> CoopInsertionContactEnv:
-    return CoopInsertionContactEnv(**kwargs)
-
-
-def play(env: CoopInsertionContactEnv, action: Any = DOWN, most: int = 200) -> dict[str, Any]:
-    """Repeat an action, or ask for it, to the end of the episode; the last info."""
-    total, observation = 0.0, np.zeros(29, np.float32)
-    for _ in range(most):
-        chosen = action(observation) if callable(action) else action
-        observation, reward, terminated, truncated, info = env.step(chosen)
-        assert np.isfinite(observation).all()
-        assert env.observation_space.contains(observation)
-        assert reward == pytest.approx(sum(info["reward_terms"].values()))
-        total += reward
-        if terminated or truncated:
-            assert terminated != truncated
-            last = {"return": total, "terminated": terminated, "observation": observation}
-            return {**info, **last}
-    raise AssertionError("the episode does not end")
+@pytest.fixture(scope="module")
+def env() -> CoopInsertionContactEnv:
+    return CoopInsertionContactEnv()
 
 
 def push(observation: np.ndarray) -> np.ndarray:
     """Downwards as long as less than 8 N is felt."""
-    return DOWN if 10.0 * observation[13] < 8.0 else np.zeros(6)
+    return DOWN if 10.0 * observation[13] < 8.0 else REST
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -62,12 +43,12 @@ def test_checkers(name: str) -> None:
     sb3_check_env(gym.make(name).unwrapped)
 
 
-def test_a_hole_where_it_is_believed_takes_the_peg() -> None:
-    env = make()
-    _, info = env.reset(seed=0, options={"error": [0.0, 0.0, 0.0, 0.0]})
+def test_a_hole_where_it_is_believed_takes_the_peg(env: CoopInsertionContactEnv) -> None:
+    options: dict[str, Any] = {"error": [0.0, 0.0, 0.0, 0.0]}
+    _, info = env.reset(seed=0, options=options)
     assert info["depth"] == pytest.approx(-0.01, abs=1e-9)
     assert info["lateral_error"] < 1e-9
-    end = play(env)
+    end = play(env, DOWN, **options)
     assert end["is_success"]
     assert end["failure"] == ""
     assert end["depth"] >= 0.01
@@ -89,13 +70,12 @@ def test_a_hole_where_it_is_believed_takes_the_peg() -> None:
 def test_a_compliant_push_succeeds_as_far_as_clearance_and_chamfer_reach(
     level: str, error: float, expected: float
 ) -> None:
-    env = make(level=level)
+    env = CoopInsertionContactEnv(level)
     ends = []
     for k in range(6):
         side = 2.0 * np.pi * k / 6
         where = [error * np.cos(side), error * np.sin(side), 0.005, -0.005]
-        env.reset(seed=k, options={"error": where, "hole": k})
-        ends.append(play(env, push))
+        ends.append(play(env, push, seed=k, error=where, hole=k))
     assert np.mean([end["success"] for end in ends]) == expected
     if expected == 0.0:
         assert {end["failure"] for end in ends} == {"time"}
@@ -104,12 +84,11 @@ def test_a_compliant_push_succeeds_as_far_as_clearance_and_chamfer_reach(
 
 def test_nothing_leaks_beside_a_hole() -> None:
     """A stiff Delta presses the peg on the rim, all around, to 20 N: it sinks in by 0.1 mm."""
-    env = make(level={"force_limit": 20.0}, servos=Servos(delta_stiffness=1000.0))
+    env = CoopInsertionContactEnv({"force_limit": 20.0}, servos=Servos(delta_stiffness=1000.0))
     for k in range(24):
         side, off = 2.0 * np.pi * k / 24, 0.0018 + 0.0002 * k  # over chamfer and spot face
         where = [off * np.cos(side), off * np.sin(side), 0.0, 0.0]
-        env.reset(seed=k, options={"error": where, "hole": k % 6, "friction": 0.4})
-        end = play(env, 0.4 * DOWN)
+        end = play(env, 0.2 * PUSH, seed=k, error=where, hole=k % 6, friction=0.4)
         assert end["failure"] == "force"
         data = env.batch.twin.inspect(0)[1]
         platform = data.body("platform")
@@ -119,10 +98,8 @@ def test_nothing_leaks_beside_a_hole() -> None:
         assert min(data.contact.dist) > -1.5e-4
 
 
-def test_force_is_measured_noticed_and_ends_the_episode() -> None:
-    env = make()
-    env.reset(seed=3, options={"error": [0.0025, 0.0, 0.0, 0.0], "hole": 4})
-    end = play(env)
+def test_force_is_measured_noticed_and_ends_the_episode(env: CoopInsertionContactEnv) -> None:
+    end = play(env, DOWN, seed=3, **RIM)
     assert end["failure"] == "force"
     assert end["terminated"]
     assert end["reward_terms"]["failure"] == -5.0
@@ -137,18 +114,14 @@ def test_force_is_measured_noticed_and_ends_the_episode() -> None:
         env.step(DOWN)
 
 
-def test_a_force_balances_the_servos() -> None:
+def test_a_force_balances_the_servos(env: CoopInsertionContactEnv) -> None:
     """What the peg feels is what the Delta's servos push with, by its Jacobian."""
-    env = make()
-    env.reset(seed=3, options={"error": [0.0025, 0.0, 0.0, 0.0], "hole": 4})
-    for _ in range(27):
-        *_, info = env.step(DOWN)
-    for _ in range(20):
-        *_, info = env.step(np.zeros(6))
+    env.reset(seed=3, options=RIM)
+    for action in [DOWN] * 27 + [REST] * 20:
+        *_, info = env.step(action)
     twin = env.batch.twin
     torques = twin.inspect(0)[1].actuator_force[:3].copy()
-    position = env.batch.command[0, :3]
-    turned = delta.jacobian(position) / twin.machine.delta.proximal_length
+    turned = delta.jacobian(env.configuration[:3]) / twin.machine.delta.proximal_length
     assert info["force"][2] > 5.0
     assert turned.T @ torques == pytest.approx(-info["force"], rel=0.02, abs=0.1)
 
@@ -170,19 +143,17 @@ def other_assemblies(pose: np.ndarray) -> list[np.ndarray]:
     return result
 
 
-def test_another_assembly_mode_is_seen_within_a_control_step() -> None:
+def test_another_assembly_mode_is_seen_within_a_control_step(env: CoopInsertionContactEnv) -> None:
     """The same servo commands hold the platform elsewhere: where a jump would leave it."""
-    env = make()
     env.reset(seed=0, options={"hole": 0})
-    start = env.batch.command[0].copy()
+    start, twin = env.configuration, env.batch.twin
     elsewhere = other_assemblies(start[3:])
     assert len(elsewhere) >= 2
     for pose in elsewhere:
         env.reset(seed=0, options={"hole": 0})
-        twin = env.batch.twin
         position = twin.joint_positions([*start[:3], *pose])
         twin.states[0, 1 : 1 + position.size] = position
-        *_, terminated, _, info = env.step(np.zeros(6))
+        *_, terminated, _, info = env.step(REST)
         assert terminated
         assert info["failure"] == "snap"
         assert last(twin.advance(twin.servo_targets(start)[None], 500)).joints[0, 3:] == (
@@ -192,16 +163,12 @@ def test_another_assembly_mode_is_seen_within_a_control_step() -> None:
 
 def test_a_soft_3rrs_pushed_hard_snaps() -> None:
     """Soft servos near the parallel singularity lose their assembly mode; the episode says so."""
-    soft = Servos(rrs_stiffness=2.0, delta_stiffness=400.0)
-    env = make(servos=soft)
-    env.reset(seed=0, options={"hole": 0, "error": [0.0025, 0.0, 0.0, 0.0]})
-    assert play(env, 2.0 * DOWN)["failure"] == "snap"
+    env = CoopInsertionContactEnv(servos=Servos(rrs_stiffness=2.0, delta_stiffness=400.0))
+    assert play(env, PUSH, **{**RIM, "hole": 0})["failure"] == "snap"
 
 
-def test_time_runs_out() -> None:
-    env = make()
-    env.reset(seed=0)
-    end = play(env, np.zeros(6))
+def test_time_runs_out(env: CoopInsertionContactEnv) -> None:
+    end = play(env, REST)
     assert end["failure"] == "time"
     assert not end["terminated"]
     assert end["time"] == pytest.approx(4.0)
@@ -212,9 +179,9 @@ def test_time_runs_out() -> None:
 def test_a_simulation_that_diverges_ends_with_a_cause(name: str) -> None:
     env: Any = gym.make(name).unwrapped
     env.reset(seed=0)
-    env.step(np.zeros(6))
+    env.step(REST)
     env.batch.twin.states[0, -21:] = 1e12
-    observation, reward, terminated, _, info = env.step(np.zeros(6))
+    observation, reward, terminated, _, info = env.step(REST)
     assert terminated
     assert info["failure"] == "diverged"
     assert np.isfinite(observation).all()
@@ -230,11 +197,10 @@ def test_a_command_beyond_the_robots_is_not_taken(name: str) -> None:
         *_, info = env.step(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 1.0]))
     assert info["violation"]
     assert info["failure"] == ("time" if name == IDS[0] else "")
-    assert env.batch.command[0, 5] <= 0.25
+    assert env.configuration[5] <= 0.25
 
 
-def test_what_is_drawn_stays_within_the_task() -> None:
-    env = make()
+def test_what_is_drawn_stays_within_the_task(env: CoopInsertionContactEnv) -> None:
     env.reset(seed=0)
     infos = [env.reset()[1] for _ in range(100)]
     errors = np.array([info["error"] for info in infos])
@@ -250,35 +216,35 @@ def test_what_is_drawn_stays_within_the_task() -> None:
     assert lateral == pytest.approx(offset, abs=3e-4)  # the tip stands 10 mm up a tilted axis
 
 
-def test_the_same_draws_whatever_options_fix() -> None:
-    env = make()
+def test_the_same_draws_whatever_options_fix(env: CoopInsertionContactEnv) -> None:
     _, free = env.reset(seed=4)
     _, fixed = env.reset(seed=4, options={"error": [0.0] * 4})
     assert (free["hole"], free["friction"]) == (fixed["hole"], fixed["friction"])
     assert np.all(fixed["error"] == 0.0)
 
 
-def test_moves_are_increments() -> None:
+def test_moves_are_increments(env: CoopInsertionContactEnv) -> None:
     discrete: Any = gym.make(IDS[1]).unwrapped
-    continuous = make()
-    increments = continuous.task.increments
     discrete.reset(seed=2)
-    continuous.reset(seed=2)
+    env.reset(seed=2)
     for action in range(12):
-        before = discrete.batch.command[0].copy()
+        before = discrete.configuration
         observation = discrete.step(action)[0]
         moved = np.zeros(6)
         moved[action // 2] = 1.0 if action % 2 == 0 else -1.0
-        assert discrete.batch.command[0] - before == pytest.approx(moved * increments, abs=1e-15)
-        assert observation.tobytes() == continuous.step(moved)[0].tobytes()
+        expected = moved * env.task.increments
+        assert discrete.configuration - before == pytest.approx(expected, abs=1e-15)
+        assert observation.tobytes() == env.step(moved)[0].tobytes()
+    for wrong in (12, -1, 0.0, True, "0"):
+        with pytest.raises(ActionError, match="action"):
+            discrete.step(wrong)
 
 
 @pytest.mark.parametrize(
     "action",
     [np.full(6, np.nan), np.full(6, 1.01), np.zeros(5), "down", None, np.inf * np.ones(6)],
 )
-def test_actions_that_are_none(action: Any) -> None:
-    env = make()
+def test_actions_that_are_none(env: CoopInsertionContactEnv, action: Any) -> None:
     env.reset(seed=0)
     state = env.batch.twin.states.copy()
     with pytest.raises(ActionError, match="action"):
@@ -286,27 +252,16 @@ def test_actions_that_are_none(action: Any) -> None:
     assert np.array_equal(env.batch.twin.states, state)
 
 
-@pytest.mark.parametrize("action", [12, -1, 0.0, True, "0"])
-def test_moves_that_are_none(action: Any) -> None:
-    env = gym.make(IDS[1]).unwrapped
-    env.reset(seed=0)
-    with pytest.raises(ActionError, match="action"):
-        env.step(action)
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
+def test_reset_options_that_cannot_be() -> None:
+    env, wrong = CoopInsertionContactEnv(), [
         {"hole": 6}, {"hole": True}, {"hole": np.array([1, 2])},
         {"error": [0.0, 0.0]}, {"error": [np.nan] * 4}, {"error": dict.fromkeys(range(4))},
         {"error": {0.0: 1, 0.001: 1, 0.002: 1, 0.003: 1}},
         {"error": [0.1, 0, 0, 0]}, {"friction": 0.0}, {"force": 1}, 7,
-    ],
-)  # fmt: skip
-def test_reset_options_that_cannot_be(options: Any) -> None:
-    env = make()
-    with pytest.raises(ResetOptionError):
-        env.reset(options=options)
+    ]  # fmt: skip
+    for options in wrong:
+        with pytest.raises(ResetOptionError):
+            env.reset(options=options)  # type: ignore[arg-type]
     with pytest.raises(ResetNeeded):
         env.step(DOWN)
 
@@ -330,48 +285,49 @@ def test_reset_options_that_cannot_be(options: Any) -> None:
 )
 def test_arguments_that_cannot_be(wrong: dict[str, Any]) -> None:
     with pytest.raises(ArgumentError):
-        make(**wrong)
+        CoopInsertionContactEnv(**wrong)
 
 
 def test_a_geometry_that_turns_no_hole_upright() -> None:
     with pytest.raises(GeometryError, match="upright"):
-        make(holes={"holes": [[1.2, 0.0]]})
+        CoopInsertionContactEnv(holes={"holes": [[1.2, 0.0]]})
 
 
 def test_levels_are_the_task_with_other_pegs() -> None:
-    names = [name for name in LEVELS if name != "standard"]
-    for name in names:
+    for name in set(LEVELS) - {"standard"}:
         assert LEVELS[name].peg != ContactTask().peg
         assert LEVELS[name].increments.tolist() == ContactTask().increments.tolist()
-    initial = make(geometry="initial")  # whose 30-degree holes lie at its singularity
-    assert 4 in np.flatnonzero(np.isfinite(initial.batch.starts[:, 0]))
-    assert not np.isfinite(initial.batch.starts[0]).any()
+    # of the initial geometry, whose 30-degree holes lie at its singularity
+    starts = CoopInsertionContactEnv(geometry="initial").batch.starts
+    assert 4 in np.flatnonzero(np.isfinite(starts[:, 0]))
+    assert not np.isfinite(starts[0]).any()
 
 
 ASLANT = np.array([0.1, 0.0, -0.5, 0.0, 0.0, 0.1])
-ASIDE = np.array([1.0, -0.6, 0.8, 0.5, -0.5, 0.4])
 
 
 @pytest.mark.parametrize("take", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 @pytest.mark.parametrize(
-    ("name", "arguments", "before", "after"),
+    ("name", "arguments", "start", "before", "after"),
     [
-        (IDS[0], {}, [ASLANT] * 25, [ASLANT] * 10),  # in contact by then
-        (IDS[0], {"sim_to_real": "randomized"}, [ASIDE], [ASIDE] * 3),
-        ("CoopInsertionPhysicsDiscrete-v0", {"finish": push}, [0], [1, 5, 4]),
+        (IDS[0], {}, {}, [ASLANT] * 25, [ASLANT] * 10),  # in contact by then
+        (IDS[0], {"sim_to_real": "randomized"}, {}, [ASIDE], [ASIDE] * 3),
+        (
+            "CoopInsertionPhysicsDiscrete-v0",
+            {"finish": push},
+            above(2, 0.045),
+            [0],
+            [1, 5, 4],
+        ),
     ],
     ids=["nominal", "disturbed", "moves"],
 )
 def test_a_copy_in_the_midst_of_an_episode_goes_on_alike(
-    name: str, arguments: dict[str, Any], before: list[Any], after: list[Any], take: Any
+    name: str, arguments: Any, start: Any, before: list[Any], after: list[Any], take: Any
 ) -> None:
     """To the end of this episode, and with the same machine in the next."""
     env: Any = gym.make(name, **arguments).unwrapped
-    options: dict[str, Any] = {"error": [0.002, 0.0, 0.0, 0.0]}
-    if "finish" in arguments:
-        start = start_configurations(env.physics.machine, 0.045)[2]
-        options = {"configuration": start, "target": 2}
-    env.reset(seed=5, options=options)
+    env.reset(seed=5, options={"error": [0.002, 0.0, 0.0, 0.0], **start})
     for action in before:
         env.step(action)
     other = take(env)
@@ -383,6 +339,3 @@ def test_a_copy_in_the_midst_of_an_episode_goes_on_alike(
     mine, theirs = env.reset()[1], other.reset()[1]
     np.testing.assert_array_equal(mine.get("privileged"), theirs.get("privileged"))
     np.testing.assert_array_equal(env.step(after[0])[0], other.step(after[0])[0])
-
-
-pytest.importorskip("mujoco", reason="needs the extra physics")

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
 pytest.importorskip("ruckig", reason="ruckig is not installed (extra trajectory)")
 
 from coop_env import InsertionTask

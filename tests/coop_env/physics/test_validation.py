@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
-
-pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
-
-import mujoco
 
 from coop_env.geometry import INITIAL, DeltaGeometry, RRSGeometry
 from coop_env.kinematics import delta, rrs

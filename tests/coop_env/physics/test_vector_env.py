@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from itertools import cycle, islice
 from typing import Any
 
 import gymnasium as gym
@@ -9,36 +11,33 @@ import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 
-pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
-
-import pytest
-
 from coop_env.errors import ActionError, ArgumentError
 from coop_env.physics.env import CoopInsertionContactEnv, CoopInsertionPhysicsEnv
 from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
-from coop_env.physics.task import ContactTask, start_configurations
+from coop_env.physics.task import ContactTask
 from coop_env.physics.vector_env import (
     CoopInsertionContactDiscreteVectorEnv,
     CoopInsertionContactVectorEnv,
     CoopInsertionPhysicsDiscreteVectorEnv,
 )
+from tests.coop_env.physics.episodes import NO_ERROR, PUSH, REST, RIM, above, steps
 
 ID = "CoopInsertionContact-v0"
 
 
 @pytest.mark.parametrize(
-    ("name", "threads", "arguments"),
+    ("name", "arguments"),
     [
-        ("CoopInsertionContact-v0", 1, {}),
-        ("CoopInsertionContact-v0", 2, {}),
-        ("CoopInsertionContact-v0", 2, {"sim_to_real": "randomized"}),
-        ("CoopInsertionPhysics-v0", 2, {"max_steps": 25}),
+        (ID, {"threads": 1}),
+        (ID, {"threads": 2, "sim_to_real": "randomized"}),
+        ("CoopInsertionPhysics-v0", {"threads": 2, "max_steps": 25}),
     ],
 )
-def test_rows_are_single_environments(name: str, threads: int, arguments: dict[str, Any]) -> None:
+def test_rows_are_single_environments(name: str, arguments: dict[str, Any]) -> None:
     """Through ends of episodes: a fast descent, half of them against the rim until it is 40 N."""
     n = 3
-    env: Any = gym.make_vec(name, num_envs=n, threads=threads, **arguments)
+    env: Any = gym.make_vec(name, num_envs=n, **arguments)
+    arguments = {key: value for key, value in arguments.items() if key != "threads"}
     singles = [gym.make(name, **arguments).unwrapped for _ in range(n)]
     observations, infos = env.reset(seed=7)
     for row, single in enumerate(singles):
@@ -81,11 +80,10 @@ def same(infos: dict[str, Any], row: int, info: dict[str, Any]) -> None:
             np.testing.assert_allclose(infos[key][row], value, rtol=0, atol=1e-12, err_msg=key)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_rows_of_moves_are_single_environments(threads: int) -> None:
+def test_rows_of_moves_are_single_environments() -> None:
     name = "CoopInsertionPhysicsDiscrete-v0"
     arguments: dict[str, Any] = {"max_moves": 6, "privileged": True}
-    env: Any = gym.make_vec(name, num_envs=3, threads=threads, **arguments)
+    env: Any = gym.make_vec(name, num_envs=3, threads=2, **arguments)
     assert isinstance(env, CoopInsertionPhysicsDiscreteVectorEnv)
     singles: list[Any] = [gym.make(name, **arguments).unwrapped for _ in range(3)]
     observations, _ = env.reset(seed=7)
@@ -167,88 +165,62 @@ def test_bad_input() -> None:
         CoopInsertionContactVectorEnv(2, threads=0)
 
 
-PUSH = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
-REST = np.zeros(6)
-ASIDE: dict[str, Any] = {"hole": 4, "error": [0.0025, 0.0, 0.0, 0.0], "friction": 0.2}
+BROKEN: dict[str, Any] = {**RIM, "friction": 0.2}
 
 
-def returns(env: Any, options: dict[str, Any], actions: Any) -> tuple[list[float], dict[str, Any]]:
-    """Rewards of an episode under actions, the last of them repeated, and its last info."""
-    env.reset(seed=0, options=options)
-    rewards, over, k = [], False, 0
-    while not over:
-        *_, reward, terminated, truncated, info = env.step(actions[min(k, len(actions) - 1)])
-        rewards.append(float(reward))
-        over, k = terminated or truncated, k + 1
-    return rewards, info
-
-
-def of_contact() -> tuple[Any, dict[str, Any], list[Any], list[Any]]:
-    return CoopInsertionContactEnv(), ASIDE, [PUSH], [REST]
-
-
-def of_contact_in_a_long_episode() -> tuple[Any, dict[str, Any], list[Any], list[Any]]:
-    return CoopInsertionContactEnv({"max_steps": 600}), ASIDE, [PUSH], [REST]
-
-
-def of_the_whole_task() -> tuple[Any, dict[str, Any], list[Any], list[Any]]:
-    env = CoopInsertionPhysicsEnv({"position_error": 0.0, "tilt_error": 0.0}, max_steps=600)
-    start = start_configurations(env.batch.machine, env.task.start_height)[4]
-    start += [0.0, 0.02, 0.0, 0.0, 0.0, 0.0]
-    return env, {"configuration": start, "target": 4}, [PUSH], [REST]
-
-
-def of_the_moves() -> tuple[Any, dict[str, Any], list[Any], list[Any]]:
-    level = {"position_error": 0.0, "tilt_error": 0.0, "force_limit": 15.0}
-    env = CoopInsertionPhysicsDiscreteEnv(level=level, touch=1e3, reward="progress", max_moves=40)
-    start = start_configurations(env.physics.machine, 0.03)[4]
-    start += [0.0, 0.02, 0.0, 0.0, 0.0, 0.0]
-    return env, {"configuration": start, "target": 4}, [5], [4, 5] * 20
+def beside(height: float) -> dict[str, Any]:
+    """Reset options of the whole task: so high beside a hole."""
+    start = above(4, height)
+    return {**start, "configuration": start["configuration"] + 0.02 * np.eye(6)[1]}
 
 
 @pytest.mark.parametrize(
-    "make", [of_contact, of_contact_in_a_long_episode, of_the_whole_task, of_the_moves]
+    ("make", "start", "breaking", "idling"),
+    [
+        (CoopInsertionContactEnv, BROKEN, PUSH, [REST]),
+        (lambda: CoopInsertionContactEnv({"max_steps": 600}), BROKEN, PUSH, [REST]),
+        (lambda: CoopInsertionPhysicsEnv(NO_ERROR, max_steps=600), beside(0.01), PUSH, [REST]),
+        (
+            lambda: CoopInsertionPhysicsDiscreteEnv(
+                touch=1e3, level={**NO_ERROR, "force_limit": 15.0}, reward="progress", max_moves=40
+            ),
+            *(beside(0.03), 5, [4, 5]),
+        ),
+    ],
+    ids=["contact", "a long episode", "whole task", "moves"],
 )
-def test_a_failure_costs_at_least_what_idling_to_the_end_costs(make: Any) -> None:
-    env, options, breaking, idling = make()
-    failed, end = returns(env, options, breaking)
-    assert end["failure"] in ("force", "snap")
-    idle, rest = returns(env, options, idling)
-    assert rest["failure"] == "time"
-    n = len(failed)
-    assert failed[-1] <= sum(idle[n - 1 :]) + 1e-9  # before, both may do the same
+def test_a_failure_costs_at_least_what_idling_to_the_end_costs(
+    make: Callable[[], Any], start: dict[str, Any], breaking: Any, idling: list[Any]
+) -> None:
+    env, turns = make(), cycle(idling)
+    failed = list(steps(env, breaking, **start))
+    assert failed[-1]["failure"] in ("force", "snap")
+    idle = list(steps(env, lambda _: next(turns), **start))
+    assert idle[-1]["failure"] == "time"
+    left = sum(step["reward"] for step in idle[len(failed) - 1 :])  # before, both may do the same
+    assert failed[-1]["reward"] <= left + 1e-9
 
 
 def test_the_force_limit_is_of_the_peak_and_not_of_a_mean() -> None:
     free = CoopInsertionContactEnv({"force_limit": 1e4, "snap_angle": 1.0})
-    free.reset(seed=0, options=ASIDE)
-    peaks, means, over = [0.0], [0.0], False
-    while not over and len(peaks) < 20:
-        *_, terminated, truncated, info = free.step(PUSH)
-        peaks.append(info["peak_force"])
-        means.append(float(np.linalg.norm(info["force"])))
-        over = terminated or truncated
-    first = next(k for k in range(len(peaks)) if peaks[k] > 1.0)  # where it meets the rim
-    assert peaks[first] > 1.2 * means[first]
-    limit = 0.5 * (peaks[first] + means[first])
-    strict = CoopInsertionContactEnv({"force_limit": limit})
-    rewards, end = returns(strict, ASIDE, [PUSH])
-    assert end["failure"] == "force"
-    assert len(rewards) == first
-    assert end["reward_terms"]["force"] == pytest.approx(
-        -0.02 * max(0.0, peaks[first] - ContactTask().free_force)
+    pushed = list(islice(steps(free, PUSH, **BROKEN), 20))
+    first = next(k for k, step in enumerate(pushed) if step["peak_force"] > 1.0)  # at the rim
+    peak, mean = pushed[first]["peak_force"], np.linalg.norm(pushed[first]["force"])
+    assert peak > 1.2 * mean
+    strict = CoopInsertionContactEnv({"force_limit": 0.5 * (peak + mean)})
+    ended = list(steps(strict, PUSH, **BROKEN))
+    assert ended[-1]["failure"] == "force"
+    assert len(ended) == first + 1
+    assert ended[-1]["reward_terms"]["force"] == pytest.approx(
+        -0.02 * max(0.0, peak - ContactTask().free_force)
     )
 
 
 def test_depth_beyond_the_required_one_pays_nothing() -> None:
     """One step from just above the required depth to far below it pays no more than to it."""
     fast = CoopInsertionContactEnv({"depth_step": 0.01})
-    fast.reset(seed=0, options={"hole": 4, "error": [0.0] * 4})
-    paid, over = 0.0, False
-    while not over:
-        *_, terminated, truncated, info = fast.step(PUSH)
-        paid += info["reward_terms"]["depth"]
-        over = terminated or truncated
-    assert info["success"]
-    assert info["depth"] > 0.0105
+    taken = list(steps(fast, PUSH, hole=4, error=[0.0] * 4))
+    assert taken[-1]["success"]
+    assert taken[-1]["depth"] > 0.0105
+    paid = sum(step["reward_terms"]["depth"] for step in taken)
     assert paid == pytest.approx(1000.0 * 0.02, abs=1e-6)

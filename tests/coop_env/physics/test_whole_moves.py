@@ -10,14 +10,11 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
-pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
-
 from coop_env.env import CoopInsertionEnv
 from coop_env.errors import ActionError, ArgumentError, ResetOptionError, StateError
 from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
-from coop_env.physics.task import start_configurations
+from tests.coop_env.physics.episodes import NO_ERROR, REST, above
 
-NO_ERROR = {"position_error": 0.0, "tilt_error": 0.0}
 DOWN = 5
 
 
@@ -26,12 +23,6 @@ def push(seen: np.ndarray) -> np.ndarray:
     fx, fy, fz = 10.0 * seen[11:14]
     down = -1.0 if fz < 1.0 else 0.1 * (fz - 6.0)
     return np.clip([0.3 * fx, 0.3 * fy, down, 0.0, 0.0, 0.0], -1.0, 1.0)
-
-
-def over(env: CoopInsertionPhysicsDiscreteEnv, hole: int, height: float) -> dict[str, Any]:
-    """Reset options: aligned above a hole."""
-    start = start_configurations(env.physics.machine, height)[hole]
-    return {"configuration": start, "target": hole}
 
 
 def test_spaces_are_the_kinematic_tasks() -> None:
@@ -77,7 +68,7 @@ def test_moves_end_where_the_kinematic_task_has_them() -> None:
 
 def test_the_kinematic_criterion_fills_a_hole_without_a_finish() -> None:
     env = CoopInsertionPhysicsDiscreteEnv(level=NO_ERROR)
-    env.reset(seed=0, options=over(env, 2, 0.025))
+    env.reset(seed=0, options=above(2, 0.025))
     *_, info = env.step(DOWN)
     assert info["inserted"]
     assert info["inserted_hole"] == 2
@@ -88,7 +79,7 @@ def test_the_kinematic_criterion_fills_a_hole_without_a_finish() -> None:
 
 def test_an_error_of_the_machine_is_not_seen_but_counts() -> None:
     env = CoopInsertionPhysicsDiscreteEnv()
-    options = over(env, 2, 0.029)
+    options = above(2, 0.029)
     seen, _ = env.reset(seed=0, options={**options, "error": [0.0, 0.0, 0.0, 0.0]})
     *_, info = env.step(DOWN)
     assert info["inserted"]  # 9 mm
@@ -100,7 +91,7 @@ def test_an_error_of_the_machine_is_not_seen_but_counts() -> None:
 
 def test_a_move_into_the_dome_is_taken_back() -> None:
     env = CoopInsertionPhysicsDiscreteEnv(level=NO_ERROR, mask_refused=True)
-    options = over(env, 4, 0.012)
+    options = above(4, 0.012)
     options["configuration"] = options["configuration"] + [0.0, 0.022, 0.0, 0.0, 0.0, 0.0]
     env.reset(seed=0, options=options)
     before = env.configuration
@@ -115,7 +106,7 @@ def test_a_move_into_the_dome_is_taken_back() -> None:
 
 def test_a_finish_inserts_and_leaves_the_peg_above_the_hole() -> None:
     env = CoopInsertionPhysicsDiscreteEnv(finish=push)
-    env.reset(seed=0, options={**over(env, 3, 0.025), "error": [0.0005, 0.0, 0.01, 0.0]})
+    env.reset(seed=0, options={**above(3, 0.025), "error": [0.0005, 0.0, 0.01, 0.0]})
     *_, info = env.step(DOWN)
     assert info["inserted_hole"] == 3
     assert info["given_up"] == []
@@ -129,7 +120,7 @@ def test_a_finish_inserts_and_leaves_the_peg_above_the_hole() -> None:
 
 def test_a_hole_that_is_not_filled_is_given_up() -> None:
     env = CoopInsertionPhysicsDiscreteEnv(finish=push)
-    env.reset(seed=0, options={**over(env, 3, 0.025), "error": [0.003, 0.0, 0.0, 0.0]})
+    env.reset(seed=0, options={**above(3, 0.025), "error": [0.003, 0.0, 0.0, 0.0]})
     *_, info = env.step(DOWN)
     assert not info["inserted"]
     assert info["given_up"] == [3]
@@ -141,7 +132,7 @@ def test_a_hole_that_is_not_filled_is_given_up() -> None:
 def test_an_episode_that_gave_up_its_last_hole_says_so() -> None:
     env = CoopInsertionPhysicsDiscreteEnv(finish=push, render_mode="rgb_array")
     aside = {"error": [0.003, 0.0, 0.0, 0.0], "filled": [0, 1, 2, 4, 5]}
-    env.reset(seed=0, options={**over(env, 3, 0.025), **aside})
+    env.reset(seed=0, options={**above(3, 0.025), **aside})
     _, _, terminated, _, info = env.step(DOWN)
     assert terminated
     assert not info["success"]
@@ -161,6 +152,19 @@ def test_an_episode_that_gave_up_every_hole_can_be_seen() -> None:
     assert scene.status == "not inserted"
 
 
+def fly(env: CoopInsertionPhysicsDiscreteEnv, hole: int) -> np.ndarray:
+    """Up, upright, and over to another hole, 50 mm higher than now; where its insertion begins."""
+    body, there = env.physics, above(hole)["configuration"]
+    away, over = body.configuration, there.copy()
+    away[2] += 0.05
+    upright = np.array([0.0, 0.0, away[2], 0.0, 0.0, away[5]])
+    over[2] = away[2]
+    for to in (away, upright, over):
+        body.lead(to, 4)
+    result: np.ndarray = there
+    return result
+
+
 def test_after_a_hole_the_view_and_the_next_target_are_those_of_where_it_stands() -> None:
     """On the way between them the 3-RRS's forward kinematics has no straight line to follow."""
     seen: list[np.ndarray] = []
@@ -171,31 +175,20 @@ def test_after_a_hole_the_view_and_the_next_target_are_those_of_where_it_stands(
         return np.clip([x, y, -1.0, 0.0, 0.0, 0.0], -1.0, 1.0)
 
     env = CoopInsertionPhysicsDiscreteEnv(finish=steered, level=NO_ERROR)
-    body = env.physics
-    starts = start_configurations(body.machine, body.task.start_height)
-    above = {"configuration": starts[1] + [0, 0, 0.01, 0, 0, 0], "target": 1}
-    env.reset(seed=0, options={**above, "filled": [0, 3, 4, 5]})
-    assert body.insert()
-    assert body.target == 2
-    high, there = body.configuration[2] + 0.05, starts[2]
-    body.lead(np.array([*body.configuration[:2], high, *body.configuration[3:]]), 4)
-    body.lead(np.array([0.0, 0.0, high, 0.0, 0.0, body.configuration[5]]), 4)
-    body.lead(np.array([*there[:2], high, *there[3:]]), 4)
+    env.reset(seed=0, options={**above(1, 0.02), "filled": [0, 3, 4, 5]})
+    assert env.physics.insert()
+    assert env.physics.target == 2
+    fly(env, 2)
     before = len(seen)
-    assert body.insert()
+    assert env.physics.insert()
     np.testing.assert_allclose(seen[before], [0.0, 0.0, 1.0, 0.0, 0.0], atol=0.05)
 
 
 def test_the_next_target_is_the_nearest_hole_wherever_the_episode_began() -> None:
     env = CoopInsertionPhysicsDiscreteEnv(level=NO_ERROR)
     body = env.physics
-    starts = start_configurations(body.machine, body.task.start_height)
-    env.reset(seed=0, options=over(env, 1, 0.03))
-    high = body.configuration[2] + 0.05
-    body.lead(np.array([*body.configuration[:2], high, *body.configuration[3:]]), 4)
-    body.lead(np.array([0.0, 0.0, high, 0.0, 0.0, body.configuration[5]]), 4)
-    body.lead(np.array([*starts[2][:2], high, *starts[2][3:]]), 4)
-    assert body.lead(starts[2], 4)
+    env.reset(seed=0, options=above(1, 0.03))
+    assert body.lead(fly(env, 2), 4)
     body.hole[0] = 2
     body.fill(0)
     readings = body.twin.readings()
@@ -231,34 +224,17 @@ def test_bad_input_is_refused() -> None:
     env.step(4)
 
 
-def test_a_seed_fixes_the_episode_to_the_last_bit() -> None:
-    rows = []
-    for _ in range(2):
-        env = CoopInsertionPhysicsDiscreteEnv(finish=push)
-        env.reset(seed=4, options=over(env, 1, 0.025))
-        infos = [env.step(action)[-1] for action in (DOWN, 4, 0)]
-        rows.append([[*info["error"], *info["force"], info["distance"]] for info in infos])
-    assert rows[0] == rows[1]
-
-
-def test_it_is_drawn_as_it_is() -> None:
+def test_it_is_drawn_as_it_is_from_the_start_of_each_episode() -> None:
     env = CoopInsertionPhysicsDiscreteEnv(level=NO_ERROR, render_mode="ansi")
-    env.reset(seed=0, options=over(env, 2, 0.025))
-    env.step(DOWN)
-    scene = env.scene()
-    assert scene.filled.tolist() == [False, False, True, False, False, False]
-    assert len(scene.trace) == 2
-    assert scene.tip == pytest.approx(env.physics.twin.readings().tip[0])
-    assert "2#" in env.render()
-
-
-def test_the_trace_begins_at_the_start_of_each_episode() -> None:
-    env = CoopInsertionPhysicsDiscreteEnv(render_mode="ansi")
-    for seed in range(2):
-        env.reset(seed=seed)
+    for _ in range(2):
+        env.reset(seed=0, options=above(2, 0.025))
         np.testing.assert_array_equal(env.scene().trace, [env.physics.twin.readings().tip[0]])
-        env.step(int(np.flatnonzero(env.action_masks())[0]))
-        assert len(env.scene().trace) == 2
+        env.step(DOWN)
+        scene = env.scene()
+        assert scene.filled.tolist() == [False, False, True, False, False, False]
+        assert len(scene.trace) == 2
+        assert scene.tip == pytest.approx(env.physics.twin.readings().tip[0])
+        assert "2#" in env.render()
 
 
 def test_after_close_there_is_no_step() -> None:
@@ -268,4 +244,4 @@ def test_after_close_there_is_no_step() -> None:
         env.close()
         env.close()
         with pytest.raises(ResetNeeded):
-            env.step(np.zeros(6))
+            env.step(REST)

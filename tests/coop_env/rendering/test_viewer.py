@@ -65,7 +65,7 @@ def test_slider_moves_the_robots_and_keeps_the_task(view: Viewer) -> None:
 
 @pytest.mark.parametrize(
     ("axis", "value", "reason"),
-    [(3, 44.9, "joint limit"), (2, -0.46, "collide"), (0, 0.16, "")],
+    [(3, 44.9, "joint limits"), (2, -0.46, "collision"), (0, 0.16, "")],
 )
 def test_slider_is_refused_where_the_robots_cannot_go(
     view: Viewer, axis: int, value: float, reason: str
@@ -103,7 +103,7 @@ def test_colliding_move_is_refused_aloud(view: Viewer) -> None:
     for _ in range(20):
         if not view.move(5):  # down onto the dome
             break
-    assert "collide" in view.message.content
+    assert "collision" in view.message.content
     assert view.env.configuration_status(view.env.configuration) == 0
 
 
@@ -156,7 +156,7 @@ def test_missing_viser_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> No
 def test_every_body_stands_in_the_browser_where_the_scene_has_it(view: Viewer) -> None:
     for _ in range(2):
         shown = view._stage._shown
-        wanted = {body.name: body for body in bodies(view.env.scene(), view.env.scene().trace)}
+        wanted = {body.name: body for body in bodies(view.env.scene())}
         assert set(shown) == set(wanted)
         for name, body in wanted.items():
             np.testing.assert_allclose(shown[name][1].position, body.position)
