@@ -170,7 +170,8 @@ class PhysicsBatch(ABC):
     def privileged(self, rows: slice) -> NDArray[np.float32]:
         """(n, 44): what no controller knows, for a critic; see ``PRIVILEGED``."""
         now, radius = self.twin.readings(), self.machine.task.dome_radius
-        normals = np.einsum("nij,nj->ni", now.rotation[rows], self._hole_normals[self.hole[rows]])
+        # einsum would round by the number of rows
+        normals = (now.rotation[rows] * self._hole_normals[self.hole[rows], None]).sum(axis=2)
         tips = now.tip[rows] - now.platform[rows] - radius * normals
         parts = [tips / self.length_unit, normals, self._wrench[rows], self.friction[rows, None],
                  self.error[rows], self._machine_errors[rows]]  # fmt: skip

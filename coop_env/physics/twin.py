@@ -215,6 +215,7 @@ class Twin:
         """
         model, data = self.models[row], self._data[0]
         mujoco.mj_setState(model, data, self.states[row], _STATE)
+        data.qacc_warmstart[:] = 0.0  # the solver would begin where another machine was
         mujoco.mj_forward(model, data)
         return model, data
 

@@ -109,20 +109,25 @@ def test_rows_of_moves_are_single_environments() -> None:
 
 
 def test_dictionaries_are_rows_of_dictionaries_through_an_episodes_end() -> None:
+    """To the last bit, also of machines that err."""
     arguments: dict[str, Any] = {"privileged": True, "level": {"max_steps": 3}}
-    env: Any = gym.make_vec(ID, num_envs=2, **arguments)
-    single = gym.make(ID, **arguments).unwrapped
+    arguments["sim_to_real"] = "randomized"
+    env: Any = gym.make_vec(ID, num_envs=3, **arguments)
+    singles: list[Any] = [gym.make(ID, **arguments).unwrapped for _ in range(3)]
     observations, _ = env.reset(seed=1)
-    row, _ = single.reset(seed=1)
+    rows = [single.reset(seed=1 + k)[0] for k, single in enumerate(singles)]
+    action = np.full(6, -0.3)
     for step in range(1, 8):
-        for key, part in observations.items():
-            np.testing.assert_array_equal(part[0], row[key])
         assert env.observation_space.contains(observations)
-        observations, *_, infos = env.step(np.full((2, 6), -0.3))
-        row, *_ = single.step(np.full(6, -0.3))
+        for key, part in observations.items():
+            assert part.tobytes() == np.array([row[key] for row in rows]).tobytes()
+        observations, *_, infos = env.step(np.tile(action, (3, 1)))
+        rows = [single.step(action)[0] for single in singles]
         if step % 3 == 0:
-            assert infos["final_obs"][0]["privileged"].tobytes() == row["privileged"].tobytes()
-            row, _ = single.reset()
+            for k, single in enumerate(singles):
+                last = infos["final_obs"][k]["privileged"]
+                assert last.tobytes() == rows[k]["privileged"].tobytes()
+                rows[k] = single.reset()[0]
 
 
 def test_make_vec_makes_it_and_knows_the_limit() -> None:
