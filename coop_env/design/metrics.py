@@ -56,26 +56,21 @@ def measure(
     samples = samples or sample_points(problem)
     result = workspace_map(geometry, problem, samples)
     cone = tilt_azimuth(np.stack(samples, axis=-1))[..., 0] <= CONE
-    nan = math.nan
+    nan, sigma_cone = math.nan, float(result.sigma[cone].min())  # NaN if a pose is out of reach
     if not result.inside.any():
-        return DesignMetrics(0.0, _least(result.sigma[cone]), nan, nan, nan, nan, nan)
+        return DesignMetrics(0.0, sigma_cone, nan, nan, nan, nan, nan)
     angles = np.abs(np.stack(samples, axis=-1)[result.inside])
     poses = np.stack([*samples, np.full_like(samples.roll, problem.home_heave)], axis=-1)
     q = rrs.inverse(poses[result.inside], geometry, problem.pose_model).q
     return DesignMetrics(
         result.area,
-        _least(result.sigma[cone]),
+        sigma_cone,
         float(angles.max()),
         _variation(result.kappa[result.inside]),
         _variation(result.kappa[cone]),
         float(q.min()),
         float(q.max()),
     )
-
-
-def _least(values: np.ndarray) -> float:
-    """The least value; NaN if any pose is out of reach, so that a gap is not passed over."""
-    return float(values.min())
 
 
 def _variation(values: np.ndarray) -> float:

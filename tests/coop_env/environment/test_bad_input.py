@@ -5,12 +5,17 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 
-from coop_env import OPTIMIZED, CoopInsertionEnv, CoopInsertionVecEnv, RRSGeometry, SimToReal
+from coop_env import (
+    OPTIMIZED,
+    CoopInsertionEnv,
+    CoopInsertionJointEnv,
+    CoopInsertionVecEnv,
+    RRSGeometry,
+)
 from coop_env.errors import (
     ActionError,
     ArgumentError,
@@ -57,16 +62,23 @@ VALID = (0.0, 0.0, -0.33, 0.1, 0.1, 0.22)
         ({"sim_to_real": {"wind": 1}}, ArgumentError, "unknown keys.*wind"),
         ({"render_mode": "opengl"}, ArgumentError, "'opengl'"),
         ({"sim_to_real": "harsh"}, ArgumentError, "'harsh'"),
+        ({"sim_to_real": {"observation_noise": -0.1}}, ArgumentError, "observation_noise = -0.1"),
+        ({"sim_to_real": {"link_length_error": 0.5}}, ArgumentError, "link_length_error = 0.5"),
+        ({"sim_to_real": {"backlash": math.nan}}, ArgumentError, "backlash = nan"),
+        ({"sim_to_real": {"latency": 2}}, ArgumentError, "latency = 2"),
+        ({"sim_to_real": {"latency": 0.5}}, ArgumentError, "latency = 0.5"),
+        ({"sim_to_real": {"insertion_probability": 1.1}}, ArgumentError, "probability = 1.1"),
+        ({"sim_to_real": {"chamfer_error": "big"}}, ArgumentError, "chamfer_error = 'big'"),
+        ({"sim_to_real": {"randomize": "yes"}}, ArgumentError, "randomize = 'yes'"),
+        ({"sim_to_real": {"randomize": 1}}, ArgumentError, "randomize = 1"),
+        ({"sim_to_real": {"latency": True}}, ArgumentError, "latency = True"),
+        ({"sim_to_real": {"backlash": None}}, ArgumentError, "backlash = None"),
+        ({"sim_to_real": {"base_tilt_error": math.inf}}, ArgumentError, "base_tilt_error = inf"),
     ],
 )
 def test_arguments(kwargs: dict[str, Any], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         CoopInsertionEnv(**kwargs)
-
-
-def test_an_unknown_keyword() -> None:
-    with pytest.raises(TypeError, match="geomtry"):
-        gym.make("CoopInsertion-v0", geomtry="initial")
 
 
 def test_a_geometry_that_cannot_be_assembled() -> None:
@@ -88,6 +100,8 @@ def test_a_geometry_without_start_states_is_told_not_searched_for_ever() -> None
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        ({"target": 5}, "target = 5: not active"),
+        ({"filled": [0, 1, 2, 3]}, "leaves no active hole"),
         ({"config": VALID}, "config.*known"),
         ({"configuration": (0.0, 0.0)}, r"shape \(2,\)"),
         ({"configuration": "home"}, "six numbers"),
@@ -108,7 +122,7 @@ def test_a_geometry_without_start_states_is_told_not_searched_for_ever() -> None
     ],
 )
 def test_reset_options(options: Any, message: str) -> None:
-    env = CoopInsertionEnv()
+    env = CoopInsertionEnv(stage=0)
     env.reset(seed=3)
     env.step(int(np.flatnonzero(env.action_masks())[0]))
     before = env.get_state()
@@ -119,15 +133,7 @@ def test_reset_options(options: Any, message: str) -> None:
     assert after["rng"] == before["rng"]
 
 
-def test_a_target_that_is_not_active() -> None:
-    env = CoopInsertionEnv(stage=0)
-    with pytest.raises(ResetOptionError, match="target = 5: not active"):
-        env.reset(seed=0, options={"target": 5})
-    with pytest.raises(ResetOptionError, match="leaves no active hole"):
-        env.reset(seed=0, options={"filled": [0, 1, 2, 3]})
-
-
-def test_a_singular_start() -> None:
+def test_the_status_of_a_singular_start_and_of_nonsense() -> None:
     env = CoopInsertionEnv(geometry="initial")
     rng = np.random.default_rng(0)
     for _ in range(10_000):
@@ -136,15 +142,22 @@ def test_a_singular_start() -> None:
             break
     with pytest.raises(ResetOptionError, match="singular"):
         env.reset(options={"configuration": c})
+    for nonsense in ([math.nan] * 6, [math.inf, 0, 0, 0, 0, 0]):
+        assert env.configuration_status(nonsense) == 1
+    with pytest.raises(ResetOptionError, match="shape"):
+        env.configuration_status([0.0] * 5)
 
 
-@pytest.mark.parametrize("action", [12, -1, 1.5, "up", None, True, np.array([1]), np.float64(2)])
-def test_actions(action: Any) -> None:
-    env = CoopInsertionEnv()
+@pytest.mark.parametrize(
+    "action", [99, -1, 1.5, "up", None, True, np.array([1]), np.float64(2), math.nan, [0, 1]]
+)
+@pytest.mark.parametrize("kind", [CoopInsertionEnv, CoopInsertionJointEnv])
+def test_actions(kind: type[CoopInsertionEnv], action: Any) -> None:
+    env = kind()
     env.reset(seed=0)
-    before = env.state.tobytes()
-    with pytest.raises(ActionError, match="0 to 11"):
-        env.step(action)
+    before, most = env.state.tobytes(), int(env.action_space.n) - 1
+    with pytest.raises(ActionError, match=f"must be an integer from 0 to {most}"):
+        env.step(most + 1 if action == 99 else action)
     assert env.state.tobytes() == before
 
 
@@ -246,33 +259,3 @@ def test_a_batch_refuses_a_class_whose_step_it_would_pass_by() -> None:
 
     with pytest.raises(ArgumentError, match=r"Slower has a step\(\) of its own.*DummyVecEnv"):
         Slow(2)
-
-
-def test_configuration_status_of_nonsense() -> None:
-    env = CoopInsertionEnv()
-    assert env.configuration_status([math.nan] * 6) == 1
-    assert env.configuration_status([math.inf, 0, 0, 0, 0, 0]) == 1
-    with pytest.raises(ResetOptionError, match="shape"):
-        env.configuration_status([0.0] * 5)
-
-
-@pytest.mark.parametrize(
-    "knobs",
-    [
-        {"observation_noise": -0.1},
-        {"link_length_error": 0.5},
-        {"backlash": math.nan},
-        {"latency": 2},
-        {"latency": 0.5},
-        {"insertion_probability": 1.1},
-        {"chamfer_error": "big"},
-        {"randomize": "yes"},
-        {"randomize": 1},
-        {"latency": True},
-        {"backlash": None},
-        {"base_tilt_error": math.inf},
-    ],
-)
-def test_knobs(knobs: dict[str, Any]) -> None:
-    with pytest.raises(ArgumentError, match=next(iter(knobs))):
-        SimToReal(**knobs)

@@ -30,6 +30,7 @@ def test_an_insertion_needs_distance_and_angle_and_switches_to_the_nearest_open_
     assert info["success"]
     assert info["is_success"]
     assert info["n_filled"] == 1
+    assert not info["all_filled"]
     assert np.linalg.norm(state["mouths"][target] - state["tip"]) < 0.010
     assert info["distance"] < 0.010
     assert info["alignment_error"] < np.radians(5.0)
@@ -69,7 +70,8 @@ def test_the_criterion_holds_exactly_when_an_insertion_is_reported() -> None:
 def test_filling_every_active_hole_terminates() -> None:
     env = CoopInsertionEnv()
     for seed in range(20):
-        env.reset(seed=seed, options={"filled": [0, 1, 2, 3, 4]})
+        _, info = env.reset(seed=seed, options={"filled": [0, 1, 2, 3, 4]})
+        assert not any(info[key] for key in ("success", "is_success", "all_filled"))
         assert env.state["target"] == 5
         moves = LatticeOracle().plan(env).moves
         if moves is not None:
@@ -81,6 +83,7 @@ def test_filling_every_active_hole_terminates() -> None:
     assert terminated
     assert not truncated
     assert info["n_filled"] == 6
+    assert info["all_filled"]
     assert env.scene().status == "success"
 
 

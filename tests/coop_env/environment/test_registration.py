@@ -10,7 +10,7 @@ import pytest
 from gymnasium.wrappers import TimeAwareObservation
 
 import coop_env
-from coop_env import CoopInsertionEnv, CoopInsertionVectorEnv
+from coop_env import CoopInsertionVectorEnv
 from coop_env.errors import ArgumentError, ResetOptionError
 
 ID = "CoopInsertion-v0"
@@ -83,29 +83,6 @@ def test_a_refused_reset_leaves_the_generators() -> None:
 
 
 KEYS = {"success", "is_success", "all_filled"}
-SIX: dict[str, Any] = {"task": {"holes": [[0.0, 0.0], *([0.5, k] for k in range(5))]}}
-
-
-def start(env: CoopInsertionEnv, filled: list[int]) -> dict[str, Any]:
-    """25 mm above the upright hole, its peg down."""
-    z = 0.21 + env.task.dome_radius + 0.025 + env.params.delta.peg_length
-    z -= env.params.delta.base_height
-    options = {"configuration": [0.0, 0.0, z, 0.0, 0.0, 0.21], "target": 0, "filled": filled}
-    return env.reset(options=options)[1]
-
-
-@pytest.mark.parametrize(("filled", "all_filled"), [([], False), ([1, 2, 3, 4, 5], True)])
-def test_a_success_is_one_insertion_and_all_filled_is_every_hole(
-    filled: list[int], all_filled: bool
-) -> None:
-    env = CoopInsertionEnv(**SIX)
-    info = start(env, filled)
-    assert not any(info[key] for key in KEYS)
-    *_, terminated, _, info = env.step(5)
-    assert info["inserted"]
-    assert info["success"]
-    assert info["is_success"]
-    assert info["all_filled"] == all_filled == terminated
 
 
 @pytest.mark.parametrize("name", sorted(n for n in gym.registry if n.startswith("CoopInsertion")))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from gymnasium.error import ResetNeeded
 from stable_baselines3.common.vec_env import VecMonitor
 
 from coop_env import CoopInsertionTeamVecEnv
-from coop_env.errors import ActionError, ArgumentError, StateError
+from coop_env.errors import ActionError, ArgumentError
 from coop_env.team.agents import Team
 
 ARGUMENTS: list[dict[str, Any]] = [
@@ -64,23 +63,6 @@ def test_without_indicator_and_in_si_units() -> None:
     rows = batch.reset()
     assert rows.shape == (4, 6)
     assert all(batch.observation_space.contains(row) for row in rows)
-
-
-def test_a_snapshot_resumes_and_a_pickle_plays_on() -> None:
-    batch: Any = CoopInsertionTeamVecEnv(2, seed=0, max_moves=9)
-    batch.reset()
-    actions = np.random.default_rng(0).integers(7, size=(30, 4))
-    for row in actions[:7]:
-        last, *_ = batch.step(row)
-    snapshot = batch.get_state()
-    twin = pickle.loads(pickle.dumps(batch))
-    course = [batch.step(row)[0].tobytes() for row in actions[7:]]
-    assert [twin.step(row)[0].tobytes() for row in actions[7:]] == course
-    other: Any = CoopInsertionTeamVecEnv(2, max_moves=9)
-    assert other.set_state(snapshot).tobytes() == last.tobytes()
-    assert [other.step(row)[0].tobytes() for row in actions[7:]] == course
-    with pytest.raises(StateError):
-        CoopInsertionTeamVecEnv(3).set_state(snapshot)
 
 
 def test_attributes_options_and_wrappers() -> None:
