@@ -86,12 +86,17 @@ def _is_perceptron(net: RainbowNetwork) -> bool:
     if "advantage_layers" in net._modules:
         return False
     plain = all(type(layer) in (nn.Linear, NoisyLinear) for layer in net.layers)
-    if not (plain and _extracts_plainly(net) and _is_untouched(net)):
+    extractor = net.features_extractor
+    # Buffers would have to follow to the target network, and noise be drawn.
+    stateful = list(extractor.buffers()) or any(
+        isinstance(m, NoisyLinear) for m in extractor.modules()
+    )
+    if not plain or stateful or not _is_untouched(net):
         return False
     parameters, table = parameters_of(net), table_of(net)
     sizes = (table[:, kernels.INPUTS] + 1) * table[:, kernels.OUTPUTS]
     n_parameters = int(((1 + table[:, kernels.NOISY]) * sizes).sum())
-    learned = list(net.features_extractor.parameters())
+    learned = list(extractor.parameters())
     if learned and n_parameters > _MOST_WEIGHTS:
         return False
     return (
@@ -104,14 +109,6 @@ def _is_perceptron(net: RainbowNetwork) -> bool:
         and table[0, kernels.INPUTS] == net.features_dim
         and table[-1, kernels.OUTPUTS] == (net.n_actions + net.dueling) * net.n_atoms
         and bool((table[1:, kernels.INPUTS] == table[:-1, kernels.OUTPUTS]).all())
-    )
-
-
-def _extracts_plainly(net: RainbowNetwork) -> bool:
-    # Buffers would have to follow to the target network, and noise be drawn.
-    extractor = net.features_extractor
-    return not (
-        list(extractor.buffers()) or any(isinstance(m, NoisyLinear) for m in extractor.modules())
     )
 
 

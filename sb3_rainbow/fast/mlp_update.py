@@ -50,7 +50,9 @@ class MlpUpdate:
     def __init__(self, q_net: RainbowNetwork, q_net_target: RainbowNetwork) -> None:
         self.q_net, self.q_net_target = q_net, q_net_target
         self._online, self._target = parameters_of(q_net), parameters_of(q_net_target)
-        vectors = [_join(parameters) for parameters in (self._online, self._target)]
+        vectors = [join(parameters, parameters) for parameters in (self._online, self._target)]
+        for parameters, vector in zip((self._online, self._target), vectors, strict=True):
+            share(parameters, vector)
         gradient = th.zeros_like(vectors[0])
         self._gradients = parts(gradient, self._online)
         self._one_extractor = all(type(m) in _STATELESS for m in q_net.features_extractor.modules())
@@ -214,7 +216,8 @@ class MlpUpdate:
         units = kernels.hidden_units(*online, seen, self._hidden)
         if double_q:
             chooser, units, units_next = online, units[:n], units[n:]
-        next_actions = self._best_actions(chooser, units_next, _array(batch.next_action_masks))
+        masks = None if batch.next_action_masks is None else batch.next_action_masks.numpy()
+        next_actions = self._best_actions(chooser, units_next, masks)
         self._actions = batch.actions[:, 0].numpy()
         logits = self._taken(online, units, self._actions, self._common)
         target_logits = self._taken(target, units_target, next_actions, self._common_target)
@@ -293,17 +296,6 @@ class MlpUpdate:
         logits = np.empty((units.shape[0], len(common)), np.float32)
         kernels.taken_logits(*weights, units, actions, self.q_net.dueling, common, logits)
         return logits
-
-
-def _join(parameters: list[nn.Parameter]) -> th.Tensor:
-    """A vector of which the parameters become parts."""
-    vector = join(parameters, parameters)
-    share(parameters, vector)
-    return vector
-
-
-def _array(masks: th.Tensor | None) -> NDArray[np.bool_] | None:
-    return None if masks is None else masks.numpy()
 
 
 def _exponential(logits: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -27,7 +27,7 @@ class Target(NamedTuple):
     next_values: th.Tensor
     """The same at t + k, before discounting."""
     rewards: th.Tensor
-    """Returns of the k steps, with what advantage learning adds, ``(B, 1)``."""
+    """Returns of the k steps, ``(B, 1)``."""
 
 
 def prepared(net: RainbowNetwork, batch: Batch) -> Batch:

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sb3_contrib.common.maskable.utils import is_masking_supported
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
 from sb3_rainbow.type_aliases import ObsArray
 
@@ -59,16 +59,9 @@ class TerminalActionMask(gym.Wrapper):
         return self.env.set_wrapper_attr(name, value, force=force)
 
 
-def innermost_vec_env(env: VecEnv) -> VecEnv:
-    """The ``VecEnv`` below all ``VecEnvWrapper``."""
-    while isinstance(env, VecEnvWrapper):
-        env = env.venv
-    return env
-
-
 def capture_terminal_masks(env: VecEnv) -> None:
     """Wrap the envs of a ``DummyVecEnv`` in :class:`TerminalActionMask` where they have masks."""
-    inner = innermost_vec_env(env)
+    inner = env.unwrapped
     if not isinstance(inner, DummyVecEnv) or not is_masking_supported(inner):
         return
     for i, wrapped in enumerate(inner.env_is_wrapped(TerminalActionMask)):

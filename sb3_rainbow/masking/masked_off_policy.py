@@ -11,7 +11,7 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn
+from stable_baselines3.common.type_aliases import RolloutReturn
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_rainbow.masking.conventions import (
@@ -38,21 +38,8 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
     _warned_of_lost_mask: bool = False
     _last_action_masks: NDArray[np.bool_] | None = None
 
-    def _setup_learn(
-        self,
-        total_timesteps: int,
-        callback: MaybeCallback = None,
-        reset_num_timesteps: bool = True,
-        tb_log_name: str = "run",
-        progress_bar: bool = False,
-    ) -> tuple[int, BaseCallback]:
-        prepared = super()._setup_learn(
-            total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
-        )
-        self._setup_masking()
-        return prepared
-
-    def _setup_masking(self) -> None:
+    def _setup_learn(self, *args: Any, **kwargs: Any) -> tuple[int, BaseCallback]:
+        prepared = super()._setup_learn(*args, **kwargs)
         assert self.env is not None
         supported = self.use_masking is not False and is_masking_supported(self.env)
         if self.use_masking is True and not supported:
@@ -70,6 +57,7 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
             # Only now: who learns without masks may have an env that cannot give them.
             capture_terminal_masks(self.env)
         self._last_action_masks = self._current_masks() if supported else None
+        return prepared
 
     def collect_rollouts(
         self, env: VecEnv, callback: BaseCallback, *args: Any, **kwargs: Any

@@ -232,14 +232,11 @@ class RainbowNetwork(AsVector, BasePolicy):
     def _layers_called_by_others(self) -> Iterator[NoisyLinear]:
         """Noisy layers inside of wrappers, in the features extractor, or of a subclass's own."""
         own = self._own_layers()
-        for part in self._parts():
+        others = [part for name, part in self._modules.items() if name not in _LAYERS and part]
+        for part in [*others, *own]:
             if isinstance(part, NoisyLinear) or type(part) not in _NOTHING_INSIDE:
                 inside = (m for m in part.modules() if isinstance(m, NoisyLinear))
                 yield from (m for m in inside if not any(m is layer for layer in own))
-
-    def _parts(self) -> list[nn.Module]:
-        others = [part for name, part in self._modules.items() if name not in _LAYERS and part]
-        return [*others, *self._own_layers()]
 
     def __getstate__(self) -> dict[str, Any]:
         # Pickle would store the whole memory of which a tensor is a part with every part.

@@ -52,21 +52,6 @@ def _find(
 
 
 @njit(cache=True)
-def _draw(
-    tree: NDArray[np.float64],
-    offsets: NDArray[np.int64],
-    uniform: NDArray[np.float64],
-    leaves: NDArray[np.int64],
-) -> None:
-    """A leaf from each of as many equal parts of the total as there are numbers in [0, 1)."""
-    n = uniform.shape[0]
-    share = tree[-1] / n
-    for i in range(n):
-        uniform[i] = (uniform[i] + i) * share
-    _find(tree, offsets, uniform, leaves)
-
-
-@njit(cache=True)
 def _assign(
     tree: NDArray[np.float64],
     offsets: NDArray[np.int64],
@@ -177,10 +162,8 @@ class SumTree:
         """
         if self._tree[-1] <= 0.0:
             raise ValueError("Cannot sample from a SumTree whose priorities are all zero")
-        uniform = np.random.random_sample(batch_size)  # noqa: NPY002
-        leaves = np.empty(batch_size, dtype=np.int64)
-        _draw(self._tree, self._offsets, uniform, leaves)
-        return leaves
+        places = np.random.random_sample(batch_size) + np.arange(batch_size)  # noqa: NPY002
+        return self.find(places * (self._tree[-1] / batch_size))
 
     def __getstate__(self) -> dict[str, Any]:
         # Trailing zeros (a buffer that is not full yet) need no room in the file.

@@ -17,8 +17,6 @@ from stable_baselines3.common.vec_env import (
     VecVideoRecorder,
 )
 
-from sb3_rainbow.masking.conventions import innermost_vec_env
-
 MODEL, REPLAY, ENV = "model.zip", "replay_buffer.pkl", "env.pkl"
 # What SB3's wrappers keep between two steps, in their subclasses too, and those that keep nothing
 _WRAPPER_STATE: dict[type[VecEnvWrapper], tuple[str, ...]] = {
@@ -42,7 +40,7 @@ def env_state(env: VecEnv | None) -> dict[str, Any]:
     state: dict[str, Any] = {"env": None, "wrappers": []}
     if env is None:
         return state
-    inner = innermost_vec_env(env)
+    inner = env.unwrapped
     if hasattr(inner, "get_state"):
         state["env"] = inner.get_state()
     while isinstance(env, VecEnvWrapper):
@@ -79,7 +77,7 @@ def restore_wrappers(env: VecEnv, states: list[dict[str, Any]]) -> None:
 
 
 def restore_env(env: VecEnv, state: Any) -> None:
-    inner = innermost_vec_env(env)
+    inner = env.unwrapped
     if not hasattr(inner, "set_state"):
         raise ValueError(
             f"The checkpoint holds the state of its env, which {type(inner).__name__} cannot take "

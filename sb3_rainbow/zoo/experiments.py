@@ -12,7 +12,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_rainbow.masking.conventions import ActionMaskError, innermost_vec_env
+from sb3_rainbow.masking.conventions import ActionMaskError
 from sb3_rainbow.rainbow import Rainbow
 from sb3_rainbow.resume.checkpoint import is_checkpoint
 from sb3_rainbow.zoo.files import ALGO, ZooError, is_model_file, loading
@@ -154,7 +154,7 @@ class RainbowExperimentManager(ExperimentManager):
             print("Going on with the replay buffer beside the model")
             model = ResumedRainbow.load(path, env, **given)
             model.load_replay_buffer(replay, self.truncate_last_trajectory)
-        if not (restored and hasattr(innermost_vec_env(env), "set_state")):
+        if not (restored and hasattr(env.unwrapped, "set_state")):
             # The run's own seed would play the episodes of its beginning once more.
             env.seed(self.seed + model.num_timesteps)
         return model
