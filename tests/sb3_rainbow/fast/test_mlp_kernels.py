@@ -16,11 +16,28 @@ from sb3_rainbow.fast.adam import AdamOnVector
 from sb3_rainbow.learner.learner import Learner
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy
 from sb3_rainbow.type_aliases import Batch
+from tests.sb3_rainbow.small import FAST
 
 N_ACTIONS = 5
+BOX, IMAGES = spaces.Box(-1, 1, (6,), np.float32), spaces.Box(0, 255, (2, 36, 36), np.uint8)
 
 
-def make_learner(cpu_kernels: bool, double_q: bool = True, **kwargs: Any) -> Learner:
+class Convolutions(BaseFeaturesExtractor):
+    """Small, learning, and nothing that the kernels know."""
+
+    def __init__(self, observation_space: spaces.Space, norm: bool = False) -> None:
+        super().__init__(observation_space, 4 * 17 * 17)
+        self.convolution = nn.Conv2d(2, 4, 3, stride=2)
+        self.norm = nn.BatchNorm2d(4) if norm else nn.Identity()
+
+    def forward(self, obs: th.Tensor) -> th.Tensor:
+        features: th.Tensor = th.relu(self.norm(self.convolution(obs))).flatten(1)
+        return features
+
+
+def make_learner(
+    cpu_kernels: bool, space: spaces.Box = BOX, double_q: bool = True, **kwargs: Any
+) -> Learner:
     th.manual_seed(3)
     settings: dict[str, Any] = {
         "net_arch": [24, 16, 12],
@@ -31,14 +48,11 @@ def make_learner(cpu_kernels: bool, double_q: bool = True, **kwargs: Any) -> Lea
         "optimizer_kwargs": {"weight_decay": 1e-3, "eps": 1e-2},
         **kwargs,
     }
-    policy = MlpPolicy(
-        spaces.Box(-1, 1, (6,), np.float32), spaces.Discrete(N_ACTIONS), lambda _: 1e-2, **settings
-    )
+    kind, rate = (CnnPolicy, 1e-3) if space is IMAGES else (MlpPolicy, 1e-2)
+    policy = kind(space, spaces.Discrete(N_ACTIONS), lambda _: rate, **settings)
     for p in policy.q_net_target.parameters():
         p.data += 0.3 * th.randn_like(p)
-    learner = Learner(policy, double_q, 0.5, cpu_kernels=cpu_kernels)
-    assert learner.uses_kernels() == cpu_kernels
-    return learner
+    return Learner(policy, double_q, 0.5, cpu_kernels=cpu_kernels)
 
 
 def make_batch(seed: int, masked: bool) -> Batch:
@@ -58,6 +72,17 @@ def make_batch(seed: int, masked: bool) -> Batch:
     )
 
 
+def make_images(seed: int) -> Batch:
+    generator = th.Generator().manual_seed(seed)
+    images = th.randint(0, 256, (2, 32, 2, 36, 36), generator=generator, dtype=th.uint8)
+    return make_batch(seed, masked=True)._replace(
+        observations=images[0], next_observations=images[1]
+    )
+
+
+SEEN: dict[str, Any] = {"space": IMAGES, "features_extractor_class": Convolutions, "n_atoms": 11}
+
+
 @pytest.mark.parametrize(
     "kwargs",
     [
@@ -72,13 +97,25 @@ def make_batch(seed: int, masked: bool) -> Batch:
         {"distributional": "quantile", "dueling": False, "double_q": False, "n_atoms": 1},
         {"net_arch": []},
         {"net_arch": [10]},
+        {**SEEN, "net_arch": [16]},
+        {**SEEN, "net_arch": []},
+        {**SEEN, "net_arch": [16], "double_q": False},
+        {**SEEN, "net_arch": [16], "noisy": False, "distributional": False},
+        {**SEEN, "features_extractor_class": NatureCNN, "net_arch": [], "noisy_layers": "head"},
     ],
     ids=str,
 )
 def test_updates_agree_with_torch(kwargs: dict[str, Any]) -> None:
+    """Also what an extractor learns, whose memory formats stay."""
     ours, reference = make_learner(True, **kwargs), make_learner(False, **kwargs)
+    assert ours.uses_kernels()
+    assert not reference.uses_kernels()
+    sees = "space" in kwargs
+    close: dict[str, Any] = {"rtol": 1e-3, "atol": 1e-5}
+    if sees:
+        close = {"rtol": 1e-2, "atol": 1e-4}
     for seed in range(4):
-        batch = make_batch(seed, masked=seed % 2 == 0)
+        batch = make_images(seed) if sees else make_batch(seed, masked=seed % 2 == 0)
         results = []
         for learner in (ours, reference):
             th.manual_seed(seed)
@@ -86,20 +123,23 @@ def test_updates_agree_with_torch(kwargs: dict[str, Any]) -> None:
             results.append(learner.update(batch, 0.1 if together else None))
             if not together:
                 learner.move_target(0.1)
-        th.testing.assert_close(results[0], results[1], rtol=1e-4, atol=1e-5)
-        for net in ("q_net", "q_net_target"):
-            states = getattr(ours, net).state_dict()
-            for name, value in getattr(reference, net).state_dict().items():
-                th.testing.assert_close(states[name], value, rtol=1e-4, atol=1e-5)
-    for ours_p, p in zip(ours.q_net.parameters(), reference.q_net.parameters(), strict=True):
-        assert ours_p.grad is not None
+        th.testing.assert_close(results[0], results[1], rtol=1e-4, atol=1e-4 if sees else 1e-5)
+        states, others = (x.policy.state_dict() for x in (ours, reference))
+        for name, value in others.items():
+            th.testing.assert_close(states[name], value, rtol=1e-4, atol=1e-5, msg=name)
+    for p, q in zip(ours.q_net.parameters(), reference.q_net.parameters(), strict=True):
         assert p.grad is not None
-        th.testing.assert_close(ours_p.grad, p.grad, rtol=1e-3, atol=1e-5)
-    optimizers = [x.policy.optimizer.state_dict()["state"] for x in (ours, reference)]
-    assert optimizers[0].keys() == optimizers[1].keys()
-    for states in zip(*(x.values() for x in optimizers), strict=True):
-        assert states[0]["step"] == states[1]["step"] == 4
-        th.testing.assert_close(states[0]["exp_avg"], states[1]["exp_avg"], rtol=1e-3, atol=1e-5)
+        th.testing.assert_close(p.grad, q.grad, **close)
+        state = [x.policy.optimizer.state[y] for x, y in ((ours, p), (reference, q))]
+        assert state[0]["step"] == state[1]["step"] == 4
+        assert state[0]["exp_avg"].stride() == p.stride()
+        th.testing.assert_close(state[0]["exp_avg"], state[1]["exp_avg"], **close)
+    again = pickle.loads(pickle.dumps(ours))
+    for learner in (ours, again):
+        th.manual_seed(9)
+        learner.update(make_images(9) if sees else make_batch(9, masked=True))
+    for p, q in zip(ours.policy.parameters(), again.policy.parameters(), strict=True):
+        assert th.equal(p, q)
 
 
 def test_the_target_follows_a_layer_that_a_hook_has_just_put_in() -> None:
@@ -131,21 +171,14 @@ def test_the_target_follows_a_layer_that_a_hook_has_just_put_in() -> None:
     ids=str,
 )
 def test_torch_does_what_the_kernels_cannot(policy_kwargs: dict[str, Any]) -> None:
-    model = Rainbow(
-        "MlpPolicy",
-        "CartPole-v1",
-        learning_starts=20,
-        buffer_size=100,
-        policy_kwargs=policy_kwargs,
-        device="cpu",
-    )
+    model = Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, "policy_kwargs": policy_kwargs})
     assert not model._learner.uses_kernels()
     model.learn(40)
 
 
 @pytest.mark.parametrize("kind", [th.optim.Adam, th.optim.SGD])
 def test_an_optimizer_given_later_is_the_one_that_steps(kind: Any) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", learning_starts=20, buffer_size=100, device="cpu")
+    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
     model.learn(40)
     model.policy.optimizer = kind(model.q_net.parameters(), lr=1e-3)
     calls: list[Any] = []
@@ -169,17 +202,8 @@ def test_options_that_older_torch_does_not_have_are_not_asked_for() -> None:
 @pytest.mark.parametrize("cpu_kernels", [True, False])
 @pytest.mark.parametrize("settings", [{}, {"distributional": False, "prioritized": False}], ids=str)
 def test_a_batch_of_one(cpu_kernels: bool, settings: dict[str, Any]) -> None:
-    model = Rainbow(
-        "MlpPolicy",
-        "CartPole-v1",
-        learning_starts=10,
-        batch_size=1,
-        buffer_size=100,
-        cpu_kernels=cpu_kernels,
-        device="cpu",
-        seed=0,
-        **settings,
-    )
+    given = {**FAST, "batch_size": 1, "cpu_kernels": cpu_kernels, **settings}
+    model = Rainbow("MlpPolicy", "CartPole-v1", **given)
     model.learn(60, log_interval=10**6)
     logged = dict(model.logger.name_to_value)
     assert {"train/loss", "train/max_q"} <= set(logged)
@@ -279,85 +303,13 @@ def test_a_target_that_is_no_number_stays_in_its_array(bad: float, where: str) -
         assert np.isnan(target[1]).all()
 
 
-class Convolutions(BaseFeaturesExtractor):
-    """Small, learning, and nothing that the kernels know."""
-
-    def __init__(self, observation_space: spaces.Space, norm: bool = False) -> None:
-        super().__init__(observation_space, 4 * 17 * 17)
-        self.convolution = nn.Conv2d(2, 4, 3, stride=2)
-        self.norm = nn.BatchNorm2d(4) if norm else nn.Identity()
-
-    def forward(self, obs: th.Tensor) -> th.Tensor:
-        features: th.Tensor = th.relu(self.norm(self.convolution(obs))).flatten(1)
-        return features
-
-
-def make_image_learner(cpu_kernels: bool, **kwargs: Any) -> Learner:
-    th.manual_seed(0)
-    space = spaces.Box(0, 255, (2, 36, 36), np.uint8)
-    double_q = kwargs.pop("double_q", True)
-    kwargs = {"distributional": True, "v_min": -4.0, "v_max": 4.0, "n_atoms": 11, **kwargs}
-    # A large epsilon, so that Adam does not blow up the rounding of tiny gradients
-    kwargs["optimizer_kwargs"] = {"eps": 1e-2}
-    policy = CnnPolicy(space, spaces.Discrete(N_ACTIONS), lambda _: 1e-3, **kwargs)
-    return Learner(policy, double_q, 0.5, cpu_kernels=cpu_kernels)
-
-
-def make_images(seed: int) -> Batch:
-    generator = th.Generator().manual_seed(seed)
-    images = th.randint(0, 256, (2, 32, 2, 36, 36), generator=generator, dtype=th.uint8)
-    return make_batch(seed, masked=True)._replace(
-        observations=images[0], next_observations=images[1]
-    )
-
-
-@pytest.mark.parametrize(
-    "kwargs",
-    [
-        {"net_arch": [16]},
-        {"net_arch": []},
-        {"net_arch": [16], "double_q": False},
-        {"net_arch": [16], "noisy": False, "distributional": False},
-        {"features_extractor_class": NatureCNN, "net_arch": [], "noisy_layers": "head"},
-    ],
-    ids=str,
-)
-def test_what_an_extractor_learns_agrees_with_torch(kwargs: dict[str, Any]) -> None:
-    kwargs = {"features_extractor_class": Convolutions, **kwargs}
-    ours, reference = (make_image_learner(kernels, **kwargs) for kernels in (True, False))
-    assert ours.uses_kernels()
-    assert not reference.uses_kernels()
-    for seed in range(4):
-        batch, results = make_images(seed), []
-        for learner in (ours, reference):
-            th.manual_seed(seed)
-            results.append(learner.update(batch))
-            learner.move_target(0.1)
-        th.testing.assert_close(results[0], results[1], rtol=1e-4, atol=1e-4)
-    for (name, p), q in zip(
-        ours.q_net.named_parameters(), reference.q_net.parameters(), strict=True
-    ):
-        assert p.grad is not None
-        th.testing.assert_close(p.grad, q.grad, rtol=1e-2, atol=1e-4, msg=name)
-        state = [x.policy.optimizer.state[y] for x, y in ((ours, p), (reference, q))]
-        assert state[0]["exp_avg"].stride() == p.stride()
-        th.testing.assert_close(state[0]["exp_avg"], state[1]["exp_avg"], rtol=1e-2, atol=1e-4)
-        th.testing.assert_close(p, q, rtol=1e-4, atol=1e-5, msg=name)
-    again = pickle.loads(pickle.dumps(ours))  # memory formats included
-    for learner in (ours, again):
-        th.manual_seed(9)
-        learner.update(make_images(9))
-    for p, q in zip(ours.policy.parameters(), again.policy.parameters(), strict=True):
-        assert th.equal(p, q)
-
-
 @pytest.mark.parametrize("why", ["buffers", "frozen", "large"])
 def test_extractors_that_are_left_to_torch(why: str) -> None:
-    kwargs = {"features_extractor_kwargs": {"norm": True}} if why == "buffers" else {}
+    kwargs: dict[str, Any] = {}
+    if why == "buffers":
+        kwargs["features_extractor_kwargs"] = {"norm": True}
     width = 400 if why == "large" else 8
-    learner = make_image_learner(
-        True, features_extractor_class=Convolutions, net_arch=[width], **kwargs
-    )
+    learner = make_learner(True, **SEEN, net_arch=[width], **kwargs)
     if why == "frozen":
         learner.q_net.features_extractor.requires_grad_(False)
     assert not learner.uses_kernels()

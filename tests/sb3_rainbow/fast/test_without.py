@@ -1,11 +1,13 @@
-"""The shortcuts, each time in a process of its own: they can be deleted, and run on one thread."""
+"""The shortcuts can be deleted, as processes of their own show, and run on one thread."""
 
 import shutil
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 import sb3_rainbow
+from sb3_rainbow.fast.blas import _libraries, single_blas_thread
 from tests.process import python
 
 _PROGRAM = """
@@ -41,16 +43,13 @@ def test_without_the_folder(tmp_path: Path) -> None:
     np.testing.assert_allclose(weights[0], weights[1], rtol=1e-4, atol=1e-5)
 
 
-_BLAS = """
-from sb3_rainbow.fast.blas import _libraries, single_blas_thread
-for library in _libraries():
-    library.set_num_threads(2)
-before = [library.get_num_threads() for library in _libraries()]
-with single_blas_thread():
-    inside = [library.get_num_threads() for library in _libraries()]
-print(set(inside) <= {1}, before == [library.get_num_threads() for library in _libraries()])
-"""
-
-
 def test_one_thread_inside_and_the_old_number_after() -> None:
-    assert python("-c", _BLAS).stdout.split()[:2] == ["True", "True"]
+    def threads() -> list[int]:
+        return [library.get_num_threads() for library in _libraries()]
+
+    with threadpool_limits(2, user_api="blas"):
+        before = threads()
+        with single_blas_thread():
+            inside = threads()
+        assert set(inside) == {1}
+        assert threads() == before

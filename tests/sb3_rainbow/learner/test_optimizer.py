@@ -10,16 +10,8 @@ from stable_baselines3.common.utils import set_random_seed
 from torch import nn
 
 from sb3_rainbow import Rainbow
+from tests.sb3_rainbow.small import FAST
 
-FAST: dict[str, Any] = {
-    "learning_starts": 20,
-    "train_freq": 4,
-    "buffer_size": 500,
-    "batch_size": 8,
-    "seed": 0,
-    "policy_kwargs": {"net_arch": [16]},
-    "device": "cpu",
-}
 PATHS = pytest.mark.parametrize("kernels", [True, False], ids=["kernels", "torch"])
 
 

@@ -11,30 +11,14 @@ from torch.nn.utils import parametrizations
 
 from sb3_rainbow import MlpPolicy, Rainbow
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
+from tests.sb3_rainbow.small import FAST, policy_of
 
-FAST: dict[str, Any] = {
-    "learning_starts": 20,
-    "train_freq": 4,
-    "buffer_size": 500,
-    "batch_size": 8,
-    "seed": 0,
-    "device": "cpu",
-}
 ACTIVATIONS = pytest.mark.parametrize("activation", [nn.ReLU, nn.Tanh])
 
 
 def make_model(policy: Any = "MlpPolicy", activation: type[nn.Module] = nn.ReLU) -> Rainbow:
     kwargs = {"net_arch": [16], "activation_fn": activation}
-    return Rainbow(policy, "CartPole-v1", policy_kwargs=kwargs, **FAST)
-
-
-def policy_of(network: type[RainbowNetwork]) -> type[MlpPolicy]:
-    class Policy(MlpPolicy):
-        def make_q_net(self) -> RainbowNetwork:
-            arguments = self._update_features_extractor(self.net_args, features_extractor=None)
-            return network(**arguments).to(self.device)
-
-    return Policy
+    return Rainbow(policy, "CartPole-v1", **{**FAST, "policy_kwargs": kwargs})
 
 
 def calls_during(model: Rainbow, calls: list[Any]) -> tuple[int, int]:
@@ -53,50 +37,39 @@ def calls_during(model: Rainbow, calls: list[Any]) -> tuple[int, int]:
 
 
 @pytest.mark.parametrize("where", ["class", "instance"])
-@pytest.mark.parametrize("method", ["streams", "join", "forward"])
+@pytest.mark.parametrize(
+    ("kind", "method"),
+    [
+        *((RainbowNetwork, method) for method in ("streams", "join", "forward")),
+        *((MlpPolicy, method) for method in ("predict", "_predict")),
+    ],
+)
 @ACTIVATIONS
-def test_methods_of_the_network(activation: type[nn.Module], method: str, where: str) -> None:
+def test_methods_of_the_network_and_of_the_policy(
+    activation: type[nn.Module], kind: Any, method: str, where: str
+) -> None:
     calls: list[Any] = []
-    own = getattr(RainbowNetwork, method)
-
-    def overridden(self: Any, *args: Any, **kwargs: Any) -> th.Tensor:
-        calls.append(self)
-        return own(self, *args, **kwargs)
-
-    if where == "class":
-        network = type("Network", (RainbowNetwork,), {method: overridden})
-        model = make_model(policy_of(network), activation)
-    else:
-        model = make_model(activation=activation)
-        model.learn(24)  # with kernels, where there are any
-        for net in (model.q_net, model.q_net_target):
-            setattr(net, method, lambda *a, _net=net, **k: overridden(_net, *a, **k))
-    acting, learning = calls_during(model, calls)
-    assert acting == 1
-    # Twice the online network, once the target network
-    assert learning == 2 * (1 if method == "forward" else 3)
-    assert not model._learner.uses_kernels()
-
-
-@pytest.mark.parametrize("where", ["class", "instance"])
-@pytest.mark.parametrize("method", ["predict", "_predict"])
-@ACTIVATIONS
-def test_methods_of_the_policy(activation: type[nn.Module], method: str, where: str) -> None:
-    calls: list[Any] = []
-    own = getattr(MlpPolicy, method)
+    own = getattr(kind, method)
 
     def overridden(self: Any, *args: Any, **kwargs: Any) -> Any:
         calls.append(self)
         return own(self, *args, **kwargs)
 
     if where == "class":
-        model = make_model(type("Policy", (MlpPolicy,), {method: overridden}), activation)
+        changed: Any = type("Changed", (kind,), {method: overridden})
+        model = make_model(changed if kind is MlpPolicy else policy_of(changed), activation)
     else:
         model = make_model(activation=activation)
-        model.learn(24)
-        policy = model.policy
-        setattr(policy, method, lambda *a, **k: overridden(policy, *a, **k))
-    assert calls_during(model, calls)[0] == 1
+        model.learn(24)  # with kernels, where there are any
+        nets = model.q_net, model.q_net_target
+        for part in (model.policy,) if kind is MlpPolicy else nets:
+            setattr(part, method, lambda *a, _part=part, **k: overridden(_part, *a, **k))
+    acting, learning = calls_during(model, calls)
+    assert acting == 1
+    if kind is RainbowNetwork:
+        # Twice the online network, once the target network
+        assert learning == 2 * (1 if method == "forward" else 3)
+        assert not model._learner.uses_kernels()
 
 
 @ACTIVATIONS
@@ -106,8 +79,8 @@ def test_predict_of_the_algorithm(activation: type[nn.Module]) -> None:
             actions, state = super().predict(*args, **kwargs)
             return np.ones_like(actions), state
 
-    kwargs = {"net_arch": [16], "activation_fn": activation}
-    model: Any = Always("MlpPolicy", "CartPole-v1", policy_kwargs=kwargs, **FAST).learn(60)
+    kwargs = {**FAST, "policy_kwargs": {"net_arch": [16], "activation_fn": activation}}
+    model: Any = Always("MlpPolicy", "CartPole-v1", **kwargs).learn(60)
     assert (model.replay_buffer.actions[20:60] == 1).all()
 
 
@@ -163,10 +136,7 @@ def test_changed_parts_act_and_learn(change: Callable[[RainbowNetwork], None]) -
     """A model changed under way goes on as one that never had kernels."""
     result = []
     for cpu_kernels in (True, False):
-        kwargs = {"net_arch": [16]}
-        model = Rainbow(
-            "MlpPolicy", "CartPole-v1", policy_kwargs=kwargs, cpu_kernels=cpu_kernels, **FAST
-        )
+        model = Rainbow("MlpPolicy", "CartPole-v1", cpu_kernels=cpu_kernels, **FAST)
         assert model._learner.uses_kernels() == cpu_kernels
         model._learner.act(th.zeros(1, 4), None)
         th.manual_seed(5)
@@ -221,8 +191,7 @@ def test_settings_of_the_update_may_change_after_the_model_was_made(
     name: str, value: Any, kernels: bool
 ) -> None:
     def learned(made: dict[str, Any], changed: dict[str, Any]) -> Any:
-        settings = {**FAST, "cpu_kernels": kernels, "policy_kwargs": {"net_arch": [16]}}
-        model = Rainbow("MlpPolicy", "CartPole-v1", **settings, **made)
+        model = Rainbow("MlpPolicy", "CartPole-v1", cpu_kernels=kernels, **FAST, **made)
         vars(model).update(changed)
         return model.learn(100).policy.parameters_to_vector()
 

@@ -16,13 +16,12 @@ from torch import nn
 from sb3_rainbow import MlpPolicy, NoisyLinear, PrioritizedReplayBuffer, Rainbow
 from sb3_rainbow.learner.learner import as_batch
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
+from tests.sb3_rainbow.small import FAST, policy_of
 
 
 def make(policy: Any = "MlpPolicy", **kwargs: Any) -> Rainbow:
-    return Rainbow(
-        policy, "CartPole-v1", learning_starts=20, buffer_size=500, batch_size=8, seed=0,
-        train_freq=1, device="cpu", **kwargs,
-    )  # fmt: skip
+    settings = {**FAST, "train_freq": 1, "policy_kwargs": {}, **kwargs}
+    return Rainbow(policy, "CartPole-v1", **settings)
 
 
 def test_a_layer_in_two_places_stays_one_layer() -> None:
@@ -87,18 +86,6 @@ class Bare(RainbowNetwork):
         return out.view(features.shape[0], -1, self.n_atoms)
 
 
-class BeforePolicy(MlpPolicy):
-    kind: type[RainbowNetwork] = Before
-
-    def make_q_net(self) -> RainbowNetwork:
-        net_args = self._update_features_extractor(self.net_args, features_extractor=None)
-        return self.kind(**net_args).to(self.device)
-
-
-class BarePolicy(BeforePolicy):
-    kind = Bare
-
-
 class OneLayer(BaseFeaturesExtractor):
     """An extractor that learns."""
 
@@ -133,7 +120,7 @@ def test_an_extractor_that_both_networks_share_learns() -> None:
 
 
 def test_noise_of_a_subclass_is_drawn_and_silenced() -> None:
-    model = make(BeforePolicy)
+    model = make(policy_of(Before))
     net = model.q_net
     assert isinstance(net, Before)
     old = net.before.epsilon_in.clone()
@@ -146,7 +133,7 @@ def test_noise_of_a_subclass_is_drawn_and_silenced() -> None:
 
 
 def test_a_network_with_another_body_learns() -> None:
-    model = make(BarePolicy, noisy=False, dueling=False)
+    model = make(policy_of(Bare), noisy=False, dueling=False)
     before = [p.detach().clone() for p in model.q_net.parameters()]
     model.learn(40)
     after = list(model.q_net.parameters())
@@ -180,24 +167,6 @@ def test_modules_that_have_their_own_mode_keep_it() -> None:
         assert [part.training for part in parts] == [mode, False, mode]
         assert net.training == mode
     model.learn(40)
-
-
-def test_an_update_prepares_its_observations_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[int] = []
-    preprocess = RainbowNetwork._preprocess
-
-    def counted(net: RainbowNetwork, obs: Any) -> Any:
-        seen.append(len(obs))
-        return preprocess(net, obs)
-
-    for settings in ({}, {"cpu_kernels": False}):
-        model: Any = make(**settings)
-        model.learn(40)
-        monkeypatch.setattr(RainbowNetwork, "_preprocess", counted)
-        seen.clear()
-        model._learner.update(as_batch(model.replay_buffer.sample(32), 0.99, False))
-        assert seen == [32, 32]
-        monkeypatch.undo()
 
 
 def test_none_means_to_load_what_it_means_to_the_constructor(tmp_path: Any) -> None:

@@ -66,14 +66,6 @@ def mask_at(episode: float, time: float) -> np.ndarray:
     return allowed
 
 
-def make_clock() -> gym.Env:
-    return ClockEnv()
-
-
-def make_wrapped_clock() -> gym.Env:
-    return TerminalActionMask(ClockEnv())
-
-
 def small_model(env: gym.Env | VecEnv, **kwargs: Any) -> Rainbow:
     settings: dict[str, Any] = {
         "learning_starts": 20,
@@ -101,7 +93,7 @@ def check_stored_masks(buffer: Any, n_expected: int) -> None:
 @pytest.mark.parametrize("noisy", [True, False])
 @pytest.mark.parametrize("n_envs", [1, 3])
 def test_no_forbidden_action_is_ever_taken(noisy: bool, n_envs: int) -> None:
-    env = DummyVecEnv([make_clock] * n_envs)
+    env = DummyVecEnv([ClockEnv] * n_envs)
     model = small_model(env, noisy=noisy, exploration_final_eps=0.5)
     model.learn(150)
     check_stored_masks(model.replay_buffer, n_expected=n_drawable(150, n_envs))
@@ -146,8 +138,13 @@ class Native(DummyVecEnv):
     ("make", "n_envs"),
     [
         (lambda: ActionMasker(Hidden(), lambda env: env.allowed()), 1),  # type: ignore[attr-defined]
-        (lambda: SubprocVecEnv([make_wrapped_clock] * 2, start_method="fork"), 2),
-        (lambda: Native([make_clock] * 3), 3),
+        (
+            lambda: SubprocVecEnv(
+                [lambda: TerminalActionMask(ClockEnv())] * 2, start_method="fork"
+            ),
+            2,
+        ),
+        (lambda: Native([ClockEnv] * 3), 3),
     ],
     ids=["action masker", "subprocesses", "native"],
 )
@@ -160,22 +157,12 @@ def test_masks_of_every_kind_of_env_are_stored(make: Callable[[], Any], n_envs: 
 
 
 def test_subprocess_envs_without_it_warn_once() -> None:
-    env = SubprocVecEnv([make_clock] * 2, start_method="fork")
+    env = SubprocVecEnv([ClockEnv] * 2, start_method="fork")
     model = small_model(env)
     with pytest.warns(UserWarning, match="wrap each env in sb3_rainbow.TerminalActionMask") as seen:
         model.learn(60)
     assert len(seen) == 1
     env.close()
-
-
-def test_a_terminated_state_may_allow_nothing() -> None:
-    class DeadEnd(ClockEnv):
-        def action_masks(self) -> np.ndarray:
-            if self.time == self.length:
-                return np.zeros(N_ACTIONS, dtype=bool)
-            return super().action_masks()
-
-    small_model(DeadEnd(truncates=False)).learn(60)
 
 
 class NoMovesLeft(ClockEnv):
@@ -187,13 +174,10 @@ class NoMovesLeft(ClockEnv):
         return super().action_masks()
 
 
-def make_wrapped_no_moves_left() -> gym.Env:
-    return TerminalActionMask(NoMovesLeft(truncates=False))
-
-
 def test_no_one_asks_for_the_mask_of_a_terminated_state() -> None:
     small_model(DummyVecEnv([lambda: NoMovesLeft(truncates=False)] * 2)).learn(60)
-    env = SubprocVecEnv([make_wrapped_no_moves_left] * 2, start_method="fork")
+    wrapped: list[Any] = [lambda: TerminalActionMask(NoMovesLeft(truncates=False))] * 2
+    env = SubprocVecEnv(wrapped, start_method="fork")
     small_model(env).learn(60)
     env.close()
 
@@ -215,13 +199,13 @@ def test_a_truncated_state_that_allows_nothing_is_named() -> None:
         def action_masks(self) -> np.ndarray:
             return super().action_masks() & (self.time < self.length)
 
-    env = DummyVecEnv([make_clock, lambda: Stuck(length=4)])
+    env = DummyVecEnv([ClockEnv, lambda: Stuck(length=4)])
     with pytest.raises(ValueError, match=r"env 1 was truncated in a state .* allows no action"):
         small_model(env).learn(40)
 
 
 def test_attributes_are_set_through_a_monitor() -> None:
-    env = make_vec_env(make_clock, n_envs=2)
+    env = make_vec_env(ClockEnv, n_envs=2)
     small_model(env).learn(30)
     assert env.env_is_wrapped(TerminalActionMask) == [True, True]
     clocks = [wrapped.unwrapped for wrapped in env.envs]  # type: ignore[attr-defined]
@@ -310,14 +294,14 @@ def test_sb3_contribs_evaluation_and_callback(tmp_path: Any) -> None:
     )
     model.learn(100, callback=callback)
     assert (tmp_path / "evaluations.npz").exists()
-    env = make_vec_env(make_clock, n_envs=2)
+    env = make_vec_env(ClockEnv, n_envs=2)
     mean: Any = evaluate_policy(model, env, n_eval_episodes=4)[0]  # type: ignore[arg-type]
     assert 0 <= mean <= 5
     assert get_action_masks(env).shape == (2, N_ACTIONS)
 
 
 def test_masks_left_out_of_a_prediction_are_told_once(tmp_path: Any) -> None:
-    model = small_model(DummyVecEnv([make_clock])).learn(60)
+    model = small_model(DummyVecEnv([ClockEnv])).learn(60)
     model.save(tmp_path / "m")
     obs: Any = model.env.reset()  # type: ignore[union-attr]
     for asked in (model, Rainbow.load(tmp_path / "m")):
@@ -329,12 +313,12 @@ def test_masks_left_out_of_a_prediction_are_told_once(tmp_path: Any) -> None:
             asked.predict(obs, action_masks=np.ones(asked.action_space.n, bool))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        small_model(DummyVecEnv([make_clock]), use_masking=False).predict(obs)
+        small_model(DummyVecEnv([ClockEnv]), use_masking=False).predict(obs)
 
 
 def trained(n_envs: int, stops: tuple[int, ...], **settings: Any) -> Rainbow:
     """A model that is stopped after some steps of each environment, and at last after 60."""
-    env = DummyVecEnv([make_clock] * n_envs)
+    env = DummyVecEnv([ClockEnv] * n_envs)
     given: dict[str, Any] = {"learning_starts": 10_000, "buffer_size": 500, "seed": 0, **settings}
     model = Rainbow("MlpPolicy", env, device="cpu", train_freq=7, **given)
     for end in (*stops, 60):

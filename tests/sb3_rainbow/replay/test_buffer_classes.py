@@ -10,14 +10,7 @@ from stable_baselines3.common.buffers import DictReplayBuffer, NStepReplayBuffer
 from stable_baselines3.common.envs import BitFlippingEnv, SimpleMultiObsEnv
 
 from sb3_rainbow import PrioritizedReplayBuffer, PrioritizedReplayCallback, Rainbow
-
-FAST: dict[str, Any] = {
-    "learning_starts": 20,
-    "buffer_size": 500,
-    "batch_size": 8,
-    "seed": 0,
-    "policy_kwargs": {"net_arch": [16]},
-}
+from tests.sb3_rainbow.small import FAST
 
 
 @pytest.mark.parametrize("buffer_class", [ReplayBuffer, NStepReplayBuffer, DictReplayBuffer])

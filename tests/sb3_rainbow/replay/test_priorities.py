@@ -132,20 +132,12 @@ def test_parameters_out_of_range(kwargs: dict[str, Any], message: str) -> None:
         filled_buffer(**kwargs)
 
 
-def test_sampling_before_a_window_is_complete_says_so() -> None:
+def test_a_reset_forgets_everything_and_sampling_before_a_window_is_complete_says_so() -> None:
     buffer = filled_buffer(n_rows=20, n_steps=3)
     buffer.reset()
-    assert not buffer.can_sample
+    assert (buffer.size(), buffer.tree.total, buffer.can_sample) == (0, 0.0, False)
     with pytest.raises(ValueError, match="no complete n-step window"):
         buffer.sample(4)
-
-
-def test_reset_forgets_everything() -> None:
-    buffer = filled_buffer()
-    assert buffer.full
-    buffer.reset()
-    assert buffer.size() == 0
-    assert buffer.tree.total == 0.0
 
 
 def test_under_sb3s_dqn() -> None:
