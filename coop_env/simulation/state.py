@@ -37,14 +37,7 @@ Record = Any  # a row of STATE or OUTCOME, whose fields numba reads as attribute
 @lru_cache
 def state_dtype(n_holes: int) -> np.dtype[np.void]:
     """The layout of a row of state, in SI units; everything that the next step depends on."""
-    # Named padding to the next eight bytes: hidden padding would make equal rows differ in bytes.
-    unaligned = -(3 * n_holes + 2 * N_ACTIONS + 2) % 8
-    padding = [("unused", "u1", (unaligned,))] if unaligned else []
-    return np.dtype([*_fields(n_holes), *padding], align=True)
-
-
-def _fields(n_holes: int) -> list[Any]:
-    return [
+    fields: list[Any] = [
         ("start", "f8", (N_AXES,)),
         ("offset", "i8", (N_AXES,)),  # moves from the start along each axis
         ("configuration", "f8", (N_AXES,)),
@@ -70,6 +63,10 @@ def _fields(n_holes: int) -> list[Any]:
         ("mask", "u1", (N_ACTIONS,)),
         ("refused", "u1", (N_ACTIONS,)),  # moves that were refused at this configuration
     ]
+    # Named padding to the next eight bytes: hidden padding would make equal rows differ in bytes.
+    unaligned = -(3 * n_holes + 2 * N_ACTIONS + 2) % 8
+    padding = [("unused", "u1", (unaligned,))] if unaligned else []
+    return np.dtype([*fields, *padding], align=True)
 
 
 STATE: Final = state_dtype(len(PAPER_TASK.holes))
