@@ -20,6 +20,8 @@ def test_nelder_mead_from_the_initial_design_finds_the_papers_gain() -> None:
     assert result.start_value == pytest.approx(0.82, abs=0.005)
     assert result.value == pytest.approx(1.165, abs=0.005)
     assert (result.lambda1, result.lambda2) == pytest.approx((1.44, 1.66), abs=0.02)
+    assert result.lambda1 + result.lambda2 + result.lambda3 == pytest.approx(4.0)
+    assert tuple(result.path[0, :2]) == pytest.approx(INITIAL.lambdas[:2])
     assert design.workspace_area(result.geometry) == pytest.approx(result.value, abs=1e-12)
 
 
@@ -137,12 +139,6 @@ def test_a_design_for_a_band_of_heave_has_no_cliff_in_it() -> None:
     low, home = design.over_heaves(robust.geometry, [0.20, 0.21], COARSE)
     assert low > 0.95 * home
     assert robust.value > 1.5 * design.workspace_area(printed.geometry, band)
-
-
-def test_the_initial_lambdas_are_the_default_start() -> None:
-    result = design.optimize(DesignProblem(cells=30))
-    assert tuple(result.path[0, :2]) == pytest.approx(INITIAL.lambdas[:2])
-    assert result.lambda1 + result.lambda2 + result.lambda3 == pytest.approx(4.0)
 
 
 def test_what_is_found_can_heave() -> None:

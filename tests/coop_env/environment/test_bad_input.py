@@ -48,7 +48,6 @@ VALID = (0.0, 0.0, -0.33, 0.1, 0.1, 0.22)
         ({"mask_visited": 65}, ArgumentError, "65: must be an integer from 0 to 64"),
         ({"mask_refused": 1}, ArgumentError, "mask_refused = 1"),
         ({"stage": 2}, ArgumentError, "stage = 2"),
-        ({"stage": True}, ArgumentError, "stage = True"),
         ({"pose_model": "approximate"}, ArgumentError, "'approximate'"),
         ({"collision": "bounce"}, ArgumentError, "'bounce'.*'refuse' or 'terminate'"),
         ({"max_moves": 0}, ArgumentError, "max_moves = 0"),
@@ -56,7 +55,6 @@ VALID = (0.0, 0.0, -0.33, 0.1, 0.1, 0.22)
         ({"max_moves": 2**63}, ArgumentError, "max_moves = 9223372036854775808.*2147483647"),
         ({"max_moves": None}, ArgumentError, "max_moves = None"),
         ({"stage": "all"}, ArgumentError, "stage = 'all'"),
-        ({"mask_visited": 1.0}, ArgumentError, "mask_visited = 1.0"),
         ({"reward": "progress", "reward_kwargs": "big"}, RewardError, "'big': must be a mapping"),
         ({"sim_to_real": 1}, ArgumentError, "sim_to_real = 1"),
         ({"sim_to_real": {"wind": 1}}, ArgumentError, "unknown keys.*wind"),
@@ -66,13 +64,9 @@ VALID = (0.0, 0.0, -0.33, 0.1, 0.1, 0.22)
         ({"sim_to_real": {"link_length_error": 0.5}}, ArgumentError, "link_length_error = 0.5"),
         ({"sim_to_real": {"backlash": math.nan}}, ArgumentError, "backlash = nan"),
         ({"sim_to_real": {"latency": 2}}, ArgumentError, "latency = 2"),
-        ({"sim_to_real": {"latency": 0.5}}, ArgumentError, "latency = 0.5"),
         ({"sim_to_real": {"insertion_probability": 1.1}}, ArgumentError, "probability = 1.1"),
         ({"sim_to_real": {"chamfer_error": "big"}}, ArgumentError, "chamfer_error = 'big'"),
         ({"sim_to_real": {"randomize": "yes"}}, ArgumentError, "randomize = 'yes'"),
-        ({"sim_to_real": {"randomize": 1}}, ArgumentError, "randomize = 1"),
-        ({"sim_to_real": {"latency": True}}, ArgumentError, "latency = True"),
-        ({"sim_to_real": {"backlash": None}}, ArgumentError, "backlash = None"),
         ({"sim_to_real": {"base_tilt_error": math.inf}}, ArgumentError, "base_tilt_error = inf"),
     ],
 )
@@ -180,6 +174,7 @@ def test_use_out_of_turn() -> None:
             use()
     env.reset(seed=0)
     assert env.step(0)[3]
+    assert env.scene().status == "timeout"
     with pytest.raises(ResetNeeded):
         env.step(0)
 

@@ -7,7 +7,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.wrappers import TimeAwareObservation
 
 import coop_env
 from coop_env import CoopInsertionVectorEnv
@@ -40,15 +39,6 @@ def test_the_earlier_of_both_limits_cuts() -> None:
     assert moves_until_cut(gym.make(ID, max_episode_steps=25)) == 25
     assert moves_until_cut(gym.make(ID, max_moves=30, max_episode_steps=99)) == 30
     assert moves_until_cut(gym.make(ID, max_moves=30, max_episode_steps=-1)) == 30
-
-
-def test_time_can_be_observed() -> None:
-    env = TimeAwareObservation(gym.make(ID), normalize_time=True)
-    observation, _ = env.reset(seed=0)
-    assert observation.shape == (13,)
-    assert observation[-1] == 0.0
-    for k in range(1, 4):
-        assert env.step(0)[0][-1] == pytest.approx(k / 300)
 
 
 def test_make_vec_knows_gymnasiums_name_of_the_limit() -> None:

@@ -92,17 +92,6 @@ def test_fields_by_name() -> None:
     assert fields["rrs"] == ("x", "y", "z", "roll", "pitch", "heave", "n_x", "n_y", "n_z")
 
 
-def test_the_platform_sees_the_hole_along_its_normal() -> None:
-    """What the 3-RRS observes is (mouth - platform's centre) / dome radius, from public figures."""
-    env = coop_env.parallel_env(normalize=False)
-    observations, _ = env.reset(seed=4)
-    state = env.team.state
-    heave = env.team.configuration[5]
-    mouth, normal = (state[name][state["target"]] for name in ("mouths", "normals"))
-    np.testing.assert_allclose(observations["rrs"][3:], normal, atol=1e-6)
-    assert mouth[2] - heave == pytest.approx(env.team.task.dome_radius * normal[2])
-
-
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
 def test_a_copy_plays_on_as_the_original(duplicate: Any) -> None:
     env = coop_env.parallel_env(observation="markov")
