@@ -16,6 +16,13 @@ from stable_baselines3.common.utils import set_random_seed
 
 from sb3_rainbow import PrioritizedReplayBuffer, PrioritizedReplayCallback, SumTree
 
+OURS: dict[str, Any] = {
+    "learning_starts": 20,
+    "buffer_size": 500,
+    "seed": 0,
+    "replay_buffer_class": PrioritizedReplayBuffer,
+}
+
 
 def filled_buffer(n_rows: int = 10, n_envs: int = 3, **kwargs: Any) -> PrioritizedReplayBuffer:
     buffer = PrioritizedReplayBuffer(
@@ -141,16 +148,8 @@ def test_a_reset_forgets_everything_and_sampling_before_a_window_is_complete_say
 
 
 def test_under_sb3s_dqn() -> None:
-    model = DQN(
-        "MlpPolicy",
-        "CartPole-v1",
-        learning_starts=50,
-        train_freq=1,
-        buffer_size=500,
-        replay_buffer_class=PrioritizedReplayBuffer,
-        replay_buffer_kwargs={"n_steps": 3, "gamma": 0.99, "alpha": 0.6},
-        seed=0,
-    )
+    kwargs = {"n_steps": 3, "gamma": 0.99, "alpha": 0.6}
+    model = DQN("MlpPolicy", "CartPole-v1", train_freq=1, replay_buffer_kwargs=kwargs, **OURS)
     model.learn(300, callback=PrioritizedReplayCallback())
     buffer = model.replay_buffer
     assert isinstance(buffer, PrioritizedReplayBuffer)
@@ -159,15 +158,7 @@ def test_under_sb3s_dqn() -> None:
 
 
 def test_continuous_actions_of_other_algorithms_are_kept_whole() -> None:
-    model = SAC(
-        "MlpPolicy",
-        "Pendulum-v1",
-        learning_starts=20,
-        buffer_size=500,
-        replay_buffer_class=PrioritizedReplayBuffer,
-        seed=0,
-    )
-    model.learn(40)
+    model = SAC("MlpPolicy", "Pendulum-v1", **OURS).learn(40)
     buffer = model.replay_buffer
     assert isinstance(buffer, PrioritizedReplayBuffer)
     actions = buffer.sample(20).actions
