@@ -43,6 +43,21 @@ def as_points(name: str, value: ArrayLike, *components: str) -> Floats:
     return array
 
 
+def require_broadcast(name_a: str, a: Floats, name_b: str, b: Floats) -> None:
+    """Refuse two batches that do not broadcast.
+
+    Raises:
+        ShapeError: the leading axes disagree.
+    """
+    try:
+        np.broadcast_shapes(a.shape, b.shape)
+    except ValueError:
+        raise ShapeError(
+            f"{name_a} of shape {a.shape} and {name_b} of shape {b.shape} do not broadcast: "
+            "make their leading axes equal, or 1"
+        ) from None
+
+
 def over_rows(*kinds: str) -> Callable[[Callable[..., None]], Callable[..., list[Any]]]:
     """Compile a loop over rows and let it fill arrays for a batch of any shape.
 

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from coop_env.geometry import OPTIMIZED, RRSGeometry
 from coop_env.kinematics import rrs_forward_kernels as fk
 from coop_env.kinematics import rrs_kernels as kernels
-from coop_env.kinematics._batch import Bools, Floats, as_points, over_rows
+from coop_env.kinematics._batch import Bools, Floats, as_points, over_rows, require_broadcast
 from coop_env.kinematics._batch import ShapeError as ShapeError
 from coop_env.kinematics.rotations import yaw_of
 
@@ -322,7 +322,7 @@ def joint_rates(pose: ArrayLike, rates: ArrayLike, geometry: RRSGeometry = OPTIM
     array([ 0.    ,  0.0703, -0.0703])
     """
     at, speed = _pose(pose), as_points("rates", rates, "rolldot", "pitchdot", "heavedot")
-    np.broadcast_shapes(at.shape, speed.shape)  # names what does not fit, more clearly than einsum
+    require_broadcast("pose", at, "rates", speed)
     return np.einsum(
         "...ij,...jk,...k->...i", jacobian(at, geometry), twist_matrix(at, geometry), speed
     )
@@ -370,6 +370,7 @@ def forward(
     """
     angles = as_points("q", q, "q0", "q1", "q2")
     before = _pose(previous, "previous")
+    require_broadcast("q", angles, "previous", before)
     return Forward(*_forward(_params(geometry, pose_model), angles, before))
 
 

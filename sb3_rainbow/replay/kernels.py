@@ -113,6 +113,32 @@ def importance_weights(
 
 
 @njit(cache=True)
+def gather_observations(
+    rows: NDArray[np.uint8],
+    boundary: NDArray[np.uint8],
+    leaves: NDArray[np.int64],
+    next_rows: NDArray[np.int64],
+    next_slots: NDArray[np.int64],
+    current: NDArray[np.uint8],
+    following: NDArray[np.uint8],
+) -> None:
+    """Copy current and final observations, as bytes, so that one kernel serves every dtype."""
+    width = rows.shape[1]
+    for i in range(leaves.shape[0]):
+        leaf = leaves[i]
+        for j in range(width):
+            current[i, j] = rows[leaf, j]
+        slot = next_slots[i]
+        if slot >= 0:
+            for j in range(width):
+                following[i, j] = boundary[slot, j]
+        else:
+            row = next_rows[i]
+            for j in range(width):
+                following[i, j] = rows[row, j]
+
+
+@njit(cache=True)
 def scale_priorities(
     leaves: NDArray[np.int64],
     losses: NDArray[np.float64],

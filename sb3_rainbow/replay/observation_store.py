@@ -6,6 +6,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from sb3_rainbow.replay.kernels import gather_observations
 from sb3_rainbow.type_aliases import ObsArray
 
 # One store for plain observations, one per key for dicts.
@@ -92,10 +93,9 @@ class ObservationStore:
         result = np.zeros(self.n_envs, dtype=bool)
         for key, values in current.items():
             heads = self._boundary[key][: self.n_envs]
-            ours, theirs = (
-                rows.reshape(self.n_envs, -1).view(np.uint8) for rows in (values, heads)
-            )
-            result |= (ours != theirs).any(axis=1)
+            differs = _as_bytes(values, self.n_envs) != _as_bytes(heads, self.n_envs)
+            if differs.any():
+                result |= differs.any(axis=1)
         return result
 
     def write(self, row: int, current: Rows, following: Rows) -> None:
@@ -135,15 +135,24 @@ class ObservationStore:
         Returns:
             two arrays ``(n, ...)``, or two dicts of such.
         """
-        current, following = {}, {}
-        kept = next_slots >= 0
+        n = leaves.shape[0]
+        current, following = self._empty(n), self._empty(n)
         for key, values in self._rows.items():
-            flat = values.reshape(-1, *values.shape[2:])
-            current[key], following[key] = flat[leaves], flat[next_rows]
-            following[key][kept] = self._boundary[key][next_slots[kept]]
+            gather_observations(
+                _as_bytes(values, self.n_rows * self.n_envs),
+                _as_bytes(self._boundary[key], len(self._boundary[key])),
+                leaves,
+                next_rows,
+                next_slots,
+                _as_bytes(current[key], n),
+                _as_bytes(following[key], n),
+            )
         if _PLAIN in current:
             return current[_PLAIN], following[_PLAIN]
         return current, following
+
+    def _empty(self, n: int) -> Rows:
+        return {key: np.empty((n, *shape), dtype) for key, (shape, dtype) in self._layout.items()}
 
     def trimmed_state(self, n_used: int) -> dict[str, Any]:
         """State for pickling, without the rows from ``n_used`` on, which were never written."""
@@ -179,3 +188,8 @@ def stored_dtype(space: spaces.Space) -> np.dtype:
     # The networks compute in float32: the other half of a float64 would only cost memory.
     dtype = np.dtype(space.dtype)
     return np.dtype(np.float32) if dtype == np.float64 else dtype
+
+
+def _as_bytes(values: NDArray, n: int) -> NDArray[np.uint8]:
+    """View of a contiguous array as ``n`` rows of bytes."""
+    return values.reshape(n, -1).view(np.uint8)

@@ -9,6 +9,7 @@ import zipfile
 from collections.abc import Iterable
 from typing import Any, TypeVar
 
+import torch as th
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback
 
@@ -73,9 +74,20 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
             self._rng_state = None
 
     @classmethod
-    def load(cls: type[SelfResumable], *args: Any, **kwargs: Any) -> SelfResumable:
+    def load(
+        cls: type[SelfResumable],
+        path: str | pathlib.Path | io.BufferedIOBase,
+        env: GymEnv | None = None,
+        device: th.device | str = "auto",
+        custom_objects: dict[str, Any] | None = None,
+        print_system_info: bool = False,
+        force_reset: bool = True,
+        **kwargs: Any,
+    ) -> SelfResumable:
         """As SB3's ``load``; a ``seed`` in ``kwargs`` wins over the saved random generators."""
-        model = super().load(*args, **kwargs)
+        model = super().load(
+            path, env, device, custom_objects, print_system_info, force_reset, **kwargs
+        )
         saved, model._rng_state = model._rng_state, None
         if kwargs.get("seed") is None:
             model._rng_to_resume = saved

@@ -17,17 +17,27 @@ from stable_baselines3.common.callbacks import (
     StopTrainingOnMaxEpisodes,
 )
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.envs import FakeImageEnv, IdentityEnv, SimpleMultiObsEnv
+from stable_baselines3.common.envs import (
+    FakeImageEnv,
+    IdentityEnv,
+    SimpleMultiObsEnv,
+)
 from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from torch import nn
 
 from sb3_rainbow import HESSEL, NoisyLinear, PrioritizedReplayBuffer, Rainbow
-from tests.sb3_rainbow import small
 
-FAST = {**small.FAST, "gradient_steps": 1}
-
+FAST: dict[str, Any] = {
+    "learning_starts": 20,
+    "train_freq": 4,
+    "gradient_steps": 1,
+    "buffer_size": 500,
+    "batch_size": 8,
+    "seed": 0,
+    "policy_kwargs": {"net_arch": [16]},
+}
 COMPONENTS = ("double_q", "dueling", "prioritized", "noisy", "distributional")
 
 
@@ -337,6 +347,7 @@ def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
+        ({"n_steps": 0}, "n_steps must be at least 1, got 0"),
         ({"n_steps": 2.5}, "n_steps must be a whole number, got 2.5"),
         ({"max_grad_norm": -1.0}, "max_grad_norm must be positive, or None, got -1.0"),
         ({"batch_size": 0}, "batch_size must be at least 1, got 0"),
@@ -344,7 +355,10 @@ def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
         ({"tau": 1.5}, "tau must lie in .0, 1., got 1.5"),
         ({"target_update_interval": 0}, "target_update_interval must be at least 1"),
         ({"sigma0": -0.1}, "sigma0 must not be negative, got -0.1"),
+        ({"alpha": 1.5}, "alpha must lie in"),
+        ({"beta_start": -0.5}, "beta must lie in .0, 1., got -0.5"),
         ({"beta_end": 1.5}, "beta_end must lie in .0, 1., got 1.5"),
+        ({"v_min": 5.0, "v_max": 5.0}, "v_min must be below v_max"),
         ({"v_min": 0.0}, "v_min without v_max: pass both"),
         ({"v_max": 9.0, "distributional": True}, "v_max without v_min: pass both"),
         ({"buffer_size": 3}, "buffer_size=3 is too small"),

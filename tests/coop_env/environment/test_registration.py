@@ -7,9 +7,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.wrappers import TimeAwareObservation
 
 import coop_env
-from coop_env import CoopInsertionVectorEnv
+from coop_env import CoopInsertionEnv, CoopInsertionVectorEnv
 from coop_env.errors import ArgumentError, ResetOptionError
 
 ID = "CoopInsertion-v0"
@@ -39,6 +40,15 @@ def test_the_earlier_of_both_limits_cuts() -> None:
     assert moves_until_cut(gym.make(ID, max_episode_steps=25)) == 25
     assert moves_until_cut(gym.make(ID, max_moves=30, max_episode_steps=99)) == 30
     assert moves_until_cut(gym.make(ID, max_moves=30, max_episode_steps=-1)) == 30
+
+
+def test_time_can_be_observed() -> None:
+    env = TimeAwareObservation(gym.make(ID), normalize_time=True)
+    observation, _ = env.reset(seed=0)
+    assert observation.shape == (13,)
+    assert observation[-1] == 0.0
+    for k in range(1, 4):
+        assert env.step(0)[0][-1] == pytest.approx(k / 300)
 
 
 def test_make_vec_knows_gymnasiums_name_of_the_limit() -> None:
@@ -73,6 +83,29 @@ def test_a_refused_reset_leaves_the_generators() -> None:
 
 
 KEYS = {"success", "is_success", "all_filled"}
+SIX: dict[str, Any] = {"task": {"holes": [[0.0, 0.0], *([0.5, k] for k in range(5))]}}
+
+
+def start(env: CoopInsertionEnv, filled: list[int]) -> dict[str, Any]:
+    """25 mm above the upright hole, its peg down."""
+    z = 0.21 + env.task.dome_radius + 0.025 + env.params.delta.peg_length
+    z -= env.params.delta.base_height
+    options = {"configuration": [0.0, 0.0, z, 0.0, 0.0, 0.21], "target": 0, "filled": filled}
+    return env.reset(options=options)[1]
+
+
+@pytest.mark.parametrize(("filled", "all_filled"), [([], False), ([1, 2, 3, 4, 5], True)])
+def test_a_success_is_one_insertion_and_all_filled_is_every_hole(
+    filled: list[int], all_filled: bool
+) -> None:
+    env = CoopInsertionEnv(**SIX)
+    info = start(env, filled)
+    assert not any(info[key] for key in KEYS)
+    *_, terminated, _, info = env.step(5)
+    assert info["inserted"]
+    assert info["success"]
+    assert info["is_success"]
+    assert info["all_filled"] == all_filled == terminated
 
 
 @pytest.mark.parametrize("name", sorted(n for n in gym.registry if n.startswith("CoopInsertion")))

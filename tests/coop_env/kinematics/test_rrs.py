@@ -170,9 +170,10 @@ def test_what_is_not_real_numbers_is_named(bad: object) -> None:
 
 
 def test_batches_that_do_not_broadcast_are_named() -> None:
-    for function in (rrs.forward, rrs.joint_rates):
-        with pytest.raises(ValueError, match=r"broadcast.*\(?2,.*\(?5,"):
-            function(np.zeros((2, 3)), np.zeros((5, 3)))
+    with pytest.raises(rrs.ShapeError, match="do not broadcast"):
+        rrs.forward(np.zeros((2, 3)), np.zeros((5, 3)))
+    with pytest.raises(rrs.ShapeError, match="do not broadcast"):
+        rrs.joint_rates(np.zeros((2, 3)), np.zeros((5, 3)))
 
 
 def test_an_unknown_pose_model_is_named() -> None:

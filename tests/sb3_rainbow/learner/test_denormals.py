@@ -1,5 +1,6 @@
 """Denormal numbers count as zero while Rainbow updates, and only then."""
 
+import runpy
 from typing import Any
 
 import gymnasium as gym
@@ -8,6 +9,7 @@ import pytest
 import torch as th
 
 from sb3_rainbow import Rainbow
+from sb3_rainbow.learner import denormals
 from sb3_rainbow.learner.denormals import denormals_are_zero, flush_denormals
 
 DENORMAL = np.float32(1e-40)
@@ -26,6 +28,29 @@ def test_inside_torch_and_numpy_see_zero_and_outside_the_number() -> None:
         assert float((th.full((1000,), float(DENORMAL)) * 1.0).max()) == 0.0
     assert not denormals_are_zero()
     assert float((np.full(1000, DENORMAL) * np.float32(1.0)).max()) > 0.0
+
+
+@needs_the_mode
+def test_what_was_set_while_importing_does_not_matter() -> None:
+    """A user's flush mode or default dtype at import time, under which a constant would be made."""
+    th.set_flush_denormal(True)
+    try:
+        flushed = runpy.run_path(denormals.__file__)["denormals_are_zero"]
+        assert flushed()
+    finally:
+        th.set_flush_denormal(False)
+    assert not flushed()
+    th.set_default_dtype(th.float64)
+    try:
+        double = runpy.run_path(denormals.__file__)["denormals_are_zero"]
+    finally:
+        th.set_default_dtype(th.float32)
+    assert not double()
+    th.set_flush_denormal(True)
+    try:
+        assert double()
+    finally:
+        th.set_flush_denormal(False)
 
 
 @needs_the_mode

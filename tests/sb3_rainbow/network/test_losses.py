@@ -16,6 +16,8 @@ from sb3_rainbow.learner.update import td_losses, td_target
 from sb3_rainbow.network.losses import (
     categorical_losses,
     clipped_share,
+    huber_losses,
+    mask_q_values,
     project_distribution,
     quantile_losses,
     target_entropies,
@@ -111,6 +113,26 @@ def test_a_narrow_support_far_from_zero_loses_no_digits() -> None:
     assert share.item() == 0.0
 
 
+def test_cross_entropy_per_sample() -> None:
+    logits = th.tensor([[0.0, 1.0, 2.0], [3.0, 0.0, 0.0]])
+    target = th.tensor([[0.2, 0.3, 0.5], [0.0, 1.0, 0.0]])
+    expected = -(target * th.log(th.softmax(logits, 1))).sum(1)
+    th.testing.assert_close(categorical_losses(logits, target), expected)
+
+
+def test_huber_per_sample() -> None:
+    errors = th.tensor([0.0, 0.5, -1.0, 3.0])
+    expected = th.tensor([0.0, 0.125, 0.5, 2.5])
+    th.testing.assert_close(huber_losses(errors, th.zeros(4)), expected)
+
+
+def test_masks_act_on_values() -> None:
+    q_values = th.tensor([[3.0, 2.0, 1.0], [-3.0, -2.0, -1.0]])
+    masks = th.tensor([[False, True, True], [True, True, False]])
+    assert mask_q_values(q_values, masks).argmax(dim=1).tolist() == [1, 1]
+    assert mask_q_values(q_values, None) is q_values
+
+
 def test_quantile_losses_are_sb3_contribs() -> None:
     generator = th.Generator().manual_seed(0)
     # wide enough that both branches of the Huber loss are taken
@@ -122,6 +144,19 @@ def test_quantile_losses_are_sb3_contribs() -> None:
     assert losses.shape == (16,)
     th.testing.assert_close(losses.mean(), expected)
     th.testing.assert_close(th.autograd.grad(losses.mean(), quantiles)[0], gradient)
+
+
+def test_quantile_regression_finds_the_quantiles() -> None:
+    """Of a known distribution, against its inverse at the midpoints."""
+    generator = th.Generator().manual_seed(0)
+    quantiles = th.zeros(1, 5, requires_grad=True)
+    optimizer = th.optim.Adam([quantiles], lr=0.1)
+    for _ in range(1000):
+        target = 40.0 * th.rand(1, 256, generator=generator)  # wide: the Huber threshold is 1
+        optimizer.zero_grad()
+        quantile_losses(quantiles, target).sum().backward()
+        optimizer.step()
+    np.testing.assert_allclose(quantiles.detach()[0], 40.0 * (np.arange(5) + 0.5) / 5, atol=1.0)
 
 
 N_ACTIONS = 4

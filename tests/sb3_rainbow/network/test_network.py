@@ -110,6 +110,14 @@ def test_noise_has_nothing_to_do_with_train_and_eval(training: bool) -> None:
     th.testing.assert_close(layer(x, noisy=False), layer(x, noisy=False))
 
 
+def test_gradients_reach_means_and_sigmas() -> None:
+    layer = NoisyLinear(4, 3)
+    layer(th.randn(8, 4)).sum().backward()
+    for parameter in layer.parameters():
+        assert parameter.grad is not None
+        assert parameter.grad.abs().sum() > 0
+
+
 def test_epsilons_are_buffers() -> None:
     net = make_net()
     assert not any("epsilon" in name or "noise" in name for name, _ in net.named_parameters())
@@ -178,6 +186,27 @@ def test_a_pickled_policy_explores_acts_and_learns(kernels: bool) -> None:
     assert not th.equal(before, after)
     target = nn.utils.parameters_to_vector(policy.q_net_target.parameters())
     th.testing.assert_close(target, (before + after) / 2)
+    if kernels:
+        obs = th.randn(50, 4)
+        th.manual_seed(3)
+        actions = learner.act(obs, None)
+        th.manual_seed(3)
+        np.testing.assert_array_equal(actions, policy.predict(obs.numpy())[0])
+
+
+@pytest.mark.parametrize("kernels", [True, False])
+def test_a_pickled_learner_goes_on_as_the_original(kernels: bool) -> None:
+    learner = Learner(make_policy(), double_q=True, max_grad_norm=10.0, cpu_kernels=kernels)
+    learner.update(unit_batch())
+    states = []
+    for each in (learner, pickle.loads(pickle.dumps(learner))):
+        th.manual_seed(4)
+        for _ in range(3):
+            each.update(unit_batch())
+            each.move_target(0.1)
+        states.append(each.policy.state_dict())
+    for name, value in states[0].items():
+        assert th.equal(value, states[1][name]), name
 
 
 @pytest.mark.parametrize(
@@ -191,9 +220,15 @@ def test_a_pickled_policy_explores_acts_and_learns(kernels: bool) -> None:
 def test_which_layers_are_noisy(noisy_layers: Any, expected: list[bool]) -> None:
     net = make_net(noisy_layers=noisy_layers)
     assert [isinstance(layer, NoisyLinear) for layer in net.layers] == expected
-    sizes: list[Any] = [(layer.in_features, layer.out_features) for layer in net.layers]
-    assert sizes == [(4, 32), (32, 24), (24, 16), (16, 4 * 51)]
     assert not any(isinstance(layer, NoisyLinear) for layer in make_net(noisy=False).layers)
+
+
+def test_after_nature_cnn_there_is_a_noisy_head_alone() -> None:
+    space = spaces.Box(0, 255, (3, 36, 36), np.uint8)
+    policy = CnnPolicy(
+        space, ACTIONS, lambda _: 1e-3, distributional=True, features_extractor_class=NatureCNN
+    )
+    assert [isinstance(layer, NoisyLinear) for layer in policy.q_net.layers] == [True]
 
 
 def test_dueling_is_identifiable() -> None:
@@ -229,6 +264,19 @@ def test_q_values_are_expectations_under_the_distribution() -> None:
     th.testing.assert_close(probabilities.sum(-1), th.ones(7, 3))
     support = th.linspace(-5, 5, 51)
     th.testing.assert_close(net(obs), (probabilities * support).sum(-1))
+
+
+def test_the_papers_net() -> None:
+    policy = MlpPolicy(
+        spaces.Box(0, 1, (12,), np.float32),
+        spaces.Discrete(12),
+        lambda _: 1e-4,
+        net_arch=[256, 128, 64],
+        activation_fn=nn.ReLU,
+        distributional=True,
+    )
+    shapes: list[Any] = [(x.in_features, x.out_features) for x in policy.q_net.layers]
+    assert shapes == [(12, 256), (256, 128), (128, 64), (64, 13 * 51)]
 
 
 STREAMS = {"shared": [20], "streams": [12, 8]}
@@ -337,14 +385,11 @@ def test_weights_of_images_go_into_a_vector_and_back(extractor: type[NatureCNN] 
 
 
 def test_a_size_of_features_asks_for_dqns_extractor() -> None:
-    """After which there is a noisy head alone."""
     space = spaces.Box(0, 255, (1, 40, 40), np.uint8)
     given: dict[str, Any] = {"features_extractor_kwargs": {"features_dim": 64}}
     net = CnnPolicy(space, ACTIONS, lambda _: 1e-3, distributional=True, **given).q_net
     assert type(net.features_extractor) is NatureCNN
-    (head,) = net.layers
-    assert isinstance(head, NoisyLinear)
-    assert head.in_features == 64
+    assert [layer.in_features for layer in net.layers] == [64]
     given["features_extractor_class"] = NatureConvolutions
     with pytest.raises(ValueError, match=r"features_dim=64.*streams=\[64\].*NatureCNN"):
         CnnPolicy(space, ACTIONS, lambda _: 1e-3, distributional=True, **given)

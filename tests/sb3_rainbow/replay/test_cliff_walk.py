@@ -12,6 +12,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import pytest
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.logger import configure
@@ -82,6 +83,19 @@ def updates_needed(
         if np.mean(errors**2) < TOLERANCE:
             return updates
     return limit
+
+
+@pytest.mark.parametrize("states", [2, 5, 9])
+def test_values_are_those_of_value_iteration_over_the_memory(states: int) -> None:
+    memory = list(transitions(states, 0))
+    assert len(memory) == 2 ** (states + 1) - 2  # the paper's count
+    assert sum(reward for _, _, _, reward, _ in memory) == 1.0
+    values = np.zeros((states, 2))
+    for _ in range(states + 1):
+        for state, action, following, reward, ended in memory:
+            rest = 0.0 if ended else (1.0 - 1.0 / states) * values[following].max()
+            values[state, action] = reward + rest
+    np.testing.assert_allclose(optimal_values(states), values, atol=1e-12)
 
 
 def test_prioritized_replay_learns_the_walk_in_fewer_updates() -> None:

@@ -1,14 +1,15 @@
 """Short runs whose every bit can be compared."""
 
 import pickle
-from collections.abc import Iterator
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import torch as th
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.vec_env import DummyVecEnv
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+)
 
 from sb3_rainbow import PrioritizedReplayBuffer, Rainbow
 
@@ -28,25 +29,10 @@ class StatefulVecEnv(DummyVecEnv):
     """CartPoles that can tell and take their exact state, as a batched simulator can."""
 
     def get_state(self) -> bytes:
-        return pickle.dumps(([[_kept(x) for x in _layers(e)] for e in self.envs], self.buf_obs))
+        return pickle.dumps((self.envs, self.buf_obs))
 
     def set_state(self, state: bytes) -> None:
-        envs, self.buf_obs = pickle.loads(state)
-        for env, layers in zip(self.envs, envs, strict=True):
-            for layer, kept in zip(_layers(env), layers, strict=True):
-                vars(layer).update(kept)
-
-
-def _layers(env: gym.Env) -> Iterator[gym.Env]:
-    while isinstance(env, gym.Wrapper):
-        yield env
-        env = env.env
-    yield env
-
-
-def _kept(layer: gym.Env) -> dict[str, object]:
-    """All but the layer below, and the file that a monitor writes."""
-    return {k: v for k, v in vars(layer).items() if k not in ("env", "results_writer")}
+        self.envs, self.buf_obs = pickle.loads(state)
 
 
 def make_stateful(n_envs: int = 3) -> StatefulVecEnv:

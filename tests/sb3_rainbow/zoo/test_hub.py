@@ -3,8 +3,11 @@
 import inspect
 import io
 import json
+import os
 import shutil
 import socket
+import subprocess
+import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +21,8 @@ from safetensors.numpy import load, save
 from stable_baselines3 import DQN
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.envs import FakeImageEnv, SimpleMultiObsEnv
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
@@ -31,6 +36,7 @@ from tests.sb3_rainbow.zoo.runs import ENVS, SMALL, train, trained, workplace, z
 
 __all__ = ["workplace"]
 SETTINGS = {k: v for k, v in SMALL.items() if k not in ("policy", "n_timesteps", "learning_rate")}
+ROOT = Path(__file__).resolve().parents[3]
 MODEL = "rainbow-CartPole-v1.zip"
 
 
@@ -158,6 +164,10 @@ def test_what_only_a_pickle_could_hold_is_named() -> None:
     with pytest.raises(ZooError, match=r"learning_rate = <function .*activation_fn = .*Swish'>"):
         package(model)
     assert not Path("out", MODEL).exists()
+    model.save("model.zip")
+    with pytest.raises(ZooError, match="pass trust=True"):
+        hub.load("model.zip")
+    assert same_actions(model, hub.load("model.zip", trust=True))
 
 
 def test_a_layer_of_ones_own_is_named() -> None:
@@ -167,19 +177,49 @@ def test_a_layer_of_ones_own_is_named() -> None:
         package(model)
 
 
-def test_a_pickle_is_refused_without_a_trace_unless_its_author_is_trusted() -> None:
-    model = model_of(steps=10)
-    model.save("saved.zip")
-    (planted,) = CRAFTED.values()
-    tampered(Path("saved.zip"), Path("model.zip"), {"anything": planted})
-    Path("bad.pkl").write_bytes(planted)
-    with pytest.raises(ZooError, match=r"model.zip cannot be loaded .* pass trust=True"):
-        hub.load("model.zip")
+@pytest.fixture
+def saved() -> Path:
+    """A file of SB3's own form."""
+    model_of(steps=10).save("model.zip")
+    return Path("model.zip")
+
+
+# What each file does where it is loaded as SB3 loads it, told by another process
+_DONE = {
+    "two classes": "import os; assert os.path.isdir('pwned')",
+    "memory": "assert model.anything[0] is bytes",
+    "a class": "from stable_baselines3.common.running_mean_std import RunningMeanStd as changed; "
+    "assert changed.forged",
+    "eight bytes": "",
+}
+
+
+@pytest.mark.parametrize("which", CRAFTED)
+def test_a_crafted_file_is_refused_without_a_trace(which: str, saved: Path) -> None:
+    path = tampered(saved, Path("tampered.zip"), {"anything": CRAFTED[which]})
+    Path("bad.pkl").write_bytes(CRAFTED[which])
+    before = [(kind, dict(vars(kind))) for kind in (TrainFrequencyUnit, RunningMeanStd)]
+    with pytest.raises(ZooError, match=r"tampered.zip cannot be loaded .* pass trust=True"):
+        hub.load(path)
     with pytest.raises(ZooError, match=r"bad.pkl cannot be loaded"):
         hub.load_vec_normalize("bad.pkl", make_vec_env("CartPole-v1"))
+    assert [(kind, dict(vars(kind))) for kind, _ in before] == before
     assert not Path("pwned").exists()
-    assert same_actions(model, hub.load("model.zip", trust=True))
-    assert Path("pwned").exists()  # what the refusal is there for
+
+
+@pytest.mark.parametrize("which", CRAFTED)
+def test_the_same_file_does_its_work_where_its_author_is_trusted(which: str, saved: Path) -> None:
+    """What the refusal is there for."""
+    path = tampered(saved, Path("tampered.zip"), {"anything": CRAFTED[which]})
+    program = f"from sb3_rainbow.zoo import hub\nmodel = hub.load({str(path)!r}, trust=True)\n"
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", program + _DONE[which]],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        check=False,
+    )
+    # the process of the last one ends by a signal
+    assert done.returncode < 0 if which == "eight bytes" else done.returncode == 0, done.stderr
 
 
 def forged(path: Path, where: str, name: str, value: Any) -> Path:
