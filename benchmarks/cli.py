@@ -63,7 +63,7 @@ def _guarded(action: Callable[[], int]) -> int:
         return 130
 
 
-def _open(given: Given, create: bool = False) -> tuple[Experiment[Any], Store]:
+def _open(given: Given, create: bool = False) -> tuple[Experiment, Store]:
     one = catalogue.experiment(given.preset)  # a bad one is an error before anything is written
     return one, one.open_store(given.results, create)
 

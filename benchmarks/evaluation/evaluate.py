@@ -23,7 +23,7 @@ from benchmarks.methods.team.env import DecentralizedEnv, each_for_itself, make_
 from benchmarks.protocol.knowledge import explores
 from benchmarks.protocol.metrics import EXPLORING, FIRST, GREEDY, RANDOM_MOVES
 from benchmarks.protocol.plan import CONTROLS, OPTIMUM_AT_ONCE, Cell, own_error
-from benchmarks.protocol.presets import Preset, as_dict
+from benchmarks.protocol.presets import Preset
 from benchmarks.protocol.seeding import derive, episode_seeds
 from coop_env.env import CoopInsertionEnv
 from coop_env.simulation.sim_to_real import SimToReal
@@ -90,7 +90,7 @@ def levels(preset: Preset, cell: Cell) -> list[Condition]:
             Condition(arguments, noise) for noise in ([0.0] if sees else preset.evaluation.noise)
         ]
         main = result[0]
-    if explores(cell.method, as_dict(preset.evaluation)):
+    if preset.evaluation.exploring and explores(cell.method):
         return [*result, replace(main, noise=0.0, columns={**main.columns, "acting": EXPLORING})]
     return result
 

@@ -22,7 +22,7 @@ from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.team.networks import DecentralizedVecEnv, IndependentPolicy, SumPolicy
 from benchmarks.protocol.learners import LEARNERS, algorithm_of
 from benchmarks.protocol.plan import ABLATIONS, Cell
-from benchmarks.protocol.presets import Guide, Preset, Task, Track, as_dict
+from benchmarks.protocol.presets import Guide, Preset, Task, Track
 from benchmarks.protocol.seeding import derive
 from benchmarks.protocol.strict import build
 from coop_env.shield import ShieldedInsertionVecEnv
@@ -178,7 +178,7 @@ def build_on(
     where = f"{task.title}: {method}"
     guide = task.guide
     if guide is not None and (own := given.pop("guide", {})):
-        guide = build(Guide, {**as_dict(guide), **own}, f"{where}: guide")
+        guide = build(Guide, {**asdict(guide), **own}, f"{where}: guide")
     algorithm = class_on(task, method)
     if issubclass(algorithm, Rainbow) and not task.bare:
         given = spelled_out(given)

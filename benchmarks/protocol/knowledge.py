@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.plan import CONTROLS, PLANNERS
-
-EXPLORERS: Final = (*LEARNERS, *(method for method in CONTROLS if method != "random"))
 
 
 @dataclass(frozen=True)
@@ -47,11 +45,6 @@ def knowledge(method: str, track: Mapping[str, Any] | None) -> Knowledge:
     return Knowledge(masks, ", ".join(remembered) or "none")
 
 
-def explores(method: str, evaluation: Mapping[str, Any]) -> bool:
-    """Whether a method is tested once more as it was trained, or with random moves.
-
-    Args:
-        method: of :data:`benchmarks.protocol.plan.METHODS`.
-        evaluation: ``config["evaluation"]`` of a run.
-    """
-    return bool(evaluation.get("exploring")) and method in EXPLORERS
+def explores(method: str) -> bool:
+    """Whether a method has another way of acting: as it was trained, or with random moves."""
+    return method in LEARNERS or (method in CONTROLS and method != "random")

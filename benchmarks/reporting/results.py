@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -22,7 +22,7 @@ from benchmarks.protocol.plan import (
     expand,
     own_error,
 )
-from benchmarks.protocol.presets import Preset, as_dict, load, preset_names
+from benchmarks.protocol.presets import Preset, load, preset_names
 from benchmarks.reporting.stats import Value, mean_interval, measured, over_seeds, wilson
 from benchmarks.reporting.tables.table import Number, TableCell
 from benchmarks.runs.store import RunFolder, Store
@@ -401,7 +401,7 @@ def _planned(store: Store) -> tuple[dict[Key, int], dict[str, dict[str, Any]]]:
         if cell.method != DESIGN:
             key = (cell.method, cell.ablation, cell.geometry, cell.track)
             planned[key] = planned.get(key, 0) + 1
-    return planned, {name: as_dict(track) for name, track in preset.tracks.items()}
+    return planned, {name: asdict(track) for name, track in preset.tracks.items()}
 
 
 def tail_mean(curve: pd.DataFrame, column: str, share: float = 0.1) -> float:

@@ -100,7 +100,8 @@ def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...],
         if stored != sorted(wanted):
             problems.append(f"episodes.csv has {name} {stored}, not {wanted}")
     acting = {acting for _, _, acting in result.levels}
-    wanted_acting = [EXPLORING, GREEDY] if explores(cell.method, evaluation) else [GREEDY]
+    both = evaluation.get("exploring") and explores(cell.method)
+    wanted_acting = [EXPLORING, GREEDY] if both else [GREEDY]
     if sorted(acting) != wanted_acting:
         problems.append(f"episodes.csv has acting {sorted(acting)}, not {wanted_acting}")
     task = str(result.config.get("track", {}).get("task"))

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.plan import Cell
 from benchmarks.runs import machine
-from benchmarks.runs.experiment import C, Experiment, StopRequested
+from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
 
 
@@ -71,8 +72,8 @@ def check_device(device: str) -> None:
 
 
 def run_cell(
-    experiment: Experiment[C],
-    cell: C,
+    experiment: Experiment,
+    cell: Cell,
     store: Store,
     stop_requested: StopRequested = lambda: False,
     wait: float = 0.0,
@@ -144,14 +145,14 @@ def _spent(training: dict[str, Any], began: float, cpu_began: float) -> dict[str
     return {"wall_seconds": wall, "cpu_seconds": cpu}
 
 
-def argv(experiment: Experiment[Any], store: Store) -> list[str]:
+def argv(experiment: Experiment, store: Store) -> list[str]:
     """The command that opens an experiment and its store in another process; :func:`opened`."""
     kind = type(experiment)
     recipe = json.dumps(experiment.recipe)
     return ["cell", f"{kind.__module__}:{kind.__name__}", recipe, str(store.folder.resolve())]
 
 
-def opened(kind: str, recipe: str, folder: Path) -> tuple[Experiment[Any], Store]:
+def opened(kind: str, recipe: str, folder: Path) -> tuple[Experiment, Store]:
     """What the command of :func:`argv` opens."""
     module, _, name = kind.partition(":")
     experiment = getattr(importlib.import_module(module), name)(**json.loads(recipe))
@@ -159,7 +160,7 @@ def opened(kind: str, recipe: str, folder: Path) -> tuple[Experiment[Any], Store
 
 
 def run_here(
-    experiment: Experiment[Any], store: Store, cell_id: str, parent: int | None, wait: float,
+    experiment: Experiment, store: Store, cell_id: str, parent: int | None, wait: float,
     device: str,
 ) -> int:  # fmt: skip
     """Run one cell in this process and say how it ended; returns the command's exit code."""

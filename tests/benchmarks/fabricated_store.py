@@ -82,7 +82,7 @@ def levels_of(preset: Preset, cell: Cell) -> list[dict[str, Any]]:
     ]
     if preset.evaluation.exploring:
         levels = [{**level, "acting": "greedy"} for level in levels]
-    if explores(cell.method, dataclasses.asdict(preset.evaluation)):
+    if preset.evaluation.exploring and explores(cell.method):
         levels.append({"noise": 0.0, "acting": "exploring"})
     return levels
 

@@ -40,7 +40,7 @@ from benchmarks.methods.base import Plan
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.protocol import labels
 from benchmarks.protocol.plan import DESIGN, METHODS, PERFECT_PLANNERS, Cell
-from benchmarks.protocol.presets import Preset, as_dict
+from benchmarks.protocol.presets import Preset
 from benchmarks.runs.cell import run_once
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.base import bar
@@ -107,7 +107,7 @@ def prepare(preset: Preset, entry: Entry) -> dict[int, Scorer]:
             noise = preset.evaluation.noise
         config = {
             "cell": asdict(cell),
-            "evaluation": as_dict(preset.evaluation),
+            "evaluation": asdict(preset.evaluation),
             "entry": {**source, **protocol},
         }
         arguments = env_arguments(preset, cell) | protocol

@@ -24,7 +24,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from benchmarks.errors import BenchmarkError
 from benchmarks.methods.learners import class_of
 from benchmarks.protocol.plan import Cell
-from benchmarks.protocol.presets import Preset, as_dict
+from benchmarks.protocol.presets import Preset
 from benchmarks.runs import machine
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
@@ -223,7 +223,7 @@ def test_a_disk_that_is_really_full_is_told_in_one_line(
 ) -> None:
     disk, path = tmp_path / "disk", tmp_path / "smoke.yaml"
     disk.mkdir()
-    data = {key: value for key, value in as_dict(preset).items() if key != "name"}
+    data = {key: value for key, value in dataclasses.asdict(preset).items() if key != "name"}
     path.write_text(yaml.safe_dump(data | {"checkpoint_seconds": 0.0}), encoding="utf-8")
     words = f"train --preset {path} --results {disk} --cell {CELLS[2].id}"
     run = f"{shlex.quote(sys.executable)} -m benchmarks {words}"
