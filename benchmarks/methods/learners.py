@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import importlib
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from typing import Any, Final
 
@@ -241,27 +241,3 @@ def build_small(preset: Preset, cell: Cell) -> BaseAlgorithm:
     tracks = {**preset.tracks, cell.track: replace(track, hyperparameters=h)}
     mine = replace(preset, tracks=tracks)
     return build_model(mine, cell, make_training_env(mine, cell))
-
-
-def check_kinds(cells: Iterable[Cell], build: Callable[[Cell], BaseAlgorithm], name: str) -> None:
-    """Build each kind of these learning cells once, so that what is impossible fails at once.
-
-    Args:
-        cells: of a preset; those that learn count.
-        build: makes the untrained learner of one.
-        name: of the preset.
-
-    Raises:
-        BenchmarkError: an environment or an algorithm refuses its settings.
-    """
-    for cell in {replace(cell, seed=0): cell for cell in cells if cell.learns}.values():
-        try:
-            env = build(cell).get_env()
-        except BenchmarkError:
-            raise
-        except Exception as error:  # whatever a constructor makes of what it was given
-            raise BenchmarkError(
-                f"preset '{name}': cell {cell.id} cannot be built: {type(error).__name__}: {error}"
-            ) from error
-        assert env is not None
-        env.close()

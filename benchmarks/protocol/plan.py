@@ -97,6 +97,11 @@ class Cell:
         return self.method in PLANNERS
 
 
+def explores(method: str) -> bool:
+    """Whether a method has another way of acting: as it was trained, or with random moves."""
+    return method in LEARNERS or (method in CONTROLS and method != "random")
+
+
 def of_task(method: str, task: str, seed: int) -> Cell:
     """A cell of a public task."""
     return Cell(method, "full", "", task, seed)

@@ -14,9 +14,8 @@ from typing import Final
 import pandas as pd
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol.knowledge import explores
 from benchmarks.protocol.metrics import EXPLORING, GREEDY
-from benchmarks.protocol.plan import DESIGN, Cell
+from benchmarks.protocol.plan import DESIGN, Cell, explores
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.results import Result
 from benchmarks.reporting.tables.table import Table

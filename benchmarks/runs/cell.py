@@ -9,6 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -60,17 +61,6 @@ class ProgressReporter:
         self._folder.report(share, lambda: note)
 
 
-def check_device(device: str) -> None:
-    """Raise BenchmarkError if torch has no such device here."""
-    if device == "cuda":
-        import torch
-
-        if not torch.cuda.is_available():
-            raise BenchmarkError(
-                f"--device {device}: torch {torch.__version__} sees no GPU here; use --device cpu"
-            )
-
-
 def run_cell(
     experiment: Experiment,
     cell: Cell,
@@ -93,10 +83,7 @@ def run_cell(
             works on it.
     """
     folder = store.run(cell.id)
-
-    def work() -> dict[str, Any] | None:
-        return experiment.run(cell, folder, stop_requested, device)
-
+    work = partial(experiment.run, cell, folder, stop_requested, device)
     return run_once(folder, experiment.settings(cell), experiment.name, work, wait)
 
 
@@ -167,7 +154,13 @@ def run_here(
     flag = StopFlag(parent)
     flag.listen()
     cell = experiment.find(cell_id)
-    check_device(device)
+    if device == "cuda":
+        import torch
+
+        if not torch.cuda.is_available():
+            raise BenchmarkError(
+                f"--device {device}: torch {torch.__version__} sees no GPU here; use --device cpu"
+            )
     folder = store.run(cell.id).path
     if not run_cell(experiment, cell, store, flag, wait, device):
         print(f"{cell.id}: stopped, {folder} keeps what was saved; the same command resumes")

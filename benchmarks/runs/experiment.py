@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -153,9 +154,17 @@ class OfPreset(Experiment, Generic[P]):
         """The untrained learner of a cell, in its environments."""
 
     def check(self, todo: Sequence[Cell]) -> None:
-        from benchmarks.methods.learners import check_kinds
-
-        check_kinds(todo, self.build, self.name)
+        """Build each kind of learner once, so that what is impossible fails at once."""
+        for cell in {replace(cell, seed=0): cell for cell in todo if cell.learns}.values():
+            try:
+                self.build(cell).get_env().close()
+            except BenchmarkError:
+                raise
+            except Exception as error:  # whatever a constructor makes of what it was given
+                how = f"{type(error).__name__}: {error}"
+                raise BenchmarkError(
+                    f"preset '{self.name}': cell {cell.id} cannot be built: {how}"
+                ) from error
 
     def units(self, config: dict[str, Any]) -> int:
         return plan.units_of(config)

@@ -45,10 +45,6 @@ class Outcome:
     failed: dict[str, Path] = field(default_factory=dict)
     interrupted: bool = False
 
-    @property
-    def complete(self) -> bool:
-        return not self.failed and not self.interrupted
-
     def close(self, store: Store, console: Console, write: Callable[[], object]) -> int:
         """Say what came of it, and ``write`` tables and figures unless it was interrupted.
 

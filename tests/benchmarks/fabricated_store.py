@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from benchmarks.protocol.knowledge import explores
-from benchmarks.protocol.plan import Cell, expand, settings
+from benchmarks.protocol.plan import Cell, expand, explores, settings
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.runs.store import Store

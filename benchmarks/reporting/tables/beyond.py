@@ -128,7 +128,8 @@ def significance(results: Results) -> Table:
 def error_levels(results: Results) -> list[float]:
     """Bounds of the base's displacement, mm, that any run was tested at."""
     tested = [run for row in results.rows(uncertain=True) for run in row.runs]
-    return sorted({error for run in tested for _, error, _ in run.levels})
+    errors = {level.error for run in tested for level in run.levels}
+    return sorted(error for error in errors if error is not None)
 
 
 def uncertain(results: Results) -> Table:
@@ -198,7 +199,7 @@ def _gains(results: Results) -> list[str]:
 
 def team(results: Results) -> list[Table]:
     """Table "team", where a store has such runs: who moves, who decides in sight of what."""
-    tracks = [*results.teams(), ""]
+    tracks = [*results.tracks(teams=True), ""]
     groups = [row for row in results.groups.values() if row.geometry == "optimized"]
     at_once = [row for t in tracks for row in groups if row.track == t and _at_once(row)]
     if not at_once:

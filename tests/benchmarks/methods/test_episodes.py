@@ -84,8 +84,6 @@ def test_counts_agree_with_the_environments_infos() -> None:
 
 
 def test_each_entry_into_a_filled_hole_is_counted() -> None:
-    from benchmarks.methods.oracle import LatticeOracle
-
     env = CoopInsertionEnv(reward="progress")
     episode = Episode(env, 0, episode_seeds(0, 1)[0])
     plan: Any = LatticeOracle().plan(env)
@@ -97,8 +95,6 @@ def test_each_entry_into_a_filled_hole_is_counted() -> None:
 
 
 def test_an_insertion_is_measured_where_it_happens() -> None:
-    from benchmarks.methods.oracle import LatticeOracle
-
     env = CoopInsertionEnv(reward="progress")
     episode = Episode(env, 0, episode_seeds(0, 1)[0])
     start, target = dome_frame(env), int(env.state["target"])
@@ -194,7 +190,4 @@ def test_seconds_to_the_first_insertion_are_those_of_the_joints_trajectory() -> 
     assert episode.seconds_first({}) == make_trajectory(np.array(met)).duration
     slow = {"geometry": dataclasses.replace(GEOMETRIES["optimized"], max_joint_velocity=0.3)}
     assert episode.seconds_first(slow) > episode.seconds_first({})
-
-
-def test_an_episode_without_an_insertion_has_no_seconds() -> None:
-    assert np.isnan(Episode(CoopInsertionEnv(), 0, 0).seconds_first({}))
+    assert np.isnan(Episode(env, 0, 0).seconds_first({}))  # without an insertion

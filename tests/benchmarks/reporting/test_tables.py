@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -53,14 +54,10 @@ def find(store: Store, name: str) -> Table:
     return next(table for table in build_tables(store) if table.name == name)
 
 
-def make_full(root: Path) -> Store:
-    """Preset paper, whose methods also explore: each solves one episode more so."""
-    return fabricated_store.make_store(root / "results", [0, 1, 2], "paper")
-
-
 @pytest.fixture(scope="module")
 def full(tmp_path_factory: pytest.TempPathFactory) -> Store:
-    return make_full(tmp_path_factory.mktemp("full"))
+    """Preset paper, whose methods also explore: each solves one episode more so."""
+    return fabricated_store.make_store(tmp_path_factory.mktemp("full"), [0, 1, 2], "paper")
 
 
 @pytest.fixture(scope="module")
@@ -160,26 +157,10 @@ def test_seeds_give_mean_deviation_and_students_interval(make_store: MakeStore) 
     assert [value.low, value.high] == pytest.approx([55.16, 104.84], abs=0.01)
 
 
-def test_comparisons_are_corrected_within_their_question(tmp_path: Path) -> None:
-    full = make_full(tmp_path)
-    for seed, lost in ((0, 3), (1, 2), (2, 4)):  # so that a component's differences have a spread
-        run = full.run(f"rainbow-no_dueling-optimized-repaired-s{seed}")
-        rows = run.rows("episodes")
-        rows.loc[rows.index[rows["acting"] == "exploring"][:lost], "success"] = 0
-        rows.to_csv(run.path / "episodes.csv", index=False)
-    by_name = {(c.question, c.name): c for c in comparisons(Results(full))}
-    one = by_name[ABLATION_QUESTION, "- Dueling head, repaired"]
-    differences = [-40.0, -30.0, -50.0]
-    assert one.difference.mean == pytest.approx(-40.0)
-    assert one.p == pytest.approx(scipy.stats.ttest_1samp(differences, 0.0).pvalue)
-    assert one.p_holm == one.p  # the others' differences are all equal and have no p
-    table = find(full, "significance")
-    assert any(row[1] == "- Dueling head, repaired, as trained" for row in table.texts())
-
-
-def test_each_comparison_has_the_p_of_its_own_differences(tmp_path: Path) -> None:
-    """Two removals of different spread: neither takes the other's p."""
-    full = make_full(tmp_path)
+def test_each_comparison_has_the_p_of_its_own_differences(full: Store, tmp_path: Path) -> None:
+    """Two removals of different spread: neither takes the other's p; both are corrected."""
+    shutil.copytree(full.folder, tmp_path / "paper")
+    full = Store.open(tmp_path, "paper")
     spread = {"no_dueling": (3, 2, 4), "no_double_q": (1, 5, 0)}
     for ablation, losses in spread.items():
         for seed, lost in enumerate(losses):
@@ -187,14 +168,17 @@ def test_each_comparison_has_the_p_of_its_own_differences(tmp_path: Path) -> Non
             rows = run.rows("episodes")
             rows.loc[rows.index[rows["acting"] == "exploring"][:lost], "success"] = 0
             rows.to_csv(run.path / "episodes.csv", index=False)
-    compared = comparisons(Results(full))
-    for ablation, losses in spread.items():
-        (one,) = (
-            c for c in compared if (c.question, c.ours.ablation) == (ABLATION_QUESTION, ablation)
-        )
+    compared = [c for c in comparisons(Results(full)) if c.question == ABLATION_QUESTION]
+    dueling, double_q = (next(c for c in compared if c.ours.ablation == name) for name in spread)
+    for one, losses in zip((dueling, double_q), spread.values(), strict=True):
         differences = [-10.0 * (lost + 1) for lost in losses]  # one more is lost without it
-        expected = scipy.stats.ttest_1samp(differences, 0.0).pvalue
-        assert one.p == pytest.approx(expected)
+        assert one.difference.mean == pytest.approx(np.mean(differences))
+        assert one.p == pytest.approx(scipy.stats.ttest_1samp(differences, 0.0).pvalue)
+    # the others' differences are all equal, have no p and do not count
+    assert [dueling.p_holm, double_q.p_holm] == pytest.approx([2 * dueling.p, double_q.p])
+    assert dueling.name == "- Dueling head, repaired"
+    table = find(full, "significance")
+    assert any(row[1] == "- Dueling head, repaired, as trained" for row in table.texts())
 
 
 def test_the_tables_of_tasks_have_a_row_for_each(tmp_path: Path) -> None:
@@ -246,15 +230,6 @@ def test_an_empty_store_gives_tables_of_dashes(tmp_path: Path) -> None:
     assert verify(store) == []
 
 
-def test_figures_are_drawn_and_repeat(make_store: MakeStore, tmp_path: Path) -> None:
-    by_name = {picture.name: picture for picture in pictures(Results(make_store([0, 1])))}
-    assert {"safe_cumulative_reward", "safe_loss", "robustness"} <= set(by_name)
-    for name in ("safe_cumulative_reward", "performance_profile"):
-        data = by_name[name].write(tmp_path).read_bytes()
-        assert data.startswith(b"\x89PNG")
-        assert by_name[name].write(tmp_path).read_bytes() == data
-
-
 def test_markup_of_tables_is_escaped() -> None:
     number = Number(Value(1.0, 0.5, 3), 1)
     table = Table("t", "50 % & more", ["a|b", "x_1"], [["p < 0.01", number]], ["100 %"])
@@ -300,9 +275,6 @@ def test_episodes_that_began_elsewhere_are_no_pairs(make_store: MakeStore) -> No
     path.write_text(path.read_text("utf-8").replace("start3", "start33", 1), encoding="utf-8")
     with pytest.raises(BenchmarkError, match="episode 3 of seed 0 began"):
         build_tables(store)
-
-
-ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.mark.parametrize(
