@@ -164,8 +164,9 @@ def _player(preset: Preset, cell: Cell, model: Any) -> Player:
 
     def player(episodes: Sequence[Episode], at: Condition, progress: OnProgress) -> None:
         if cell.method not in CONTROLS:
-            if at.exploring:
-                seed_exploration(model, cell.seed)
+            if at.exploring:  # all that the model then draws follows from the cell's seed
+                set_random_seed(derive("explore", cell.seed))
+                model.action_space.seed(derive("explore", cell.seed))
             policy = model_policy(model, not at.exploring)
             if preset.tracks[cell.track].rows > 1:
                 env = episodes[0].env
@@ -195,12 +196,6 @@ def with_random_moves(choose: Chooser, episodes: Sequence[Episode], seed: int) -
         return actions
 
     return explore
-
-
-def seed_exploration(model: Any, seed: int) -> None:
-    """Let all that a model draws when it explores follow from the cell's seed."""
-    set_random_seed(derive("explore", seed))
-    model.action_space.seed(derive("explore", seed))
 
 
 def begin_episodes(

@@ -256,7 +256,12 @@ def _check_group(preset: Preset, group: RunGroup) -> None:
             if name not in allowed:
                 raise BenchmarkError(f"{where}: unknown {kind} '{name}'; known: {known(allowed)}")
     for name in group.tracks:
-        _check_errors(preset, name)
+        if machine := preset.tracks[name].sim_to_real:
+            own = own_error(machine)
+            if not any(math.isclose(own, level) for level in preset.evaluation.errors):
+                raise BenchmarkError(
+                    f"{where}: evaluation: errors lack {own:g} mm, track '{name}'s own"
+                )
         _check_team(preset, name, group.methods)
     for method in group.methods:
         if method in (*LEARNERS, *CONTROLS) and not group.tracks:
@@ -270,16 +275,6 @@ def _check_group(preset: Preset, group: RunGroup) -> None:
 def own_error(machine: Mapping[str, Any]) -> float:
     """Bound of the base's displacement of a track's ``sim_to_real``, mm."""
     return round(1000.0 * float(machine["base_position_error"]), 6)
-
-
-def _check_errors(preset: Preset, track: str) -> None:
-    machine = preset.tracks[track].sim_to_real
-    if machine is not None:
-        own = own_error(machine)
-        if not any(math.isclose(own, level) for level in preset.evaluation.errors):
-            raise BenchmarkError(
-                f"preset '{preset.name}': evaluation: errors lack {own:g} mm, track '{track}'s own"
-            )
 
 
 def _check_team(preset: Preset, name: str, methods: list[str]) -> None:

@@ -8,7 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -253,10 +253,9 @@ def terminable() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-@contextmanager
 def open_backend(
     name: str, jobs: int | None, address: str | None = None, gpus_per_run: float = 0.0
-) -> Iterator[Backend]:
+) -> AbstractContextManager[Backend]:
     """The backend of that name, closed at the end.
 
     Args:
@@ -267,20 +266,14 @@ def open_backend(
     Raises:
         BenchmarkError: an argument does not go with the backend, or no cluster answers.
     """
-    backend: Backend
-    if name == "local":
-        for option, given in (("--address", address), ("--gpus-per-run", gpus_per_run)):
-            if given:
-                raise BenchmarkError(f"{option} {given}: only with --backend ray")
-        backend = LocalBackend(jobs)
-    else:
+    if name == "ray":
         from benchmarks.runs.ray_backend import RayBackend
 
-        backend = RayBackend(address, gpus_per_run, jobs)
-    try:
-        yield backend
-    finally:
-        backend.close()
+        return closing(RayBackend(address, gpus_per_run, jobs))
+    for option, given in (("--address", address), ("--gpus-per-run", gpus_per_run)):
+        if given:
+            raise BenchmarkError(f"{option} {given}: only with --backend ray")
+    return closing(LocalBackend(jobs))
 
 
 def _tail(log: Path, lines: int = 8) -> str:

@@ -319,15 +319,12 @@ def _complete(folder: Path) -> list[RunFolder]:
 @contextmanager
 def _held(path: Path, refusal: str, wait: float = 0.0) -> Iterator[None]:
     path.parent.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(str(path))
     try:
-        lock.acquire(timeout=wait)
+        lock = FileLock(str(path)).acquire(timeout=wait)
     except Timeout:
         raise BenchmarkError(refusal) from None
-    try:
+    with lock:
         yield
-    finally:
-        lock.release()
 
 
 def _flatten(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
