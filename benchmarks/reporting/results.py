@@ -249,6 +249,7 @@ class Results:
     """All complete runs of a store."""
 
     def __init__(self, store: Store) -> None:
+        self.store = store
         self.design: RunFolder | None = None
         runs: dict[Key, list[Result]] = {}
         for folder in store.completed():

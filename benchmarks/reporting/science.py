@@ -65,7 +65,7 @@ def science(store: Store, beyond: bool = False) -> str:
     """Sentences, tables and figures by question: the paper's, or those beyond the paper."""
     results = Results(store)
     report = sentences(results)
-    by_name = {table.name: table for table in build_tables(store)}
+    by_name = {table.name: table for table in build_tables(results)}
     parts = []
     for heading, topics, names, figures in SECTIONS:
         if beyond is (heading in PAPER):

@@ -128,6 +128,7 @@ def score(
     Raises:
         BenchmarkError: the name is taken, or as :func:`prepare`.
     """
+    from benchmarks.reporting.results import Results
     from benchmarks.reporting.tables.beyond import build_tables
 
     scorers = prepare(preset, entry).values()
@@ -148,7 +149,7 @@ def score(
         with bar(console) as progress:
             for folder, scorer in todo.items():
                 _score(folder, scorer, preset.name, progress)
-        built = {table.name: table for table in build_tables(store)}
+        built = {table.name: table for table in build_tables(Results(store))}
         for table in built.values():
             table.write(store.tables)
     console.print(built["leaderboard"].markdown(), markup=False, highlight=False)

@@ -37,7 +37,7 @@ WIDEST = 7  # columns of a table
 
 
 def write_tables(store: Store) -> list[Path]:
-    return [path for table in build_tables(store) for path in table.write(store.tables)]
+    return [path for table in build_tables(Results(store)) for path in table.write(store.tables)]
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 @pytest.fixture(scope="module")
 def tables(full: Store) -> dict[str, Table]:
-    return {table.name: table for table in build_tables(full)}
+    return {table.name: table for table in build_tables(Results(full))}
 
 
 # 9, 8 and 7 of 10 greedily, one more each as trained; the planner has one way of acting
@@ -117,7 +117,7 @@ def test_tables_have_the_papers_rows_and_columns(full: Store, tables: dict[str, 
 
 
 def test_the_uncertain_machine_has_a_table_of_its_own(tmp_path: Path) -> None:
-    built = build_tables(fabricated_store.make_store(tmp_path, [0], "cut"))
+    built = build_tables(Results(fabricated_store.make_store(tmp_path, [0], "cut")))
     assert all(len(table.header) <= WIDEST for table in built)
     table, board = (next(t for t in built if t.name == n) for n in ("uncertain", "leaderboard"))
     row = next(row for row in table.texts() if row[0] == "Rainbow DQN, uncertain")
@@ -150,13 +150,13 @@ def test_each_comparison_has_the_p_of_its_own_differences(full: Store, tmp_path:
     # the others' differences are all equal, have no p and do not count
     assert [dueling.p_holm, double_q.p_holm] == pytest.approx([2 * dueling.p, double_q.p])
     assert dueling.name == "- Dueling head, repaired"
-    table = next(table for table in build_tables(full) if table.name == "significance")
+    table = next(table for table in build_tables(Results(full)) if table.name == "significance")
     assert any(row[1] == "- Dueling head, repaired, as trained" for row in table.texts())
 
 
 def test_the_tables_of_tasks_have_a_row_for_each(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, [0], "difficulty")
-    (table,) = build_tables(store)
+    (table,) = build_tables(Results(store))
     assert any(
         "design stage changes the optimum's points: as stated +0.0," in n for n in table.notes
     )
@@ -189,12 +189,12 @@ def test_tables_are_written_in_three_forms_that_agree_and_repeat(tmp_path: Path)
 
 def test_an_empty_store_gives_tables_of_dashes(tmp_path: Path) -> None:
     store = Store.open(tmp_path, "quick", create=True)
-    assert {table.name for table in build_tables(store)} >= {*Insertion.printed} - {
+    assert {table.name for table in build_tables(Results(store))} >= {*Insertion.printed} - {
         "team",
         "difficulty",
     }
     write_tables(store)
-    assert check_tables(store.tables, build_tables(store)) == []
+    assert check_tables(store.tables, build_tables(Results(store))) == []
 
 
 def test_markup_of_tables_is_escaped() -> None:
@@ -215,7 +215,7 @@ def test_a_partly_finished_preset_shows_what_is_missing(tmp_path: Path) -> None:
         return cell.track in ("", "safe") and cell.ablation == "full" and cell.method != "greedy"
 
     store = fabricated_store.make_store(tmp_path, range(5), "cut", keep)
-    built = build_tables(store)
+    built = build_tables(Results(store))
     by_name = {table.name: table for table in built}
     table = by_name["performance"]
     rows = {row[0]: row[1:] for row in table.texts()}
@@ -239,7 +239,7 @@ def test_episodes_that_began_elsewhere_are_no_pairs(tmp_path: Path) -> None:
     path = run.path / "episodes.csv"
     path.write_text(path.read_text("utf-8").replace("start3", "start33", 1), encoding="utf-8")
     with pytest.raises(BenchmarkError, match="episode 3 of seed 0 began"):
-        build_tables(store)
+        build_tables(Results(store))
 
 
 @pytest.mark.parametrize(
@@ -292,7 +292,8 @@ def test_the_flag_is_printed() -> None:
 
 def test_values_over_seeds_have_students_interval_which_flags_follow(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, [0, 1, 2])
-    results, tables = Results(store), {table.name: table for table in build_tables(store)}
+    results = Results(store)
+    tables = {table.name: table for table in build_tables(results)}
     value = results.group("rainbow", track="safe").success()
     assert [value.mean, value.std, value.n] == pytest.approx([80.0, 10.0, 3])
     # t of 2 degrees of freedom: 4.303 times 10 / sqrt 3
@@ -315,7 +316,7 @@ def test_values_over_seeds_have_students_interval_which_flags_follow(tmp_path: P
 
 def test_a_budget_below_the_papers_number_proves_nothing(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, [2])  # solves 7 of 10: never at 75 %
-    table = next(table for table in build_tables(store) if table.name == "geometry")
+    table = next(table for table in build_tables(Results(store)) if table.name == "geometry")
     cell = table.rows[0][4]
     assert isinstance(cell, Number)
     assert cell.text() == "not reached"

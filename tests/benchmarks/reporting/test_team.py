@@ -59,7 +59,7 @@ def test_the_two_questions_are_answered_from_the_runs(table: Table) -> None:
 
 
 def test_other_tables_are_of_robots_that_move_in_turn(store: Store) -> None:
-    for built in build_tables(store):
+    for built in build_tables(Results(store)):
         if built.name != "team":
             assert len(built.header) <= 7, built.name
             assert "VDN" not in built.markdown(), built.name

@@ -16,6 +16,7 @@ from benchmarks.cli import main
 from benchmarks.protocol.plan import expand
 from benchmarks.protocol.presets import load_preset
 from benchmarks.reporting import blocks
+from benchmarks.reporting.results import Results
 from benchmarks.reporting.tables.beyond import build_tables
 from benchmarks.reporting.verify import check_runs, check_tables
 from benchmarks.runs.store import RunFolder, Store
@@ -37,7 +38,7 @@ PAGES = {
 
 
 def verify(store: Store) -> list[str]:
-    return check_tables(store.tables, build_tables(store))
+    return check_tables(store.tables, build_tables(Results(store)))
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +51,7 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in {page for page, _ in of_design()}:
         shutil.copy(ROOT / "docs" / name, folder / "docs" / name)
     store = make_store(results, [0])
-    for table in build_tables(store):
+    for table in build_tables(Results(store)):
         table.write(store.tables)
     for name, text in PAGES.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -105,7 +106,7 @@ def test_one_digit_of_any_table_is_seen(store: Store) -> None:
     rng = random.Random(0)
     tables = sorted(store.tables.iterdir())
     assert len(tables) >= 21
-    wanted = build_tables(store)
+    wanted = build_tables(Results(store))
     for path in tables:
         kept = path.read_bytes()
         line = change_digit(path, rng)
