@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from benchmarks.runs.store import Store
 
 Given = argparse.Namespace
+MISPLACED: Final = (NotADirectoryError, FileExistsError, PermissionError)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -45,25 +46,19 @@ def _guarded(action: Callable[[], int]) -> int:
     except BenchmarkError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    except (NotADirectoryError, FileExistsError, PermissionError) as error:
-        if error.filename is None:
-            raise
-        print(f"error: {error.strerror}: {error.filename}; name another place", file=sys.stderr)
-        return 2
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        where, mend = error.filename, "name another place"
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            where, mend = where or "the results folder", "make room, the same command goes on"
+        elif where is None or not isinstance(error, MISPLACED):
             raise
-        print(
-            f"error: {error.strerror}: {error.filename or 'the results folder'}; make room, the "
-            "same command goes on",
-            file=sys.stderr,
-        )
+        print(f"error: {error.strerror}: {where}; {mend}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
 
 
-def _open(given: Given, create: bool = False) -> tuple[Experiment[Any], Store]:
+def _open(given: Given, create: bool = False) -> tuple[Experiment, Store]:
     one = catalogue.experiment(given.preset)  # a bad one is an error before anything is written
     return one, one.open_store(given.results, create)
 

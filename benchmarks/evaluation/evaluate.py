@@ -20,10 +20,9 @@ from stable_baselines3.common.utils import set_random_seed
 from benchmarks.methods.base import Plan
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.methods.team.env import DecentralizedEnv, each_for_itself, make_env
-from benchmarks.protocol.knowledge import explores
 from benchmarks.protocol.metrics import EXPLORING, FIRST, GREEDY, RANDOM_MOVES
-from benchmarks.protocol.plan import CONTROLS, OPTIMUM_AT_ONCE, Cell, own_error
-from benchmarks.protocol.presets import Preset, as_dict
+from benchmarks.protocol.plan import CONTROLS, OPTIMUM_AT_ONCE, Cell, explores, own_error
+from benchmarks.protocol.presets import Preset
 from benchmarks.protocol.seeding import derive, episode_seeds
 from coop_env.env import CoopInsertionEnv
 from coop_env.simulation.sim_to_real import SimToReal
@@ -71,7 +70,7 @@ def levels(preset: Preset, cell: Cell) -> list[Condition]:
     of noise (no noise for who sees the true state). Last comes, where the preset asks for it, that
     of the method as it explores, without noise.
     """
-    track = preset.tracks[cell.track] if cell.track else None
+    tests, track = preset.evaluation, preset.tracks[cell.track] if cell.track else None
     arguments = env_arguments(preset, cell, track)
     if track is not None and track.sim_to_real is not None:
         machine = SimToReal(**track.sim_to_real)
@@ -79,18 +78,16 @@ def levels(preset: Preset, cell: Cell) -> list[Condition]:
             Condition(
                 {**arguments, "sim_to_real": displaced(machine, error)}, 0.0, {"error": error}
             )
-            for error in preset.evaluation.errors
+            for error in tests.errors
         ]
         main = next(
             each for each in result if each.columns["error"] == own_error(track.sim_to_real)
         )
     else:
         sees = cell.plans or cell.method in SEES_THE_STATE
-        result = [
-            Condition(arguments, noise) for noise in ([0.0] if sees else preset.evaluation.noise)
-        ]
+        result = [Condition(arguments, noise) for noise in ([0.0] if sees else tests.noise)]
         main = result[0]
-    if explores(cell.method, as_dict(preset.evaluation)):
+    if tests.exploring and explores(cell.method):
         return [*result, replace(main, noise=0.0, columns={**main.columns, "acting": EXPLORING})]
     return result
 
@@ -167,8 +164,9 @@ def _player(preset: Preset, cell: Cell, model: Any) -> Player:
 
     def player(episodes: Sequence[Episode], at: Condition, progress: OnProgress) -> None:
         if cell.method not in CONTROLS:
-            if at.exploring:
-                seed_exploration(model, cell.seed)
+            if at.exploring:  # all that the model then draws follows from the cell's seed
+                set_random_seed(derive("explore", cell.seed))
+                model.action_space.seed(derive("explore", cell.seed))
             policy = model_policy(model, not at.exploring)
             if preset.tracks[cell.track].rows > 1:
                 env = episodes[0].env
@@ -198,12 +196,6 @@ def with_random_moves(choose: Chooser, episodes: Sequence[Episode], seed: int) -
         return actions
 
     return explore
-
-
-def seed_exploration(model: Any, seed: int) -> None:
-    """Let all that a model draws when it explores follow from the cell's seed."""
-    set_random_seed(derive("explore", seed))
-    model.action_space.seed(derive("explore", seed))
 
 
 def begin_episodes(

@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import sb3_contrib
+import stable_baselines3
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file
@@ -34,16 +36,11 @@ _POLICIES: Final = {
     "sb3_contrib.ars.": "ars",
     "stable_baselines3.dqn.": "dqn",
 }
-_RECURRENT: Final = "sb3_contrib.common.recurrent."
-_ACTOR_CRITIC: Final = "stable_baselines3.common.policies"
 OBSERVATIONS: Final = ("paper", "markov")
 
 
 def algorithms() -> dict[str, Any]:
     """Names of the algorithms whose models can be scored: what acts on one observation."""
-    import sb3_contrib
-    import stable_baselines3
-
     return {
         **{name: class_of(name) for name, learner in LEARNERS.items() if learner.discrete},
         "a2c": stable_baselines3.A2C,
@@ -70,12 +67,12 @@ def detect_algorithm(path: Path) -> str:
             f"{path} is no model of Stable-Baselines3 ({type(error).__name__}: {error}); give a "
             ".zip that model.save() wrote"
         ) from error
-    if module.startswith(_RECURRENT):
+    if module.startswith("sb3_contrib.common.recurrent."):
         raise BenchmarkError(
             f"{path} holds a recurrent policy, which the test protocol cannot run; known: "
             f"{known(algorithms())}"
         )
-    if module.startswith(_ACTOR_CRITIC):
+    if module.startswith("stable_baselines3.common.policies"):
         # three algorithms share the policy; their settings tell them apart
         return "trpo" if "cg_max_steps" in data else "ppo" if "clip_range" in data else "a2c"
     policies = [name for prefix, name in _POLICIES.items() if module.startswith(prefix)]

@@ -82,7 +82,9 @@ class Episode:
         self.collisions = self.violations = self.duplicates = 0
         self.insertions: list[int] = []
         self.alignments: list[float] = []
-        self.start = self._identify()
+        # a short digest of the initial state: equal for methods that began alike
+        numbers = np.append(env.state["configuration"], env.state["target"])
+        self.start = hashlib.sha256(np.round(numbers, 9).tobytes()).hexdigest()[:10]
         self.failure = ""
         self.plan_seconds = math.nan
         self._target = int(info["target"])
@@ -90,12 +92,6 @@ class Episode:
         self._way = [env.state["configuration"].copy()]
         self._at_first: defaultdict[str, float] = defaultdict(lambda: math.nan)
         self._info = info
-
-    def _identify(self) -> str:
-        """A short digest of the initial state: equal for methods that began alike."""
-        state = self.env.state
-        numbers = np.append(state["configuration"], state["target"])
-        return hashlib.sha256(np.round(numbers, 9).tobytes()).hexdigest()[:10]
 
     @property
     def moves_left(self) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import importlib
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from typing import Any, Final
 
@@ -22,7 +22,7 @@ from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.team.networks import DecentralizedVecEnv, IndependentPolicy, SumPolicy
 from benchmarks.protocol.learners import LEARNERS, algorithm_of
 from benchmarks.protocol.plan import ABLATIONS, Cell
-from benchmarks.protocol.presets import Guide, Preset, Task, Track, as_dict
+from benchmarks.protocol.presets import Guide, Preset, Task, Track
 from benchmarks.protocol.seeding import derive
 from benchmarks.protocol.strict import build
 from coop_env.shield import ShieldedInsertionVecEnv
@@ -178,7 +178,7 @@ def build_on(
     where = f"{task.title}: {method}"
     guide = task.guide
     if guide is not None and (own := given.pop("guide", {})):
-        guide = build(Guide, {**as_dict(guide), **own}, f"{where}: guide")
+        guide = build(Guide, {**asdict(guide), **own}, f"{where}: guide")
     algorithm = class_on(task, method)
     if issubclass(algorithm, Rainbow) and not task.bare:
         given = spelled_out(given)
@@ -241,27 +241,3 @@ def build_small(preset: Preset, cell: Cell) -> BaseAlgorithm:
     tracks = {**preset.tracks, cell.track: replace(track, hyperparameters=h)}
     mine = replace(preset, tracks=tracks)
     return build_model(mine, cell, make_training_env(mine, cell))
-
-
-def check_kinds(cells: Iterable[Cell], build: Callable[[Cell], BaseAlgorithm], name: str) -> None:
-    """Build each kind of these learning cells once, so that what is impossible fails at once.
-
-    Args:
-        cells: of a preset; those that learn count.
-        build: makes the untrained learner of one.
-        name: of the preset.
-
-    Raises:
-        BenchmarkError: an environment or an algorithm refuses its settings.
-    """
-    for cell in {replace(cell, seed=0): cell for cell in cells if cell.learns}.values():
-        try:
-            env = build(cell).get_env()
-        except BenchmarkError:
-            raise
-        except Exception as error:  # whatever a constructor makes of what it was given
-            raise BenchmarkError(
-                f"preset '{name}': cell {cell.id} cannot be built: {type(error).__name__}: {error}"
-            ) from error
-        assert env is not None
-        env.close()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,6 @@ from benchmarks.methods.lattice_search import Lattice
 from coop_env.simulation import dynamics, joint
 from coop_env.simulation.state import OUTCOME, VALID, aim
 from coop_env.simulation.task import N_ACTIONS, EnvParams
-
-DEFAULT_NODE_LIMIT: Final = 2_000_000
 
 
 class LatticeOracle:
@@ -36,7 +34,7 @@ class LatticeOracle:
     """
 
     def __init__(
-        self, node_limit: int = DEFAULT_NODE_LIMIT, real: bool = False, at_once: bool = False
+        self, node_limit: int = 2_000_000, real: bool = False, at_once: bool = False
     ) -> None:
         if node_limit < 1:
             raise ValueError(f"node_limit = {node_limit!r}: must be at least 1")

@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from itertools import product
 from typing import Any, Final
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.learners import LEARNERS, algorithm_of, learner_of
-from benchmarks.protocol.presets import Preset, RunGroup, SuitePreset, Track, as_dict
+from benchmarks.protocol.presets import Preset, RunGroup, SuitePreset, Track
 
 CONTROLS: Final = ("random", "greedy", "lookahead", "greedy_observed", "lookahead_observed")
 PERFECT_PLANNERS: Final = ("rrt_connect", "rrt_lattice", "optimum")  # without a track
@@ -43,29 +44,17 @@ TRANSITION_BYTES: Final = (200, 1_600, 60_000)
 ATARI_COST: Final = 10.0
 CONTROL_COST: Final = 20.0  # of an episode that is tested
 
-# ablation -> the Rainbow constructor arguments that switch components off
+# of Rainbow's six components: the constructor argument that switches each off
+OFF: Final[dict[str, Any]] = {
+    **{"prioritized": False, "dueling": False, "n_steps": 1},
+    **{"noisy": False, "distributional": False, "double_q": False},
+}
+# ablation -> what it switches off
 ABLATIONS: Final[dict[str, dict[str, Any]]] = {
     "full": {},
-    "no_prioritized": {"prioritized": False},
-    "no_dueling": {"dueling": False},
-    "no_n_steps": {"n_steps": 1},
-    "no_noisy": {"noisy": False},
-    "no_distributional": {"distributional": False},
-    "no_double_q": {"double_q": False},
-    "none": {
-        "prioritized": False,
-        "dueling": False,
-        "n_steps": 1,
-        "noisy": False,
-        "distributional": False,
-        "double_q": False,
-    },
-    "double_dueling": {
-        "prioritized": False,
-        "n_steps": 1,
-        "noisy": False,
-        "distributional": False,
-    },
+    **{f"no_{name}": {name: off} for name, off in OFF.items()},
+    "none": OFF,
+    "double_dueling": {n: off for n, off in OFF.items() if n not in ("double_q", "dueling")},
 }
 
 
@@ -108,6 +97,11 @@ class Cell:
         return self.method in PLANNERS
 
 
+def explores(method: str) -> bool:
+    """Whether a method has another way of acting: as it was trained, or with random moves."""
+    return method in LEARNERS or (method in CONTROLS and method != "random")
+
+
 def of_task(method: str, task: str, seed: int) -> Cell:
     """A cell of a public task."""
     return Cell(method, "full", "", task, seed)
@@ -126,12 +120,10 @@ def expand(preset: Preset | SuitePreset) -> list[Cell]:
     cells: dict[Cell, None] = {}
     for group in preset.runs:
         _check_group(preset, group)
-        for seed in preset.seeds if group.seeds is None else group.seeds:
-            for method in group.methods:
-                for ablation in group.ablations:
-                    for geometry in group.geometries:
-                        for track in group.tracks or [""]:
-                            cells[Cell(method, ablation, geometry, track, seed)] = None
+        seeds = preset.seeds if group.seeds is None else group.seeds
+        tracks = group.tracks or [""]
+        every = product(group.methods, group.ablations, group.geometries, tracks, seeds)
+        cells |= {Cell(*each): None for each in every}
     if preset.design is not None:
         cells[Cell(DESIGN, "full", "optimized", "", 0)] = None
     if not cells:
@@ -194,7 +186,8 @@ def settings(preset: Preset | SuitePreset, cell: Cell) -> dict[str, Any]:
         return _of_task(preset, cell)
     config: dict[str, Any] = {"cell": asdict(cell)}
     if cell.method == DESIGN:
-        config["design"] = as_dict(preset.design)
+        assert preset.design is not None
+        config["design"] = asdict(preset.design)
         return config
     track = preset.tracks[cell.track] if cell.track else None
     config["evaluation"] = _evaluation(preset, track)
@@ -205,7 +198,7 @@ def settings(preset: Preset | SuitePreset, cell: Cell) -> dict[str, Any]:
     if cell.learns:
         config["switches"] = dict(ABLATIONS[cell.ablation])
     elif cell.method in PLANNERS:
-        config["planner"] = as_dict(preset.planner)
+        config["planner"] = asdict(preset.planner)
     return config
 
 
@@ -215,7 +208,7 @@ def _of_task(preset: SuitePreset, cell: Cell) -> dict[str, Any]:
     if cell.learns:
         keys = ["env", "timesteps", "eval_every", "eval_episodes", "env_kwargs", "policy", "n_envs"]
         keys += [rare for rare in ("guide", "bare") if getattr(task, rare)]
-    given = as_dict(task)
+    given = asdict(task)
     return {
         "cell": {"kind": kind, "task": cell.track, "method": cell.method, "number": cell.seed},
         "task": {key: given[key] for key in keys},
@@ -225,7 +218,7 @@ def _of_task(preset: SuitePreset, cell: Cell) -> dict[str, Any]:
 
 
 def _evaluation(preset: Preset, track: Track | None) -> dict[str, Any]:
-    config = as_dict(preset.evaluation)
+    config = asdict(preset.evaluation)
     if track is None or track.sim_to_real is None:
         del config["errors"]
     if config["stream"] == "test":
@@ -236,7 +229,7 @@ def _evaluation(preset: Preset, track: Track | None) -> dict[str, Any]:
 
 
 def _track(track: Track, method: str) -> dict[str, Any]:
-    config = as_dict(track)
+    config = asdict(track)
     learner = LEARNERS.get(method)
     unused = [] if learner and learner.on_policy else ["ppo"]
     unused += [] if method in CONTROLS else ["controls"]
@@ -263,7 +256,12 @@ def _check_group(preset: Preset, group: RunGroup) -> None:
             if name not in allowed:
                 raise BenchmarkError(f"{where}: unknown {kind} '{name}'; known: {known(allowed)}")
     for name in group.tracks:
-        _check_errors(preset, name)
+        if machine := preset.tracks[name].sim_to_real:
+            own = own_error(machine)
+            if not any(math.isclose(own, level) for level in preset.evaluation.errors):
+                raise BenchmarkError(
+                    f"{where}: evaluation: errors lack {own:g} mm, track '{name}'s own"
+                )
         _check_team(preset, name, group.methods)
     for method in group.methods:
         if method in (*LEARNERS, *CONTROLS) and not group.tracks:
@@ -277,16 +275,6 @@ def _check_group(preset: Preset, group: RunGroup) -> None:
 def own_error(machine: Mapping[str, Any]) -> float:
     """Bound of the base's displacement of a track's ``sim_to_real``, mm."""
     return round(1000.0 * float(machine["base_position_error"]), 6)
-
-
-def _check_errors(preset: Preset, track: str) -> None:
-    machine = preset.tracks[track].sim_to_real
-    if machine is not None:
-        own = own_error(machine)
-        if not any(math.isclose(own, level) for level in preset.evaluation.errors):
-            raise BenchmarkError(
-                f"preset '{preset.name}': evaluation: errors lack {own:g} mm, track '{track}'s own"
-            )
 
 
 def _check_team(preset: Preset, name: str, methods: list[str]) -> None:

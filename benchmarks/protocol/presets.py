@@ -8,28 +8,17 @@ library's it varies; without, one of a name that the library has varies that.
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeVar
 
 import yaml
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, with_config
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.learners import LEARNERS, algorithm_of
-from benchmarks.protocol.strict import (
-    STRICT,
-    Count,
-    Names,
-    Number,
-    Seeds,
-    build,
-    merge,
-    with_config,
-)
-from coop_env.errors import ArgumentError
-from coop_env.geometry import GeometryError, RRSGeometry
+from benchmarks.protocol.strict import STRICT, Count, Names, Number, Seeds, build, merge
+from coop_env.geometry import RRSGeometry
 from coop_env.simulation.insertion_task import InsertionTask
 from coop_env.simulation.sim_to_real import SimToReal
 from coop_env.simulation.task import TRAIL
@@ -53,38 +42,29 @@ def _errors(levels: list[float]) -> list[float]:
     return levels
 
 
+def _arguments_of(kind: type[Any]) -> AfterValidator:
+    """Whether a class of the environment's takes these arguments, or what it says of them."""
+
+    def check(given: dict[str, Any] | None) -> dict[str, Any] | None:
+        try:
+            kind(**(given or {}))
+        except TypeError as error:
+            raise ValueError(str(error)) from error
+        return given
+
+    return AfterValidator(check)
+
+
 def _machine(knobs: dict[str, Any] | None) -> dict[str, Any] | None:
-    if knobs is None:
-        return None
-    try:
-        machine = SimToReal(**knobs)
-    except (ArgumentError, TypeError) as error:
-        raise ValueError(str(error)) from error
-    if machine.base_position_error == 0.0:
+    if knobs is not None and not knobs.get("base_position_error"):
         raise ValueError("must have a base_position_error: test errors are in proportion to it")
     return knobs
-
-
-def _task(numbers: dict[str, Any] | None) -> dict[str, Any] | None:
-    try:
-        InsertionTask(**(numbers or {}))
-    except (ArgumentError, TypeError) as error:
-        raise ValueError(str(error)) from error
-    return numbers
 
 
 def _learners(methods: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     if unknown := methods.keys() - LEARNERS.keys():
         raise ValueError(f"unknown method '{min(unknown)}'; known: {known(LEARNERS)}")
     return methods
-
-
-def _dimensions(values: dict[str, float]) -> dict[str, float]:
-    try:
-        RRSGeometry(**values)
-    except (GeometryError, TypeError) as error:
-        raise ValueError(str(error)) from error
-    return values
 
 
 @with_config(STRICT)
@@ -183,9 +163,11 @@ class Track:
     mask_visited: Annotated[int, Field(ge=0, le=TRAIL)] = 0
     mask_refused: bool = False
     collision: Literal["refuse", "terminate"] = "refuse"
-    sim_to_real: Annotated[dict[str, Any] | None, AfterValidator(_machine)] = None
+    sim_to_real: Annotated[
+        dict[str, Any] | None, _arguments_of(SimToReal), AfterValidator(_machine)
+    ] = None
     train_nominal: bool = False
-    task: Annotated[dict[str, Any] | None, AfterValidator(_task)] = None
+    task: Annotated[dict[str, Any] | None, _arguments_of(InsertionTask)] = None
     shield: dict[str, Number] | None = None  # fields of ShieldMargin: masks keep these margins
     team: Literal["central", "vdn", "shared", "independent"] | None = None
     sight: bool = False  # of the other robot
@@ -265,7 +247,7 @@ class Preset:
     evaluation: Evaluation
     runs: list[RunGroup]
     tracks: dict[str, Track] = field(default_factory=dict)
-    geometries: dict[str, Annotated[dict[str, Number], AfterValidator(_dimensions)]] = field(
+    geometries: dict[str, Annotated[dict[str, Number], _arguments_of(RRSGeometry)]] = field(
         default_factory=dict
     )
     planner: PlannerSettings = field(default_factory=PlannerSettings)
@@ -441,11 +423,6 @@ def _from_library(library: dict[str, Any], name: str) -> dict[str, Any]:
     own = dict(library.get(name, {}))
     base = own.pop("base", None)
     return merge(_from_library(library, base), own) if base else own
-
-
-def as_dict(value: object) -> dict[str, Any]:
-    """A dataclass as plain YAML types."""
-    return dataclasses.asdict(value)  # type: ignore[call-overload]
 
 
 def read_yaml(path: Path) -> dict[str, Any]:

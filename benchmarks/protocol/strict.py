@@ -20,13 +20,10 @@ from pydantic import (
     Field,
     TypeAdapter,
     ValidationError,
-    with_config,
 )
 from pydantic_core import ErrorDetails
 
 from benchmarks.errors import BenchmarkError, known
-
-__all__ = ["STRICT", "Count", "Counts", "Names", "Number", "Seeds", "build", "merge", "with_config"]
 
 T = TypeVar("T")
 
@@ -59,7 +56,6 @@ def _differ(values: list[Any]) -> list[Any]:
 
 Number = Annotated[float, BeforeValidator(_from_text)]
 Count = Annotated[int, Field(gt=0)]
-Counts = Annotated[list[Count], AfterValidator(_differ)]
 Names = Annotated[list[str], AfterValidator(_differ)]
 Seeds = Annotated[list[Annotated[int, Field(ge=0)]], AfterValidator(_differ)]
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import pandas as pd
 
 from benchmarks.protocol import labels
-from benchmarks.protocol.knowledge import Knowledge, knowledge
 from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import EXPLORING, GREEDY, HOLES, SUCCESS, Metric
 from benchmarks.protocol.plan import (
@@ -22,7 +21,7 @@ from benchmarks.protocol.plan import (
     expand,
     own_error,
 )
-from benchmarks.protocol.presets import Preset, as_dict, load, preset_names
+from benchmarks.protocol.presets import Preset, load, preset_names
 from benchmarks.reporting.stats import Value, mean_interval, measured, over_seeds, wilson
 from benchmarks.reporting.tables.table import Number, TableCell
 from benchmarks.runs.store import RunFolder, Store
@@ -30,11 +29,9 @@ from benchmarks.runs.store import RunFolder, Store
 SCORED: Final = ("repaired", "safe")  # tracks of the headline; the first that a store has
 SEEDS: Final = 3  # of a finding; fewer are a lead
 Key = tuple[str, str, str, str]  # method, ablation, geometry, track
-LevelKey = tuple[float, float, str]  # noise, error, acting
 
 
-@dataclass(frozen=True)
-class Level:
+class Level(NamedTuple):
     """Under what test episodes were played: noise, the error of the base in mm, way of acting.
 
     An ``error`` of None stands for the bound of the run's own track.
@@ -77,13 +74,12 @@ class Result:
 
     def test(self, level: Level = MAIN) -> pd.DataFrame:
         """Test episodes at one level, by episode; not to be written to."""
-        error = self.error if level.error is None else level.error
-        key = (level.noise, error, level.acting)
-        return self.levels.get(key, self.episodes.iloc[:0])
+        at = level._replace(error=self.error) if level.error is None else level
+        return self.levels.get(at, self.episodes.iloc[:0])
 
     @cached_property
-    def levels(self) -> dict[LevelKey, pd.DataFrame]:
-        """Episodes by (noise, error, acting); a column that is missing has its default."""
+    def levels(self) -> dict[Level, pd.DataFrame]:
+        """Episodes by level, whose error is a number; a column that is missing has its default."""
         columns: dict[str, Any] = {"error": self.error, "acting": GREEDY}
         rows = self.episodes.assign(
             **{
@@ -93,7 +89,7 @@ class Result:
         )
         result = {}
         for (noise, error, acting), part in rows.groupby(["noise", *columns]):
-            level = (float(str(noise)), float(str(error)), str(acting))
+            level = Level(float(str(noise)), float(str(error)), str(acting))
             result[level] = part.sort_values("episode").reset_index(drop=True)
         return result
 
@@ -130,9 +126,9 @@ class Group:
         return bool(self.n or self.planned)
 
     @property
-    def knows(self) -> Knowledge:
+    def knows(self) -> labels.Knowledge:
         """Its masks and memory."""
-        return knowledge(self.method, self.settings)
+        return labels.knowledge(self.method, self.settings)
 
     @property
     def title(self) -> str:
@@ -253,6 +249,7 @@ class Results:
     """All complete runs of a store."""
 
     def __init__(self, store: Store) -> None:
+        self.store = store
         self.design: RunFolder | None = None
         runs: dict[Key, list[Result]] = {}
         for folder in store.completed():
@@ -286,19 +283,13 @@ class Results:
         key = (method, ablation, geometry, track)
         return self.groups.get(key) or self._empty(*key)
 
-    def tracks(self) -> list[str]:
-        """Tracks that are planned or were run, the usual ones in their order first; no team's."""
-        return [track for track in self._tracks() if not self._team(track)]
+    def tracks(self, teams: bool = False) -> list[str]:
+        """Tracks that are planned or were run, the usual ones in their order first.
 
-    def teams(self) -> list[str]:
-        """The tracks of robots that move at once."""
-        return [track for track in self._tracks() if self._team(track)]
-
-    def _tracks(self) -> list[str]:
-        return in_order({key[3] for key in self.groups if key[3]})
-
-    def _team(self, track: str) -> bool:
-        return bool((self.settings(track) or {}).get("team"))
+        Of robots that move one at a time, or with ``teams`` at once.
+        """
+        tracks = in_order({key[3] for key in self.groups if key[3]})
+        return [t for t in tracks if bool((self.settings(t) or {}).get("team")) == teams]
 
     def settings(self, track: str) -> dict[str, Any] | None:
         """What a track's runs were given, or their preset; None where there is neither."""
@@ -401,7 +392,7 @@ def _planned(store: Store) -> tuple[dict[Key, int], dict[str, dict[str, Any]]]:
         if cell.method != DESIGN:
             key = (cell.method, cell.ablation, cell.geometry, cell.track)
             planned[key] = planned.get(key, 0) + 1
-    return planned, {name: as_dict(track) for name, track in preset.tracks.items()}
+    return planned, {name: asdict(track) for name, track in preset.tracks.items()}
 
 
 def tail_mean(curve: pd.DataFrame, column: str, share: float = 0.1) -> float:

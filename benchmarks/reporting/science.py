@@ -34,7 +34,9 @@ def short(store: Store) -> str:
     results = Results(store)
     report = sentences(results)
     parts = [report[topic].partition("\n\n")[0] for topic in SHORT if topic in report]
-    parts += [six(results).markdown(), f"So far {complete_of(results)} are complete."]
+    done = len(results.all())
+    count = f"So far {done} of {max(done, planned(results))} runs are complete."
+    parts += [six(results).markdown(), count]
     return "\n\n".join(part.strip() for part in parts)
 
 
@@ -61,8 +63,9 @@ def six(results: Results) -> Table:
 
 def science(store: Store, beyond: bool = False) -> str:
     """Sentences, tables and figures by question: the paper's, or those beyond the paper."""
-    results, report = Results(store), sentences(Results(store))
-    by_name = {table.name: table for table in build_tables(store)}
+    results = Results(store)
+    report = sentences(results)
+    by_name = {table.name: table for table in build_tables(results)}
     parts = []
     for heading, topics, names, figures in SECTIONS:
         if beyond is (heading in PAPER):
@@ -85,12 +88,6 @@ def science(store: Store, beyond: bool = False) -> str:
 def planned(results: Results) -> int:
     """How many runs the preset holds."""
     return sum(group.planned for group in results.groups.values())
-
-
-def complete_of(results: Results) -> str:
-    """``92 of 185 runs``."""
-    done = len(results.all())
-    return f"{done} of {max(done, planned(results))} runs"
 
 
 def origin(results: Results, preset: str) -> str:

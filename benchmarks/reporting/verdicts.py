@@ -264,7 +264,10 @@ def printed(results: Results) -> str:
     report = f"Rainbow inserts in {_show(row.success())} %"
     if script := results.control_of(row):
         report += f", the best script under the same masks in {_show(script.success())}"
-    reward, holes = (_last_episodes(row, name) for name in ("episode_reward", "holes"))
+    reward, holes = (
+        over_seeds([tail_mean(curve, column) for curve in row.curves()])
+        for column in ("episode_reward", "holes")
+    )
     report += (
         f"; its last training episodes earn {_show(reward, 0)} and fill {_show(holes, 2)} holes"
     )
@@ -286,10 +289,6 @@ def uncertain(compared: list[Comparison]) -> str:
         f"{_show(chosen.ours.success())} %, {chosen.theirs.name} in "
         f"{_show(chosen.theirs.success())} ({_points(chosen)})."
     )
-
-
-def _last_episodes(group: Group, column: str) -> Value:
-    return over_seeds([tail_mean(curve, column) for curve in group.curves()])
 
 
 def _verb(before: Value, after: Value) -> str:

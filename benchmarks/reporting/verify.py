@@ -14,9 +14,8 @@ from typing import Final
 import pandas as pd
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.protocol.knowledge import explores
 from benchmarks.protocol.metrics import EXPLORING, GREEDY
-from benchmarks.protocol.plan import DESIGN, Cell
+from benchmarks.protocol.plan import DESIGN, Cell, explores
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.results import Result
 from benchmarks.reporting.tables.table import Table
@@ -100,7 +99,8 @@ def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...],
         if stored != sorted(wanted):
             problems.append(f"episodes.csv has {name} {stored}, not {wanted}")
     acting = {acting for _, _, acting in result.levels}
-    wanted_acting = [EXPLORING, GREEDY] if explores(cell.method, evaluation) else [GREEDY]
+    both = evaluation.get("exploring") and explores(cell.method)
+    wanted_acting = [EXPLORING, GREEDY] if both else [GREEDY]
     if sorted(acting) != wanted_acting:
         problems.append(f"episodes.csv has acting {sorted(acting)}, not {wanted_acting}")
     task = str(result.config.get("track", {}).get("task"))

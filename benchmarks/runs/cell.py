@@ -9,12 +9,14 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.plan import Cell
 from benchmarks.runs import machine
-from benchmarks.runs.experiment import C, Experiment, StopRequested
+from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
 
 
@@ -59,20 +61,9 @@ class ProgressReporter:
         self._folder.report(share, lambda: note)
 
 
-def check_device(device: str) -> None:
-    """Raise BenchmarkError if torch has no such device here."""
-    if device == "cuda":
-        import torch
-
-        if not torch.cuda.is_available():
-            raise BenchmarkError(
-                f"--device {device}: torch {torch.__version__} sees no GPU here; use --device cpu"
-            )
-
-
 def run_cell(
-    experiment: Experiment[C],
-    cell: C,
+    experiment: Experiment,
+    cell: Cell,
     store: Store,
     stop_requested: StopRequested = lambda: False,
     wait: float = 0.0,
@@ -92,10 +83,7 @@ def run_cell(
             works on it.
     """
     folder = store.run(cell.id)
-
-    def work() -> dict[str, Any] | None:
-        return experiment.run(cell, folder, stop_requested, device)
-
+    work = partial(experiment.run, cell, folder, stop_requested, device)
     return run_once(folder, experiment.settings(cell), experiment.name, work, wait)
 
 
@@ -144,14 +132,14 @@ def _spent(training: dict[str, Any], began: float, cpu_began: float) -> dict[str
     return {"wall_seconds": wall, "cpu_seconds": cpu}
 
 
-def argv(experiment: Experiment[Any], store: Store) -> list[str]:
+def argv(experiment: Experiment, store: Store) -> list[str]:
     """The command that opens an experiment and its store in another process; :func:`opened`."""
     kind = type(experiment)
     recipe = json.dumps(experiment.recipe)
     return ["cell", f"{kind.__module__}:{kind.__name__}", recipe, str(store.folder.resolve())]
 
 
-def opened(kind: str, recipe: str, folder: Path) -> tuple[Experiment[Any], Store]:
+def opened(kind: str, recipe: str, folder: Path) -> tuple[Experiment, Store]:
     """What the command of :func:`argv` opens."""
     module, _, name = kind.partition(":")
     experiment = getattr(importlib.import_module(module), name)(**json.loads(recipe))
@@ -159,14 +147,20 @@ def opened(kind: str, recipe: str, folder: Path) -> tuple[Experiment[Any], Store
 
 
 def run_here(
-    experiment: Experiment[Any], store: Store, cell_id: str, parent: int | None, wait: float,
+    experiment: Experiment, store: Store, cell_id: str, parent: int | None, wait: float,
     device: str,
 ) -> int:  # fmt: skip
     """Run one cell in this process and say how it ended; returns the command's exit code."""
     flag = StopFlag(parent)
     flag.listen()
     cell = experiment.find(cell_id)
-    check_device(device)
+    if device == "cuda":
+        import torch
+
+        if not torch.cuda.is_available():
+            raise BenchmarkError(
+                f"--device {device}: torch {torch.__version__} sees no GPU here; use --device cpu"
+            )
     folder = store.run(cell.id).path
     if not run_cell(experiment, cell, store, flag, wait, device):
         print(f"{cell.id}: stopped, {folder} keeps what was saved; the same command resumes")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rich.console import Console
 from rich.table import Column, Table
@@ -20,7 +20,7 @@ GUESSED_RATE: Final = 1.5e-3  # seconds per unit of work, where nothing was meas
 Rates = dict[tuple[str, ...], float]  # seconds per unit of work, by kind of run
 
 
-def measure(experiment: Experiment[Any], stores: Iterable[Store]) -> Rates:
+def measure(experiment: Experiment, stores: Iterable[Store]) -> Rates:
     """The rates of complete runs, without those that this version cannot read."""
     seconds: Rates = {}
     units: dict[tuple[str, ...], int] = {}
@@ -53,7 +53,7 @@ class Cost:
         return f"{100 * self.share:.0f} %" if self.share else "missing"
 
 
-def costs(experiment: Experiment[Any], store: Store, others: Sequence[Store] = ()) -> list[Cost]:
+def costs(experiment: Experiment, store: Store, others: Sequence[Store] = ()) -> list[Cost]:
     """Each cell's state and cost; ``others`` are asked where the store has no run of the kind yet.
 
     Raises:
@@ -90,7 +90,7 @@ def wall_seconds(result: Sequence[Cost], jobs: int) -> float:
     return max(free)
 
 
-def print_plan(experiment: Experiment[Any], results: Path, jobs: int, console: Console) -> None:
+def print_plan(experiment: Experiment, results: Path, jobs: int, console: Console) -> None:
     """Print the cells of an experiment, whether they are complete, and what they cost."""
     place = results / experiment.place
     store = Store(place, experiment.name)

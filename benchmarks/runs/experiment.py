@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from rich.console import Console
 
@@ -22,17 +23,7 @@ from benchmarks.runs.store import RunFolder, Store
 StopRequested = Callable[[], bool]
 
 
-class Named(Protocol):
-    """A cell; its id is the name of its folder."""
-
-    @property
-    def id(self) -> str: ...
-
-
-C = TypeVar("C", bound=Named)
-
-
-class Experiment(ABC, Generic[C]):
+class Experiment(ABC):
     """Cells, what they cost, how one is run, and what is made of them all.
 
     Args:
@@ -50,10 +41,10 @@ class Experiment(ABC, Generic[C]):
         self.name, self.recipe = name, recipe
 
     @abstractmethod
-    def cells(self) -> Sequence[C]:
+    def cells(self) -> Sequence[Cell]:
         """The cells, in the order in which they are to begin."""
 
-    def find(self, cell_id: str) -> C:
+    def find(self, cell_id: str) -> Cell:
         """The cell of that id.
 
         Raises:
@@ -67,10 +58,10 @@ class Experiment(ABC, Generic[C]):
         return by_id[cell_id]
 
     @abstractmethod
-    def settings(self, cell: C) -> dict[str, Any]:
+    def settings(self, cell: Cell) -> dict[str, Any]:
         """Everything that decides the cell's result, as plain YAML types: its config.yaml."""
 
-    def check(self, todo: Sequence[C]) -> None:
+    def check(self, todo: Sequence[Cell]) -> None:  # noqa: B027 - few can fail so
         """Raise BenchmarkError if one of these cells cannot be built."""
 
     @abstractmethod
@@ -81,13 +72,13 @@ class Experiment(ABC, Generic[C]):
         """Kinds of run that this one is of, the closest first: equal kinds, equal unit costs."""
         yield ()
 
-    def checkpoint_bytes(self, cell: C) -> int:
+    def checkpoint_bytes(self, cell: Cell) -> int:
         """Size of one checkpoint, generously."""
         return 0
 
     @abstractmethod
     def run(
-        self, cell: C, folder: RunFolder, stop_requested: StopRequested, device: str
+        self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
     ) -> dict[str, Any] | None:
         """Do the cell's work and write its rows.
 
@@ -143,7 +134,7 @@ class Experiment(ABC, Generic[C]):
 P = TypeVar("P", Preset, SuitePreset)
 
 
-class OfPreset(Experiment[Cell], Generic[P]):
+class OfPreset(Experiment, Generic[P]):
     """Cells of a preset, which is loaded if its name or its file's path is given."""
 
     def __init__(self, preset: P | str) -> None:
@@ -163,9 +154,17 @@ class OfPreset(Experiment[Cell], Generic[P]):
         """The untrained learner of a cell, in its environments."""
 
     def check(self, todo: Sequence[Cell]) -> None:
-        from benchmarks.methods.learners import check_kinds
-
-        check_kinds(todo, self.build, self.name)
+        """Build each kind of learner once, so that what is impossible fails at once."""
+        for cell in {replace(cell, seed=0): cell for cell in todo if cell.learns}.values():
+            try:
+                self.build(cell).get_env().close()
+            except BenchmarkError:
+                raise
+            except Exception as error:  # whatever a constructor makes of what it was given
+                how = f"{type(error).__name__}: {error}"
+                raise BenchmarkError(
+                    f"preset '{self.name}': cell {cell.id} cannot be built: {how}"
+                ) from error
 
     def units(self, config: dict[str, Any]) -> int:
         return plan.units_of(config)

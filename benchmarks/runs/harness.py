@@ -8,28 +8,29 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Generic
+from typing import Final
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.progress import TimeRemainingColumn as Remaining
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.plan import Cell
 from benchmarks.runs import cell as cells
 from benchmarks.runs.backends import GRACE_SECONDS, Backend, Job, LocalBackend
 from benchmarks.runs.costs import duration
-from benchmarks.runs.experiment import C, Experiment
+from benchmarks.runs.experiment import Experiment
 from benchmarks.runs.store import Store
 
 POLL_SECONDS: Final = 0.3
 
 
 @dataclass
-class _Child(Generic[C]):
-    cell: C
+class _Child:
+    cell: Cell
     job: Job
     task: TaskID
     started: float | None = None
@@ -43,10 +44,6 @@ class Outcome:
     skipped: list[str] = field(default_factory=list)
     failed: dict[str, Path] = field(default_factory=dict)
     interrupted: bool = False
-
-    @property
-    def complete(self) -> bool:
-        return not self.failed and not self.interrupted
 
     def close(self, store: Store, console: Console, write: Callable[[], object]) -> int:
         """Say what came of it, and ``write`` tables and figures unless it was interrupted.
@@ -67,7 +64,7 @@ class Outcome:
         return 0
 
 
-def check_disk(experiment: Experiment[C], store: Store, todo: Sequence[C], slots: int) -> None:
+def check_disk(experiment: Experiment, store: Store, todo: Sequence[Cell], slots: int) -> None:
     """Refuse to start what would fill the disk: results, and checkpoints of runs side by side.
 
     Raises:
@@ -84,7 +81,7 @@ def check_disk(experiment: Experiment[C], store: Store, todo: Sequence[C], slots
         )
 
 
-class Harness(Generic[C]):
+class Harness:
     """Runs the cells of an experiment in processes.
 
     Args:
@@ -97,7 +94,7 @@ class Harness(Generic[C]):
 
     def __init__(
         self,
-        experiment: Experiment[C],
+        experiment: Experiment,
         store: Store,
         backend: Backend | int,
         console: Console,
@@ -106,8 +103,8 @@ class Harness(Generic[C]):
         self.experiment, self.store = experiment, store
         self.console, self.device = console, device
         self.backend = LocalBackend(backend) if isinstance(backend, int) else backend
-        self._queue: deque[C] = deque()
-        self._children: list[_Child[C]] = []
+        self._queue: deque[Cell] = deque()
+        self._children: list[_Child] = []
         self._units: dict[str, int] = {}
         self._shares: dict[str, float] = {}
         self._outcome = Outcome()
@@ -140,7 +137,7 @@ class Harness(Generic[C]):
                 self._outcome.interrupted = True
         return self._outcome
 
-    def _admit(self, cells: Sequence[C]) -> None:
+    def _admit(self, cells: Sequence[Cell]) -> None:
         """Queue the cells that are still to run; all are checked against their settings first."""
         for cell in cells:
             folder, config = self.store.run(cell.id), self.experiment.settings(cell)
@@ -165,7 +162,7 @@ class Harness(Generic[C]):
                 self._look_after(child, progress)
             self._show(progress, overall)
 
-    def _start(self, cell: C, progress: Progress) -> _Child[C]:
+    def _start(self, cell: Cell, progress: Progress) -> _Child:
         argv = [
             *cells.argv(self.experiment, self.store),
             *("--cell", cell.id, "--device", self.device),
@@ -179,7 +176,7 @@ class Harness(Generic[C]):
         progress.update(task, completed=self._shares[cell.id])
         return _Child(cell, job, task)
 
-    def _look_after(self, child: _Child[C], progress: Progress) -> None:
+    def _look_after(self, child: _Child, progress: Progress) -> None:
         name = child.cell.id
         for sentence in child.job.news():
             self.console.print(f"{name}: {sentence}", markup=False)
@@ -209,7 +206,7 @@ class Harness(Generic[C]):
             note=f"{waiting} wait" if waiting else "",
         )
 
-    def _report(self, child: _Child[C]) -> None:
+    def _report(self, child: _Child) -> None:
         folder, code, log = self.store.run(child.cell.id), child.job.poll(), child.job.log
         if code != 0 or not folder.is_complete():
             self._outcome.failed[folder.id] = log
@@ -256,10 +253,9 @@ def terminable() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-@contextmanager
 def open_backend(
     name: str, jobs: int | None, address: str | None = None, gpus_per_run: float = 0.0
-) -> Iterator[Backend]:
+) -> AbstractContextManager[Backend]:
     """The backend of that name, closed at the end.
 
     Args:
@@ -270,20 +266,14 @@ def open_backend(
     Raises:
         BenchmarkError: an argument does not go with the backend, or no cluster answers.
     """
-    backend: Backend
-    if name == "local":
-        for option, given in (("--address", address), ("--gpus-per-run", gpus_per_run)):
-            if given:
-                raise BenchmarkError(f"{option} {given}: only with --backend ray")
-        backend = LocalBackend(jobs)
-    else:
+    if name == "ray":
         from benchmarks.runs.ray_backend import RayBackend
 
-        backend = RayBackend(address, gpus_per_run, jobs)
-    try:
-        yield backend
-    finally:
-        backend.close()
+        return closing(RayBackend(address, gpus_per_run, jobs))
+    for option, given in (("--address", address), ("--gpus-per-run", gpus_per_run)):
+        if given:
+            raise BenchmarkError(f"{option} {given}: only with --backend ray")
+    return closing(LocalBackend(jobs))
 
 
 def _tail(log: Path, lines: int = 8) -> str:

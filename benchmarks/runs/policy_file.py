@@ -8,6 +8,7 @@ digest of the weights as trained is kept in meta.json: two runs can be compared 
 from __future__ import annotations
 
 import hashlib
+import io
 import zipfile
 from operator import attrgetter
 from pathlib import Path
@@ -53,19 +54,15 @@ def reduce_to_acting(model: Any) -> None:
 
 def save(model: Any, path: Path) -> None:
     """Write the model atomically, compressed; ``type(model).load(path)`` reads it."""
-    write_atomic(path, lambda temporary: _write(model, temporary))
+    stored = io.BytesIO()
+    model.save(stored)
 
-
-def _write(model: Any, temporary: Path) -> None:
-    stored = temporary.with_name(temporary.name + ".stored")
-    try:
-        with stored.open("wb") as stream:
-            model.save(stream)
+    def compress(temporary: Path) -> None:
         with (
             zipfile.ZipFile(stored) as source,
             zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as target,
         ):
             for entry in source.infolist():
                 target.writestr(entry.filename, source.read(entry))
-    finally:
-        stored.unlink(missing_ok=True)
+
+    write_atomic(path, compress)

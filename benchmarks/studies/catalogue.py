@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from benchmarks.errors import BenchmarkError, known, resolve
 from benchmarks.protocol.presets import SuitePreset, load, preset_names
@@ -60,7 +60,7 @@ def write_studies(results: Path) -> None:
             write_text(path, text)
 
 
-def experiment(preset: str) -> Experiment[Any]:
+def experiment(preset: str) -> Experiment:
     """The experiment of a preset: its name, or the path of its file.
 
     Raises:

@@ -101,9 +101,10 @@ class Insertion(OfPreset[Preset]):
         return f", success {100 * clean['success'].mean():.0f} % of {len(clean)} test episodes"
 
     def tables(self, store: Store) -> list[Table]:
+        from benchmarks.reporting.results import Results
         from benchmarks.reporting.tables.beyond import build_tables
 
-        return build_tables(store)
+        return build_tables(Results(store))
 
     def pictures(self, store: Store) -> list[Picture]:
         from benchmarks.reporting.figures.learning import pictures

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from benchmarks.protocol.knowledge import explores
-from benchmarks.protocol.plan import Cell, expand, settings
+from benchmarks.protocol.plan import Cell, expand, explores, settings
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.runs.store import Store
@@ -82,7 +81,7 @@ def levels_of(preset: Preset, cell: Cell) -> list[dict[str, Any]]:
     ]
     if preset.evaluation.exploring:
         levels = [{**level, "acting": "greedy"} for level in levels]
-    if explores(cell.method, dataclasses.asdict(preset.evaluation)):
+    if preset.evaluation.exploring and explores(cell.method):
         levels.append({"noise": 0.0, "acting": "exploring"})
     return levels
 

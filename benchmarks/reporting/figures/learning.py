@@ -134,7 +134,7 @@ def _teams(results: Results) -> list[Picture]:
     result = {
         ablation: [
             group
-            for track in results.teams()
+            for track in results.tracks(teams=True)
             if (group := results.group("rainbow", track, ablation=ablation)).curves()
         ]
         for ablation in labels.ABLATIONS

@@ -16,7 +16,6 @@ import io
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -93,13 +92,11 @@ def save(figure: Figure, path: Path, shades: bool = False) -> Path:
     kind, stream = path.suffix[1:], io.BytesIO()
     metadata = {"CreationDate": None} if kind == "pdf" else {"Software": None}
     figure.savefig(stream, format=kind, dpi=DPI, metadata=metadata)
-    flat = kind == "png" and not shades
-    write_atomic(path, partial(_write, flat_png(stream.getvalue()) if flat else stream.getvalue()))
+    data = stream.getvalue()
+    if kind == "png" and not shades:
+        data = flat_png(data)
+    write_atomic(path, lambda temporary: temporary.write_bytes(data))
     return path
-
-
-def _write(data: bytes, path: Path) -> None:
-    path.write_bytes(data)
 
 
 def flat_png(data: bytes) -> bytes:

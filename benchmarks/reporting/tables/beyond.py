@@ -22,7 +22,6 @@ from benchmarks.reporting.tables.paper import (
     timed,
 )
 from benchmarks.reporting.tables.table import Number, Table, TableCell, p_text
-from benchmarks.runs.store import Store
 
 KNOWS: Final = ("Masks", "Memory")  # headers of what stands behind a method's name
 # of the tasks: column -> method, geometry
@@ -44,9 +43,8 @@ TEAMS: Final = {
 }
 
 
-def build_tables(store: Store) -> list[Table]:
+def build_tables(results: Results) -> list[Table]:
     """All tables of a store, the paper's first."""
-    results = Results(store)
     if tasks(results):  # a preset about the task has no headline
         return [difficulty(results)]
     return [
@@ -55,7 +53,7 @@ def build_tables(store: Store) -> list[Table]:
         ablation(results),
         geometry(results),
         design(results),
-        leaderboard(store, results),
+        leaderboard(results),
         significance(results),
         robustness(results),
         uncertain(results),
@@ -63,13 +61,13 @@ def build_tables(store: Store) -> list[Table]:
     ]
 
 
-def leaderboard(store: Store, results: Results) -> Table:
+def leaderboard(results: Results) -> Table:
     """Table "leaderboard": a row per method of the nominal machine, and per entry of others.
 
     Ranked by greedy success rate, then by holes; the optimum stands above them all.
     """
     entries: dict[str, list[Result]] = {}
-    for folder in store.entered():
+    for folder in results.store.entered():
         result = Result.read(folder)
         entries.setdefault(result.config["cell"]["method"], []).append(result)
     shown, brought = complete(results.rows()), []
@@ -128,7 +126,8 @@ def significance(results: Results) -> Table:
 def error_levels(results: Results) -> list[float]:
     """Bounds of the base's displacement, mm, that any run was tested at."""
     tested = [run for row in results.rows(uncertain=True) for run in row.runs]
-    return sorted({error for run in tested for _, error, _ in run.levels})
+    errors = {level.error for run in tested for level in run.levels}
+    return sorted(error for error in errors if error is not None)
 
 
 def uncertain(results: Results) -> Table:
@@ -198,7 +197,7 @@ def _gains(results: Results) -> list[str]:
 
 def team(results: Results) -> list[Table]:
     """Table "team", where a store has such runs: who moves, who decides in sight of what."""
-    tracks = [*results.teams(), ""]
+    tracks = [*results.tracks(teams=True), ""]
     groups = [row for row in results.groups.values() if row.geometry == "optimized"]
     at_once = [row for t in tracks for row in groups if row.track == t and _at_once(row)]
     if not at_once:

@@ -238,7 +238,7 @@ def robustness(results: Results) -> Table:
 def noise_levels(results: Results) -> list[float]:
     """Levels of observation noise that a run of a known machine was tested at."""
     tested = [run for row in results.rows(NOISY) for run in row.runs]
-    return sorted({level[0] for run in tested for level in run.levels})
+    return sorted({level.noise for run in tested for level in run.levels})
 
 
 def seeds_notes(groups: Iterable[Group], names: Iterable[str] | None = None) -> list[str]:

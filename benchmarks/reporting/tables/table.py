@@ -183,12 +183,7 @@ def _part(cell: TableCell, part: str) -> str:
 _LATEX: Final = str.maketrans(
     {
         "\\": r"\textbackslash{}",
-        "&": r"\&",
-        "%": r"\%",
-        "#": r"\#",
-        "_": r"\_",
-        "{": r"\{",
-        "}": r"\}",
+        **{mark: rf"\{mark}" for mark in "&%#_{}"},
         "~": r"\textasciitilde{}",
         "^": r"\textasciicircum{}",
         "±": r"$\pm$",

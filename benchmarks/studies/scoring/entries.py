@@ -40,7 +40,7 @@ from benchmarks.methods.base import Plan
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.protocol import labels
 from benchmarks.protocol.plan import DESIGN, METHODS, PERFECT_PLANNERS, Cell
-from benchmarks.protocol.presets import Preset, as_dict
+from benchmarks.protocol.presets import Preset
 from benchmarks.runs.cell import run_once
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.base import bar
@@ -107,7 +107,7 @@ def prepare(preset: Preset, entry: Entry) -> dict[int, Scorer]:
             noise = preset.evaluation.noise
         config = {
             "cell": asdict(cell),
-            "evaluation": as_dict(preset.evaluation),
+            "evaluation": asdict(preset.evaluation),
             "entry": {**source, **protocol},
         }
         arguments = env_arguments(preset, cell) | protocol
@@ -128,6 +128,7 @@ def score(
     Raises:
         BenchmarkError: the name is taken, or as :func:`prepare`.
     """
+    from benchmarks.reporting.results import Results
     from benchmarks.reporting.tables.beyond import build_tables
 
     scorers = prepare(preset, entry).values()
@@ -148,7 +149,7 @@ def score(
         with bar(console) as progress:
             for folder, scorer in todo.items():
                 _score(folder, scorer, preset.name, progress)
-        built = {table.name: table for table in build_tables(store)}
+        built = {table.name: table for table in build_tables(Results(store))}
         for table in built.values():
             table.write(store.tables)
     console.print(built["leaderboard"].markdown(), markup=False, highlight=False)

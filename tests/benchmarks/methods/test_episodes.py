@@ -83,22 +83,7 @@ def test_counts_agree_with_the_environments_infos() -> None:
     assert row["reward"] == pytest.approx(total)
 
 
-def test_each_entry_into_a_filled_hole_is_counted() -> None:
-    from benchmarks.methods.oracle import LatticeOracle
-
-    env = CoopInsertionEnv(reward="progress")
-    episode = Episode(env, 0, episode_seeds(0, 1)[0])
-    plan: Any = LatticeOracle().plan(env)
-    infos = [episode.move(int(move)) for move in plan.moves]
-    assert episode.row()["duplicates"] == 0
-    for _ in range(3):
-        infos += [episode.move(4), episode.move(5)]  # out and in again
-    assert episode.row()["duplicates"] == sum(info["duplicate"] for info in infos) == 3
-
-
-def test_an_insertion_is_measured_where_it_happens() -> None:
-    from benchmarks.methods.oracle import LatticeOracle
-
+def test_an_insertion_is_measured_where_it_happens_and_each_entry_after_it_counted() -> None:
     env = CoopInsertionEnv(reward="progress")
     episode = Episode(env, 0, episode_seeds(0, 1)[0])
     start, target = dome_frame(env), int(env.state["target"])
@@ -117,6 +102,9 @@ def test_an_insertion_is_measured_where_it_happens() -> None:
     deviation = distance_to_segment(np.array(track), start, hole)
     assert row["trajectory_error"] == pytest.approx(1000 * np.sqrt(np.mean(deviation**2)))
     assert np.linalg.norm(track[-1] - hole) < 0.01
+    assert row["duplicates"] == 0
+    infos = [episode.move(move) for move in 3 * (4, 5)]  # out and in again
+    assert episode.row()["duplicates"] == sum(info["duplicate"] for info in infos) == 3
 
 
 def test_initial_states_depend_on_seed_and_episode_alone() -> None:
@@ -194,7 +182,4 @@ def test_seconds_to_the_first_insertion_are_those_of_the_joints_trajectory() -> 
     assert episode.seconds_first({}) == make_trajectory(np.array(met)).duration
     slow = {"geometry": dataclasses.replace(GEOMETRIES["optimized"], max_joint_velocity=0.3)}
     assert episode.seconds_first(slow) > episode.seconds_first({})
-
-
-def test_an_episode_without_an_insertion_has_no_seconds() -> None:
-    assert np.isnan(Episode(CoopInsertionEnv(), 0, 0).seconds_first({}))
+    assert np.isnan(Episode(env, 0, 0).seconds_first({}))  # without an insertion

@@ -42,10 +42,10 @@ def tiny(track: str, **hyperparameters: Any) -> Preset:
     )
 
 
-def built(track: str, **hyperparameters: Any) -> Any:
+def built(track: str, **hyperparameters: Any) -> tuple[Preset, Cell, Any]:
     preset = tiny(track, **hyperparameters)
     (cell,) = expand(preset)
-    return build_model(preset, cell, make_training_env(preset, cell))
+    return preset, cell, build_model(preset, cell, make_training_env(preset, cell))
 
 
 @pytest.mark.parametrize("sight", [False, True])
@@ -67,7 +67,7 @@ def test_joint_masks_are_what_both_agents_know(sight: bool) -> None:
 
 @pytest.mark.parametrize("track", ["vdn", "vdn_sight"])
 def test_the_best_of_the_sum_is_each_agents_own_best(track: str) -> None:
-    model = built(track)
+    _, _, model = built(track)
     net, env = model.q_net, model.get_env()
     observations = th.as_tensor(env.reset())
     masks = np.stack(env.env_method("action_masks"))
@@ -86,7 +86,7 @@ def test_the_best_of_the_sum_is_each_agents_own_best(track: str) -> None:
 
 
 def test_the_sums_quantiles_are_sums_of_the_agents() -> None:
-    model = built("vdn_sight")
+    _, _, model = built("vdn_sight")
     observations = th.as_tensor(model.get_env().reset())
     joint = model.q_net.logits(observations, noisy=True)
     parts = [
@@ -100,7 +100,7 @@ def test_the_sums_quantiles_are_sums_of_the_agents() -> None:
 
 
 def test_independent_learners_have_nothing_in_common() -> None:
-    model = built("independent", learning_starts=40)
+    _, _, model = built("independent", learning_starts=40)
     model.learn(400)
     samples = model.replay_buffer.sample(64)
     whose = samples.observations[:, -2] > 0.5
@@ -119,9 +119,7 @@ def test_independent_learners_have_nothing_in_common() -> None:
 
 @pytest.mark.parametrize("track", LEARNED)
 def test_each_learns_is_stored_and_acts_in_the_tests(track: str, tmp_path: Path) -> None:
-    preset = tiny(track)
-    (cell,) = expand(preset)
-    model: Any = build_model(preset, cell, make_training_env(preset, cell))
+    preset, cell, model = built(track)
     before = {name: value.clone() for name, value in model.q_net.state_dict().items()}
     model.learn(400)
     moved = [n for n, v in model.q_net.state_dict().items() if not th.equal(v, before[n])]
@@ -134,25 +132,12 @@ def test_each_learns_is_stored_and_acts_in_the_tests(track: str, tmp_path: Path)
     rows = evaluate_cell(preset, cell, model=model)
     assert rows == evaluate_cell(preset, cell, model=loaded)
     assert len(rows) == 2
-    single = parse_preset(_in_turn(), "tiny", "tiny.yaml")
-    alone = evaluate_cell(single, Cell("greedy", "full", "optimized", "in_turn", 0))
+    alone = evaluate_cell(tiny("in_turn"), Cell("greedy", "full", "optimized", "in_turn", 0))
     assert [row["start"] for row in rows] == [row["start"] for row in alone]
 
 
-def _in_turn() -> dict[str, Any]:
-    runs = [{"methods": ["greedy"], "tracks": ["in_turn"]}]
-    evaluation = {"episodes": 2, "noise": [0.0]}
-    tracks: dict[str, Any] = {"in_turn": None}
-    return {
-        **{"description": "", "seeds": [0], "runs": runs},
-        **{"evaluation": evaluation, "tracks": tracks},
-    }
-
-
 def test_rows_of_agents_act_as_in_the_batch_that_they_learned_in() -> None:
-    preset = tiny("shared_sight")
-    (cell,) = expand(preset)
-    model: Any = build_model(preset, cell, make_training_env(preset, cell))
+    preset, cell, model = built("shared_sight")
     env = model.get_env()
     rows = env.reset()
     masks = np.stack(env.env_method("action_masks"))

@@ -29,17 +29,6 @@ PAPER_FIGURES = {
 }
 
 
-def test_every_figure_is_drawn_under_a_caption_of_its_own(tmp_path: Path) -> None:
-    store = fabricated_store.make_store(tmp_path, [0, 1, 2])
-    assert main(["report", "--preset", "quick", "--results", str(tmp_path)]) == 0
-    result = {picture.name: picture for picture in pictures(Results(store))}
-    assert {path.stem for path in store.figures.iterdir()} == set(result)
-    assert {f"safe_{name}" for name in PAPER_FIGURES} <= set(result)
-    assert {"robustness", "performance_profile", "ablation_comparison"} <= set(result)
-    captions = [picture.caption for picture in result.values()]
-    assert len(set(captions)) == len(captions)
-
-
 def test_a_small_picture_keeps_its_colours() -> None:
     figure, (axes,) = canvas()
     for i in range(8):
@@ -56,7 +45,7 @@ def test_a_small_picture_keeps_its_colours() -> None:
     assert np.abs(before - after).max() < 25
 
 
-def test_tables_and_figures_need_no_torch_and_little_time(tmp_path: Path) -> None:
+def test_figures_have_their_captions_and_need_no_torch_and_little_time(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, range(5))
     code = (
         "import sys, benchmarks.reporting.verify, benchmarks.reporting.science;"
@@ -72,8 +61,16 @@ def test_tables_and_figures_need_no_torch_and_little_time(tmp_path: Path) -> Non
     assert done.stdout.strip().endswith("\n[]")
     # of one core: what else the machine does is not ours
     assert after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime < 60
-    drawn = {path.stem for path in store.figures.iterdir()}
-    assert {f"safe_{name}" for name in PAPER_FIGURES} <= drawn
+    result = {picture.name: picture for picture in pictures(Results(store))}
+    assert {path.stem for path in store.figures.iterdir()} == set(result)
+    assert {f"safe_{name}" for name in PAPER_FIGURES} <= set(result)
+    assert {"robustness", "performance_profile", "ablation_comparison"} <= set(result)
+    captions = [picture.caption for picture in result.values()]
+    assert len(set(captions)) == len(captions)
+    for name in ("safe_cumulative_reward", "performance_profile"):  # drawn again, the same bytes
+        data = (store.figures / f"{name}.png").read_bytes()
+        assert data.startswith(b"\x89PNG")
+        assert result[name].write(tmp_path).read_bytes() == data
 
 
 def test_a_store_without_any_run_has_tables_of_what_is_missing(tmp_path: Path) -> None:

@@ -214,7 +214,7 @@ def test_each_run_has_a_line_and_all_have_one_together(tmp_path: Path) -> None:
     assert outcome.failed == {
         CELLS[2]: tmp_path / "fake" / "runs" / CELLS[2] / "checkpoint/log.txt"
     }
-    assert not outcome.complete
+    assert not outcome.interrupted
     assert re.search(rf"  {CELLS[0]} .* 25 % .*success 3 % on far", text)
     assert re.search(rf"  {CELLS[1]} .* 50 % .*success 9 % on far", text)
     assert re.search(r"all 4 runs .* 19 % .*2 wait", text)  # a quarter and a half of four

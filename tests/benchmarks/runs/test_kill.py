@@ -25,7 +25,7 @@ from benchmarks.protocol.plan import expand
 from benchmarks.protocol.presets import load_preset
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.store import RunFolder, Store
-from tests.benchmarks.runs.warm import Server
+from tests.benchmarks.runs.warm import Forked, Server
 from tests.benchmarks.smoke import smoke_file
 
 KILLS = 24  # by the clock; the task asks for 20
@@ -100,6 +100,12 @@ def cells(preset: Path) -> list[str]:
     return [cell.id for cell in expand(load_preset(str(preset)))]
 
 
+def train(warm: Server, preset: Path, cell: str, results: Path, **crash: int) -> Forked:
+    results.mkdir(parents=True, exist_ok=True)
+    words = ["train", "--preset", str(preset), "--results", str(results), "--cell", cell]
+    return warm.start(results / "log.txt", *words, **crash)
+
+
 @pytest.fixture(scope="module")
 def uninterrupted(
     warm: Server, preset: Path, cells: list[str], tmp_path_factory: pytest.TempPathFactory
@@ -109,7 +115,7 @@ def uninterrupted(
     for cell in cells:
         results = tmp_path_factory.mktemp("uninterrupted")
         began = time.monotonic()
-        assert warm.wait(warm.train(preset, cell, results)) == 0, (results / "log.txt").read_text()
+        assert train(warm, preset, cell, results).wait() == 0, (results / "log.txt").read_text()
         ended[cell] = Ended.read(Store(results, "kill").run(cell)), time.monotonic() - began
     return ended
 
@@ -136,12 +142,12 @@ def test_kills_at_random_moments_change_nothing(
         results = scratch / str(completed)
         run = Store(results, "kill").run(cell)
         before = newest(run)
-        pid = warm.train(preset, cell, results)
+        process = train(warm, preset, cell, results)
         time.sleep(rng.uniform(0.0, 0.4 * seconds))
         # every sixth time the run is asked to stop, as Ctrl-C does
         number = signal.SIGKILL if attempt % 6 else rng.choice([signal.SIGTERM, signal.SIGINT])
-        os.kill(pid, number)
-        code = warm.wait(pid)
+        process.send_signal(number)
+        code = process.wait()
         if code == 0:  # the run was faster than the signal
             assert not run.checkpoint.exists()
             Ended.read(run).assert_equals(expected)
@@ -171,7 +177,7 @@ def test_a_kill_at_any_file_operation_changes_nothing(
 ) -> None:
     cell = cells[0]
     expected, _ = uninterrupted[cell]
-    assert warm.wait(warm.train(preset, cell, scratch / "count", crash=-1)) == 0
+    assert train(warm, preset, cell, scratch / "count", crash=-1).wait() == 0
     operations = int((scratch / "count" / "log.txt.count").read_text(encoding="utf-8"))
     assert operations > 40
     rng = random.Random(1)
@@ -180,11 +186,10 @@ def test_a_kill_at_any_file_operation_changes_nothing(
     points = rng.sample(range(last.start), CRASHES // 2) + rng.sample(last, CRASHES // 2)
     for point in points:
         results = scratch / str(point)
-        pid = warm.train(preset, cell, results, crash=point)
-        code = warm.wait(pid)
+        code = train(warm, preset, cell, results, crash=point).wait()
         # how many checkpoints there are depends on the clock, so the very last may not come
         assert code == -signal.SIGKILL or (code == 0 and point > operations / 2)
-        assert warm.wait(warm.train(preset, cell, results)) == 0, (results / "log.txt").read_text()
+        assert train(warm, preset, cell, results).wait() == 0, (results / "log.txt").read_text()
         run = Store(results, "kill").run(cell)
         Ended.read(run).assert_equals(expected)
         assert not list(run.path.rglob("*.tmp*"))

@@ -43,18 +43,9 @@ class Server:
         self.process.stdin.flush()
         return json.loads(self._read())
 
-    def start(self, log: Path, *words: str) -> Forked:
+    def start(self, log: Path, *words: str, **crash: int) -> Forked:
         """Start ``python -m benchmarks`` with these words."""
-        return Forked(self, self.ask(argv=words, log=str(log)))
-
-    def train(self, preset: Path, cell: str, results: Path, **crash: int) -> int:
-        """Start a run; returns its process id."""
-        results.mkdir(parents=True, exist_ok=True)
-        words = ["train", "--preset", str(preset), "--results", str(results), "--cell", cell]
-        return int(self.ask(argv=words, log=str(results / "log.txt"), **crash))
-
-    def wait(self, pid: int) -> int:
-        return int(self.ask(wait=pid))
+        return Forked(self, self.ask(argv=words, log=str(log), **crash))
 
     @contextmanager
     def children(self) -> Iterator[None]:
@@ -94,10 +85,10 @@ class Forked:
     def kill(self) -> None:
         self.send_signal(signal.SIGKILL)
 
-    def wait(self, seconds: float = 60.0) -> int | None:
+    def wait(self, seconds: float = 250.0) -> int:
         end = time.monotonic() + seconds
-        while self.poll() is None:
+        while (code := self.poll()) is None:
             if time.monotonic() > end:
                 raise subprocess.TimeoutExpired("fork", seconds)
-            time.sleep(0.05)
-        return self.code
+            time.sleep(0.02)
+        return code

@@ -1,10 +1,10 @@
 """A process that has imported and compiled everything, and forks runs that tests may kill.
 
 One JSON object per line: ``{"argv": [...], "log": path, "crash": n}`` starts
-``python -m benchmarks <argv>`` in a fork and answers its process id; ``{"wait": pid}`` answers its
-exit code, negative for a signal, and ``{"poll": pid}`` without waiting, null while it runs. With
-``crash``, the fork kills itself before its n-th operation on
-files (counted from 0), and without being killed writes how many there were to ``<log>.count``.
+``python -m benchmarks <argv>`` in a fork and answers its process id; ``{"poll": pid}`` answers its
+exit code, negative for a signal, and null while it runs. With ``crash``, the fork kills itself
+before its n-th operation on files (counted from 0), and without being killed writes how many there
+were to ``<log>.count``.
 """
 
 from __future__ import annotations
@@ -84,9 +84,8 @@ def main() -> None:
     print("ready", flush=True)
     for line in sys.stdin:
         request = json.loads(line)
-        if "wait" in request or "poll" in request:
-            asked = ("wait", 0) if "wait" in request else ("poll", os.WNOHANG)
-            pid, status = os.waitpid(request[asked[0]], asked[1])
+        if "poll" in request:
+            pid, status = os.waitpid(request["poll"], os.WNOHANG)
             print(os.waitstatus_to_exitcode(status) if pid else "null", flush=True)
             continue
         pid = os.fork()

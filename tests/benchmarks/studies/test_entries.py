@@ -28,6 +28,7 @@ from benchmarks.evaluation.evaluate import (
 from benchmarks.evaluation.model_files import detect_algorithm
 from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import episode_seeds
+from benchmarks.reporting.results import Results
 from benchmarks.reporting.tables.beyond import build_tables
 from benchmarks.reporting.verify import check_runs
 from benchmarks.runs.store import Store
@@ -365,7 +366,7 @@ def test_an_entry_leaves_the_presets_own_tables_alone(
     train: Callable[..., Path], tmp_path: Path
 ) -> None:
     store = fabricated_store.make_store(tmp_path, [0], "smoke")
-    for table in build_tables(store):
+    for table in build_tables(Results(store)):
         table.write(store.tables)
     before = {path.name: path.read_bytes() for path in store.tables.iterdir()}
     assert evaluate(tmp_path, "--model", str(train("ppo")), "--name", "mine") == 0
