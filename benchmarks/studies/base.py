@@ -14,7 +14,6 @@ import json
 import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -260,12 +259,10 @@ def source(result: Mapping[str, Any], more: str = "") -> str:
     )
 
 
-@contextmanager
-def bar(console: Console) -> Iterator[Progress]:
+def bar(console: Console) -> Progress:
     """The progress bar of all that runs in this process."""
     columns = (
         *(TextColumn("{task.description}"), BarColumn(bar_width=24)),
         *(TimeElapsedColumn(), TimeRemainingColumn()),
     )
-    with Progress(*columns, console=console, refresh_per_second=2) as progress:
-        yield progress
+    return Progress(*columns, console=console, refresh_per_second=2)

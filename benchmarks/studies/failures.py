@@ -16,7 +16,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import pandas as pd
 
 from benchmarks.errors import BenchmarkError
@@ -30,7 +29,6 @@ from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.reporting.results import tail_mean
 from benchmarks.runs.store import Store, write_csv
 from benchmarks.studies.base import Part, Study, Tick, greedy
-from coop_env.kinematics.rotations import tilt_azimuth
 
 RECENT: Final = 40  # moves at the end of an episode ...
 FEW: Final = 4  # ... among which a cycle has at most so many configurations
@@ -45,9 +43,7 @@ def play(
     policy, tests, rows = greedy(model), preset.evaluation, []
     for episode in begin_episodes(arguments, cell.seed, tests.episodes, tests.stream):
         env = episode.env
-        target, lean = int(env.state["target"]), env.configuration[3:5]
-        roll, pitch = np.degrees(lean).tolist()
-        plan = oracle.plan(env)
+        target, plan = int(env.state["target"]), oracle.plan(env)
         trail, singular = [], False
         while not episode.over and not episode.insertions:
             action = policy(episode.observation, env.action_masks())
@@ -66,10 +62,6 @@ def play(
                 "episode": episode.number,
                 "start": episode.start,
                 "target": target,
-                "polar": math.degrees(env.task.holes[target][0]),
-                "roll": roll,
-                "pitch": pitch,
-                "tilt": float(np.degrees(tilt_azimuth(lean)[0])),
                 "optimum": math.nan if plan.moves is None else float(len(plan.moves)),
                 "success": success,
                 "moves": float(episode.moves) if success else math.nan,

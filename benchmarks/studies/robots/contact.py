@@ -121,16 +121,15 @@ def write_film(path: Path, gains: Mapping[str, float]) -> None:
     steps = episode(env, script_of(SEARCH, env, gains), seed=0, options=start)
     shown = [(env.scene(), info.get("force", np.zeros(3))) for info in steps]
     forces, fps = np.array([force for _, force in shown]), env.metadata["render_fps"]
-    camera = replace(CAMERAS["dome"], distance=0.42)
+    look: dict[str, Any] = {"camera": replace(CAMERAS["dome"], distance=0.42), "panel": False}
     with style():
         frames = [
-            np.concatenate([
-                render_frame(scene, size=SCENE, camera=camera, panel=False),
-                _chart(forces, number, fps),
-            ])
-            for number, (scene, _) in enumerate(shown)
-        ]  # fmt: skip
-    write_animation(path, [*frames[::2], frames[-1]], fps / 2)
+            np.concatenate(
+                [render_frame(shown[now][0], size=SCENE, **look), _chart(forces, now, fps)]
+            )
+            for now in (*range(0, len(shown), 2), len(shown) - 1)
+        ]
+    write_animation(path, frames, fps / 2)
 
 
 def _chart(forces: np.ndarray, now: int, fps: int) -> np.ndarray:
