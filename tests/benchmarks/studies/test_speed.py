@@ -57,12 +57,11 @@ def test_updates_are_counted_whatever_the_number_of_games() -> None:
     assert model._n_updates - before == 3 * (5 + 5)  # a round is not counted
 
 
-@pytest.mark.parametrize("sbx", [None, DQN], ids=["without SBX", "with SBX"])
-def test_each_learner_is_measured(sbx: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(speed, "sbx_dqn", lambda: sbx)
+def test_each_learner_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(speed, "sbx_dqn", lambda: DQN)
     models = speed.make_models([16, 8], capacity=192)
     assert set(models) == {
-        *("SB3 DQN", "sb3-contrib QR-DQN", *(["SBX DQN"] if sbx else [])),
+        *("SB3 DQN", "sb3-contrib QR-DQN", "SBX DQN"),
         *("Rainbow", "Rainbow, categorical", "Rainbow, torch eager"),
     }
     assert models["Rainbow"].q_net.net_arch == models["SB3 DQN"].q_net.net_arch == [16, 8]

@@ -22,9 +22,8 @@ from benchmarks.evaluation.evaluate import model_policy
 from benchmarks.protocol.plan import expand, of_task, settings
 from benchmarks.protocol.presets import PRESETS, SuitePreset, load_suite
 from benchmarks.protocol.seeding import derive, episode_seeds
-from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
-from benchmarks.runs.store import RunFolder, Store
+from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.experiment import Classic
 from benchmarks.studies.classic.playing import evaluate
 from benchmarks.studies.classic.train import build_model, run_learner
@@ -177,19 +176,6 @@ def test_only_rainbow_reads_the_masks(preset: SuitePreset) -> None:
     # untrained, of 50 answers: one in four right among the allowed, one in thirty among all
     assert scores["rainbow"] == pytest.approx(12.5, abs=5.0)
     assert scores["dqn"] < 6.0
-
-
-def test_a_complete_run_is_kept_and_other_settings_are_refused(
-    preset: SuitePreset, tmp_path: Path
-) -> None:
-    store = Store.open(tmp_path, "tiny", create=True)
-    cell = Classic(preset).find("masked_identity-random-s0")
-    assert run_cell(Classic(preset), cell, store)
-    stamp = (store.run(cell.id).path / "meta.json").stat().st_mtime_ns
-    assert run_cell(Classic(preset), cell, store)
-    assert (store.run(cell.id).path / "meta.json").stat().st_mtime_ns == stamp
-    with pytest.raises(BenchmarkError, match="final_episodes: 3 -> 4"):
-        run_cell(Classic(dataclasses.replace(preset, final_episodes=4)), cell, store)
 
 
 @pytest.mark.usefixtures("forked")
