@@ -158,8 +158,7 @@ class Measured(Study):
 
     def asked(self) -> dict[str, Any]:
         """What decides the parts, as JSON can hold it."""
-        names = [name.removeprefix("--").replace("-", "_") for name in self.options]
-        given = {name: getattr(self.given, name) for name in names}
+        given = {k: v for k, v in vars(self.given).items() if k not in ("results", "command")}
         return {**given, "commit": describe()["commit"]}
 
     @abstractmethod

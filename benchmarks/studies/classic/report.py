@@ -114,18 +114,16 @@ def _scores(results: SuiteResults) -> Table:
 
 def _controls(results: SuiteResults) -> Table:
     """What plays without learning, on the learners' test episodes."""
-    preset = results.preset
-    columns = preset.controls
-    rows: list[list[TableCell]] = []
-    for key, task in preset.tasks.items():
-        values = [results.score(key, name) for name in columns]
-        rows.append([task.title, *(_with_interval(v) for v in values)])
+    tasks, controls = results.preset.tasks, results.preset.controls
     return Table(
         "controls",
         "Without learning, on the same test episodes",
-        ["Task", *map(of_suite, columns)],
-        rows,
-        [" ".join(_CONTROLS[name] for name in preset.controls)],
+        ["Task", *map(of_suite, controls)],
+        [
+            [task.title, *(_with_interval(results.score(key, name)) for name in controls)]
+            for key, task in tasks.items()
+        ],
+        [" ".join(_CONTROLS[name] for name in controls)],
     )
 
 

@@ -189,8 +189,8 @@ class Contact(Measured):
         }
 
     def finish(self) -> None:
-        script = self.result["parts"]["standard"].get(SEARCH, {"gains": {}})
-        write_film(self.folder / "insertion.gif", script["gains"])
+        gains = self.result["parts"][LEVEL][SEARCH]["gains"]
+        write_film(self.folder / "insertion.gif", gains)
 
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:

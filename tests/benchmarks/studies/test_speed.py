@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,21 +17,16 @@ from benchmarks.studies.timing import in_turns
 from sb3_rainbow import Rainbow
 
 
-def test_the_command_writes_what_it_prints(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_what_it_prints(site: Any) -> None:
+    here = site("speed-env")
     small = ["--steps", "256", "--rounds", "1", "--starts", "3"]
-    assert main(["study", "speed-env", "--results", str(tmp_path), *small]) == 0
-    parts = json.loads((tmp_path / "speed" / "env.json").read_text())["parts"]
-    text = (tmp_path / "speed" / "env.md").read_text()
-    printed = capsys.readouterr().out
-    assert text in printed
-    assert str(tmp_path / "speed") in printed
+    assert main(["study", "speed-env", "--results", str(here.results), *small]) == 0
+    here.check(speed.SpeedEnv, "speed/env.md", "batch of 64")
+    parts = json.loads((here.results / "speed" / "env.json").read_text())["parts"]
     assert all(value > 0.0 for value in parts["steps"].values())
     assert parts["optimum, optimized"]["feasible"] > 0.0
     # generous, so that only a gross slip fails here whatever else the machine does
     assert parts["steps"]["batch of 64"] < parts["steps"]["SB3 DummyVecEnv of 64"]
-    assert speed.SpeedEnv.problems(tmp_path) == []
 
 
 def test_times_are_medians_over_the_rounds_without_the_first(
@@ -41,8 +35,8 @@ def test_times_are_medians_over_the_rounds_without_the_first(
     now, seconds = [0.0], iter([9.0, 0.1, 0.5, 0.2])
     monkeypatch.setattr(time, "process_time", lambda: now[0])
 
-    def take(while_: float) -> None:
-        now[0] += while_
+    def take(lasted: float) -> None:
+        now[0] += lasted
 
     actions = {"a": lambda: take(next(seconds)), "b": lambda: take(1.0)}
     assert in_turns(actions, 3) == pytest.approx({"a": 0.2, "b": 1.0})
