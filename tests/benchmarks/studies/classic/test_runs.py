@@ -42,10 +42,6 @@ def stop_after(rounds: int) -> Callable[[], bool]:
     return lambda: next(calls, None) is None
 
 
-def finished(folder: RunFolder) -> tuple[pd.DataFrame, pd.DataFrame]:
-    return folder.rows("curve"), folder.rows("episodes")
-
-
 @pytest.mark.parametrize(
     ("task", "method"),
     [
@@ -66,8 +62,8 @@ def test_a_run_that_was_stopped_twice_is_the_run_that_was_not(
     summary: Any = run_learner(preset, cell, folder)
     assert len(summary["resumed_at"]) == 2
     assert summary["timesteps"] >= preset.tasks[task].timesteps
-    for cut, expected in zip(finished(folder), finished(whole), strict=True):
-        pd.testing.assert_frame_equal(cut, expected)
+    for name in ("curve", "episodes"):
+        pd.testing.assert_frame_equal(folder.rows(name), whole.rows(name))
 
 
 def test_box2d_goes_on_with_other_episodes_than_those_of_the_beginning(
