@@ -100,6 +100,7 @@ def test_the_largest_area_is_the_one_that_the_design_study_finds() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("forked")
 def test_the_command_goes_on_and_can_be_checked(site: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     here = site("codesign")
     results = here.results
