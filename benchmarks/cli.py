@@ -34,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser().print_help()
         return 0
     if arguments[0] == "study" and len(arguments) > 1 and not arguments[1].startswith("-"):
-        return _guarded(lambda: catalogue.run_study(arguments[1], arguments[2:]))
+        return _guarded(lambda: catalogue.study(arguments[1]).main(arguments[2:]))
     given = parser().parse_args(arguments)
     command: Callable[[Given], int | None] = given.command
     return _guarded(lambda: command(given) or 0)
@@ -179,7 +179,7 @@ def verify(given: Given) -> int:
 
 def watch(given: Given) -> None:
     """The optimum or a policy in the browser."""
-    from benchmarks.studies.watch import watch as show
+    from benchmarks.studies.media import watch as show
 
     show(given)
 

@@ -12,6 +12,7 @@ Beside them stands what the trained policies of a preset came to. Written to ``r
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -36,7 +37,7 @@ from benchmarks.studies.base import Part, Study, Tick, count
 from coop_env.env import CoopInsertionEnv
 
 CELL: Final = ("track", "method", "ablation", "geometry", "seed")
-LEARNED: Final = (*CELL, "return", "holes")
+Row = dict[str, Any]
 
 
 def of_each_reward(preset: Preset) -> Preset:
@@ -47,10 +48,10 @@ def of_each_reward(preset: Preset) -> Preset:
     return replace(preset, tracks={name: preset.tracks[name] for name in result.values()})
 
 
-def scripted(preset: Preset, starts: int, tick: Tick = lambda share: None) -> pd.DataFrame:
+def scripted(preset: Preset, starts: int, tick: Tick = lambda share: None) -> list[Row]:
     """One row per track, script and validation start: return, discounted return, holes, moves."""
     oracle = LatticeOracle()
-    rows = []
+    rows: list[Row] = []
     for name, track in preset.tracks.items():
         cell = Cell("rainbow", "full", "optimized", name, 0)
         env = CoopInsertionEnv(**env_arguments(preset, cell, track))
@@ -64,12 +65,10 @@ def scripted(preset: Preset, starts: int, tick: Tick = lambda share: None) -> pd
                 row = {"track": name, "script": script, "start": number}
                 rows.append(row | _returns(env, simulator, moves, track.hyperparameters.gamma))
             tick(len(rows) / (len(SCRIPTS) * starts * len(preset.tracks)))
-    return pd.DataFrame(rows)
+    return rows
 
 
-def _returns(
-    env: CoopInsertionEnv, simulator: Simulator, moves: Moves, gamma: float
-) -> dict[str, float]:
+def _returns(env: CoopInsertionEnv, simulator: Simulator, moves: Moves, gamma: float) -> Row:
     if not moves:  # no hole can be reached from here
         return {"return": 0.0, "discounted": 0.0, "holes": 0, "moves": 0}
     outcomes = simulator.play(np.array([env.state]), moves)
@@ -82,7 +81,7 @@ def _returns(
     }
 
 
-def learned(store: Store) -> pd.DataFrame:
+def learned(store: Store) -> list[Row]:
     """One row per stored learner: mean return and holes of its last training episodes.
 
     The last tenth of the run: with exploration on, as the learner saw it.
@@ -92,8 +91,8 @@ def learned(store: Store) -> pd.DataFrame:
         if run.folder.has_rows("curve"):
             cell, curve = run.config["cell"], run.folder.rows("curve")
             earned, holes = tail_mean(curve, "episode_reward"), tail_mean(curve, "holes")
-            rows.append([*(cell[key] for key in CELL), earned, holes])
-    return pd.DataFrame(rows, columns=LEARNED)
+            rows.append({**{key: cell[key] for key in CELL}, "return": earned, "holes": holes})
+    return rows
 
 
 def markdown(rows: pd.DataFrame, learners: pd.DataFrame | None = None) -> str:
@@ -132,13 +131,12 @@ class Audit(Study):
 
     def _scripted(self, tick: Tick) -> None:
         preset = of_each_reward(load_preset(self.given.preset))
-        rows = scripted(preset, self.given.starts, tick)
-        write_csv(self.folder / "scripted.csv", _records(rows))
-        try:
-            learners = learned(Store.open(self.results, preset.name))
-        except BenchmarkError:
-            learners = pd.DataFrame(columns=LEARNED)
-        write_csv(self.folder / "learned.csv", _records(learners))
+        write_csv(self.folder / "scripted.csv", scripted(preset, self.given.starts, tick))
+        path = self.folder / "learned.csv"
+        path.unlink(missing_ok=True)
+        with suppress(BenchmarkError):  # the preset has no store
+            if learners := learned(Store.open(self.results, preset.name)):
+                write_csv(path, learners)
         record = {**describe(), "starts": self.given.starts, "preset": preset.name}
         write_text(self.folder / "meta.json", json.dumps(record, indent=1, sort_keys=True) + "\n")
 
@@ -150,7 +148,3 @@ class Audit(Study):
         learners = path.with_name("learned.csv")
         stored = pd.read_csv(learners) if learners.is_file() else None
         return {path.with_suffix(".md"): markdown(pd.read_csv(path), stored)}
-
-
-def _records(frame: pd.DataFrame) -> list[dict[str, Any]]:
-    return [{str(k): v for k, v in row.items()} for row in frame.to_dict("records")]

@@ -14,7 +14,6 @@ import json
 import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -159,8 +158,7 @@ class Measured(Study):
 
     def asked(self) -> dict[str, Any]:
         """What decides the parts, as JSON can hold it."""
-        names = [name.removeprefix("--").replace("-", "_") for name in self.options]
-        given = {name: getattr(self.given, name) for name in names}
+        given = {k: v for k, v in vars(self.given).items() if k not in ("results", "command")}
         return {**given, "commit": describe()["commit"]}
 
     @abstractmethod
@@ -260,12 +258,10 @@ def source(result: Mapping[str, Any], more: str = "") -> str:
     )
 
 
-@contextmanager
-def bar(console: Console) -> Iterator[Progress]:
+def bar(console: Console) -> Progress:
     """The progress bar of all that runs in this process."""
     columns = (
         *(TextColumn("{task.description}"), BarColumn(bar_width=24)),
         *(TimeElapsedColumn(), TimeRemainingColumn()),
     )
-    with Progress(*columns, console=console, refresh_per_second=2) as progress:
-        yield progress
+    return Progress(*columns, console=console, refresh_per_second=2)

@@ -48,11 +48,6 @@ def study(name: str) -> type[Study]:
     return result
 
 
-def run_study(name: str, argv: list[str]) -> int:
-    """Run a study by its command line; returns the exit code."""
-    return study(name).main(argv)
-
-
 def write_studies(results: Path) -> None:
     """Write the files of all studies anew from what is stored."""
     for name in STUDIES:
@@ -97,7 +92,7 @@ def all_blocks(results: Path) -> Mapping[str, Block]:
         return Store.open(folder.parent, folder.name)
 
     def public(said: str) -> str:
-        from benchmarks.studies.classic.tables import page
+        from benchmarks.studies.classic.report import page
 
         return page(of_store(said))
 

@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import yaml
@@ -28,6 +28,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.figures.style import save, style
+from benchmarks.reporting.verify import check_runs
 from benchmarks.runs.backends import LocalBackend
 from benchmarks.runs.harness import Harness
 from benchmarks.runs.machine import describe
@@ -168,49 +169,39 @@ def build(values: Mapping[str, float]) -> RRSGeometry:
     return geometry
 
 
-class Reach(NamedTuple):
-    """What the exact optimum achieves from so many starts.
+def optimum(
+    geometry: RRSGeometry, seed: int, starts: int, stream: str = "validate"
+) -> dict[str, float]:
+    """What the exact optimum achieves, both robots at once, from a stream's starts of a seed.
 
-    Success in %, mean ticks of those that succeed, and of all, one without a solution counting a
-    whole episode; and how many the search left undecided, which count as not solved.
-    """
-
-    success: float
-    ticks: float
-    ticks_all: float
-    undecided: int
-
-
-def optimum(geometry: RRSGeometry, seed: int, starts: int, stream: str = "validate") -> Reach:
-    """Both robots moving at once, from the fixed starts of a stream's seed.
-
-    A start is drawn, by its fixed seed, among the poses that this geometry can take.
+    A start is drawn, by its fixed seed, among the poses that this geometry can take. To
+    :func:`reach` comes how many starts the search left undecided, which count as not solved.
 
     Raises:
         Unbuilt: a start found no pose.
     """
     oracle = LatticeOracle(at_once=True)
-    lengths, undecided = [], 0
-    for env in starts_of(geometry, episode_seeds(seed, starts, stream)):
-        plan = oracle.plan(env)
-        lengths.append(math.nan if plan.moves is None else float(len(plan.moves)))
-        undecided += plan.status == "node_limit"
-    return Reach(*summary(lengths), undecided)
+    seeds = episode_seeds(seed, starts, stream)
+    plans = [oracle.plan(env) for env in starts_of(geometry, seeds)]
+    lengths = [math.nan if plan.moves is None else float(len(plan.moves)) for plan in plans]
+    return {**reach(lengths), "undecided": sum(plan.status == "node_limit" for plan in plans)}
 
 
-def summary(lengths: Sequence[float]) -> tuple[float, float, float]:
+def reach(lengths: Sequence[float]) -> dict[str, float]:
     """Success in %, mean ticks of those that succeed, and of all, NaN counting a whole episode."""
     ticks = np.asarray(lengths, dtype=float)
     solved = np.isfinite(ticks)
-    mean = float(ticks[solved].mean()) if solved.any() else math.nan
-    return 100.0 * float(solved.mean()), mean, float(np.where(solved, ticks, MOST).mean())
+    return {
+        "success": 100.0 * float(solved.mean()),
+        "ticks": float(ticks[solved].mean()) if solved.any() else math.nan,
+        "ticks_all": float(np.where(solved, ticks, MOST).mean()),
+    }
 
 
 def score(name: str, study: str, geometry: RRSGeometry, starts: int) -> dict[str, Any]:
     """A design's row of designs.csv."""
-    reach = optimum(geometry, 0, starts)
-    values = rounded(parameters(geometry))
-    return {"design": name, "study": study, **values, "a_w": area(geometry), **reach._asdict()}
+    values = {**rounded(parameters(geometry)), "a_w": area(geometry)}
+    return {"design": name, "study": study, **values, **optimum(geometry, 0, starts)}
 
 
 def search(
@@ -327,15 +318,16 @@ class Codesign(Study):
         """The optimum of the chosen designs on their test starts, unless it is there."""
         if self.run_folder.has_rows("chosen"):
             return
-        rows = []
+        rows: list[dict[str, Any]] = []
         for design, why in result.choose().items():
             geometry = of_row(result.row(design))
             # NaN where the cone is out of reach
             margin = measure(geometry, _problem(geometry)).sigma_cone
             row = {"design": design, "chosen": why, "sigma_cone": margin}
-            for seed in range(self.asked["seeds"]):
-                reach = optimum(geometry, seed, EPISODES, "test")
-                rows.append({**row, "seed": seed, **reach._asdict()})
+            rows += [
+                {**row, "seed": seed, **optimum(geometry, seed, EPISODES, "test")}
+                for seed in range(self.asked["seeds"])
+            ]
         self.run_folder.write_rows("chosen", rows)
 
     def _write_preset(self, result: SearchResult) -> Path:
@@ -379,6 +371,4 @@ class Codesign(Study):
 
     @classmethod
     def problems(cls, results: Path) -> list[str]:
-        from benchmarks.reporting.verify import check_runs
-
         return super().problems(results) + check_runs(Store(results / "codesign", POLICIES))

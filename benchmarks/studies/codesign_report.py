@@ -17,7 +17,7 @@ from scipy.stats import bootstrap, spearmanr
 from benchmarks.protocol.metrics import METRICS, SUCCESS
 from benchmarks.reporting.figures.style import PALETTE, canvas, legend_below
 from benchmarks.reporting.results import Group, Results
-from benchmarks.reporting.stats import Value, measured
+from benchmarks.reporting.stats import Value, over_seeds
 from benchmarks.reporting.tables.table import Number, Table, TableCell
 from benchmarks.runs.store import RunFolder, Store
 from coop_env.simulation.insertion_task import PAPER_TASK
@@ -192,9 +192,9 @@ def _designs(result: SearchResult) -> Table:
                 *(f"{1e3 * of[name]:.1f}" for name in STUDIES["heights"]),
                 f"{of['a_w']:.3f}",
                 "-" if math.isnan(margin) else f"{margin:.3f}",
-                Number(over(tests["success"])),
-                Number(over(seconds * tests["ticks"]), 2),
-                Number(over(seconds * tests["ticks_all"]), 2),
+                Number(over_seeds(tests["success"])),
+                Number(over_seeds(seconds * tests["ticks"]), 2),
+                Number(over_seeds(seconds * tests["ticks_all"]), 2),
                 Number(group.value(SUCCESS)),
                 Number(group.value(METRICS["time_first"]), 2),
             ]
@@ -214,11 +214,6 @@ def _designs(result: SearchResult) -> Table:
         "Optimum: success (%) | time (s) | time, all (s) | Policy: success (%) | Policy: time (s)"
     )
     return Table("designs", "The designs on test starts", head.split(" | "), rows, notes)
-
-
-def over(values: pd.Series[float]) -> Value:
-    """A number of each seed as their mean, with its interval."""
-    return measured(values.tolist(), lambda: (math.nan, math.nan))
 
 
 def fronts(result: SearchResult) -> Figure:

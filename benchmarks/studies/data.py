@@ -42,6 +42,7 @@ from benchmarks.reporting.tables.table import Table, TableCell
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
 from benchmarks.studies.base import Part, Study, Tick, count
+from benchmarks.studies.robots.trials import script_of
 from coop_env.env import CoopInsertionEnv, Observation
 
 NAMESPACE: Final = "coop-insertion"
@@ -191,10 +192,8 @@ def play(recipe: Recipe, progress: Callable[[int], None]) -> Sequence[Episode | 
 
 
 def _demonstrate(recipe: Recipe) -> Callable[[int, int], list[Demonstration]]:
-    from benchmarks.methods.contact_scripts import SCRIPTS, Gains
-
     env = recipe.environment().unwrapped
-    script = SCRIPTS[recipe.title](env, Gains())
+    script = script_of(recipe.title, env, {})
     return lambda first, _: [Demonstration(env, script, first)]
 
 

@@ -16,11 +16,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import pandas as pd
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.evaluate import begin_episodes
+from benchmarks.evaluation.model_files import load_stored
 from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.protocol.learners import LEARNERS
@@ -29,7 +29,6 @@ from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.reporting.results import tail_mean
 from benchmarks.runs.store import Store, write_csv
 from benchmarks.studies.base import Part, Study, Tick, greedy
-from coop_env.kinematics.rotations import tilt_azimuth
 
 RECENT: Final = 40  # moves at the end of an episode ...
 FEW: Final = 4  # ... among which a cycle has at most so many configurations
@@ -44,9 +43,7 @@ def play(
     policy, tests, rows = greedy(model), preset.evaluation, []
     for episode in begin_episodes(arguments, cell.seed, tests.episodes, tests.stream):
         env = episode.env
-        target, lean = int(env.state["target"]), env.configuration[3:5]
-        roll, pitch = np.degrees(lean).tolist()
-        plan = oracle.plan(env)
+        target, plan = int(env.state["target"]), oracle.plan(env)
         trail, singular = [], False
         while not episode.over and not episode.insertions:
             action = policy(episode.observation, env.action_masks())
@@ -65,10 +62,6 @@ def play(
                 "episode": episode.number,
                 "start": episode.start,
                 "target": target,
-                "polar": math.degrees(env.task.holes[target][0]),
-                "roll": roll,
-                "pitch": pitch,
-                "tilt": float(np.degrees(tilt_azimuth(lean)[0])),
                 "optimum": math.nan if plan.moves is None else float(len(plan.moves)),
                 "success": success,
                 "moves": float(episode.moves) if success else math.nan,
@@ -110,7 +103,6 @@ class Failures(Study):
         "--preset": {"default": "paper", "help": "whose stored policies"},
         "--track": {"help": "their track (default: the preset's first)"},
         "--method": {"default": "rainbow", "choices": LEARNERS, "help": "the learner"},
-        "--geometry": {"default": "optimized", "help": "of the 3-RRS"},
     }
 
     def __init__(self, given: argparse.Namespace) -> None:
@@ -119,14 +111,13 @@ class Failures(Study):
         self.store = Store.open(self.results, self.preset.name)
         self.folder = self.store.folder / "failures"
         self.track = given.track or next(iter(self.preset.tracks))
-        wanted = Cell(given.method, "full", given.geometry, self.track, 0)
+        wanted = Cell(given.method, "full", "optimized", self.track, 0)
         alike = (cell for cell in expand(self.preset) if replace(cell, seed=0) == wanted)
         self.cells = sorted(cell for cell in alike if self.store.run(cell.id).has_policy())
         if not self.cells:
             raise BenchmarkError(
-                f"{self.store.folder} has no stored policy of {given.method}, track {self.track}, "
-                f"geometry {given.geometry}; run: python -m benchmarks run --preset "
-                f"{self.preset.name}"
+                f"{self.store.folder} has no stored policy of {given.method}, track {self.track}; "
+                f"run: python -m benchmarks run --preset {self.preset.name}"
             )
         for cell in self.cells:
             self.store.run(cell.id).check_config(settings(self.preset, cell))
@@ -136,8 +127,6 @@ class Failures(Study):
         return {cell.id: partial(self._play, cell) for cell in self.cells}
 
     def _play(self, cell: Cell, tick: Tick) -> None:
-        from benchmarks.evaluation.model_files import load_stored
-
         run = self.store.run(cell.id)
         model = load_stored(run.policy)
         # the share that it solved in the last tenth of its training, with its exploration
@@ -147,10 +136,7 @@ class Failures(Study):
         self.rows += [{**row, "acting": acting} for row in played]
 
     def finish(self) -> None:
-        name = f"{self.given.method}-{self.track}"
-        if self.given.geometry != "optimized":
-            name += f"-{self.given.geometry}"
-        write_csv(self.folder / f"{name}.csv", self.rows)
+        write_csv(self.folder / f"{self.given.method}-{self.track}.csv", self.rows)
 
     @classmethod
     def files(cls, results: Path) -> dict[Path, str]:

@@ -47,7 +47,11 @@ class Insertion(OfPreset[Preset]):
         """Train and test a learner, test a control or planner, or optimize the geometry."""
         training: dict[str, Any] | None = {}
         if cell.method == DESIGN:
-            self._optimize(folder)
+            from benchmarks.methods.geometric_design import measured_runs, table_rows
+
+            assert self.preset.design is not None
+            runs = measured_runs(self.preset.design.runs, lambda _: None)
+            folder.write_rows("design", table_rows(runs))
         elif cell.learns:
             training = self._train(cell, folder, stop_requested, device)
         else:
@@ -64,13 +68,6 @@ class Insertion(OfPreset[Preset]):
             "first_test_episode": derive(self.preset.evaluation.stream, cell.seed, 0),
         }
         return {"seeds": seeds, "training": training}
-
-    def _optimize(self, folder: RunFolder) -> None:
-        from benchmarks.methods.geometric_design import measured_runs, table_rows
-
-        assert self.preset.design is not None
-        runs = measured_runs(self.preset.design.runs, lambda _: None)
-        folder.write_rows("design", table_rows(runs))
 
     def _train(
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str

@@ -1,17 +1,20 @@
 """The README's picture and a short animation of one solved episode.
 
 The exact lattice optimum plays, or with --model a policy. Written to results/media: scene.png and
-episode.gif.
+episode.gif. The command ``watch`` shows who plays in the browser.
 """
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium.error import DependencyNotInstalled
 from PIL import Image
 
 from benchmarks.errors import TRUSTED, BenchmarkError
@@ -23,6 +26,7 @@ from coop_env.geometry import GEOMETRIES
 from coop_env.rendering import render_frame
 from coop_env.rendering.bodies import COLOURS
 from coop_env.rendering.scene import Scene
+from coop_env.rendering.viewer import ViewerError, view
 
 Image8 = npt.NDArray[np.uint8]
 
@@ -58,6 +62,33 @@ def player(
     arguments, act = ({}, None) if model is None else stored_player(model, trust)
     env = make(**arguments | {"render_mode": "rgb_array", **shown})
     return env, act or optimal_moves(env)
+
+
+def watch(arguments: argparse.Namespace) -> None:
+    """Let the optimum or a model play in the browser until the view is closed.
+
+    Args:
+        arguments: ``geometry``, ``model``, ``trust``, ``twin``, ``results``, ``host`` and ``port``.
+
+    Raises:
+        BenchmarkError: the view cannot be opened; for the twin, MuJoCo or gains are missing.
+    """
+    make = partial(_twin, arguments.results) if arguments.twin else CoopInsertionEnv
+    env, act = player(arguments.model, arguments.trust, make, geometry=arguments.geometry)
+    try:
+        view(env, act, host=arguments.host, port=arguments.port)
+    except ViewerError as error:
+        raise BenchmarkError(str(error)) from error
+
+
+def _twin(results: Path, **shown: Any) -> CoopInsertionEnv:
+    from benchmarks.studies.robots.trials import inserter
+
+    try:
+        from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
+    except DependencyNotInstalled as missing:
+        raise BenchmarkError(str(missing)) from missing
+    return CoopInsertionPhysicsDiscreteEnv(inserter(results, "spiral search", 0), **shown)
 
 
 def play(env: CoopInsertionEnv, seed: int, act: Act) -> list[Scene]:

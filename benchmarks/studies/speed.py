@@ -19,8 +19,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
-import statistics
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -33,13 +32,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.reporting.tables.table import plain
 from benchmarks.studies.base import Measured, Part, Tick, count, source
-from benchmarks.studies.timing import (
-    batch_stepping,
-    in_turns,
-    options,
-    seconds_of,
-    stepping,
-)
+from benchmarks.studies.timing import batch_stepping, in_turns, options, seconds_of, stepping
 from coop_env.env import CoopInsertionEnv
 from coop_env.team.joint_env import CoopInsertionJointEnv
 from coop_env.vector.vec_env import CoopInsertionVecEnv
@@ -64,8 +57,8 @@ IMAGES: Final = (4, 84, 84)
 # least ratio of the first to the baseline that the project asks for
 TARGETS: Final = {"Rainbow": 1.5, "Rainbow, torch eager": 0.75}
 IMAGE_TARGET: Final = 0.9
-# what so many updates take, with the steps of the env between them ("learn") or alone ("train")
-Contestant = Callable[[str, int], float]
+#: rates of updates with the steps of the env between them, and alone
+KINDS: Final = ("learn_cpu", "train_cpu")
 
 
 def measure_steps(steps: int, rounds: int) -> dict[str, float]:
@@ -85,7 +78,7 @@ def measure_steps(steps: int, rounds: int) -> dict[str, float]:
     for n in (1, 8, 64, 256):
         batch = CoopInsertionVecEnv(n, seed=0)
         loops[f"batch of {n}"] = batch_stepping(batch, actions(n), masks=True)
-    return in_turns(loops, rounds, unit=1e-6 * steps)
+    return {name: 1e6 * each / steps for name, each in in_turns(loops, rounds).items()}
 
 
 def measure_oracle(starts: int, geometry: str, at_once: bool) -> dict[str, float]:
@@ -240,7 +233,7 @@ def make_models(net_arch: Sequence[int] | None, capacity: int = CAPACITY) -> dic
         model = kind(policy, StubEnv(shape), **{**settings, **arguments})
         if not images:
             fill(model.replay_buffer)
-        return model.learn(150 if images else 100)
+        return model.learn(60)
 
     sbx = None if images else sbx_dqn()
     return {
@@ -251,34 +244,30 @@ def make_models(net_arch: Sequence[int] | None, capacity: int = CAPACITY) -> dic
     }
 
 
-def learner(model: Any, batch_size: int) -> Contestant:
-    """An algorithm of SB3's kind with a full replay buffer; each step of its envs has an update."""
-
-    def act(kind: str, n: int) -> None:
-        if kind == "learn":
-            model.learn(n * model.n_envs, reset_num_timesteps=False)
-        else:
-            for _ in range(n):
-                model.train(1, batch_size)
-
-    return lambda kind, n: seconds_of(lambda: act(kind, n))
-
-
 def measure_updates(
-    contestants: Mapping[str, Contestant], n_updates: int, rounds: int
+    models: Mapping[str, Any], n_updates: int, rounds: int
 ) -> dict[str, dict[str, float]]:
-    """Updates per CPU second of ``learn``, and of ``train`` alone: medians over rounds in turns."""
-    kinds = ("learn", "train")
-    rates: dict[str, dict[str, list[float]]] = {
-        name: {f"{kind}_cpu": [] for kind in kinds} for name in contestants
-    }
-    for name in list(contestants) * rounds:
-        for kind in kinds:
-            rates[name][f"{kind}_cpu"].append(n_updates / contestants[name](kind, n_updates))
-    return {
-        name: {kind: statistics.median(values) for kind, values in result.items()}
-        for name, result in rates.items()
-    }
+    """Updates per CPU second of ``learn``, and of ``train`` alone: medians over rounds in turns.
+
+    Args:
+        models: of SB3's kind with a full replay buffer; each step of their envs has an update.
+        n_updates: between two looks at the clock.
+        rounds: of all models.
+    """
+
+    def learn(model: Any) -> None:
+        model.learn(n_updates * model.n_envs, reset_num_timesteps=False)
+
+    def train(model: Any) -> None:
+        for _ in range(n_updates):
+            model.train(1, model.batch_size)
+
+    acts = dict(zip(KINDS, (learn, train), strict=True))
+    seconds = in_turns(
+        {(name, kind): partial(acts[kind], models[name]) for name in models for kind in KINDS},
+        rounds,
+    )
+    return {name: {kind: n_updates / seconds[name, kind] for kind in KINDS} for name in models}
 
 
 class SpeedRainbow(Measured):
@@ -295,9 +284,8 @@ class SpeedRainbow(Measured):
         steps, rounds = self.given.steps, self.given.rounds
 
         def updates(net: Sequence[int] | None, _: Tick) -> dict[str, Any]:
-            models, size = make_models(net).items(), 32 if net is None else BATCH_SIZE
-            players = {name: learner(model, size) for name, model in models}
-            return measure_updates(players, max(1, steps // 10) if net is None else steps, rounds)
+            n_updates = max(1, steps // 10) if net is None else steps
+            return measure_updates(make_models(net), n_updates, rounds)
 
         return {
             **{part: partial(updates, net) for part, net in NETS.items()},
@@ -326,8 +314,7 @@ class SpeedRainbow(Measured):
 
 
 def _ratios(rates: dict[str, dict[str, float]], name: str, whom: str) -> list[str]:
-    kinds = ("learn_cpu", "train_cpu")
-    return [f"{rates[name][kind] / rates[whom][kind]:.2f}" for kind in kinds]
+    return [f"{rates[name][kind] / rates[whom][kind]:.2f}" for kind in KINDS]
 
 
 def _rates(updates: dict[str, dict[str, float]]) -> Iterator[list[str]]:

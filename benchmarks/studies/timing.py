@@ -7,29 +7,24 @@ import time
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from typing import Any, TypeVar
 
-import psutil
-
 from benchmarks.studies.base import Option, count
 
 Name = TypeVar("Name", bound=Hashable)
 
 
-def seconds_of(action: Callable[[], Any], n_calls: int = 1) -> float:
-    """CPU seconds of a call, the mean of so many in a row."""
+def seconds_of(action: Callable[[], Any]) -> float:
+    """CPU seconds of a call."""
     began = time.process_time()
-    for _ in range(n_calls):
-        action()
-    return (time.process_time() - began) / n_calls
+    action()
+    return time.process_time() - began
 
 
-def in_turns(
-    actions: Mapping[Name, Callable[[], Any]], rounds: int, n_calls: int = 1, unit: float = 1.0
-) -> dict[Name, float]:
-    """CPU time of a call, in ``unit`` s: medians over rounds in turns; the first is not counted."""
+def in_turns(actions: Mapping[Name, Callable[[], Any]], rounds: int) -> dict[Name, float]:
+    """CPU seconds of a call: medians over rounds in turns; the first is not counted."""
     times: dict[Name, list[float]] = {name: [] for name in actions}
     for _ in range(rounds + 1):
         for name, action in actions.items():
-            times[name].append(seconds_of(action, n_calls) / unit)
+            times[name].append(seconds_of(action))
     return {name: statistics.median(values[1:]) for name, values in times.items()}
 
 
@@ -59,11 +54,6 @@ def batch_stepping(env: Any, actions: Iterable[Any], masks: bool = False) -> Cal
                 env.env_method("action_masks")
 
     return loop
-
-
-def resident_mb() -> float:
-    """Memory of this process."""
-    return float(psutil.Process().memory_info().rss) / 1e6
 
 
 def options(steps: int, rounds: int) -> dict[str, Option]:

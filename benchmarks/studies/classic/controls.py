@@ -8,12 +8,10 @@ that are not others' were written on seeds from 1000 on, as the settings of Rain
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, Final
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from benchmarks.errors import BenchmarkError
@@ -21,47 +19,30 @@ from benchmarks.protocol.plan import SCRIPTED
 
 Image = NDArray[np.uint8]  # (channels, 10, 10), of MinAtar
 Script = Callable[[Any], int]
+#: actions for a batch of observations (n, ...) and its masks (n, actions), None where all may be
+Act = Callable[[Any, Any], NDArray[Any]]
 
 LAST: Final = 9  # the last row, and column, of a MinAtar game
 UNSAFE: Final = 100.0  # more than any distance
 
 
-@dataclass(frozen=True)
-class Control:
-    """Has of a learner what a test needs.
-
-    Args:
-        action_space: the task's.
-        choose: actions for a batch of observations (n, ...) and its masks (n, actions).
-    """
-
-    action_space: spaces.Discrete
-    choose: Callable[[NDArray[Any], NDArray[np.bool_]], NDArray[np.int64]]
-
-    def predict(
-        self,
-        observation: NDArray[Any],
-        deterministic: bool = True,
-        action_masks: NDArray[np.bool_] | None = None,
-    ) -> tuple[NDArray[np.int64], None]:
-        """Actions for a batch, and no state."""
-        if action_masks is None:
-            action_masks = np.ones((len(observation), int(self.action_space.n)), dtype=bool)
-        return self.choose(observation, action_masks), None
-
-
-def at_random(space: spaces.Discrete, seed: int) -> Control:
-    """Every allowed action as likely as any other."""
+def at_random(n: int, seed: int) -> Act:
+    """Every allowed one of ``n`` actions as likely as any other."""
     rng = np.random.default_rng(seed)
-    return Control(space, lambda _, masks: (masks * rng.random(masks.shape)).argmax(axis=1))
+
+    def act(batch: NDArray[Any], masks: NDArray[np.bool_] | None) -> NDArray[Any]:
+        allowed = np.ones((len(batch), n)) if masks is None else masks
+        return (allowed * rng.random(allowed.shape)).argmax(axis=1)
+
+    return act
 
 
-def held(space: spaces.Discrete, action: int) -> Control:
+def held(action: int) -> Act:
     """The same action all the time."""
-    return Control(space, lambda batch, _: np.full(len(batch), action))
+    return lambda batch, _: np.full(len(batch), action)
 
 
-def scripted(space: spaces.Discrete, name: str) -> Control:
+def scripted(name: str) -> Act:
     """The script of an environment.
 
     Raises:
@@ -70,7 +51,7 @@ def scripted(space: spaces.Discrete, name: str) -> Control:
     if name not in SCRIPTS:
         raise BenchmarkError(f"{name} has no script")
     script = SCRIPTS[name]
-    return Control(space, lambda batch, _: np.array([script(each) for each in batch]))
+    return lambda batch, _: np.array([script(each) for each in batch])
 
 
 def _cart_pole(state: NDArray[np.float32]) -> int:

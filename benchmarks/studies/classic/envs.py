@@ -1,4 +1,7 @@
-"""The tasks by name, and what Gymnasium does not have: MinAtar, identity with and without masks."""
+"""The tasks by name, and what Gymnasium does not have: MinAtar, identity with and without masks.
+
+Atari's games are as data-efficient Rainbow plays them, through ale-py and SB3's wrappers.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +12,19 @@ from typing import Any, Final
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.wrappers import FrameStackObservation, ReshapeObservation
 from numpy.typing import NDArray
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import ATARI
-from benchmarks.studies.classic import atari
 
 MINATAR: Final = "MinAtar/"
 MASKED_IDENTITY: Final = "MaskedIdentity"
 NO_ACTION: Final = 0  # "n", of MinAtar's six
+FRAMES: Final = 4  # stacked
+EPISODE_STEPS: Final = 27_000  # half an hour of play at 60 frames a second, 4 of them a step
+NOOPS: Final = 30  # at most, at the start of an episode
+EPSILON: Final = 0.001  # of the actions of a test, Dopamine's: else at most 30 episodes differ
 
 
 def make(name: str, training: bool = False, **kwargs: Any) -> gym.Env[Any, Any]:
@@ -36,7 +43,7 @@ def make(name: str, training: bool = False, **kwargs: Any) -> gym.Env[Any, Any]:
     if name.startswith(MINATAR):
         return MinAtarEnv(name.removeprefix(MINATAR), **kwargs)
     if name.startswith(ATARI):
-        return atari.make_atari(name, training, **kwargs)
+        return make_atari(name, training, **kwargs)
     if name == MASKED_IDENTITY:
         return MaskedIdentityEnv(**kwargs)
     if name == "Identity":
@@ -47,6 +54,10 @@ def make(name: str, training: bool = False, **kwargs: Any) -> gym.Env[Any, Any]:
         return BitFlippingEnv(**kwargs)
     if name.startswith("LunarLander"):
         _import("Box2D", name)
+    return _registered(name, **kwargs)
+
+
+def _registered(name: str, **kwargs: Any) -> gym.Env[Any, Any]:
     try:
         return gym.make(name, disable_env_checker=True, **kwargs)
     except gym.error.Error as error:
@@ -63,6 +74,62 @@ def _import(module: str, what: str) -> Any:
             raise BenchmarkError(
                 f"{what} needs the package {module} ({error}); pip install -e '.[classic]'"
             ) from error
+
+
+class NowAndThenRandom(gym.Wrapper[NDArray[np.uint8], Any, NDArray[np.uint8], Any]):
+    """Takes a random action with a probability of :data:`EPSILON`, drawn from the reset's seed."""
+
+    def __init__(self, env: gym.Env[NDArray[np.uint8], Any]) -> None:
+        super().__init__(env)
+        self._rng = np.random.default_rng()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.uint8], dict[str, Any]]:
+        """As the game's, with a generator of this seed's own."""
+        if seed is not None:
+            self._rng = np.random.default_rng(seed)
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, action: Any) -> tuple[NDArray[np.uint8], Any, bool, bool, dict[str, Any]]:
+        """As the game's, but now and then by another action."""
+        assert isinstance(self.action_space, gym.spaces.Discrete)
+        if self._rng.random() < EPSILON:
+            action = self._rng.integers(self.action_space.n)
+        return self.env.step(action)
+
+
+def make_atari(name: str, training: bool = False) -> gym.Env[NDArray[np.uint8], Any]:
+    """A game of Atari, ``ALE/<Game>-v5``: no sticky actions, four frames a step, up to 30 no-ops.
+
+    Observations are the last four grey frames, (4, 84, 84), uint8; at first all are the first. No
+    game is begun by FIRE, as in Dopamine.
+
+    Args:
+        name: Gymnasium's id.
+        training: rewards are cut to their signs, and a life lost ends the episode; otherwise now
+            and then an action is random.
+
+    Raises:
+        BenchmarkError: there is no such game, or ale-py or OpenCV are not installed.
+    """
+    ale_py = _import("ale_py", name)
+    _import("cv2", name)  # which SB3's wrapper needs
+    from stable_baselines3.common import atari_wrappers as sb3
+
+    gym.register_envs(ale_py)
+    ale_py.ALEInterface.setLoggerMode(ale_py.LoggerMode.Error)
+    rules = {"frameskip": 1, "repeat_action_probability": 0.0}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        env = _registered(name, max_episode_steps=4 * EPISODE_STEPS, **rules)
+    wrapped: gym.Env[Any, Any] = sb3.MaxAndSkipEnv(sb3.NoopResetEnv(env, NOOPS), FRAMES)
+    if training:
+        wrapped = sb3.EpisodicLifeEnv(wrapped)
+    wrapped = sb3.WarpFrame(wrapped)
+    wrapped = sb3.ClipRewardEnv(wrapped) if training else NowAndThenRandom(wrapped)
+    stacked = FrameStackObservation(wrapped, FRAMES)
+    return ReshapeObservation(stacked, (FRAMES, *wrapped.observation_space.shape[:2]))  # type: ignore[index]
 
 
 class MinAtarEnv(gym.Env[NDArray[np.uint8], np.int64]):

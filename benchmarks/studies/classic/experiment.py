@@ -14,6 +14,7 @@ from benchmarks.runs.store import RunFolder, Store
 if TYPE_CHECKING:
     from benchmarks.reporting.figures.style import Picture
     from benchmarks.reporting.tables.table import Table
+    from benchmarks.studies.classic.results import SuiteResults
 
 
 class Classic(OfPreset[SuitePreset]):
@@ -54,18 +55,19 @@ class Classic(OfPreset[SuitePreset]):
         return f", return {rows['return'].mean():.1f} over {len(rows)} test episodes"
 
     def tables(self, store: Store) -> list[Table]:
-        from benchmarks.studies.classic.results import SuiteResults
-        from benchmarks.studies.classic.tables import build_tables
+        from benchmarks.studies.classic.report import build_tables
 
-        return build_tables(SuiteResults(self.preset, store))
+        return build_tables(self._stored(store))
 
     def pictures(self, store: Store) -> list[Picture]:
-        from benchmarks.studies.classic.figures import pictures
-        from benchmarks.studies.classic.results import SuiteResults
+        from benchmarks.studies.classic.report import pictures
 
-        return pictures(SuiteResults(self.preset, store))
+        return pictures(self._stored(store))
 
     def problems(self, store: Store) -> list[str]:
+        return self._stored(store).problems()
+
+    def _stored(self, store: Store) -> SuiteResults:
         from benchmarks.studies.classic.results import SuiteResults
 
-        return SuiteResults(self.preset, store).problems()
+        return SuiteResults(self.preset, store)

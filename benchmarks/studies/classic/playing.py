@@ -7,17 +7,14 @@ from typing import Any, Final
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
-from stable_baselines3.common.base_class import BaseAlgorithm
 
-from benchmarks.evaluation.evaluate import model_policy
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import CONTACT, SuitePreset, Task
 from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.runs.cell import ProgressReporter
 from benchmarks.runs.experiment import StopRequested
 from benchmarks.runs.store import RunFolder
-from benchmarks.studies.classic.controls import Control, at_random, held, scripted
+from benchmarks.studies.classic.controls import Act, at_random, held, scripted
 from benchmarks.studies.classic.envs import make
 
 IN_MOVES: Final = "coop_env:CoopInsertionContactDiscrete-v0"  # for who cannot act continuously
@@ -31,24 +28,25 @@ def make_env(task: Task, discrete: bool = True, training: bool = False) -> gym.E
 
 
 def evaluate(
-    model: BaseAlgorithm | Control, task: Task, seeds: Sequence[int]
+    act: Act, task: Task, seeds: Sequence[int], discrete: bool = True
 ) -> list[tuple[float, int]]:
-    """Return and length of the greedy policy's episodes, one for each ``reset(seed=...)``.
+    """Return and length of a policy's episodes, one for each ``reset(seed=...)``.
 
-    Draws from no generator of the training; masks are asked for if the model knows masks.
+    Args:
+        act: actions for observations, and masks where the task has them.
+        task: what is played.
+        seeds: of the episodes.
+        discrete: whether actions are numbers, where the task could be played by both.
     """
     results: list[tuple[float, int]] = []
     for first in range(0, len(seeds), PARALLEL):
-        results += _play(model, task, seeds[first : first + PARALLEL])
+        results += _play(act, task, seeds[first : first + PARALLEL], discrete)
     return results
 
 
-def _play(
-    model: BaseAlgorithm | Control, task: Task, seeds: Sequence[int]
-) -> list[tuple[float, int]]:
-    discrete = isinstance(model.action_space, spaces.Discrete)
+def _play(act: Act, task: Task, seeds: Sequence[int], discrete: bool) -> list[tuple[float, int]]:
     playing = [make_env(task, discrete) for _ in seeds]
-    act, masked = model_policy(model), playing[0].has_wrapper_attr("action_masks")
+    masked = playing[0].has_wrapper_attr("action_masks")
     observations = [env.reset(seed=seed)[0] for env, seed in zip(playing, seeds, strict=True)]
     returns, lengths = [0.0] * len(seeds), [0] * len(seeds)
     active = list(range(len(seeds)))
@@ -77,12 +75,10 @@ def _stack(observations: Sequence[Any]) -> Any:
     return np.stack(observations)
 
 
-def test(
-    model: BaseAlgorithm | Control, preset: SuitePreset, cell: Cell, folder: RunFolder
-) -> None:
+def test(act: Act, preset: SuitePreset, cell: Cell, folder: RunFolder, discrete: bool) -> None:
     """The final test, whose episodes depend on the cell's seed alone; writes ``episodes.csv``."""
     seeds = episode_seeds(cell.seed, preset.final_episodes)
-    played = evaluate(model, preset.tasks[cell.track], seeds)
+    played = evaluate(act, preset.tasks[cell.track], seeds, discrete)
     folder.write_rows(
         "episodes",
         [
@@ -107,24 +103,23 @@ def run_control(
     """
     task, seed = preset.tasks[cell.track], cell.seed
     report = ProgressReporter(folder, stop_requested)
-    env = make_env(task)
-    space = env.action_space
+    env: Any = make_env(task)
+    n = int(env.action_space.n)
     env.close()
-    assert isinstance(space, spaces.Discrete)
     about: dict[str, Any] = {}
     if cell.method == "random":
-        control = at_random(space, derive("noise", seed))
+        control = at_random(n, derive("noise", seed))
     elif cell.method == "held":
         validation = episode_seeds(seed, task.eval_episodes, "validate")
         totals = []
-        for action in range(int(space.n)):
-            played = evaluate(held(space, action), task, validation)
+        for action in range(n):
+            played = evaluate(held(action), task, validation)
             totals.append(sum(total for total, _ in played))
-            report(0.5 * (action + 1) / float(space.n), f"action {action}")
+            report(0.5 * (action + 1) / n, f"action {action}")
         about["action"] = int(np.argmax(totals))
-        control = held(space, about["action"])
+        control = held(about["action"])
     else:
-        control = scripted(space, task.env)
+        control = scripted(task.env)
     report(0.5, "test")
-    test(control, preset, cell, folder)
+    test(control, preset, cell, folder, discrete=True)
     return {**about, "seeds": {"first_test_episode": episode_seeds(seed, 1)[0]}}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from benchmarks.protocol.plan import expand, settings
+from benchmarks.protocol.plan import Cell, expand, settings
 from benchmarks.protocol.presets import SuitePreset
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.stats import Value, mean_band, measured, over_seeds
@@ -25,15 +24,11 @@ Array = NDArray[np.float64]
 class Run:
     """One complete run of a learner, or of a control, which has no curve."""
 
-    seed: int
+    cell: Cell
+    folder: RunFolder
     meta: dict[str, Any]
     curve: pd.DataFrame
     episodes: pd.DataFrame
-    folder: RunFolder
-
-    def rows(self, name: str) -> pd.DataFrame:
-        """What else the run stored."""
-        return self.folder.rows(name)
 
     @property
     def score(self) -> float:
@@ -51,40 +46,36 @@ class SuiteResults:
 
     def __init__(self, preset: SuitePreset, store: Store) -> None:
         self.preset, self.root = preset, store.folder.parent.parent  # of all results
-        self.folders: list[RunFolder] = []
-        self._runs: dict[tuple[str, str], list[Run]] = {}
+        self.all: list[Run] = []
         self.missing: list[str] = []
-        self.n_controls = 0
         for cell in expand(preset):
             folder = store.run(cell.id)
             folder.check_config(settings(preset, cell))
-            if not folder.is_complete():
+            if folder.is_complete():
+                curve = folder.rows("curve") if cell.learns else pd.DataFrame()
+                run = Run(cell, folder, folder.meta(), curve, folder.rows("episodes"))
+                self.all.append(run)
+            else:
                 self.missing.append(cell.id)
-                continue
-            self.folders.append(folder)
-            self.n_controls += not cell.learns
-            curve = folder.rows("curve") if cell.learns else pd.DataFrame()
-            episodes = folder.rows("episodes")
-            run = Run(cell.seed, folder.meta(), curve, episodes, folder)
-            self._runs.setdefault((cell.track, cell.method), []).append(run)
 
     def problems(self) -> list[str]:
         """A sentence for each run whose test episodes are not those of its seed."""
         number = self.preset.final_episodes
         result = []
-        for run in itertools.chain.from_iterable(self._runs.values()):
+        for run in self.all:
             if run.episodes["episode"].tolist() != list(range(number)):
                 result.append(
                     f"{run.folder.path}: episodes.csv has {len(run.episodes)} rows, not one for "
                     f"each of the {number} test episodes"
                 )
-            elif run.episodes["seed"].tolist() != episode_seeds(run.seed, number):
+            elif run.episodes["seed"].tolist() != episode_seeds(run.cell.seed, number):
                 result.append(f"{run.folder.path}: episodes.csv has rows of other than test seeds")
         return result
 
     def runs(self, task: str, method: str) -> list[Run]:
         """The runs of a method or a control on a task, by seed."""
-        return sorted(self._runs.get((task, method), []), key=lambda run: run.seed)
+        mine = [run for run in self.all if (run.cell.track, run.cell.method) == (task, method)]
+        return sorted(mine, key=lambda run: run.cell.seed)
 
     def score(self, task: str, method: str) -> Value:
         """Final test: mean over seeds of the mean return, with :func:`student`'s interval."""

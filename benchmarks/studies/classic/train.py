@@ -14,6 +14,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
+from benchmarks.evaluation.evaluate import model_policy
 from benchmarks.methods.learners import build_on, class_on
 from benchmarks.protocol.learners import LEARNERS, algorithm_of
 from benchmarks.protocol.plan import Cell
@@ -26,6 +27,7 @@ from benchmarks.runs.store import RunFolder
 from benchmarks.runs.training import learn
 from benchmarks.studies.classic.features import extractor_of
 from benchmarks.studies.classic.playing import evaluate, make_env, test
+from benchmarks.studies.robots.trials import on_tests
 
 TENSORBOARD: Final = {
     "eval/mean_reward": "return_mean",
@@ -73,7 +75,8 @@ class Tester(Recorder):
         """Add a row to the curve: the greedy policy on the run's validation episodes."""
         began = time.perf_counter()
         model = self.model
-        played = np.array(evaluate(model, self.task, self.seeds))
+        discrete = isinstance(model.action_space, spaces.Discrete)
+        played = np.array(evaluate(model_policy(model), self.task, self.seeds, discrete))
         training = [float(episode["r"]) for episode in model.ep_info_buffer or []]
         row = {
             "timesteps": model.num_timesteps,
@@ -160,10 +163,8 @@ def run_learner(
     if task.env == CONTACT:  # another study plays it
         policy_file.reduce_to_acting(model)
         policy_file.save(model, folder.policy)
-    test(model, preset, cell, folder)
+    discrete = isinstance(model.action_space, spaces.Discrete)
+    test(model_policy(model), preset, cell, folder, discrete)
     if task.env == CONTACT:
-        from benchmarks.studies.robots.trials import on_tests
-
-        discrete = isinstance(model.action_space, spaces.Discrete)
         folder.write_rows("contact", on_tests(model, make_env(task, discrete)))
     return {**summary, "test_seconds": time.perf_counter() - began}

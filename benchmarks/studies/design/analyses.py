@@ -88,11 +88,10 @@ def optimum_rows(result: dict[str, tuple[RRSGeometry, int]]) -> list[Row]:
 def heave_rows(robust: RRSGeometry) -> list[Row]:
     """A_w by heave of the initial, the optimized and the robust design."""
     heaves = np.round(np.arange(0.190, 0.2601, 0.0025), 4)
-    areas = [design.over_heaves(g, heaves) for g in (INITIAL, OPTIMIZED, robust)]
-    return [
-        {"heave": float(h), "initial": float(a), "optimized": float(b), "robust": float(c)}
-        for h, a, b, c in zip(heaves, *areas, strict=True)
-    ]
+    designs = {**GEOMETRIES, "robust": robust}
+    areas = (design.over_heaves(g, heaves).tolist() for g in designs.values())
+    rows = zip(heaves.tolist(), *areas, strict=True)
+    return [dict(zip(("heave", *designs), row, strict=True)) for row in rows]
 
 
 def threshold_rows() -> list[Row]:
@@ -104,14 +103,14 @@ def threshold_rows() -> list[Row]:
     return [dict(zip(keys, row, strict=True)) for row in result.tolist()]
 
 
-def tolerance_rows(robust: RRSGeometry, draws: int = 100) -> tuple[list[Row], list[Row]]:
+def tolerance_rows(robust: RRSGeometry) -> tuple[list[Row], list[Row]]:
     """Slopes of A_w by length, and its distribution under tolerances."""
-    designs = {"initial": INITIAL, "optimized": OPTIMIZED, "robust": robust}
+    designs = {**GEOMETRIES, "robust": robust}
     slopes: list[Row] = [{"design": name, **design.slopes(g)} for name, g in designs.items()]
     rows: list[Row] = []
     for name, g in designs.items():
         for tolerance in (1e-4, 5e-4, 1e-3, 2e-3):
-            areas = design.under_tolerances(g, tolerance, draws)
+            areas = design.under_tolerances(g, tolerance, 100)
             rows.append({
                 "design": name, "tolerance_mm": 1e3 * tolerance, "mean": float(areas.mean()),
                 "std": float(areas.std(ddof=1)), "least": float(areas.min()),
@@ -122,15 +121,13 @@ def tolerance_rows(robust: RRSGeometry, draws: int = 100) -> tuple[list[Row], li
 def trajectory_rows(robust: RRSGeometry) -> tuple[list[Row], list[Row]]:
     """The test trajectory's poses and joint angles, and the report of each design."""
     path = design.cone_trajectory()
-    reports = {
-        name: design.validate(g, path)
-        for name, g in (("initial", INITIAL), ("optimized", OPTIMIZED), ("robust", robust))
-    }
+    designs = {**GEOMETRIES, "robust": robust}
+    reports = {name: design.validate(g, path) for name, g in designs.items()}
     rows: list[Row] = []
     for i in range(0, len(path.time), 4):
         roll, pitch, heave = path.poses[i].tolist()
         row: Row = {"time": float(path.time[i]), "roll": roll, "pitch": pitch, "heave": heave}
-        for name in ("initial", "optimized"):
+        for name in GEOMETRIES:
             row.update({f"q{k} {name}": float(reports[name].q[i, k]) for k in range(3)})
         rows.append(row)
     angles = ("joint_low", "joint_high", "excursion", "peak_rate", "peak_acceleration")

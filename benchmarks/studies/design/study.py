@@ -37,6 +37,7 @@ from benchmarks.runs.machine import describe
 from benchmarks.studies.base import Part, Study, Tick
 from benchmarks.studies.design import analyses
 from benchmarks.studies.design.analyses import DesignStore
+from benchmarks.studies.design.figures import write_figures
 
 COLUMNS: Final[dict[str, dict[str, list[list[str]]]]] = yaml.safe_load(
     Path(__file__).with_name("blocks.yaml").read_text(encoding="utf-8")
@@ -103,8 +104,6 @@ class Design(Study):
         self.store.write_meta({**describe(), "runs": self.given.runs, "seconds": seconds})
 
     def finish(self) -> None:
-        from benchmarks.studies.design.figures import write_figures
-
         write_figures(self.store)
 
     @classmethod

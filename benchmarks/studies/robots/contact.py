@@ -12,18 +12,32 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import product
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
+from benchmarks.reporting.figures.style import canvas, finish, style
 from benchmarks.reporting.stats import wilson
 from benchmarks.reporting.tables.table import plain
 from benchmarks.studies.base import Measured, Part, Tick, count, episode, source
+from benchmarks.studies.media import write_animation
 from benchmarks.studies.robots import trials
-from benchmarks.studies.robots.trials import CONDITIONS, TRAINED, WHAT, Row, play
+from benchmarks.studies.robots.trials import (
+    CONDITIONS,
+    LEVEL,
+    TRAINED,
+    WHAT,
+    Row,
+    play,
+    script_of,
+)
+from coop_env.rendering import CAMERAS, render_frame
 
 LEVELS: Final = ("easy", "standard", "hard")
 SENSITIVE: Final = ("standard", "hard")  # a round tip finds its hole anyway
@@ -38,6 +52,8 @@ VARIANTS: Final[dict[str, Row]] = {
 }
 """What the simulation assumes, varied: fields of the task."""
 PRESSED: Final = 20.0  # N
+SCENE: Final = (480, 368)  # px of the film
+CHART: Final = (4.8, 1.76)  # inches of 100 px
 
 
 def make(level: str, *, servos: Any = None, **fields: Any) -> Any:
@@ -48,15 +64,12 @@ def make(level: str, *, servos: Any = None, **fields: Any) -> Any:
     return CoopInsertionContactEnv(replace(resolve_task(level), **fields), servos=servos)
 
 
-def choose(env: Any, name: str, episodes: int) -> dict[str, float]:
+def choose(env: Any, name: str, grid: Mapping[str, Any], episodes: int) -> dict[str, float]:
     """A script's gains for a level: most successes on validation episodes, then the least time."""
-    from benchmarks.methods.contact_scripts import GRIDS, SCRIPTS, Gains
-
-    grid = GRIDS[name]
     options = [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
 
     def score(gains: dict[str, float]) -> tuple[float, float]:
-        result = play(env, SCRIPTS[name](env, Gains(**gains)), "validate", episodes)
+        result = play(env, script_of(name, env, gains), "validate", episodes)
         return float(np.mean(result["success"])), -float(np.mean(result["time"]))
 
     return max(options, key=score)
@@ -64,29 +77,27 @@ def choose(env: Any, name: str, episodes: int) -> dict[str, float]:
 
 def measure(level: str, episodes: int, tick: Tick) -> Row:
     """All scripts of a level: their gains and their test episodes."""
-    from benchmarks.methods.contact_scripts import SCRIPTS, Gains
+    from benchmarks.methods.contact_scripts import GRIDS
 
     env, result = make(level), {}
-    for done, (name, kind) in enumerate(SCRIPTS.items()):
-        gains = choose(env, name, episodes)
-        tick((done + 0.5) / len(SCRIPTS))
-        script = kind(env, Gains(**gains))
+    for done, (name, grid) in enumerate(GRIDS.items()):
+        gains = choose(env, name, grid, episodes)
+        tick((done + 0.5) / len(GRIDS))
+        script = script_of(name, env, gains)
         result[name] = {
             "gains": gains,
             "errors": [play(env, script, "test", episodes, error) for error in CONDITIONS],
         }
-        tick((done + 1) / len(SCRIPTS))
+        tick((done + 1) / len(GRIDS))
     return result
 
 
 def sensitivity(level: str, gains: Row, episodes: int, tick: Tick) -> list[Row]:
     """The search, as its gains were chosen, under each of :data:`VARIANTS`."""
-    from benchmarks.methods.contact_scripts import SCRIPTS, Gains
-
     rows = []
     for variant, fields in VARIANTS.items():
         env = make(level, **fields)
-        result = play(env, SCRIPTS[SEARCH](env, Gains(**gains)), "test", episodes)
+        result = play(env, script_of(SEARCH, env, gains), "test", episodes)
         rows.append({"variant": variant, "yields": yields(level, fields), **result})
         tick(len(rows) / len(VARIANTS))
     return rows
@@ -101,6 +112,40 @@ def yields(level: str, fields: Row) -> float:
     start = {"hole": 4, "error": [0.003, 0.0, 0.0, 0.0], "friction": 0.4}
     deque(episode(env, lambda _: [0.0, 0.0, -0.1, 0.0, 0.0, 0.0], seed=0, options=start), 0)
     return -float(min(env.batch.twin.inspect(0)[1].contact.dist, default=0.0))
+
+
+def write_film(path: Path, gains: Mapping[str, float]) -> None:
+    """A GIF of a validation episode of the search at the largest error, the force below it."""
+    env = make(LEVEL)
+    start = trials.options("validate", 0, TRAINED, 0.2)
+    steps = episode(env, script_of(SEARCH, env, gains), seed=0, options=start)
+    shown = [(env.scene(), info.get("force", np.zeros(3))) for info in steps]
+    forces, fps = np.array([force for _, force in shown]), env.metadata["render_fps"]
+    look: dict[str, Any] = {"camera": replace(CAMERAS["dome"], distance=0.42), "panel": False}
+    with style():
+        frames = [
+            np.concatenate(
+                [render_frame(shown[now][0], size=SCENE, **look), _chart(forces, now, fps)]
+            )
+            for now in (*range(0, len(shown), 2), len(shown) - 1)
+        ]
+    write_animation(path, frames, fps / 2)
+
+
+def _chart(forces: np.ndarray, now: int, fps: int) -> np.ndarray:
+    """The force along the hole and across it, up to a moment."""
+    figure, (axes,) = canvas(size=CHART)
+    figure.set_dpi(100)
+    time, across = np.arange(len(forces)) / fps, np.hypot(forces[:, 0], forces[:, 1])
+    for values, name in ((forces[:, 2], "along the hole"), (across, "across")):
+        axes.plot(time[: now + 1], values[: now + 1], label=name)
+    axes.set_xlim(0.0, time[-1])
+    axes.set_ylim(-0.5, 1.5 * max(forces[:, 2].max(), across.max()))  # room for the legend
+    finish(axes, "force (N)", "time (s)")
+    axes.legend(loc="upper left", ncols=2)
+    drawn: Any = FigureCanvasAgg(figure)
+    drawn.draw()
+    return np.asarray(drawn.buffer_rgba())[..., :3].copy()
 
 
 def varied(parts: Row) -> str:
@@ -144,10 +189,8 @@ class Contact(Measured):
         }
 
     def finish(self) -> None:
-        from benchmarks.studies.robots.film import write_film
-
-        script = self.result["parts"]["standard"].get(SEARCH, {"gains": {}})
-        write_film(self.folder / "insertion.gif", script["gains"])
+        gains = self.result["parts"][LEVEL][SEARCH]["gains"]
+        write_film(self.folder / "insertion.gif", gains)
 
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:

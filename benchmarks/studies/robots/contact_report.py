@@ -64,7 +64,7 @@ def _entries(results: SuiteResults) -> Iterator[Entry]:
     stored = json.loads(path.read_text(encoding="utf-8"))["parts"] if path.is_file() else {}
     for task, level in levels(results).items():
         for method in results.preset.methods:
-            if not (runs := [run.rows("contact") for run in results.runs(task, method)]):
+            if not (runs := [run.folder.rows("contact") for run in results.runs(task, method)]):
                 continue
             value = student([medians(_of(rows, DRAWN))[0] for rows in runs])
             interval = ""

@@ -10,17 +10,17 @@ import os
 from typing import Any, Final
 
 import numpy as np
+import psutil
 
 from benchmarks.reporting.tables.table import plain
 from benchmarks.studies.base import Measured, Part, count, source
-from benchmarks.studies.timing import batch_stepping, in_turns, options, resident_mb, stepping
+from benchmarks.studies.timing import batch_stepping, in_turns, options, stepping
 from coop_env.geometry import GEOMETRIES
 
 BATCH: Final = 16
 SINGLE: Final = "single"
 ENGINE: Final = "engine alone, as many timesteps"
 BATCHES: Final = {f"batch of {BATCH}, {n} thread{'s' * (n > 1)}": n for n in (1, 2)}
-# figure: unit, factor from SI, goal
 DEGREE: Final = float(np.degrees(1.0))
 # an error's name, unit, factor from SI, goal
 ERRORS: Final = {
@@ -80,10 +80,11 @@ def measure_memory(steps: int) -> float:
 
     loop = stepping(CoopInsertionContactEnv(), _actions(max(1, steps // 10)).reshape(-1, 6))
     loop()
-    before = resident_mb()
+    process = psutil.Process()
+    before = process.memory_info().rss
     for _ in range(10):
         loop()
-    return resident_mb() - before
+    return float(process.memory_info().rss - before) / 1e6
 
 
 class Physics(Measured):

@@ -96,12 +96,12 @@ def attack(env: CoopInsertionEnv, moves: int, rng: np.random.Generator) -> dict[
     return {"moves": result.moves, "harmful": result.harmful}
 
 
-def search(machines: int, tick: Tick, moves: int = MOVES) -> dict[str, int]:
+def search(machines: int, tick: Tick) -> dict[str, int]:
     """The attack on so many machines, all together."""
     total = {"machines": machines, "moves": 0, "harmful": 0}
     for number in range(machines):
         rng = np.random.default_rng(derive("fresh", 16, number))
-        result = attack(draw_machine(rng), moves, rng)
+        result = attack(draw_machine(rng), MOVES, rng)
         total |= {key: total[key] + value for key, value in result.items()}
         tick((number + 1) / machines)
     return total

@@ -16,7 +16,7 @@ on and outside of them.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
@@ -25,14 +25,17 @@ from typing import Any, Final
 
 import numpy as np
 
+from benchmarks.evaluation.evaluate import Chooser, model_policy, play_together
+from benchmarks.evaluation.model_files import load_model
 from benchmarks.methods.controls import control
 from benchmarks.methods.episodes import Episode, env_arguments
+from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.reporting.stats import wilson
 from benchmarks.reporting.tables.table import plain
-from benchmarks.studies.base import Act, Measured, Part, Tick, count, greedy, source
+from benchmarks.studies.base import Measured, Part, Tick, count, source
 from benchmarks.studies.robots.trials import LEARNED, LEVEL, WHAT, in_cell, inserter
 from benchmarks.studies.robots.trials import play as play_contact
 from coop_env.env import CoopInsertionEnv
@@ -96,13 +99,11 @@ def by_plans(plan: Callable[[Any], Any]) -> Play:
     return play
 
 
-def by_acting(begin: Callable[[Episode], Act]) -> Play:
+def by_acting(begin: Callable[[Sequence[Episode]], Chooser]) -> Play:
     """Moves of who sees what a policy sees, to the end of the episode."""
 
     def play(episode: Episode) -> str:
-        act = begin(episode)
-        while not episode.over:
-            episode.move(act(episode.observation, episode.env.action_masks()))
+        play_together(begin([episode]), [episode], 0.0, 0)
         return ""
 
     return play
@@ -116,8 +117,7 @@ def player(name: str, preset: Preset, results: Path, seed: int) -> tuple[Play, d
     """
     limits, (method, track) = preset.planner, PLAYERS[name]
     if not track:
-        from benchmarks.methods.oracle import LatticeOracle
-        from benchmarks.methods.rrt_connect import RRTConnect
+        from benchmarks.methods.rrt_connect import RRTConnect  # needs OMPL
 
         number = 1 + derive("planner", seed) % 2**30
         planner: Any = LatticeOracle(limits.node_limit)
@@ -128,20 +128,12 @@ def player(name: str, preset: Preset, results: Path, seed: int) -> tuple[Play, d
     arguments = env_arguments(preset, cell, preset.tracks[track])
     del arguments["sim_to_real"]  # the machine of this study's worlds, not the track's
     if method == "rainbow":
-        from benchmarks.evaluation.model_files import load_model
-
-        policy = greedy(load_model(results / PRESET / "runs" / cell.id / "policy.zip"))
-        return by_acting(lambda _: policy), arguments
-    script = control(method, preset.tracks[track].controls, seed)
-
-    def begin(episode: Episode) -> Act:
-        choose = script([episode])
-        return lambda seen, masks: int(choose(seen[None], masks[None], [0])[0])
-
-    return by_acting(begin), arguments
+        policy = model_policy(load_model(results / PRESET / "runs" / cell.id / "policy.zip"))
+        return by_acting(lambda _: lambda seen, masks, _: policy(seen, masks)), arguments
+    return by_acting(control(method, preset.tracks[track].controls, seed)), arguments
 
 
-def measure(name: str, world: str, results: Path, episodes: int = EPISODES) -> Row:
+def measure(name: str, world: str, results: Path, episodes: int) -> Row:
     """A player's test episodes in a world, so many of each seed, a column for each quantity."""
     preset, rows = load_preset(PRESET), []
     for seed in range(SEEDS):

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
@@ -49,11 +48,7 @@ def options(stream: str, number: int, error: float | None, friction: float | Non
 
 
 def play(
-    env: Any,
-    script: Any,
-    stream: str,
-    episodes: int,
-    error: float | None = None,
+    env: Any, script: Any, stream: str, episodes: int, error: float | None = None
 ) -> dict[str, list[Any]]:
     """A script's episodes: success, time, s, peak force, N, and cause of failure, by name."""
     rows = []
@@ -72,19 +67,24 @@ def play(
 
 
 class Policy:
-    """A policy as a script: an action from an observation, with no memory to reset."""
+    """A trained model's greedy actions, as a script with no memory."""
 
-    def __init__(self, act: Callable[[Any], Any]) -> None:
-        self.reset, self.act = lambda: None, act
+    def __init__(self, model: Any) -> None:
+        self.model = model
+
+    def reset(self) -> None:
+        """Nothing is kept."""
 
     def __call__(self, observation: Any) -> Any:
         """The action after an observation (29,)."""
-        return self.act(observation)
+        return self.model.predict(observation, deterministic=True)[0]
 
 
-def of_model(model: Any) -> Policy:
-    """A trained model's greedy actions."""
-    return Policy(lambda observation: model.predict(observation, deterministic=True)[0])
+def script_of(name: str, env: Any, gains: Mapping[str, float]) -> Any:
+    """A script by its name in an environment, with some gains that are not the standard's."""
+    from benchmarks.methods.contact_scripts import SCRIPTS, Gains  # need MuJoCo
+
+    return SCRIPTS[name](env, Gains(**gains))
 
 
 def inserter(results: Path, name: str, seed: int) -> Any:
@@ -93,9 +93,6 @@ def inserter(results: Path, name: str, seed: int) -> Any:
     Raises:
         BenchmarkError: the gains or the policy are not among the results.
     """
-    from benchmarks.methods.contact_scripts import SCRIPTS, Gains
-    from coop_env.physics.task import resolve_task
-
     preset = LEARNED.get(name)
     run = f"classic/{preset}/runs/{LEVEL}-sac-s{seed}/policy.zip"
     path = results / (run if preset else "contact/scripts.json")
@@ -103,22 +100,23 @@ def inserter(results: Path, name: str, seed: int) -> Any:
         command = f"run --preset {preset}" if preset else "study contact"
         raise BenchmarkError(f"{path} is missing: run python -m benchmarks {command} first")
     if not preset:
+        from coop_env.physics.task import resolve_task
+
         gains = json.loads(path.read_text(encoding="utf-8"))["parts"][LEVEL][name]["gains"]
-        task: Any = SimpleNamespace(task=resolve_task(LEVEL))
-        return SCRIPTS[name](task, replace(Gains(), **gains))
+        return script_of(name, SimpleNamespace(task=resolve_task(LEVEL)), gains)
     config = read_yaml(path.with_name("config.yaml"))  # of the policy's file, arrays alone are read
     env, net = config["task"], config["arguments"]["policy_kwargs"]
     made = gymnasium.make(env["env"], **env["env_kwargs"])
     model = SAC("MlpPolicy", made, buffer_size=1, policy_kwargs=net, device="cpu")
     set_weights(model, path)
-    return of_model(model)
+    return Policy(model)
 
 
 def on_tests(model: Any, env: Any) -> list[Row]:
     """A model's episodes on the scripts' tests, a row each; errors in mm."""
     rows = []
     for error in CONDITIONS:
-        result = play(env, of_model(model), "test", EPISODES, error)
+        result = play(env, Policy(model), "test", EPISODES, error)
         for number, values in enumerate(zip(*result.values(), strict=True)):
             row = {"error": error, "episode": number}
             rows.append(row | dict(zip(result, values, strict=True)))

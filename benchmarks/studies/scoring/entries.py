@@ -41,6 +41,8 @@ from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.protocol import labels
 from benchmarks.protocol.plan import DESIGN, METHODS, PERFECT_PLANNERS, Cell
 from benchmarks.protocol.presets import Preset
+from benchmarks.reporting.results import Results
+from benchmarks.reporting.tables.beyond import build_tables
 from benchmarks.runs.cell import run_once
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.base import bar
@@ -128,9 +130,6 @@ def score(
     Raises:
         BenchmarkError: the name is taken, or as :func:`prepare`.
     """
-    from benchmarks.reporting.results import Results
-    from benchmarks.reporting.tables.beyond import build_tables
-
     scorers = prepare(preset, entry).values()
     store = Store.open(results, preset.name, create=True)
     with store.lock():
@@ -202,22 +201,17 @@ def _check(preset: Preset, entry: Entry) -> None:
 def _planner(preset: Preset, entry: Entry, seed: int) -> Callable[[Episode], None]:
     if entry.planner in PERFECT_PLANNERS:
         return planner_runner(preset, Cell(entry.planner, "full", GEOMETRY, "", seed))
-    ask = checked(load_function(entry.planner), entry.planner)
-    return lambda episode: follow(episode, ask)
-
-
-def load_function(name: str) -> Callable[[Any], Any]:
-    """The function that ``module:function`` names, from the current folder or what is installed."""
-    if ":" not in name:
+    if ":" not in entry.planner:
         raise BenchmarkError(
-            f"unknown planner '{name}'; known: {known(PERFECT_PLANNERS)}, or module:function of "
-            "your own"
+            f"unknown planner '{entry.planner}'; known: {known(PERFECT_PLANNERS)}, or "
+            "module:function of your own"
         )
-    function = resolve(name, "planner")
+    function = resolve(entry.planner, "planner")
     if not callable(function):
-        raise BenchmarkError(f"planner '{name}' is no function but {type(function).__name__}")
-    result: Callable[[Any], Any] = function
-    return result
+        kind = type(function).__name__
+        raise BenchmarkError(f"planner '{entry.planner}' is no function but {kind}")
+    ask = checked(function, entry.planner)
+    return lambda episode: follow(episode, ask)
 
 
 def checked(plan: Callable[[Any], Any], name: str) -> Callable[[Any], Plan]:

@@ -22,6 +22,8 @@ import pandas as pd
 from rich.console import Console
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.evaluation.evaluate import evaluate_cell
+from benchmarks.evaluation.model_files import load_stored
 from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS
 from benchmarks.protocol.plan import DESIGN, Cell, own_error
 from benchmarks.protocol.presets import Preset
@@ -97,14 +99,8 @@ class Replay(Insertion):
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
     ) -> dict[str, Any]:
         """Play the episodes; of all else meta.json says what the first run's does."""
-        from benchmarks.evaluation.evaluate import evaluate_cell
-
         stored, report = self.source.run(cell.id), ProgressReporter(folder, stop_requested)
-        model = None
-        if cell.learns:
-            from benchmarks.evaluation.model_files import load_stored
-
-            model = load_stored(stored.policy)
+        model = load_stored(stored.policy) if cell.learns else None
         rows = evaluate_cell(self.shortened(cell), cell, report, self.starts, model)
         folder.write_rows("episodes", rows)
         return {key: value for key, value in stored.meta().items() if key != "schema"}

@@ -47,7 +47,7 @@ def test_the_best_cycle_is_the_best_of_all() -> None:
 def test_scripts_return_what_the_environment_pays() -> None:
     preset = load_preset("cut")
     tracks = {name: preset.tracks[name] for name in ("printed", "safe")}
-    rows = audit.scripted(dataclasses.replace(preset, tracks=tracks), 2)
+    rows = pd.DataFrame(audit.scripted(dataclasses.replace(preset, tracks=tracks), 2))
     assert set(rows["script"]) == set(SCRIPTS)
     means = {
         (track, script): (float(result["return"].mean()), float(result["holes"].mean()))
@@ -75,6 +75,8 @@ def test_both_commands_write_what_they_say(
     preset = load_preset("smoke")
     store = Store.open(tmp_path, "smoke", create=True)
     words = ["--preset", "smoke", "--results", str(tmp_path)]
+    assert main(["study", "audit", *words, "--starts", "1"]) == 0
+    assert not (tmp_path / "audit" / "learned.csv").exists()
     assert main(["study", "failures", *words]) == 2
     assert "no stored policy of rainbow, track safe" in capsys.readouterr().err
     assert run_cell(Insertion(preset), Insertion(preset).find("rainbow-optimized-safe-s0"), store)

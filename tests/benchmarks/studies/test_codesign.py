@@ -54,10 +54,11 @@ def test_what_cannot_be_assembled_has_no_score() -> None:
 def test_the_optimum_of_a_design_is_the_same_for_the_same_starts() -> None:
     result = codesign.optimum(OPTIMIZED, 0, 6)
     assert result == codesign.optimum(OPTIMIZED, 0, 6)
-    solved = result.success / 100.0
-    assert result.ticks_all == pytest.approx(solved * result.ticks + (1 - solved) * 300)
-    assert codesign.summary([math.nan, 10.0]) == (50.0, 10.0, 155.0)
-    assert codesign.summary([math.nan])[0] == 0.0
+    solved = result["success"] / 100.0
+    ticks = solved * result["ticks"] + (1 - solved) * 300
+    assert result["ticks_all"] == pytest.approx(ticks)
+    assert codesign.reach([math.nan, 10.0]) == {"success": 50.0, "ticks": 10.0, "ticks_all": 155.0}
+    assert codesign.reach([math.nan])["success"] == 0.0
 
 
 def test_a_front_holds_what_no_other_beats() -> None:
@@ -99,6 +100,7 @@ def test_the_largest_area_is_the_one_that_the_design_study_finds() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("forked")
 def test_the_command_goes_on_and_can_be_checked(site: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     here = site("codesign")
     results = here.results
@@ -112,7 +114,7 @@ def test_the_command_goes_on_and_can_be_checked(site: Any, monkeypatch: pytest.M
     monkeypatch.setattr(codesign, "area_best", lambda of: largest[of])
     score, calls = codesign.optimum, []
 
-    def cut_off(*arguments: Any, **named: Any) -> codesign.Reach:
+    def cut_off(*arguments: Any, **named: Any) -> dict[str, float]:
         calls.append(arguments)
         if len(calls) == 7:
             raise KeyboardInterrupt

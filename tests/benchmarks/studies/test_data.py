@@ -14,11 +14,12 @@ from benchmarks.cli import main as command
 from benchmarks.methods.episodes import Episode
 from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.studies import data
-from coop_env.env import CoopInsertionEnv
 
 minari = pytest.importorskip("minari", reason="Minari is not installed (extra data)")
+pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
 ROOT = Path(__file__).resolve().parents[3]
 STEPS = 150
+NAMES = [recipe.name for contact in (False, True) for recipe in data.recipes(STEPS, contact)]
 
 
 @pytest.fixture(scope="module")
@@ -30,65 +31,44 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / "docs").mkdir()
         page = "# Page\n\n<!-- data:begin -->\n<!-- data:end -->\n"
         (folder / "docs" / "data.md").write_text(page, encoding="utf-8")
-        assert command(["study", "data", "--steps", str(STEPS), "--results", "results"]) == 0
+        words = ["study", "data", "--steps", str(STEPS), "--results", "results"]
+        assert command(words) == command([*words, "--contact"]) == 0
+    records = json.loads((folder / "results/data/data.json").read_text("utf-8"))
+    assert [r["id"] for r in records] == [f"coop-insertion/{name}-v0" for name in NAMES]
     return folder / "results"
 
 
-@pytest.mark.parametrize("name", ["optimum-small", *data.BEHAVIOURS])
+@pytest.mark.parametrize("name", NAMES)
 def test_the_environment_does_what_a_dataset_says(name: str, results: Path) -> None:
     """Each episode is played again from its seed by its actions, in the recovered environment."""
     with data.minari_root(results / "data"):
         dataset = minari.load_dataset(f"coop-insertion/{name}-v0")
     assert dataset.total_steps >= STEPS
-    env = dataset.recover_environment()
-    inner = env.unwrapped
-    assert isinstance(inner, CoopInsertionEnv)
+    env, contact = dataset.recover_environment(), name in data.CONTACT
     seeds = [m["seed"] for m in dataset.storage.get_episode_metadata(dataset.episode_indices)]
     assert seeds[0] == derive("data", 0)
     for seed, episode in zip(seeds, dataset, strict=True):
-        observation, _ = env.reset(seed=int(seed))
-        for t, action in enumerate(episode.actions):
-            np.testing.assert_array_equal(observation, episode.observations[t])
-            np.testing.assert_array_equal(inner.action_masks(), episode.infos["action_masks"][t])
-            assert episode.infos["action_masks"][t][action]
-            observation, reward, terminated, _, info = env.step(int(action))
-            assert reward == pytest.approx(episode.rewards[t])
-            assert terminated == episode.terminations[t]
-            assert info["n_filled"] == episode.infos["n_filled"][t + 1]
-        np.testing.assert_array_equal(observation, episode.observations[-1])
+        observation, info = env.reset(seed=int(seed))
         over = episode.terminations | episode.truncations
         assert over[-1]
         assert not over[:-1].any()
+        for t in range(len(over) + 1):
+            np.testing.assert_array_equal(observation, episode.observations[t])
+            if not contact:
+                info["action_masks"] = env.unwrapped.action_masks()
+            for key, values in episode.infos.items():
+                np.testing.assert_array_equal(info[key], values[t])
+            if t == len(over):
+                break
+            action = episode.actions[t]
+            assert contact or info["action_masks"][action]
+            observation, reward, terminated, truncated, info = env.step(action)
+            assert reward == pytest.approx(episode.rewards[t])
+            assert terminated == episode.terminations[t]
+            # one that a behaviour gave up is truncated there
+            assert truncated == episode.truncations[t] or not (contact or truncated)
     if name.startswith("optimum"):
         assert all(episode.infos["n_filled"][-1] > 0 for episode in dataset)
-
-
-def test_demonstrations_of_contact_are_what_the_environment_does(results: Path) -> None:
-    pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
-    before = json.loads((results / "data/data.json").read_text("utf-8"))
-    words = ["study", "data", "--contact", "--steps", "100", "--results", str(results)]
-    assert command(words) == 0
-    records = json.loads((results / "data/data.json").read_text("utf-8"))
-    assert records[: len(before)] == before
-    assert [r["id"] for r in records[len(before) :]] == [
-        f"coop-insertion/{name}-v0" for name in data.CONTACT
-    ]
-    for name in data.CONTACT:
-        with data.minari_root(results / "data"):
-            dataset = minari.load_dataset(f"coop-insertion/{name}-v0")
-        assert dataset.total_steps >= 100
-        env = dataset.recover_environment()
-        seeds = [m["seed"] for m in dataset.storage.get_episode_metadata(dataset.episode_indices)]
-        for seed, episode in zip(seeds, dataset, strict=True):
-            observation, info = env.reset(seed=int(seed))
-            for t, action in enumerate(episode.actions):
-                np.testing.assert_array_equal(observation, episode.observations[t])
-                np.testing.assert_array_equal(info["privileged"], episode.infos["privileged"][t])
-                observation, reward, terminated, truncated, info = env.step(action)
-                assert reward == pytest.approx(episode.rewards[t])
-                ends = episode.terminations[t], episode.truncations[t]
-                assert (terminated, truncated) == ends
-            assert terminated or truncated
 
 
 def test_no_episode_is_one_of_a_test_or_a_validation() -> None:

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pandas as pd
 import pytest
@@ -25,7 +24,7 @@ from benchmarks.evaluation.evaluate import (
     model_policy,
     play,
 )
-from benchmarks.evaluation.model_files import detect_algorithm
+from benchmarks.evaluation.model_files import algorithms, detect_algorithm, load_model
 from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.results import Results
@@ -34,7 +33,6 @@ from benchmarks.reporting.verify import check_runs
 from benchmarks.runs.store import Store
 from benchmarks.studies.scoring.entries import checked
 from coop_env.env import CoopInsertionEnv
-from sb3_rainbow import Rainbow
 from tests.benchmarks import fabricated_store
 
 SETTINGS: dict[str, dict[str, Any]] = {
@@ -45,15 +43,6 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "dqn": {"buffer_size": 200, "learning_starts": 10},
     "qrdqn": {"buffer_size": 200, "learning_starts": 10},
     "rainbow": {"buffer_size": 200, "learning_starts": 10},
-}
-CLASSES: dict[str, Any] = {
-    "ppo": stable_baselines3.PPO,
-    "a2c": stable_baselines3.A2C,
-    "trpo": sb3_contrib.TRPO,
-    "maskable_ppo": sb3_contrib.MaskablePPO,
-    "dqn": stable_baselines3.DQN,
-    "qrdqn": sb3_contrib.QRDQN,
-    "rainbow": Rainbow,
 }
 
 
@@ -70,7 +59,7 @@ def train(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
         path = folder / f"{name}-{seed}-{'-'.join(arguments)}.zip"
         if not path.exists():
             settings = SETTINGS[name] | {"policy_kwargs": {"net_arch": [16]}, "seed": seed}
-            model = CLASSES[name]("MlpPolicy", make_env(**arguments), device="cpu", **settings)
+            model = algorithms()[name]("MlpPolicy", make_env(**arguments), device="cpu", **settings)
             model.learn(steps).save(path)
         return path
 
@@ -110,7 +99,7 @@ def test_a_model_joins_the_leaderboard_with_one_command(
     # the protocol: test seeds, all levels of noise, six holes to the end, the model's own actions
     assert rows["reset_seed"].unique().tolist() == episode_seeds(0, 2, "validate")
     assert rows["noise"].unique().tolist() == [0.0, 0.01]
-    model = CLASSES[name].load(path, device="cpu")
+    model = load_model(path, trust=True)
     player = by_policy(model_policy(model), 0)
     expected = play(player, load_preset("smoke"), 0, [Condition({"reward": "progress"}, 0.01)])
     noisy = rows[rows["noise"] == 0.01]
@@ -127,9 +116,9 @@ def test_masks_go_to_who_knows_them(train: Callable[..., Path]) -> None:
         only[:] = False
         only[0, forced] = True
         for name in ("maskable_ppo", "rainbow"):
-            act = model_policy(CLASSES[name].load(train(name), device="cpu"))
+            act = model_policy(load_model(train(name), trust=True))
             assert act(observations, only).tolist() == [forced]
-    act = model_policy(stable_baselines3.PPO.load(train("ppo"), device="cpu"))
+    act = model_policy(load_model(train("ppo"), trust=True))
     only[:] = False
     free = act(observations, ~only)
     assert act(observations, only).tolist() == free.tolist()
@@ -203,10 +192,6 @@ def plan(env):
 def moves(env):
     answer = oracle.plan(env)
     return answer.moves.tolist() if answer.moves is not None else []
-
-
-def first_valid(env):
-    return [int(env.action_masks().argmax())]
 
 
 def there_and_back(env):
@@ -296,28 +281,11 @@ def test_a_planner_that_does_wrong_is_one_error(
     assert not list(planners.rglob("meta.json"))
 
 
-class Elsewhere(gymnasium.Env[Any, Any]):
-    """Spaces of one's choice."""
-
-    def __init__(self, observation: spaces.Space[Any], action: spaces.Space[Any]) -> None:
-        self.observation_space, self.action_space = observation, action
-
-    def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:
-        return self.observation_space.sample(), {}
-
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        return self.observation_space.sample(), 0.0, True, False, {}
-
-
 @pytest.mark.parametrize(
     ("observation", "action", "message"),
     [
         (spaces.Box(0.0, 1.0, (12,)), spaces.Discrete(4), "acts in Discrete(4)"),
-        (
-            spaces.Box(0.0, 1.0, (3,)),
-            spaces.Discrete(12),
-            "expects observations Box(0.0, 1.0, (3,)",
-        ),
+        (spaces.Box(0.0, 1.0, (3,)), spaces.Discrete(12), "expects observations Box(0.0, 1.0, (3,"),
         (spaces.Box(-9.0, 9.0, (12,)), spaces.Discrete(12), "train with normalize=True"),
     ],
 )
@@ -325,8 +293,9 @@ def test_wrong_spaces_are_one_error(
     observation: spaces.Space[Any], action: spaces.Space[Any], message: str, tmp_path: Path,
     refused: Callable[..., str],
 ) -> None:  # fmt: skip
-    path = tmp_path / "model.zip"
-    stable_baselines3.PPO("MlpPolicy", Elsewhere(observation, action), device="cpu").save(path)
+    path, env = tmp_path / "model.zip", make_env()
+    env.observation_space, env.action_space = observation, action  # type: ignore[assignment]
+    stable_baselines3.PPO("MlpPolicy", env, device="cpu").save(path)
     assert message in refused(*command(tmp_path / "results", "--model", str(path)))
     assert not (tmp_path / "results").exists()
 

@@ -13,7 +13,8 @@ from PIL import Image
 
 from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
-from benchmarks.studies import media, watch
+from benchmarks.studies import media
+from benchmarks.studies.base import episode
 from coop_env.env import CoopInsertionEnv
 from coop_env.rendering.scene import Scene
 from coop_env.rendering.viewer import Act, Viewer
@@ -70,15 +71,9 @@ def test_optimum_plans_anew_where_it_is_put() -> None:
     play = media.optimal_moves(env)
     for _ in range(5):
         observation, *_ = env.step(play(observation, env.action_masks()))
-    observation, _ = env.reset(seed=10)
-    filled, over = 0, False
-    while not over:
-        observation, _, terminated, truncated, info = env.step(
-            play(observation, env.action_masks())
-        )
-        filled, over = info["n_filled"], terminated or truncated
-        assert not info["collision"]
-    assert filled == np.sum(env.scene().active)
+    _, *infos = episode(env, lambda seen: play(seen, env.action_masks()), seed=10)
+    assert not any(info["collision"] for info in infos)
+    assert infos[-1]["n_filled"] == np.sum(env.scene().active)
 
 
 def test_watch_names_a_bad_port(capsys: pytest.CaptureFixture[str]) -> None:
@@ -93,7 +88,7 @@ def test_the_twin_is_shown_where_it_really_is(monkeypatch: pytest.MonkeyPatch) -
     def view(env: CoopInsertionEnv, act: Act, **where: Any) -> None:
         opened.append(Viewer(env, act, **where))
 
-    monkeypatch.setattr(watch, "view", view)
+    monkeypatch.setattr(media, "view", view)
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = int(probe.getsockname()[1])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
+import time
 from typing import Any
 
 import pytest
@@ -12,65 +12,54 @@ from stable_baselines3.common.env_util import make_vec_env
 
 from benchmarks.cli import main
 from benchmarks.studies import speed
-from benchmarks.studies.speed import learner, measure_updates
+from benchmarks.studies.speed import measure_updates
+from benchmarks.studies.timing import in_turns
 from sb3_rainbow import Rainbow
 
 
-def test_the_command_writes_what_it_prints(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_what_it_prints(site: Any) -> None:
+    here = site("speed-env")
     small = ["--steps", "256", "--rounds", "1", "--starts", "3"]
-    assert main(["study", "speed-env", "--results", str(tmp_path), *small]) == 0
-    parts = json.loads((tmp_path / "speed" / "env.json").read_text())["parts"]
-    text = (tmp_path / "speed" / "env.md").read_text()
-    printed = capsys.readouterr().out
-    assert text in printed
-    assert str(tmp_path / "speed") in printed
+    assert main(["study", "speed-env", "--results", str(here.results), *small]) == 0
+    here.check(speed.SpeedEnv, "speed/env.md", "batch of 64")
+    parts = json.loads((here.results / "speed" / "env.json").read_text())["parts"]
     assert all(value > 0.0 for value in parts["steps"].values())
     assert parts["optimum, optimized"]["feasible"] > 0.0
     # generous, so that only a gross slip fails here whatever else the machine does
     assert parts["steps"]["batch of 64"] < parts["steps"]["SB3 DummyVecEnv of 64"]
-    assert speed.SpeedEnv.problems(tmp_path) == []
 
 
-class Clockwork:
-    """A contestant whose every step takes so many seconds."""
+def test_times_are_medians_over_the_rounds_without_the_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now, seconds = [0.0], iter([9.0, 0.1, 0.5, 0.2])
+    monkeypatch.setattr(time, "process_time", lambda: now[0])
 
-    def __init__(self, seconds: list[float]) -> None:
-        self.seconds = iter(seconds)
+    def take(lasted: float) -> None:
+        now[0] += lasted
 
-    def __call__(self, kind: str, n: int) -> float:
-        return n * (1e-3 if kind == "train" else next(self.seconds))
-
-
-def test_rates_are_medians_over_the_rounds() -> None:
-    result = measure_updates({"a": Clockwork([0.1, 0.5, 0.2]), "b": Clockwork([1.0] * 3)}, 7, 3)
-    assert result["a"]["learn_cpu"] == pytest.approx(5.0)
-    assert result["b"]["learn_cpu"] == pytest.approx(1.0)
-    assert result["b"]["train_cpu"] == pytest.approx(1000.0)
+    actions = {"a": lambda: take(next(seconds)), "b": lambda: take(1.0)}
+    assert in_turns(actions, 3) == pytest.approx({"a": 0.2, "b": 1.0})
 
 
-@pytest.mark.parametrize("kind", ["learn", "train"])
-def test_updates_are_counted_whatever_the_number_of_games(kind: str) -> None:
+def test_updates_are_counted_whatever_the_number_of_games() -> None:
     one: dict[str, Any] = {"train_freq": 1, "gradient_steps": 1}
     model = Rainbow("MlpPolicy", make_vec_env("CartPole-v1", 4), learning_starts=8, **one)
     model.learn(40)
     before = model._n_updates
-    learner(model, 8)(kind, 5)
-    assert model._n_updates - before == 5
+    measure_updates({"Rainbow": model}, 5, 2)
+    assert model._n_updates - before == 3 * (5 + 5)  # a round is not counted
 
 
-@pytest.mark.parametrize("sbx", [None, DQN], ids=["without SBX", "with SBX"])
-def test_each_learner_is_measured(sbx: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(speed, "sbx_dqn", lambda: sbx)
+def test_each_learner_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(speed, "sbx_dqn", lambda: DQN)
     models = speed.make_models([16, 8], capacity=192)
     assert set(models) == {
-        *("SB3 DQN", "sb3-contrib QR-DQN", *(["SBX DQN"] if sbx else [])),
+        *("SB3 DQN", "sb3-contrib QR-DQN", "SBX DQN"),
         *("Rainbow", "Rainbow, categorical", "Rainbow, torch eager"),
     }
     assert models["Rainbow"].q_net.net_arch == models["SB3 DQN"].q_net.net_arch == [16, 8]
-    players = {name: learner(model, 64) for name, model in models.items()}
-    result = measure_updates(players, 3, 1)
+    result = measure_updates(models, 3, 1)
     assert all(rates["train_cpu"] > 0.0 for rates in result.values())
 
 
@@ -82,27 +71,24 @@ def test_each_learner_of_images_is_measured() -> None:
 
 
 def test_the_report_gives_the_ratios_of_the_rates() -> None:
-    kinds = ("learn_cpu", "train_cpu")
     rates = {
-        name: dict.fromkeys(kinds, rate) for name, rate in (("SB3 DQN", 500.0), ("Rainbow", 600.0))
+        name: dict.fromkeys(speed.KINDS, rate)
+        for name, rate in (("SB3 DQN", 500.0), ("Rainbow", 600.0))
     }
     result: dict[str, Any] = {
         "command": "c",
         "asked": {"rounds": 1, "steps": 1},
         "machine": {"machine": {"processor": "p"}, "commit": "0"},
-        "parts": {
-            "updates": rates,
-            "images": rates,
-        },
+        "parts": {"updates": rates, "images": rates},
     }
 
     def report() -> str:
-        return " ".join(speed.SpeedRainbow.to_markdown(json.loads(json.dumps(result))).split())
+        return " ".join(speed.SpeedRainbow.to_markdown(result).split())
 
     assert "| Rainbow | 600 | 1.20 | 600 |" in report()
     assert "| Rainbow of [256, 128, 64] | SB3 DQN | 1.20 | 1.20 | 1.5 |" in report()
     assert "| Rainbow on images | SB3 DQN | 1.20 | 1.20 | 0.9 |" in report()
     assert "SBX DQN was not measured: `sbx-rl` was not installed." in report()
-    result["parts"]["updates_64"] = {**rates, "SBX DQN": dict.fromkeys(kinds, 1200.0)}
+    result["parts"]["updates_64"] = {**rates, "SBX DQN": dict.fromkeys(speed.KINDS, 1200.0)}
     assert "| Rainbow of [64, 64] | SBX DQN | 0.50 | 0.50 | 1.5 |" in report()
     assert "was not measured" not in report()

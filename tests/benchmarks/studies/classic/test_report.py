@@ -15,11 +15,11 @@ from benchmarks.protocol.plan import expand, settings
 from benchmarks.protocol.presets import SuitePreset, load_suite
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.stats import Value
+from benchmarks.reporting.tables.table import Table
 from benchmarks.runs.store import Store
 from benchmarks.studies.catalogue import stores
-from benchmarks.studies.classic.figures import pictures
+from benchmarks.studies.classic.report import build_tables, page, pictures
 from benchmarks.studies.classic.results import SuiteResults, student
-from benchmarks.studies.classic.tables import build_tables, page
 
 SCORES = {"rainbow": 30.0, "dqn": 20.0, "qrdqn": 10.0, "random": 1.0, "held": 2.0, "script": 33.0}
 
@@ -46,6 +46,10 @@ def store(preset: SuitePreset, tmp_path_factory: pytest.TempPathFactory) -> Stor
         machine = {"commit": "f" * 40, "dirty": False, "machine": {"processor": "abacus"}}
         run.write_meta({"training": training, **machine})
     return store
+
+
+def tables_of(preset: SuitePreset, store: Store) -> dict[str, Table]:
+    return {table.name: table for table in build_tables(SuiteResults(preset, store))}
 
 
 def test_scores_are_means_over_seeds_with_an_interval(preset: SuitePreset, store: Store) -> None:
@@ -97,7 +101,7 @@ def test_published_marks_stand_beside_the_scores(tmp_path: Path) -> None:
         run.write_rows("episodes", [{"episode": 0, "return": 5.0 + cell.seed}])
         run.write_rows("curve", [{"timesteps": t, "return_mean": 1.0} for t in (0, 500)])
         run.write_meta({"training": {"updates": 7, "cpu_seconds": 60.0}})
-    tables = {table.name: table for table in build_tables(SuiteResults(atari, store))}
+    tables = tables_of(atari, store)
     boxing = next(row for row in tables["scores"].rows if row[0] == "Boxing")
     assert boxing[-1] == "0.2"
     assert "data-efficient Rainbow" in tables["scores"].notes[1]
@@ -105,13 +109,12 @@ def test_published_marks_stand_beside_the_scores(tmp_path: Path) -> None:
 
 
 def test_controls_have_their_own_table_and_move_no_score(preset: SuitePreset, store: Store) -> None:
-    tables = {table.name: table for table in build_tables(SuiteResults(preset, store))}
+    tables = tables_of(preset, store)
     shown = {row[0]: row[1:] for row in tables["controls"].texts()}
     assert tables["controls"].header[1:] == ["Random", "One action", "Script"]
     assert shown["CartPole-v1"] == ["1.5", "2.5", "33.5"]
     assert shown["Masked identity"] == ["1.0", "2.0", "-"]
-    without = SuiteResults(dataclasses.replace(preset, controls=[]), store)
-    plain = {table.name: table for table in build_tables(without)}
+    plain = tables_of(dataclasses.replace(preset, controls=[]), store)
     assert "controls" not in plain
     assert plain["together"].markdown() == tables["together"].markdown()
     assert plain["scores"].markdown() == tables["scores"].markdown()
@@ -142,11 +145,7 @@ def test_runs_that_are_not_what_the_preset_says_are_named(tmp_path: Path) -> Non
 def test_one_task_is_not_compared_with_itself(preset: SuitePreset, store: Store) -> None:
     for tasks in ({"masked_identity"}, {"cartpole"}):
         alone = dataclasses.replace(preset, tasks={key: preset.tasks[key] for key in tasks})
-        assert [table.name for table in build_tables(SuiteResults(alone, store))] == [
-            "scores",
-            "controls",
-            "steps",
-        ]
+        assert [*tables_of(alone, store)] == ["scores", "controls", "steps"]
 
 
 def test_a_store_of_the_other_kind_is_not_the_presets(tmp_path: Path) -> None:

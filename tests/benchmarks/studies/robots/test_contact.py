@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,9 +12,15 @@ import pytest
 
 from benchmarks.cli import main as command
 from benchmarks.protocol.presets import load
+from benchmarks.protocol.seeding import derive
+from benchmarks.studies.base import episode
 from benchmarks.studies.robots import contact, trials
-from benchmarks.studies.robots.contact import Contact
+from benchmarks.studies.robots.contact import Contact, make
 from benchmarks.studies.robots.contact_report import levels
+
+pytest.importorskip("mujoco", reason="needs the extra physics")
+
+from benchmarks.methods import contact_scripts
 
 
 def test_scripts_stand_only_beside_learners_of_the_same_machine() -> None:
@@ -26,18 +31,14 @@ def test_scripts_stand_only_beside_learners_of_the_same_machine() -> None:
 
 def test_each_script_finds_what_it_can_and_searches_press_less_than_a_stiff_push() -> None:
     """Within clearance and chamfer a push does; beyond it takes a search."""
-    pytest.importorskip("mujoco", reason="needs the extra physics")
-    from benchmarks.methods.contact_scripts import SCRIPTS, Gains
-    from coop_env.physics.env import CoopInsertionContactEnv
-
-    env = CoopInsertionContactEnv("standard")
+    env = make("standard")
     result = {
-        (name, error): trials.play(env, make(env, Gains()), "validate", 4, error)
-        for name, make in SCRIPTS.items()
+        (name, error): trials.play(env, trials.script_of(name, env, {}), "validate", 4, error)
+        for name in contact_scripts.SCRIPTS
         for error in (1.0, 3.0)
     }
     won = {key: sum(rows["success"]) for key, rows in result.items()}
-    assert all(won[name, 1.0] == 4 for name in SCRIPTS)
+    assert all(won[name, 1.0] == 4 for name in contact_scripts.SCRIPTS)
     assert won["stiff push", 3.0] == won["compliant push", 3.0] == 0
     assert won["moment-guided search", 3.0] >= 3
     assert won["spiral search", 3.0] >= 3
@@ -47,23 +48,13 @@ def test_each_script_finds_what_it_can_and_searches_press_less_than_a_stiff_push
         assert max(result[name, 3.0]["force"]) < 0.5 * min(stiff["force"])
 
 
-def searched(hold: float, episodes: int, **fields: Any) -> dict[str, list[Any]]:
-    """The moment-guided search on the level hard, with these fields of its task."""
-    from benchmarks.methods.contact_scripts import Gains, MomentSearch
-    from coop_env.physics.env import CoopInsertionContactEnv
-    from coop_env.physics.task import LEVELS
-
-    env = CoopInsertionContactEnv(replace(LEVELS["hard"], **fields))
-    return trials.play(env, MomentSearch(env, Gains(hold=hold)), "validate", episodes)
-
-
 def test_half_the_timestep_changes_neither_success_nor_force() -> None:
     """The contact's time constant is the task's; tied to the timestep it doubled the force."""
-    pytest.importorskip("mujoco", reason="needs the extra physics")
     n = 32
     whole, half, tied = (
-        searched(6.0, n, **fields)
+        trials.play(env, trials.script_of(contact.SEARCH, env, {"hold": 6.0}), "validate", n)
         for fields in ({}, {"timestep": 0.001}, {"timestep": 0.001, "contact_time": 0.0025})
+        for env in [make("hard", **fields)]
     )
     assert abs(sum(whole["success"]) - sum(half["success"])) <= 0.15 * n
     assert np.median(half["force"]) == pytest.approx(np.median(whole["force"]), rel=0.12)
@@ -72,23 +63,19 @@ def test_half_the_timestep_changes_neither_success_nor_force() -> None:
 
 
 def test_a_peg_that_slides_from_one_stave_to_the_next_meets_no_blow() -> None:
-    """Episode 47 met 74 N in a single timestep: taken for 3 mm deep in the next stave's side."""
-    pytest.importorskip("mujoco", reason="needs the extra physics")
-    result = searched(3.0, 48)
-    assert max(result["force"]) < 20.0
-    assert "force" not in result["failure"]
+    """An episode met 74 N in a single timestep: taken for 3 mm deep in the next stave's side."""
+    env = make("hard")
+    start = {"seed": derive("validate", 13, 47, 1), "options": trials.options("validate", 47, None)}
+    *_, info = episode(env, trials.script_of(contact.SEARCH, env, {"hold": 3.0}), **start)
+    assert info["peak_force"] < 20.0
+    assert info["failure"] != "force"
 
 
 def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
     site: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("mujoco", reason="needs the extra physics")
-    from benchmarks.methods import contact_scripts
-
     grids = {"compliant push": {"hold": (3.0, 6.0)}, "moment-guided search": {}}
     monkeypatch.setattr(contact_scripts, "GRIDS", grids)
-    scripts = {name: contact_scripts.SCRIPTS[name] for name in grids}
-    monkeypatch.setattr(contact_scripts, "SCRIPTS", scripts)
     monkeypatch.setattr(contact, "LEVELS", ("standard",))
     monkeypatch.setattr(contact, "SENSITIVE", ("standard",))
     here = site("contact")

@@ -22,6 +22,7 @@ from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.playing import make_env
 from benchmarks.studies.classic.train import build_model, run_learner
 from benchmarks.studies.robots import trials
+from benchmarks.studies.robots.contact import SEARCH, make
 
 pytest.importorskip("mujoco", reason="needs the extra physics")
 
@@ -53,11 +54,8 @@ def stored(method: str, noise: float, steps: int = 80) -> tuple[Any, Task]:
 
 def of_the_script(model: Any, task: Task) -> tuple[Any, Any, Any]:
     """What was observed (80, 29), what the memory says was done, and the script's (80, 6)."""
-    from benchmarks.methods.contact_scripts import Gains, MomentSearch
-    from coop_env.physics.env import CoopInsertionContactEnv
-
     assert task.guide is not None
-    script = MomentSearch(CoopInsertionContactEnv("standard"), Gains(**task.guide.gains))
+    script = trials.script_of(SEARCH, make("standard"), task.guide.gains)
     buffer = model.replay_buffer
     observed, actions = buffer.observations[:80, 0], buffer.actions[:80, 0]
     return observed, actions, np.array([script(each) for each in observed])

@@ -1,13 +1,22 @@
-"""Tables of the classic tasks, from stored data alone."""
+"""Tables, figures and the page's block of the classic tasks, from stored data alone."""
 
 from __future__ import annotations
 
 import math
 from typing import Final
 
+from matplotlib.figure import Figure
+
 from benchmarks.protocol.labels import of_suite
 from benchmarks.protocol.presets import load_suite
 from benchmarks.reporting.blocks import provenance
+from benchmarks.reporting.figures.style import (
+    METHOD_COLOURS,
+    PALETTE,
+    Picture,
+    canvas,
+    legend_below,
+)
 from benchmarks.reporting.stats import (
     Value,
     interquartile_mean,
@@ -19,10 +28,12 @@ from benchmarks.reporting.tables.table import Number, Table, TableCell
 from benchmarks.runs.store import Store
 from benchmarks.studies.classic.envs import MASKED_IDENTITY
 from benchmarks.studies.classic.results import SuiteResults
-from benchmarks.studies.robots.contact_report import build_contact_tables
+from benchmarks.studies.robots.contact_report import build_contact_tables, draw, levels
 
 # tables of the page, each with its figure
 SHOWN: Final = {"scores": "curves", "controls": "", "together": "", "contact": "contact"}
+CURVES: Final = "Return of the last greedy policy over training"
+CONTACT: Final = "Success, time and force over the hole's displacement"
 _INTERVAL = "Student's 95 % interval, of three seeds or more"
 _MASKS = (
     "The masked identity task: only Rainbow reads masks; to DQN and QR-DQN an action that is not "
@@ -57,7 +68,9 @@ def page(store: Store) -> str:
     """The block of a store: where its runs come from, the main tables, each with its figure."""
     results = SuiteResults(load_suite(store.folder.name), store)
     root, missing = f"../results/classic/{store.folder.name}", len(results.missing)
-    parts = [provenance(store.folder.name, results.folders, missing, results.n_controls)]
+    folders = [run.folder for run in results.all]
+    controls = sum(not run.cell.learns for run in results.all)
+    parts = [provenance(store.folder.name, folders, missing, controls)]
     tables = {table.name: table for table in build_tables(results)}
     for name, figure in SHOWN.items():
         if name in tables:
@@ -101,18 +114,16 @@ def _scores(results: SuiteResults) -> Table:
 
 def _controls(results: SuiteResults) -> Table:
     """What plays without learning, on the learners' test episodes."""
-    preset = results.preset
-    columns = preset.controls
-    rows: list[list[TableCell]] = []
-    for key, task in preset.tasks.items():
-        values = [results.score(key, name) for name in columns]
-        rows.append([task.title, *(_with_interval(v) for v in values)])
+    tasks, controls = results.preset.tasks, results.preset.controls
     return Table(
         "controls",
         "Without learning, on the same test episodes",
-        ["Task", *map(of_suite, columns)],
-        rows,
-        [" ".join(_CONTROLS[name] for name in preset.controls)],
+        ["Task", *map(of_suite, controls)],
+        [
+            [task.title, *(_with_interval(results.score(key, name)) for name in controls)]
+            for key, task in tasks.items()
+        ],
+        [" ".join(_CONTROLS[name] for name in controls)],
     )
 
 
@@ -194,3 +205,41 @@ def _speed(results: SuiteResults) -> Table:
             "got there (mean ± standard deviation).",
         ],
     )
+
+
+def pictures(results: SuiteResults) -> list[Picture]:
+    """What the stored runs can show."""
+    result = []
+    # of a search the curves would be more than can be told apart
+    if results.preset.tasks and not results.preset.search:
+        result.append(Picture("curves", CURVES, lambda: _curves(results)))
+    if levels(results):
+        result.append(Picture("contact", CONTACT, lambda: draw(results)))
+    return result
+
+
+def _curves(results: SuiteResults) -> Figure:
+    tasks = results.preset.tasks
+    columns = min(4, len(tasks))
+    rows = math.ceil(len(tasks) / columns)
+    figure, grid = canvas(rows, columns, (2.6 * columns, 2.2 * rows + 0.4))
+    for axes in grid[len(tasks) :]:
+        axes.set_visible(False)
+    for axes, (key, task) in zip(grid, tasks.items(), strict=False):
+        for number, method in enumerate(results.preset.methods):
+            curve = results.curve(key, method)
+            if curve is None:
+                continue
+            steps, mean, low, high = curve
+            colour = METHOD_COLOURS.get(method, PALETTE[(3 + number) % len(PALETTE)])
+            axes.plot(steps / 1e3, mean, color=colour, label=of_suite(method), linewidth=1.3)
+            axes.fill_between(steps / 1e3, low, high, color=colour, alpha=0.2, linewidth=0)
+        if task.goal is not None:
+            axes.axhline(task.goal, color="0.5", linestyle=":", linewidth=1.0)
+        axes.set_title(task.title)
+    for axes in grid[-columns:]:
+        axes.set_xlabel("environment steps (1000)")
+    for axes in grid[::columns]:
+        axes.set_ylabel("return")
+    legend_below(figure, grid)
+    return figure
