@@ -122,8 +122,9 @@ def expand(preset: Preset | SuitePreset) -> list[Cell]:
         _check_group(preset, group)
         seeds = preset.seeds if group.seeds is None else group.seeds
         tracks = group.tracks or [""]
-        every = product(group.methods, group.ablations, group.geometries, tracks, seeds)
-        cells |= {Cell(*each): None for each in every}
+        for seed in seeds:  # who stops early has some seeds of every kind
+            kinds = product(group.methods, group.ablations, group.geometries, tracks)
+            cells |= {Cell(*kind, seed): None for kind in kinds}
     if preset.design is not None:
         cells[Cell(DESIGN, "full", "optimized", "", 0)] = None
     if not cells:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import math
+import sys
+import types
+from typing import Any
 
 import numpy as np
 import pytest
@@ -115,6 +119,23 @@ def test_one_seed_has_no_spread_and_nothing_is_a_dash() -> None:
     assert stats.over_seeds([math.nan]).text(1) == "-"
 
 
+@pytest.fixture
+def rliable_library(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """rliable's library without arch, which does not import beside pandas 3.
+
+    Only its classes for drawing need arch; what is compared here is plain numpy.
+    """
+    stub = types.ModuleType("arch.bootstrap")
+    stub.IIDBootstrap = stub.IndependentSamplesBootstrap = object  # type: ignore[attr-defined]
+    package = types.ModuleType("arch")
+    package.bootstrap = stub  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "arch", package)
+    monkeypatch.setitem(sys.modules, "arch.bootstrap", stub)
+    monkeypatch.delitem(sys.modules, "rliable.library", raising=False)
+    yield importlib.import_module("rliable.library")
+    sys.modules.pop("rliable.library", None)
+
+
 @given(MATRICES)
 def test_means_are_rliables(scores: np.ndarray) -> None:
     (mean,) = stats.means(scores[None])
@@ -135,11 +156,11 @@ def test_the_probability_of_improvement_is_rliables() -> None:
         stats.probability_of_improvement(np.zeros((2, 3)), np.zeros((2, 2)))
 
 
-def test_performance_profiles_are_the_shares_above_each_score() -> None:
+def test_performance_profiles_are_rliables(rliable_library: Any) -> None:
     rng = np.random.default_rng(5)
     scores = rng.integers(0, 7, (5, 3)) / 6.0
     tau = np.linspace(0.0, 1.0, 13)
-    theirs = [sum(score > t for score in scores.flat) / 15 for t in tau]
+    theirs = rliable_library.score_distributions(scores, tau)
     assert stats.performance_profile(scores, tau) == pytest.approx(theirs)
     # rows of equal length: the mean of the seeds' profiles is the profile of all scores
     mean, low, high = stats.profile_over_seeds(list(scores), tau)
