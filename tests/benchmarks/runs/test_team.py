@@ -48,10 +48,25 @@ def _words(folder: Path) -> list[str]:
     return ["--preset", str(folder / "tiny.yaml"), "--results", str(folder)]
 
 
-def test_both_questions_are_answered_and_a_figure_is_drawn(results: Path) -> None:
+def test_every_form_has_its_row(results: Path) -> None:
     text = (results / "tiny" / "tables" / "team.md").read_text(encoding="utf-8")
+    for name, moves, decided in (
+        ("Rainbow", "in turn", "one for both"),
+        ("Rainbow on 49 joint moves", "at once", "one for both"),
+        ("VDN, a sum of two Rainbows", "at once", "each robot, without sight"),
+        ("Rainbow with shared parameters", "at once", "each robot, in sight"),
+        ("Independent Rainbows", "at once", "each robot, without sight"),
+        ("Greedy", "at once", "one for both"),
+        ("Exact optimum", "in turn", "one for both"),
+        ("Exact optimum", "at once", "one for both"),
+    ):
+        rows = [[cell.strip() for cell in line.split("|")] for line in text.splitlines()]
+        assert [name, moves, decided] in [[row[1], *row[3:5]] for row in rows if len(row) > 4]
     assert "what decentralization costs" in text
     assert "what moving at once changes: the exact optimum changes its ticks by -" in text
+    board = (results / "tiny" / "tables" / "leaderboard.md").read_text(encoding="utf-8")
+    assert "at once" not in board
+    assert "VDN" not in board
     assert (results / "tiny" / "figures" / "team_success.png").is_file()
 
 
