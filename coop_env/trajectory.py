@@ -35,7 +35,7 @@ TIMESTEP: Final = 0.002
 REASONS: Final = {
     state.INVALID: "beyond reach or joint limits",
     state.COLLISION: "a collision",
-    state.SINGULAR: "a singularity",
+    state.SINGULAR: "too near a singularity, or beyond it",
 }
 _SAME: Final = 1e-12  # rad
 

@@ -1,8 +1,8 @@
 """How methods, ablations and tracks are called in tables and figures, and what a method knows.
 
-That is, beside the observation: its masks, and what it remembers of the episode. A memory is any
-dependence of an action on what happened earlier in the episode, be it in the masks, the policy or
-the observation.
+What a method knows beside the observation is its masks and what it remembers of the episode. A
+memory is any dependence of an action on what happened earlier in the episode, be it in the masks,
+the policy or the observation.
 """
 
 from __future__ import annotations

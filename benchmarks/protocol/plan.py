@@ -46,14 +46,18 @@ CONTROL_COST: Final = 20.0  # of an episode that is tested
 
 # of Rainbow's six components: the constructor argument that switches each off
 OFF: Final[dict[str, Any]] = {
-    **{"prioritized": False, "dueling": False, "n_steps": 1},
-    **{"noisy": False, "distributional": False, "double_q": False},
+    "prioritized": False,
+    "dueling": False,
+    "n_steps": 1,
+    "noisy": False,
+    "distributional": False,
+    "double_q": False,
 }
 # ablation -> what it switches off
 ABLATIONS: Final[dict[str, dict[str, Any]]] = {
     "full": {},
     **{f"no_{name}": {name: off} for name, off in OFF.items()},
-    "none": OFF,
+    "none": dict(OFF),
     "double_dueling": {n: off for n, off in OFF.items() if n not in ("double_q", "dueling")},
 }
 

@@ -12,7 +12,6 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
 from benchmarks.protocol.presets import Curriculum, Track
-from benchmarks.runs.checkpoint import Stateful
 
 ROWS: Final = 400  # rows of curve.csv at most, so that it can be committed
 REFERENCE_THRESHOLD: Final = 0.75  # the paper's "environment steps to 75 % success" ...
@@ -69,7 +68,7 @@ class CurriculumCallback(BaseCallback):
         self.stage, self.switched_at = state["stage"], state["switched_at"]
 
 
-class Recorder(BaseCallback, Stateful):
+class Recorder(BaseCallback):
     """Keeps the rows of a run's curve, and goes on from a checkpoint."""
 
     def __init__(self) -> None:
@@ -87,6 +86,12 @@ class Recorder(BaseCallback, Stateful):
     @abstractmethod
     def summary(self) -> dict[str, Any]:
         """What meta.json says of the training."""
+
+    @abstractmethod
+    def get_state(self) -> Any: ...
+
+    @abstractmethod
+    def set_state(self, state: Any, /) -> None: ...
 
 
 class CurveRecorder(Recorder):

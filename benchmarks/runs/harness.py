@@ -256,7 +256,7 @@ def terminable() -> Iterator[None]:
 def open_backend(
     name: str, jobs: int | None, address: str | None = None, gpus_per_run: float = 0.0
 ) -> AbstractContextManager[Backend]:
-    """The backend of that name, closed at the end.
+    """The backend of that name, as a context that closes it.
 
     Args:
         jobs: runs at a time; None for what there is room for.

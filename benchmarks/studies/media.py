@@ -1,7 +1,7 @@
 """The README's picture and a short animation of one solved episode.
 
 The exact lattice optimum plays, or with --model a policy. Written to results/media: scene.png and
-episode.gif. The command ``watch`` shows who plays in the browser.
+episode.gif.
 """
 
 from __future__ import annotations

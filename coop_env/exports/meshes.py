@@ -50,10 +50,11 @@ class Link:
 
 
 def links(machine: Machine | None = None) -> list[Link]:
-    """All links of both robots at home, the bases first.
+    """All links of both robots at home, the bases first, the rest as they are drawn.
 
     Raises:
         GeometryError: a robot cannot be assembled.
+        ArgumentError: the holes do not fit the dome.
     """
     m = Machine() if machine is None else machine
     env = CoopInsertionEnv(m.rrs, delta=m.delta, task=m.task)

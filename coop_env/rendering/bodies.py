@@ -54,19 +54,18 @@ COLOURS: Final = MappingProxyType(
 )
 """Display colours (sRGB, 0 to 1) by what they mark."""
 
-
-def pixels(colour: Colour) -> tuple[int, int, int]:
-    """A display colour as bytes."""
-    red, green, blue = (round(255 * c) for c in colour)
-    return red, green, blue
-
-
 SIDES: Final = MappingProxyType({"left": -1.0, "right": 1.0})
 """The two rods of a forearm, by the side of the limb's plane that they lie on."""
 ROD_SPACING: Final = 0.017  # half the distance between a forearm's two rods, m
 _BORE: Final = 0.0055  # radius of a hole as drawn; the peg's is 0.004 m
 _RING: Final = 0.003  # least width of the ring about it, m
 _LIFT: Final = 0.0006  # marks stand this proud of the dome, m
+
+
+def pixels(colour: Colour) -> tuple[int, int, int]:
+    """A display colour as bytes."""
+    red, green, blue = (round(255 * c) for c in colour)
+    return red, green, blue
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,6 @@ from coop_env.rendering.rasterizer import Triangles, cast_light, draw, to_linear
 from coop_env.rendering.scene import Scene
 
 Image8 = npt.NDArray[np.uint8]
-
 Box = tuple[int, int, int, int]  # left, top, right, bottom in px
 Ink = tuple[int, int, int]
 
@@ -42,6 +41,7 @@ SIGMA_FULL: Final = 1.0  # signed sigma_min at which the bar is full
 SIGMA_LOW: Final = 0.15  # the bar warns below the design's threshold (paper, A_w)
 STATUS_COLOURS: Final = {"running": MUTED, "success": GOOD, "timeout": WARN, "time": WARN}
 """Of a status; every other one is a failure."""
+
 _SIZE_LIMITS = (16, 8192)  # px
 
 
@@ -235,7 +235,7 @@ def render_frame(
     x, y = (left + right) // 2 - side // 2, bottom - pad - side
     if side >= 80 and y >= card.y:  # a close view at the card's foot, if there is room
         close = replace(CAMERAS["dome"], azimuth=seen_from.azimuth)
-        view = make_view(close, (side, side), scene.platform_centre, (0.0, float(side)))
-        picture.paste(Image.fromarray(draw(model, light, view, (side, side), samples)), (x, y))
+        closer = make_view(close, (side, side), scene.platform_centre, (0.0, float(side)))
+        picture.paste(Image.fromarray(draw(model, light, closer, (side, side), samples)), (x, y))
         card.brush.rectangle((x, y, x + side - 1, y + side - 1), outline=RIM)
     return np.asarray(picture)

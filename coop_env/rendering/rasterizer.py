@@ -53,8 +53,9 @@ class Triangles(NamedTuple):
 
 
 class Light(NamedTuple):
-    """Right, down and forward of the key light, and how near to it (-depth, m) each texel's
-    surface is.
+    """The key light: its right, down and forward, and of each texel how near the surface is.
+
+    Nearness is minus the depth, m.
     """
 
     axes: Matrix3

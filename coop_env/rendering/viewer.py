@@ -24,7 +24,7 @@ from coop_env.geometry import GEOMETRIES
 from coop_env.kinematics.rrs_kernels import make_params
 from coop_env.rendering.bodies import COLOURS, Body, bodies, hole_state, pixels
 from coop_env.rendering.scene import Scene
-from coop_env.simulation.state import COLLISION, INVALID
+from coop_env.simulation.state import INVALID
 from coop_env.simulation.task import AXES, N_ACTIONS, axis_bounds
 from coop_env.trajectory import REASONS
 
@@ -56,10 +56,12 @@ def _open_server(host: str, port: int) -> viser.ViserServer:
         ) from error
     if not 1 <= port <= 65535:
         raise ViewerError(f"port {port}: must be 1 to 65535")
-    try:
-        socket.create_server((host, port)).close()  # viser would quietly take another port
-    except OSError as error:
-        raise ViewerError(f"{host}:{port} cannot be used ({error}): try another port") from None
+    with socket.socket() as probe:  # viser would quietly take another port
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise ViewerError(f"{host}:{port} cannot be used ({error}): try another port") from None
     return viser.ViserServer(host, port, label="Cooperative insertion", verbose=False)
 
 
@@ -256,7 +258,7 @@ class Viewer:
                 return self._refuse(f"{name}: {REASONS[INVALID]}")
             self._observation, reward, _, _, info = self.env.step(action)
             if info["collision"]:
-                return self._refuse(f"{name}: {REASONS[COLLISION]}")
+                return self._refuse(f"{name}: the robots would collide")
             self._show(f"{name}: reward {reward:+.2f}" + (", inserted" * info["inserted"]))
             return True
 

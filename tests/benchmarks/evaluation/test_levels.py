@@ -57,6 +57,7 @@ def exploring(preset: Preset, **changes: Any) -> Preset:
         ("dqn", "safe", [0.0, 0.01], True),
         ("greedy_observed", "safe", [0.0, 0.01], True),
         ("lookahead", "safe", [0.0], True),
+        ("greedy", "safe", [0.0], True),
         ("random", "memory", [0.0], False),
         ("optimum", "", [0.0], False),
     ],

@@ -261,3 +261,14 @@ def test_no_fewer_ticks_insert_on_a_coarse_lattice() -> None:
             assert fewest_ticks(env, 4) == lengths[-1]
             assert executes(env, plan.moves)
     assert len(set(lengths)) > 1
+
+
+def test_no_fewer_ticks_insert_near_the_goal() -> None:
+    env, oracle = CoopInsertionJointEnv(), LatticeOracle(at_once=True)
+    for seed in range(3):
+        env.reset(seed=seed)
+        plan: Any = oracle.plan(env)
+        for action in plan.moves[:-2]:
+            env.step(action)
+        rest: Any = oracle.plan(env)
+        assert len(rest.moves) == fewest_ticks(env, 2) == 2

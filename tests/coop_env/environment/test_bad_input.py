@@ -13,6 +13,7 @@ from coop_env import (
     OPTIMIZED,
     CoopInsertionEnv,
     CoopInsertionJointEnv,
+    CoopInsertionTeamVecEnv,
     CoopInsertionVecEnv,
     RRSGeometry,
 )
@@ -48,6 +49,8 @@ VALID = (0.0, 0.0, -0.33, 0.1, 0.1, 0.22)
         ({"mask_visited": 65}, ArgumentError, "65: must be an integer from 0 to 64"),
         ({"mask_refused": 1}, ArgumentError, "mask_refused = 1"),
         ({"stage": 2}, ArgumentError, "stage = 2"),
+        ({"stage": True}, ArgumentError, "stage = True"),
+        ({"mask_visited": 1.0}, ArgumentError, "mask_visited = 1.0"),
         ({"pose_model": "approximate"}, ArgumentError, "'approximate'"),
         ({"collision": "bounce"}, ArgumentError, "'bounce'.*'refuse' or 'terminate'"),
         ({"max_moves": 0}, ArgumentError, "max_moves = 0"),
@@ -64,6 +67,9 @@ VALID = (0.0, 0.0, -0.33, 0.1, 0.1, 0.22)
         ({"sim_to_real": {"link_length_error": 0.5}}, ArgumentError, "link_length_error = 0.5"),
         ({"sim_to_real": {"backlash": math.nan}}, ArgumentError, "backlash = nan"),
         ({"sim_to_real": {"latency": 2}}, ArgumentError, "latency = 2"),
+        ({"sim_to_real": {"latency": True}}, ArgumentError, "latency = True"),
+        ({"sim_to_real": {"randomize": 1}}, ArgumentError, "randomize = 1"),
+        ({"sim_to_real": {"backlash": None}}, ArgumentError, "backlash = None"),
         ({"sim_to_real": {"insertion_probability": 1.1}}, ArgumentError, "probability = 1.1"),
         ({"sim_to_real": {"chamfer_error": "big"}}, ArgumentError, "chamfer_error = 'big'"),
         ({"sim_to_real": {"randomize": "yes"}}, ArgumentError, "randomize = 'yes'"),
@@ -213,10 +219,11 @@ def test_snapshots_of_something_else() -> None:
         with pytest.raises(StateError, match=key):
             env.set_state({**whole, key: None})
     assert env.state == before
-    batch = CoopInsertionVecEnv(2, seed=0)
-    batch.reset()
-    with pytest.raises(StateError, match="states"):
-        batch.set_state(CoopInsertionVecEnv(3).get_state())
+    for form in (CoopInsertionVecEnv, CoopInsertionTeamVecEnv):
+        batch: Any = form(2, seed=0)
+        batch.reset()
+        with pytest.raises(StateError, match="states"):
+            batch.set_state(form(3).get_state())
 
 
 def test_a_start_that_is_not_found_leaves_everything_as_it_was() -> None:

@@ -35,7 +35,9 @@ def test_the_limit_is_what_wrappers_see(limit: int) -> None:
 
 
 def test_the_earlier_of_both_limits_cuts() -> None:
-    assert moves_until_cut(gym.make(ID)) == 300
+    env = gym.make(ID)
+    assert moves_until_cut(env) == 300
+    assert env.unwrapped.scene().time == pytest.approx(60.0)  # type: ignore[attr-defined]
     assert moves_until_cut(gym.make(ID, max_moves=40)) == 40
     assert moves_until_cut(gym.make(ID, max_episode_steps=25)) == 25
     assert moves_until_cut(gym.make(ID, max_moves=30, max_episode_steps=99)) == 30

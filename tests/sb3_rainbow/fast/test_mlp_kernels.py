@@ -52,7 +52,9 @@ def make_learner(
     policy = kind(space, spaces.Discrete(N_ACTIONS), lambda _: rate, **settings)
     for p in policy.q_net_target.parameters():
         p.data += 0.3 * th.randn_like(p)
-    return Learner(policy, double_q, 0.5, cpu_kernels=cpu_kernels)
+    learner = Learner(policy, double_q, 0.5, cpu_kernels=cpu_kernels)
+    assert space is IMAGES or learner.uses_kernels() == cpu_kernels
+    return learner
 
 
 def make_batch(seed: int, masked: bool) -> Batch:

@@ -169,6 +169,24 @@ def test_modules_that_have_their_own_mode_keep_it() -> None:
     model.learn(40)
 
 
+def test_an_update_prepares_its_observations_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+    preprocess = RainbowNetwork._preprocess
+
+    def counted(net: RainbowNetwork, obs: Any) -> Any:
+        seen.append(len(obs))
+        return preprocess(net, obs)
+
+    for settings in ({}, {"cpu_kernels": False}):
+        model: Any = make(**settings)
+        model.learn(40)
+        monkeypatch.setattr(RainbowNetwork, "_preprocess", counted)
+        seen.clear()
+        model._learner.update(as_batch(model.replay_buffer.sample(32), 0.99, False))
+        assert seen == [32, 32]
+        monkeypatch.undo()
+
+
 def test_none_means_to_load_what_it_means_to_the_constructor(tmp_path: Any) -> None:
     model = make(tau=0.5, prioritized=False, n_steps=1)
     model.save(tmp_path / "model")

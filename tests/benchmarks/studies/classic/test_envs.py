@@ -16,9 +16,6 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.studies.classic.envs import MaskedIdentityEnv, MinAtarEnv, NowAndThenRandom, make
-from benchmarks.studies.classic.features import SmallCnn
-
-minatar = pytest.importorskip("minatar", reason="needs the extra 'classic'")
 
 GAMES = ("breakout", "freeway", "space_invaders")
 
@@ -40,6 +37,7 @@ def played(env: gym.Env, seed: int, steps: int = 200) -> list[tuple[bytes, float
 @pytest.mark.parametrize("name", [*GAMES, "masked", "identity"])
 def test_the_tasks_pass_both_checks(name: str) -> None:
     if name in GAMES:
+        pytest.importorskip("minatar", reason="needs the extra 'classic'")
         env: gym.Env = MinAtarEnv(name)
     elif name == "masked":
         env = MaskedIdentityEnv(size=12, n_valid=3, length=20)
@@ -54,6 +52,7 @@ def test_the_tasks_pass_both_checks(name: str) -> None:
 
 @pytest.mark.parametrize("game", GAMES)
 def test_a_minatar_episode_depends_on_its_seed_alone(game: str) -> None:
+    pytest.importorskip("minatar", reason="needs the extra 'classic'")
     env = MinAtarEnv(game)
     first = played(env, seed=3)
     played(env, seed=4)  # leaves another last action behind
@@ -63,6 +62,7 @@ def test_a_minatar_episode_depends_on_its_seed_alone(game: str) -> None:
 
 
 def test_minatar_shows_the_games_own_state_with_sticky_actions_and_ramping() -> None:
+    minatar = pytest.importorskip("minatar", reason="needs the extra 'classic'")
     env = MinAtarEnv("asterix")
     observation, _ = env.reset(seed=0)
     assert observation.shape == (4, 10, 10)
@@ -73,20 +73,28 @@ def test_minatar_shows_the_games_own_state_with_sticky_actions_and_ramping() -> 
 
 
 def test_minatar_is_truncated_at_its_limit() -> None:
+    pytest.importorskip("minatar", reason="needs the extra 'classic'")
     env = MinAtarEnv("freeway", max_episode_steps=5)
     env.reset(seed=0)
     ends = [env.step(np.int64(0))[2:4] for _ in range(5)]
     assert ends == [(False, False)] * 4 + [(False, True)]
 
 
-def test_the_small_cnn_is_a_convolution_and_relu() -> None:
-    extractor = SmallCnn(gym.spaces.Box(0, 255, (2, 10, 10), np.uint8))
+def test_the_small_cnn_is_a_convolution() -> None:
+    from benchmarks.studies.classic.features import SmallCnn
+
+    space = gym.spaces.Box(0, 255, (2, 10, 10), np.uint8)
+    extractor = SmallCnn(space)
     images = torch.rand(3, 2, 10, 10)
-    layer: Any = extractor.layers[0]
-    assert layer.weight.shape == (16, 2, 3, 3)
-    by_hand = layer(images).clamp(min=0.0).flatten(1)
-    torch.testing.assert_close(extractor(images), by_hand)
-    assert by_hand.shape[1] == extractor.features_dim
+    features = extractor(images)
+    assert features.shape == (3, extractor.features_dim)
+    # by hand, one filter at one place: row 4, column 6 of the 8 x 8 map
+    layer = next(extractor.layers.children())
+    assert isinstance(layer, torch.nn.Conv2d)
+    assert layer.bias is not None
+    by_hand = (layer.weight[5] * images[1, :, 4:7, 6:9]).sum() + layer.bias[5]
+    result = features.view(3, 16, 8, 8)[1, 5, 4, 6]
+    torch.testing.assert_close(result, by_hand.clamp(min=0.0))
 
 
 def test_the_masks_of_masked_identity_allow_the_right_action() -> None:
@@ -124,6 +132,7 @@ def test_identity_is_sb3s_and_an_episode_depends_on_its_seed_alone() -> None:
 def test_unknown_tasks_are_named() -> None:
     with pytest.raises(BenchmarkError, match="unknown environment 'NoSuch-v0'"):
         make("NoSuch-v0")
+    pytest.importorskip("minatar", reason="needs the extra 'classic'")
     with pytest.raises(BenchmarkError, match="unknown MinAtar game 'pong'"):
         make("MinAtar/pong")
 
