@@ -103,7 +103,7 @@ def test_colliding_move_is_refused_aloud(view: Viewer) -> None:
     for _ in range(20):
         if not view.move(5):  # down onto the dome
             break
-    assert "collision" in view.message.content
+    assert "collide" in view.message.content
     assert view.env.configuration_status(view.env.configuration) == 0
 
 
