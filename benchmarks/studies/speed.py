@@ -252,7 +252,7 @@ def measure_updates(
     Args:
         models: of SB3's kind with a full replay buffer; each step of their envs has an update.
         n_updates: between two looks at the clock.
-        rounds: of all models.
+        rounds: of all models that count; one more goes before them.
     """
 
     def learn(model: Any) -> None:

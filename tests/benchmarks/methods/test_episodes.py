@@ -31,15 +31,6 @@ COORDINATE = st.floats(-1.0, 1.0)
 POINT = st.tuples(COORDINATE, COORDINATE, COORDINATE).map(np.array)
 
 
-def random_policy(seed: int) -> Policy:
-    rng = np.random.default_rng(seed)
-
-    def act(observations: np.ndarray, masks: np.ndarray) -> np.ndarray:
-        return np.array([rng.choice(np.flatnonzero(mask)) for mask in masks])
-
-    return act
-
-
 @given(POINT, POINT, POINT)
 def test_distance_to_a_segment_is_the_least_over_its_points(
     point: np.ndarray, start: np.ndarray, end: np.ndarray

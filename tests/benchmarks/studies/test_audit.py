@@ -65,6 +65,16 @@ def test_scripts_return_what_the_environment_pays() -> None:
     assert "| as printed | farm |" in " ".join(audit.markdown(rows).split())
 
 
+def test_the_table_has_means_and_deviations_over_starts() -> None:
+    rows = [
+        {"track": "tuned", "script": script, "start": i, "return": 10.0 + k + i,
+         "discounted": 5.0, "holes": 1, "moves": 30}
+        for k, script in enumerate(SCRIPTS) for i in range(2)
+    ]  # fmt: skip
+    text = " ".join(audit.markdown(pd.DataFrame(rows)).split())
+    assert "| tuned | insert | 10.5 ± 0.7 | 5.0 | 1.00 | 1.00 |" in text
+
+
 def test_each_reward_is_played_once() -> None:
     assert list(audit.of_each_reward(load_preset("cut")).tracks) == ["printed", "reward", "safe"]
 

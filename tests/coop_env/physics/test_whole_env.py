@@ -9,18 +9,18 @@ import pytest
 from gymnasium.error import ResetNeeded
 
 import coop_env
-from coop_env.errors import ArgumentError, ResetOptionError
+from coop_env.errors import ActionError, ArgumentError, ResetOptionError
 from coop_env.geometry import DELTA
 from coop_env.kinematics import delta, rrs
 from coop_env.physics.env import CoopInsertionContactEnv, CoopInsertionPhysicsEnv
 from tests.coop_env.physics.episodes import NO_ERROR, PUSH, REST, above, steps
 
 
-def lead(env: CoopInsertionPhysicsEnv, to: np.ndarray, steps: int) -> None:
+def lead(env: CoopInsertionPhysicsEnv, to: np.ndarray, n: int) -> None:
     """Straight to a configuration."""
     start = env.configuration
-    for k in range(1, steps + 1):
-        env.batch.advance((start + (to - start) * (k / steps))[None])
+    for k in range(1, n + 1):
+        env.batch.advance((start + (to - start) * (k / n))[None])
 
 
 def test_a_seed_gives_the_kinematic_tasks_start() -> None:
@@ -75,6 +75,9 @@ def test_bad_input_is_refused() -> None:
         env.step(REST)
     env.reset(seed=0)
     before = env.configuration
+    for action in (np.full(6, np.nan), np.full(6, 2.0), np.zeros(5), "up"):
+        with pytest.raises(ActionError):
+            env.step(action)
     malformed: list[Any] = [{"error": [1.0]}, {"friction": -1.0}, {"hole": 1}, {"target": 9}, 3]
     for options in malformed:
         with pytest.raises(ResetOptionError):

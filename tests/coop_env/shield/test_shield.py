@@ -182,17 +182,17 @@ class TestContact:
         pytest.importorskip("mujoco", reason="needs the extra physics")
 
     @pytest.mark.parametrize(
-        ("name", "options", "step"),
+        ("name", "options", "steps"),
         [
-            ("CoopInsertionContact-v0", {"hole": 0}, 0.0005),
-            ("CoopInsertionPhysics-v0", {}, 0.005),
+            ("CoopInsertionContact-v0", {"hole": 0}, [0.0005, 0.0005]),
+            ("CoopInsertionPhysics-v0", {}, [0.005, 0.005, 0.005]),
         ],
     )
     def test_commands_stay_within_the_margins(
-        self, name: str, options: dict[str, int], step: float
+        self, name: str, options: dict[str, int], steps: list[float]
     ) -> None:
         wrapped = ShieldWrapper(gym.make(name), ShieldMargin(sigma=0.2))
-        np.testing.assert_allclose(wrapped.shield.steps[:2], step)
+        np.testing.assert_allclose(wrapped.shield.steps[: len(steps)], steps)
         wrapped.reset(seed=0, options=options)
         tilting = np.zeros(6, np.float32)
         tilting[3:5] = np.sign(wrapped._configuration()[3:5])  # on towards the singularity

@@ -141,6 +141,8 @@ def test_parameters_out_of_range(kwargs: dict[str, Any], message: str) -> None:
 
 def test_a_reset_forgets_everything_and_sampling_before_a_window_is_complete_says_so() -> None:
     buffer = filled_buffer(n_rows=20, n_steps=3)
+    assert buffer.size() > 0
+    assert buffer.tree.total > 0.0
     buffer.reset()
     assert (buffer.size(), buffer.tree.total, buffer.can_sample) == (0, 0.0, False)
     with pytest.raises(ValueError, match="no complete n-step window"):

@@ -51,11 +51,14 @@ def test_each_script_finds_what_it_can_and_searches_press_less_than_a_stiff_push
 def test_half_the_timestep_changes_neither_success_nor_force() -> None:
     """The contact's time constant is the task's; tied to the timestep it doubled the force."""
     n = 32
-    whole, half, tied = (
-        trials.play(env, trials.script_of(contact.SEARCH, env, {"hold": 6.0}), "validate", n)
-        for fields in ({}, {"timestep": 0.001}, {"timestep": 0.001, "contact_time": 0.0025})
-        for env in [make("hard", **fields)]
-    )
+
+    def searched(**fields: float) -> Any:
+        env = make("hard", **fields)
+        script = trials.script_of(contact.SEARCH, env, {"hold": 6.0})
+        return trials.play(env, script, "validate", n)
+
+    whole, half = searched(), searched(timestep=0.001)
+    tied = searched(timestep=0.001, contact_time=0.0025)
     assert abs(sum(whole["success"]) - sum(half["success"])) <= 0.15 * n
     assert np.median(half["force"]) == pytest.approx(np.median(whole["force"]), rel=0.12)
     assert np.max(half["force"]) == pytest.approx(np.max(whole["force"]), rel=0.3)
