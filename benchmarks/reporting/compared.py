@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Final
 
 from benchmarks.errors import BenchmarkError
@@ -45,7 +44,6 @@ class Comparison:
         return name if ours.geometry == "optimized" else f"{name}, {ours.geometry} geometry"
 
 
-@lru_cache(maxsize=1)  # two tables and the sentences ask for them
 def comparisons(results: Results) -> list[Comparison]:
     """All comparisons of a store, each p corrected by Holm over those of its question."""
     asked: dict[str, list[tuple[Group, Group, list[float]]]] = {}
