@@ -178,20 +178,28 @@ def _player(preset: Preset, cell: Cell, model: Any) -> Player:
 
         choose = control(cell.method, preset.tracks[cell.track].controls, cell.seed)(episodes)
         if at.exploring:
-            choose = with_random_moves(choose, episodes, cell.seed)
+            seeds = [derive("explore", cell.seed, each.number) for each in episodes]
+            choose = with_random_moves(choose, [np.random.default_rng(seed) for seed in seeds])
         play_together(choose, episodes, at.noise, derive("noise", cell.seed), progress)
 
     return player
 
 
-def with_random_moves(choose: Chooser, episodes: Sequence[Episode], seed: int) -> Chooser:
-    """A script that makes a random allowed move in place of its own now and then."""
-    generators = [np.random.default_rng(derive("explore", seed, e.number)) for e in episodes]
+def with_random_moves(
+    choose: Chooser, generators: Sequence[np.random.Generator], share: float = RANDOM_MOVES
+) -> Chooser:
+    """A script that makes a random allowed move in place of its own now and then.
+
+    Args:
+        choose: the script.
+        generators: of the random moves, one for each episode.
+        share: of moves that are random.
+    """
 
     def explore(observations: Observations, masks: Masks, running: Sequence[int]) -> NDArray[Any]:
         actions = np.array(choose(observations, masks, running))
         for row, i in enumerate(running):
-            if generators[i].random() < RANDOM_MOVES:
+            if generators[i].random() < share:
                 actions[row] = generators[i].choice(np.flatnonzero(masks[row]))
         return actions
 

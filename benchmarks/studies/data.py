@@ -28,10 +28,9 @@ from unittest import mock
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.evaluation.evaluate import Chooser, follow, play_together
+from benchmarks.evaluation.evaluate import Chooser, follow, play_together, with_random_moves
 from benchmarks.methods.controls import control
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.methods.oracle import LatticeOracle
@@ -217,24 +216,8 @@ def _move(recipe: Recipe) -> Callable[[int, int], list[Episode]]:
 def _mixed(episodes: Sequence[Episode], share: float) -> Chooser:
     """The expert, but for a share of its moves, which are drawn from the allowed ones."""
     weights = load_preset("cut").tracks[TRACK].controls
-    expert = control("lookahead_observed", weights, 0)(episodes)
     generators = [np.random.default_rng(derive("data", e.number, 1)) for e in episodes]
-
-    def choose(
-        observations: NDArray[np.float32], masks: NDArray[np.bool_], running: Sequence[int]
-    ) -> NDArray[Any]:
-        actions = np.zeros(len(running), np.int64)
-        drawn = np.array([generators[i].random() < share for i in running])
-        for row in np.flatnonzero(drawn).tolist():
-            actions[row] = generators[running[row]].choice(np.flatnonzero(masks[row]))
-        own = np.flatnonzero(~drawn)
-        if len(own):
-            actions[own] = expert(
-                observations[own], masks[own], [running[row] for row in own.tolist()]
-            )
-        return actions
-
-    return choose
+    return with_random_moves(control("lookahead_observed", weights, 0)(episodes), generators, share)
 
 
 def measure(episodes: Sequence[Episode | Demonstration]) -> dict[str, Any]:

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from benchmarks.evaluation.evaluate import (
-    begin_episodes,
     displaced,
     evaluate_cell,
     levels,
@@ -98,10 +97,10 @@ def test_exploring_differs_from_greedy_and_follows_from_the_seed(
 
 
 def test_a_script_that_explores_makes_one_move_of_twenty_at_random() -> None:
-    episodes = begin_episodes({}, 0, 200)
     masks = np.zeros((200, 12), np.bool_)
     masks[:, 3:5] = True
-    choose = with_random_moves(lambda o, m, i: np.full(200, 3), episodes, 0)
+    generators = [np.random.default_rng(number) for number in range(200)]
+    choose = with_random_moves(lambda o, m, i: np.full(200, 3), generators)
     moves = np.array(
         [choose(np.empty((200, 12), np.float32), masks, range(200)) for _ in range(50)]
     )
