@@ -1,4 +1,4 @@
-"""Episodes side by side on one kind of machine: what both tasks share, and the contact task.
+"""Episodes side by side on one kind of machine: what both tasks share.
 
 A batch of one is what a single environment plays, so it and the vector form agree to the last bit.
 """
@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from coop_env.errors import ArgumentError, ResetOptionError, as_dataclass, check_flag, check_number
+from coop_env.errors import ArgumentError, as_dataclass, check_flag, check_number
 from coop_env.geometry import GeometryError, resolve_delta, resolve_rrs
 from coop_env.kinematics import rrs
 from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
@@ -22,17 +22,12 @@ from coop_env.physics import kernels
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Machine, Servos
 from coop_env.physics.task import (
-    OWN_OPTIONS,
     Options,
     askew,
-    draw_error,
     resolve_task,
-    split_options,
-    start_configurations,
 )
 from coop_env.physics.twin import Readings, Twin, closed_at, last
 from coop_env.rendering.scene import RRS_JOINTS, Scene, posed
-from coop_env.simulation.collision import peg_tip
 from coop_env.simulation.insertion_task import PAPER_TASK, InsertionTask
 from coop_env.simulation.sim_to_real import MASSES, UNDISTURBED, draw_disturbance, resolve_contact
 from coop_env.simulation.state import joints_of
@@ -396,81 +391,3 @@ def row_of(columns: Any, row: int) -> Any:
     if isinstance(columns, Mapping):
         return {name: row_of(part, row) for name, part in columns.items()}
     return columns[row].copy() if columns.ndim > 1 else columns.item(row)
-
-
-_LENGTH, _ANGLE, _FORCE, _MOMENT = 0.01, 0.05, 10.0, 0.05  # units of the contact task's observation
-UNITS: Final[Floats] = np.array(
-    [*[_LENGTH] * 3, *[_ANGLE] * 2, *[_ANGLE] * 6, *[_FORCE] * 3, *[_MOMENT] * 3,
-     *[_LENGTH] * 3, *[_ANGLE] * 2, _LENGTH, *[1.0] * 6]
-)  # fmt: skip
-"""What 1 means in each of the contact task's 29 fields: m, rad, N, N m."""
-
-
-def in_units(fields: Floats) -> NDArray[np.float32]:
-    """Observations (n, 29) of the contact task, of fields (n, 29) in SI units."""
-    return np.clip(fields / UNITS, -LIMIT, LIMIT).astype(np.float32)
-
-
-class ContactBatch(PhysicsBatch):
-    """Episodes of the contact task: one peg above one hole.
-
-    ``starts`` (holes, 6) are the configurations above the holes, NaN where one cannot be presented.
-    """
-
-    def __init__(self, *arguments: Any, **more: Any) -> None:
-        super().__init__(*arguments, **more)
-        self.n_observed, self.increments = len(UNITS), self.task.increments
-        self.starts = start_configurations(self.machine, self.task.start_height)
-        self._open = np.flatnonzero(np.isfinite(self.starts[:, 0]))
-        self._to_tip = np.array(peg_tip(0.0, 0.0, 0.0, self.machine.kernel_params().delta))
-        self._believed, self._paid = np.zeros((self.n, N_AXES)), np.zeros(self.n)
-
-    def check_options(self, options: Any) -> dict[str, Any]:
-        own, rest = split_options(options)
-        hole, choices = rest.pop("hole", None), self._open.tolist()
-        if rest:
-            known = ["hole", *OWN_OPTIONS]
-            unknown = sorted(map(str, rest))
-            raise ResetOptionError(f"options has unknown keys {unknown}; known: {known}")
-        if hole is None:
-            return own
-        whole = isinstance(hole, (int, np.integer)) and not isinstance(hole, bool)
-        if not whole or hole not in choices:
-            raise ResetOptionError(f"hole = {hole!r}: must be one of {choices}")
-        return {**own, "hole": int(hole)}
-
-    def reset(self, row: int, options: Any, rng: np.random.Generator) -> dict[str, Any]:
-        error = draw_error(self.task, rng)  # drawn whether or not an option sets it
-        hole, friction = int(rng.choice(self._open)), float(rng.uniform(*self.task.friction))
-        self.hole[row] = options.get("hole", hole)
-        start = self.starts[self.hole[row]]
-        mouth = start[:3] + self._to_tip - [0.0, 0.0, self.task.start_height]
-        self._place(row, start, mouth, options, (error, friction), rng)
-        self._first[row] = self._believed[row] = start
-        self._paid[row] = self.insertion[row, 0]
-        rows = slice(row, row + 1)
-        self._first_joints[row] = self._joints(rows)[0]
-        info = row_of(self.columns(), row)
-        names = ("depth", "lateral_error", "alignment_error", "hole", "friction", "error",
-                 "privileged")  # fmt: skip
-        return {name: info[name] for name in names}
-
-    def step(self, actions: Floats) -> Outcome:
-        task = self.task
-        self._action = np.array(actions, np.float64)
-        self._advance(self.command + actions * self.increments)
-        depth = self.insertion[:, 0]
-        self.success = (depth >= task.insertion_depth) & (self.failure == 0)
-        paid = np.minimum(depth, task.insertion_depth)
-        terms = self._terms("depth", task.depth_scale * (paid - self._paid), self.success)
-        self._paid = paid
-        return self._outcome(terms, self.success | (self.failure > 0))
-
-    def columns(self) -> dict[str, Any]:
-        return {**super().columns(), "hole": self.hole.copy()}
-
-    def _near(self, rows: slice) -> Floats:
-        return self._believed[rows]
-
-    def observe(self, rows: slice) -> NDArray[np.float32]:
-        return in_units(self._felt(rows))

@@ -12,7 +12,8 @@ from gymnasium.error import ResetNeeded
 from coop_env.env import check_action
 from coop_env.errors import ActionError
 from coop_env.geometry import DeltaGeometry, RRSGeometry
-from coop_env.physics.batch import LIMIT, PRIVILEGED_UNITS, ContactBatch, PhysicsBatch, row_of
+from coop_env.physics.batch import LIMIT, PRIVILEGED_UNITS, PhysicsBatch, row_of
+from coop_env.physics.contact import ContactBatch
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Servos
 from coop_env.physics.task import ContactTask

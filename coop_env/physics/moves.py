@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from coop_env.env import CoopInsertionEnv, Observation, check_action
 from coop_env.errors import ArgumentError, StateError, check_number
 from coop_env.physics import kernels
-from coop_env.physics.batch import TIME, in_units, row_of
+from coop_env.physics.batch import TIME, row_of
+from coop_env.physics.contact import in_units
 from coop_env.physics.env import with_privileged
 from coop_env.physics.joints import Floats
 from coop_env.physics.task import split_options, start_configurations

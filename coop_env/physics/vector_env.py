@@ -15,7 +15,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from coop_env.errors import check_integer
-from coop_env.physics.batch import ContactBatch, PhysicsBatch, row_of
+from coop_env.physics.batch import PhysicsBatch, row_of
+from coop_env.physics.contact import ContactBatch
 from coop_env.physics.env import PhysicsEnv, check_increments, make_spaces, move
 from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
 from coop_env.physics.whole import WholeBatch
