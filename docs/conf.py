@@ -51,7 +51,7 @@ nitpick_ignore_regex = [
     ("py:.*", rf"({'|'.join(OTHERS)})\..*"),
     ("py:.*", "|".join(NAMES)),
     ("py:.*", r"(.*\.)?(Self[A-Z]\w+|C|Act|MakeEnv)"),  # type variables, names of types
-    ("py:class", r"coop_env\.physics\.(batch|whole)\.\w+"),
+    ("py:class", r"coop_env\.physics\.(batch|contact|whole)\.\w+"),
 ]
 
 # numpy spells its two names for arrays out, over several lines
