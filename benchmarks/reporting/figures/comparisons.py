@@ -62,7 +62,8 @@ def comparisons(results: Results) -> list[Picture]:
         result.append(Picture(
             "ablation_comparison",
             "Success rate with one component removed: ours (as trained, where tested so) with 95 % "
-            "intervals, the paper's with its standard deviation.",
+            "intervals over seeds (a single seed has none), the paper's with its standard "
+            "deviation.",
             partial(_components, components, results.references(results.scored)),
         ))  # fmt: skip
     return result
@@ -194,7 +195,9 @@ def _errors(results: Results) -> Figure:
 def _components(rows: Sequence[Group], references: Sequence[Group]) -> Figure:
     figure, (axes,) = canvas(size=(6.0, 4.2))
     places = np.arange(len(rows))
-    mean, arms = _arms([row.as_trained().success() for row in rows])
+    values = [row.as_trained().success() for row in rows]
+    mean, arms = _arms(values)
+    arms[:, [value.n == 1 for value in values]] = np.nan  # its interval would be over episodes
     axes.errorbar(
         mean, places + 0.14, xerr=arms, fmt="o", markersize=4, capsize=2, color="C0",
         label=f"ours, {labels.track(rows[0].track)}",

@@ -5,8 +5,10 @@ from __future__ import annotations
 import io
 import resource
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from benchmarks.cli import main
@@ -71,6 +73,17 @@ def test_figures_have_their_captions_and_need_no_torch_and_little_time(tmp_path:
         data = (store.figures / f"{name}.png").read_bytes()
         assert data.startswith(b"\x89PNG")
         assert result[name].write(tmp_path).read_bytes() == data
+
+
+@pytest.mark.parametrize("seeds", [1, 5])
+def test_a_single_seed_has_no_interval_beside_those_over_seeds(tmp_path: Path, seeds: int) -> None:
+    results = Results(fabricated_store.make_store(tmp_path, range(seeds)))
+    (picture,) = (each for each in pictures(results) if each.name == "ablation_comparison")
+    ours: Any = picture.draw().axes[0].containers[0]
+    drawn = [bool(np.isfinite(bar).any()) for bar in ours.lines[2][0].get_segments() if len(bar)]
+    assert len(drawn) == (9 if seeds == 5 else 0)
+    assert all(drawn)
+    assert np.isfinite(ours.lines[0].get_xdata()).all()
 
 
 def test_a_store_without_any_run_has_tables_of_what_is_missing(tmp_path: Path) -> None:
