@@ -61,6 +61,7 @@ TRACKS: Final = {
     "independent": "independent",
     "independent_sight": "independent in sight",
 }
+MAIN_TRACK: Final = "repaired"
 DESIGN_METRICS: Final = {
     "workspace": "Orientation workspace (rad²)",
     "sigma_min": "Min sigma_min",
@@ -73,6 +74,11 @@ DESIGN_METRICS: Final = {
 def track(name: str) -> str:
     """A track in words; a track of one's own goes by its name."""
     return TRACKS.get(name, name)
+
+
+def on_track(name: str, track: str) -> str:
+    """A method's name with its track, unless that is the one that all tables are of."""
+    return name if track in ("", MAIN_TRACK) else f"{name}, {TRACKS.get(track, track)}"
 
 
 def of_suite(method: str) -> str:

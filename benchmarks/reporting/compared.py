@@ -40,7 +40,7 @@ class Comparison:
         """What is compared, in words: without which component, or on which geometry."""
         ours, name = self.ours, self.ours.name
         if ours.ablation not in ("full", "none"):
-            name = f"{labels.ABLATIONS[ours.ablation]}, {labels.track(ours.track)}"
+            name = labels.on_track(labels.ABLATIONS[ours.ablation], ours.track)
         return name if ours.geometry == "optimized" else f"{name}, {ours.geometry} geometry"
 
 

@@ -138,8 +138,8 @@ class Group:
 
     @property
     def name(self) -> str:
-        """The method and its track in words."""
-        return f"{self.title}, {labels.track(self.track)}" if self.track else self.title
+        """The method and its track in words, the main track unsaid."""
+        return labels.on_track(self.title, self.track)
 
     @property
     def acting(self) -> str:

@@ -64,10 +64,10 @@ def tables(full: Store) -> dict[str, Table]:
          ["80.0 ± 10.0", "90.0 ± 10.0", "80.0 ± 10.0", "90.0 ± 10.0"]),
         ("controls", "Success rate, greedily (%)", 3, ["70.0 ± 10.0"]),
         ("leaderboard", "Exact optimum", 0, ["-"]),
-        ("leaderboard", "Rainbow DQN, repaired", 2,
+        ("leaderboard", "Rainbow DQN", 2,
          ["paper's", "none", "80.0 ± 10.0", "90.0 ± 10.0"]),
-        ("leaderboard", "Masked DQN, repaired", 4, ["70.0 ± 10.0", "80.0 ± 10.0"]),
-        ("leaderboard", "Random, repaired", 5, ["-"]),
+        ("leaderboard", "Masked DQN", 4, ["70.0 ± 10.0", "80.0 ± 10.0"]),
+        ("leaderboard", "Random", 5, ["-"]),
         ("ablation", "Full Rainbow", 1, ["95 ± 2", "90.0 ± 10.0", "80.0 ± 10.0"]),
         # one episode of ten fewer on each seed: no spread between seeds, no test
         ("ablation", "- Dueling head", 2,
@@ -94,12 +94,12 @@ def test_tables_have_the_papers_rows_and_columns(full: Store, tables: dict[str, 
         "Metric", "RRT-Connect, paper", "Ours", "Vanilla DQN, paper", "Ours", "Rainbow DQN, paper",
         "Ours",
     ]  # fmt: skip
-    acting = "As trained: Vanilla DQN, repaired; Rainbow DQN, repaired."
+    acting = "As trained: Vanilla DQN; Rainbow DQN."
     assert acting in performance.notes
     assert any("precision 18" in note for note in performance.notes)
     # under the same masks, acting alike
     assert controls.header[1:] == [
-        "Masked DQN", "MaskablePPO", "Best script: Two-move lookahead, repaired", "Exact optimum",
+        "Masked DQN", "MaskablePPO", "Best script: Two-move lookahead", "Exact optimum",
     ]  # fmt: skip
     assert any("5 % random moves" in note for note in controls.notes)
     names = [row[0] for row in tables["ablation"].rows]
@@ -108,7 +108,7 @@ def test_tables_have_the_papers_rows_and_columns(full: Store, tables: dict[str, 
     rows = {row[0]: dict(zip(robust.header, row, strict=True)) for row in robust.texts()}
     assert list(rows) == ["0", "0.01", "0.02", "0.04"]
     assert rows["0.01"]["Rainbow DQN, paper"] == "88 ± 3"
-    assert rows["0.01"]["Rainbow DQN, repaired"] == "70.0 ± 10.0"
+    assert rows["0.01"]["Rainbow DQN"] == "70.0 ± 10.0"
     # a collision that ends the episode has scripts of its own
     results = Results(full)
     for track in ("repaired", "terminal"):
@@ -149,9 +149,9 @@ def test_each_comparison_has_the_p_of_its_own_differences(full: Store, tmp_path:
         assert one.p == pytest.approx(scipy.stats.ttest_1samp(differences, 0.0).pvalue)
     # the others' differences are all equal, have no p and do not count
     assert [dueling.p_holm, double_q.p_holm] == pytest.approx([2 * dueling.p, double_q.p])
-    assert dueling.name == "- Dueling head, repaired"
+    assert dueling.name == "- Dueling head"
     table = next(table for table in build_tables(Results(full)) if table.name == "significance")
-    assert any(row[1] == "- Dueling head, repaired, as trained" for row in table.texts())
+    assert any(row[1] == "- Dueling head, as trained" for row in table.texts())
 
 
 def test_the_tables_of_tasks_have_a_row_for_each(tmp_path: Path) -> None:
