@@ -38,7 +38,7 @@ test: lint type pytest ## Lint, types, tests
 pytest: $(STAMP) ## Tests alone
 	@$(BIN)/python -m pytest -q -n auto --dist loadfile --max-worker-restart 0
 
-examples: $(STAMP) ## Every block of README and docs whole, its score as the page prints it: an hour, weekly
+examples: $(STAMP) ## Every block of README and docs whole, its score as the page prints it: half an hour, weekly
 	WHOLE=1 $(BIN)/python -m pytest -q tests/test_docs.py -k blocks --timeout 7200
 
 lint: $(STAMP) ## ruff
