@@ -11,8 +11,8 @@ other timesteps, contacts and play, and a film is drawn.
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Mapping
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import product
@@ -206,7 +206,7 @@ class Contact(Measured):
             f"Scripts over the hole's displacement: {WHAT}",
             " | ".join(["level", "script", *map(trials.shown, CONDITIONS), "failures"]),
             [
-                [level, name, *map(trials.in_cell, one["errors"]), trials.causes(one["errors"])]
+                [level, name, *map(trials.in_cell, one["errors"]), _causes(one["errors"])]
                 for level, name, one in scripts
             ],
         )
@@ -216,3 +216,9 @@ class Contact(Measured):
             f"Gains chosen: {chosen}. {source(result)}"
         )
         return "\n\n".join([table, varied(result["parts"]), note])
+
+
+def _causes(rows: Sequence[Mapping[str, Sequence[Any]]]) -> str:
+    """How often episodes failed by each cause."""
+    counted = Counter(cause for row in rows for cause in row["failure"] if cause)
+    return ", ".join(f"{cause} {n}" for cause, n in sorted(counted.items())) or "-"

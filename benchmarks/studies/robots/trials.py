@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -139,9 +139,3 @@ def in_cell(result: Mapping[str, Sequence[Any]]) -> str:
 def shown(error: float | None) -> str:
     """A condition's head in a table."""
     return f"{error:g} mm" if error is not DRAWN else f"to {TRAINED:g} mm"
-
-
-def causes(rows: Sequence[Mapping[str, Sequence[Any]]]) -> str:
-    """How often episodes failed by each cause."""
-    counted = Counter(cause for row in rows for cause in row["failure"] if cause)
-    return ", ".join(f"{cause} {n}" for cause, n in sorted(counted.items())) or "-"
