@@ -15,7 +15,6 @@ on and outside of them.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -237,11 +236,6 @@ def _shares(row: Row) -> str:
     return f"{success:.0f} / {first:.0f} / {np.mean(row['holes']):.2f}"
 
 
-def _causes(row: Row) -> str:
-    counted = Counter(cause for cause in row["failure"] if cause)
-    return ", ".join(f"{cause} {n}" for cause, n in counted.most_common(1)) or "-"
-
-
 def _medians(row: Row) -> str:
     times = [time for time in row["time_first"] if time is not None]
     time = f"{np.median(times):.1f}" if times else "-"
@@ -250,7 +244,6 @@ def _medians(row: Row) -> str:
 
 TABLES: Final[dict[str, Callable[[Row], str]]] = {
     "Success (%) / first hole filled (%) / holes filled": _shares,
-    "Episodes without a first hole, by the most frequent cause": _causes,
     "Median time of the first hole (s) / median peak force (N)": _medians,
 }
 
