@@ -112,6 +112,12 @@ def test_the_command_goes_on_and_can_be_checked(site: Any, monkeypatch: pytest.M
         "heights": {"distal_length": 0.27631, "home_heave": 0.28221},
     }
     monkeypatch.setattr(codesign, "area_best", lambda of: largest[of])
+    choose, few = SearchResult.choose, ("initial", "optimized", "lambdas-area", "heights-area")
+
+    def two(result: SearchResult) -> dict[str, str]:  # of the six and more, to train on
+        return {design: choose(result)[design] for design in few[1::2]}
+
+    monkeypatch.setattr(SearchResult, "choose", two)
     score, calls = codesign.optimum, []
 
     def cut_off(*arguments: Any, **named: Any) -> dict[str, float]:
@@ -129,7 +135,7 @@ def test_the_command_goes_on_and_can_be_checked(site: Any, monkeypatch: pytest.M
     result = SearchResult(folder)
     rows = RunFolder(folder).rows("designs")
     assert len(rows) == 2 * 4 + 4
-    assert {"initial", "optimized", "lambdas-area", "heights-area"} <= set(result.choose())
+    assert {*few} <= choose(result).keys()
     assert result.policies("heights-area").n == 2
 
     text = here.check(Codesign, "codesign/codesign.md", "too few")
