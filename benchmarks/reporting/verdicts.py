@@ -178,8 +178,9 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
     ]
     if not (together or singles):
         return Verdict("", "")
+    singles = [c for c in singles if not ground(c.ours)]
     costs = [c for c in singles if outcome(c) == WORSE]
-    said, details, rests_on = "", "", [full]
+    said = ""
     if together:
         said = (
             f" Rainbow's success rate is {_above(together)} that of masked DQN, which lacks them."
@@ -187,10 +188,11 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
     if len(singles) == wanted:
         names = ", ".join(_component(c) for c in costs) or "none"
         details = f"Of {wanted} that were removed one at a time these cost success: {names}."
-        rests_on += [c.ours for c in singles]
     else:
-        details = f"Of {wanted} removals of one component, {len(singles)} have been run so far."
-    short = [ground(row) for row in rests_on if ground(row)]
+        details = (
+            f"Of {wanted} removals of one component, {len(singles)} have {SEEDS} seeds so far."
+        )
+    short = [ground(full)] if ground(full) else []
     if together and ground(together.theirs):
         short.append(f"masked DQN: {ground(together.theirs)}")
     pays = together is not None and outcome(together) == BETTER

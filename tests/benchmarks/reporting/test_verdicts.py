@@ -206,7 +206,7 @@ def _removed(**changed: list[int]) -> dict[str, list[int]]:
         ),
         (LEARNED, "Together, Rainbow's six components help.**"),
         ({**LEARNED, MASKED: [95, 97, 93]}, "Together, Rainbow's six components do not help.**"),
-        (_removed(noisy=[95]), "No verdict yet on the components (1 of 5 seeds).**"),
+        (_removed(noisy=[95]), "Together, Rainbow's six components help.**"),
         (
             {**LEARNED, MASKED: [70]},
             "No verdict yet on the components (masked DQN: 1 of 5 seeds).**",
@@ -219,11 +219,19 @@ def test_what_the_components_are_worth(
     assert report_of(runs)["components"].startswith(f"**{verdict}")
 
 
-def test_some_of_the_removals_are_no_verdict_on_the_ablation(report_of: Reports) -> None:
-    runs = {name: seeds for name, seeds in _removed(noisy=[95]).items() if "dueling" not in name}
+@pytest.mark.parametrize(("noisy", "left"), [([5], SIX), ([5, 6, 7], SIX[1:])])
+def test_removals_with_too_few_seeds_are_named_by_their_number_alone(
+    noisy: list[int], left: tuple[str, ...], report_of: Reports
+) -> None:
+    runs = {
+        name: seeds
+        for name, seeds in _removed(noisy=noisy).items()
+        if "no_" not in name or any(f"no_{one}-" in name for one in left)
+    }
     report = report_of(runs)["components"]
     assert report.startswith("**Together, Rainbow's six components help.**")
-    assert report.endswith("Of 6 removals of one component, 5 have been run so far.")
+    assert report.endswith("Of 6 removals of one component, 5 have 3 seeds so far.")
+    assert "cost success" not in report
 
 
 def test_the_components_are_named_with_their_cost(report_of: Reports) -> None:
