@@ -14,7 +14,7 @@ from coop_env.kinematics import rrs_kernels
 from coop_env.kinematics.delta_kernels import DeltaParams
 from coop_env.kinematics.rrs_kernels import LIMB_COS, LIMB_SIN, Pose
 from coop_env.kinematics.singularity import Row
-from coop_env.simulation.task import EnvParams
+from coop_env.simulation.task import EnvParams, TaskParams
 
 
 @njit(cache=True)
@@ -115,12 +115,25 @@ def arm_points(
 
 
 @njit(cache=True)
+def on_base(point: Row, t: TaskParams) -> Row:
+    """A point of the 3-RRS's base frame, m, where the base really stands."""
+    x, y, z = point
+    return (
+        t.base_x + t.cos_pitch * x + t.sin_pitch * z,
+        t.base_y + t.sin_roll * t.sin_pitch * x + t.cos_roll * y - t.sin_roll * t.cos_pitch * z,
+        t.base_z - t.cos_roll * t.sin_pitch * x + t.sin_roll * y + t.cos_roll * t.cos_pitch * z,
+    )
+
+
+@njit(cache=True)
 def _capsule_hits_limbs(a: Row, b: Row, radius: float, pose: Pose, q: Row, p: EnvParams) -> bool:
     """Whether a capsule touches a platform spoke or a link of the 3-RRS."""
     centre = (pose.x, pose.y, pose.z)
     spoke, link = radius + p.layout.spoke_radius, radius + p.layout.limb_radius
     for limb in range(3):
         base, elbow, joint = rrs_kernels.limb_points(pose, q[limb], limb, p.rrs)
+        if p.task.imperfect:  # the pose is displaced already
+            base, elbow = on_base(base, p.task), on_base(elbow, p.task)
         if segment_distance(a, b, centre, joint) < spoke:
             return True
         if segment_distance(a, b, elbow, joint) < link:
@@ -133,20 +146,28 @@ def _capsule_hits_limbs(a: Row, b: Row, radius: float, pose: Pose, q: Row, p: En
 @njit(cache=True)
 def ceiling(heave: float, p: EnvParams) -> float:
     """A height above which there is nothing of the 3-RRS, m."""
-    above = max(p.layout.dome_radius, p.rrs.platform_radius + p.layout.spoke_radius)
-    return max(heave + above, p.rrs.proximal_length + p.layout.limb_radius)
+    thick = max(p.layout.spoke_radius, p.layout.limb_radius)  # both end at the platform's joints
+    above = max(p.layout.dome_radius, p.rrs.platform_radius + thick)
+    lean = abs(p.task.sin_roll) + abs(p.task.sin_pitch)
+    rise = abs(p.task.base_z) + lean * (p.rrs.base_radius + p.rrs.proximal_length)
+    return max(heave + above, p.rrs.proximal_length + p.layout.limb_radius + rise)
 
 
 @njit(cache=True)
-def _thickest(p: EnvParams) -> float:
-    """Radius of the effector's ball or, if thicker, of the forearms that end at its height, m."""
-    return max(p.layout.effector_radius, p.layout.forearm_radius)
+def _lowest_arm(z: float, p: EnvParams) -> float:
+    """Height below which there is nothing of the Delta but the peg, m.
+
+    Forearms end at the effector and at the knees, which may hang lower.
+    """
+    height, forearm = p.delta.base_height, p.layout.forearm_radius
+    effector = z + height - max(p.layout.effector_radius, forearm)
+    return min(effector, height - p.delta.proximal_length - forearm)
 
 
 @njit(cache=True)
 def lowest(z: float, p: EnvParams) -> float:
     """Height below which there is nothing of the Delta, m: that of the tip, unless it is short."""
-    return min(peg_tip(0.0, 0.0, z, p.delta)[2], z + p.delta.base_height - _thickest(p))
+    return min(peg_tip(0.0, 0.0, z, p.delta)[2], _lowest_arm(z, p))
 
 
 @njit(cache=True)
@@ -191,7 +212,7 @@ def collides_elsewhere(
     end, effector = _peg(x, y, z, p)
     if _capsule_hits_limbs(end, effector, p.delta.peg_radius, pose, q, p):
         return True
-    if effector[2] - _thickest(p) >= ceiling(pose.z, p):
+    if _lowest_arm(z, p) >= ceiling(pose.z, p):
         return False
     centre = (pose.x, pose.y, pose.z)
     dome, body, forearm = p.layout.dome_radius, p.layout.effector_radius, p.layout.forearm_radius

@@ -66,8 +66,8 @@ def gaussian(m: Record) -> float:
 
 @njit(cache=True, inline="always")  # numba returns no tuple that holds a record
 def real_params(m: Record, p: EnvParams) -> EnvParams:
-    """The parameters with the machine's own lengths and chamfer."""
-    rrs, d, a = p.rrs, p.delta, m.lengths
+    """The parameters with the machine's own lengths, chamfer and base."""
+    rrs, d, a, b = p.rrs, p.delta, m.lengths, m.base
     return EnvParams(
         RRSParams(
             a[0], a[1], a[2], a[3], rrs.joint_min, rrs.joint_max, rrs.max_tilt, rrs.heave_min,
@@ -79,7 +79,8 @@ def real_params(m: Record, p: EnvParams) -> EnvParams:
         TaskParams(
             m.chamfer, m.tolerance, p.task.angle_tolerance, p.task.max_moves,
             p.task.mask_singularities, p.task.visited, p.task.imperfect, p.task.refused,
-            p.task.fatal,
+            p.task.fatal, b[0], b[1], b[2], math.cos(b[3]), math.sin(b[3]), math.cos(b[4]),
+            math.sin(b[4]),
         ),
         p.reward,
         p.layout,

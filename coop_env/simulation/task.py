@@ -39,7 +39,9 @@ class TaskParams(NamedTuple):
     ``chamfer`` and ``tolerance`` (m) and ``angle_tolerance`` (rad) decide a contact and an
     insertion; ``max_moves`` truncates; ``visited`` is the number of configurations back to which
     masks forbid to go; ``imperfect`` says that a sim-to-real knob is turned, ``refused`` that masks
-    forbid to try a refused move again, ``fatal`` that a collision ends the episode.
+    forbid to try a refused move again, ``fatal`` that a collision ends the episode. The rest is
+    where the 3-RRS's base of an imperfect machine really stands: position (m), and cosines and
+    sines of its roll and pitch.
     """
 
     chamfer: float
@@ -51,6 +53,13 @@ class TaskParams(NamedTuple):
     imperfect: bool = False
     refused: bool = False
     fatal: bool = False
+    base_x: float = 0.0
+    base_y: float = 0.0
+    base_z: float = 0.0
+    cos_roll: float = 1.0
+    sin_roll: float = 0.0
+    cos_pitch: float = 1.0
+    sin_pitch: float = 0.0
 
 
 class RewardParams(NamedTuple):

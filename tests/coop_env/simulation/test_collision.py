@@ -87,15 +87,30 @@ THICK = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("task", [{}, THICK], ids=["paper", "thick"])
-def test_configurations_collide_when_their_sampled_bodies_do(task: dict[str, Any]) -> None:
-    env = CoopInsertionEnv(task=task)
+FLAT = {"dome_radius": 0.03, "limb_radius": 0.12}  # links reach higher than dome and spokes
+LONG = {"proximal_length": 0.3, "distal_length": 0.35, "base_height": 0.55, "peg_length": 0.03}
+
+
+@pytest.mark.parametrize(
+    ("task", "delta", "heights"),
+    [
+        ({}, {}, (-0.65, -0.4)),
+        (THICK, {}, (-0.65, -0.4)),
+        (FLAT, {}, (-0.65, -0.4)),
+        ({}, LONG, (-0.3, -0.05)),  # knees hang below the effector
+    ],
+    ids=["paper", "thick", "flat", "long"],
+)
+def test_configurations_collide_when_their_sampled_bodies_do(
+    task: dict[str, Any], delta: dict[str, Any], heights: tuple[float, float]
+) -> None:
+    env = CoopInsertionEnv(task=task, delta=delta)
     rng = np.random.default_rng(0)
     counts = {True: 0, False: 0}
     while min(counts.values()) < 40:
         x, y = rng.uniform(-0.16, 0.16, 2)
         roll, pitch = rng.uniform(-0.6, 0.6, 2)
-        c = (x, y, rng.uniform(-0.65, -0.4), roll, pitch, rng.uniform(0.21, 0.25))
+        c = (x, y, rng.uniform(*heights), roll, pitch, rng.uniform(0.21, 0.25))
         valid, theta, pose, q = joint_angles(c, env.params)
         if not valid:
             continue

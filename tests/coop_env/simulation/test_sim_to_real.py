@@ -6,12 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from benchmarks.methods.oracle import LatticeOracle
 from coop_env import CoopInsertionEnv, SimToReal
 from coop_env.kinematics import rrs
 from coop_env.kinematics.rotations import roll_pitch
-from coop_env.simulation.machine import gaussian, uniform
+from coop_env.kinematics.rrs_kernels import Pose
+from coop_env.simulation.collision import on_base
+from coop_env.simulation.machine import displaced, gaussian, uniform
 from coop_env.simulation.sim_to_real import RANDOMIZED
 from coop_env.simulation.state import STATE
 
@@ -183,3 +186,28 @@ def test_the_rows_generator_is_uniform_and_normal() -> None:
     normal = np.array([gaussian(machine) for _ in range(20_000)])
     assert abs(normal.mean()) < 0.03
     assert normal.std() == pytest.approx(1.0, abs=0.03)
+
+
+def test_the_links_stand_on_the_displaced_base() -> None:
+    knobs = SimToReal(base_position_error=0.002, base_tilt_error=np.radians(0.5))
+    env = CoopInsertionEnv(sim_to_real=knobs)
+    # the forearm meets a link, which the displacement brings nearer
+    env.reset(
+        seed=273,
+        options={"configuration": [-0.07349, 0.13168, -0.53174, 0.18639, 0.31019, 0.22992]},
+    )
+    base = env.state["machine"]["base"]
+    params = env.params.task._replace(
+        **dict(zip(("base_x", "base_y", "base_z"), base[:3].tolist(), strict=True)),
+        **{f"{f.__name__}_roll": float(f(base[3])) for f in (np.cos, np.sin)},
+        **{f"{f.__name__}_pitch": float(f(base[4])) for f in (np.cos, np.sin)},
+    )
+    home = (0.1, -0.2, 0.21)
+    pose = rrs.platform_pose(home)
+    _, elbows, balls = np.moveaxis(rrs.limb_points(home), 1, 0)
+    stands = np.array([on_base(tuple(point), params) for point in (*elbows, *balls)])
+    seen = Rotation.from_euler("XY", base[3:]).as_matrix()
+    assert stands == pytest.approx(np.array([*elbows, *balls]) @ seen.T + base[:3], abs=1e-12)
+    met = displaced(env.state["machine"], Pose(*pose.position, *pose.rotation.ravel()))
+    assert met[:3] == pytest.approx(on_base(tuple(pose.position), params), abs=1e-12)
+    assert env.step(5)[-1]["collision"]
