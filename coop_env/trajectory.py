@@ -38,6 +38,8 @@ REASONS: Final = {
     state.SINGULAR: "too near a singularity, or beyond it",
 }
 _SAME: Final = 1e-12  # rad
+_BOW: Final = 1e-3
+"""m and rad by which a way, straight for the joints, may bow out of the 3-RRS's heave and tilt."""
 
 
 class TrajectoryError(ValueError):
@@ -166,7 +168,9 @@ def make_trajectory(
     Stop-and-go rests at each configuration, and all joints move in proportion between two. Blended,
     a joint that goes on in the same direction passes a configuration with the harmonic mean of its
     two mean velocities, and one that turns round rests there. Every configuration is met exactly;
-    whether the ways between them are free is in ``status`` and :meth:`Trajectory.blocked`.
+    whether the ways between them are free is in ``status`` and :meth:`Trajectory.blocked`. A way is
+    straight for the joints, so it may bow out of the 3-RRS's range of heave and tilt, by 1 mm and
+    1 mrad at most.
 
     Args:
         configurations: (n, 6), at least two: x, y, z of the effector, roll, pitch, heave; m, rad.
@@ -185,15 +189,18 @@ def make_trajectory(
     """
     rrs, robot = resolve_rrs(geometry), resolve_delta(delta)
     bodies = PAPER_TASK if task is None else as_dataclass("task", task, InsertionTask)
-    points = np.array(configurations, np.float64)
+    try:
+        points = np.array(configurations, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"configurations: must be numbers (n, 6): {error}") from error
     if points.ndim != 2 or points.shape[1] != N_AXES or len(points) < 2:
         raise ArgumentError(f"configurations of shape {points.shape}: must be (n, 6), n at least 2")
     check_flag("blend", blend)
     if move_time is not None:
         move_time = max(1, round(check_number("move_time", move_time, 0.0, above=True) / TIMESTEP))
         move_time *= TIMESTEP
-    packed = pack(make_params(rrs, rewards.make_reward("progress"), delta=robot, task=bodies))
-    joints, reached = state.joints_of(points, packed)
+    params = make_params(rrs, rewards.make_reward("progress"), delta=robot, task=bodies)
+    joints, reached = state.joints_of(points, pack(params))
     if not reached.all():
         index = int(np.argmin(reached))
         raise TrajectoryError(
@@ -213,7 +220,12 @@ def make_trajectory(
     stops = np.cumsum([0, *(move.shape[1] - 1 for move in moves)])
     parts = [moves[0][:, :1], *(move[:, 1:] for move in moves)]
     positions, velocities, accelerations = np.concatenate(parts, axis=1)
-    result, status = _follow(positions, points[0], packed)
+    bowed = params.rrs._replace(
+        heave_min=params.rrs.heave_min - _BOW,
+        heave_max=params.rrs.heave_max + _BOW,
+        max_tilt=params.rrs.max_tilt + _BOW,
+    )
+    result, status = _follow(positions, points[0], pack(params._replace(rrs=bowed)))
     times = TIMESTEP * np.arange(len(positions), dtype=np.float64)
     return Trajectory(times, positions, velocities, accelerations, result, status, stops)
 
@@ -242,39 +254,63 @@ def _profiles(
         import ruckig
     except ImportError as error:
         raise _missing(error) from error
-    solver, profile = ruckig.Ruckig(N_AXES, TIMESTEP), ruckig.Trajectory(N_AXES)
-    wanted = ruckig.InputParameter(N_AXES)
+    moves = []
+    for k, way in enumerate(np.diff(joints, axis=0)):
+        start, end = velocities[k : k + 2]
+        length = float(np.abs(way).max())
+        if length < _SAME:  # a move that was not made
+            rest = 1 if move_time is None else round(move_time / TIMESTEP) + 1
+            moves.append(np.zeros((3, rest, N_AXES)))
+        elif start.any() or end.any():
+            moves.append(_fastest(ruckig, k, way, start, end, limits, move_time))
+        else:  # one path for all, within the limits of each joint's share of it
+            share = way / length
+            slowest = np.divide(limits, abs(share), where=share != 0.0, out=np.full((3, 6), np.inf))
+            path, still = np.array([length]), np.zeros(1)
+            one = slowest.min(axis=1, keepdims=True)
+            moves.append(_fastest(ruckig, k, path, still, still, one, move_time) * share)
+        moves[-1][0] += joints[k]
+        moves[-1][0, -1] = joints[k + 1]
+    return moves
+
+
+def _fastest(
+    ruckig: Any, k: int, way: Floats, start: Floats, end: Floats, limits: Floats,
+    move_time: float | None,
+) -> Floats:  # fmt: skip
+    """Positions from 0, velocities and accelerations (3, samples, n) of a move along a way (n,).
+
+    Args:
+        ruckig: the module.
+        k: number of the move.
+        way: (n,), rad.
+        start: velocities (n,), rad/s.
+        end: likewise.
+        limits: of velocity, acceleration and jerk, (3, n).
+        move_time: as in :func:`_profiles`.
+    """
+    solver, profile = ruckig.Ruckig(len(way), TIMESTEP), ruckig.Trajectory(len(way))
+    wanted = ruckig.InputParameter(len(way))
     wanted.max_velocity, wanted.max_acceleration, wanted.max_jerk = limits.tolist()
     wanted.duration_discretization = ruckig.DurationDiscretization.Discrete
     if move_time is not None:
         wanted.minimum_duration = move_time
-    moves = []
-    for k in range(len(joints) - 1):
-        if np.abs(joints[k + 1] - joints[k]).max() < _SAME:  # a move that was not made
-            moves.append(np.stack([joints[k : k + 1], velocities[k : k + 1], 0.0 * joints[:1]]))
-            continue
-        straight = not (velocities[k].any() or velocities[k + 1].any())
-        kind = ruckig.Synchronization
-        wanted.synchronization = kind.Phase if straight else kind.Time
-        wanted.current_position, wanted.target_position = joints[k].tolist(), joints[k + 1].tolist()
-        wanted.current_velocity = velocities[k].tolist()
-        wanted.target_velocity = velocities[k + 1].tolist()
-        try:
-            done = solver.calculate(wanted, profile) == ruckig.Result.Working
-        except (ValueError, ruckig.RuckigError):  # an error that its enumeration does not know
-            done = False
-        if not done:
-            raise TrajectoryError(f"move {k}: these joint limits admit no trajectory")
-        steps = round(profile.duration / TIMESTEP)
-        if move_time is not None and steps > round(move_time / TIMESTEP):
-            raise TrajectoryError(
-                f"move {k} takes {profile.duration:.3g} s at these joint limits, and has "
-                f"{move_time:.3g} s: raise move_time or the limits"
-            )
-        samples = np.array([profile.at_time(TIMESTEP * i)[:3] for i in range(steps + 1)])
-        moves.append(np.swapaxes(samples, 0, 1))
-        moves[-1][0, -1] = joints[k + 1]
-    return moves
+    wanted.target_position = way.tolist()
+    wanted.current_velocity, wanted.target_velocity = start.tolist(), end.tolist()
+    try:
+        done = solver.calculate(wanted, profile) == ruckig.Result.Working
+    except (ValueError, ruckig.RuckigError):  # an error that its enumeration does not know
+        done = False
+    if not done:
+        raise TrajectoryError(f"move {k}: these joint limits admit no trajectory")
+    steps = round(profile.duration / TIMESTEP)
+    if move_time is not None and steps > round(move_time / TIMESTEP):
+        raise TrajectoryError(
+            f"move {k} takes {profile.duration:.3g} s at these joint limits, and has "
+            f"{move_time:.3g} s: raise move_time or the limits"
+        )
+    samples = np.array([profile.at_time(TIMESTEP * i)[:3] for i in range(steps + 1)])
+    return np.swapaxes(samples, 0, 1)
 
 
 @njit(cache=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import sys
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -83,14 +84,29 @@ def test_no_sample_exceeds_a_limit_and_every_configuration_is_met(
     assert np.diff(result.times) == pytest.approx(TIMESTEP)
 
 
-def test_between_two_stops_all_joints_move_in_proportion() -> None:
-    result = make_trajectory(walk(3, 1))
-    share = (result.positions - result.positions[0]) / np.ptp(result.positions, axis=0).max()
-    way = result.positions[-1] - result.positions[0]
-    moving = np.abs(way) > 1e-6
-    assert moving.any()
-    scaled = share[:, moving] / way[moving]
-    assert np.abs(scaled - scaled[:, :1]).max() < 1e-9
+@pytest.mark.parametrize("move_time", [None, 0.4])
+@pytest.mark.parametrize("delta", [None, SLOW])
+def test_between_two_stops_all_joints_move_in_proportion(
+    delta: DeltaGeometry | None, move_time: float | None
+) -> None:
+    for seed in (3, 46):
+        # every other stop: both robots move
+        way = walk(seed, 20)[:: 1 + seed % 2]
+        result = make_trajectory(way, delta=delta, move_time=2.0 if delta else move_time)
+        for first, last in pairwise(result.stops):
+            part = result.positions[first : last + 1] - result.positions[first]
+            share = part @ part[-1] / max(part[-1] @ part[-1], 1e-12)  # it may have come back
+            assert part == pytest.approx(np.outer(share, part[-1]), abs=1e-9)
+
+
+def test_a_move_of_tilt_at_the_least_heave_is_free() -> None:
+    """Straight for the joints, the platform bows by 0.05 mm out of its range of heave."""
+    start = walk(0, 0)[0]
+    start[3:] = 0.0, 0.0, OPTIMIZED.heave_min
+    for axis, step in ((3, 0.03), (3, -0.03), (4, 0.03), (4, -0.03)):
+        result = make_trajectory([start, start + step * np.eye(6)[axis]])
+        assert result.blocked() == []
+        assert result.configurations[:, 5].min() > OPTIMIZED.heave_min - 1e-4
 
 
 def test_blended_moves_pass_without_a_stop() -> None:
@@ -105,6 +121,7 @@ def test_blended_moves_pass_without_a_stop() -> None:
 def test_a_move_that_was_not_made_takes_no_time() -> None:
     once, twice = make_trajectory([HOME, HOME]), make_trajectory([HOME, LOW, LOW, HOME])
     assert (once.duration, once.stops.tolist()) == (0.0, [0, 0])
+    assert make_trajectory([HOME, HOME, LOW], move_time=0.4).duration == pytest.approx(0.8)
     task = InsertionTask(dome_radius=0.05)
     assert make_trajectory([HOME, HOME], task=task).duration == 0.0
     assert twice.duration == pytest.approx(2.0 * lowered().duration, abs=TIMESTEP)
@@ -163,6 +180,7 @@ FAR = [HOME, HOME, np.array([0.5, *HOME[1:]]), HOME, HOME]
             "configuration 2 of 5",
         ),
         (HOME, {}, ArgumentError, "configurations of shape"),
+        ([[0.0] * 6, [0.0] * 5], {}, ArgumentError, "configurations: must be numbers"),
         ([HOME], {}, ArgumentError, "configurations of shape"),
         ([[0.0] * 5] * 2, {}, ArgumentError, "configurations of shape"),
         ([HOME, HOME], {"move_time": 0.0}, ArgumentError, "move_time"),
