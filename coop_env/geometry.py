@@ -32,7 +32,8 @@ def _check(owner: object, *names: str, positive: bool = True) -> None:
     low = 0.0 if positive else -math.inf
     for name in names:
         where = f"{type(owner).__name__}.{name}"
-        check_number(where, getattr(owner, name), low, above=positive, error=GeometryError)
+        number = check_number(where, getattr(owner, name), low, above=positive, error=GeometryError)
+        object.__setattr__(owner, name, number)  # numpy's and whole numbers, too, are floats here
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,6 +157,11 @@ class DeltaGeometry:
             raise GeometryError(
                 f"distal_length = {self.distal_length:.4g} m must exceed "
                 f"proximal_length = {self.proximal_length:.4g} m, or the effector cannot hang below"
+            )
+        if self.peg_length <= self.peg_radius:
+            raise GeometryError(
+                f"peg_length = {self.peg_length:.4g} m must exceed "
+                f"peg_radius = {self.peg_radius:.4g} m, the radius of its tip"
             )
         if abs(self.base_radius - self.effector_radius) >= self.distal_length:
             raise GeometryError(

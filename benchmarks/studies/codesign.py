@@ -123,18 +123,9 @@ def area_best(study: str) -> Values:
     return rounded(dict(zip(names, map(float, result.x), strict=True)))
 
 
-def _problem(geometry: RRSGeometry) -> DesignProblem:
-    alike = ("distal_length", "joint_min", "joint_max")
-    return DesignProblem(
-        eta=geometry.characteristic_length,
-        heaves=(geometry.home_heave,),
-        **{name: getattr(geometry, name) for name in alike},
-    )
-
-
 def area(geometry: RRSGeometry) -> float:
     """The paper's objective A_w at the geometry's own home, rad^2."""
-    return workspace_area(geometry, _problem(geometry))
+    return workspace_area(geometry, DesignProblem.of(geometry))
 
 
 def starts_of(geometry: RRSGeometry, seeds: Iterable[int]) -> Iterator[CoopInsertionJointEnv]:
@@ -322,7 +313,7 @@ class Codesign(Study):
         for design, why in result.choose().items():
             geometry = of_row(result.row(design))
             # NaN where the cone is out of reach
-            margin = measure(geometry, _problem(geometry)).sigma_cone
+            margin = measure(geometry, DesignProblem.of(geometry)).sigma_cone
             row = {"design": design, "chosen": why, "sigma_cone": margin}
             rows += [
                 {**row, "seed": seed, **optimum(geometry, seed, EPISODES, "test")}

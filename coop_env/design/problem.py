@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,6 +90,18 @@ class DesignProblem:
             raise DesignError(f"pose_model = {self.pose_model!r}: must be 'exact' or 'paper'")
         if self.over_heaves not in ("min", "mean"):
             raise DesignError(f"over_heaves = {self.over_heaves!r}: must be 'min' or 'mean'")
+
+    @classmethod
+    def of(cls, geometry: RRSGeometry, **others: Any) -> DesignProblem:
+        """The problem of a machine's own scale, distal length, joint limits and home.
+
+        Args:
+            geometry: the machine.
+            others: any other field.
+        """
+        alike = {n: getattr(geometry, n) for n in ("distal_length", "joint_min", "joint_max")}
+        own = {"eta": geometry.characteristic_length, "heaves": (geometry.home_heave,), **alike}
+        return cls(**own | others)
 
     @property
     def home_heave(self) -> float:

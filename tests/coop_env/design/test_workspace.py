@@ -81,6 +81,10 @@ def test_no_tilt_limit_is_needed_for_the_papers_designs() -> None:
     limited = DesignProblem(max_tilt=math.pi / 4)
     for g in GEOMETRIES.values():
         assert design.workspace_area(g, limited) == design.workspace_area(g)
+    narrow = replace(OPTIMIZED, joint_min=0.4, joint_max=1.0)
+    own = design.workspace_area(narrow, DesignProblem.of(narrow))  # its own joint limits
+    assert own < 0.1 * design.workspace_area(OPTIMIZED)
+    assert DesignProblem.of(INITIAL) == replace(DesignProblem(), eta=INITIAL.characteristic_length)
     tight = design.workspace_area(OPTIMIZED, DesignProblem(max_tilt=math.radians(10)))
     assert tight == pytest.approx(math.radians(20) ** 2)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any
 
@@ -15,6 +16,7 @@ from coop_env import (
     CoopInsertionJointEnv,
     CoopInsertionTeamVecEnv,
     CoopInsertionVecEnv,
+    DeltaGeometry,
     RRSGeometry,
 )
 from coop_env.errors import (
@@ -86,6 +88,15 @@ def test_a_geometry_that_cannot_be_assembled() -> None:
         CoopInsertionEnv(geometry=RRSGeometry(0.1778, 0.1024, 0.1114, distal_length=0.08))
     with pytest.raises(GeometryError, match="lambda"):
         RRSGeometry.from_lambdas(0.5, 1.0)
+    with pytest.raises(GeometryError, match=r"peg_length = 0\.004 m must exceed peg_radius"):
+        DeltaGeometry(peg_length=0.004, peg_radius=0.005)
+
+
+def test_a_geometry_of_other_numbers_is_one_of_floats() -> None:
+    given: dict[str, Any] = {k: np.float32(value) for k, value in OPTIMIZED.as_dict().items()}
+    machine = RRSGeometry(**{**given, "joint_min": 0})
+    assert {type(value) for value in machine.as_dict().values()} == {float}
+    assert json.loads(json.dumps(DeltaGeometry(base_radius=np.float64(0.12)).as_dict()))
 
 
 def test_a_geometry_without_start_states_is_told_not_searched_for_ever() -> None:

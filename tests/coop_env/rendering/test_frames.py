@@ -192,9 +192,10 @@ def test_bad_arguments_are_named(arguments: dict[str, Any], message: str) -> Non
         sphere(0.1),
         arrow(0.05, 0.002),
         bar(0.2, 0.017, 0.010, 0.02),
+        bar(0.005, 0.017, 0.010, 0.02),  # shorter than its ends' radii differ
         plate(0.1, 0.05, 0.01),
     ],
-    ids=["rod", "chamfered", "cylinder", "sphere", "arrow", "bar", "plate"],
+    ids=["rod", "chamfered", "cylinder", "sphere", "arrow", "bar", "short bar", "plate"],
 )
 def test_solids_are_closed_and_face_outwards(mesh: Mesh) -> None:
     _, welded = np.unique(np.round(mesh.vertices, 9), axis=0, return_inverse=True)

@@ -197,11 +197,13 @@ def test_the_links_stand_on_the_displaced_base() -> None:
         options={"configuration": [-0.07349, 0.13168, -0.53174, 0.18639, 0.31019, 0.22992]},
     )
     base = env.state["machine"]["base"]
-    params = env.params.task._replace(
-        **dict(zip(("base_x", "base_y", "base_z"), base[:3].tolist(), strict=True)),
-        **{f"{f.__name__}_roll": float(f(base[3])) for f in (np.cos, np.sin)},
-        **{f"{f.__name__}_pitch": float(f(base[4])) for f in (np.cos, np.sin)},
-    )
+    turned: dict[str, Any] = {
+        f"{f.__name__}_{axis}": float(f(angle))
+        for axis, angle in (("roll", base[3]), ("pitch", base[4]))
+        for f in (np.cos, np.sin)
+    }
+    x, y, z = base[:3].tolist()
+    params = env.params.task._replace(base_x=x, base_y=y, base_z=z, **turned)
     home = (0.1, -0.2, 0.21)
     pose = rrs.platform_pose(home)
     _, elbows, balls = np.moveaxis(rrs.limb_points(home), 1, 0)
