@@ -144,7 +144,13 @@ def arrow(length: float, radius: float) -> Mesh:
 def bar(length: float, start: float, end: float, thickness: float) -> Mesh:
     """Flat tapered link along x with rounded ends of radii ``start`` and ``end``, thick along z."""
     length = round(length, 7)
-    lean = math.asin(min(max((start - end) / length, -0.999), 0.999))  # an end may hold the other
+    if abs(start - end) >= length:  # the wider end is all there is
+        x, radius = max((0.0, start), (length, end), key=lambda each: each[1])
+        turn = np.linspace(-math.pi, math.pi, 20, endpoint=False)
+        return prism(
+            tuple((x + radius * math.cos(a), radius * math.sin(a)) for a in turn), thickness
+        )
+    lean = math.asin((start - end) / length)
     tail = np.linspace(math.pi / 2 - lean, 3 * math.pi / 2 + lean, 10)
     head = np.linspace(-math.pi / 2 + lean, math.pi / 2 - lean, 10)
     outline = [(start * math.cos(a), start * math.sin(a)) for a in tail]
