@@ -1,5 +1,6 @@
 """Policies of Rainbow: the online and the target network, and how actions are chosen."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,7 @@ class RainbowPolicy(AsVector, BasePolicy):
 
     q_net: RainbowNetwork
     q_net_target: RainbowNetwork
+    _parameters_then: Sequence[nn.Parameter] = ()  # of the online network when last looked at
 
     def __init__(
         self,

@@ -332,8 +332,10 @@ class Rainbow(ResumableAlgorithm):
         if action_masks is None and self._masking and not self._warned_of_missing_masks:
             self._warned_of_missing_masks = True
             warnings.warn(_MISSING_MASKS, stacklevel=2)
+        # A subclass for envs without masks may have the signature of SB3's.
+        masks: dict[str, Any] = {} if action_masks is None else {"action_masks": action_masks}
         actions, state = self.policy.predict(
-            observation, state, episode_start, deterministic, action_masks
+            observation, state, episode_start, deterministic, **masks
         )
         if self.exploration_rate > 0.0 and not deterministic:
             actions = self._epsilon_greedy(actions, self.exploration_rate, action_masks)

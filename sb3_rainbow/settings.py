@@ -196,6 +196,11 @@ def check_settings(model: Any) -> None:
         raise ValueError(
             f"Pass {', '.join(sorted(clashing))} to Rainbow itself, not in policy_kwargs"
         )
+    if "beta" in model.replay_buffer_kwargs:
+        raise ValueError(
+            "Pass beta_start and beta_end to Rainbow instead of beta in replay_buffer_kwargs: it "
+            "rises in training"
+        )
     start = int(model.action_space.start)
     if start != 0:
         raise ValueError(f"Rainbow needs Discrete actions that start at 0, got start={start}")

@@ -1,7 +1,9 @@
 """torch's Adam over one vector, by a kernel on the optimizer's own state."""
 
+from collections.abc import Callable
+from functools import partial
 from itertools import chain
-from operator import is_, itemgetter
+from operator import attrgetter, is_, itemgetter
 from typing import Any
 
 import torch as th
@@ -12,6 +14,7 @@ from sb3_rainbow.network.shared_memory import join, parts
 
 # Options of torch's Adam that the kernel does not know
 _UNKNOWN = ("amsgrad", "maximize", "decoupled_weight_decay", "differentiable")
+GRAD = attrgetter("grad")
 _ENTRIES = itemgetter("exp_avg", "exp_avg_sq", "step")
 
 
@@ -25,12 +28,17 @@ class AdamOnVector:
         parameters: parts of ``vector``, in order.
         vector: their values.
         gradient: gradient of ``vector``.
+        gradients: its parts, which are the parameters' gradients.
     """
 
     def __init__(
-        self, parameters: list[th.nn.Parameter], vector: th.Tensor, gradient: th.Tensor
+        self,
+        parameters: list[th.nn.Parameter],
+        vector: th.Tensor,
+        gradient: th.Tensor,
+        gradients: list[th.Tensor],
     ) -> None:
-        self.parameters, self.vector = parameters, vector
+        self.parameters, self.vector, self.gradients = parameters, vector, gradients
         self.vector.grad = gradient
         self._values, self._gradient = vector.numpy(), gradient.numpy()
         self._ids = {id(p) for p in parameters}
@@ -53,22 +61,30 @@ class AdamOnVector:
         return self.is_possible(optimizer, self._ids)
 
     def step(self, optimizer: th.optim.Optimizer, max_grad_norm: float | None) -> None:
-        """Clip the gradient, then do what ``optimizer.step()`` does, hooks included."""
+        """Clip the gradient, then do what ``optimizer.step()`` does."""
         states = list(map(optimizer.state.get, self.parameters))
         is_first = not any(states)
+        learn = all(p.grad is not None for p in self.parameters)
         if max_grad_norm is not None:
             if is_first:
                 th.nn.utils.clip_grad_norm_([self.vector], max_grad_norm)
             else:
                 kernels.clip(self._gradient, max_grad_norm)
         step = self._first_step if is_first else self._step
-        if "step" in vars(optimizer) or not (is_first or self._has_moments(states)):
-            # A learning rate scheduler counts the calls; some parameters did not always train.
+        if "step" in vars(optimizer) or not (learn and (is_first or self._has_moments(states))):
+            # A learning rate scheduler counts the calls; some parameters do not always train.
             optimizer.step()
         elif has_hooks(optimizer):
-            th.optim.Optimizer.profile_hook_step(step)(optimizer)
+            hooked = partial(self._after_hooks, step)
+            th.optim.Optimizer.profile_hook_step(hooked)(optimizer)
         else:
             step(optimizer)
+
+    def _after_hooks(self, step: Callable[[Any], None], optimizer: th.optim.Optimizer) -> None:
+        if all(map(is_, map(GRAD, self.parameters), self.gradients)):
+            step(optimizer)
+        else:  # a hook put in a gradient of its own
+            th.optim.Adam.step.__wrapped__(optimizer)  # type: ignore[attr-defined]
 
     def _has_moments(self, states: list[Any]) -> bool:
         """Whether all parameters have moments of the same age; if so, as parts of vectors."""

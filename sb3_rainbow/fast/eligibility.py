@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from functools import cache
 from itertools import chain
-from operator import attrgetter, is_
+from operator import attrgetter, is_, methodcaller
 from typing import Any
 
 import numpy as np
@@ -22,9 +22,9 @@ from sb3_rainbow.network.shared_memory import is_dense
 # more threads for them
 _MOST_WEIGHTS = 500_000
 _HOOKS = ("_forward_hooks", "_forward_pre_hooks", "_backward_hooks", "_backward_pre_hooks")
-_GLOBAL_HOOKS = ("_global_forward_hooks", "_global_forward_pre_hooks", "_global_backward_hooks")
+_GLOBAL_HOOKS = tuple(f"_global{name}" for name in _HOOKS)
 _TRAINS = attrgetter("requires_grad")
-_VALUES: Any = dict.values
+_VALUES: Any = methodcaller("values")  # a scripted module's are in no dict
 _HOOKS_OF_PARAMETER = attrgetter("_backward_hooks", "_post_accumulate_grad_hooks")
 _PARAMETERS = {
     NoisyLinear: ("weight_mu", "weight_sigma", "bias_mu", "bias_sigma"),
@@ -102,7 +102,10 @@ def _is_perceptron(net: RainbowNetwork) -> bool:
     return (
         len(parameters) == len(set(map(id, parameters))) == len(list(net.parameters()))
         and all(
-            p is not None and (p.dtype, p.device.type) == (th.float32, "cpu") and is_dense(p)
+            p is not None
+            and (p.dtype, p.device.type) == (th.float32, "cpu")
+            and is_dense(p)
+            and not p.is_shared()  # with other processes, which would see the memory that was
             for p in parameters
         )
         and sum(p.numel() for p in parameters) - sum(p.numel() for p in learned) == n_parameters

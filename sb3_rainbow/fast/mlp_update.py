@@ -1,6 +1,6 @@
 """Updates of plain networks on the CPU by compiled kernels instead of torch's autograd."""
 
-from operator import attrgetter, is_
+from operator import is_
 from typing import TypeAlias
 
 import numpy as np
@@ -12,7 +12,7 @@ from torch import nn
 
 from sb3_rainbow.fast import learning_kernels
 from sb3_rainbow.fast import mlp_kernels as kernels
-from sb3_rainbow.fast.adam import AdamOnVector
+from sb3_rainbow.fast.adam import GRAD, AdamOnVector
 from sb3_rainbow.fast.eligibility import parameters_of, table_of
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.network.shared_memory import join, parts, share
@@ -20,7 +20,6 @@ from sb3_rainbow.type_aliases import Batch, Prepared
 
 # Below any probability that float32 holds as a normal number
 _TINY = float(np.finfo(np.float32).tiny)
-_GRAD = attrgetter("grad")
 _NO_MASKS = np.zeros((0, 0), dtype=np.bool_)
 _ONE = np.ones(1, dtype=np.float32)
 _NO_GRADIENT = np.zeros((0, 0), dtype=np.float32)
@@ -57,10 +56,13 @@ class MlpUpdate:
         self._gradients = parts(gradient, self._online)
         self._one_extractor = all(type(m) in _STATELESS for m in q_net.features_extractor.modules())
         extractors = q_net.features_extractor, q_net_target.features_extractor
-        self._flattens = all(type(extractor) is FlattenExtractor for extractor in extractors)
+        self._flattens = all(
+            type(extractor) is FlattenExtractor and type(extractor.flatten) is nn.Flatten
+            for extractor in extractors
+        )
         self._support = q_net.support.numpy()
-        learnt = sum(p.numel() for p in q_net.features_extractor.parameters())
-        self._learnt_gradient = gradient[len(gradient) - learnt :]
+        n_own = len(self._online) - len(list(q_net.features_extractor.parameters()))
+        self._learnt = list(zip(self._online, self._gradients, strict=True))[n_own:]
         epsilons = [*q_net.tie_noise(), *q_net_target.tie_noise()]
         self._vectors = vectors
         self._noises = q_net.noise.detach(), q_net_target.noise.detach()
@@ -69,7 +71,7 @@ class MlpUpdate:
         self._gradient = gradient.numpy()
         self._shared = [*self._online, *self._target, *epsilons]
         self._addresses = [t.data_ptr() for t in self._shared]
-        self._adam = AdamOnVector(self._online, vectors[0], gradient)
+        self._adam = AdamOnVector(self._online, vectors[0], gradient, self._gradients)
         self.table = table_of(q_net)
         n_in, n_out = self.table[-1, [kernels.INPUTS, kernels.OUTPUTS]]
         noisy = self.table[-1, kernels.NOISY]
@@ -132,13 +134,19 @@ class MlpUpdate:
             input_gradient,
         )
         learning_kernels.sigma_gradients(self._gradient, self._drawn[0], self.table)
-        if not all(map(is_, map(_GRAD, self._online), self._gradients)):
+        if not all(map(is_, map(GRAD, self._online), self._gradients)):
             for p, gradient in zip(self._online, self._gradients, strict=True):
                 p.grad = gradient
+        for p, _ in self._learnt:
+            p.grad = None
         if learns:
-            self._learnt_gradient.zero_()
             self._obs_features.backward(th.from_numpy(input_gradient))
         del self._obs_features
+        for p, gradient in self._learnt:
+            if p.grad is None:  # not all of an extractor need have learned
+                gradient.zero_()
+            else:
+                p.grad = gradient.copy_(p.grad)
         self._adam.step(optimizer, max_grad_norm)
         mean = np.asarray(float(losses @ weights) / n, np.float32)
         return th.from_numpy(mean), th.from_numpy(priorities)

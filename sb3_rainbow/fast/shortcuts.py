@@ -39,6 +39,8 @@ class Shortcuts:
     @property
     def kernels(self) -> MlpUpdate | None:
         """The compiled kernels, where they apply."""
+        if th.is_autocast_enabled("cpu"):
+            return None
         optimizer = self.policy.optimizer
         if (
             self._detector is not None

@@ -85,6 +85,7 @@ class Learner:
         self.policy.update_optimizer()
         loss, priorities = mean_loss(self.q_net, self.q_net_target, batch, self.double_q)
         self.q_net.zero_grad()
+        self.policy.optimizer.zero_grad()  # which may hold parameters of elsewhere
         loss.backward()
         if self.max_grad_norm is not None:
             nn.utils.clip_grad_norm_(self.q_net.parameters(), self.max_grad_norm)
@@ -109,10 +110,12 @@ class Learner:
     def _move_target(self, tau: float) -> None:
         online, target = self.q_net, self.q_net_target
         th._foreach_lerp_(list(target.parameters()), list(online.parameters()), tau)
-        for ours, theirs in zip(online.modules(), target.modules(), strict=True):
+        # what torch compiled is a module around the network
+        nets = (getattr(net, "_orig_mod", net).modules() for net in (online, target))
+        for ours, theirs in zip(*nets, strict=True):
             for name, statistic in ours._buffers.items():
                 if name.startswith("running_"):
-                    theirs._buffers[name].copy_(statistic)  # type: ignore[union-attr, arg-type]
+                    theirs._buffers[name].copy_(statistic)
 
     @th.no_grad()
     def diagnostics(self, batch: Batch, priorities: th.Tensor) -> dict[str, float]:

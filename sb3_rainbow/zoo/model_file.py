@@ -58,6 +58,7 @@ _OF_THE_MACHINE = {
     *("self", "env", "tensorboard_log", "verbose", "seed", "device"),
     *("cpu_kernels", "_init_setup_model"),
 }
+_MOST_STEPS = 1_000
 _COUNTERS: dict[str, type] = {"num_timesteps": int, "_n_updates": int, "exploration_rate": float}
 
 
@@ -132,6 +133,8 @@ def read_model(
     with loading(path):
         settings, arrays = _read(path, _MODEL)
         arguments = _checked(settings.pop("arguments"), _hints())
+        if arguments.get("n_steps", 1) > _MOST_STEPS:  # the smallest buffer holds one return
+            raise ValueError(f"n_steps cannot be {arguments['n_steps']}: at most {_MOST_STEPS}")
         policy_kwargs = _checked(settings.pop("policy_kwargs"), _policy_hints())
         counters = _checked(settings.pop("counters"), _COUNTERS)
         own_spaces = {name: _read_space(value, name, arrays) for name, value in settings.items()}

@@ -357,6 +357,7 @@ def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
         ({"sigma0": -0.1}, "sigma0 must not be negative, got -0.1"),
         ({"alpha": 1.5}, "alpha must lie in"),
         ({"beta_start": -0.5}, "beta must lie in .0, 1., got -0.5"),
+        ({"replay_buffer_kwargs": {"beta": 0.9}}, "Pass beta_start and beta_end"),
         ({"beta_end": 1.5}, "beta_end must lie in .0, 1., got 1.5"),
         ({"v_min": 5.0, "v_max": 5.0}, "v_min must be below v_max"),
         ({"v_min": 0.0}, "v_min without v_max: pass both"),

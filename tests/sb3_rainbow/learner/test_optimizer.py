@@ -105,6 +105,21 @@ def test_a_pre_hook_sees_the_clipped_gradient_and_may_change_it(kernels: bool) -
     assert th.equal(before, weights(model))
 
 
+@pytest.mark.parametrize("put_in", [lambda g: -g, lambda g: None])
+def test_a_gradient_that_a_pre_hook_puts_in_is_the_one_that_counts(put_in: Any) -> None:
+    def swap(*_: Any) -> None:
+        for p in model.q_net.parameters():
+            p.grad = put_in(p.grad)
+
+    results = []
+    for kernels in (True, False):
+        model = make_model(kernels)
+        model.policy.optimizer.register_step_pre_hook(swap)
+        results.append(weights(learn(model, 80)))
+    th.testing.assert_close(*results, atol=2e-4, rtol=0.0)  # of 1.5e-3 that they move
+    assert model._n_updates > 10
+
+
 @PATHS
 def test_a_schedule_of_torch_counts_the_steps(kernels: bool) -> None:
     model = make_model(kernels)

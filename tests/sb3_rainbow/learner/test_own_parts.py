@@ -47,6 +47,122 @@ def test_an_optimizer_keeps_what_is_not_the_networks() -> None:
     assert other["params"] == [aux]
 
 
+class Backbone(BaseFeaturesExtractor):
+    """Its first layer learns nothing; its second, unless it is ``frozen``."""
+
+    def __init__(self, space: spaces.Space) -> None:
+        super().__init__(space, 8)
+        self.pretrained, self.tuned, self.frozen = nn.Linear(4, 8), nn.Linear(8, 8), False
+
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        with th.no_grad():
+            hidden = self.pretrained(observations)
+        with th.set_grad_enabled(not self.frozen and th.is_grad_enabled()):
+            outputs: th.Tensor = self.tuned(hidden)
+            return outputs
+
+
+@pytest.mark.parametrize("kernels", [True, False])
+def test_what_an_extractor_does_not_train_stays(kernels: bool) -> None:
+    kwargs = {"features_extractor_class": Backbone, "optimizer_kwargs": {"weight_decay": 0.1}}
+    model = make(policy_kwargs=kwargs, cpu_kernels=kernels)
+    extractor: Any = model.q_net.features_extractor
+    first, second = (layer.weight.detach().clone() for layer in extractor.children())
+    model.learn(60)
+    assert th.equal(extractor.pretrained.weight, first)
+    moved = extractor.tuned.weight.detach().clone()
+    assert not th.equal(moved, second)
+    extractor.frozen = True
+    model.learn(60, reset_num_timesteps=False)
+    assert th.equal(extractor.tuned.weight, moved)
+    assert model._learner.uses_kernels() == kernels
+
+
+class Scripted(BaseFeaturesExtractor):
+    def __init__(self, space: spaces.Space) -> None:
+        super().__init__(space, 4)
+        self.part = th.jit.script(nn.Sequential(nn.Flatten()))
+
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        outputs: th.Tensor = self.part(observations)
+        return outputs
+
+
+class Built(MlpPolicy):
+    def _build(self, lr_schedule: Any) -> None:
+        self.q_net, self.q_net_target = self.make_q_net(), self.make_q_net()
+        self.q_net_target.requires_grad_(False)
+        self.optimizer = th.optim.Adam(self.q_net.parameters(), lr=lr_schedule(1))
+
+
+class Signed(MlpPolicy):
+    def predict(  # type: ignore[override]
+        self, observation: Any, state: Any = None, episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> Any:  # fmt: skip
+        return super().predict(observation, state, episode_start, deterministic)
+
+
+def compiled(model: Rainbow) -> None:
+    model.policy.q_net = th.compile(model.policy.q_net, backend="eager")  # type: ignore[assignment]
+    model._create_aliases()
+
+
+def flattened(model: Rainbow) -> None:
+    for net in (model.q_net, model.q_net_target):
+        net.features_extractor.flatten = nn.Sequential(nn.Flatten(), nn.Tanh())
+
+
+@pytest.mark.filterwarnings("ignore:.*torch.jit.script:DeprecationWarning")
+@pytest.mark.parametrize(
+    ("policy", "kwargs", "change"),
+    [
+        ("MlpPolicy", {"features_extractor_class": Scripted}, None),
+        (Built, {}, None),
+        (Signed, {}, None),
+        ("MlpPolicy", {}, compiled),
+        ("MlpPolicy", {}, flattened),
+        ("MlpPolicy", {}, lambda model: model.policy.share_memory()),
+    ],
+    ids=["scripted", "built", "signed", "compiled", "flattened", "shared"],
+)
+def test_parts_of_all_kinds_learn_as_torch_does(policy: Any, kwargs: Any, change: Any) -> None:
+    vectors = []
+    for kernels in (True, False):
+        model = make(policy, policy_kwargs=kwargs, cpu_kernels=kernels)
+        if change is not None:
+            change(model)
+        shared = [p.is_shared() for p in model.policy.parameters()]
+        model.learn(60)
+        assert [p.is_shared() for p in model.policy.parameters()] == shared
+        vectors.append(th.from_numpy(model.policy.parameters_to_vector()))
+    th.testing.assert_close(*vectors, atol=5e-3, rtol=0.0)  # rounding, 60 updates later
+
+
+def test_autocast_is_left_to_torch() -> None:
+    model = make(policy_kwargs={"features_extractor_class": Backbone})
+    with th.autocast("cpu", dtype=th.bfloat16):
+        model.learn(40)
+    assert model._n_updates > 0
+
+
+def test_gradients_of_parameters_from_elsewhere_do_not_add_up() -> None:
+    model = make()
+    aux = nn.Parameter(th.zeros(1))
+    model.policy.optimizer.add_param_group({"params": [aux]})
+    aux.register_hook(lambda _: th.ones(1))
+    inner = model.q_net.activation.forward
+
+    class Shifted(nn.ReLU):
+        def forward(self, inputs: th.Tensor) -> th.Tensor:
+            return inner(inputs + 0.0 * aux)
+
+    model.q_net.activation = Shifted()
+    model.learn(60)
+    assert aux.grad is not None
+    assert float(aux.grad) <= 2.0
+
+
 class Ones(NoisyLinear):
     def reset_noise(self) -> None:
         self.epsilon_in.fill_(1.0)
