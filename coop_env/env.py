@@ -384,13 +384,17 @@ class CoopInsertionEnv(Rendered):
         """
         check_snapshot(snapshot, self.get_state())
         try:
+            stage = start_states.check_stage(snapshot["stage"])
+        except ArgumentError as error:
+            raise StateError(f"the snapshot's {error}") from error
+        try:
             self.np_random.bit_generator.state = snapshot["rng"]
         except (TypeError, ValueError, KeyError) as error:
             raise StateError(f"the snapshot's rng is no generator's state: {error}") from error
         self._states[:] = snapshot["states"]
         self._rows[:] = snapshot["observations"]
         self._started = snapshot["started"]
-        self._stage = snapshot["stage"]
+        self._stage = stage
         self._trace = []
         return self._rows[0].copy()
 

@@ -71,6 +71,11 @@ class RRSGeometry:
             a, b = getattr(self, low), getattr(self, high)
             if not a < b:
                 raise GeometryError(f"{low} = {a!r} must be below {high} = {b!r}")
+        if not self.heave_min <= self.home_heave <= self.heave_max:
+            raise GeometryError(
+                f"home_heave = {self.home_heave!r} m: must lie from heave_min = {self.heave_min!r} "
+                f"to heave_max = {self.heave_max!r}"
+            )
         if not 0.0 < self.max_tilt < math.pi / 2:
             raise GeometryError(f"max_tilt = {self.max_tilt!r} rad: must lie in (0, pi/2)")
         lambda1, _, lambda3 = self.lambdas

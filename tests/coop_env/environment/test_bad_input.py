@@ -88,6 +88,10 @@ def test_a_geometry_that_cannot_be_assembled() -> None:
         CoopInsertionEnv(geometry=RRSGeometry(0.1778, 0.1024, 0.1114, distal_length=0.08))
     with pytest.raises(GeometryError, match="lambda"):
         RRSGeometry.from_lambdas(0.5, 1.0)
+    with pytest.raises(
+        GeometryError, match=r"home_heave = 0\.21 m: must lie from heave_min = 0\.22"
+    ):
+        RRSGeometry(**{**OPTIMIZED.as_dict(), "heave_min": 0.22})
     with pytest.raises(GeometryError, match=r"peg_length = 0\.004 m must exceed peg_radius"):
         DeltaGeometry(peg_length=0.004, peg_radius=0.005)
 
@@ -211,6 +215,8 @@ def test_snapshots_of_something_else() -> None:
     env.reset(seed=0)
     with pytest.raises(StateError, match="other arguments"):
         env.set_state(CoopInsertionEnv(geometry="initial").get_state())
+    with pytest.raises(StateError, match="the snapshot's stage = 7"):
+        env.set_state({**env.get_state(), "stage": 7})
     with pytest.raises(StateError, match="keys"):
         env.set_state({})
     before = env.state
