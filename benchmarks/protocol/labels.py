@@ -103,19 +103,21 @@ def knowledge(method: str, track: Mapping[str, Any] | None) -> Knowledge:
 
     Args:
         method: of :data:`benchmarks.protocol.plan.METHODS`; any other is taken to plan.
-        track: ``config["track"]`` of a run, where keys at their defaults may be missing; None for
-            planners that have no track.
+        track: ``config["track"]`` of a run, where keys at their defaults may be missing, or
+            ``config["entry"]`` of a model on the leaderboard; None for planners that have no track.
     """
     if method in PLANNERS or track is None:
         return Knowledge("none", "its plan")
+    brought = "algorithm" in track  # a model on the leaderboard, whatever it is called
+    algorithm = track.get("algorithm", method)
     remembered = []
     masks = "none"
-    if method not in LEARNERS or LEARNERS[method].masks:
+    if LEARNERS[algorithm].masks if algorithm in LEARNERS else not brought:
         masks = "safe" if track.get("mask_singularities") else "paper's"
         if visited := track.get("mask_visited"):
             remembered.append(f"{visited} configurations")
         if track.get("mask_refused"):
             remembered.append("refused moves")
-    if method in LEARNERS and track.get("observation") == "markov":
+    if (brought or method in LEARNERS) and track.get("observation") == "markov":
         remembered.append("filled holes and time")
     return Knowledge(masks, ", ".join(remembered) or "none")

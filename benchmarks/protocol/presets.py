@@ -17,7 +17,7 @@ from pydantic import AfterValidator, Field, with_config
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.learners import LEARNERS, algorithm_of
-from benchmarks.protocol.strict import STRICT, Count, Names, Number, Seeds, build, merge
+from benchmarks.protocol.strict import STRICT, Count, Names, Number, Seeds, build, differ, merge
 from coop_env.geometry import RRSGeometry
 from coop_env.simulation.insertion_task import InsertionTask
 from coop_env.simulation.sim_to_real import SimToReal
@@ -33,13 +33,13 @@ SUITE_CONTROLS: Final = {"random": "Random", "held": "One action", "script": "Sc
 def _levels(noise: list[float]) -> list[float]:
     if 0.0 not in noise or min(noise) < 0.0:
         raise ValueError("must hold 0.0 and no negative level")
-    return noise
+    return differ(noise)
 
 
 def _errors(levels: list[float]) -> list[float]:
     if not levels or min(levels) < 0.0:
         raise ValueError("must be some, none of them negative")
-    return levels
+    return differ(levels)
 
 
 def _arguments_of(kind: type[Any]) -> AfterValidator:
@@ -211,9 +211,9 @@ class Evaluation:
 class PlannerSettings:
     """Limits of one planning call (the paper: 5 s)."""
 
-    time_limit: Number = 5.0
-    max_iterations: int = 20_000
-    node_limit: int = 2_000_000
+    time_limit: Annotated[Number, Field(gt=0.0)] = 5.0
+    max_iterations: Count = 20_000
+    node_limit: Count = 2_000_000
 
 
 @with_config(STRICT)
@@ -221,7 +221,7 @@ class PlannerSettings:
 class DesignSettings:
     """The geometric optimization: independent Nelder-Mead runs, each with its own jitter."""
 
-    runs: int = 10
+    runs: Count = 10
 
 
 @with_config(STRICT)
@@ -330,7 +330,8 @@ def load(name: str) -> Preset | SuitePreset:
         BenchmarkError: there is no such preset, or the file has an unknown or impossible key.
     """
     path = Path(name) if name.endswith((".yaml", ".yml")) else PRESETS / f"{name}.yaml"
-    if not path.is_file() or (path.parent == PRESETS and path.stem.startswith("_")):
+    hidden = path.stem.startswith(".") or (path.parent == PRESETS and path.stem.startswith("_"))
+    if hidden or not path.is_file():
         raise BenchmarkError(
             f"unknown preset '{name}'; known presets: {known(preset_names())} "
             "(or the path of a .yaml file)"

@@ -48,7 +48,8 @@ def _from_text(value: object) -> object:
     return value
 
 
-def _differ(values: list[Any]) -> list[Any]:
+def differ(values: list[Any]) -> list[Any]:
+    """The values, if there are some and no two are equal."""
     if not values or len(set(values)) != len(values):
         raise ValueError("must be some, and differ")
     return values
@@ -56,8 +57,8 @@ def _differ(values: list[Any]) -> list[Any]:
 
 Number = Annotated[float, BeforeValidator(_from_text)]
 Count = Annotated[int, Field(gt=0)]
-Names = Annotated[list[str], AfterValidator(_differ)]
-Seeds = Annotated[list[Annotated[int, Field(ge=0)]], AfterValidator(_differ)]
+Names = Annotated[list[str], AfterValidator(differ)]
+Seeds = Annotated[list[Annotated[int, Field(ge=0)]], AfterValidator(differ)]
 
 
 def build(cls: type[T], data: object, where: str) -> T:

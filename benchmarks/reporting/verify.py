@@ -79,7 +79,7 @@ def _check_run(run: RunFolder, starts: dict[tuple[object, ...], str]) -> list[st
     if cell.method == DESIGN:
         run.rows("design")
         return []
-    if cell.learns:
+    if cell.learns and "entry" not in config:  # whatever name it goes by
         run.rows("curve")
     problems = _check_episodes(Result.read(run), cell, starts)
     if run.policy.is_file() and run.policy_digest() != meta["training"].get("policy_sha256"):
@@ -99,7 +99,8 @@ def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...],
         if stored != sorted(wanted):
             problems.append(f"episodes.csv has {name} {stored}, not {wanted}")
     acting = {acting for _, _, acting in result.levels}
-    both = evaluation.get("exploring") and explores(cell.method)
+    brought = "entry" in result.config
+    both = evaluation.get("exploring") and explores(cell.method) and not brought
     wanted_acting = [EXPLORING, GREEDY] if both else [GREEDY]
     if sorted(acting) != wanted_acting:
         problems.append(f"episodes.csv has acting {sorted(acting)}, not {wanted_acting}")
@@ -130,8 +131,8 @@ def _levels(result: Result, cell: Cell) -> dict[str, list[float]]:
     evaluation = result.config["evaluation"]
     if result.error:
         return {"error": evaluation["errors"]}
-    brought = bool(result.config.get("entry", {}).get("sha256"))
-    observed = cell.learns or brought or cell.method.endswith("_observed")
+    entry = result.config.get("entry")  # a model has a digest, a planner none
+    observed = entry["sha256"] if entry else cell.learns or cell.method.endswith("_observed")
     return {"noise": evaluation["noise"] if observed else [0.0]}  # the others see the true state
 
 

@@ -44,7 +44,9 @@ def study(name: str) -> type[Study]:
     elif ":" not in name:
         message = f"unknown study '{name}'; known: {known(STUDIES)}, or module:Class"
         raise BenchmarkError(message)
-    result: type[Study] = resolve(name, "study")
+    result = resolve(name, "study")
+    if not (isinstance(result, type) and issubclass(result, Study)):
+        raise BenchmarkError(f"study '{name}' is no subclass of benchmarks.studies.base.Study")
     return result
 
 

@@ -42,8 +42,8 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
     Args:
         num_envs: number of environments.
         max_episode_steps: Gymnasium's limit, which ``make_vec`` gives; the smaller of it and
-            ``max_moves`` holds, as with ``gymnasium.make``. Here it is the one by which the observed
-            time and the cost of a failure count; there it is ``max_moves``.
+            ``max_moves`` holds, as with ``gymnasium.make``. Here it decides the observed time and
+            the cost of a failure, too; there ``max_moves`` does.
         env_class: the environments' class; None takes the attribute of that name.
         kwargs: as for :class:`~coop_env.env.CoopInsertionEnv`.
 

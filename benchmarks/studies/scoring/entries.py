@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import inspect
 import re
 import shutil
 import time
@@ -97,8 +98,9 @@ def prepare(preset: Preset, entry: Entry) -> dict[int, Scorer]:
     def scorer(seed: int, path: Path | None) -> Scorer:
         cell = Cell(entry.name, "full", GEOMETRY, "", seed)
         if path is None:
-            source, protocol = {"algorithm": entry.planner, "sha256": ""}, dict(masks)
             player, noise = in_turn(_planner(preset, entry, seed)), [0.0]
+            source = {"algorithm": entry.planner, "sha256": "", **_source(entry.planner)}
+            protocol = dict(masks)
         else:
             protocol = {"observation": fitting_observation(loaded[path], path), **masks}
             source = {
@@ -137,7 +139,7 @@ def score(
         folders = [folder.path for folder in todo]
         for folder, scorer in todo.items():
             if (folder.path / "config.yaml").is_file() and folder.config() != scorer.config:
-                if not replace:
+                if folder.is_complete() and not replace:  # a scoring that failed holds no name
                     raise BenchmarkError(
                         f"'{entry.name}' is already on the board with another model or protocol "
                         f"({folder.path}); choose another --name, or --replace it"
@@ -212,6 +214,17 @@ def _planner(preset: Preset, entry: Entry, seed: int) -> Callable[[Episode], Non
         raise BenchmarkError(f"planner '{entry.planner}' is no function but {kind}")
     ask = checked(function, entry.planner)
     return lambda episode: follow(episode, ask)
+
+
+def _source(planner: str) -> dict[str, str]:
+    """The digest of the file of a planner of one's own, whose edits make another entry."""
+    if ":" not in planner:
+        return {}
+    try:
+        source = inspect.getsourcefile(resolve(planner, "planner"))
+        return {"source_sha256": hashlib.sha256(Path(str(source)).read_bytes()).hexdigest()}
+    except (OSError, TypeError):  # made in memory
+        return {}
 
 
 def checked(plan: Callable[[Any], Any], name: str) -> Callable[[Any], Plan]:

@@ -131,7 +131,11 @@ class Replay(Insertion):
             first, again = (Result.read(s.run(cell.id), {}) for s in (self.source, store))
             columns = first.episodes.columns.drop("plan_seconds")  # of runs that are older, fewer
             equal += first.episodes[columns].equals(again.episodes[columns])
-            rates = [100.0 * one.test()["success"].mean() for one in (first, again)]
+            tests = again.test()
+            stored = first.test()
+            if self.starts is None:  # the same episodes, where only some were played
+                stored = stored[stored["episode"].isin(tests["episode"])]
+            rates = [100.0 * one["success"].mean() for one in (stored, tests)]
             rows.append([cell.id, *(f"{rate:.1f}" for rate in rates)])
         text = plain("Success (%) of the played runs", "run | stored | now", rows)
         console.print(text, markup=False, highlight=False)
@@ -158,9 +162,10 @@ def score_again(replay: Replay, console: Console) -> int:
     console.print(f"{len(replay.cells())} runs play again, {jobs} at a time; Ctrl-C ends it")
     which = "test" if replay.starts is None else f"starts-{replay.starts}"
     root = replay.results / AGAIN / which
-    shutil.rmtree(root / replay.name, ignore_errors=True)
     again = Store.open(root, replay.name, create=True)
-    outcome = Harness(replay, again, jobs, console).run()
+    with again.lock():  # before what another process may be at work on goes
+        shutil.rmtree(again.folder / "runs", ignore_errors=True)
+        outcome = Harness(replay, again, jobs, console).run()
     if outcome.interrupted:
         console.print("Interrupted; the store is as it was")
         return 130

@@ -98,6 +98,10 @@ def test_the_success_rate_reproduces(report_of: Reports) -> None:
         ),
         ({SCRIPT: [71, 72, 71]}, "The success rate reproduces, less than 25 points above a script"),
         ({SCRIPT: [94, 97, 95]}, "The success rate does not reproduce: a script does as well"),
+        ({SCRIPT: [70, 90, 60]}, "The success rate does not reproduce: no lead over a script is"),
+        ({SCRIPT: [50, 51, 49]}, "The success rate reproduces"),  # on each seed by as much
+        ({SCRIPT: [50]}, "No verdict yet on the success rate (best script: 1 of 5 seeds)."),
+        ({SCRIPT: []}, "No verdict yet on the success rate (no script was run)."),
         ({SCRIPT: [98, 99, 97]}, "The success rate does not reproduce: a script does as well"),
         ({RAINBOW: [95, 96]}, "No verdict yet on the success rate (2 of 5 seeds)."),
     ],
@@ -206,6 +210,7 @@ def _removed(**changed: list[int]) -> dict[str, list[int]]:
         ),
         (LEARNED, "Together, Rainbow's six components help.**"),
         ({**LEARNED, MASKED: [95, 97, 93]}, "Together, Rainbow's six components do not help.**"),
+        ({**LEARNED, MASKED: [70, 71, 69]}, "Together, Rainbow's six components help.**"),
         (_removed(noisy=[95]), "Together, Rainbow's six components help.**"),
         (
             {**LEARNED, MASKED: [70]},
@@ -217,6 +222,27 @@ def test_what_the_components_are_worth(
     runs: dict[str, list[int]], verdict: str, report_of: Reports
 ) -> None:
     assert report_of(runs)["components"].startswith(f"**{verdict}")
+
+
+def test_a_removal_alone_says_nothing_of_all_components(report_of: Reports) -> None:
+    removed = {"rainbow-no_dueling-optimized-repaired": [80, 82, 79]}
+    assert "components" not in report_of({**LEARNED, MASKED: [], **removed})
+
+
+@pytest.mark.parametrize(
+    ("name", "verdict"),
+    [(INITIAL, "3-RRS reproduces (3"), (RAINBOW, "3-RRS reproduces in part (3")],
+)
+def test_a_run_that_never_came_to_75_percent_took_longest(
+    name: str, verdict: str, report_of: Reports
+) -> None:
+    training: dict[str, dict[str, int | None]] = {
+        INITIAL: {**TRAINED, "singular": 40, "steps_to_75": 300_000}
+    }
+    training = {**training, name: {**training.get(name, TRAINED), "steps_to_75": None}}
+    report = report_of({**LEARNED, INITIAL: [80, 82, 79]}, training)["geometry"]
+    assert verdict in report
+    assert "never on some seed" in report
 
 
 @pytest.mark.parametrize(("noisy", "left"), [([5], SIX), ([5, 6, 7], SIX[1:])])

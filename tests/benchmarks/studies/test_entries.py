@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -102,6 +103,7 @@ def test_a_model_joins_the_leaderboard_with_one_command(
     assert "leaderboard.md" in out
     row = board(tmp_path).loc[f"my-{name}"]
     assert row["Rank"] == "1"
+    assert row["Masks"] == ("paper's" if name in ("maskable_ppo", "rainbow") else "none")
     assert f"Brought: my-{name} ({name}, models: 1)." in out
     store = Store.open(tmp_path, "smoke")
     (entry,) = store.entered()
@@ -234,6 +236,7 @@ def text(env):
 def planners(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "my_planner.py").write_text(PLANNER, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "my_planner", raising=False)  # another test's
     return tmp_path
 
 
@@ -290,6 +293,20 @@ def test_a_planner_that_does_wrong_is_one_error(
     words = ["--planner", f"my_planner:{function}", "--name", "wrong"]
     assert message in refused(*command(planners, *words))
     assert not list(planners.rglob("meta.json"))
+    # and its name is free
+    assert evaluate(planners, "--planner", "my_planner:moves", "--name", "wrong") == 0
+
+
+def test_a_planner_that_was_edited_is_another_one(
+    planners: Path, refused: Callable[..., str]
+) -> None:
+    words = ["--planner", "my_planner:moves", "--name", "ppo_mine"]  # begins like a learner
+    assert evaluate(planners, *words) == 0
+    assert check_runs(Store.open(planners, "smoke")) == []
+    with (planners / "my_planner.py").open("a", encoding="utf-8") as stream:
+        stream.write("# better\n")
+    assert "--replace it" in refused(*command(planners, *words))
+    assert evaluate(planners, *words, "--replace") == 0
 
 
 @pytest.mark.parametrize(
