@@ -331,9 +331,9 @@ class Results:
         return result[0] if result else SCORED[0]
 
     def control_of(self, row: Group, geometry: str = "optimized") -> Group | None:
-        """The best control with a learner's masks, memory, ending and way of acting, or None."""
+        """The best control with a learner's masks, memory, task and way of acting, or None."""
         result = self.rows(CONTROLS, self.uncertain(row.track), geometry)
-        alike = [each for each in result if each.knows == row.knows and _ends(each) == _ends(row)]
+        alike = [each for each in result if each.knows == row.knows and _world(each) == _world(row)]
         return best(each.as_trained() if row.level == AS_TRAINED else each for each in alike)
 
     def best_script(self) -> Group | None:
@@ -374,8 +374,10 @@ def best(result: Iterable[Group]) -> Group | None:
     )
 
 
-def _ends(row: Group) -> str:
-    return str((row.settings or {}).get("collision", "refuse"))
+def _world(row: Group) -> list[Any]:
+    """What decides a track's task besides its masks: the end of episodes, the machine, the dome."""
+    defaults = {"collision": "refuse", "sim_to_real": None, "task": None, "shield": None}
+    return [(row.settings or {}).get(name, default) for name, default in defaults.items()]
 
 
 def _planned(store: Store) -> tuple[dict[Key, int], dict[str, dict[str, Any]]]:

@@ -183,13 +183,18 @@ class Measured(Study):
         path = results / cls.file
         if not path.is_file():
             return {}
-        result = json.loads(path.read_text(encoding="utf-8"))
+        try:
+            result = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise BenchmarkError(f"{path} cannot be read ({error}); delete it") from error
         return {path.with_suffix(".md"): cls.to_markdown(result).strip() + "\n"}
 
     @classmethod
     def problems(cls, results: Path) -> list[str]:
         try:
             return super().problems(results)
+        except BenchmarkError as unreadable:
+            return [str(unreadable)]
         except KeyError as missing:
             return [f"{results / cls.file} has no {missing}: the command of the study goes on"]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import math
 import shutil
@@ -109,6 +110,11 @@ def test_tables_have_the_papers_rows_and_columns(full: Store, tables: dict[str, 
     assert list(rows) == ["0", "0.01", "0.02", "0.04"]
     assert rows["0.01"]["Rainbow DQN, paper"] == "88 ± 3"
     assert rows["0.01"]["Rainbow DQN"] == "70.0 ± 10.0"
+    # another machine has scripts of its own, and none here
+    row = Results(full).group("rainbow", "repaired").as_trained()
+    machine = {**(row.settings or {}), "sim_to_real": {"base_position_error": 0.005}}
+    assert Results(full).control_of(row) is not None
+    assert Results(full).control_of(dataclasses.replace(row, settings=machine)) is None
     # a collision that ends the episode has scripts of its own
     results = Results(full)
     for track in ("repaired", "terminal"):

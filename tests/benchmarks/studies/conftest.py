@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from benchmarks.reporting import blocks
-from benchmarks.studies.base import Study
+from benchmarks.studies.base import Measured, Study
 
 
 class Site:
@@ -35,6 +35,12 @@ class Site:
         assert not self.differs(study)
         self.page.write_text(page.replace(word, "other"), encoding="utf-8")
         assert self.differs(study)
+        if issubclass(study, Measured):  # a file that was cut off is a sentence, too
+            stored = self.results / study.file
+            whole = stored.read_text("utf-8")
+            stored.write_text(whole[:-20], encoding="utf-8")
+            assert "cannot be read" in study.problems(self.results)[0]
+            stored.write_text(whole, encoding="utf-8")
         return text
 
 
