@@ -71,14 +71,15 @@ def test_an_ended_harness_leaves_a_checkpoint_to_resume_from(
 def test_a_run_that_fails_is_told_and_the_others_go_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # OMPL's planner refuses the limit when it is built, in the child
-    planners = [{"methods": ["rrt_connect", "optimum"]}]
-    path = smoke_file(tmp_path, "odd", planner={"time_limit": -1.0}, runs=planners)
+    # no start lies so far from every hole, which the child finds out
+    hopeless = {"base": "safe", "task": {"start_clearance": [0.6, 0.7]}}
+    runs = [{"methods": ["greedy"], "tracks": ["hopeless"]}, {"methods": ["optimum"]}]
+    path = smoke_file(tmp_path, "odd", tracks={"hopeless": hopeless}, runs=runs)
     words = ["run", "--preset", str(path), "--results", str(tmp_path / "results"), "--jobs", "1"]
     assert main(words) == 1
     out = capsys.readouterr().out
-    assert "rrt_connect-optimized-s0: failed" in out
-    assert "time_limit = -1.0" in out
+    assert "greedy-optimized-hopeless-s0: failed" in out
+    assert "too little workspace" in out
     runs = Store.open(tmp_path / "results", "odd").completed()
     assert [run.id for run in runs] == ["optimum-optimized-s0"]
 

@@ -87,7 +87,7 @@ THICK = {
 }  # fmt: skip
 
 
-FLAT = {"dome_radius": 0.03, "limb_radius": 0.12}  # links reach higher than dome and spokes
+FLAT = {"dome_radius": 0.03, "limb_radius": 0.1}  # links reach higher than dome and spokes
 LONG = {"proximal_length": 0.3, "distal_length": 0.35, "base_height": 0.55, "peg_length": 0.03}
 
 
@@ -96,7 +96,7 @@ LONG = {"proximal_length": 0.3, "distal_length": 0.35, "base_height": 0.55, "peg
     [
         ({}, {}, (-0.65, -0.4)),
         (THICK, {}, (-0.65, -0.4)),
-        (FLAT, {}, (-0.65, -0.4)),
+        (FLAT, {}, (-0.5, -0.36)),
         ({}, LONG, (-0.3, -0.05)),  # knees hang below the effector
     ],
     ids=["paper", "thick", "flat", "long"],
