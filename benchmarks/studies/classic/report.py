@@ -128,22 +128,26 @@ def _controls(results: SuiteResults) -> Table:
 
 
 def _search(results: SuiteResults) -> Table:
-    """Variants by row: what each scored, and how many seeds of it were run."""
+    """Variants by row: what each scored on the tasks that were run, over how many seeds."""
     preset = results.preset
-    rows: list[list[TableCell]] = []
-    for method in preset.methods:
-        row: list[TableCell] = [of_suite(method)]
-        for key in preset.tasks:
-            value = results.score(key, method)
-            row += [str(value.n), _with_interval(value)]
-        rows.append(row)
-    header = [word for task in preset.tasks.values() for word in ("Seeds", task.title)]
+    header: list[str] = []
+    columns: list[list[str]] = []
+    for key, task in preset.tasks.items():
+        values = [results.score(key, method) for method in preset.methods]
+        if counts := sorted({value.n for value in values} - {0}):
+            header.append(f"{task.title}, seeds: {'/'.join(map(str, counts))}")
+            columns.append([_with_interval(value) for value in values])
+    names = map(of_suite, preset.methods)
+    rows: list[list[TableCell]] = [list(row) for row in zip(names, *columns, strict=True)]
     return Table(
         "scores",
         f"Return of the last greedy policy, {preset.final_episodes} episodes per seed",
         ["Variant", *header],
         rows,
-        [f"Mean over seeds [{_INTERVAL}]; of one seed it is a lead."],
+        [
+            f"Mean over seeds [{_INTERVAL}]; of one seed it is a lead. Tasks without a run are "
+            "left out."
+        ],
     )
 
 
