@@ -73,8 +73,8 @@ def test_a_run_that_fails_is_told_and_the_others_go_on(
 ) -> None:
     # no start lies so far from every hole, which the child finds out
     hopeless = {"base": "safe", "task": {"start_clearance": [0.6, 0.7]}}
-    runs = [{"methods": ["greedy"], "tracks": ["hopeless"]}, {"methods": ["optimum"]}]
-    path = smoke_file(tmp_path, "odd", tracks={"hopeless": hopeless}, runs=runs)
+    groups = [{"methods": ["greedy"], "tracks": ["hopeless"]}, {"methods": ["optimum"]}]
+    path = smoke_file(tmp_path, "odd", tracks={"hopeless": hopeless}, runs=groups)
     words = ["run", "--preset", str(path), "--results", str(tmp_path / "results"), "--jobs", "1"]
     assert main(words) == 1
     out = capsys.readouterr().out
