@@ -196,7 +196,8 @@ def check_settings(model: Any) -> None:
         raise ValueError(
             f"Pass {', '.join(sorted(clashing))} to Rainbow itself, not in policy_kwargs"
         )
-    if "beta" in model.replay_buffer_kwargs:
+    kind = model.replay_buffer_class or PrioritizedReplayBuffer  # another's beta is its own
+    if "beta" in model.replay_buffer_kwargs and issubclass(kind, PrioritizedReplayBuffer):
         raise ValueError(
             "Pass beta_start and beta_end to Rainbow instead of beta in replay_buffer_kwargs: it "
             "rises in training"

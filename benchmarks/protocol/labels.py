@@ -76,9 +76,9 @@ def track(name: str) -> str:
     return TRACKS.get(name, name)
 
 
-def on_track(name: str, track: str) -> str:
+def on_track(name: str, where: str) -> str:
     """A method's name with its track, unless that is the one that all tables are of."""
-    return name if track in ("", MAIN_TRACK) else f"{name}, {TRACKS.get(track, track)}"
+    return name if where in ("", MAIN_TRACK) else f"{name}, {track(where)}"
 
 
 def of_suite(method: str) -> str:

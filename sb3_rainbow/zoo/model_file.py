@@ -101,6 +101,8 @@ def write_model(model: Rainbow, path: str | os.PathLike[str]) -> None:
             settings[name] = _write_space(getattr(model, name), name, arrays)
         except TypeError as error:
             unwritable.append(f"{name} = {error}")
+    if model.n_steps > _MOST_STEPS:  # which no file may ask for
+        unwritable.append(f"n_steps = {model.n_steps}")
     if unwritable:
         raise ZooError(
             f"the model cannot be packaged, as only a pickle could hold {'; '.join(unwritable)}: "
