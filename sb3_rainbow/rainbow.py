@@ -384,7 +384,7 @@ class Rainbow(ResumableAlgorithm):
         learner.double_q, learner.max_grad_norm = self.double_q, self.max_grad_norm
         tau = self.tau if self.target_update_interval is None else None
         losses: list[Any] = []  # numbers, or tensors that nobody has waited for
-        with flush_denormals():
+        with flush_denormals(), learner.undisturbed():
             for _ in range(gradient_steps):
                 samples = buffer.sample(batch_size, env=self._vec_normalize_env)
                 batch = as_batch(samples, self.gamma, self._masking)

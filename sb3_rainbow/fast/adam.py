@@ -60,6 +60,18 @@ class AdamOnVector:
         """As :meth:`is_possible`, for the parameters of this one."""
         return self.is_possible(optimizer, self._ids)
 
+    def is_ready(self, optimizer: th.optim.Optimizer) -> bool:
+        """Whether the next steps are the kernel's alone, for as long as nobody else interferes."""
+        if "step" in vars(optimizer) or has_hooks(optimizer):
+            return False
+        return self._has_moments(list(map(optimizer.state.get, self.parameters)))
+
+    def step_when_ready(self, optimizer: th.optim.Optimizer, max_grad_norm: float | None) -> None:
+        """As :meth:`step`, after :meth:`is_ready`."""
+        if max_grad_norm is not None:
+            kernels.clip(self._gradient, max_grad_norm)
+        self._step(optimizer)
+
     def step(self, optimizer: th.optim.Optimizer, max_grad_norm: float | None) -> None:
         """Clip the gradient, then do what ``optimizer.step()`` does."""
         states = list(map(optimizer.state.get, self.parameters))

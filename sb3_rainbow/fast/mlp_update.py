@@ -41,6 +41,8 @@ class MlpUpdate:
 
     Each network's parameters become parts of one vector, and so do their gradients.
 
+    While it is ``settled``, an update does not look whether anyone has touched the optimizer.
+
     Args:
         q_net: online network.
         q_net_target: target network.
@@ -79,6 +81,7 @@ class MlpUpdate:
         self._effective, self._effective_target = (
             np.zeros(n_effective, np.float32) for _ in range(2)
         )
+        self.settled = False
         self._capacity = 0
         self._common, self._common_target = (
             np.zeros((q_net.n_atoms, n_in), np.float32) for _ in range(2)
@@ -101,6 +104,22 @@ class MlpUpdate:
         """Whether parameters and noise have the memory they had, and Adam is still Adam."""
         addresses = list(map(th.Tensor.data_ptr, self._shared))
         return addresses == self._addresses and self._adam.can_step(optimizer)
+
+    def settle(self, optimizer: th.optim.Optimizer) -> bool:
+        """Look once, before updates that nobody disturbs, at what each would look at by itself.
+
+        Returns:
+            False where that cannot be, as with an extractor of someone else's.
+        """
+        self.settled = self._flattens and self._adam.is_ready(optimizer)
+        if self.settled:
+            self._put_gradients()
+        return self.settled
+
+    def _put_gradients(self) -> None:
+        if not all(map(is_, map(GRAD, self._online), self._gradients)):
+            for p, gradient in zip(self._online, self._gradients, strict=True):
+                p.grad = gradient
 
     def update(
         self,
@@ -134,22 +153,26 @@ class MlpUpdate:
             input_gradient,
         )
         learning_kernels.sigma_gradients(self._gradient, self._drawn[0], self.table)
-        if not all(map(is_, map(GRAD, self._online), self._gradients)):
-            for p, gradient in zip(self._online, self._gradients, strict=True):
-                p.grad = gradient
+        if self.settled:
+            self._adam.step_when_ready(optimizer, max_grad_norm)
+        else:
+            self._put_gradients()
+            self._learn_extractor(input_gradient if learns else None)
+            self._adam.step(optimizer, max_grad_norm)
+        del self._obs_features
+        mean = np.asarray(float(losses @ weights) / n, np.float32)
+        return th.from_numpy(mean), th.from_numpy(priorities)
+
+    def _learn_extractor(self, input_gradient: NDArray[np.float32] | None) -> None:
         for p, _ in self._learnt:
             p.grad = None
-        if learns:
+        if input_gradient is not None:
             self._obs_features.backward(th.from_numpy(input_gradient))
-        del self._obs_features
         for p, gradient in self._learnt:
             if p.grad is None:  # not all of an extractor need have learned
                 gradient.zero_()
             else:
                 p.grad = gradient.copy_(p.grad)
-        self._adam.step(optimizer, max_grad_norm)
-        mean = np.asarray(float(losses @ weights) / n, np.float32)
-        return th.from_numpy(mean), th.from_numpy(priorities)
 
     def act(self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None) -> NDArray[np.int64]:
         """Greedy actions of the online network under fresh noise, each environment's its own.

@@ -1,12 +1,13 @@
 """Compiled kernels for an update and for acting, only where they compute what torch would."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import numpy as np
 import torch as th
 from numpy.typing import NDArray
 
-from sb3_rainbow.fast.adam import has_hooks
 from sb3_rainbow.fast.blas import single_blas_thread
 from sb3_rainbow.fast.eligibility import ChangeDetector, inherits, kernels_apply
 from sb3_rainbow.fast.mlp_update import MlpUpdate
@@ -39,6 +40,8 @@ class Shortcuts:
     @property
     def kernels(self) -> MlpUpdate | None:
         """The compiled kernels, where they apply."""
+        if self._mlp is not None and self._mlp.settled:
+            return self._mlp
         if th.is_autocast_enabled("cpu"):
             return None
         optimizer = self.policy.optimizer
@@ -58,6 +61,19 @@ class Shortcuts:
         self._detector, self._optimizer = ChangeDetector(self.policy), optimizer
         return self._mlp
 
+    @contextmanager
+    def undisturbed(self) -> Iterator[None]:
+        """Decide once whether the kernels apply, for updates between which nobody else acts."""
+        kernels = self.kernels
+        if kernels is None or not kernels.settle(self.policy.optimizer):
+            yield
+            return
+        try:
+            with single_blas_thread():
+                yield
+        finally:
+            kernels.settled = False
+
     def update(
         self, batch: Batch, double_q: bool, max_grad_norm: float | None
     ) -> tuple[th.Tensor, th.Tensor] | None:
@@ -69,7 +85,7 @@ class Shortcuts:
         kernels = self.kernels
         if kernels is None:
             return None
-        with single_blas_thread():
+        with nullcontext() if kernels.settled else single_blas_thread():
             return kernels.update(batch, self.policy.optimizer, double_q, max_grad_norm)
 
     def act(
@@ -82,10 +98,9 @@ class Shortcuts:
         with single_blas_thread():
             return kernels.act(obs, action_masks)
 
-    def move_target(self, tau: float, just_updated: bool = False) -> bool:
+    def move_target(self, tau: float) -> bool:
         """Move the target network by ``tau``; False where the kernels do not apply."""
-        trusted = just_updated and not has_hooks(self.policy.optimizer)
-        kernels = self._mlp if trusted else self.kernels
+        kernels = self.kernels
         if kernels is None:
             return False
         kernels.move_target(tau)

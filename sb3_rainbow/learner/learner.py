@@ -1,5 +1,6 @@
 """One gradient step of Rainbow, from a batch of transitions to moved networks."""
 
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -58,6 +59,10 @@ class Learner:
         """Whether compiled kernels take over at present."""
         return self.shortcuts is not None and self.shortcuts.kernels is not None
 
+    def undisturbed(self) -> AbstractContextManager[None]:
+        """For updates between which nobody else touches the policy: they look at it once."""
+        return nullcontext() if self.shortcuts is None else self.shortcuts.undisturbed()
+
     def update(self, batch: Batch, tau: float | None = None) -> tuple[th.Tensor, th.Tensor]:
         """One optimizer step, with fresh and independent noise in both networks.
 
@@ -75,7 +80,7 @@ class Learner:
         if result is None:
             result = self._update(batch)
         if tau is not None:
-            self.move_target(tau, just_updated=True)
+            self.move_target(tau)
         return result
 
     def _update(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
@@ -98,12 +103,9 @@ class Learner:
         """Greedy actions under fresh noise, ``(n_envs,)``; None where the policy has to choose."""
         return None if self.shortcuts is None else self.shortcuts.act(obs, action_masks)
 
-    def move_target(self, tau: float, just_updated: bool = False) -> None:
-        """Move the target network towards the online one by ``tau`` (Polyak average).
-
-        ``just_updated`` says that nobody else can have touched the networks since an update.
-        """
-        if self.shortcuts is None or not self.shortcuts.move_target(tau, just_updated):
+    def move_target(self, tau: float) -> None:
+        """Move the target network towards the online one by ``tau`` (Polyak average)."""
+        if self.shortcuts is None or not self.shortcuts.move_target(tau):
             self._move_target(tau)
 
     @th.no_grad()

@@ -296,8 +296,9 @@ class PrioritizedReplayBuffer(ReplayBuffer):
 
     def _to_device(self, values: ObsArray) -> th.Tensor | TensorDict:
         if isinstance(values, dict):
-            return {key: th.as_tensor(part, device=self.device) for key, part in values.items()}
-        return th.as_tensor(values, device=self.device)
+            return {key: th.from_numpy(part).to(self.device) for key, part in values.items()}
+        tensor = th.from_numpy(values)
+        return tensor if self.device.type == "cpu" else tensor.to(self.device)
 
     def update_priorities(self, indices: NDArray[np.int64], losses: NDArray) -> None:
         """Set the priorities of drawn transitions to ``(loss + epsilon) ** alpha``.
@@ -355,7 +356,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             returns = self._normalized_returns(leaves, env)
         parts = {
             "observations": observations,
-            "actions": self.actions.reshape(-1, self.action_dim)[leaves],
+            "actions": self.actions.reshape(-1, self.action_dim).take(leaves, axis=0),
             "next_observations": next_observations,
             "dones": dones,
             "rewards": returns,
@@ -363,7 +364,8 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         }
         masks = self.next_action_masks
         if masks is not None:
-            parts["next_action_masks"] = masks.reshape(-1, masks.shape[-1])[last_leaves]
+            masks = masks.reshape(-1, masks.shape[-1])
+            parts["next_action_masks"] = masks.take(last_leaves, axis=0)
         return parts
 
     def _normalized_returns(

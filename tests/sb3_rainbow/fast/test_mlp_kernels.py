@@ -1,6 +1,7 @@
 """The compiled kernels against torch's autograd and optimizer, behind extractors that learn too."""
 
 import pickle
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -199,6 +200,35 @@ def test_options_that_older_torch_does_not_have_are_not_asked_for() -> None:
     optimizer = learner.policy.optimizer
     del optimizer.param_groups[0]["decoupled_weight_decay"]  # as torch before 2.7
     assert AdamOnVector.is_possible(optimizer, set(map(id, learner.q_net.parameters())))
+
+
+@pytest.mark.parametrize("images", [False, True])
+def test_updates_that_nobody_disturbs_are_those_that_look_each_time(images: bool) -> None:
+    weights = []
+    for look_once in (True, False):
+        learner = make_learner(True, **(SEEN if images else {}))
+        th.manual_seed(5)
+        for seed in range(0, 12, 4):
+            with learner.undisturbed() if look_once else nullcontext():
+                for i in range(seed, seed + 4):
+                    learner.update(make_images(i) if images else make_batch(i, False), tau=0.1)
+            learner.policy.optimizer.param_groups[0]["lr"] *= 0.5  # what happens between counts
+            with th.no_grad():
+                next(learner.q_net.parameters()).mul_(0.9)
+        assert {int(s["step"]) for s in learner.policy.optimizer.state.values()} == {12}
+        weights.append(nn.utils.parameters_to_vector(learner.policy.parameters()))
+    assert th.equal(*weights)
+
+
+def test_a_round_that_fails_ends_the_trust() -> None:
+    learner, steps = make_learner(True), list[int]()
+    learner.update(make_batch(0, False))
+    with pytest.raises(AttributeError), learner.undisturbed():
+        learner.update(make_batch(1, False)._replace(actions=None))  # type: ignore[arg-type]
+    learner.policy.optimizer.register_step_post_hook(lambda *_: steps.append(1))
+    with learner.undisturbed():
+        learner.update(make_batch(2, False))
+    assert steps == [1]
 
 
 @pytest.mark.parametrize("cpu_kernels", [True, False])
