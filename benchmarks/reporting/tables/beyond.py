@@ -199,11 +199,12 @@ def team(results: Results) -> list[Table]:
     """Table "team", where a store has such runs: who moves, who decides in sight of what."""
     tracks = [*results.tracks(teams=True), ""]
     groups = [row for row in results.groups.values() if row.geometry == "optimized"]
+    groups = [row for row in groups if row.method != "random"]  # who never inserts
     at_once = [row for t in tracks for row in groups if row.track == t and _at_once(row)]
     if not at_once:
         return []
     ablations = [name for name in labels.ABLATIONS if any(name == row.ablation for row in at_once)]
-    in_turn = results.rows()
+    in_turn = [row for row in results.rows() if row.method != "random"]
     for name in ablations:
         row = results.group("rainbow", IN_TURN, ablation=name)
         in_turn += [row] if row.known and row not in in_turn else []
@@ -220,7 +221,7 @@ def team(results: Results) -> list[Table]:
         *seeds_notes(result, [f"{row.name}, {row.ablation}" for row in result]),
         "In turn a tick moves one robot, at once both. Ticks over the optimum: up to the first "
         "insertion, on starts that both solved.",
-        *(answer for name in ablations for answer in _answers(results, at_once, name)),
+        *(answer for name in ablations for answer in _answer(at_once, name)),
     ]
     title = "Two robots: both at once or in turn, one agent or two"
     return [Table("team", title, header, made, notes, left=(0, 1, 2, 3))]
@@ -257,29 +258,13 @@ def _form(row: Group) -> list[TableCell]:
     ]
 
 
-def _answers(results: Results, at_once: list[Group], ablation: str) -> list[str]:
-    """What decentralization costs, and what moving at once changes, as far as there are runs."""
+def _answer(at_once: list[Group], ablation: str) -> list[str]:
+    """What decentralization costs, as far as there are runs."""
     learned = [r for r in complete(at_once) if (r.method, r.ablation) == ("rainbow", ablation)]
     central = next((row for row in learned if _of(row) == "central"), None)
     costs = [] if central is None else _costs(central, [r for r in learned if r is not central])
-    compared = []
-    if ablation == "full":
-        optima = results.group("optimum"), results.group(OPTIMUM_AT_ONCE)
-        compared.append(("the exact optimum", *optima))
-    if central is not None:
-        alone = results.group("rainbow", IN_TURN, ablation=ablation)
-        compared.append(("Rainbow", alone, central))
-    gains = [
-        f"{name} changes its ticks by {both.excess(alone).signed(' %')}, its success rate by "
-        f"{_change(both, alone).signed(' points')}"
-        for name, alone, both in compared
-        if alone.n and both.n
-    ]
     what = labels.ABLATIONS[ablation]
-    answers = {"what decentralization costs": costs, "what moving at once changes": gains}
-    return [
-        f"{what}, {question}: {'; '.join(parts)}." for question, parts in answers.items() if parts
-    ]
+    return [f"{what}, what decentralization costs: {'; '.join(costs)}."] if costs else []
 
 
 def _costs(central: Group, others: list[Group]) -> list[str]:

@@ -236,18 +236,6 @@ def _shares(row: Row) -> str:
     return f"{success:.0f} / {first:.0f} / {np.mean(row['holes']):.2f}"
 
 
-def _medians(row: Row) -> str:
-    times = [time for time in row["time_first"] if time is not None]
-    time = f"{np.median(times):.1f}" if times else "-"
-    return f"{time} / {np.median(row['force']):.1f}"
-
-
-TABLES: Final[dict[str, Callable[[Row], str]]] = {
-    "Success (%) / first hole filled (%) / holes filled": _shares,
-    "Median time of the first hole (s) / median peak force (N)": _medians,
-}
-
-
 class Transfer(Measured):
     """Players of the kinematic task in the twin."""
 
@@ -272,18 +260,15 @@ class Transfer(Measured):
     def to_markdown(result: dict[str, Any]) -> str:
         parts, n = result["parts"], SEEDS * result["asked"]["episodes"]
         low, high = (100.0 * share for share in wilson(n, n))
-        tables = [
-            plain(
-                title,
-                " | ".join(["player", *WORLDS]),
-                [[name, *(cell(parts[f"{name}: {w}"]) for w in WORLDS)] for name in PLAYERS],
-            )
-            for title, cell in TABLES.items()
-        ]
+        table = plain(
+            "Success (%) / first hole filled (%) / holes filled",
+            " | ".join(["player", *WORLDS]),
+            [[name, *(_shares(parts[f"{name}: {w}"]) for w in WORLDS)] for name in PLAYERS],
+        )
         note = (
             f"{n} episodes a cell, on the same test starts for all (all of them successful: "
             f"{low:.0f} to {high:.0f} %, 95 % interval); success: at least one hole. Without a "
             "script (+) a hole counts as in the kinematic task, within its tolerance; with one "
             f"when the peg is 10 mm deep in the bore. {source(result)}"
         )
-        return "\n\n".join([*tables, *_machines(parts), note])
+        return "\n\n".join([table, *_machines(parts), note])

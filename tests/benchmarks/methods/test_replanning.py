@@ -16,7 +16,7 @@ from benchmarks.methods.replanning import Replanner, solutions
 from benchmarks.methods.rrt_connect import RRTConnect, execute
 from coop_env import SimToReal
 
-STARTS = 20
+STARTS = 12
 UNSURE: dict[str, Any] = {"base_position_error": 0.003, "base_tilt_error": math.radians(1.0)}
 
 
