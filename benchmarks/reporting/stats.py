@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.stats
@@ -67,103 +68,46 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     return float(ends.low), float(ends.high)
 
 
-def interquartile_mean(scores: ArrayLike) -> float:
-    """Mean of the middle half of all scores, as rliable defines it."""
-    return float(interquartile_means(np.asarray(scores, dtype=np.float64)[None])[0])
+def interquartile_mean(*tasks: Array, axis: int = -1) -> Any:
+    """Mean of the middle half of all scores, as rliable defines it, from an array for each task."""
+    return scipy.stats.trim_mean(np.concatenate(tasks, axis=axis), 0.25, axis=axis)
 
 
-def interquartile_means(scores: Array) -> Array:
-    """:func:`interquartile_mean` of each of k sets of scores (k, ...)."""
-    flat = scores.reshape(scores.shape[0], -1)
-    return np.asarray(scipy.stats.trim_mean(flat, 0.25, axis=1), dtype=np.float64)
-
-
-def means(scores: Array) -> Array:
-    """The mean of each of k sets of scores (k, ...)."""
-    return np.asarray(scores.reshape(scores.shape[0], -1).mean(axis=1), dtype=np.float64)
-
-
-def _resamples(scores: Array, repetitions: int, rng: np.random.Generator) -> Array:
-    """Stratified resamples (k, runs, tasks): each task's runs are drawn apart, with replacement."""
-    runs, tasks = scores.shape
-    drawn = rng.integers(runs, size=(repetitions, runs, tasks))
-    return scores[drawn, np.arange(tasks)]
-
-
-def _matrix(scores: ArrayLike) -> Array:
-    data = np.asarray(scores, dtype=np.float64)
-    if data.ndim != 2:
-        raise ValueError(f"scores must be (runs, tasks), found shape {data.shape}")
-    return data
-
-
-def _percentiles(draws: Array, confidence: float) -> tuple[float, float]:
-    tail = (1 - confidence) / 2
-    low, high = np.quantile(draws, [tail, 1 - tail])
-    return float(low), float(high)
-
-
-def stratified_bootstrap(
-    scores: ArrayLike,
-    statistic: Callable[[Array], Array] = interquartile_means,
-    repetitions: int = 2_000,
-    confidence: float = 0.95,
-) -> tuple[float, float]:
-    """Percentile interval of ``statistic`` by resampling the runs of each task separately.
-
-    Agarwal et al. 2021 (rliable): columns are tasks, rows are runs, and each column's runs are
-    drawn with replacement. rliable's own function is not called because the library it draws with
-    does not import beside current pandas; a test holds this one to the definition.
-
-    Args:
-        scores: (runs, tasks).
-        statistic: numbers (k,) from k resamples (k, runs, tasks).
-        repetitions: bootstrap samples.
-        confidence: coverage of the interval.
-
-    Returns:
-        Lower and upper end; NaN with fewer than two runs.
-    """
-    data = _matrix(scores)
-    if len(data) < 2:
-        return math.nan, math.nan
-    samples = _resamples(data, repetitions, np.random.default_rng(0))
-    return _percentiles(statistic(samples), confidence)
-
-
-def probability_of_improvement(ours: ArrayLike, theirs: ArrayLike) -> Value:
+def improvement(*tasks: Array, axis: int = -1) -> Any:
     """How likely a run of ours is better than one of theirs, on a task drawn at random.
 
-    Mean over tasks of P(X > Y) + P(X = Y) / 2 (Agarwal et al. 2021, section 4.3), with the
-    percentile interval of :func:`stratified_bootstrap`, which draws the runs of both.
+    Mean over tasks of P(X > Y) + P(X = Y) / 2 (Agarwal et al. 2021, section 4.3).
 
     Args:
-        ours: scores (runs, tasks), more is better.
-        theirs: scores (runs, tasks) on the same tasks.
+        tasks: scores of ours, an array for each task, then those of theirs.
+        axis: of the runs; the last.
     """
-    x, y = _matrix(ours), _matrix(theirs)
-    if x.shape[1] != y.shape[1]:
-        raise ValueError(f"ours have {x.shape[1]} tasks, theirs {y.shape[1]}")
-    if not len(x) or not len(y):
-        return Value(math.nan, n=0)
-    point = float(_improvements(x[None], y[None])[0])
-    if len(x) < 2 or len(y) < 2:
-        return Value(point, n=len(x))
-    rng = np.random.default_rng(0)
-    draws = _improvements(_resamples(x, 2_000, rng), _resamples(y, 2_000, rng))
-    return Value(point, math.nan, len(x), *_percentiles(draws, 0.95))
+    pairs = zip(tasks[: len(tasks) // 2], tasks[len(tasks) // 2 :], strict=True)
+    signs = [np.sign(x[..., None] - y[..., None, :]).mean(axis=(-2, -1)) for x, y in pairs]
+    return 0.5 + 0.5 * np.mean(signs, axis=0)
 
 
-def _improvements(x: Array, y: Array) -> Array:
-    """Probabilities (k,) of k pairs of (runs, tasks)."""
-    signs = np.sign(x[:, :, None] - y[:, None])
-    return np.asarray(0.5 + 0.5 * signs.mean(axis=(1, 2, 3)), dtype=np.float64)
+def bootstrap(samples: Sequence[Array], statistic: Callable[..., Any]) -> tuple[float, float]:
+    """95 % percentile interval of a statistic of samples, each of which is drawn anew by itself.
+
+    With a sample for each task it is the stratified bootstrap of Agarwal et al. 2021. rliable's own
+    function is not called because the library it draws with does not import beside current pandas.
+
+    Returns:
+        Lower and upper end; NaN where a sample has fewer than two values.
+    """
+    if min(map(len, samples), default=0) < 2:
+        return math.nan, math.nan
+    drawn: dict[str, Any] = {"n_resamples": 2_000, "rng": np.random.default_rng(0)}
+    ends = scipy.stats.bootstrap(samples, statistic, method="percentile", **drawn)
+    low, high = ends.confidence_interval
+    return float(low), float(high)
 
 
 def mean_interval(values: ArrayLike) -> tuple[float, float]:
     """95 % bootstrap interval of the mean of a sample; NaNs are left out, NaN below two values."""
     data = np.asarray(values, dtype=np.float64)
-    return stratified_bootstrap(data[~np.isnan(data)][:, None], means)
+    return bootstrap([data[~np.isnan(data)]], np.mean)
 
 
 def measured(values: Sequence[float], alone: Callable[[], tuple[float, float]]) -> Value:
@@ -191,31 +135,16 @@ def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> Array:
     return np.asarray(above.mean(axis=1), dtype=np.float64)
 
 
-def profile_over_seeds(
-    scores: Sequence[ArrayLike], thresholds: ArrayLike
-) -> tuple[Array, Array, Array]:
-    """Mean performance profile of seeds, each with its own test episodes, and a 95 % band.
-
-    Whole seeds are resampled: the episodes of a seed share one trained network, so that drawing
-    them apart would make the band too narrow.
-
-    Args:
-        scores: one array of episode scores per seed.
-        thresholds: (T,).
-
-    Returns:
-        Mean, lower and upper end, each (T,); the ends are NaN with fewer than two seeds.
-    """
-    return mean_band(np.stack([performance_profile(each, thresholds) for each in scores]))
-
-
 def mean_band(curves: ArrayLike) -> tuple[Array, Array, Array]:
     """Mean of curves (seeds, T), and at each point a 95 % interval by resampling whole curves.
+
+    The episodes of a seed share one trained network: drawn apart, they would make the band of a
+    performance profile too narrow.
 
     Returns:
         Mean, lower and upper end, each (T,); the ends are NaN with fewer than two curves.
     """
-    data = _matrix(curves)
+    data = np.asarray(curves, dtype=np.float64)
     mean = data.mean(axis=0)
     if len(data) < 2:
         return mean, np.full_like(mean, math.nan), np.full_like(mean, math.nan)

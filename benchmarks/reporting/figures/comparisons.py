@@ -25,7 +25,7 @@ from benchmarks.reporting.figures.style import (
     legend_below,
 )
 from benchmarks.reporting.results import Group, Level, Results, complete
-from benchmarks.reporting.stats import Value, profile_over_seeds
+from benchmarks.reporting.stats import Value, mean_band, performance_profile
 from benchmarks.reporting.tables.beyond import PLAYERS, error_levels, tasks
 from benchmarks.reporting.tables.paper import NOISY, noise_levels
 
@@ -37,46 +37,21 @@ Scores = list[NDArray[np.float64]]  # of each seed's test episodes
 def comparisons(results: Results) -> list[Picture]:
     """Figures of the test episodes, over all tracks."""
     result = [
-        Picture(
-            "performance_profile",
-            "Performance profiles: share of test episodes above a score, with 95 % bands over "
-            "seeds. Left: holes filled of six. Right: the optimum's moves to the first insertion "
-            "over the method's, 0 without an insertion.",
-            partial(_profiles, results),
-        ),
-        Picture(
-            "robustness",
-            "Success rate over observation noise, with 95 % intervals, and the paper's two values.",
-            partial(_robustness, results),
-        ),
+        Picture("performance_profile", partial(_profiles, results)),
+        Picture("robustness", partial(_robustness, results)),
     ]
     if error_levels(results):
-        result.append(Picture(
-            "errors",
-            "Success rate on the uncertain machine over the bound of its base's displacement, the "
-            "tilt in proportion, with 95 % intervals.",
-            partial(_errors, results),
-        ))  # fmt: skip
+        result.append(Picture("errors", partial(_errors, results)))
     ablations = [results.group("rainbow", results.scored, ablation=a) for a in labels.ABLATIONS]
     if components := complete(ablations):
-        result.append(Picture(
-            "ablation_comparison",
-            "Success rate with one component removed: ours (as trained, where tested so) with 95 % "
-            "intervals over seeds (a single seed has none), the paper's with its standard "
-            "deviation.",
-            partial(_components, components, results.references(results.scored)),
-        ))  # fmt: skip
+        references = results.references(results.scored)
+        result.append(Picture("ablation_comparison", partial(_components, components, references)))
     return result
 
 
 def difficulty(results: Results) -> Picture:
     """Success by task."""
-    return Picture(
-        "difficulty",
-        "Success rate by task, with 95 % intervals: optimized geometry, as trained or with 5 % of "
-        "random moves.",
-        partial(_by_task, results),
-    )
+    return Picture("difficulty", partial(_by_task, results))
 
 
 def _by_task(results: Results) -> Figure:
@@ -136,7 +111,7 @@ def _profiles(results: Results) -> Figure:
     ):  # fmt: skip
         for group in drawn:
             if scores := scores_of(group):
-                mean, low, high = profile_over_seeds(scores, THRESHOLDS)
+                mean, low, high = mean_band([performance_profile(s, THRESHOLDS) for s in scores])
                 look = _look(group)
                 axes.step(THRESHOLDS, mean, where="post", linewidth=1.3, **look)
                 axes.fill_between(THRESHOLDS, low, high, step="post", color=look["color"],

@@ -39,26 +39,13 @@ BY_EPISODE: Final = frozenset({"episode_reward", "holes", "success", "duration"}
 Curve = NDArray[np.float64]
 Groups = dict[str, Group]
 
-# figure name -> (column of curve.csv, axis label, caption)
-CURVES: Final[dict[str, tuple[str, str, str]]] = {
-    "cumulative_reward": (
-        "episode_reward",
-        "Episode reward",
-        "Cumulative reward per episode: mean of the last ten, unsmoothed behind it",
-    ),
-    "success": ("success", "Success rate", "Success rate over training"),
-    "max_q": ("mean_max_q", "Mean max Q", "Average maximum Q-value"),
-    "loss": (
-        "loss",
-        "Loss",
-        "Training loss: Rainbow's is a cross-entropy, DQN's a Huber loss, so that levels are not "
-        "to be compared between methods",
-    ),
-    "duration": (
-        "duration",
-        "Episode duration (s)",
-        "Duration of an episode: mean of the last ten, unsmoothed behind it",
-    ),
+# figure name -> (column of curve.csv, axis label)
+CURVES: Final[dict[str, tuple[str, str]]] = {
+    "cumulative_reward": ("episode_reward", "Episode reward"),
+    "success": ("success", "Success rate"),
+    "max_q": ("mean_max_q", "Mean max Q"),
+    "loss": ("loss", "Loss"),  # Rainbow's a cross-entropy, DQN's a Huber loss: not to be compared
+    "duration": ("duration", "Episode duration (s)"),
 }
 RAW: Final = ("episode_reward", "duration")  # columns that are shown unsmoothed, too
 
@@ -84,24 +71,15 @@ def _learning(results: Results, track: str) -> list[Picture]:
     groups = {group.title: group for group in learners if group.known}
     if not any(group.curves() for group in groups.values()):
         return []
-    bounds, of = results.references(track), labels.track(track)
-    scored = track == results.scored
+    bounds, scored = results.references(track), track == results.scored
     result = [
-        Picture(f"{track}_{name}", f"{caption}, {of}.",
-                partial(_curves, groups, column, label, bounds=bounds))
-        for name, (column, label, caption) in CURVES.items()
+        Picture(f"{track}_{name}", partial(_curves, groups, column, label, bounds=bounds))
+        for name, (column, label) in CURVES.items()
         if scored or name == "success"
-    ]  # fmt: skip
-    if not scored:
-        return result
-    result.insert(1, Picture(
-        f"{track}_exploration", f"Learning rate, and noise magnitude or epsilon, {of}.",
-        partial(_exploration, groups),
-    ))  # fmt: skip
-    result.insert(2, Picture(
-        f"{track}_holes", f"Holes per episode by stage of the curriculum, {of}.",
-        partial(_holes, groups, bounds),
-    ))  # fmt: skip
+    ]
+    if scored:
+        result.insert(1, Picture(f"{track}_exploration", partial(_exploration, groups)))
+        result.insert(2, Picture(f"{track}_holes", partial(_holes, groups, bounds)))
     return result
 
 
@@ -116,16 +94,13 @@ def _variants(results: Results, track: str) -> list[Picture]:
         for name in ("optimized", "initial")
     }
     result = []
-    for name, groups, caption in (
-        ("ablation", ablations, "Success rate with one component removed: mean of the last fifty"),
-        ("geometry", geometries, "Success rate on either geometry: mean of the last fifty"),
-    ):
+    for name, groups in (("ablation", ablations), ("geometry", geometries)):
         if sum(bool(group.curves()) for group in groups.values()) > 1:
-            result.append(Picture(
-                f"{track}_{name}", f"{caption}, {labels.track(track)}.",
-                partial(_curves, groups, "success", "Success rate", window=WIDE,
-                        band=name == "geometry", bounds=results.references(track)),
-            ))  # fmt: skip
+            draw = partial(
+                _curves, groups, "success", "Success rate", window=WIDE,
+                band=name == "geometry", bounds=results.references(track),
+            )  # fmt: skip
+            result.append(Picture(f"{track}_{name}", draw))
     return result
 
 
@@ -140,10 +115,8 @@ def _teams(results: Results) -> list[Picture]:
         for ablation in labels.ABLATIONS
     }
     ablation = max(result, key=lambda name: len(result[name]))
-    if not (groups := result[ablation]):
-        return []
-    caption = f"{labels.ABLATIONS[ablation]}: success rate over training, last fifty episodes."
-    return [Picture("team_success", caption, partial(_over_ticks, groups))]
+    groups = result[ablation]
+    return [Picture("team_success", partial(_over_ticks, groups))] if groups else []
 
 
 def _over_ticks(groups: Sequence[Group]) -> Figure:

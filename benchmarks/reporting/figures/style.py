@@ -55,7 +55,6 @@ STYLE: Final[Any] = {
     "axes.titlesize": "medium",
     "font.size": 8.5,
     "grid.alpha": 0.3,
-    "hatch.linewidth": 0.5,
     "legend.fontsize": "small",
     "legend.frameon": False,
     "legend.handlelength": 3.0,
@@ -72,10 +71,9 @@ def style() -> AbstractContextManager[None]:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure that can be drawn: its file's name, and what stands under it."""
+    """A figure that can be drawn, and its file's name."""
 
     name: str
-    caption: str
     draw: Callable[[], Figure]
 
     def write(self, folder: Path) -> Path:

