@@ -9,6 +9,7 @@ import argparse
 import errno
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,7 +17,7 @@ from rich.console import Console
 
 from benchmarks.errors import TRUSTED, BenchmarkError, at_least
 from benchmarks.protocol.presets import DEFAULT_PRESET, load_preset, preset_names
-from benchmarks.runs.backends import BACKENDS
+from benchmarks.runs.backends import BACKENDS, Backend
 from benchmarks.studies import catalogue
 
 if TYPE_CHECKING:
@@ -65,15 +66,26 @@ def _open(given: Given, create: bool = False) -> tuple[Experiment, Store]:
 
 def run(given: Given) -> int:
     """Everything: what is missing is run, then tables and figures are written."""
-    from benchmarks.runs.harness import Harness, open_backend
+    from benchmarks.runs.harness import Harness
 
     console, (one, store) = Console(soft_wrap=True), _open(given, create=True)
-    place = (given.address, given.gpus_per_run)
     device = given.device or ("cuda" if given.gpus_per_run else "cpu")
-    with store.lock(), open_backend(given.backend, given.jobs, *place) as backend:
+    with store.lock(), closing(_backend(given)) as backend:
         console.print(f"{backend.describe()}, networks on {device}", markup=False)
         outcome = Harness(one, store, backend, console, device).run()
         return outcome.close(store, console, lambda: one.report(store, console))
+
+
+def _backend(given: Given) -> Backend:
+    if given.backend == "ray":
+        from benchmarks.runs.ray_backend import RayBackend
+
+        return RayBackend(given.address, given.gpus_per_run, given.jobs)
+    for option in ("address", "gpus_per_run"):
+        if value := getattr(given, option):
+            name = option.replace("_", "-")
+            raise BenchmarkError(f"--{name} {value}: only with --backend ray")
+    return Backend(given.jobs)
 
 
 def plan(given: Given) -> None:
@@ -122,18 +134,15 @@ def evaluate(given: Given) -> int:
 
 
 def _evaluate_entry(given: Given) -> int:
-    from benchmarks.studies.scoring.entries import Entry, glance, score
+    from benchmarks.studies.scoring.entries import glance, score
 
     preset = load_preset(given.preset)
     source = given.model[0].stem if given.model else given.planner.partition(":")[2]
-    entry = Entry(
-        given.name or source or given.planner, tuple(given.model), given.algorithm, given.planner,
-        given.trust, given.mask_singularities, given.mask_visited,
-    )  # fmt: skip
+    given.name = given.name or source or given.planner
     if given.episodes is None:
-        score(preset, given.results, entry, Console(soft_wrap=True), given.replace)
+        score(preset, given, Console(soft_wrap=True))
         return 0
-    for line in glance(preset, entry, given.episodes):
+    for line in glance(preset, given):
         print(line)
     print("Nothing was stored: the leaderboard needs all test episodes")
     return 0
@@ -165,12 +174,13 @@ def report(given: Given) -> None:
 
 def verify(given: Given) -> int:
     """Recompute every table and block; exit code 1 if one disagrees with the stored data."""
-    result = catalogue.verify(given.results, [given.preset] if given.preset else [])
-    for line in result.checked:
-        print(line)
-    for problem in result.problems:
-        print(problem, file=sys.stderr)
-    if number := len(result.problems):
+    number = 0
+    for what, problems in catalogue.verify(given.results, [given.preset] if given.preset else []):
+        print(what)
+        number += len(problems)
+        for problem in problems:
+            print(problem, file=sys.stderr)
+    if number:
         print(f"{number} difference{'s' if number > 1 else ''} found", file=sys.stderr)
         return 1
     print("Everything agrees with the stored data")

@@ -50,7 +50,7 @@ nitpicky = True
 nitpick_ignore_regex = [
     ("py:.*", rf"({'|'.join(OTHERS)})\..*"),
     ("py:.*", "|".join(NAMES)),
-    ("py:.*", r"(.*\.)?(Self[A-Z]\w+|C|Act|MakeEnv)"),  # type variables, names of types
+    ("py:.*", r"(.*\.)?(Self[A-Z]\w+|C|P|Act|MakeEnv)"),  # type variables, names of types
     ("py:class", r"coop_env\.physics\.(batch|contact|whole)\.\w+"),
 ]
 

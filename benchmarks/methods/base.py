@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +22,11 @@ class Plan:
         status: ``"solved"``, or why there is no plan.
         moves: (n,) actions to execute in order, or None without a plan.
         seconds: wall-clock time of the planning call.
-        detail: anything else a planner wants to say (iterations, nodes, causes).
     """
 
     status: str
     moves: NDArray[np.int64] | None
     seconds: float
-    detail: dict[str, Any] = field(default_factory=dict)
 
 
 def workspace(p: EnvParams) -> NDArray[np.float64]:

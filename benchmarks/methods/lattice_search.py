@@ -252,7 +252,7 @@ def lower_bound(
 def a_star(
     lattice: Lattice, source: int, to_delta: NDArray[np.int32], to_rrs: NDArray[np.int32],
     came_by: NDArray[np.uint8], node_limit: int, jumps: NDArray[np.int64],
-) -> tuple[int, int, int, NDArray[np.int64]]:  # fmt: skip
+) -> tuple[int, int, NDArray[np.int64]]:  # fmt: skip
     """Shortest collision-free path from a lattice point to the nearest goal.
 
     The bound is exact in each sub-lattice, so it is consistent and a point's first expansion is
@@ -264,13 +264,12 @@ def a_star(
         jumps: of :func:`single_jumps`, or of :func:`joint_jumps` where both robots move at once.
 
     Returns:
-        Length (or INFEASIBLE or NODE_LIMIT), the goal's point, points expanded, and the points
-        written in ``came_by``.
+        Length (or INFEASIBLE or NODE_LIMIT), the goal's point, the points written in ``came_by``.
     """
     n_rrs, at_once = lattice.rrs_free.size, len(jumps) > 12
     bound = lower_bound(source, to_delta, to_rrs, at_once)
     if bound >= UNREACHED:
-        return INFEASIBLE, -1, 0, np.array([source])
+        return INFEASIBLE, -1, np.array([source])
     entries = [
         (bound, 0, source, 0, len(jumps) + 1)
     ]  # total length, -entry, point, moves so far, 1 + move
@@ -285,10 +284,10 @@ def a_star(
             continue
         came_by[point] = by
         if total == g and g > 0:
-            return g, point, expanded, np.array(written)
+            return g, point, np.array(written)
         expanded += 1
         if expanded > node_limit:
-            return NODE_LIMIT, -1, expanded, np.array(written)
+            return NODE_LIMIT, -1, np.array(written)
         for move in range(len(jumps)):
             other = point + jumps[move]
             free = lattice.delta_free[other // n_rrs] and lattice.rrs_free[other % n_rrs]
@@ -298,7 +297,7 @@ def a_star(
             if total < UNREACHED:
                 pushed += 1
                 heapq.heappush(entries, (total, -pushed, other, g + 1, move + 1))
-    return INFEASIBLE, -1, expanded, np.array(written)
+    return INFEASIBLE, -1, np.array(written)
 
 
 def trace_back(
@@ -310,3 +309,47 @@ def trace_back(
         moves[i] = move = int(came_by[point]) - 1
         point -= int(jumps[move])
     return moves
+
+
+class Paths:
+    """Shortest paths on a lattice that keep off its ``barred`` points; what they share is kept."""
+
+    def __init__(self, lattice: Lattice, node_limit: int, at_once: bool = False) -> None:
+        self.lattice, self.node_limit, self.at_once = lattice, node_limit, at_once
+        self.barred: set[int] = set()
+        self._jumps = joint_jumps(lattice) if at_once else single_jumps(lattice)
+        self._maps: dict[tuple[bool, int], NDArray[np.int32]] = {}
+        # clean between searches: a fresh one would cost more than most of them
+        self._came_by = np.zeros(lattice.delta_free.size * lattice.rrs_free.size, np.uint8)
+
+    def between(self, here: int, ends: NDArray[np.int64]) -> tuple[int, int, NDArray[np.int64]]:
+        """A shortest path to the nearest of some points.
+
+        Returns:
+            Length (or INFEASIBLE or NODE_LIMIT), its lower bound (-1 if none is near), and moves.
+        """
+        lattice, came_by, barred = self.lattice, self._came_by, [*self.barred]
+        n_rrs = lattice.rrs_free.size
+        to_delta = self._distances(lattice.delta_free, lattice.strides[:3] // n_rrs, ends // n_rrs)
+        to_rrs = self._distances(lattice.rrs_free, lattice.strides[3:], ends % n_rrs)
+        near = to_delta[:, here // n_rrs] + to_rrs[:, here % n_rrs] < UNREACHED
+        if not near.any():
+            return INFEASIBLE, -1, np.empty(0, np.int64)
+        to_delta, to_rrs = to_delta[near], to_rrs[near]
+        came_by[barred] = BARRED
+        length, point, written = a_star(
+            lattice, here, to_delta, to_rrs, came_by, self.node_limit, self._jumps
+        )
+        moves = trace_back(point, max(length, 0), came_by, self._jumps)
+        came_by[barred] = came_by[written] = 0
+        return length, int(lower_bound(here, to_delta, to_rrs, self.at_once)), moves
+
+    def _distances(
+        self, free: NDArray[np.bool_], strides: NDArray[np.int64], nodes: NDArray[np.int64]
+    ) -> NDArray[np.int32]:
+        """Moves (n, all nodes) of one robot to nodes (n,)."""
+        keys = [(free is self.lattice.rrs_free, node) for node in nodes.tolist()]
+        for key in {*keys} - self._maps.keys():
+            self._maps[key] = np.empty(free.size, np.int32)
+            distances(free, strides, key[1], self._maps[key])
+        return np.array([self._maps[key] for key in keys], np.int32).reshape(-1, free.size)

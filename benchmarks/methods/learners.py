@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import copy
-import importlib
 import inspect
+import pkgutil
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from typing import Any, Final
@@ -87,8 +87,7 @@ def make_training_env(preset: Preset, cell: Cell) -> VecMonitor:
 
 def class_of(method: str) -> type[BaseAlgorithm]:
     """The algorithm of a method."""
-    module, _, name = LEARNERS[algorithm_of(method)].where.partition(":")
-    result: type[BaseAlgorithm] = getattr(importlib.import_module(module), name)
+    result: type[BaseAlgorithm] = pkgutil.resolve_name(LEARNERS[algorithm_of(method)].where)
     return result
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.methods import lattice_search as search
 from benchmarks.methods.base import Plan
-from benchmarks.methods.lattice_search import Lattice
+from benchmarks.methods.lattice_search import Paths
 from coop_env.simulation import dynamics, joint
 from coop_env.simulation.state import OUTCOME, VALID, aim
 from coop_env.simulation.task import N_ACTIONS, EnvParams
@@ -39,7 +39,7 @@ class LatticeOracle:
         if node_limit < 1:
             raise ValueError(f"node_limit = {node_limit!r}: must be at least 1")
         self.node_limit, self.real, self.at_once = node_limit, real, at_once
-        self._lattice: Lattice | None = None
+        self._paths: Paths | None = None
 
     def plan(self, env: Any) -> Plan:
         """Plan from the environment's current state, without changing it.
@@ -48,9 +48,7 @@ class LatticeOracle:
             ``"solved"`` with the moves, ``"infeasible"`` if no sequence of moves inserts, or
             ``"node_limit"``; ``"inexact"`` if a real machine does not do as planned. With
             sim-to-real knobs the plan is the nominal model's, as any planner's would be, unless
-            the oracle is of the real one. ``detail`` has ``length``, ``expanded`` (pairs),
-            ``goals`` (lattice points that meet the criterion) and ``bound`` (moves if nothing
-            collided).
+            the oracle is of the real one.
         """
         return self._plan(*self._known(env))
 
@@ -66,7 +64,7 @@ class LatticeOracle:
         while not state["over"]:
             plan = self._plan(state, p)
             if plan.moves is not None and len(plan.moves) > p.task.max_moves - state["moves"]:
-                plan = Plan("timeout", None, plan.seconds, plan.detail)
+                plan = Plan("timeout", None, plan.seconds)
             plans.append(plan)
             if plan.moves is None:
                 break
@@ -79,51 +77,36 @@ class LatticeOracle:
 
     def _plan(self, state: Any, p: EnvParams) -> Plan:
         began = time.perf_counter()
-        lattice = self._lattice_of(state, p)
-        source = int(search.point_at(lattice, state["offset"].astype(np.int64)))
-        target = int(state["target"])
-        goals = search.goals(lattice, target)
-        to_delta, to_rrs, bound = _distances(lattice, goals, source, self.at_once)
-        detail: dict[str, Any] = {"goals": len(goals), "expanded": 0}
-        length = search.INFEASIBLE
-        if len(to_delta):
-            # Untouched pages of a large zeroed array cost nothing.
-            came_by = np.zeros(lattice.delta_free.size * lattice.rrs_free.size, np.uint8)
-            jumps = search.joint_jumps(lattice) if self.at_once else search.single_jumps(lattice)
-            length, point, detail["expanded"], _ = search.a_star(
-                lattice, source, to_delta, to_rrs, came_by, self.node_limit, jumps
-            )
-            detail["bound"] = bound
+        paths, target = self._paths_of(state, p), int(state["target"])
+        source = int(search.point_at(paths.lattice, state["offset"].astype(np.int64)))
+        length, bound, moves = paths.between(source, search.goals(paths.lattice, target))
         if bound == 0 and not 0 < length <= 2:
             # Already in the hole, but only a move can insert: one there and one back.
             moves, length = self._there_and_back(state, p)
-        elif length > 0:
-            moves = search.trace_back(point, length, came_by, jumps)
+        status = "solved"
         if length < 0:
             status = "node_limit" if length == search.NODE_LIMIT else "infeasible"
-            return Plan(status, None, time.perf_counter() - began, detail)
-        detail["length"] = int(length)
-        if not self._execute(state.copy(), moves, p):
-            if p.task.imperfect:
-                return Plan("inexact", None, time.perf_counter() - began, detail)
-            raise RuntimeError(
-                f"the plan for hole {target} does not insert in the environment's own kernel: "
-                "the search and the environment disagree (a defect, please report it)"
-            )
-        return Plan("solved", moves, time.perf_counter() - began, detail)
+        elif not self._execute(state.copy(), moves, p):
+            if not p.task.imperfect:
+                raise RuntimeError(
+                    f"the plan for hole {target} does not insert in the environment's own kernel: "
+                    "the search and the environment disagree (a defect, please report it)"
+                )
+            status = "inexact"
+        return Plan(status, moves if status == "solved" else None, time.perf_counter() - began)
 
-    def _lattice_of(self, state: Any, p: EnvParams) -> Lattice:
-        """The lattice of the state's episode, made anew where the last one was another's."""
-        known = self._lattice
-        start, machine = state["start"], state["machine"]
+    def _paths_of(self, state: Any, p: EnvParams) -> Paths:
+        """Paths on the lattice of the state's episode, made anew where the last was another's."""
+        known, machine = self._paths, state["machine"]
         if (
             known is None
-            or p is not known.p
-            or np.any(known.start != start)
-            or (p.task.imperfect and np.any(known.machine["base"] != machine["base"]))
+            or p is not known.lattice.p
+            or np.any(known.lattice.start != state["start"])
+            or (p.task.imperfect and np.any(known.lattice.machine["base"] != machine["base"]))
         ):
             real = machine if p.task.imperfect else None
-            known = self._lattice = search.make_lattice(np.array(start), p, real)
+            lattice = search.make_lattice(np.array(state["start"]), p, real)
+            known = self._paths = Paths(lattice, self.node_limit, self.at_once)
         return known
 
     def _there_and_back(self, state: Any, p: EnvParams) -> tuple[NDArray[np.int64], int]:
@@ -153,28 +136,6 @@ class LatticeOracle:
                 return False
             inserted = bool(outcome["inserted"][0])
         return inserted
-
-
-def _distances(
-    lattice: Lattice, goals: NDArray[np.int64], source: int, at_once: bool
-) -> tuple[NDArray[np.int32], NDArray[np.int32], int]:
-    """Distances (goals, nodes) to the goals that both robots can reach, and the lower bound."""
-    n_rrs = lattice.rrs_free.size
-    maps: list[tuple[NDArray[np.int32], NDArray[np.int64]]] = []
-    for numbers, free, strides in (
-        (goals // n_rrs, lattice.delta_free, lattice.strides[:3] // n_rrs),
-        (goals % n_rrs, lattice.rrs_free, lattice.strides[3:]),
-    ):
-        nodes, inverse = np.unique(numbers, return_inverse=True)
-        table = np.empty((len(nodes), free.size), np.int32)
-        for row, node in enumerate(nodes):
-            search.distances(free, strides, int(node), table[row])
-        maps.append((table, inverse))
-    (delta, delta_row), (rrs, rrs_row) = maps
-    near = delta[delta_row, source // n_rrs] + rrs[rrs_row, source % n_rrs] < search.UNREACHED
-    to_delta, to_rrs = delta[delta_row[near]], rrs[rrs_row[near]]
-    bound = search.lower_bound(source, to_delta, to_rrs, at_once) if near.any() else -1
-    return to_delta, to_rrs, int(bound)
 
 
 def _nominal(state: Any, p: EnvParams) -> tuple[Any, EnvParams]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from benchmarks.methods import lattice_search as search
 from benchmarks.methods.base import tip_distance
 from benchmarks.methods.episodes import Episode
-from benchmarks.methods.lattice_search import Lattice
+from benchmarks.methods.lattice_search import Lattice, Paths
 from coop_env.compilation import njit
 from coop_env.simulation import state
 from coop_env.simulation.collision import hole
@@ -74,55 +74,14 @@ class Replanner:
                 tried[:] = False
                 continue
             best = np.lexsort((_moves_between(lattice, points, here), rings, out))[0]
-            moves = paths.between(here, int(points[best]))
-            if moves is None:
+            length, _, moves = paths.between(here, points[[best]])
+            if length <= 0:
                 tried[best] = True
                 continue
             visited = _follow(episode, lattice, here, moves, barred)
             if self.searches:
                 tried[[number[point] for point in visited if point in number]] = True
         return True
-
-
-class Paths:
-    """Shortest paths on a lattice that keep off its ``barred`` points; what they share is kept.
-
-    Args:
-        lattice: of the nominal model.
-        node_limit: of one search for a path.
-    """
-
-    def __init__(self, lattice: Lattice, node_limit: int) -> None:
-        self.lattice, self.node_limit = lattice, node_limit
-        self.barred: set[int] = set()
-        self._jumps = search.single_jumps(lattice)
-        self._maps: dict[tuple[bool, int], NDArray[np.int32]] = {}
-        # clean between searches: a fresh one would cost more than most of them
-        self._came_by = np.zeros(lattice.delta_free.size * lattice.rrs_free.size, np.uint8)
-
-    def between(self, here: int, goal: int) -> NDArray[np.int64] | None:
-        """A shortest path on the model from one point to another, or None."""
-        lattice, came_by, barred = self.lattice, self._came_by, [*self.barred]
-        n_rrs = lattice.rrs_free.size
-        to_delta = self._distances(lattice.delta_free, lattice.strides[:3] // n_rrs, goal // n_rrs)
-        to_rrs = self._distances(lattice.rrs_free, lattice.strides[3:], goal % n_rrs)
-        came_by[barred] = search.BARRED
-        length, point, _, written = search.a_star(
-            lattice, here, to_delta, to_rrs, came_by, self.node_limit, self._jumps
-        )
-        moves = search.trace_back(point, length, came_by, self._jumps) if length > 0 else None
-        came_by[barred] = came_by[written] = 0
-        return moves
-
-    def _distances(
-        self, free: NDArray[np.bool_], strides: NDArray[np.int64], node: int
-    ) -> NDArray[np.int32]:
-        """Moves (1, nodes) of one robot to a node."""
-        key = (free is self.lattice.rrs_free, node)
-        if key not in self._maps:
-            self._maps[key] = np.empty((1, free.size), np.int32)
-            search.distances(free, strides, node, self._maps[key][0])
-        return self._maps[key]
 
 
 def _follow(

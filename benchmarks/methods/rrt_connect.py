@@ -68,7 +68,7 @@ class RRTConnect:
             ``"solved"`` with the rounded moves, or ``"no alignment pose"``,
             ``"no plan (3-RRS)"``, ``"no plan (Delta)"`` without any.
         """
-        begun, iterations = time.perf_counter(), 0
+        begun = time.perf_counter()
         target = int(env.state["target"])
         moves = retreat(env)
         status = "solved"
@@ -82,23 +82,19 @@ class RRTConnect:
             if goal is None:
                 status = "no alignment pose"
                 break
-            path, used = self._search(env, start, goal, moving)
-            iterations += used
+            path = self._search(env, start, goal, moving)
             if path is None:
                 status = f"no plan ({robot})"
                 break
             moves += round_path((path - start) / units(env))
         result = np.array(moves, dtype=np.int64) if status == "solved" else None
-        return Plan(status, result, time.perf_counter() - begun, {"iterations": iterations})
+        return Plan(status, result, time.perf_counter() - begun)
 
     def _search(
-        self,
-        env: CoopInsertionEnv,
-        start: Configuration,
-        goal: Configuration,
+        self, env: CoopInsertionEnv, start: Configuration, goal: Configuration,
         moving: Sequence[int],
-    ) -> tuple[Configuration | None, int]:
-        """A dense path (n, 6) in SI units from start to goal, or None; and the checks it took."""
+    ) -> Configuration | None:  # fmt: skip
+        """A dense path (n, 6) in SI units from start to goal, or None."""
         setup = _problem(env, start, goal, moving)
         planner = og.RRTConnect(setup.getSpaceInformation())
         planner.setRange(4.0)
@@ -114,11 +110,11 @@ class RRTConnect:
         setup.setup()
         setup.solve(ob.PlannerTerminationCondition(out_of_budget))
         if not setup.haveExactSolutionPath():
-            return None, checks
+            return None
         path = setup.getSolutionPath()
         path.interpolate(max(2, math.ceil(path.length() / SPACING)))
         states = np.array([state[0:N_AXES] for state in path.getStates()], dtype=np.float64)
-        return states * units(env) + start, checks
+        return states * units(env) + start
 
 
 def _problem(
@@ -216,10 +212,8 @@ def round_path(path: Configuration) -> Moves:
 
 def displacement(moves: Sequence[int]) -> NDArray[np.int64]:
     """Where moves lead on the lattice, (6,)."""
-    at = np.zeros(N_AXES, dtype=np.int64)
-    for move in moves:
-        at[move // 2] += 1 - 2 * (move % 2)
-    return at
+    counts = np.bincount(moves, minlength=2 * N_AXES)
+    return counts[0::2] - counts[1::2]
 
 
 PlanFunction = Callable[[CoopInsertionEnv], Plan]

@@ -54,10 +54,6 @@ SUCCESS: Final = PAPER_METRICS[0]
 EXTRA_METRICS: Final = (
     Metric("holes", "Holes per episode (of 6)", "holes", 2),
     Metric("all_holes", "All six holes (% of episodes)", "all_holes", 1, 100.0, True),
-    Metric("time_per_hole", "Time per hole, first to last (s)", "time_per_hole", 2),
-    Metric("collisions_first", "Collisions up to the first insertion", "collisions_first", 2),
-    Metric("energy_first", "Energy proxy up to the first insertion (J)", "energy_first", 2),
-    Metric("singular", "Singularity terminations / 1000 ep.", "singular", 0, 1000.0, True),
 )
 
 FIRST: Final = "seconds_first"  # column: stop-and-go under the joints' limits, docs/trajectory.md

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeVar
 
 import yaml
-from pydantic import AfterValidator, Field, with_config
+from pydantic import AfterValidator, Field
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.learners import LEARNERS, algorithm_of
-from benchmarks.protocol.strict import STRICT, Count, Names, Number, Seeds, build, differ, merge
+from benchmarks.protocol.strict import Count, Names, Number, Seeds, Strict, build, differ, merge
 from coop_env.geometry import RRSGeometry
 from coop_env.simulation.insertion_task import InsertionTask
 from coop_env.simulation.sim_to_real import SimToReal
@@ -34,12 +34,6 @@ def _levels(noise: list[float]) -> list[float]:
     if 0.0 not in noise or min(noise) < 0.0:
         raise ValueError("must hold 0.0 and no negative level")
     return differ(noise)
-
-
-def _errors(levels: list[float]) -> list[float]:
-    if not levels or min(levels) < 0.0:
-        raise ValueError("must be some, none of them negative")
-    return differ(levels)
 
 
 def _arguments_of(kind: type[Any]) -> AfterValidator:
@@ -67,9 +61,8 @@ def _learners(methods: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     return methods
 
 
-@with_config(STRICT)
 @dataclass(frozen=True)
-class Hyperparameters:
+class Hyperparameters(Strict):
     """The learner's settings (the paper's table of hyperparameters, and what it leaves out)."""
 
     learning_rate: Number
@@ -103,9 +96,8 @@ class Hyperparameters:
         return max(1, round(self.updates_per_step * self.n_envs))
 
 
-@with_config(STRICT)
 @dataclass(frozen=True)
-class PPOSettings:
+class PPOSettings(Strict):
     """sb3-contrib's MaskablePPO, a further reference; gamma, net and envs are the track's."""
 
     learning_rate: Number = 1.0e-3
@@ -118,9 +110,8 @@ class PPOSettings:
     clip_range: Number = 0.2
 
 
-@with_config(STRICT)
 @dataclass(frozen=True)
-class Controls:
+class Controls(Strict):
     """Weight of the angle, per rad, in the scripts' potentials where a metre weighs 500."""
 
     greedy_angle: Number = 150.0
@@ -129,9 +120,8 @@ class Controls:
     lookahead_observed_angle: Number = 150.0
 
 
-@with_config(STRICT)
 @dataclass(frozen=True)
-class Curriculum:
+class Curriculum(Strict):
     """Stage 0 has the four peripheral holes, stage 1 all six."""
 
     enabled: bool = True
@@ -139,9 +129,8 @@ class Curriculum:
     window: int = 20
 
 
-@with_config(STRICT)
 @dataclass(frozen=True)
-class Track:
+class Track(Strict):
     """A reward, the settings of the task and the hyperparameters that go together.
 
     ``task`` has fields of :class:`coop_env.simulation.insertion_task.InsertionTask` and
@@ -184,9 +173,8 @@ class Track:
         return rows_of(self.team)
 
 
-@with_config(STRICT)
 @dataclass(frozen=True)
-class Evaluation:
+class Evaluation(Strict):
     """The test protocol: ``episodes`` per seed, at each level of observation noise.
 
     On tracks with ``sim_to_real``, which has a noise of its own, at each of ``errors`` instead:
@@ -199,16 +187,15 @@ class Evaluation:
     noise: Annotated[list[Number], AfterValidator(_levels)] = field(
         default_factory=lambda: [0.0, 0.01]
     )
-    errors: Annotated[list[Number], AfterValidator(_errors)] = field(
+    errors: Annotated[list[Annotated[Number, Field(ge=0.0)]], AfterValidator(differ)] = field(
         default_factory=lambda: [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0]
     )
     stream: Literal["final", "test", "validate"] = "validate"
     exploring: bool = False
 
 
-@with_config(STRICT)
 @dataclass(frozen=True)
-class PlannerSettings:
+class PlannerSettings(Strict):
     """Limits of one planning call (the paper: 5 s)."""
 
     time_limit: Annotated[Number, Field(gt=0.0)] = 5.0
@@ -216,17 +203,15 @@ class PlannerSettings:
     node_limit: Count = 2_000_000
 
 
-@with_config(STRICT)
 @dataclass(frozen=True)
-class DesignSettings:
+class DesignSettings(Strict):
     """The geometric optimization: independent Nelder-Mead runs, each with its own jitter."""
 
     runs: Count = 10
 
 
-@with_config(STRICT)
 @dataclass(frozen=True)
-class RunGroup:
+class RunGroup(Strict):
     """A product of methods, ablations, geometries, tracks and seeds."""
 
     methods: list[str]
@@ -236,9 +221,8 @@ class RunGroup:
     seeds: Seeds | None = None  # instead of the preset's
 
 
-@with_config(STRICT)
 @dataclass(frozen=True)
-class Preset:
+class Preset(Strict):
     """One experiment: what runs, with which settings."""
 
     name: str
@@ -255,9 +239,8 @@ class Preset:
     checkpoint_seconds: Number = 60.0
 
 
-@with_config(STRICT)
 @dataclass(frozen=True)
-class Guide:
+class Guide(Strict):
     """Of the contact task: the first steps of off-policy learners are a script's, with noise."""
 
     steps: Count
@@ -265,9 +248,8 @@ class Guide:
     gains: dict[str, Number] = field(default_factory=dict)  # of the moment-guided search
 
 
-@with_config(STRICT)
 @dataclass(frozen=True)
-class Task:
+class Task(Strict):
     """A public environment, the protocol of its runs, and each method's settings there."""
 
     title: str
@@ -292,9 +274,8 @@ class Task:
         return {**self.arguments, **self.methods[method]}
 
 
-@with_config(STRICT)
 @dataclass(frozen=True)
-class SuitePreset:
+class SuitePreset(Strict):
     """Methods and controls on public tasks: what runs, with which settings."""
 
     name: str

@@ -1,6 +1,6 @@
 """Mappings to frozen dataclasses, strictly, by pydantic: what a file gets wrong is one line.
 
-A dataclass to be read carries ``@with_config(STRICT)``. Values are of their own type, with one
+A dataclass to be read is a :class:`Strict`. Values are of their own type, with one
 exception: YAML 1.1 reads 1e-4 as text, and a scientist means a :data:`Number`.
 """
 
@@ -11,7 +11,7 @@ import json
 import typing
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import Annotated, Any, Final, TypeVar
+from typing import Annotated, Any, ClassVar, Final, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -27,7 +27,6 @@ from benchmarks.errors import BenchmarkError, known
 
 T = TypeVar("T")
 
-STRICT: Final = ConfigDict(extra="forbid", strict=True)
 # pydantic's kinds of error -> what it had expected
 _TYPES: Final = {
     **{"int_type": "int", "float_type": "float", "bool_type": "bool", "string_type": "str"},
@@ -39,6 +38,12 @@ _RANGES: Final = {
     "less_than_equal": "must be {le} or below",
     "literal_error": "is unknown; known: {expected}",
 }
+
+
+class Strict:
+    """A dataclass that a file is read into: no other key, no value of another type."""
+
+    __pydantic_config__: ClassVar = ConfigDict(extra="forbid", strict=True)
 
 
 def _from_text(value: object) -> object:

@@ -24,8 +24,6 @@ SECTIONS: Final[tuple[tuple[str, tuple[str, ...], tuple[str, ...], dict[str, str
     ("As printed", ("printed",), (), {}),
     ("All methods", (), ("leaderboard", "significance"), {}),
     ("Noise on the observation", (), ("robustness",), {"robustness": "Success over noise"}),
-    ("The uncertain machine", ("uncertain",), ("uncertain",),
-     {"errors": "Success over the size of the base's displacement"}),
 )  # fmt: skip
 
 

@@ -21,7 +21,6 @@ from benchmarks.reporting.compared import (
     CONTROL,
     GEOMETRY,
     MASKED,
-    SCRIPT,
     Comparison,
     comparisons,
     find,
@@ -60,7 +59,6 @@ def sentences(results: Results) -> dict[str, str]:
         "in_short": in_short([claim.holds for claim in claims.values()]),
         **{topic: claim.words for topic, claim in claims.items()},
         "printed": printed(results),
-        "uncertain": uncertain(compared),
     }
     return {topic: sentence for topic, sentence in report.items() if sentence}
 
@@ -234,7 +232,7 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
 
 def _component(comparison: Comparison) -> str:
     name = labels.ABLATIONS[comparison.ours.ablation].removeprefix("- ").lower()
-    return f"{name} ({_points(comparison)})"
+    return f"{name} ({comparison.difference.signed(' points')})"
 
 
 def geometry(results: Results, compared: list[Comparison]) -> Verdict:
@@ -301,25 +299,6 @@ def printed(results: Results) -> str:
     return f"**The reward as printed {learns} the task.** {report}."
 
 
-def uncertain(compared: list[Comparison]) -> str:
-    """The best learner of the uncertain machine against the best script."""
-    result = [each for each in compared if each.question == SCRIPT]
-    result = [each for each in result if each.difference.n >= SEEDS]
-    if not result:
-        return ""
-    chosen = max(result, key=lambda each: each.ours.success().mean)
-    verdict = {
-        SAME: "no lead over scripts is shown",
-        WORSE: "scripts stay ahead",
-        BETTER: "learning pays",
-    }
-    return (
-        f"**On the uncertain machine {verdict[outcome(chosen)]}.** {chosen.ours.name} inserts in "
-        f"{_show(chosen.ours.success())} %, {chosen.theirs.name} in "
-        f"{_show(chosen.theirs.success())} ({_points(chosen)})."
-    )
-
-
 def _steps(row: Group) -> Value:
     """Training steps to 75 % success, 1e5, over seeds; infinite if one never came there."""
     value = row.meta("steps_to_75", 1e-5)
@@ -339,10 +318,6 @@ def _above(comparison: Comparison) -> str:
         return f"{change.signed(' points').removeprefix('+')} above"
     turned = dataclasses.replace(change, mean=-change.mean, low=-change.high, high=-change.low)
     return f"{turned.signed(' points').removeprefix('+')} below"
-
-
-def _points(comparison: Comparison) -> str:
-    return comparison.difference.signed(" points")
 
 
 def _so_far(*rows: Group) -> str:

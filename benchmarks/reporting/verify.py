@@ -1,13 +1,12 @@
 """Check that stored runs are what their settings say, and that tables follow from them.
 
 Every number is made again from the rows of the runs and compared as text; nothing is trained. The
-studies check their own data with what is here and add it to the same :class:`Report`.
+studies check their own data with what is here.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -22,19 +21,6 @@ from benchmarks.reporting.tables.table import Table
 from benchmarks.runs.store import RunFolder, Store
 
 TABLE_FILES: Final = (".csv", ".md", ".tex")
-
-
-@dataclass
-class Report:
-    """What was checked, in words, and a sentence for each thing that disagrees."""
-
-    checked: list[str] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)
-
-    def add(self, checked: str, problems: list[str]) -> None:
-        """Say what was looked at and what came of it."""
-        self.checked.append(checked)
-        self.problems += problems
 
 
 def check_tables(folder: Path, tables: Iterable[Table]) -> list[str]:

@@ -10,10 +10,9 @@ import os
 import signal
 import subprocess
 import sys
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 from benchmarks.runs.machine import REPOSITORY
 from benchmarks.runs.store import RunFolder
@@ -30,15 +29,15 @@ PINNED: Final = {
 GRACE_SECONDS: Final = 60.0  # for a run to save its checkpoint after it was asked to stop
 
 
-class Job(ABC):
-    """A run under way, whose output goes to ``log``."""
+class Job:
+    """A run under way, whose output goes to ``log``: a child process."""
 
-    def __init__(self, log: Path) -> None:
-        self.log = log
+    def __init__(self, argv: Sequence[str], log: Path) -> None:
+        self.log, self._process = log, spawn(argv, log)
 
-    @abstractmethod
     def poll(self) -> int | None:
         """The process's exit code, None while it runs or waits for its turn."""
+        return self._process.poll()
 
     def place(self) -> str | None:
         """Where it runs, in a word or none at all; None while it waits for its turn."""
@@ -48,26 +47,28 @@ class Job(ABC):
         """What has happened to it since the last call, one sentence each."""
         return []
 
-    @abstractmethod
     def stop(self) -> None:
         """Ask it to save and end."""
+        self._process.send_signal(signal.SIGTERM)
 
-    @abstractmethod
     def wait(self, seconds: float) -> None:
         """Wait for its end, and end it by force when the time is over."""
+        end(self._process, seconds)
 
 
-class Backend(Protocol):
-    """Starts runs."""
+class Backend:
+    """Starts runs: child processes, by default one for each core that this process may use."""
 
-    #: runs that can be under way at a time
-    slots: int
+    def __init__(self, jobs: int | None = None) -> None:
+        self.slots = default_jobs() if jobs is None else jobs  # runs under way at a time
 
     def describe(self) -> str:
         """What runs are given, in a sentence."""
+        return f"{self.slots} processes of one thread on {os.cpu_count()} cores"
 
     def start(self, argv: Sequence[str], folder: RunFolder) -> Job:
         """Start ``python -m benchmarks <argv>``, which works on ``folder``."""
+        return Job(argv, folder.log)
 
     def close(self) -> None:
         """Let go of what the backend holds."""
@@ -97,39 +98,6 @@ def end(process: subprocess.Popen[bytes], seconds: float) -> None:
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
-
-
-class LocalJob(Job):
-    """A child process."""
-
-    def __init__(self, argv: Sequence[str], log: Path) -> None:
-        super().__init__(log)
-        self._process = spawn(argv, log)
-
-    def poll(self) -> int | None:
-        return self._process.poll()
-
-    def stop(self) -> None:
-        self._process.send_signal(signal.SIGTERM)
-
-    def wait(self, seconds: float) -> None:
-        end(self._process, seconds)
-
-
-class LocalBackend:
-    """Child processes, by default one for each core that this process may use."""
-
-    def __init__(self, jobs: int | None = None) -> None:
-        self.slots = default_jobs() if jobs is None else jobs
-
-    def describe(self) -> str:
-        return f"{self.slots} processes of one thread on {os.cpu_count()} cores"
-
-    def start(self, argv: Sequence[str], folder: RunFolder) -> Job:
-        return LocalJob(argv, folder.log)
-
-    def close(self) -> None:
-        pass
 
 
 def default_jobs() -> int:

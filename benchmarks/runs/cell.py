@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
+import pkgutil
 import signal
 import threading
 import time
@@ -141,8 +141,7 @@ def argv(experiment: Experiment, store: Store) -> list[str]:
 
 def opened(kind: str, recipe: str, folder: Path) -> tuple[Experiment, Store]:
     """What the command of :func:`argv` opens."""
-    module, _, name = kind.partition(":")
-    experiment = getattr(importlib.import_module(module), name)(**json.loads(recipe))
+    experiment = pkgutil.resolve_name(kind)(**json.loads(recipe))
     return experiment, Store(folder.parent, folder.name)
 
 

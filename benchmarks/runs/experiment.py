@@ -23,13 +23,16 @@ from benchmarks.runs.store import RunFolder, Store
 StopRequested = Callable[[], bool]
 
 
-class Experiment(ABC):
-    """Cells, what they cost, how one is run, and what is made of them all.
+P = TypeVar("P", Preset, SuitePreset)
+
+
+class Experiment(ABC, Generic[P]):
+    """Cells of a preset, what they cost, how one is run, and what is made of them all.
+
+    Its store lies in the folder ``place`` below that of all results.
 
     Args:
-        name: of the store; ``place`` is the folder in which the store lies, below that of all
-            results.
-        recipe: the class's arguments, as JSON can hold them, by which another process makes it.
+        preset: the preset, or its name or its file's path, by which another process loads it.
     """
 
     place: ClassVar[str] = ""
@@ -37,12 +40,16 @@ class Experiment(ABC):
     #: a run's small files, its TensorBoard events, its model twice
     run_bytes: ClassVar[int] = 20_000_000
 
-    def __init__(self, name: str, **recipe: Any) -> None:
-        self.name, self.recipe = name, recipe
+    def __init__(self, preset: P | str) -> None:
+        self.preset: P = load(preset) if isinstance(preset, str) else preset  # type: ignore[assignment]
+        self.name = self.preset.name
+        name = preset if isinstance(preset, str) else self.name
+        self.recipe: dict[str, Any] = {"preset": absolute(name)}
+        self._cells = plan.expand(self.preset)
 
-    @abstractmethod
     def cells(self) -> Sequence[Cell]:
         """The cells, in the order in which they are to begin."""
+        return self._cells
 
     def find(self, cell_id: str) -> Cell:
         """The cell of that id.
@@ -57,16 +64,30 @@ class Experiment(ABC):
             )
         return by_id[cell_id]
 
-    @abstractmethod
     def settings(self, cell: Cell) -> dict[str, Any]:
         """Everything that decides the cell's result, as plain YAML types: its config.yaml."""
-
-    def check(self, todo: Sequence[Cell]) -> None:  # noqa: B027 - few can fail so
-        """Raise BenchmarkError if one of these cells cannot be built."""
+        return plan.settings(self.preset, cell)
 
     @abstractmethod
+    def build(self, cell: Cell) -> Any:
+        """The untrained learner of a cell, in its environments."""
+
+    def check(self, todo: Sequence[Cell]) -> None:
+        """Build each kind of learner once, so that what is impossible fails at once."""
+        for cell in {replace(cell, seed=0): cell for cell in todo if cell.learns}.values():
+            try:
+                self.build(cell).get_env().close()
+            except BenchmarkError:
+                raise
+            except Exception as error:  # whatever a constructor makes of what it was given
+                how = f"{type(error).__name__}: {error}"
+                raise BenchmarkError(
+                    f"preset '{self.name}': cell {cell.id} cannot be built: {how}"
+                ) from error
+
     def units(self, config: dict[str, Any]) -> int:
         """A rough cost of a run by its settings, in environment steps."""
+        return plan.units_of(config)
 
     def kinds(self, config: dict[str, Any]) -> Iterator[tuple[str, ...]]:
         """Kinds of run that this one is of, the closest first: equal kinds, equal unit costs."""
@@ -74,7 +95,7 @@ class Experiment(ABC):
 
     def checkpoint_bytes(self, cell: Cell) -> int:
         """Size of one checkpoint, generously."""
-        return 0
+        return plan.checkpoint_bytes(self.preset, cell)
 
     @abstractmethod
     def run(
@@ -129,45 +150,3 @@ class Experiment(ABC):
     def open_store(self, results: Path, create: bool = False) -> Store:
         """The experiment's store; errors as those of :meth:`~benchmarks.runs.store.Store.open`."""
         return Store.open(results / self.place, self.name, create)
-
-
-P = TypeVar("P", Preset, SuitePreset)
-
-
-class OfPreset(Experiment, Generic[P]):
-    """Cells of a preset, which is loaded if its name or its file's path is given."""
-
-    def __init__(self, preset: P | str) -> None:
-        self.preset: P = load(preset) if isinstance(preset, str) else preset  # type: ignore[assignment]
-        name = preset if isinstance(preset, str) else preset.name
-        super().__init__(self.preset.name, preset=absolute(name))
-        self._cells = plan.expand(self.preset)
-
-    def cells(self) -> Sequence[Cell]:
-        return self._cells
-
-    def settings(self, cell: Cell) -> dict[str, Any]:
-        return plan.settings(self.preset, cell)
-
-    @abstractmethod
-    def build(self, cell: Cell) -> Any:
-        """The untrained learner of a cell, in its environments."""
-
-    def check(self, todo: Sequence[Cell]) -> None:
-        """Build each kind of learner once, so that what is impossible fails at once."""
-        for cell in {replace(cell, seed=0): cell for cell in todo if cell.learns}.values():
-            try:
-                self.build(cell).get_env().close()
-            except BenchmarkError:
-                raise
-            except Exception as error:  # whatever a constructor makes of what it was given
-                how = f"{type(error).__name__}: {error}"
-                raise BenchmarkError(
-                    f"preset '{self.name}': cell {cell.id} cannot be built: {how}"
-                ) from error
-
-    def units(self, config: dict[str, Any]) -> int:
-        return plan.units_of(config)
-
-    def checkpoint_bytes(self, cell: Cell) -> int:
-        return plan.checkpoint_bytes(self.preset, cell)

@@ -8,19 +8,19 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.progress import TimeRemainingColumn as Remaining
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import Cell
 from benchmarks.runs import cell as cells
-from benchmarks.runs.backends import GRACE_SECONDS, Backend, Job, LocalBackend
+from benchmarks.runs.backends import GRACE_SECONDS, Backend, Job
 from benchmarks.runs.costs import duration
 from benchmarks.runs.experiment import Experiment
 from benchmarks.runs.store import Store
@@ -102,7 +102,7 @@ class Harness:
     ) -> None:
         self.experiment, self.store = experiment, store
         self.console, self.device = console, device
-        self.backend = LocalBackend(backend) if isinstance(backend, int) else backend
+        self.backend = Backend(backend) if isinstance(backend, int) else backend
         self._queue: deque[Cell] = deque()
         self._children: list[_Child] = []
         self._units: dict[str, int] = {}
@@ -117,15 +117,8 @@ class Harness:
         todo = list(self._queue)
         check_disk(self.experiment, self.store, todo, self.backend.slots)
         self.experiment.check(todo)
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=24),
-            TextColumn("{task.percentage:>3.0f} %"),
-            TimeElapsedColumn(),
-            Remaining(),
-            TextColumn("{task.fields[note]}"),
-        )
-        with Progress(*columns, console=self.console, refresh_per_second=2) as progress:
+        more = TextColumn("{task.percentage:>3.0f} %"), TextColumn("{task.fields[note]}")
+        with bar(self.console, *more) as progress:
             overall = progress.add_task("", note="")
             self._show(progress, overall)
             try:
@@ -243,37 +236,17 @@ def terminable() -> Iterator[None]:
         yield
         return
 
-    def interrupt(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
 
 
-def open_backend(
-    name: str, jobs: int | None, address: str | None = None, gpus_per_run: float = 0.0
-) -> AbstractContextManager[Backend]:
-    """The backend of that name, as a context that closes it.
-
-    Args:
-        jobs: runs at a time; None for what there is room for.
-        address: of a Ray cluster.
-        gpus_per_run: GPUs that Ray reserves for a run, or the fraction of one.
-
-    Raises:
-        BenchmarkError: an argument does not go with the backend, or no cluster answers.
-    """
-    if name == "ray":
-        from benchmarks.runs.ray_backend import RayBackend
-
-        return closing(RayBackend(address, gpus_per_run, jobs))
-    for option, given in (("--address", address), ("--gpus-per-run", gpus_per_run)):
-        if given:
-            raise BenchmarkError(f"{option} {given}: only with --backend ray")
-    return closing(LocalBackend(jobs))
+def bar(console: Console, *more: ProgressColumn) -> Progress:
+    """The progress bar of all that runs; ``more`` columns stand at its end."""
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
+    return Progress(*columns, Remaining(), *more, console=console, refresh_per_second=2)
 
 
 def _tail(log: Path, lines: int = 8) -> str:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.runs.backends import GRACE_SECONDS, Job, end, spawn
+from benchmarks.runs.backends import GRACE_SECONDS, Backend, Job, end, spawn
 from benchmarks.runs.store import RunFolder, write_text
 
 RETRIES: Final = 3  # in a row without a step of progress
@@ -61,7 +61,7 @@ def _read(path: Path) -> dict[str, Any]:
         return {}
 
 
-class RayBackend:
+class RayBackend(Backend):
     """Places runs on a Ray cluster.
 
     Args:
@@ -140,7 +140,7 @@ class RayJob(Job):
     """A run in Ray's hands."""
 
     def __init__(self, backend: RayBackend, argv: Sequence[str], folder: RunFolder) -> None:
-        super().__init__(folder.log)
+        self.log = folder.log
         self._backend, self._argv, self._folder = backend, argv, folder
         self._code: int | None = None
         self._news: list[str] = []

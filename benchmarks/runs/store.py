@@ -121,10 +121,10 @@ class RunFolder:
         stored = self.config()
         wanted = yaml.safe_load(yaml.safe_dump(dict(config)))
         if stored != wanted:
-            old, new = _flatten(stored), _flatten(wanted)
+            old, new = (pd.json_normalize(c).to_dict("records")[0] for c in (stored, wanted))
             changed = [
                 f"{key}: {old.get(key, 'absent')} -> {new.get(key, 'absent')}"
-                for key in sorted(old.keys() | new.keys())
+                for key in sorted(map(str, old.keys() | new.keys()))
                 if old.get(key) != new.get(key) and key not in WORDS
             ]
             if not changed:
@@ -325,13 +325,3 @@ def _held(path: Path, refusal: str, wait: float = 0.0) -> Iterator[None]:
         raise BenchmarkError(refusal) from None
     with lock:
         yield
-
-
-def _flatten(data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in data.items():
-        if isinstance(value, Mapping):
-            flat.update(_flatten(value, f"{prefix}{key}."))
-        else:
-            flat[f"{prefix}{key}"] = value
-    return flat

@@ -18,13 +18,13 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from benchmarks.errors import BenchmarkError, at_least
 from benchmarks.protocol.presets import read_yaml
 from benchmarks.reporting import blocks
 from benchmarks.reporting.blocks import Block
 from benchmarks.reporting.verify import check_file
+from benchmarks.runs.harness import bar
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
 
@@ -261,12 +261,3 @@ def source(result: Mapping[str, Any], more: str = "") -> str:
         f"Command: `{result['command']}`. {machine['machine']['processor']}, "
         f"commit {machine['commit'][:9]}{more}."
     )
-
-
-def bar(console: Console) -> Progress:
-    """The progress bar of all that runs in this process."""
-    columns = (
-        *(TextColumn("{task.description}"), BarColumn(bar_width=24)),
-        *(TimeElapsedColumn(), TimeRemainingColumn()),
-    )
-    return Progress(*columns, console=console, refresh_per_second=2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -10,7 +10,7 @@ from benchmarks.errors import BenchmarkError, known, resolve
 from benchmarks.protocol.presets import SuitePreset, load, preset_names
 from benchmarks.reporting import blocks, science
 from benchmarks.reporting.blocks import Block
-from benchmarks.reporting.verify import Report, check_tables
+from benchmarks.reporting.verify import check_tables
 from benchmarks.runs.experiment import Experiment
 from benchmarks.runs.store import Store, write_text
 from benchmarks.studies.base import Study
@@ -109,13 +109,16 @@ def all_blocks(results: Path) -> Mapping[str, Block]:
     return result
 
 
-def verify(results: Path, presets: list[str]) -> Report:
+def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]:
     """Check the stores of ``presets`` (all under ``results`` if none is named), studies and pages.
+
+    Returns:
+        What was looked at, and a sentence for each thing that disagrees.
 
     Raises:
         BenchmarkError: a store is missing or of another schema.
     """
-    report, there = Report(), stores(results)
+    there, found = stores(results), False
     if not there and not presets:
         raise BenchmarkError(f"{results} has no results; run: python -m benchmarks run")
     for name in presets or there:
@@ -126,14 +129,11 @@ def verify(results: Path, presets: list[str]) -> Report:
             problems = check_tables(store.tables, one.tables(store))
         policies = sum(run.policy.is_file() for run in store.completed())
         what = f"{store.folder}: tables of {len(store.completed())} runs, {policies} policies"
-        report.add(what, problems)
-    if presets:
-        return report
-    for name in STUDIES:
-        if problems := study(name).problems(results):
-            report.problems += problems
-        report.checked.append(f"{results / name}: what is told of it")
-    if not report.problems:  # or the same once more
-        for what, problems in blocks.check(results, all_blocks(results)):
-            report.add(what, problems)
-    return report
+        yield what, problems
+        found |= bool(problems)
+    for name in () if presets else STUDIES:
+        problems = study(name).problems(results)
+        yield f"{results / name}: what is told of it", problems
+        found |= bool(problems)
+    if not found and not presets:  # or the same once more
+        yield from blocks.check(results, all_blocks(results))

@@ -29,7 +29,7 @@ from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.figures.style import save, style
 from benchmarks.reporting.verify import check_runs
-from benchmarks.runs.backends import LocalBackend
+from benchmarks.runs.backends import Backend
 from benchmarks.runs.harness import Harness
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import RunFolder, Store, write_text
@@ -347,7 +347,7 @@ class Codesign(Study):
         experiment, console = Insertion(str(preset)), Console(soft_wrap=True)
         store = experiment.open_store(self.folder, create=True)
         with store.lock():
-            outcome = Harness(experiment, store, LocalBackend(self.given.jobs), console).run()
+            outcome = Harness(experiment, store, Backend(self.given.jobs), console).run()
             if outcome.interrupted:
                 raise KeyboardInterrupt
             if outcome.close(store, console, lambda: None):

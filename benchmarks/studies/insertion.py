@@ -10,7 +10,7 @@ from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.presets import Preset
 from benchmarks.protocol.seeding import derive
 from benchmarks.runs.cell import ProgressReporter
-from benchmarks.runs.experiment import OfPreset, StopRequested
+from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from benchmarks.reporting.tables.table import Table
 
 
-class Insertion(OfPreset[Preset]):
+class Insertion(Experiment[Preset]):
     """Learners, controls, planners and the design on the insertion task."""
 
     # the paper's tables; the others are written beside them

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from benchmarks.protocol.learners import learner_of
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import SuitePreset
-from benchmarks.runs.experiment import OfPreset, StopRequested
+from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from benchmarks.studies.classic.results import SuiteResults
 
 
-class Classic(OfPreset[SuitePreset]):
+class Classic(Experiment[SuitePreset]):
     """Learners and controls on public tasks."""
 
     place = "classic"

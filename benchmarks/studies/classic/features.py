@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import torch
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
@@ -11,9 +13,23 @@ from benchmarks.protocol.plan import ATARI
 
 
 class Convolutions(BaseFeaturesExtractor):
-    """Layers on images with channels first."""
+    """Layers of square filters on images with channels first, each followed by ReLU.
 
-    layers: nn.Sequential
+    Args:
+        observation_space: images of at least the filters' size.
+    """
+
+    filters: ClassVar[tuple[tuple[int, int, int], ...]]  # number, size, stride
+
+    def __init__(self, observation_space: spaces.Box) -> None:
+        channels, *sizes = observation_space.shape
+        layers: list[nn.Module] = []
+        for number, size, stride in self.filters:
+            layers += [nn.Conv2d(channels, number, size, stride), nn.ReLU()]
+            sizes = [(n - size) // stride + 1 for n in sizes]
+            channels = number
+        super().__init__(observation_space, channels * sizes[0] * sizes[1])
+        self.layers = nn.Sequential(*layers, nn.Flatten())
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Features, shape ``(B, features_dim)``."""
@@ -22,33 +38,16 @@ class Convolutions(BaseFeaturesExtractor):
 
 
 class SmallCnn(Convolutions):
-    """MinAtar's own convolution (Young and Tian 2019): 16 filters of 3 x 3, then ReLU.
+    """MinAtar's own convolution (Young and Tian 2019)."""
 
-    Args:
-        observation_space: images with channels first, 3 x 3 pixels or more.
-    """
-
-    def __init__(self, observation_space: spaces.Box) -> None:
-        channels, rows, columns = observation_space.shape
-        filters = 16
-        super().__init__(observation_space, filters * (rows - 2) * (columns - 2))
-        self.layers = nn.Sequential(nn.Conv2d(channels, filters, 3), nn.ReLU(), nn.Flatten())
+    filters = ((16, 3, 1),)
 
 
 class DataEfficientCnn(Convolutions):
-    """Data-efficient Rainbow's convolutions (van Hasselt et al. 2019): 32, then 64 of 5 x 5 by 5.
+    """Data-efficient Rainbow's convolutions (van Hasselt et al. 2019)."""
 
-    Args:
-        observation_space: images with channels first, 25 x 25 pixels or more.
-    """
-
+    filters = ((32, 5, 5), (64, 5, 5))
     channels_last = True  # in memory, which is faster
-
-    def __init__(self, observation_space: spaces.Box) -> None:
-        channels, rows, columns = observation_space.shape
-        super().__init__(observation_space, 64 * (rows // 5 // 5) * (columns // 5 // 5))
-        first, second = nn.Conv2d(channels, 32, 5, stride=5), nn.Conv2d(32, 64, 5, stride=5)
-        self.layers = nn.Sequential(first, nn.ReLU(), second, nn.ReLU(), nn.Flatten())
 
 
 def extractor_of(env: str) -> type[BaseFeaturesExtractor]:

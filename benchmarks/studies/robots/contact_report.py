@@ -49,12 +49,9 @@ def levels(results: SuiteResults) -> dict[str, str]:
 
 
 def _of(rows: pd.DataFrame, error: float | None) -> dict[str, Any]:
-    """The episodes under an error at the friction that the task draws, as the scripts' are kept."""
+    """The episodes under an error, as the scripts' are kept."""
     rows = rows[rows["error"].isna() if error is None else rows["error"] == error]
-    if "friction" in rows:  # older runs were tested at fixed friction, too
-        rows = rows[rows["friction"].isna()]
-    rows = rows.fillna({"failure": ""})
-    return {str(name): values.tolist() for name, values in rows.items()}
+    return {str(k): v for k, v in rows.fillna({"failure": ""}).to_dict("list").items()}
 
 
 def _entries(results: SuiteResults) -> Iterator[Entry]:

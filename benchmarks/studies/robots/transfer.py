@@ -64,7 +64,7 @@ INSERTERS: Final = ("compliant push", "moment-guided search", *LEARNED)
 """What inserts on the machines of :func:`machines`."""
 NO_ERROR: Final = {"position_error": 0.0, "tilt_error": 0.0}
 Row = dict[str, list[Any]]
-Play = Callable[[Episode], str]
+Play = Callable[[Episode], None]
 
 
 def make_world(
@@ -81,31 +81,25 @@ def make_world(
 
 
 def by_plans(plan: Callable[[Any], Any]) -> Play:
-    """Hole after hole by plans run open loop; says why it stopped before the last."""
+    """Hole after hole by plans run open loop, up to one that does not bring it to its hole."""
 
-    def play(episode: Episode) -> str:
+    def play(episode: Episode) -> None:
         while not episode.over:
             target, answer = int(episode.env.state["target"]), plan(episode.env)
             if answer.moves is None:
-                return "no plan"
+                return
             for move in answer.moves[: episode.moves_left]:
                 if episode.move(int(move))["target"] != target or episode.over:
                     break
             else:
-                return "not reached"
-        return ""
+                return
 
     return play
 
 
 def by_acting(begin: Callable[[Sequence[Episode]], Chooser]) -> Play:
     """Moves of who sees what a policy sees, to the end of the episode."""
-
-    def play(episode: Episode) -> str:
-        play_together(begin([episode]), [episode], 0.0, 0)
-        return ""
-
-    return play
+    return lambda episode: play_together(begin([episode]), [episode], 0.0, 0)
 
 
 def player(name: str, preset: Preset, results: Path, seed: int) -> tuple[Play, dict[str, Any]]:
@@ -145,39 +139,12 @@ def measure(name: str, world: str, results: Path, episodes: int) -> Row:
 
 
 def play_one(env: CoopInsertionEnv, play: Play, number: int, start: int) -> dict[str, Any]:
-    """One episode; a failure is why its first hole was not filled."""
-    episode = Watched(env, number, start)
-    first, why = int(env.state["target"]), play(episode)
-    filled, info = first in episode.filled, episode.last
-    if not filled:
-        ended = "singular" if info["singular"] else "time" if episode.over else ""
-        gave_up = "not inserted" if first in info.get("given_up", []) else ""
-        why = gave_up or info.get("failure", "") or why or ended
-    return {
-        "success": bool(episode.filled),
-        "first": filled,
-        "holes": len(episode.filled),
-        "failure": "" if filled else why,
-        "moves": episode.moves,
-        "time_first": round(next(iter(episode.filled.values())), 3) if filled else None,
-        "force": round(float(info.get("peak_force", 0.0)), 3),
-    }
-
-
-class Watched(Episode):
-    """An episode that keeps which holes were filled, and when, and the last ``info``."""
-
-    def __init__(self, env: CoopInsertionEnv, number: int, reset_seed: int) -> None:
-        super().__init__(env, number, reset_seed)
-        self.filled: dict[int, float] = {}
-        self.last = self._info
-
-    def move(self, action: int) -> dict[str, Any]:
-        """Make one move and account for it; returns the environment's info."""
-        info = self.last = super().move(action)
-        if info["inserted"]:
-            self.filled[int(info["inserted_hole"])] = float(info["time"])
-        return info
+    """One episode: whether it filled a hole, and its first target, and how many in all."""
+    episode = Episode(env, number, start)
+    first = int(env.state["target"])
+    play(episode)
+    filled = env.state["filled"]
+    return {"success": bool(filled.any()), "first": bool(filled[first]), "holes": int(filled.sum())}
 
 
 def machines() -> dict[str, SimToReal]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
@@ -54,7 +54,7 @@ def play(
     rows = []
     for number in range(episodes):
         given = options(stream, number, error)
-        script.reset()
+        getattr(script, "reset", lambda: None)()
         steps = episode(env, script, seed=derive(stream, 13, number, 1), options=given)
         (info,) = deque(steps, maxlen=1)
         rows.append({
@@ -66,18 +66,9 @@ def play(
     return {name: [row[name] for row in rows] for name in rows[0]}
 
 
-class Policy:
-    """A trained model's greedy actions, as a script with no memory."""
-
-    def __init__(self, model: Any) -> None:
-        self.model = model
-
-    def reset(self) -> None:
-        """Nothing is kept."""
-
-    def __call__(self, observation: Any) -> Any:
-        """The action after an observation (29,)."""
-        return self.model.predict(observation, deterministic=True)[0]
+def greedy(model: Any) -> Callable[[Any], Any]:
+    """A trained model's greedy action after an observation (29,)."""
+    return lambda observation: model.predict(observation, deterministic=True)[0]
 
 
 def script_of(name: str, env: Any, gains: Mapping[str, float]) -> Any:
@@ -109,14 +100,14 @@ def inserter(results: Path, name: str, seed: int) -> Any:
     made = gymnasium.make(env["env"], **env["env_kwargs"])
     model = SAC("MlpPolicy", made, buffer_size=1, policy_kwargs=net, device="cpu")
     set_weights(model, path)
-    return Policy(model)
+    return greedy(model)
 
 
 def on_tests(model: Any, env: Any) -> list[Row]:
     """A model's episodes on the scripts' tests, a row each; errors in mm."""
     rows = []
     for error in CONDITIONS:
-        result = play(env, Policy(model), "test", EPISODES, error)
+        result = play(env, greedy(model), "test", EPISODES, error)
         for number, values in enumerate(zip(*result.values(), strict=True)):
             row = {"error": error, "episode": number}
             rows.append(row | dict(zip(result, values, strict=True)))

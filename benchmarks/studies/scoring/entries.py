@@ -6,6 +6,7 @@ and takes its place in the leaderboard. It never mixes with the preset's own cel
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import hashlib
 import inspect
@@ -13,7 +14,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -45,66 +46,44 @@ from benchmarks.protocol.presets import Preset
 from benchmarks.reporting.results import Results
 from benchmarks.reporting.tables.beyond import build_tables
 from benchmarks.runs.cell import run_once
+from benchmarks.runs.harness import bar
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.base import bar
 from benchmarks.studies.scoring.scores import in_words
 
+Given = argparse.Namespace
 GEOMETRY: Final = "optimized"
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,60}")
 
 
-@dataclass(frozen=True)
-class Entry:
-    """What is brought: models (one for all seeds, or one per seed) or a planner.
-
-    A model that SB3 saved runs its author's code when it is loaded: ``trust`` says to.
-    The masks are those of the environment that the method acts in: ``mask_singularities`` and
-    ``mask_visited`` as the model was trained with.
-    """
-
-    name: str
-    models: tuple[Path, ...] = ()
-    algorithm: str | None = None
-    planner: str = ""
-    trust: bool = False
-    mask_singularities: bool = False
-    mask_visited: int = 0
+#: a seed's settings, and what plays its test episodes
+Scorer = tuple[dict[str, Any], Callable[[OnProgress], Rows]]
 
 
-@dataclass(frozen=True)
-class Scorer:
-    """An entry under one seed: how its test episodes are played, and what decides them."""
-
-    folder_name: str
-    config: dict[str, Any]
-    play: Callable[[OnProgress], Rows]
-
-
-def prepare(preset: Preset, entry: Entry) -> dict[int, Scorer]:
+def prepare(preset: Preset, given: Given) -> list[Scorer]:
     """Load and check what is brought, before anything is written; a scorer for each seed.
+
+    A model that SB3 saved runs its author's code when it is loaded: ``--trust`` says to. The masks
+    are those of the environment that the method acts in, as the model was trained with.
 
     Raises:
         BenchmarkError: the name, the files or their spaces will not do.
     """
-    _check(preset, entry)
+    _check(preset, given)
     number = len(preset.seeds)
-    files = entry.models if len(entry.models) > 1 else entry.models * number
-    loaded = {path: load_model(path, entry.algorithm, entry.trust) for path in entry.models}
-    masks: dict[str, Any] = {
-        "mask_singularities": entry.mask_singularities,
-        "mask_visited": entry.mask_visited,
-    }
+    files = given.model if len(given.model) > 1 else given.model * number
+    loaded = {path: load_model(path, given.algorithm, given.trust) for path in given.model}
+    masks = {name: getattr(given, name) for name in ("mask_singularities", "mask_visited")}
 
     def scorer(seed: int, path: Path | None) -> Scorer:
-        cell = Cell(entry.name, "full", GEOMETRY, "", seed)
+        cell = Cell(given.name, "full", GEOMETRY, "", seed)
         if path is None:
-            player, noise = in_turn(_planner(preset, entry, seed)), [0.0]
-            source = {"algorithm": entry.planner, "sha256": "", **_source(entry.planner)}
+            player, noise = in_turn(_planner(preset, given.planner, seed)), [0.0]
+            source = {"algorithm": given.planner, "sha256": "", **_source(given.planner)}
             protocol = dict(masks)
         else:
             protocol = {"observation": fitting_observation(loaded[path], path), **masks}
             source = {
-                "algorithm": entry.algorithm or detect_algorithm(path),
+                "algorithm": given.algorithm or detect_algorithm(path),
                 "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
             }
             player = by_policy(model_policy(loaded[path]), seed)
@@ -116,103 +95,102 @@ def prepare(preset: Preset, entry: Entry) -> dict[int, Scorer]:
         }
         arguments = env_arguments(preset, cell) | protocol
         conditions = [Condition(arguments, level) for level in noise]
-        return Scorer(cell.id, config, partial(play, player, preset, seed, conditions))
+        return config, partial(play, player, preset, seed, conditions)
 
-    paths = files or (None,) * number
-    return {seed: scorer(seed, path) for seed, path in zip(preset.seeds, paths, strict=True)}
+    return list(map(scorer, preset.seeds, files or (None,) * number))
 
 
-def score(
-    preset: Preset, results: Path, entry: Entry, console: Console, replace: bool = False
-) -> None:
+def score(preset: Preset, given: Given, console: Console) -> None:
     """Score an entry on the preset's test episodes, store it, and write the leaderboard.
 
-    Complete seeds are kept. With ``replace`` it may take the place of another one of its name.
+    Complete seeds are kept. With ``--replace`` it may take the place of another one of its name.
 
     Raises:
         BenchmarkError: the name is taken, or as :func:`prepare`.
     """
-    scorers = prepare(preset, entry).values()
-    store = Store.open(results, preset.name, create=True)
+    scorers = prepare(preset, given)
+    store = Store.open(given.results, preset.name, create=True)
     with store.lock():
-        todo = {RunFolder(store.entries / scorer.folder_name): scorer for scorer in scorers}
-        folders = [folder.path for folder in todo]
-        for folder, scorer in todo.items():
-            if (folder.path / "config.yaml").is_file() and folder.config() != scorer.config:
-                if folder.is_complete() and not replace:  # a scoring that failed holds no name
+        todo = [(RunFolder(store.entries / Cell(**c["cell"]).id), c, run) for c, run in scorers]
+        for folder, config, _ in todo:
+            if (folder.path / "config.yaml").is_file() and folder.config() != config:
+                if folder.is_complete() and not given.replace:  # what failed holds no name
                     raise BenchmarkError(
-                        f"'{entry.name}' is already on the board with another model or protocol "
+                        f"'{given.name}' is already on the board with another model or protocol "
                         f"({folder.path}); choose another --name, or --replace it"
                     )
                 shutil.rmtree(folder.path)
-        if complete := sum(folder.is_complete() for folder in todo):
+        if complete := sum(folder.is_complete() for folder, *_ in todo):
             console.print(f"{complete} of {len(todo)} seeds were scored already")
         with bar(console) as progress:
-            for folder, scorer in todo.items():
-                _score(folder, scorer, preset.name, progress)
+            for folder, config, run in todo:
+                _score(folder, config, run, preset.name, progress)
         built = {table.name: table for table in build_tables(Results(store))}
         for table in built.values():
             table.write(store.tables)
     console.print(built["leaderboard"].markdown(), markup=False, highlight=False)
-    console.print(f"Episodes: {', '.join(map(str, folders))}")
+    console.print(f"Episodes: {', '.join(str(folder.path) for folder, *_ in todo)}")
     console.print(f"Leaderboard (CSV, Markdown, LaTeX): {store.tables / 'leaderboard.md'}")
 
 
-def _score(folder: RunFolder, scorer: Scorer, preset: str, progress: Progress) -> None:
+def _score(
+    folder: RunFolder, config: dict[str, Any], run: Callable[[OnProgress], Rows], preset: str,
+    progress: Progress,
+) -> None:  # fmt: skip
     task = progress.add_task(folder.id, total=1.0)
 
     def work() -> dict[str, Any]:
-        rows = scorer.play(lambda share: progress.update(task, completed=share))
-        folder.write_rows("episodes", rows)
+        folder.write_rows("episodes", run(lambda share: progress.update(task, completed=share)))
         return {"training": {}}
 
-    run_once(folder, scorer.config, preset, work)
+    run_once(folder, config, preset, work)
     progress.update(task, completed=1.0)
 
 
-def glance(preset: Preset, entry: Entry, episodes: int) -> Iterator[str]:
-    """An entry's metrics on the first so many test episodes of each seed; nothing is stored.
+def glance(preset: Preset, given: Given) -> Iterator[str]:
+    """An entry's metrics on the first ``--episodes`` of each seed; nothing is stored.
 
     Raises:
         BenchmarkError: as :func:`prepare`.
     """
-    tests = dataclasses.replace(preset.evaluation, episodes=episodes)
+    tests = dataclasses.replace(preset.evaluation, episodes=given.episodes)
     preset = dataclasses.replace(preset, evaluation=tests)
-    for seed, scorer in prepare(preset, entry).items():
-        yield from in_words(pd.DataFrame(scorer.play(no_progress)), f"{entry.name}, seed {seed}")
+    for config, run in prepare(preset, given):
+        name = f"{given.name}, seed {config['cell']['seed']}"
+        yield from in_words(pd.DataFrame(run(no_progress)), name)
 
 
-def _check(preset: Preset, entry: Entry) -> None:
-    if not _NAME.fullmatch(entry.name):
+def _check(preset: Preset, given: Given) -> None:
+    if not _NAME.fullmatch(given.name):
         raise BenchmarkError(
-            f"name '{entry.name}': letters, digits and . _ + - only, 61 at most; say another with "
+            f"name '{given.name}': letters, digits and . _ + - only, 61 at most; say another with "
             "--name"
         )
     taken = {*METHODS, DESIGN, *labels.METHODS.values()}
-    if entry.name in taken:
-        raise BenchmarkError(f"name '{entry.name}' is one of the harness's own: {known(taken)}")
-    if bool(entry.models) == bool(entry.planner):
+    if given.name in taken:
+        raise BenchmarkError(f"name '{given.name}' is one of the harness's own: {known(taken)}")
+    if bool(given.model) == bool(given.planner):
         raise BenchmarkError("give either --model or --planner")
-    if entry.models and len(entry.models) not in (1, len(preset.seeds)):
+    if given.model and len(given.model) not in (1, len(preset.seeds)):
         raise BenchmarkError(
-            f"{len(entry.models)} models for {len(preset.seeds)} seeds: give one for all, or one "
+            f"{len(given.model)} models for {len(preset.seeds)} seeds: give one for all, or one "
             f"for each of the seeds {preset.seeds}"
         )
 
 
-def _planner(preset: Preset, entry: Entry, seed: int) -> Callable[[Episode], None]:
-    if entry.planner in PERFECT_PLANNERS:
-        return planner_runner(preset, Cell(entry.planner, "full", GEOMETRY, "", seed))
-    if ":" not in entry.planner:
+def _planner(preset: Preset, planner: str, seed: int) -> Callable[[Episode], None]:
+    if planner in PERFECT_PLANNERS:
+        return planner_runner(preset, Cell(planner, "full", GEOMETRY, "", seed))
+    if ":" not in planner:
         raise BenchmarkError(
-            f"unknown planner '{entry.planner}'; known: {known(PERFECT_PLANNERS)}, or "
+            f"unknown planner '{planner}'; known: {known(PERFECT_PLANNERS)}, or "
             "module:function of your own"
         )
-    function = resolve(entry.planner, "planner")
+    function = resolve(planner, "planner")
     if not callable(function):
         kind = type(function).__name__
-        raise BenchmarkError(f"planner '{entry.planner}' is no function but {kind}")
-    ask = checked(function, entry.planner)
+        raise BenchmarkError(f"planner '{planner}' is no function but {kind}")
+    ask = checked(function, planner)
     return lambda episode: follow(episode, ask)
 
 

@@ -181,6 +181,6 @@ def in_words(rows: pd.DataFrame, name: str) -> Iterator[str]:
     for noise, group in rows.groupby("noise"):
         parts = [
             f"{metric.label} {metric.reduce(group):.{metric.digits}f}"
-            for metric in (*PAPER_METRICS, *EXTRA_METRICS[:2])
+            for metric in (*PAPER_METRICS, *EXTRA_METRICS)
         ]
         yield f"{name}, noise {noise:g}: {'; '.join(parts)}"

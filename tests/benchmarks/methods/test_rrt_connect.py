@@ -127,7 +127,6 @@ def test_the_iteration_limit_binds(monkeypatch: pytest.MonkeyPatch) -> None:
     plan = RRTConnect(time_limit=60.0, max_iterations=200).plan(env)
     assert plan.moves is None
     assert plan.status == "no plan (3-RRS)"
-    assert plan.detail["iterations"] == 201
     assert plan.seconds < 30.0
 
 

@@ -20,7 +20,7 @@ from rich.console import Console
 from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import expand
-from benchmarks.runs.backends import Job, LocalBackend
+from benchmarks.runs.backends import Backend, Job
 from benchmarks.runs.cell import StopFlag, run_cell
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.harness import Harness, Outcome, check_disk
@@ -124,8 +124,7 @@ class FakeJob(Job):
     """A run whose progress the test writes."""
 
     def __init__(self, folder: RunFolder, script: Iterator[tuple[float, str]]) -> None:
-        super().__init__(folder.log)
-        self.folder, self.script = folder, script
+        self.log, self.folder, self.script = folder.log, folder, script
         self.code: int | None = None
         self.waits = True
         self.stopped = self.waited = False
@@ -159,7 +158,7 @@ class FakeJob(Job):
         self.waited = True
 
 
-class FakeBackend:
+class FakeBackend(Backend):
     def __init__(self, slots: int, scripts: dict[str, list[tuple[float, str]]]) -> None:
         self.slots, self.scripts = slots, scripts
         self.jobs: dict[str, FakeJob] = {}
@@ -173,9 +172,6 @@ class FakeBackend:
         job = self.jobs[folder.id] = FakeJob(folder, iter(self.scripts[folder.id]))
         self.most = max(self.most, sum(job.code is None for job in self.jobs.values()))
         return job
-
-    def close(self) -> None:
-        pass
 
 
 def fake_run(
@@ -249,11 +245,11 @@ def test_what_earlier_calls_have_done_counts_as_done(tmp_path: Path) -> None:
 def test_one_process_per_core_with_its_threads_pinned(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert LocalBackend().slots == len(os.sched_getaffinity(0))
-    assert LocalBackend(3).slots == 3
+    assert Backend().slots == len(os.sched_getaffinity(0))
+    assert Backend(3).slots == 3
     asked: dict[str, Any] = {}
     monkeypatch.setattr(subprocess, "Popen", lambda words, **rest: asked.update(rest, words=words))
-    LocalBackend(1).start(["train", "--cell", "x"], RunFolder(tmp_path))
+    Backend(1).start(["train", "--cell", "x"], RunFolder(tmp_path))
     for name in ("OMP", "MKL", "OPENBLAS", "NUMBA"):
         assert asked["env"][f"{name}_NUM_THREADS"] == "1"
     assert asked["words"][1:] == [

@@ -31,14 +31,9 @@ def _optimum(world: str, seed: int) -> dict[str, Any]:
     return transfer.play_one(env, play, 0, derive("validate", 31, seed))
 
 
-@pytest.mark.parametrize(
-    ("world", "force"), [("+ spiral", 15.0), ("+ moment", 15.0), ("+ SAC", 40.0)]
-)
-def test_the_exact_plan_and_a_search_fill_all_holes(world: str, force: float) -> None:
-    result = _optimum(world, 3)
-    assert result["holes"] == 6
-    assert result["failure"] == ""
-    assert result["force"] < force
+@pytest.mark.parametrize("world", ["+ spiral", "+ moment", "+ SAC"])
+def test_the_exact_plan_and_a_search_fill_all_holes(world: str) -> None:
+    assert _optimum(world, 3) == {"success": True, "first": True, "holes": 6}
 
 
 @pytest.mark.parametrize(
@@ -62,26 +57,16 @@ def test_a_script_plays_under_the_masks_and_the_memory_of_a_track(world: str) ->
 
 
 def test_a_push_finds_no_hole_that_is_too_far_off() -> None:
-    result = _optimum("+ push", 3)
-    assert not result["first"]
-    assert result["failure"] == "not inserted"
+    assert not _optimum("+ push", 3)["first"]
 
 
-def test_in_the_kinematic_task_it_is_the_optimum() -> None:
-    result = _optimum("kinematics", 0)
-    assert result["holes"] == 6
+def test_a_plan_that_leads_elsewhere_ends_it() -> None:
     env = transfer.make_world("kinematics", RESULTS, {})
-    env.reset(seed=derive("validate", 31, 0))
-    moves: Any = LatticeOracle().plan(env).moves
-    assert result["time_first"] == pytest.approx(0.2 * len(moves))
-
-
-def test_a_plan_that_leads_elsewhere_is_named() -> None:
-    env = transfer.make_world("kinematics", RESULTS, {})
-    up, none = Plan("solved", np.array([4]), 0.0), Plan("infeasible", None, 0.0)
-    for plan, failure in ((up, "not reached"), (none, "no plan")):
-        play = transfer.by_plans(lambda _, plan=plan: plan)  # type: ignore[misc]
-        assert transfer.play_one(env, play, 0, 1)["failure"] == failure
+    asked: list[int] = []
+    for plan in (Plan("solved", np.array([4]), 0.0), Plan("infeasible", None, 0.0)):
+        play = transfer.by_plans(lambda _, plan=plan: asked.append(1) or plan)  # type: ignore[misc, func-returns-value]
+        assert transfer.play_one(env, play, 0, 1)["holes"] == 0
+    assert len(asked) == 2
 
 
 def test_machines_outside_of_the_bounds_are_outside() -> None:
@@ -111,10 +96,7 @@ def test_what_inserts_is_tried_on_every_machine(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_the_command_writes_what_it_prints(site: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    cell = {
-        "success": [True, False], "first": [True, False], "holes": [6, 0], "moves": [90, 12],
-        "failure": ["", "snap"], "time_first": [4.0, None], "force": [3.0, 41.0],
-    }  # fmt: skip
+    cell = {"success": [True, False], "first": [True, False], "holes": [6, 0]}
     monkeypatch.setattr(transfer, "_cell", lambda *_: cell)
     here = site("transfer")
     assert Transfer.main(["--results", str(here.results)]) == 0
