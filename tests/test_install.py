@@ -87,10 +87,10 @@ def test_make_refuses_another_python_in_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "venv").exists()
 
 
-def test_the_env_needs_nothing_that_draws() -> None:
+def test_the_env_needs_nothing_that_draws_or_learns() -> None:
     """Matplotlib and Pillow are of the extra ``render``; without it there are no pictures alone."""
-    code = "import sys, coop_env.env; sys.exit(bool({'matplotlib', 'PIL'} & set(sys.modules)))"
-    python("-c", code, cwd=ROOT)
+    heavy = {"matplotlib", "PIL", "torch"}
+    python("-c", f"import sys, coop_env.env; assert not {heavy} & {{*sys.modules}}", cwd=ROOT)
 
 
 def test_a_run_finds_the_harness_from_any_folder(

@@ -63,9 +63,6 @@ def test_every_form_has_its_row(results: Path) -> None:
         rows = [[cell.strip() for cell in line.split("|")] for line in text.splitlines()]
         assert [name, moves, decided] in [[row[1], *row[3:5]] for row in rows if len(row) > 4]
     assert "what decentralization costs" in text
-    board = (results / "tiny" / "tables" / "leaderboard.md").read_text(encoding="utf-8")
-    assert "at once" not in board
-    assert "VDN" not in board
     assert (results / "tiny" / "figures" / "team_success.png").is_file()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -106,11 +107,9 @@ def test_what_is_there_is_kept_and_what_is_missing_made(results: Path, tmp_path:
     assert not list((again / "data").glob(".*"))  # nothing half done is left
 
 
-def test_a_dataset_of_another_recipe_is_refused(
-    results: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert command(["study", "data", "--results", str(results), "--steps", "7"]) == 2
-    assert "optimum-small-v0 was made by" in capsys.readouterr().err
+def test_a_dataset_of_another_recipe_is_refused(results: Path, refused: Callable[..., str]) -> None:
+    words = ("study", "data", "--results", str(results), "--steps", "7")
+    assert "optimum-small-v0 was made by" in refused(*words)
 
 
 def test_starts_without_a_move_count_as_failures() -> None:

@@ -76,11 +76,6 @@ def test_optimum_plans_anew_where_it_is_put() -> None:
     assert infos[-1]["n_filled"] == np.sum(env.scene().active)
 
 
-def test_watch_names_a_bad_port(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["watch", "--port", "0"]) == 2
-    assert "port 0" in capsys.readouterr().err
-
-
 def test_the_twin_is_shown_where_it_really_is(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco", reason="needs the extra physics")
     opened: list[Viewer] = []

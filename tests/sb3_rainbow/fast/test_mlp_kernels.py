@@ -137,12 +137,16 @@ def test_updates_agree_with_torch(kwargs: dict[str, Any]) -> None:
         assert state[0]["step"] == state[1]["step"] == 4
         assert state[0]["exp_avg"].stride() == p.stride()
         th.testing.assert_close(state[0]["exp_avg"], state[1]["exp_avg"], **close)
-    again = pickle.loads(pickle.dumps(ours))
-    for learner in (ours, again):
-        th.manual_seed(9)
-        learner.update(make_images(9) if sees else make_batch(9, masked=True))
-    for p, q in zip(ours.policy.parameters(), again.policy.parameters(), strict=True):
-        assert th.equal(p, q)
+    for original in (ours, reference):  # and a copy goes on as what it was made of
+        after = []
+        for learner in (original, pickle.loads(pickle.dumps(original))):
+            th.manual_seed(9)
+            for seed in range(9, 12):
+                learner.update(make_images(seed) if sees else make_batch(seed, masked=True))
+                learner.move_target(0.1)
+            after.append(learner.policy.state_dict())
+        for name, value in after[0].items():
+            assert th.equal(value, after[1][name]), name
 
 
 def test_the_target_follows_a_layer_that_a_hook_has_just_put_in() -> None:

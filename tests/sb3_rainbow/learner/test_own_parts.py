@@ -202,18 +202,6 @@ class Bare(RainbowNetwork):
         return out.view(features.shape[0], -1, self.n_atoms)
 
 
-class OneLayer(BaseFeaturesExtractor):
-    """An extractor that learns."""
-
-    def __init__(self, observation_space: spaces.Space) -> None:
-        super().__init__(observation_space, 8)
-        self.layer = nn.Linear(4, 8)
-
-    def forward(self, observations: th.Tensor) -> th.Tensor:
-        features: th.Tensor = self.layer(observations)
-        return features
-
-
 class SharedPolicy(MlpPolicy):
     """Both networks see through one extractor."""
 
@@ -226,8 +214,8 @@ class SharedPolicy(MlpPolicy):
 
 
 def test_an_extractor_that_both_networks_share_learns() -> None:
-    model = make(SharedPolicy, policy_kwargs={"features_extractor_class": OneLayer})
-    layer: Any = model.q_net.features_extractor.layer
+    model = make(SharedPolicy, policy_kwargs={"features_extractor_class": Backbone})
+    layer: Any = model.q_net.features_extractor.tuned
     assert model.policy.q_net_target.features_extractor is model.q_net.features_extractor
     before = layer.weight.detach().clone()
     model.learn(60)

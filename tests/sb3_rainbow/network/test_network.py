@@ -194,21 +194,6 @@ def test_a_pickled_policy_explores_acts_and_learns(kernels: bool) -> None:
         np.testing.assert_array_equal(actions, policy.predict(obs.numpy())[0])
 
 
-@pytest.mark.parametrize("kernels", [True, False])
-def test_a_pickled_learner_goes_on_as_the_original(kernels: bool) -> None:
-    learner = Learner(make_policy(), double_q=True, max_grad_norm=10.0, cpu_kernels=kernels)
-    learner.update(unit_batch())
-    states = []
-    for each in (learner, pickle.loads(pickle.dumps(learner))):
-        th.manual_seed(4)
-        for _ in range(3):
-            each.update(unit_batch())
-            each.move_target(0.1)
-        states.append(each.policy.state_dict())
-    for name, value in states[0].items():
-        assert th.equal(value, states[1][name]), name
-
-
 @pytest.mark.parametrize(
     ("noisy_layers", "expected"),
     [
