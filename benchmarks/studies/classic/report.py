@@ -139,15 +139,17 @@ def _search(results: SuiteResults) -> Table:
             header.append(f"{task.title}, seeds: {'/'.join(map(str, counts))}")
             columns.append([_with_interval(value) for value in values])
     names = map(of_suite, preset.methods)
-    rows: list[list[TableCell]] = [list(row) for row in zip(names, *columns, strict=True)]
+    rows: list[list[TableCell]] = [
+        list(row) for row in zip(names, *columns, strict=True) if {*row[1:]} - {"-"}
+    ]
     return Table(
         "scores",
         f"Return of the last greedy policy, {preset.final_episodes} episodes per seed",
         ["Variant", *header],
         rows,
         [
-            f"Mean over seeds [{_INTERVAL}]; of one seed it is a lead. Tasks without a run are "
-            "left out."
+            f"Mean over seeds [{_INTERVAL}]; of one seed it is a lead. Tasks and variants "
+            "without a run are left out."
         ],
     )
 
