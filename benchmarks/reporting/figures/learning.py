@@ -130,7 +130,7 @@ def _over_ticks(groups: Sequence[Group]) -> Figure:
         line = "--" if form != "central" and not settings.get("sight") else "-"
         colour = PALETTE[forms.index(form)]
         name = labels.track(group.track)
-        _draw(axes, frames, "success", name, colour, line, band=False, window=WIDE)
+        draw(axes, frames, "success", name, colour, line, band=False, window=WIDE)
     finish(axes, "Success rate", "Ticks")
     return figure
 
@@ -152,7 +152,7 @@ def _curves(
     figure, (axes,) = canvas()
     for number, (name, group, colour) in enumerate(_coloured(groups)):
         line = "-" if number < len(PALETTE) else "--"
-        _draw(axes, group.curves(), column, name, colour, line, band, window, column in RAW)
+        draw(axes, group.curves(), column, name, colour, line, band, window, column in RAW)
     if column == "success":
         _mark_bounds(axes, bounds, SUCCESS, 100.0)
     if column == "mean_max_q":
@@ -197,9 +197,9 @@ def _mark_switches(axes: Axes, groups: Groups) -> None:
 def _exploration(groups: Groups) -> Figure:
     figure, (above, below) = canvas(2, sharex=True)
     for name, group, colour in _coloured(groups):
-        _draw(above, group.curves(), "learning_rate", name, colour)
+        draw(above, group.curves(), "learning_rate", name, colour)
         if quantity := _quantity(group):
-            _draw(below, group.curves(), "noise", f"{name}: {quantity}", colour)
+            draw(below, group.curves(), "noise", f"{name}: {quantity}", colour)
     for axes, label in ((above, "Learning rate"), (below, "Exploration")):
         _mark_switches(axes, groups)
         finish(axes, label)
@@ -236,7 +236,8 @@ def _holes(groups: Groups, bounds: Sequence[Group]) -> Figure:
 
 def _series(frame: pd.DataFrame, column: str, window: int) -> tuple[Curve, Curve]:
     """Steps and values of one run; what counts episodes as the mean of the last ``window``."""
-    counts = frame["episodes"].diff().fillna(frame["episodes"]).clip(lower=1)
+    ended = frame.get("episodes", frame["timesteps"])
+    counts = ended.diff().fillna(ended).clip(lower=1)
     rows = frame.assign(counts=counts)[["timesteps", column, "counts"]].dropna()
     steps, values = rows["timesteps"].to_numpy(float), rows[column].to_numpy(float)
     if column in BY_EPISODE:
@@ -257,7 +258,7 @@ def _seed_curves(
     return grid, np.stack([np.interp(grid, steps, values) for steps, values in result])
 
 
-def _draw(
+def draw(
     axes: Axes, frames: Sequence[pd.DataFrame], column: str, label: str, colour: str,
     style: str = "-", band: bool = True, window: int = EPISODES, raw: bool = False,
 ) -> None:  # fmt: skip

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from benchmarks.protocol.labels import of_suite
 from benchmarks.protocol.presets import load_suite
 from benchmarks.reporting.blocks import provenance
+from benchmarks.reporting.figures.learning import draw
 from benchmarks.reporting.figures.style import (
     METHOD_COLOURS,
     PALETTE,
@@ -31,7 +32,8 @@ from benchmarks.reporting.tables.table import Number, Table, TableCell
 from benchmarks.runs.store import Store
 from benchmarks.studies.classic.envs import MASKED_IDENTITY
 from benchmarks.studies.classic.results import SuiteResults
-from benchmarks.studies.robots.contact_report import build_contact_tables, draw, levels
+from benchmarks.studies.robots.contact_report import build_contact_tables, levels
+from benchmarks.studies.robots.contact_report import draw as draw_contact
 
 # tables of the page, each with its figure
 SHOWN: Final = {"scores": "curves", "controls": "", "together": "", "contact": "contact"}
@@ -227,7 +229,7 @@ def pictures(results: SuiteResults) -> list[Picture]:
     if results.preset.tasks and not results.preset.search:
         result.append(Picture("curves", partial(_curves, results)))
     if levels(results):
-        result.append(Picture("contact", partial(draw, results)))
+        result.append(Picture("contact", partial(draw_contact, results)))
     return result
 
 
@@ -240,13 +242,10 @@ def _curves(results: SuiteResults) -> Figure:
         axes.set_visible(False)
     for axes, (key, task) in zip(grid, tasks.items(), strict=False):
         for number, method in enumerate(results.preset.methods):
-            curve = results.curve(key, method)
-            if curve is None:
-                continue
-            steps, mean, low, high = curve
+            curves = (run.curve for run in results.runs(key, method))
+            frames = [curve.assign(timesteps=curve["timesteps"] / 1e3) for curve in curves]
             colour = METHOD_COLOURS.get(method, PALETTE[(3 + number) % len(PALETTE)])
-            axes.plot(steps / 1e3, mean, color=colour, label=of_suite(method), linewidth=1.3)
-            axes.fill_between(steps / 1e3, low, high, color=colour, alpha=0.2, linewidth=0)
+            draw(axes, frames, "return_mean", of_suite(method), colour)
         if task.goal is not None:
             axes.axhline(task.goal, color="0.5", linestyle=":", linewidth=1.0)
         axes.set_title(task.title)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from benchmarks.protocol.plan import Cell, expand, settings
 from benchmarks.protocol.presets import SuitePreset
 from benchmarks.protocol.seeding import episode_seeds
-from benchmarks.reporting.stats import Value, mean_band, measured, over_seeds
+from benchmarks.reporting.stats import Value, measured, over_seeds
 from benchmarks.runs.store import RunFolder, Store
 
 Array = NDArray[np.float64]
@@ -95,18 +95,6 @@ class SuiteResults:
             columns.append([(run.score - low) / scale for run in self.runs(task, method)])
         complete = min(map(len, columns), default=0)
         return np.array([column[:complete] for column in columns], dtype=np.float64).T
-
-    def curve(self, task: str, method: str) -> tuple[Array, Array, Array, Array] | None:
-        """Steps, mean return over seeds, and both ends of its 95 % bootstrap interval.
-
-        Narrow where seeds are few: a band to look at, not to test by.
-        """
-        runs = self.runs(task, method)
-        if not runs:
-            return None
-        grid = runs[0].curve["timesteps"].to_numpy(dtype=float)
-        columns = (run.curve[["timesteps", "return_mean"]].to_numpy().T for run in runs)
-        return grid, *mean_band([np.interp(grid, *column) for column in columns])
 
 
 def student(scores: Sequence[float]) -> Value:
