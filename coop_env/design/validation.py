@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import trapezoid
 
 from coop_env.design.problem import DesignError, Floats
 from coop_env.geometry import RRSGeometry
@@ -105,7 +106,7 @@ def validate(geometry: RRSGeometry, trajectory: Trajectory | None = None) -> Tra
     acceleration = np.gradient(rates, time, axis=0, edge_order=2)
     jerk = np.gradient(acceleration, time, axis=0, edge_order=2)
     speed = np.linalg.norm(rates, axis=-1).max()
-    cost = np.trapezoid(np.sum(jerk**2, axis=-1), time) * (time[-1] - time[0]) ** 3 / speed**2
+    cost = trapezoid(np.sum(jerk**2, axis=-1), time) * (time[-1] - time[0]) ** 3 / speed**2
     margin = rrs.joint_margin(poses, geometry)
     return TrajectoryReport(
         valid=bool(reachable.all() and (margin >= 0.0).all() and (sigma > 0.0).all()),
