@@ -142,7 +142,8 @@ def _printed(papers: Sequence[str]) -> dict[str, list[float]]:
 
 def _robustness(results: Results) -> Figure:
     figure, (axes,) = canvas(size=(7.0, 5.6))
-    for group in complete(results.rows(NOISY)):
+    scored = (group for group in results.rows(NOISY) if group.track in ("", results.scored))
+    for group in complete(scored):
         _success_over(axes, group, {x: Level(x) for x in noise_levels(results)})
     printed = _printed([*paper_values.ROBUSTNESS.values()])
     axes.errorbar(

@@ -70,7 +70,8 @@ def leaderboard(results: Results) -> Table:
     for folder in results.store.entered():
         result = Result.read(folder)
         entries.setdefault(result.config["cell"]["method"], []).append(result)
-    shown, brought = complete(results.rows()), []
+    shown = [row for row in complete(results.rows()) if row.method != "random"]
+    brought = []
     for name, runs in entries.items():
         entry = runs[0].config["entry"]
         models = len({run.config["entry"]["sha256"] for run in runs} - {""})
@@ -110,11 +111,14 @@ def _place(row: Group) -> tuple[bool, float, float, str]:
 def significance(results: Results) -> Table:
     """Table "significance": every comparison that a sentence rests on, by question."""
     header = ["Question", "Method", "Against", "Difference (points)", "p", "p (Holm)", "Seeds"]
+    result = comparisons(results)
+    # one seed tests nothing: shown where there is nothing else
+    result = [each for each in result if each.difference.n > 1] or result
     made: list[list[TableCell]] = [
         [each.question, f"{each.name}, {each.ours.acting}",
          f"{each.theirs.name}, {each.theirs.acting}", each.difference.signed(), p_text(each.p),
          p_text(each.p_holm), str(each.difference.n)]
-        for each in comparisons(results)
+        for each in result
     ]  # fmt: skip
     notes = [
         "Success rates, one difference per seed on the same starts (of the geometries: on their "

@@ -68,7 +68,6 @@ def tables(full: Store) -> dict[str, Table]:
         ("leaderboard", "Rainbow DQN", 2,
          ["paper's", "none", "80.0 ± 10.0", "90.0 ± 10.0"]),
         ("leaderboard", "Masked DQN", 4, ["70.0 ± 10.0", "80.0 ± 10.0"]),
-        ("leaderboard", "Random", 5, ["-"]),
         ("ablation", "Full Rainbow", 1, ["95 ± 2", "90.0 ± 10.0", "80.0 ± 10.0"]),
         # one episode of ten fewer on each seed: no spread between seeds, no test
         ("ablation", "- Dueling head", 2,
