@@ -9,8 +9,6 @@ PRESET ?= quick
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt
-# One more than cores: some tests only wait
-WORKERS = $(shell $(BIN)/python -c 'import os; print(1 + os.cpu_count())')
 # One thread per process: the harness and pytest-xdist use the cores by processes.
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= Agg
@@ -38,7 +36,7 @@ results: $(STAMP) ## Train, plan, compare, print the tables (PRESET=quick)
 test: lint type pytest ## Lint, types, tests
 
 pytest: $(STAMP) ## Tests alone
-	@$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile --max-worker-restart 0
+	@$(BIN)/python -m pytest -q -n auto --dist loadfile --max-worker-restart 0
 
 examples: $(STAMP) ## Every block of README and docs whole, its score as the page prints it: half an hour, weekly
 	WHOLE=1 $(BIN)/python -m pytest -q tests/test_docs.py -k blocks --timeout 7200

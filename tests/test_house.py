@@ -20,7 +20,7 @@ PACKAGES = ("sb3_rainbow", "coop_env", "benchmarks")
 
 # Each floor may import from itself and from those before it, never from those after it.
 FLOORS = {
-    "benchmarks": ("errors protocol methods evaluation runs reporting studies cli __main__"),
+    "benchmarks": "errors protocol methods evaluation runs reporting studies cli __main__",
     "coop_env": (
         "errors compilation geometry kinematics design simulation rendering.scene rendering.modes "
         "env trajectory vector team shield physics rendering exports"

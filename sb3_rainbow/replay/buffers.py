@@ -297,8 +297,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
     def _to_device(self, values: ObsArray) -> th.Tensor | TensorDict:
         if isinstance(values, dict):
             return {key: th.from_numpy(part).to(self.device) for key, part in values.items()}
-        tensor = th.from_numpy(values)
-        return tensor if self.device.type == "cpu" else tensor.to(self.device)
+        return th.from_numpy(values).to(self.device)
 
     def update_priorities(self, indices: NDArray[np.int64], losses: NDArray) -> None:
         """Set the priorities of drawn transitions to ``(loss + epsilon) ** alpha``.

@@ -53,8 +53,6 @@ from benchmarks.studies.scoring.scores import in_words
 Given = argparse.Namespace
 GEOMETRY: Final = "optimized"
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,60}")
-
-
 #: a seed's settings, and what plays its test episodes
 Scorer = tuple[dict[str, Any], Callable[[OnProgress], Rows]]
 

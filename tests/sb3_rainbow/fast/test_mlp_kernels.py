@@ -230,8 +230,7 @@ def test_a_round_that_fails_ends_the_trust() -> None:
     with pytest.raises(AttributeError), learner.undisturbed():
         learner.update(make_batch(1, False)._replace(actions=None))  # type: ignore[arg-type]
     learner.policy.optimizer.register_step_post_hook(lambda *_: steps.append(1))
-    with learner.undisturbed():
-        learner.update(make_batch(2, False))
+    learner.update(make_batch(2, False))
     assert steps == [1]
 
 
