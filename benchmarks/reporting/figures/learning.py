@@ -96,11 +96,11 @@ def _variants(results: Results, track: str) -> list[Picture]:
     result = []
     for name, groups in (("ablation", ablations), ("geometry", geometries)):
         if sum(bool(group.curves()) for group in groups.values()) > 1:
-            draw = partial(
+            curves = partial(
                 _curves, groups, "success", "Success rate", window=WIDE,
                 band=name == "geometry", bounds=results.references(track),
             )  # fmt: skip
-            result.append(Picture(f"{track}_{name}", draw))
+            result.append(Picture(f"{track}_{name}", curves))
     return result
 
 

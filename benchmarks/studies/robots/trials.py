@@ -66,7 +66,7 @@ def play(
     return {name: [row[name] for row in rows] for name in rows[0]}
 
 
-def greedy(model: Any) -> Callable[[Any], Any]:
+def policy_of(model: Any) -> Callable[[Any], Any]:
     """A trained model's greedy action after an observation (29,)."""
     return lambda observation: model.predict(observation, deterministic=True)[0]
 
@@ -100,14 +100,14 @@ def inserter(results: Path, name: str, seed: int) -> Any:
     made = gymnasium.make(env["env"], **env["env_kwargs"])
     model = SAC("MlpPolicy", made, buffer_size=1, policy_kwargs=net, device="cpu")
     set_weights(model, path)
-    return greedy(model)
+    return policy_of(model)
 
 
 def on_tests(model: Any, env: Any) -> list[Row]:
     """A model's episodes on the scripts' tests, a row each; errors in mm."""
     rows = []
     for error in CONDITIONS:
-        result = play(env, greedy(model), "test", EPISODES, error)
+        result = play(env, policy_of(model), "test", EPISODES, error)
         for number, values in enumerate(zip(*result.values(), strict=True)):
             row = {"error": error, "episode": number}
             rows.append(row | dict(zip(result, values, strict=True)))
