@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.save_util import load_from_zip_file
+from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule, TensorDict
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
@@ -267,6 +268,17 @@ class Rainbow(ResumableAlgorithm):
         ).to(self.device)
         self._convert_train_freq()
         self._create_aliases()
+        self._recommend_cpu()
+
+    def _recommend_cpu(self) -> None:
+        """As SB3's PPO and A2C: the GPU waits for each of a small network's many operations."""
+        flat = isinstance(getattr(self.q_net, "features_extractor", None), FlattenExtractor)
+        if flat and self.device.type != "cpu":
+            warnings.warn(
+                f"{type(self).__name__} without a CNN is much slower on {self.device.type} "
+                "than on the CPU: pass device='cpu', or set CUDA_VISIBLE_DEVICES to nothing",
+                stacklevel=2,
+            )
 
     def _make_replay_buffer(self) -> ReplayBuffer:
         if self.replay_buffer_class is None:

@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
 
 from benchmarks.runs.backends import spawn
 from tests.process import python
@@ -42,6 +43,33 @@ for package in (sb3_rainbow, coop_env):
             importlib.import_module(module.name)
 assert importlib.util.find_spec("benchmarks") is None
 """
+WITHOUT_THEM = """
+import sys
+class Without:
+    def __init__(self, finder):
+        self.finder = finder
+    def __getattr__(self, name):
+        return getattr(self.finder, name)
+    def find_spec(self, name, *where):
+        return None if name.split(".")[0] in MISSING else self.finder.find_spec(name, *where)
+sys.meta_path[:] = map(Without, sys.meta_path)
+"""
+# what a page's install line brings runs the page's commands: nothing else can be imported here
+ON_EXTRAS = {
+    "benchmarks": """
+from benchmarks.cli import main
+for cell in ("rainbow-optimized-safe-s0", "rrt_connect-optimized-s0"):
+    assert main(["train", "--preset", "smoke", "--results", OUT, "--cell", cell]) == 0
+assert main(["tables", "--preset", "smoke", "--results", OUT]) == 0
+""",
+    "benchmarks,classic": """
+from benchmarks.protocol.presets import load_suite
+from benchmarks.studies.classic.train import build_model
+for preset in ("control", "minatar", "changes", "atari100k"):
+    for task in load_suite(preset).tasks.values():
+        build_model(task, "rainbow", 0)
+""",
+}
 
 
 def test_all_say_the_same_pythons() -> None:
@@ -91,6 +119,32 @@ def test_the_env_needs_nothing_that_draws_or_learns() -> None:
     """Matplotlib and Pillow are of the extra ``render``; without it there are no pictures alone."""
     heavy = {"matplotlib", "PIL", "torch"}
     python("-c", f"import sys, coop_env.env; assert not {heavy} & {{*sys.modules}}", cwd=ROOT)
+
+
+def not_brought_by(requirement: str) -> set[str]:
+    """The modules installed here that an install of that requirement alone would not bring."""
+    brought, left = set(), [requirement]
+    while left:
+        need = Requirement(left.pop())
+        if (need.name, *need.extras) not in brought:
+            brought.add((need.name, *need.extras))
+            left += [
+                line
+                for line in metadata.requires(need.name) or ()
+                if not (marker := Requirement(line).marker)
+                or any(marker.evaluate({"extra": extra}) for extra in need.extras or ("",))
+            ]
+    names = {canonicalize_name(name) for name, *_ in brought}
+    modules = metadata.packages_distributions().items()
+    return {module for module, of in modules if not {*map(canonicalize_name, of)} & names}
+
+
+@pytest.mark.parametrize("extras", ON_EXTRAS)
+def test_extras_bring_all_that_their_commands_need(extras: str, tmp_path: Path) -> None:
+    missing = not_brought_by(f"sb3-rainbow-coop[{extras}]")
+    assert {"mujoco", "pytest"} <= missing
+    program = f"MISSING, OUT = {missing}, {str(tmp_path)!r}{WITHOUT_THEM}{ON_EXTRAS[extras]}"
+    python("-c", program, cwd=ROOT)
 
 
 def test_a_run_finds_the_harness_from_any_folder(

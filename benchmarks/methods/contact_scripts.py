@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coop_env.physics.env import CoopInsertionContactEnv
+if TYPE_CHECKING:  # it needs MuJoCo, and learners of other tasks come by here
+    from coop_env.physics.env import CoopInsertionContactEnv
 
 Floats = NDArray[np.float64]
 TIP_Z: Final = 2

@@ -6,6 +6,7 @@ One cell is one independent run with a folder of its own. The harness starts eac
 
 from __future__ import annotations
 
+import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -60,7 +61,8 @@ class Experiment(ABC, Generic[P]):
         by_id = {cell.id: cell for cell in self.cells()}
         if cell_id not in by_id:
             raise BenchmarkError(
-                f"preset '{self.name}' has no cell '{cell_id}'; known cells: {known(by_id)}"
+                f"preset '{self.name}' has no cell '{cell_id}'; the nearest: "
+                f"{known(difflib.get_close_matches(cell_id, by_id, 3, 0))}; `plan` lists all"
             )
         return by_id[cell_id]
 

@@ -316,6 +316,13 @@ def test_the_target_moves_at_every_update_or_at_an_interval() -> None:
     assert 0.0 < distance(tau=1.0, target_update_interval=64) < distance(tau=0.0)
 
 
+def test_a_small_network_on_another_device_is_a_warning() -> None:
+    with pytest.warns(UserWarning, match="slower on meta than on the CPU: pass device='cpu'"):
+        Rainbow("MlpPolicy", "CartPole-v1", buffer_size=100, device="meta")
+    images = FakeImageEnv(4, 40, 40, 1, discrete=True)
+    Rainbow("CnnPolicy", images, buffer_size=100, device="meta")  # a warning would be an error
+
+
 def test_more_envs_than_the_target_interval_is_a_warning() -> None:
     with pytest.warns(UserWarning, match=r"number of environments used is greater.*\(2 > 1\)"):
         Rainbow("MlpPolicy", make_vec_env("CartPole-v1", 2), target_update_interval=1, **FAST)

@@ -257,7 +257,7 @@ def test_other_starts_are_starts_of_their_own(
     ("words", "message"),
     [
         (["run", "--preset", "fast"], "unknown preset 'fast'"),
-        (["train", "--preset", "smoke", "--cell", "ppo-s0"], "has no cell 'ppo-s0'"),
+        (["train", "--preset", "smoke", "--cell", "ppo-s0"], "nearest: dqn-optimized-safe-s0"),
         (["study", "light"], "unknown study 'light'; known: audit, codesign"),
         (["evaluate", "--preset", "smoke", "--name", "x"], "--name belongs to a --model"),
         (["evaluate", "--preset", "smoke", "--model", "no.zip"], "no.zip is missing"),
