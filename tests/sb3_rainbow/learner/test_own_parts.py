@@ -114,6 +114,7 @@ def flattened(model: Rainbow) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*torch.jit.script:DeprecationWarning")
+@pytest.mark.filterwarnings("ignore:Guards may run slower on Python 3.13.0")  # torch.compile's
 @pytest.mark.parametrize(
     ("policy", "kwargs", "change"),
     [
