@@ -129,7 +129,7 @@ def not_brought_by(extras: str) -> set[str]:
     left = setup["options"]["install_requires"].strip().splitlines()
     for extra in extras.split(","):
         left += setup["options.extras_require"][extra].strip().splitlines()
-    brought = {("sb3-rainbow-coop",)}
+    brought: set[tuple[str, ...]] = {("sb3-rainbow-coop",)}
     while left:
         need = Requirement(left.pop())
         if (need.name, *need.extras) not in brought:
