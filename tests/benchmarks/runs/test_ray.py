@@ -59,6 +59,7 @@ def cluster() -> Iterator[Any]:
         patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
         patch.setenv("RAY_TMPDIR", folder)
         patch.setenv("RAY_worker_niceness", "0")  # 15 starves beside another job
+        patch.delenv("CUDA_VISIBLE_DEVICES", raising=False)  # as make sets it, Ray counts none
         cluster = Cluster(initialize_head=True, head_node_args=small)
         cluster.add_node(**small)
         yield cluster
