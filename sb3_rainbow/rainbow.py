@@ -275,7 +275,7 @@ class Rainbow(ResumableAlgorithm):
         flat = isinstance(getattr(self.q_net, "features_extractor", None), FlattenExtractor)
         if flat and self.device.type != "cpu":
             warnings.warn(
-                f"{type(self).__name__} without a CNN is much slower on {self.device.type} "
+                f"{type(self).__name__} with a small network is slower on {self.device.type} "
                 "than on the CPU: pass device='cpu', or set CUDA_VISIBLE_DEVICES to nothing",
                 stacklevel=2,
             )
