@@ -205,7 +205,11 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
         )
     if len(singles) == wanted:
         names = ", ".join(_component(c) for c in costs) or "none"
-        details = f"Of {wanted} that were removed one at a time these cost success: {names}."
+        fewest = min(c.difference.n for c in singles)
+        details = (
+            f"Of {wanted} removals of one component, each on {fewest} seeds or more, these cost "
+            f"success beyond chance: {names}."
+        )
     else:
         details = (
             f"Of {wanted} removals of one component, {len(singles)} have {SEEDS} seeds so far."
