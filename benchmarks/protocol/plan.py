@@ -213,10 +213,12 @@ def _of_task(preset: SuitePreset, cell: Cell) -> dict[str, Any]:
     if cell.learns:
         keys = ["env", "timesteps", "eval_every", "eval_episodes", "env_kwargs", "policy", "n_envs"]
         keys += [rare for rare in ("guide", "bare") if getattr(task, rare)]
-    given = asdict(task)
+    given = {key: getattr(task, key) for key in keys}
+    if "guide" in given:
+        given["guide"] = asdict(given["guide"])
     return {
         "cell": {"kind": kind, "task": cell.track, "method": cell.method, "number": cell.seed},
-        "task": {key: given[key] for key in keys},
+        "task": given,
         **({"arguments": task.arguments_of(cell.method)} if cell.learns else {}),
         "final_episodes": preset.final_episodes,
     }

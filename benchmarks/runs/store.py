@@ -30,10 +30,10 @@ import yaml
 from filelock import FileLock, Timeout
 
 from benchmarks.errors import BenchmarkError
+from benchmarks.protocol.presets import SAFE_LOADER
 
 SCHEMA: Final = 1
-# by libyaml, ten times as fast: a preset has hundreds of settings to read
-SAFE_LOADER: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+SAFE_DUMPER: Final = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 WORDS: Final = ("track.description",)  # settings that decide no result
 PROGRESS_SECONDS: Final = 0.5  # between two reports of a run
 BROKEN: Final = "broken-"  # before the name of a checkpoint that could not be read
@@ -119,7 +119,7 @@ class RunFolder:
         if not (self.path / "config.yaml").is_file():
             return
         stored = self.config()
-        wanted = yaml.safe_load(yaml.safe_dump(dict(config)))
+        wanted = yaml.load(yaml.dump(dict(config), Dumper=SAFE_DUMPER), SAFE_LOADER)
         if stored != wanted:
             old, new = (pd.json_normalize(c).to_dict("records")[0] for c in (stored, wanted))
             changed = [
