@@ -23,7 +23,7 @@ from benchmarks.protocol.plan import (
 )
 from benchmarks.protocol.presets import Preset, load, preset_names
 from benchmarks.reporting.stats import Value, mean_interval, measured, over_seeds, wilson
-from benchmarks.reporting.tables.table import Number, TableCell
+from benchmarks.reporting.tables.table import MISSING, Number, TableCell
 from benchmarks.runs.store import RunFolder, Store
 
 SCORED: Final = ("repaired", "safe")  # tracks of the headline; the first that a store has
@@ -232,7 +232,7 @@ class Group:
 
     def cell(self, value: Value, digits: int = 1, paper: str = "", suffix: str = "") -> TableCell:
         """A value of the runs, or the word for its absence."""
-        absent = "missing" if self.planned else "-"
+        absent = MISSING if self.planned else "-"
         return Number(value, digits, suffix, paper) if self.n else absent
 
     def measure(self, metric: Metric) -> TableCell:
@@ -261,6 +261,7 @@ class Results:
             key = (cell["method"], cell["ablation"], cell["geometry"], cell["track"])
             runs.setdefault(key, []).append(run)
         planned, self._settings = _planned(store)
+        self.design_planned = bool(planned.pop((DESIGN, "full", "optimized", ""), 0))
         for run in (run for each in runs.values() for run in each):
             if "track" in run.config:  # what was run counts, not what the preset says today
                 self._settings[run.config["cell"]["track"]] = run.config["track"]
@@ -326,9 +327,12 @@ class Results:
 
     @property
     def scored(self) -> str:
-        """The track of the headline."""
-        result = [track for track in SCORED if self.group("rainbow", track).known]
-        return result[0] if result else SCORED[0]
+        """The track of the headline: the first that Rainbow, or else any learner, learned on."""
+        for methods in (("rainbow",), LEARNERS):
+            for track in SCORED:
+                if any(self.group(method, track).known for method in methods):
+                    return track
+        return SCORED[0]
 
     def control_of(self, row: Group, geometry: str = "optimized") -> Group | None:
         """The best control with a learner's masks, memory, task and way of acting, or None."""
@@ -391,9 +395,8 @@ def _planned(store: Store) -> tuple[dict[Key, int], dict[str, dict[str, Any]]]:
         return {}, {}
     planned: dict[Key, int] = {}
     for cell in expand(preset):
-        if cell.method != DESIGN:
-            key = (cell.method, cell.ablation, cell.geometry, cell.track)
-            planned[key] = planned.get(key, 0) + 1
+        key = (cell.method, cell.ablation, cell.geometry, cell.track)
+        planned[key] = planned.get(key, 0) + 1
     return planned, {name: asdict(track) for name, track in preset.tracks.items()}
 
 

@@ -8,7 +8,7 @@ from benchmarks.protocol.paper_values import PERFORMANCE
 from benchmarks.reporting.blocks import provenance
 from benchmarks.reporting.results import Group, Results
 from benchmarks.reporting.tables.beyond import build_tables
-from benchmarks.reporting.tables.table import Number, Table, TableCell
+from benchmarks.reporting.tables.table import MISSING, Number, Table, TableCell
 from benchmarks.reporting.verdicts import sentences
 from benchmarks.runs.store import Store
 
@@ -52,7 +52,7 @@ def six(results: Results) -> Table:
         ("Exact optimum, which needs a model", "-", results.group("optimum")),
     ]  # fmt: skip
     made: list[list[TableCell]] = [
-        [name, paper, Number(row.success(), suffix=row.lead) if row and row.n else "missing"]
+        [name, paper, Number(row.success(), suffix=row.lead) if row and row.n else MISSING]
         for name, paper, row in methods
     ]
     title = "Success rate (%) on the test episodes, learners as trained"
@@ -69,7 +69,7 @@ def science(store: Store, beyond: bool = False) -> str:
         if beyond is (heading in PAPER):
             continue
         shown = [report[topic] for topic in topics if topic in report]
-        shown += [by_name[name].markdown() for name in names if by_name[name].rows]
+        shown += [by_name[name].markdown() for name in names if name in by_name]
         if not shown:
             continue
         parts += [f"## {heading}", *shown]

@@ -37,7 +37,7 @@ class Experiment(ABC, Generic[P]):
     """
 
     place: ClassVar[str] = ""
-    printed: ClassVar[Sequence[str]] = ()  # names of the tables that a run prints
+    printed: Sequence[str] = ()  # names of the tables that a run prints
     #: a run's small files, its TensorBoard events, its model twice
     run_bytes: ClassVar[int] = 20_000_000
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from benchmarks.protocol.plan import DESIGN, Cell
-from benchmarks.protocol.presets import Preset
+from benchmarks.protocol.presets import Preset, preset_names
 from benchmarks.protocol.seeding import derive
 from benchmarks.runs.cell import ProgressReporter
 from benchmarks.runs.experiment import Experiment, StopRequested
@@ -22,7 +22,20 @@ class Insertion(Experiment[Preset]):
     """Learners, controls, planners and the design on the insertion task."""
 
     # the paper's tables; the others are written beside them
-    printed = ("performance", "controls", "ablation", "geometry", "design", "team", "difficulty")
+    printed: Sequence[str] = (
+        "performance",
+        "controls",
+        "ablation",
+        "geometry",
+        "design",
+        "team",
+        "difficulty",
+    )
+
+    def __init__(self, preset: Preset | str) -> None:
+        super().__init__(preset)
+        if self.name not in preset_names():  # of a user's own, who may have a learner of his own
+            self.printed = (*self.printed, "leaderboard")
 
     def build(self, cell: Cell) -> Any:
         from benchmarks.methods.learners import build_small

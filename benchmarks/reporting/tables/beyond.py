@@ -44,21 +44,22 @@ TEAMS: Final = {
 
 
 def build_tables(results: Results) -> list[Table]:
-    """All tables of a store, the paper's first."""
+    """The tables that a store's runs fill, the paper's first."""
     if tasks(results):  # a preset about the task has no headline
         return [difficulty(results)]
-    return [
+    made = [
         performance(results),
         controls(results),
         ablation(results),
-        geometry(results),
+        *([geometry(results)] if any(key[2] == ENDS[0] for key in results.groups) else []),
         design(results),
         leaderboard(results),
-        significance(results),
         robustness(results),
         uncertain(results),
         *team(results),
     ]
+    compared = significance(results)
+    return [table for table in made if table.holds_results] + [compared] * bool(compared.rows)
 
 
 def leaderboard(results: Results) -> Table:

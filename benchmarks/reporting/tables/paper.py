@@ -18,7 +18,7 @@ from benchmarks.protocol.metrics import EXTRA_METRICS, JOINTS_TIME, METRICS, PAP
 from benchmarks.reporting.compared import ABLATION, comparisons, find
 from benchmarks.reporting.results import MAIN, Group, Level, Results, complete
 from benchmarks.reporting.stats import Value, t_interval
-from benchmarks.reporting.tables.table import FLAG_NOTE, Number, Table, TableCell, p_text
+from benchmarks.reporting.tables.table import FLAG_NOTE, MISSING, Number, Table, TableCell, p_text
 
 NOISY: Final = (*LEARNERS, "greedy_observed", "lookahead_observed")  # what sees the observation
 ENDS: Final = ("initial", "optimized")
@@ -177,6 +177,7 @@ def design(results: Results) -> Table:
     """Table "results": the geometric optimization, five metrics."""
     header = ["Metric", "Initial, paper", "Initial, ours", "Optimized, paper", "Optimized, ours"]
     notes, stored, runs = [], {}, 0
+    absent = MISSING if results.design_planned else "-"
     if results.design is not None:
         runs = int(results.design.config()["design"]["runs"])
         frame = results.design.rows("design").fillna({"note": ""})
@@ -186,7 +187,7 @@ def design(results: Results) -> Table:
     rows: list[list[TableCell]] = []
     for key, printed in paper_values.DESIGN.items():
         ours = [
-            _design_cell(stored[key], end, runs, paper) if stored else "missing"
+            _design_cell(stored[key], end, runs, paper) if stored else absent
             for end, paper in zip(ENDS, printed, strict=True)
         ]
         rows.append([labels.DESIGN_METRICS[key], *_in_pairs(printed, ours)])
@@ -252,7 +253,7 @@ def seeds_notes(groups: Iterable[Group], names: Iterable[str] | None = None) -> 
     seeds = sorted({group.n for group in groups if group.n})
     lengths = sorted({len(run.test()) for group in groups for run in group.runs})
     if not seeds:
-        return ["No run of this preset is complete."]
+        return ["None of these runs is complete."]
     episodes = "/".join(str(n) for n in lengths)
     if seeds == [1]:
         first = f"Ours: 1 seed x {episodes} test episodes, so no spread can be given."

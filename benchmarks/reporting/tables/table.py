@@ -15,6 +15,7 @@ from benchmarks.reporting.stats import Value
 from benchmarks.runs.store import write_text
 
 FLAG: Final = "†"
+MISSING: Final = "missing"  # in place of a number whose runs are planned
 FLAG_NOTE: Final = f"{FLAG} the paper's value, rounded as printed, is outside our 95 % interval."
 _NUMBER: Final = re.compile(r"-?\d+(?:\.(\d+))?")
 NARROW: Final = 5  # columns of a table that fits one column of a paper
@@ -97,6 +98,12 @@ class Table:
         for row in self.rows:
             if len(row) != len(self.header):
                 raise ValueError(f"table {self.name}: row {row!r} does not fit {self.header!r}")
+
+    @property
+    def holds_results(self) -> bool:
+        """Whether a cell has a number of ours, or says that the number is to come."""
+        cells = [cell for row in self.rows for cell in row]
+        return MISSING in cells or any(isinstance(cell, Number) for cell in cells)
 
     def texts(self) -> list[list[str]]:
         """All cells as printed."""

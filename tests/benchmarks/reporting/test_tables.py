@@ -33,6 +33,7 @@ from benchmarks.reporting.verify import check_tables
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.insertion import Insertion
 from tests.benchmarks import fabricated_store
+from tests.benchmarks.smoke import smoke_file
 
 WIDEST = 7  # columns of a table
 
@@ -200,6 +201,24 @@ def test_an_empty_store_gives_tables_of_dashes(tmp_path: Path) -> None:
     }
     write_tables(store)
     assert check_tables(store.tables, build_tables(Results(store))) == []
+
+
+def test_a_preset_of_ones_own_has_the_tables_that_it_fills(tmp_path: Path) -> None:
+    """No table of Rainbow without one; the headline's track is the one that there is."""
+
+    def keep(cell: Cell) -> bool:
+        there = {("dqn", "safe"), ("rrt_connect", ""), ("optimum", "")}
+        return cell.geometry == "optimized" and (cell.method, cell.track) in there
+
+    made = fabricated_store.make_store(tmp_path, [0], "cut", keep)
+    made.folder.rename(tmp_path / "own")
+    built = {table.name: table for table in build_tables(Results(Store.open(tmp_path, "own")))}
+    assert built["performance"].title == "Performance, safe"
+    assert built.keys() & {"ablation", "geometry", "design", "uncertain"} == set()
+    ranked = [row[1] for row in built["leaderboard"].texts()]
+    assert ranked == ["Exact optimum", "Vanilla DQN, safe", "RRT-Connect"]
+    assert "leaderboard" in Insertion(str(smoke_file(tmp_path, "own"))).printed
+    assert "leaderboard" not in Insertion("smoke").printed
 
 
 def test_markup_of_tables_is_escaped() -> None:
