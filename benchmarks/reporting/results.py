@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import pandas as pd
 
+from benchmarks.errors import BenchmarkError
 from benchmarks.protocol import labels
 from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import EXPLORING, GREEDY, HOLES, SUCCESS, Metric
@@ -24,7 +25,7 @@ from benchmarks.protocol.plan import (
 from benchmarks.protocol.presets import Preset, load, preset_names
 from benchmarks.reporting.stats import Value, mean_interval, measured, over_seeds, wilson
 from benchmarks.reporting.tables.table import MISSING, Number, TableCell
-from benchmarks.runs.store import RunFolder, Store
+from benchmarks.runs.store import RunFolder, Store, changes
 
 SCORED: Final = ("repaired", "safe")  # tracks of the headline; the first that a store has
 SEEDS: Final = 3  # of a finding; fewer are a lead
@@ -259,7 +260,16 @@ class Results:
             run = Result.read(folder)
             cell = run.config["cell"]
             key = (cell["method"], cell["ablation"], cell["geometry"], cell["track"])
-            runs.setdefault(key, []).append(run)
+            mine = runs.setdefault(key, [])
+            if mine:  # of a preset that was changed between two seeds, say
+                settings = [{**each.config, "cell": None} for each in (mine[0], run)]
+                if changed := changes(*settings):
+                    raise BenchmarkError(
+                        f"{mine[0].folder.path} and {folder.id} differ in more than their seed "
+                        f"({'; '.join(changed[:4])}): they are no runs of one method; delete one, "
+                        "or move it away"
+                    )
+            mine.append(run)
         planned, self._settings = _planned(store)
         self.design_planned = bool(planned.pop((DESIGN, "full", "optimized", ""), 0))
         for run in (run for each in runs.values() for run in each):

@@ -74,6 +74,18 @@ def _cell_text(value: object) -> object:
     return "" if value is None else value
 
 
+def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
+    """``key: old -> new`` of the settings that two runs do not share."""
+    if old == new:
+        return []
+    flat, other = (pd.json_normalize(dict(c)).to_dict("records")[0] for c in (old, new))
+    return [
+        f"{key}: {flat.get(key, 'absent')} -> {other.get(key, 'absent')}"
+        for key in sorted(map(str, flat.keys() | other.keys()))
+        if flat.get(key) != other.get(key) and key not in WORDS
+    ]
+
+
 class RunFolder:
     """The files of one cell."""
 
@@ -118,17 +130,8 @@ class RunFolder:
         """Raise BenchmarkError if the folder holds a run with other settings than ``config``."""
         if not (self.path / "config.yaml").is_file():
             return
-        stored = self.config()
         wanted = yaml.load(yaml.dump(dict(config), Dumper=SAFE_DUMPER), SAFE_LOADER)
-        if stored != wanted:
-            old, new = (pd.json_normalize(c).to_dict("records")[0] for c in (stored, wanted))
-            changed = [
-                f"{key}: {old.get(key, 'absent')} -> {new.get(key, 'absent')}"
-                for key in sorted(map(str, old.keys() | new.keys()))
-                if old.get(key) != new.get(key) and key not in WORDS
-            ]
-            if not changed:
-                return
+        if changed := changes(self.config(), wanted):
             raise BenchmarkError(
                 f"{self.path} holds a run with other settings ({'; '.join(changed[:4])}); "
                 "use another --results folder, or delete that one"

@@ -221,6 +221,15 @@ def test_a_preset_of_ones_own_has_the_tables_that_it_fills(tmp_path: Path) -> No
     assert "leaderboard" not in Insertion("smoke").printed
 
 
+def test_runs_of_other_settings_are_no_seeds_of_one_method(tmp_path: Path) -> None:
+    store = fabricated_store.make_store(tmp_path, [0, 1])
+    path = store.run("rainbow-optimized-safe-s1").path / "config.yaml"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("gamma: 0.93", "gamma: 0.99"), encoding="utf-8")
+    with pytest.raises(BenchmarkError, match=r"s0 and .*s1 differ .*gamma: 0.93 -> 0.99\)"):
+        Results(store)
+
+
 def test_markup_of_tables_is_escaped() -> None:
     number = Number(Value(1.0, 0.5, 3), 1)
     table = Table("t", "50 % & more", ["a|b", "x_1"], [["p < 0.01", number]], ["100 %"])
