@@ -76,8 +76,7 @@ class Insertion(Experiment[Preset]):
             return None
         seeds = {
             "cell": cell.seed,
-            "train": derive("train", cell.seed),
-            "learner": derive("learner", cell.seed),
+            "learner": derive("learner", cell.seed),  # of its training episodes too
             "first_test_episode": derive(self.preset.evaluation.stream, cell.seed, 0),
         }
         return {"seeds": seeds, "training": training}
