@@ -60,6 +60,8 @@ def make(name: str, training: bool = False, **kwargs: Any) -> gym.Env[Any, Any]:
 def _registered(name: str, **kwargs: Any) -> gym.Env[Any, Any]:
     try:
         return gym.make(name, disable_env_checker=True, **kwargs)
+    except gym.error.DependencyNotInstalled as error:
+        raise BenchmarkError(f"environment '{name}' lacks a package: {error}") from error
     except gym.error.Error as error:
         raise BenchmarkError(f"unknown environment '{name}': {error}") from error
 

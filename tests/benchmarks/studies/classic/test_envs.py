@@ -137,6 +137,18 @@ def test_unknown_tasks_are_named() -> None:
         make("MinAtar/pong")
 
 
+def test_a_known_task_whose_package_is_missing_is_not_called_unknown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def lacking() -> Any:
+        raise gym.error.DependencyNotInstalled("MuJoCo is not installed")
+
+    spec: Any = gym.envs.registration.EnvSpec("Lacking-v0", entry_point=lacking)  # type: ignore[arg-type]
+    monkeypatch.setitem(gym.registry, "Lacking-v0", spec)
+    with pytest.raises(BenchmarkError, match="'Lacking-v0' lacks a package: MuJoCo is not"):
+        make("Lacking-v0")
+
+
 def test_lunar_lander_is_at_hand_or_says_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         patch.setitem(sys.modules, "Box2D", None)
