@@ -35,11 +35,14 @@ Scores = list[NDArray[np.float64]]  # of each seed's test episodes
 
 
 def comparisons(results: Results) -> list[Picture]:
-    """Figures of the test episodes, over all tracks."""
-    result = [
-        Picture("performance_profile", partial(_profiles, results)),
-        Picture("robustness", partial(_robustness, results)),
-    ]
+    """Figures of the test episodes, over all tracks: those that have something to compare."""
+    result = []
+    drawn = _drawn(results)
+    if drawn and results.group("optimum").n:
+        result.append(Picture("performance_profile", partial(_profiles, results, drawn)))
+    noisy = complete(row for row in results.rows(NOISY) if row.track in ("", results.scored))
+    if noisy and len(noise_levels(results)) > 1:
+        result.append(Picture("robustness", partial(_robustness, results, noisy)))
     if error_levels(results):
         result.append(Picture("errors", partial(_errors, results)))
     ablations = [results.group("rainbow", results.scored, ablation=a) for a in labels.ABLATIONS]
@@ -101,9 +104,9 @@ def _speeds(group: Group, optimum: Group) -> Scores:
     ]
 
 
-def _profiles(results: Results) -> Figure:
+def _profiles(results: Results, drawn: list[Group]) -> Figure:
     figure, panels = canvas(1, 2, (9.0, 5.2))
-    drawn, optimum = _drawn(results), results.group("optimum")
+    optimum = results.group("optimum")
     for axes, label, scores_of in (
         (panels[0], "Holes filled (of six)", _holes),
         (panels[1], "Optimum's moves over own, first insertion",
@@ -140,11 +143,12 @@ def _printed(papers: Sequence[str]) -> dict[str, list[float]]:
     return {"mean": [paper_values.mean(text) for text in papers], "spread": spreads}
 
 
-def _robustness(results: Results) -> Figure:
+def _robustness(results: Results, noisy: list[Group]) -> Figure:
     figure, (axes,) = canvas(size=(7.0, 5.6))
-    scored = (group for group in results.rows(NOISY) if group.track in ("", results.scored))
-    for group in complete(scored):
-        _success_over(axes, group, {x: Level(x) for x in noise_levels(results)})
+    levels = noise_levels(results)
+    for i, group in enumerate(noisy):  # side by side, or intervals hide each other
+        shift = 0.008 * max(levels) * (i - 2.5)
+        _success_over(axes, group, {x + shift: Level(x) for x in levels})
     printed = _printed([*paper_values.ROBUSTNESS.values()])
     axes.errorbar(
         list(paper_values.ROBUSTNESS), printed["mean"], yerr=printed["spread"],
