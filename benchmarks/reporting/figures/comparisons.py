@@ -84,8 +84,8 @@ def _look(group: Group) -> dict[str, Any]:
 
 
 def _drawn(results: Results) -> list[Group]:
-    """Learners, of the controls the best of each knowledge, and planners."""
-    result = complete(results.rows())
+    """Learners of the scored track, of the controls the best of each knowledge, and planners."""
+    result = complete(row for row in results.rows() if row.track in ("", results.scored))
     learners = [row for row in result if row.method in LEARNERS]
     controls = complete(row for row in map(results.control_of, learners) if row)
     planners = [row for row in result if row.method in PLANNERS]
@@ -116,6 +116,8 @@ def _profiles(results: Results, drawn: list[Group]) -> Figure:
             if scores := scores_of(group):
                 mean, low, high = mean_band([performance_profile(s, THRESHOLDS) for s in scores])
                 look = _look(group)
+                if group.method == "rrt_lattice":  # one colour less
+                    look |= {"color": PALETTE[-1], "linestyle": "--"}
                 axes.step(THRESHOLDS, mean, where="post", linewidth=1.3, **look)
                 axes.fill_between(THRESHOLDS, low, high, step="post", color=look["color"],
                                   alpha=0.15, linewidth=0)  # fmt: skip
@@ -125,10 +127,11 @@ def _profiles(results: Results, drawn: list[Group]) -> Figure:
     return figure
 
 
-def _success_over(axes: Axes, group: Group, levels: dict[float, Level]) -> None:
+def _success_over(axes: Axes, group: Group, levels: dict[float, Level], **look: Any) -> None:
     values = [group.at(level).success() for level in levels.values()]
     mean, arms = _arms(values)
-    axes.errorbar(list(levels), mean, arms, capsize=3, marker="o", markersize=4, **_look(group))
+    look = {**_look(group), **look}
+    axes.errorbar(list(levels), mean, arms, capsize=3, marker="o", markersize=4, **look)
 
 
 def _arms(values: Sequence[Value]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -164,8 +167,12 @@ def _robustness(results: Results, noisy: list[Group]) -> Figure:
 
 def _errors(results: Results) -> Figure:
     figure, (axes,) = canvas(size=(7.0, 5.2))
+    best, others = results.best_script(), "other scripts and planners"
     for group in complete(results.rows(uncertain=True)):
-        _success_over(axes, group, {x: Level(error=x) for x in error_levels(results)})
+        look: dict[str, Any] = {}
+        if group.method not in (*LEARNERS, "rrt_connect", "optimum") and group != best:
+            look, others = {"color": PALETTE[-1], "label": others, "zorder": 1}, "_"
+        _success_over(axes, group, {x: Level(error=x) for x in error_levels(results)}, **look)
     axes.set_ylim(-2, 102)
     finish(axes, "Success rate (%)", "Bound of the base's displacement (mm)")
     legend_below(figure, [axes], 2)
@@ -194,6 +201,8 @@ def _components(rows: Sequence[Group], references: Sequence[Group]) -> Figure:
                      linewidth=0.9, label=row.acting_name)  # fmt: skip
     axes.set_yticks(places, [labels.ABLATIONS[row.ablation] for row in rows])
     axes.invert_yaxis()
+    low, high = axes.get_xlim()  # an interval of few seeds reaches beyond what is possible
+    axes.set_xlim(max(low, 0.0), min(high, 101.0))
     finish(axes, "", "Success rate (%)")
     legend_below(figure, [axes], 2)
     return figure

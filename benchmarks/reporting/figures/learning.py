@@ -93,15 +93,32 @@ def _variants(results: Results, track: str) -> list[Picture]:
         f"{name} geometry": results.group("rainbow", track, name)
         for name in ("optimized", "initial")
     }
+    bounds = results.references(track)
+    curves = partial(_curves, geometries, "success", "Success rate", window=WIDE, bounds=bounds)
     result = []
-    for name, groups in (("ablation", ablations), ("geometry", geometries)):
+    for name, groups, drawn in (
+        ("ablation", ablations, partial(_by_component, ablations, bounds)),
+        ("geometry", geometries, curves),
+    ):
         if sum(bool(group.curves()) for group in groups.values()) > 1:
-            curves = partial(
-                _curves, groups, "success", "Success rate", window=WIDE,
-                band=name == "geometry", bounds=results.references(track),
-            )  # fmt: skip
-            result.append(Picture(f"{track}_{name}", curves))
+            result.append(Picture(f"{track}_{name}", drawn))
     return result
+
+
+def _by_component(groups: Groups, bounds: Sequence[Group]) -> Figure:
+    """Success without each component, half of them in either panel; with all and none in both."""
+    figure, panels = canvas(1, 2, (9.0, 3.9), sharey=True)
+    drawn = [each for each in _coloured(groups) if each[1].curves()]
+    removed = [name for name, group, _ in drawn if group.ablation not in ("full", "none")]
+    for panel, axes in enumerate(panels):
+        for name, group, colour in drawn:
+            line = "--" if group.ablation == "none" else "-"
+            if name not in removed or removed.index(name) % 2 == panel:
+                draw(axes, group.curves(), "success", name, colour, line, window=WIDE)
+        _mark_bounds(axes, bounds, SUCCESS, 100.0)
+        finish(axes, "" if panel else "Success rate")
+    legend_below(figure, panels, 3)
+    return figure
 
 
 def _teams(results: Results) -> list[Picture]:
@@ -146,19 +163,17 @@ def _coloured(groups: Groups) -> list[tuple[str, Group, str]]:
 
 
 def _curves(
-    groups: Groups, column: str, label: str, band: bool = True, window: int = EPISODES,
+    groups: Groups, column: str, label: str, window: int = EPISODES,
     bounds: Sequence[Group] = (),
 ) -> Figure:  # fmt: skip
     figure, (axes,) = canvas()
-    for number, (name, group, colour) in enumerate(_coloured(groups)):
-        line = "-" if number < len(PALETTE) else "--"
-        draw(axes, group.curves(), column, name, colour, line, band, window, column in RAW)
+    for name, group, colour in _coloured(groups):
+        draw(axes, group.curves(), column, name, colour, window=window, raw=column in RAW)
     if column == "success":
         _mark_bounds(axes, bounds, SUCCESS, 100.0)
     if column == "mean_max_q":
         _mark_support(axes, groups)
-    if band:
-        _mark_switches(axes, groups)
+    _mark_switches(axes, groups)
     finish(axes, label)
     legend_below(figure, [axes], 2)
     if column == "loss" and axes.get_lines():
