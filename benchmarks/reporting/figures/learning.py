@@ -106,14 +106,15 @@ def _variants(results: Results, track: str) -> list[Picture]:
 
 
 def _by_component(groups: Groups, bounds: Sequence[Group]) -> Figure:
-    """Success without each component, half of them in either panel; with all and none in both."""
-    figure, panels = canvas(1, 2, (9.0, 3.9), sharey=True)
+    """Success without each component, of many half in either panel; with all and none in both."""
     drawn = [each for each in _coloured(groups) if each[1].curves()]
     removed = [name for name, group, _ in drawn if group.ablation not in ("full", "none")]
+    columns = 2 if len(removed) > 3 else 1
+    figure, panels = canvas(1, columns, (3.0 + 3.0 * columns, 3.9), sharey=True)
     for panel, axes in enumerate(panels):
         for name, group, colour in drawn:
             line = "--" if group.ablation == "none" else "-"
-            if name not in removed or removed.index(name) % 2 == panel:
+            if name not in removed or removed.index(name) % columns == panel:
                 draw(axes, group.curves(), "success", name, colour, line, window=WIDE)
         _mark_bounds(axes, bounds, SUCCESS, 100.0)
         finish(axes, "" if panel else "Success rate")
