@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 from benchmarks.errors import BenchmarkError
@@ -44,6 +45,7 @@ class Comparison:
         return name if ours.geometry == "optimized" else f"{name}, {ours.geometry} geometry"
 
 
+@lru_cache(maxsize=1)  # tables and sentences ask for the same ones in turn
 def comparisons(results: Results) -> list[Comparison]:
     """All comparisons of a store, each p corrected by Holm over those of its question."""
     asked: dict[str, list[tuple[Group, Group, list[float]]]] = {}

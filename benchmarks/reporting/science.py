@@ -10,7 +10,6 @@ from benchmarks.reporting.results import Group, Results
 from benchmarks.reporting.tables.beyond import build_tables
 from benchmarks.reporting.tables.table import MISSING, Number, Table, TableCell
 from benchmarks.reporting.verdicts import sentences
-from benchmarks.runs.store import Store
 
 PAPER: Final = ("Performance", "Ablation", "Geometry", "As printed")  # docs/results.md
 SHORT: Final = ("in_short", "performance", "components", "geometry")  # the README's
@@ -27,9 +26,8 @@ SECTIONS: Final[tuple[tuple[str, tuple[str, ...], tuple[str, ...], dict[str, str
 )  # fmt: skip
 
 
-def short(store: Store) -> str:
+def short(results: Results) -> str:
     """What README shows: one word, three verdicts, a table of six rows, how much has been run."""
-    results = Results(store)
     report = sentences(results)
     parts = [report[topic].partition("\n\n")[0] for topic in SHORT if topic in report]
     done = len(results.all())
@@ -59,10 +57,9 @@ def six(results: Results) -> Table:
     return Table("six", title, ["Method", "Paper", "Ours"], made)
 
 
-def science(store: Store, beyond: bool = False) -> str:
+def science(results: Results, beyond: bool = False) -> str:
     """Sentences, tables and figures by question: the paper's, or those beyond the paper."""
-    results = Results(store)
-    report = sentences(results)
+    store, report = results.store, sentences(results)
     by_name = {table.name: table for table in build_tables(results)}
     parts = []
     for heading, topics, names, figures in SECTIONS:

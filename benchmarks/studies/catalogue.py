@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -10,6 +11,7 @@ from benchmarks.errors import BenchmarkError, known, resolve
 from benchmarks.protocol.presets import SuitePreset, load, preset_names
 from benchmarks.reporting import blocks, science
 from benchmarks.reporting.blocks import Block
+from benchmarks.reporting.results import Results
 from benchmarks.reporting.verify import check_tables
 from benchmarks.runs.experiment import Experiment
 from benchmarks.runs.store import Store, write_text
@@ -93,6 +95,10 @@ def all_blocks(results: Path) -> Mapping[str, Block]:
             raise KeyError(name)
         return Store.open(folder.parent, folder.name)
 
+    @cache
+    def results_of(name: str) -> Results:
+        return Results(of_store(name))
+
     def public(said: str) -> str:
         from benchmarks.studies.classic.report import page
 
@@ -100,8 +106,8 @@ def all_blocks(results: Path) -> Mapping[str, Block]:
 
     result: dict[str, Block] = {
         "include": blocks.include(results),
-        "results": lambda said: science.short(of_store(said)),
-        "science": lambda said: science.science(of_store(said.split()[0]), "beyond" in said),
+        "results": lambda said: science.short(results_of(said)),
+        "science": lambda said: science.science(results_of(said.split()[0]), "beyond" in said),
         "classic": public,
     }
     for name in STUDIES:
