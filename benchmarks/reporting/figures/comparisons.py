@@ -34,7 +34,7 @@ THRESHOLDS: Final = np.linspace(0.0, 1.0, 101)
 Scores = list[NDArray[np.float64]]  # of each seed's test episodes
 
 
-def comparisons(results: Results) -> list[Picture]:
+def episode_pictures(results: Results) -> list[Picture]:
     """Figures of the test episodes, over all tracks: those that have something to compare."""
     result = []
     drawn = _drawn(results)

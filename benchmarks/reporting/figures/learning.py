@@ -17,7 +17,7 @@ from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import HOLES, N_HOLES, SUCCESS, Metric
 from benchmarks.protocol.plan import ABLATIONS
 from benchmarks.protocol.presets import rows_of
-from benchmarks.reporting.figures.comparisons import comparisons, difficulty
+from benchmarks.reporting.figures.comparisons import difficulty, episode_pictures
 from benchmarks.reporting.figures.style import (
     METHOD_COLOURS,
     PALETTE,
@@ -60,7 +60,7 @@ def pictures(results: Results) -> list[Picture]:
         result += _learning(results, track)
         result += _variants(results, track)
     if complete([*results.rows(), *results.rows(uncertain=True)]):
-        result += comparisons(results)
+        result += episode_pictures(results)
     return result
 
 
