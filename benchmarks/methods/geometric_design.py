@@ -17,7 +17,7 @@ Row = dict[str, object]
 
 
 @dataclass(frozen=True)
-class Measured:
+class DesignRun:
     """A run of the optimizer, and both ends of it measured on the run's own jitter."""
 
     optimum: Optimum
@@ -25,7 +25,7 @@ class Measured:
     optimized: DesignMetrics
 
 
-def measured_runs(runs: int, progress: Callable[[float], None]) -> list[Measured]:
+def measured_runs(runs: int, progress: Callable[[float], None]) -> list[DesignRun]:
     """``runs`` Nelder-Mead runs from the initial design, each with its own frozen jitter."""
     problem = DesignProblem()
     result = []
@@ -33,12 +33,12 @@ def measured_runs(runs: int, progress: Callable[[float], None]) -> list[Measured
         best = design.optimize(problem, seed=seed)
         samples = design.sample_points(problem, np.random.default_rng(seed))
         ends = [design.measure(g, problem, samples) for g in (INITIAL, best.geometry)]
-        result.append(Measured(best, *ends))
+        result.append(DesignRun(best, *ends))
         progress((seed + 1) / runs)
     return result
 
 
-def table_rows(result: Sequence[Measured]) -> list[Row]:
+def table_rows(result: Sequence[DesignRun]) -> list[Row]:
     """The paper's five rows: its values, ours (text, mean, std), and what is to be said."""
     initial = [run.initial for run in result]
     optimized = [run.optimized for run in result]
@@ -87,7 +87,7 @@ def _text(mean: np.ndarray, std: np.ndarray, digits: int) -> str:
     return f"{mean[0]:.{digits}f} ± {std[0]:.{digits}f}"
 
 
-def run_rows(result: Sequence[Measured]) -> tuple[list[Row], list[Row]]:
+def run_rows(result: Sequence[DesignRun]) -> tuple[list[Row], list[Row]]:
     """Rows of the runs, and of every design they evaluated."""
     runs: list[Row] = []
     paths: list[Row] = []

@@ -63,7 +63,7 @@ CONTACT: Final = {
 TOGETHER: Final = 32  # episodes side by side: a script is asked once for all of them
 
 
-class Recorder(CoopInsertionEnv):
+class RecordingEnv(CoopInsertionEnv):
     """The environment, which keeps what happens in an episode."""
 
     def reset(self, **given: Any) -> tuple[Observation, dict[str, Any]]:
@@ -202,7 +202,7 @@ def _move(recipe: Recipe) -> Callable[[int, int], list[Episode]]:
 
     def together(first: int, steps: int) -> list[Episode]:
         numbers = range(first, first + min(TOGETHER, steps // longest + 1))
-        batch = [Episode(Recorder(**arguments), n, derive("data", n)) for n in numbers]
+        batch = [Episode(RecordingEnv(**arguments), n, derive("data", n)) for n in numbers]
         if recipe.behaviour == "optimum":
             for episode in batch:
                 follow(episode, oracle.plan)

@@ -30,7 +30,7 @@ from coop_env.design.sensitivity import over_heaves as over_heaves
 from coop_env.design.sensitivity import over_thresholds as over_thresholds
 from coop_env.design.sensitivity import slopes as slopes
 from coop_env.design.sensitivity import under_tolerances as under_tolerances
-from coop_env.design.validation import Trajectory as Trajectory
+from coop_env.design.validation import PlatformTrajectory as PlatformTrajectory
 from coop_env.design.validation import TrajectoryReport as TrajectoryReport
 from coop_env.design.validation import cone_trajectory as cone_trajectory
 from coop_env.design.validation import validate as validate

@@ -15,7 +15,7 @@ from coop_env.kinematics.rotations import roll_pitch
 
 
 @dataclass(frozen=True, slots=True)
-class Trajectory:
+class PlatformTrajectory:
     """Poses ``(n, 3)`` of (roll, pitch, heave) at times ``(n,)`` in s."""
 
     time: Floats
@@ -66,7 +66,7 @@ def cone_trajectory(
     turns: float = 2.0,
     duration: float = 12.0,
     steps: int = 1201,
-) -> Trajectory:
+) -> PlatformTrajectory:
     """From home, tilt, sweep the normal ``turns`` times about the cone while heave rises and falls,
     and return home; smooth up to the third rate.
 
@@ -86,10 +86,12 @@ def cone_trajectory(
     )
     low, high = heave
     height = low + (high - low) * np.sin(math.pi * _smoothstep(u)) ** 2
-    return Trajectory(time, np.concatenate([roll_pitch(n), height[:, None]], axis=-1))
+    return PlatformTrajectory(time, np.concatenate([roll_pitch(n), height[:, None]], axis=-1))
 
 
-def validate(geometry: RRSGeometry, trajectory: Trajectory | None = None) -> TrajectoryReport:
+def validate(
+    geometry: RRSGeometry, trajectory: PlatformTrajectory | None = None
+) -> TrajectoryReport:
     """Run a design along a trajectory (:func:`cone_trajectory` by default).
 
     Unreachable poses make ``valid`` False and leave NaN in q and in the figures.

@@ -68,7 +68,7 @@ PRIVILEGED_UNITS: Final[Floats] = np.repeat(
 FORCE, SNAP, DIVERGED, TIME, NOT_INSERTED = range(1, 6)
 
 
-class Outcome(NamedTuple):
+class StepResult(NamedTuple):
     """What a control step came to, a row for each episode."""
 
     observation: Any
@@ -150,7 +150,7 @@ class PhysicsBatch(ABC):
         """Start an episode in one row, which draws from ``rng``; returns its info."""
 
     @abstractmethod
-    def step(self, actions: Floats) -> Outcome:
+    def step(self, actions: Floats) -> StepResult:
         """Move all episodes by increments (n, 6) in [-1, 1]."""
 
     @abstractmethod
@@ -356,13 +356,13 @@ class PhysicsBatch(ABC):
         }
         return {name: self.reward_scale * term for name, term in terms.items()}
 
-    def _outcome(self, terms: dict[str, Floats], over: Bools) -> Outcome:
+    def _outcome(self, terms: dict[str, Floats], over: Bools) -> StepResult:
         """The step's outcome; truncates what is not over by then."""
         truncated = ~over & (self.steps >= self.max_steps)
         self.failure[truncated] = TIME
         reward = sum(terms.values(), np.zeros(self.n))
         info = {**self.columns(), "reward_terms": terms}
-        return Outcome(self.seen(slice(None)), reward, over, truncated, info)
+        return StepResult(self.seen(slice(None)), reward, over, truncated, info)
 
     def columns(self) -> dict[str, Any]:
         """``info`` of all episodes, but the reward's terms, in columns (n, ...)."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.errors import ResetOptionError
-from coop_env.physics.batch import LIMIT, Outcome, PhysicsBatch, row_of
+from coop_env.physics.batch import LIMIT, PhysicsBatch, StepResult, row_of
 from coop_env.physics.joints import Floats
 from coop_env.physics.task import OWN_OPTIONS, draw_error, split_options, start_configurations
 from coop_env.simulation.collision import peg_tip
@@ -71,7 +71,7 @@ class ContactBatch(PhysicsBatch):
                  "privileged")  # fmt: skip
         return {name: info[name] for name in names}
 
-    def step(self, actions: Floats) -> Outcome:
+    def step(self, actions: Floats) -> StepResult:
         task = self.task
         self._action = np.array(actions, np.float64)
         self._advance(self.command + actions * self.increments)

@@ -18,8 +18,8 @@ from coop_env.physics.batch import (
     LIMIT,
     NOT_INSERTED,
     Bools,
-    Outcome,
     PhysicsBatch,
+    StepResult,
     row_of,
 )
 from coop_env.physics.joints import Floats
@@ -92,7 +92,7 @@ class WholeBatch(PhysicsBatch):
         self.given_up[row], self.inserted[row] = [], -1
         self.distance[row] = self.to_mouth(row)
 
-    def step(self, actions: Floats) -> Outcome:
+    def step(self, actions: Floats) -> StepResult:
         self._action = np.array(actions, np.float64)
         aimed = self.hole.copy()
         before = self._left_to(aimed)

@@ -113,7 +113,7 @@ def test_a_dataset_of_another_recipe_is_refused(results: Path, refused: Callable
 
 
 def test_starts_without_a_move_count_as_failures() -> None:
-    idle, done = (Episode(data.Recorder(), n, n) for n in range(2))
+    idle, done = (Episode(data.RecordingEnv(), n, n) for n in range(2))
     done.moves, done.insertions, done.reward = 30, [30], 20.0
     result = data.measure([idle, done])
     assert (result["starts"], result["episodes"], result["steps"]) == (2, 1, 30)

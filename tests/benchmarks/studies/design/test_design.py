@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.cli import main
-from benchmarks.methods.geometric_design import Measured, measured_runs, run_rows, table_rows
+from benchmarks.methods.geometric_design import DesignRun, measured_runs, run_rows, table_rows
 from benchmarks.protocol import paper_values
 from benchmarks.studies.design import analyses as design_study
 from benchmarks.studies.design.analyses import DesignStore
@@ -20,14 +20,14 @@ STORED = DesignStore(ROOT / "results")
 
 
 @pytest.fixture(scope="module")
-def result() -> list[Measured]:
+def result() -> list[DesignRun]:
     shares: list[float] = []
     runs = measured_runs(2, shares.append)
     assert shares == [0.5, 1.0]
     return runs
 
 
-def test_the_tables_rows_are_the_papers_five(result: list[Measured]) -> None:
+def test_the_tables_rows_are_the_papers_five(result: list[DesignRun]) -> None:
     rows = {str(row["metric"]): row for row in table_rows(result)}
     assert list(rows) == list(paper_values.DESIGN)
     assert rows["workspace"]["initial_mean"] == pytest.approx(0.82, abs=0.005)
@@ -53,7 +53,7 @@ def test_the_papers_pose_costs_more_the_further_it_tilts() -> None:
     assert at_30["centre_mm"] == pytest.approx(111.4 * (1 - math.cos(math.radians(30))) / 2, 1e-3)
 
 
-def test_the_stored_table_is_what_the_command_would_write(result: list[Measured]) -> None:
+def test_the_stored_table_is_what_the_command_would_write(result: list[DesignRun]) -> None:
     stored = STORED.rows("table").set_index("metric")
     meta = STORED.meta()
     for row in table_rows(result):
