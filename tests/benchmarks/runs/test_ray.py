@@ -145,7 +145,10 @@ def test_ctrl_c_leaves_a_checkpoint_and_no_process(
     process = harness(*words, "--backend", "ray", "--address", cluster.address)
     runs = [Store(tmp_path, "small").run(cell) for cell in CELLS]
     result = wait_for(lambda: next(filter(None, map(worker, runs)), None), process)
+    os.kill(result["run"], signal.SIGSTOP)  # or it may end before it is told to stop
     process.send_signal(signal.SIGINT)
+    time.sleep(1.0)
+    os.kill(result["run"], signal.SIGCONT)
     out, _ = process.communicate(timeout=120)
     assert process.returncode == 130, out
     assert "the same command resumes" in out
