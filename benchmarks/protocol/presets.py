@@ -25,7 +25,7 @@ from coop_env.simulation.task import TRAIL
 
 PRESETS = Path(__file__).parent / "presets"
 DEFAULT_PRESET = "quick"
-# libyaml's, ten times as fast: `verify` reads thousands of settings
+# libyaml's where it is there: `verify` reads thousands of settings
 SAFE_LOADER: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 CONTACT: Final = "coop_env:CoopInsertionContact-v0"
 #: what plays public tasks without learning

@@ -116,7 +116,7 @@ def _profiles(results: Results, drawn: list[Group]) -> Figure:
             if scores := scores_of(group):
                 mean, low, high = mean_band([performance_profile(s, THRESHOLDS) for s in scores])
                 look = _look(group)
-                if group.method == "rrt_lattice":  # one colour less
+                if group.method == "rrt_lattice":  # grey: six colours are enough
                     look |= {"color": PALETTE[-1], "linestyle": "--"}
                 axes.step(THRESHOLDS, mean, where="post", linewidth=1.3, **look)
                 axes.fill_between(THRESHOLDS, low, high, step="post", color=look["color"],
@@ -171,7 +171,8 @@ def _errors(results: Results) -> Figure:
     for group in complete(results.rows(uncertain=True)):
         look: dict[str, Any] = {}
         if group.method not in (*LEARNERS, "rrt_connect", "optimum") and group != best:
-            look, others = {"color": PALETTE[-1], "label": others, "zorder": 1}, "_"
+            look = {"color": PALETTE[-1], "label": others, "zorder": 1}
+            others = "_"  # once in the legend
         _success_over(axes, group, {x: Level(error=x) for x in error_levels(results)}, **look)
     axes.set_ylim(-2, 102)
     finish(axes, "Success rate (%)", "Bound of the base's displacement (mm)")

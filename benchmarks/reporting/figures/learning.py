@@ -93,15 +93,15 @@ def _variants(results: Results, track: str) -> list[Picture]:
         f"{name} geometry": results.group("rainbow", track, name)
         for name in ("optimized", "initial")
     }
-    bounds = results.references(track)
-    curves = partial(_curves, geometries, "success", "Success rate", window=WIDE, bounds=bounds)
+    over_steps = partial(_curves, column="success", label="Success rate", window=WIDE)
     result = []
-    for name, groups, drawn in (
-        ("ablation", ablations, partial(_by_component, ablations, bounds)),
-        ("geometry", geometries, curves),
+    for name, groups, draws in (
+        ("ablation", ablations, _by_component),
+        ("geometry", geometries, over_steps),
     ):
         if sum(bool(group.curves()) for group in groups.values()) > 1:
-            result.append(Picture(f"{track}_{name}", drawn))
+            curves = partial(draws, groups, bounds=results.references(track))
+            result.append(Picture(f"{track}_{name}", curves))
     return result
 
 

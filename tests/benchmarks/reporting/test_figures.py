@@ -47,6 +47,14 @@ def test_a_small_picture_keeps_its_colours() -> None:
     assert np.abs(before - after).max() < 25
 
 
+def test_a_picture_with_nothing_to_compare_is_not_drawn(tmp_path: Path) -> None:
+    """Without the optimum there is no speed beside it, without levels nothing over noise."""
+    store = fabricated_store.make_store(tmp_path, range(3), "shielded")
+    names = {picture.name for picture in pictures(Results(store))}
+    assert names & {"performance_profile", "robustness"} == set()
+    assert "shielded_success" in names
+
+
 def test_figures_need_no_torch_and_little_time(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, range(5))
     code = (
