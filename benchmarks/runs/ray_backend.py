@@ -41,6 +41,9 @@ def run_remotely(argv: Sequence[str], folder: str, nonce: str) -> int:
             f"{folder} on {socket.gethostname()} is not the folder that the harness sees; "
             "--results must lie on storage that all nodes share"
         )
+    # ray.cancel does nothing where the cluster was started in a script's background, which ignores
+    # SIGINT, and its workers with it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     process = spawn(argv, run.log)
     place = {"nonce": nonce, "host": socket.gethostname(), "pid": os.getpid()}
     write_text(run.checkpoint / WORKER, json.dumps(place | {"run": process.pid}))
