@@ -47,10 +47,11 @@ def build_tables(results: Results) -> list[Table]:
     """The tables that a store's runs fill, the paper's first."""
     if tasks(results):  # a preset about the task has no headline
         return [difficulty(results)]
+    removals = any(ablation != "full" for _, ablation, _, _ in results.groups)
     made = [
         performance(results),
         controls(results),
-        ablation(results),
+        *([ablation(results)] if removals else []),
         *([geometry(results)] if any(key[2] == ENDS[0] for key in results.groups) else []),
         design(results),
         leaderboard(results),

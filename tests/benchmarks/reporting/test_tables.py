@@ -204,19 +204,25 @@ def test_an_empty_store_gives_tables_of_dashes(tmp_path: Path) -> None:
 
 
 def test_a_preset_of_ones_own_has_the_tables_that_it_fills(tmp_path: Path) -> None:
-    """No table of Rainbow without one; the headline's track is the one that there is."""
+    """No table of removals without one; the headline's track is the one that there is."""
+    there = {("dqn", "safe"), ("rrt_connect", ""), ("optimum", "")}
+    for learner in ("dqn", "rainbow"):
+        there.add((learner, "safe"))
 
-    def keep(cell: Cell) -> bool:
-        there = {("dqn", "safe"), ("rrt_connect", ""), ("optimum", "")}
-        return cell.geometry == "optimized" and (cell.method, cell.track) in there
+        def keep(cell: Cell) -> bool:
+            place = (cell.ablation, cell.geometry)
+            return (cell.method, cell.track) in there and place == ("full", "optimized")
 
-    made = fabricated_store.make_store(tmp_path, [0], "cut", keep)
-    made.folder.rename(tmp_path / "own")
-    built = {table.name: table for table in build_tables(Results(Store.open(tmp_path, "own")))}
-    assert built["performance"].title == "Performance, safe"
-    assert built.keys() & {"ablation", "geometry", "design", "uncertain"} == set()
-    ranked = [row[1] for row in built["leaderboard"].texts()]
-    assert ranked == ["Exact optimum", "Vanilla DQN, safe", "RRT-Connect"]
+        made = fabricated_store.make_store(tmp_path, [0], "cut", keep)
+        made.folder.rename(tmp_path / learner)
+        store = Store.open(tmp_path, learner)
+        built = {table.name: table for table in build_tables(Results(store))}
+        assert built["performance"].title == "Performance, safe"
+        assert built.keys() & {"ablation", "geometry", "design", "uncertain"} == set()
+        ranked = [row[1] for row in built["leaderboard"].texts()]
+        known = {"rainbow": "Rainbow DQN, safe", "dqn": "Vanilla DQN, safe"}
+        assert set(ranked[1:-1]) == {known[method] for method, _ in there if method in known}
+        assert (ranked[0], ranked[-1]) == ("Exact optimum", "RRT-Connect")
     assert "leaderboard" in Insertion(str(smoke_file(tmp_path, "own"))).printed
     assert "leaderboard" not in Insertion("smoke").printed
 
