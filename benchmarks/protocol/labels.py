@@ -43,6 +43,7 @@ ABLATIONS: Final = {
     "double_dueling": "Double Q and dueling alone",
     "none": "All six off (masked DQN)",
 }
+ALL_OR_NONE: Final = frozenset({"full", "none"})  # of the components: nothing single is removed
 TRACKS: Final = {
     "printed": "as printed",
     "repaired": "repaired",

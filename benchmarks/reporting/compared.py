@@ -40,7 +40,7 @@ class Comparison:
     def name(self) -> str:
         """What is compared, in words: without which component, or on which geometry."""
         ours, name = self.ours, self.ours.name
-        if ours.ablation not in ("full", "none"):
+        if ours.ablation not in labels.ALL_OR_NONE:
             name = labels.on_track(labels.ABLATIONS[ours.ablation], ours.track)
         return name if ours.geometry == "optimized" else f"{name}, {ours.geometry} geometry"
 
@@ -100,7 +100,7 @@ def _pairs(results: Results) -> Iterator[tuple[str, Group, Group | None]]:
         for ours, theirs in zip(full.both(), other.both(), strict=False):
             yield MASKED, ours, theirs
     for ablation in labels.ABLATIONS:
-        if ablation not in ("full", "none"):
+        if ablation not in labels.ALL_OR_NONE:
             without = results.group("rainbow", track, ablation=ablation)
             yield ABLATION, without.as_trained(), full.as_trained()
     initial = results.group("rainbow", track, "initial")

@@ -46,7 +46,8 @@ def episode_pictures(results: Results) -> list[Picture]:
     if error_levels(results):
         result.append(Picture("errors", partial(_errors, results)))
     ablations = [results.group("rainbow", results.scored, ablation=a) for a in labels.ABLATIONS]
-    if components := complete(ablations):
+    components = complete(ablations)
+    if any(row.ablation not in labels.ALL_OR_NONE for row in components):
         references = results.references(results.scored)
         result.append(Picture("ablation_comparison", partial(_components, components, references)))
     return result

@@ -95,11 +95,13 @@ def _variants(results: Results, track: str) -> list[Picture]:
     }
     over_steps = partial(_curves, column="success", label="Success rate", window=WIDE)
     result = []
-    for name, groups, draws in (
-        ("ablation", ablations, _by_component),
-        ("geometry", geometries, over_steps),
+    for name, groups, draws, elsewhere in (
+        # the learning figures have all and none of the components
+        ("ablation", ablations, _by_component, labels.ALL_OR_NONE),
+        ("geometry", geometries, over_steps, frozenset[str]()),
     ):
-        if sum(bool(group.curves()) for group in groups.values()) > 1:
+        shown = [group for group in groups.values() if group.curves()]
+        if len(shown) > 1 and not {group.ablation for group in shown} <= elsewhere:
             curves = partial(draws, groups, bounds=results.references(track))
             result.append(Picture(f"{track}_{name}", curves))
     return result
@@ -108,7 +110,7 @@ def _variants(results: Results, track: str) -> list[Picture]:
 def _by_component(groups: Groups, bounds: Sequence[Group]) -> Figure:
     """Success without each component, of many half in either panel; with all and none in both."""
     drawn = [each for each in _coloured(groups) if each[1].curves()]
-    removed = [name for name, group, _ in drawn if group.ablation not in ("full", "none")]
+    removed = [name for name, group, _ in drawn if group.ablation not in labels.ALL_OR_NONE]
     columns = 2 if len(removed) > 3 else 1
     figure, panels = canvas(1, columns, (3.0 + 3.0 * columns, 3.9), sharey=True)
     for panel, axes in enumerate(panels):

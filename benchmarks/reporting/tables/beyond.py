@@ -47,7 +47,7 @@ def build_tables(results: Results) -> list[Table]:
     """The tables that a store's runs fill, the paper's first."""
     if tasks(results):  # a preset about the task has no headline
         return [difficulty(results)]
-    removals = any(ablation != "full" for _, ablation, _, _ in results.groups)
+    removals = any(key[1] not in labels.ALL_OR_NONE for key in results.groups)
     made = [
         performance(results),
         controls(results),

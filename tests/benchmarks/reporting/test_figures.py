@@ -53,6 +53,13 @@ def test_a_picture_with_nothing_to_compare_is_not_drawn(tmp_path: Path) -> None:
     names = {picture.name for picture in pictures(Results(store))}
     assert names & {"performance_profile", "robustness"} == set()
     assert "shielded_success" in names
+    # all six components and none stand beside each other in the learning figures
+    made = fabricated_store.make_store(
+        tmp_path, [0], "paper", lambda cell: cell.ablation in ("full", "none")
+    )
+    names = {picture.name for picture in pictures(Results(made))}
+    assert {"terminal_success", "repaired_success"} <= names
+    assert not {name for name in names if "ablation" in name}
 
 
 def test_figures_need_no_torch_and_little_time(tmp_path: Path) -> None:

@@ -267,7 +267,7 @@ def test_the_components_are_named_with_their_cost(report_of: Reports) -> None:
     assert "noisynets" not in report
     assert "Before the correction" not in report
     # p is 0.04, and 0.2 after the correction
-    report = report_of(_removed(**dict.fromkeys(SIX, [85, 90, 81])))["components"]
+    report = report_of(_removed(**{name: [85, 90, 81] for name in SIX}))["components"]
     assert "beyond chance: none. Before the correction for 6 tests, these do as well: " in report
     assert report.count(" (-9.7 points [-18.4, -0.9])") == len(SIX)
 
