@@ -59,7 +59,7 @@ def cluster() -> Iterator[Any]:
         patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
         patch.setenv("RAY_TMPDIR", folder)
         patch.setenv("RAY_worker_niceness", "0")  # 15 starves beside another job
-        patch.setenv("RAY_health_check_period_ms", "1000")  # a lost node is seen in 5 s, not 15
+        patch.setenv("RAY_health_check_period_ms", "1000")  # a lost node is seen sooner
         patch.delenv("CUDA_VISIBLE_DEVICES", raising=False)  # as make sets it, Ray counts none
         # as in a script's background ('ray start &' under SLURM), whose processes ignore SIGINT
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
