@@ -365,6 +365,7 @@ class CoopInsertionEnv(Rendered):
                 self._observation.tobytes(),
                 repr(self._knobs),
                 repr(self._task),
+                int(self.action_space.n),
             ),
             "states": self._states.copy(),
             "observations": self._rows.copy(),

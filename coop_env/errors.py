@@ -6,7 +6,7 @@ Each is a ``ValueError`` whose message names the value and the mend.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import fields
 from numbers import Real
 from typing import Any, TypeVar
@@ -90,8 +90,8 @@ def check_integer(
 
 
 def is_list(value: Any) -> bool:
-    """Whether a value is a collection of entries: neither text nor a mapping."""
-    return isinstance(value, Iterable) and not isinstance(value, (str, bytes, Mapping))
+    """Whether a value is a collection of entries: neither text, a mapping nor an iterator."""
+    return isinstance(value, Collection) and not isinstance(value, (str, bytes, Mapping))
 
 
 def check_flag(name: str, value: Any) -> bool:

@@ -48,6 +48,8 @@ def measure(
 ) -> DesignMetrics:
     """The table's figures of a design; NaN where home itself is not in the workspace.
 
+    Those over the cone are NaN where the grid does not reach its tilt, or has no cell within it.
+
     >>> from coop_env.geometry import INITIAL
     >>> round(measure(INITIAL).sigma_cone, 3)
     0.078
@@ -56,7 +58,9 @@ def measure(
     samples = samples or sample_points(problem)
     result = workspace_map(geometry, problem, samples)
     cone = tilt_azimuth(np.stack(samples, axis=-1))[..., 0] <= CONE
-    nan, sigma_cone = math.nan, float(result.sigma[cone].min())  # NaN if a pose is out of reach
+    covered = problem.extent >= CONE and bool(cone.any())
+    nan = math.nan  # also where a pose of the cone is out of reach
+    sigma_cone = float(result.sigma[cone].min()) if covered else nan
     if not result.inside.any():
         return DesignMetrics(0.0, sigma_cone, nan, nan, nan, nan, nan)
     angles = np.abs(np.stack(samples, axis=-1)[result.inside])
@@ -67,7 +71,7 @@ def measure(
         sigma_cone,
         float(angles.max()),
         _variation(result.kappa[result.inside]),
-        _variation(result.kappa[cone]),
+        _variation(result.kappa[cone]) if covered else nan,
         float(q.min()),
         float(q.max()),
     )

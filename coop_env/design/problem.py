@@ -69,7 +69,7 @@ class DesignProblem:
     over_heaves: str = "min"
 
     def __post_init__(self) -> None:
-        if not is_list(self.heaves) or not len(tuple(self.heaves)):
+        if not is_list(self.heaves) or not len(self.heaves):
             raise DesignError(f"heaves = {self.heaves!r}: must be heights, the home heave first")
         object.__setattr__(self, "heaves", tuple(self.heaves))
         positive = {f"heaves[{i}]": heave for i, heave in enumerate(self.heaves)}

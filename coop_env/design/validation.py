@@ -92,7 +92,11 @@ def cone_trajectory(
 def validate(
     geometry: RRSGeometry, trajectory: PlatformTrajectory | None = None
 ) -> TrajectoryReport:
-    """Run a design along a trajectory (:func:`cone_trajectory` by default).
+    """Run a design along a trajectory.
+
+    Args:
+        geometry: the design.
+        trajectory: None, :func:`cone_trajectory` from the design's home heave 10 mm upwards.
 
     Unreachable poses make ``valid`` False and leave NaN in q and in the figures.
 
@@ -100,7 +104,9 @@ def validate(
     >>> validate(OPTIMIZED).valid
     True
     """
-    trajectory = trajectory or cone_trajectory()
+    if trajectory is None:
+        home = geometry.home_heave
+        trajectory = cone_trajectory(heave=(home, min(home + 0.01, geometry.heave_max)))
     time, poses = trajectory.time, trajectory.poses
     q, reachable = rrs.inverse(poses, geometry)
     sigma = rrs.signed_sigma_min(poses, geometry)

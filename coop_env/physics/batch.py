@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from coop_env.errors import ArgumentError, as_dataclass, check_flag, check_number
+from coop_env.errors import ArgumentError, as_dataclass, check_flag, check_integer, check_number
 from coop_env.geometry import GeometryError, resolve_delta, resolve_rrs
 from coop_env.kinematics import rrs
 from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
@@ -115,7 +115,9 @@ class PhysicsBatch(ABC):
             task.contact_time,
             task.effector_play,
         )
-        self.n, self.max_steps = n, task.max_steps if max_steps is None else max_steps
+        self.n = n
+        most = task.max_steps if max_steps is None else max_steps
+        self.max_steps = check_integer("max_steps", most, 1)
         self.twin = Twin(machine, n, threads)
         self._packed = self.twin.packed
         self._noise = np.tile([task.force_noise] * 3 + [task.moment_noise] * 3, (n, 1))
@@ -257,7 +259,7 @@ class PhysicsBatch(ABC):
                 continue
             self.disturbances[row] = errors
             self._machine_errors[row] = np.hstack(errors) - np.hstack(UNDISTURBED)
-            self._noise[row, :3] = self.task.force_noise + errors.force_noise
+            self._noise[row, :3] = np.hypot(self.task.force_noise, errors.force_noise)
             return
         raise GeometryError(
             f"SimToReal.link_length_error = {self.knobs.link_length_error:g}: none of {TRIES} "

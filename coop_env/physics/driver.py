@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from coop_env.env import CoopInsertionEnv
-from coop_env.errors import ArgumentError, ResetOptionError
+from coop_env.errors import ArgumentError, ResetOptionError, check_integer
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Machine
 from coop_env.physics.twin import Twin, closed_at
@@ -160,24 +160,28 @@ def replay(
         driver: of the machine.
         machine: its nominal dimensions; None, the standard ones.
         target: the first hole to fill.
-        holes: how many to fill; None, all.
+        holes: how many to fill; None, all active ones.
         max_moves: that are made at most.
         force_limit: N; beyond it the machine is not moved any more.
         error_limit: rad by which a joint may miss the end of a move.
         patience: s that an answer may take, and a command more than its trajectory.
         arguments: of :class:`~coop_env.env.CoopInsertionEnv`, as the policy was trained, but the
-            dimensions and what needs a memory.
+            dimensions and what needs a memory: moves made, or the time.
 
     Raises:
         DriverError: no answer came in time, or none of six finite angles or three finite forces.
-        ArgumentError: an argument is unknown or needs a memory of moves.
+        ArgumentError: an argument is wrong or needs a memory.
     """
     if wrong := [name for name in MEMORIES if arguments.get(name)]:
         raise ArgumentError(f"{wrong[0]}: a replay knows of no move but the present one")
+    if arguments.get("observation") == "markov":
+        raise ArgumentError("observation = 'markov': a replay does not know the episode's time")
     m = Machine() if machine is None else machine
     geometries: dict[str, Any] = {"geometry": m.rrs, "delta": m.delta, "task": m.task}
     env = CoopInsertionEnv(**geometries, **arguments)
-    wanted_holes = len(m.task.holes) if holes is None else holes
+    most = sum(m.task.active_holes(env.stage))
+    check_integer("target", target, 0, most - 1, hint=", an active hole")
+    wanted_holes = most if holes is None else check_integer("holes", holes, 1, most)
     filled: list[int] = []
     seconds = force = error = 0.0
     where, moves = _stand(driver, m, m.home(), patience), 0

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 
 from coop_env.env import check_action
-from coop_env.errors import ActionError
+from coop_env.errors import ActionError, ArgumentError
 from coop_env.geometry import DeltaGeometry, RRSGeometry
 from coop_env.physics.batch import LIMIT, PRIVILEGED_UNITS, PhysicsBatch, row_of
 from coop_env.physics.contact import ContactBatch
@@ -53,6 +53,8 @@ class PhysicsEnv(Rendered):
         **arguments: Any,
     ) -> None:
         self._set_render_mode(render_mode)
+        if more := {"n", "threads"} & set(arguments):
+            raise ArgumentError(f"{min(more)}: of a batch, see make_vec; this is one machine")
         self.batch: Any = self.batch_class(
             level, geometry, delta, holes, servos, sim_to_real=sim_to_real,
             reward_scale=reward_scale, privileged=privileged, **arguments,

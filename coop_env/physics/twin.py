@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from gymnasium.error import ClosedEnvironmentError
 from numpy.typing import ArrayLike, NDArray
 
 from coop_env.errors import ArgumentError, check_integer
@@ -35,7 +36,8 @@ class Readings(NamedTuple):
     """What the sensors say, with any leading axes; N, N m, rad, m, world frame.
 
     ``wrench`` is what the peg does to the effector, force and moment about the tip: contact and
-    the peg's own weight. ``joints`` are theta and q. ``tip``, ``platform`` (its centre) and
+    the peg's own weight. It is in the peg's frame, which only ``effector_play`` tilts against the
+    world's. ``joints`` are theta and q. ``tip``, ``platform`` (its centre) and
     ``rotation`` are where things really are. A reading is of the beginning of its timestep.
     """
 
@@ -185,7 +187,9 @@ class Twin:
 
         Raises:
             ArgumentError: the configuration is out of reach.
+            ClosedEnvironmentError: :meth:`close` was called.
         """
+        self._require_open()
         model = self.models[row]
         self.base[row] = 0.0 if base is None else base
         model.body_pos[self._base] = self.base[row, :3]
@@ -230,7 +234,11 @@ class Twin:
 
         Returns:
             The readings, with leading axes (n, steps).
+
+        Raises:
+            ClosedEnvironmentError: :meth:`close` was called.
         """
+        self._require_open()
         held = np.asarray(targets, np.float64)
         held = (held[:, None] if held.ndim == 2 else held) - self._home_angles[:, None]
         controls = np.ascontiguousarray(np.broadcast_to(held, (self.n, steps, N_AXES)))
@@ -258,9 +266,15 @@ class Twin:
         pose = rrs.platform_pose(configurations[:, 3:], self.machine.rrs)
         return rotation_angle(readings.rotation, self._turns @ pose.rotation)
 
+    def _require_open(self) -> None:
+        if self._pool is None:
+            raise ClosedEnvironmentError("the simulation was closed: make the environment anew")
+
     def close(self) -> None:
-        """End the threads."""
-        self._pool.close()
+        """End the threads; the machines move no more."""
+        if self._pool is not None:
+            self._pool.close()
+        self._pool = None
 
     def _check_hold(self, home: Floats) -> None:
         """Whether the servos hold home within what the task calls inserted."""
@@ -268,14 +282,18 @@ class Twin:
         start = self.states.copy()
         result = last(self.advance(targets, round(_SETTLING / self.machine.timestep)))
         tip = peg_tip(*home[:3].tolist(), self.machine.kernel_params().delta)
+        platform = rrs.platform_pose(home[3:], self.machine.rrs).position
         sag = float(np.linalg.norm(result.tip[0] - tip))
+        sunk = float(np.linalg.norm(result.platform[0] - platform))
         lean = float(self.platform_error(result, np.broadcast_to(home, (self.n, N_AXES)))[0])
         task = self.machine.task
-        if self.diverged[0] or not (sag < task.tolerance and lean < task.angle_tolerance):
+        held = max(sag, sunk) < task.tolerance and lean < task.angle_tolerance
+        if self.diverged[0] or not held:
             raise ArgumentError(
                 f"these servos cannot hold the machine at home: within 1 s the tip is "
-                f"{1e3 * sag:.3g} mm and the platform {np.degrees(lean):.3g} degrees off; raise "
-                "the stiffness or torque_limit, or turn gravity_compensation on"
+                f"{1e3 * sag:.3g} mm off, the platform {1e3 * sunk:.3g} mm and "
+                f"{np.degrees(lean):.3g} degrees; raise the stiffness or torque_limit, or turn "
+                "gravity_compensation on"
             )
         self.states = start
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -92,8 +93,11 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
             ArgumentError: a seed is no integer, is negative, or the list has another length.
         """
         checked = self.batch.check_options(options)
-        if seed is not None or not self._rngs:
-            self._rngs = [seeding.np_random(each)[0] for each in seeds_of(seed, self.num_envs)]
+        seeds, old = seeds_of(seed, self.num_envs), self._rngs
+        self._rngs = [
+            old[i] if old and each is None else seeding.np_random(each)[0]
+            for i, each in enumerate(seeds)
+        ]
         firsts = [self.batch.reset(row, checked, rng) for row, rng in enumerate(self._rngs)]
         info = {name: part for name, part in self.batch.columns().items() if name in firsts[0]}
         return self.batch.seen(slice(None)), _masked(info, np.ones(self.num_envs, bool))
@@ -162,7 +166,9 @@ class CoopInsertionPhysicsDiscreteVectorEnv(SyncVectorEnv[Any, Any]):
         num_envs: number of environments.
         threads: in which they are simulated.
         max_episode_steps: Gymnasium's limit; the smaller of it and ``max_moves`` holds.
-        arguments: of the single environment, without ``render_mode``.
+        arguments: of the single environment, without ``render_mode``. A ``finish`` with a
+            ``reset`` has a memory, so each machine gets a copy of its own; any other serves all
+            threads at once.
 
     Raises:
         ArgumentError: a number is no positive integer, or another argument is wrong.
@@ -180,10 +186,13 @@ class CoopInsertionPhysicsDiscreteVectorEnv(SyncVectorEnv[Any, Any]):
         if max_episode_steps is not None:
             own = arguments.get("max_moves")
             arguments["max_moves"] = lesser_limit(max_episode_steps, "max_moves", own)
-        super().__init__(
-            [lambda: _Ahead(CoopInsertionPhysicsDiscreteEnv(**arguments))] * n,
-            autoreset_mode=AutoresetMode.SAME_STEP,
-        )
+        finish = arguments.pop("finish", None)
+
+        def make() -> _Ahead:
+            own = copy.deepcopy(finish) if hasattr(finish, "reset") else finish
+            return _Ahead(CoopInsertionPhysicsDiscreteEnv(own, **arguments))
+
+        super().__init__([make] * n, autoreset_mode=AutoresetMode.SAME_STEP)
 
     def reset(self, *, seed: Any = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
         return super().reset(seed=seeds_of(seed, self.num_envs), options=options)

@@ -21,8 +21,9 @@ Points = NDArray[np.float64]
 class Scene:
     """One instant. World frame (the 3-RRS's base), m, rad, s; limbs at 0, 120 and 240 degrees.
 
-    ``status`` is ``"running"``, ``"success"`` (all active holes filled), ``"singular"`` or
-    ``"timeout"``. With sim-to-real knobs tip and holes are the real ones, links the model's.
+    ``status`` is ``"running"``, ``"success"`` (all active holes filled), ``"singular"``,
+    ``"collision"`` (where one ends the episode) or ``"timeout"``. With sim-to-real knobs tip and
+    holes are the real ones, links the model's.
     """
 
     delta_base_joints: Points  # (3, 3)
@@ -70,12 +71,14 @@ class Scene:
         )
 
 
-def _status(state: np.void, sigma: float, margin: float) -> str:
+def _status(state: np.void, sigma: float, p: EnvParams) -> str:
     if not state["over"]:
         return "running"
     if not np.any((state["active"] == 1) & (state["filled"] == 0)):
         return "success"
-    return "timeout" if sigma >= margin else "singular"
+    if sigma < p.layout["singular_margin"]:
+        return "singular"
+    return "timeout" if state["moves"] >= p.task.max_moves else "collision"
 
 
 RRS_JOINTS: Final = ("rrs_base_joints", "elbows", "platform_joints")
@@ -118,5 +121,5 @@ def make_scene(state: np.void, p: EnvParams, trace: Sequence[Points] = ()) -> Sc
         alignment_error=float(state["angle"]),
         sigma_min=sigma,
         time=float(state["moves"]) * float(p.layout["dt"]),
-        status=_status(state, sigma, fields["singular_margin"]),
+        status=_status(state, sigma, p),
     )

@@ -87,6 +87,10 @@ class ShieldMargin:
         )
 
 
+_CHANGING = gym.ActionWrapper, getattr(gym.wrappers, "RepeatAction", gym.ActionWrapper)
+"""Wrappers that change actions or make one several times; the second is not in Gymnasium 1.1."""
+
+
 class KinematicShield:
     """Keeps both robots' distance from singularities, limits, the end of reach, and each other.
 
@@ -192,7 +196,8 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
         margin: likewise.
 
     Raises:
-        ArgumentError: ``env`` is none of these, has other actions, or a wrapper that changes them.
+        ArgumentError: ``env`` is none of these, has other actions, or a wrapper that changes or
+            repeats them.
     """
 
     def __init__(
@@ -201,7 +206,7 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
         super().__init__(env)
         layer = env
         while isinstance(layer, gym.Wrapper):
-            if isinstance(layer, gym.ActionWrapper):
+            if isinstance(layer, _CHANGING):
                 raise ArgumentError(
                     f"{type(layer).__name__} changes what the shield has certified: put it around "
                     "the shield instead"
@@ -286,6 +291,11 @@ class ShieldedInsertionEnv(CoopInsertionEnv):
     def _masks_of(self, states: NDArray[np.void]) -> NDArray[np.bool_]:
         inner = [self.shield.allowed_moves(c) for c in states["configuration"]]
         return self.shield.masks(super()._masks_of(states), np.array(inner))
+
+    def get_state(self) -> dict[str, Any]:
+        """As the environment's, of these margins."""
+        snapshot = super().get_state()
+        return {**snapshot, "params": (*snapshot["params"], repr(self.shield.margin))}
 
 
 class ShieldedInsertionVecEnv(CoopInsertionVecEnv):

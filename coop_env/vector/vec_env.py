@@ -50,6 +50,7 @@ class CoopInsertionVecEnv(VecEnv):
         n = check_integer("n_envs", n_envs, 1)
         self._vector = CoopInsertionVectorEnv(n, env_class=self.env_class, **kwargs)
         super().__init__(n * self.rows_each, *self._make_spaces())
+        self.metadata = self.envs[0].metadata  # a recorder asks for the frames a second
         if seed is not None:
             self.seed(seed)
 

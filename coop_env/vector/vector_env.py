@@ -18,7 +18,14 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from coop_env.env import CoopInsertionEnv, check_snapshot
-from coop_env.errors import ActionError, ArgumentError, ResetOptionError, check_integer
+from coop_env.errors import (
+    ActionError,
+    ArgumentError,
+    ResetOptionError,
+    StateError,
+    check_flag,
+    check_integer,
+)
 from coop_env.simulation import batch
 
 Floats = NDArray[np.float64]
@@ -292,12 +299,25 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         """Return to a snapshot of :meth:`get_state`.
 
         Raises:
-            StateError: the snapshot is of another batch: other arguments, another ``num_envs``.
+            StateError: the snapshot is of another batch: other arguments, another ``num_envs``, or
+                it is damaged. The batch is left as it was.
         """
-        check_snapshot(snapshot, self.get_state())
-        self.actions[:], self.pending = snapshot["actions"], snapshot["pending"]
+        before = self.get_state()
+        check_snapshot(snapshot, before)
+        try:
+            self._go_to(snapshot)
+        except (TypeError, ValueError) as error:
+            self._go_to(before)
+            raise StateError(f"the snapshot cannot be taken: {error}") from error
+
+    def _go_to(self, snapshot: Mapping[str, Any]) -> None:
+        n_actions = int(self.envs[0].action_space.n)
+        self.actions[:] = check_actions(snapshot["actions"], self.num_envs, n_actions)
+        self.pending = check_flag("pending", snapshot["pending"])
         self._started = False
         keys = ("started", "stages", "rngs")
+        if any(len(snapshot[key]) != self.num_envs for key in keys):
+            raise StateError(f"{', '.join(keys)} must have {self.num_envs} entries each")
         for i, (started, stage, rng) in enumerate(zip(*(snapshot[k] for k in keys), strict=True)):
             self.envs[i].set_state(
                 {

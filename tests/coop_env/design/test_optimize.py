@@ -150,3 +150,5 @@ def test_what_is_found_can_heave() -> None:
     assert np.ptp(heaves) > 0.1
     with pytest.raises(DesignError, match="heaves"):
         DesignProblem(heaves={0.21: 1})  # type: ignore[arg-type]
+    with pytest.raises(DesignError, match="heaves"):
+        DesignProblem(heaves=map(float, ["0.21"]))  # type: ignore[arg-type]

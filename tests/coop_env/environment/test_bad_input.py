@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import pickle
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from coop_env import (
     OPTIMIZED,
     CoopInsertionEnv,
     CoopInsertionJointEnv,
+    CoopInsertionJointVecEnv,
     CoopInsertionTeamVecEnv,
     CoopInsertionVecEnv,
     DeltaGeometry,
@@ -28,6 +30,7 @@ from coop_env.errors import (
 )
 from coop_env.geometry import GeometryError
 from coop_env.kinematics import rrs_kernels
+from coop_env.shield import ShieldedInsertionEnv
 
 VALID = (0.0, 0.0, -0.33, 0.1, 0.1, 0.22)
 
@@ -128,6 +131,7 @@ def test_a_geometry_without_start_states_is_told_not_searched_for_ever() -> None
         ({"target": 1.0}, "target = 1.0"),
         ({"target": True}, "target = True"),
         ({"filled": 3}, "filled = 3"),
+        ({"filled": map(int, "01")}, "filled = <map"),
         ({"filled": "all"}, "filled = 'all'"),
         ({"filled": {0: False}}, "filled = {0: False}"),
         ({"filled": [7]}, "7"),
@@ -241,6 +245,37 @@ def test_snapshots_of_something_else() -> None:
         batch.reset()
         with pytest.raises(StateError, match="states"):
             batch.set_state(form(3).get_state())
+
+
+def test_snapshots_of_another_kind() -> None:
+    """Other masks or moves; a damaged one leaves a batch's rows and the move taken as they were."""
+    strict = ShieldedInsertionEnv(shield={"sigma": 0.5})
+    strict.reset(seed=0)
+    joint: Any = CoopInsertionJointVecEnv(1, seed=0)
+    joint.reset()
+    for env, snapshot in (
+        (ShieldedInsertionEnv(), strict.get_state()),
+        (CoopInsertionEnv(), strict.get_state()),
+        (CoopInsertionVecEnv(1), joint.get_state()),
+    ):
+        with pytest.raises(StateError, match="other arguments"):
+            env.set_state(snapshot)
+    batch: Any = CoopInsertionVecEnv(2, seed=0)
+    batch.reset()
+    old = batch.get_state()
+    batch.reset()
+    batch.step_async(np.array([0, 1]))
+    before = pickle.dumps(batch.get_state())
+    for name, wrong in (
+        ("rngs", [old["rngs"][0], "no"]),
+        ("rngs", old["rngs"][:1]),
+        ("stages", [1, 7]),
+        ("actions", np.array([0, 41])),
+        ("pending", None),
+    ):
+        with pytest.raises(StateError):
+            batch.set_state({**old, name: wrong})
+        assert pickle.dumps(batch.get_state()) == before
 
 
 def test_a_start_that_is_not_found_leaves_everything_as_it_was() -> None:

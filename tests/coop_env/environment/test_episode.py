@@ -143,6 +143,7 @@ def test_a_collision_is_refused_or_ends_the_episode_in_failure(reward: str) -> N
                 assert ended
                 assert not over
                 assert not fatal.running
+                assert fatal.scene().status == "collision"
                 assert refusing.configuration.tolist() == before["configuration"].tolist()
                 left = 300 - int(before["moves"])
                 assert charged == pytest.approx(paid if reward == "paper" else -3.0 - 0.5 * left)

@@ -226,6 +226,9 @@ def test_forces_are_as_noisy_as_asked_for() -> None:
     spread = np.std(felt, axis=0)
     assert spread[:3] == pytest.approx(np.ones(3), abs=0.3)
     assert (spread[3:] / 10.0 * 0.05 < 0.001).all()
+    both = CoopInsertionContactEnv({"force_noise": 3.0}, sim_to_real={"force_noise": 4.0})
+    both.reset(seed=0)
+    assert both.batch._noise[0, :3].tolist() == [5.0, 5.0, 5.0]  # independent: the squares add
 
 
 def test_friction_that_an_option_sets_has_no_error() -> None:

@@ -165,5 +165,20 @@ def test_a_machine_that_stands_where_it_must_not() -> None:
 
 
 def test_what_needs_a_memory_is_refused() -> None:
-    with pytest.raises(ArgumentError, match="mask_visited"):
-        drive(Obedient(), mask_visited=3)
+    for argument in ({"mask_visited": 3}, {"observation": "markov"}):
+        with pytest.raises(ArgumentError, match=next(iter(argument))):
+            drive(Obedient(), **argument)
+
+
+def test_holes_that_there_are_not() -> None:
+    for target, holes in ((1, None), (-1, None), (0, 0), (0, 2)):
+        with pytest.raises(ArgumentError, match="target" if holes is None else "holes"):
+            replay(lambda observation, masks: DOWN, Obedient(), MACHINE, target=target, holes=holes)
+
+
+def test_all_active_holes_are_all() -> None:
+    """At stage 0 one of two: with it filled the replay is at its end."""
+    task = InsertionTask(holes=((0.0, 0.0), (0.4, 0.0)), stage_0_holes=1)
+    machine = replace(MACHINE, task=task)
+    result = replay(lambda *_: DOWN, Obedient(), machine, target=0, stage=0)
+    assert (result.stopped, result.filled) == ("filled", [0])

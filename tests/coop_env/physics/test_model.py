@@ -159,6 +159,8 @@ WEAK: dict[str, Any] = {"gravity_compensation": False}
             "cannot hold",
         ),
         (lambda: twin(servos=Servos(torque_limit=0.3, **WEAK)), "cannot hold"),
+        # its weight lets the platform sink, level
+        (lambda: twin(servos=Servos(rrs_stiffness=5.0, **WEAK)), "the platform 12.8 mm"),
         (lambda: twin(rrs=RRSGeometry(0.1778, 0.1024, 0.1114, distal_length=0.1)), "home_heave"),
         (lambda: twin(delta=DeltaGeometry(base_height=2.0)), "base_height"),
         # one hole runs into the other, or onto the rim

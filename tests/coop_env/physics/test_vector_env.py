@@ -108,6 +108,33 @@ def test_rows_of_moves_are_single_environments() -> None:
     env.close()
 
 
+class Timed:
+    """A finish with a memory: down, and then up again."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def reset(self) -> None:
+        self.count = 0
+
+    def __call__(self, seen: Any) -> Any:
+        self.count += 1
+        return 0.3 * (PUSH if self.count <= 40 else -PUSH)
+
+
+def test_a_finish_with_a_memory_serves_one_machine() -> None:
+    forces = []
+    for threads in (1, 2):
+        env: Any = CoopInsertionPhysicsDiscreteVectorEnv(2, threads, finish=Timed(), level=NO_ERROR)
+        start = above(0)
+        start["configuration"][2] += 0.01
+        env.reset(seed=0, options=start)
+        forces.append(env.step(np.array([5, 5]))[-1]["peak_force"].tolist())
+        assert len({id(each.unwrapped.physics.finish) for each in env.envs}) == 2
+        env.close()
+    assert forces[0] == forces[1]
+
+
 def test_dictionaries_are_rows_of_dictionaries_through_an_episodes_end() -> None:
     """To the last bit, also of machines that err."""
     arguments: dict[str, Any] = {"privileged": True, "level": {"max_steps": 3}}
@@ -152,7 +179,9 @@ def test_bad_input() -> None:
         env.step(np.zeros((2, 6)))
     with pytest.raises(ArgumentError, match="seeds"):
         env.reset(seed=[1, 2, 3])
-    env.reset(seed=[1, None])
+    first = env.reset(seed=0) and env.reset(seed=[1, None])[0]
+    env.reset(seed=0)
+    assert env.reset(seed=[1, None])[0].tobytes() == first.tobytes()  # None goes on drawing
     for wrong in (np.zeros((3, 6)), np.full((2, 6), np.nan), np.full((2, 6), 2.0)):
         with pytest.raises(ActionError, match="action"):
             env.step(wrong)
@@ -168,6 +197,9 @@ def test_bad_input() -> None:
         CoopInsertionContactVectorEnv(2, render_mode="rgb_array")
     with pytest.raises(ArgumentError, match="threads"):
         CoopInsertionContactVectorEnv(2, threads=0)
+    for name in ("n", "threads", "max_steps"):
+        with pytest.raises(ArgumentError, match=name):
+            CoopInsertionContactEnv(**{name: -1})  # type: ignore[arg-type]
 
 
 BROKEN: dict[str, Any] = {**RIM, "friction": 0.2}

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
 from coop_env.env import CoopInsertionEnv
@@ -245,3 +245,5 @@ def test_after_close_there_is_no_step() -> None:
         env.close()
         with pytest.raises(ResetNeeded):
             env.step(REST)
+        with pytest.raises(ClosedEnvironmentError, match="anew"):
+            env.reset(seed=0)

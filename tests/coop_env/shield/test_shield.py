@@ -219,6 +219,9 @@ class TestContact:
         inner = gym.wrappers.RescaleAction(gym.make("CoopInsertionContact-v0"), low, high)
         with pytest.raises(ArgumentError, match="RescaleAction changes"):
             ShieldWrapper(inner)
+        twice = gym.wrappers.RepeatAction(gym.make("CoopInsertion-v0"), 2)
+        with pytest.raises(ArgumentError, match="RepeatAction changes"):
+            ShieldWrapper(twice)
 
     def test_moves_have_masks(self) -> None:
         wrapped = ShieldWrapper(gym.make("CoopInsertionContactDiscrete-v0"))
