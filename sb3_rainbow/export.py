@@ -97,11 +97,19 @@ def to_program(model: Rainbow) -> th.export.ExportedProgram:
     if not isinstance(model, Rainbow):
         raise ExportError(f"expected a Rainbow model, got {type(model).__name__}")
     policy = model.policy
-    ours = ((policy, RainbowPolicy), (policy.q_net, RainbowNetwork))
-    if any(type(part)._predict is not own._predict for part, own in ours):
-        raise ExportError(
-            f"{type(policy).__name__} chooses actions by a _predict of its own, which would be lost"
-        )
+    ways = {
+        model: ("predict",),
+        policy: ("predict", "_predict", "obs_to_tensor"),
+        policy.q_net: ("_predict",),
+    }
+    for part, names in ways.items():
+        for name in names:
+            home = getattr(part, name).__module__.partition(".")[0]
+            if home not in ("sb3_rainbow", "stable_baselines3"):
+                raise ExportError(
+                    f"{type(part).__name__} chooses actions by a {name} of its own, which would be "
+                    "lost"
+                )
     examples = _examples(policy)
     rows = th.export.Dim("rows", min=1)
     shapes = {"inputs": tuple({0: rows} for _ in examples)}

@@ -162,10 +162,13 @@ class RainbowPolicy(AsVector, BasePolicy):
                 self.optimizer.state.pop(p, None)
 
     def __getstate__(self) -> dict[str, Any]:
-        # Pickle would store the whole memory of which a tensor is a part with every part.
+        self.separate_moments()
+        return self.__dict__.copy()
+
+    def separate_moments(self) -> None:
+        """Give each of the optimizer's tensors a memory of its own, which pickle stores whole."""
         states = self.optimizer.state.values()
         separate(v for s in states for v in s.values() if isinstance(v, th.Tensor))
-        return self.__dict__.copy()
 
     @property
     def device(self) -> th.device:

@@ -249,6 +249,8 @@ class Rainbow(ResumableAlgorithm):
         )
         check_settings(self)
         self._support = support_of(self.distributional, self.v_min, self.v_max)
+        rate: Any = self.learning_rate
+        self.learning_rate = default_learning_rate(self.policy_class) if rate is None else rate
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
         if self.noisy and not self._epsilon_was_asked_for:
@@ -384,6 +386,7 @@ class Rainbow(ResumableAlgorithm):
         assert buffer is not None
         if isinstance(buffer, PrioritizedReplayBuffer):
             buffer.beta = self.beta
+            buffer.gamma = self.replay_buffer_kwargs.get("gamma", self.gamma)
             if not buffer.can_sample:
                 # The first n-step windows are not complete yet.
                 return
@@ -429,15 +432,16 @@ class Rainbow(ResumableAlgorithm):
                 stacklevel=3,
             )
 
-    def learn(  # type: ignore[override]
+    def learn(
         self: SelfRainbow,
         total_timesteps: int,
         callback: MaybeCallback = None,
         log_interval: int = 4,
         tb_log_name: str = "Rainbow",
         reset_num_timesteps: bool = True,
-        use_masking: UseMasking | None = None,
         progress_bar: bool = False,
+        *,
+        use_masking: UseMasking | None = None,
     ) -> SelfRainbow:
         """As SB3's ``learn``; ``use_masking`` overrides the constructor's from here on.
 
@@ -471,14 +475,15 @@ class Rainbow(ResumableAlgorithm):
         given = {**(custom_objects or {}), **kwargs}
         if given.keys() & {"exploration_initial_eps", "exploration_final_eps"}:
             kwargs["_epsilon_was_asked_for"] = True
-        if "tau" in kwargs:
-            kwargs["_tau_was_chosen"] = kwargs["tau"] is not None
-        if kwargs.get("tau", 0.0) is None:
-            del kwargs["tau"]
+        if "tau" in given:
+            kwargs["_tau_was_chosen"] = given["tau"] is not None
+        if given.get("tau", 0.0) is None:
+            kwargs.pop("tau", None)
+            custom_objects = {k: v for k, v in (custom_objects or {}).items() if k != "tau"}
         model = super().load(
             path, env, device, custom_objects, print_system_info, force_reset, **kwargs
         )
-        new_rule = not kwargs.get("_tau_was_chosen", True) or "target_update_interval" in kwargs
+        new_rule = not kwargs.get("_tau_was_chosen", True) or "target_update_interval" in given
         if new_rule and not model._tau_was_chosen:
             model.tau = default_tau(model.target_update_interval)
         return model
@@ -492,7 +497,8 @@ class Rainbow(ResumableAlgorithm):
         """As SB3's ``set_parameters``.
 
         Raises:
-            SettingsMismatchError: if the parameters were saved with other settings.
+            SettingsMismatchError: if the parameters are of other shapes, or a file of a model with
+                another support.
         """
         parameters: Any = load_path_or_dict
         if not isinstance(parameters, dict):
@@ -506,6 +512,11 @@ class Rainbow(ResumableAlgorithm):
             raise SettingsMismatchError(
                 f"The checkpoint was saved with other settings than the model's: {error}"
             ) from error
+
+    def get_parameters(self) -> dict[str, dict[str, Any]]:
+        """As SB3's."""
+        self.policy.separate_moments()
+        return super().get_parameters()
 
     def _excluded_save_params(self) -> list[str]:
         own = ("q_net", "q_net_target", "_learner", "_warned_of_missing_masks")

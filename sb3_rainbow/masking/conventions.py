@@ -21,6 +21,10 @@ class ActionMaskError(ValueError):
     """Masks that an environment should not have given."""
 
 
+_OWN = {"env", "_action_space", "_observation_space", "_metadata", "_cached_spec"}
+"""What every wrapper of Gymnasium's has itself."""
+
+
 class TerminalActionMask(gym.Wrapper):
     """Put the mask of an episode's last state into ``info["terminal_action_mask"]``.
 
@@ -44,12 +48,12 @@ class TerminalActionMask(gym.Wrapper):
         return obs, reward, terminated, truncated, info
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("_") or name == "env":
+        if name.startswith("__") or name in _OWN:
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
         return self.env.get_wrapper_attr(name)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name.startswith("_") or name == "env":
+        if name.startswith("__") or name in _OWN:
             super().__setattr__(name, value)
         else:
             self.env.set_wrapper_attr(name, value)

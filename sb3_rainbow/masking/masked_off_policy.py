@@ -39,8 +39,11 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
     _last_action_masks: NDArray[np.bool_] | None = None
 
     def _setup_learn(self, *args: Any, **kwargs: Any) -> tuple[int, BaseCallback]:
+        before = self._last_obs
         prepared = super()._setup_learn(*args, **kwargs)
         assert self.env is not None
+        if isinstance(self.replay_buffer, PrioritizedReplayBuffer) and before is not self._last_obs:
+            self.replay_buffer.truncate()
         supported = self.use_masking is not False and is_masking_supported(self.env)
         if self.use_masking is True and not supported:
             raise ValueError(

@@ -29,6 +29,7 @@ _NOTHING_INSIDE = {
 }
 
 
+_USE_OBSERVATIONS = ("extract_features", "streams", "logits", "forward")
 # Where the layers are that a network calls by itself
 _LAYERS = ("layers", "value_layers", "advantage_layers")
 _TORCHS_TRAIN, _TORCHS_SETATTR = nn.Module.train, nn.Module.__setattr__
@@ -60,6 +61,8 @@ class RainbowNetwork(AsVector, BasePolicy):
             ``dict(shared=[...], streams=[...])``, where each of the two then has layers of its own.
         noisy_layers: ``"last_two"`` (last hidden layer and head), ``"head"`` or ``"all"``; of
             streams, the last of each.
+        activation_fn: between the layers, one module for all of them: parameters that it has,
+            ``PReLU``'s say, are shared.
         dueling: separate streams for value and advantages (Wang et al. 2016).
         noisy: noisy linear layers (Fortunato et al. 2018).
         sigma0: initial noise scale.
@@ -175,15 +178,14 @@ class RainbowNetwork(AsVector, BasePolicy):
     def prepare(self, obs: PyTorchObs) -> PyTorchObs:
         """Scale observations or make them one-hot, once for all passes of an update.
 
-        A subclass that overrides how they are used gets them as they are.
+        A subclass that overrides how they are used gets them as they are, and so does a hook.
         """
-        own = type(self)
-        inherited = (
-            own.extract_features is RainbowNetwork.extract_features
-            and own.streams is RainbowNetwork.streams
-            and vars(self).keys().isdisjoint(("extract_features", "streams"))
+        own: Any = type(self)
+        inherited = vars(self).keys().isdisjoint(_USE_OBSERVATIONS) and all(
+            getattr(own, name) is getattr(RainbowNetwork, name) for name in _USE_OBSERVATIONS
         )
-        if isinstance(obs, Prepared) or not inherited:
+        hooked = self._forward_hooks or self._forward_pre_hooks
+        if isinstance(obs, Prepared) or hooked or not inherited:
             return obs
         return Prepared(self._preprocess(obs))  # type: ignore[return-value]
 
@@ -239,9 +241,17 @@ class RainbowNetwork(AsVector, BasePolicy):
                 yield from (m for m in inside if not any(m is layer for layer in own))
 
     def __getstate__(self) -> dict[str, Any]:
+        self._separate()
+        return {**self.__dict__, "_noise_addresses": None}
+
+    def state_dict(self, *args: Any, **kwargs: Any) -> dict[str, Any]:  # type: ignore[override]
+        """As torch's, of tensors that share no memory."""
+        self._separate()
+        return super().state_dict(*args, **kwargs)
+
+    def _separate(self) -> None:
         # Pickle would store the whole memory of which a tensor is a part with every part.
         separate([*self.parameters(), *self._epsilons()])
-        return {**self.__dict__, "_noise_addresses": None}
 
     @th.no_grad()
     def reset_noise(self, n_envs: int = 1) -> None:

@@ -19,7 +19,7 @@ from sb3_rainbow.replay.kernels import (
     importance_weights,
     scale_priorities,
 )
-from sb3_rainbow.replay.observation_store import ObservationStore, Rows, stored_dtype
+from sb3_rainbow.replay.observation_store import ObservationStore, Rows, in_single
 from sb3_rainbow.replay.parameters import (
     check_buffer_size,
     check_replay_parameters,
@@ -107,7 +107,9 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         shape = (self.buffer_size, self.n_envs)
         self._store = ObservationStore(*shape, self.observation_space, self.obs_shape)
         # Discrete for Rainbow; other algorithms bring what they choose
-        self.actions = np.zeros((*shape, self.action_dim), dtype=stored_dtype(self.action_space))
+        self.actions = np.zeros(
+            (*shape, self.action_dim), dtype=self._maybe_cast_dtype(self.action_space.dtype)
+        )
         self.rewards = np.zeros(shape, dtype=np.float32)
         self.ends = np.zeros(shape, dtype=np.uint8)
         self.next_action_masks: NDArray[np.bool_] | None = None
@@ -215,11 +217,19 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         newest = (self.pos - 1) % self.buffer_size
         interrupted = self._store.interrupted(current)
         if interrupted.any():
-            interrupted &= self.ends[newest] == RUNNING
-            for env in np.flatnonzero(interrupted).tolist():
-                self.ends[newest, env] = TRUNCATED
-                self._store.keep_newest(newest, env)
-            self._complete(interrupted, newest)
+            self._truncate(interrupted, newest)
+
+    def truncate(self) -> None:
+        """Truncate the episodes that run, because the env is reset in the middle of them."""
+        if self.full or self.pos > 0:
+            self._truncate(np.ones(self.n_envs, bool), (self.pos - 1) % self.buffer_size)
+
+    def _truncate(self, which: NDArray[np.bool_], newest: int) -> None:
+        which &= self.ends[newest] == RUNNING
+        for env in np.flatnonzero(which).tolist():
+            self.ends[newest, env] = TRUNCATED
+            self._store.keep_newest(newest, env)
+        self._complete(which, newest)
 
     def _store_masks(self, pos: int, masks: NDArray[np.bool_] | None) -> None:
         stored = self.next_action_masks
@@ -353,10 +363,11 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             observations = env.normalize_obs(observations)
             next_observations = env.normalize_obs(next_observations)
             returns = self._normalized_returns(leaves, env)
-        parts = {
-            "observations": observations,
+        # only now: what is normalized may be a small difference of large numbers
+        parts: dict[str, ObsArray] = {
+            "observations": in_single(observations),
             "actions": self.actions.reshape(-1, self.action_dim).take(leaves, axis=0),
-            "next_observations": next_observations,
+            "next_observations": in_single(next_observations),
             "dones": dones,
             "rewards": returns,
             "discounts": discounts,

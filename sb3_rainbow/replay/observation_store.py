@@ -178,16 +178,16 @@ def _layout(
     """Shape and dtype of one observation in each store."""
     if isinstance(space, spaces.Dict):
         assert isinstance(obs_shape, dict)
-        return {key: (obs_shape[key], stored_dtype(part)) for key, part in space.spaces.items()}
+        return {key: (obs_shape[key], np.dtype(part.dtype)) for key, part in space.spaces.items()}
     assert isinstance(obs_shape, tuple)
-    return {_PLAIN: (obs_shape, stored_dtype(space))}
+    return {_PLAIN: (obs_shape, np.dtype(space.dtype))}
 
 
-def stored_dtype(space: spaces.Space) -> np.dtype:
-    """Dtype in which elements of a space are stored."""
-    # The networks compute in float32: the other half of a float64 would only cost memory.
-    dtype = np.dtype(space.dtype)
-    return np.dtype(np.float32) if dtype == np.float64 else dtype
+def in_single(obs: ObsArray) -> ObsArray:
+    """Observations as the networks take them: float32 in the place of float64."""
+    if isinstance(obs, dict):
+        return {key: in_single(part) for key, part in obs.items()}  # type: ignore[misc]
+    return obs.astype(np.float32) if obs.dtype == np.float64 else obs
 
 
 def _as_bytes(values: NDArray, n: int) -> NDArray[np.uint8]:

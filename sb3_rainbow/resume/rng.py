@@ -16,7 +16,8 @@ def get_rng_state(action_space: spaces.Space) -> dict[str, Any]:
         "python": random.getstate(),
         "numpy": np.random.get_state(),  # noqa: NPY002
         "torch": th.get_rng_state(),
-        "cuda": th.cuda.get_rng_state_all() if th.cuda.is_available() else [],
+        # asking a GPU that nothing was drawn on would start it, which a forked process cannot
+        "cuda": th.cuda.get_rng_state_all() if th.cuda.is_initialized() else [],
         "action_space": action_space.np_random.bit_generator.state,
     }
 

@@ -59,7 +59,10 @@ _OF_THE_MACHINE = {
     *("cpu_kernels", "_init_setup_model"),
 }
 _MOST_STEPS = 1_000
-_COUNTERS: dict[str, type] = {"num_timesteps": int, "_n_updates": int, "exploration_rate": float}
+_COUNTERS: dict[str, type] = {
+    **{"num_timesteps": int, "_n_updates": int, "exploration_rate": float},
+    "_masking": bool,  # whether it learned under masks
+}
 
 
 def write_model(model: Rainbow, path: str | os.PathLike[str]) -> None:

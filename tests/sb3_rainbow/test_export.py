@@ -130,6 +130,10 @@ def test_what_cannot_be_exported_is_one_clear_error(tmp_path: Path) -> None:
         to_onnx(branching, path)
     with pytest.raises(ExportError, match=r"Stubborn chooses actions by a _predict of its own"):
         to_onnx(Rainbow(Stubborn, "Acrobot-v1", **SMALL), path)
+    contrary = Rainbow("MlpPolicy", "Acrobot-v1", **SMALL)
+    contrary.policy.predict = lambda *_, **__: None  # type: ignore[assignment, method-assign]
+    with pytest.raises(ExportError, match=r"RainbowPolicy chooses actions by a predict of its own"):
+        to_onnx(contrary, path)
     with pytest.raises(ExportError, match="expected a Rainbow model, got DQN"):
         to_onnx(DQN("MlpPolicy", "CartPole-v1", **SMALL), path)  # type: ignore[arg-type]
     assert not path.exists()

@@ -104,6 +104,8 @@ def test_the_constructor_begins_with_dqns_arguments_in_their_order() -> None:
     ours = list(inspect.signature(Rainbow.__init__).parameters)
     assert ours[: len(dqn) - 1] == dqn[:-1]
     assert ours[-1] == dqn[-1] == "_init_setup_model"
+    dqn, ours = (list(inspect.signature(kind.learn).parameters) for kind in (DQN, Rainbow))
+    assert ours == [*dqn, "use_masking"]
 
 
 class Flags(gym.Env):
@@ -259,6 +261,10 @@ def test_beta_runs_linearly_from_start_to_end() -> None:
         return True
 
     model.learn(100, callback=note)
+    model.gamma = 0.5  # so may gamma change
+    model.learn(4, reset_num_timesteps=False)
+    samples: Any = model.replay_buffer.sample(8)  # type: ignore[union-attr]
+    assert set(samples.discounts.ravel().tolist()) <= {0.5, 0.25, 0.125}
     # The callback of step i + 1 sees the progress after step i.
     np.testing.assert_allclose(result, 0.2 + 0.6 * np.arange(100) / 100, atol=1e-9)
 
@@ -343,6 +349,33 @@ def test_set_env_and_learning_again() -> None:
     assert model.num_timesteps == 100
     model.learn(40)
     assert model.num_timesteps == 40
+
+
+class Counting(gym.Env):
+    """One observation; the reward is the number of the step."""
+
+    observation_space = spaces.Box(0, 1, (1,))
+    action_space = spaces.Discrete(2)
+
+    def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:
+        self.steps = 0
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self.steps += 1
+        return np.zeros(1, np.float32), float(self.steps), False, False, {}
+
+
+def test_no_return_crosses_a_reset_that_cannot_be_seen() -> None:
+    model = Rainbow("MlpPolicy", Counting(), **{**FAST, "train_freq": 1}, gamma=1.0, n_steps=3)
+    model.learn(15)
+    model.learn(15)
+    buffer: Any = model.replay_buffer
+    returns = buffer.samples_at(np.arange(12, 16)).rewards.ravel().tolist()
+    assert returns == [13 + 14 + 15, 14 + 15, 15, 1 + 2 + 3]
+    assert buffer.timeouts[:, 0].nonzero()[0].tolist() == [14]
+    model.learn(5, reset_num_timesteps=False)
+    assert buffer.timeouts[:, 0].nonzero()[0].tolist() == [14]
 
 
 def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:

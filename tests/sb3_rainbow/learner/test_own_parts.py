@@ -292,6 +292,24 @@ def test_an_update_prepares_its_observations_once(monkeypatch: pytest.MonkeyPatc
         monkeypatch.undo()
 
 
+class Plain(RainbowNetwork):
+    """Looks at what it is given."""
+
+    def forward(self, obs: PyTorchObs, noisy: bool = False) -> th.Tensor:
+        assert isinstance(obs, th.Tensor)
+        return super().forward(obs * 1.0, noisy)
+
+
+@pytest.mark.parametrize("hooked", [False, True])
+def test_who_looks_at_observations_sees_tensors(hooked: bool) -> None:
+    model = make("MlpPolicy" if hooked else policy_of(Plain))
+    kinds = set()
+    if hooked:
+        model.q_net.register_forward_pre_hook(lambda net, given: kinds.add(type(given[0])))
+    model.learn(40)
+    assert kinds == ({th.Tensor} if hooked else set())
+
+
 def test_none_means_to_load_what_it_means_to_the_constructor(tmp_path: Any) -> None:
     model = make(tau=0.5, prioritized=False, n_steps=1)
     model.save(tmp_path / "model")
@@ -300,6 +318,8 @@ def test_none_means_to_load_what_it_means_to_the_constructor(tmp_path: Any) -> N
     assert (loaded.tau, loaded.prioritized, loaded.n_steps) == (5e-3, True, 3)
     assert Rainbow.load(path, tau=None, target_update_interval=100).tau == 1.0
     assert Rainbow.load(path).tau == 0.5
+    assert Rainbow.load(path, custom_objects={"tau": None}).tau == 5e-3
+    assert Rainbow.load(path, learning_rate=None).learning_rate == 1e-3
     assert isinstance(loaded.action_space, spaces.Discrete)
     with pytest.raises(ValueError, match="tau"):
         Rainbow.load(path, tau=2.0)

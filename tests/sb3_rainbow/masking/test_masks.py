@@ -217,6 +217,19 @@ def test_attributes_are_set_through_a_monitor() -> None:
     assert unknown == [False, False]
 
 
+def test_private_attributes_are_set_where_they_are() -> None:
+    task = ClockEnv()
+    task._level = 0  # type: ignore[attr-defined]
+    env = DummyVecEnv([lambda: task])
+    small_model(env).learn(30)
+    env.set_attr("_level", 5)
+    assert task._level == 5  # type: ignore[attr-defined]
+    assert env.get_attr("_level") == [5]
+    assert env.envs[0]._level == 5  # type: ignore[attr-defined]
+    own, plain = vars(env.envs[0]), vars(gym.Wrapper(task))
+    assert own.keys() == plain.keys()
+
+
 def test_wrapping_again_is_harmless() -> None:
     inner = ClockEnv()
     env = DummyVecEnv([lambda: inner])

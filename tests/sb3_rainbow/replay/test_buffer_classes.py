@@ -2,12 +2,15 @@
 
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
+import torch as th
 from gymnasium import spaces
 from stable_baselines3 import DQN, PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.buffers import DictReplayBuffer, NStepReplayBuffer, ReplayBuffer
 from stable_baselines3.common.envs import BitFlippingEnv, SimpleMultiObsEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from sb3_rainbow import PrioritizedReplayBuffer, PrioritizedReplayCallback, Rainbow
 from tests.sb3_rainbow.small import FAST
@@ -28,6 +31,35 @@ def test_sb3s_buffers(buffer_class: type[ReplayBuffer]) -> None:
     assert type(model.replay_buffer) is buffer_class
     if buffer_class is NStepReplayBuffer:
         assert model.replay_buffer.n_steps == 3  # type: ignore[attr-defined]
+
+
+class Clock(gym.Env):
+    """The time, in seconds since 1970."""
+
+    observation_space = spaces.Box(-np.inf, np.inf, (1,), np.float64)
+    action_space = spaces.Discrete(2)
+
+    def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:
+        self.time = 1.7e9
+        return np.array([self.time]), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self.time += 1.0
+        return np.array([self.time]), 0.0, False, False, {}
+
+
+def test_small_differences_of_large_numbers_are_learned_from() -> None:
+    env = VecNormalize(DummyVecEnv([Clock]), training=False)
+    statistics: Any = env.obs_rms
+    statistics.mean[:], statistics.var[:] = 1.7e9, 100.0
+    model = Rainbow("MlpPolicy", env, n_steps=1, **FAST).learn(60)
+    buffer: Any = model.replay_buffer
+    samples = buffer.samples_at(np.arange(50), env)
+    assert samples.observations.dtype == samples.next_observations.dtype == th.float32
+    expected = np.clip(np.arange(51) / 10.0, -10.0, 10.0)
+    assert samples.observations.ravel().numpy() == pytest.approx(expected[:50])
+    assert samples.next_observations.ravel().numpy() == pytest.approx(expected[1:])
+    assert buffer.samples_at(np.arange(50)).observations.dtype == th.float32
 
 
 def hindsight(**kwargs: Any) -> Rainbow:

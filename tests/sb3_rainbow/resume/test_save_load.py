@@ -1,6 +1,7 @@
 """What a file of a model brings back, and what it must agree with."""
 
 import io
+import pickle
 from typing import Any
 
 import numpy as np
@@ -123,6 +124,30 @@ def test_parameters_of_other_settings(tmp_path: Any) -> None:
         model.set_parameters(parameters)
 
 
+def test_weights_are_pickled_once() -> None:
+    """After the kernels have made them parts of one vector."""
+    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
+    model.learn(40)
+    assert model._learner.uses_kernels()
+    n_bytes = sum(4 * p.numel() for p in model.policy.parameters())
+    assert len(pickle.dumps(model.policy.state_dict())) < n_bytes + 20_000
+    assert len(pickle.dumps(model.get_parameters())) < 2 * n_bytes + 40_000
+    model.learn(8, reset_num_timesteps=False)
+    assert model._learner.uses_kernels()
+
+
+def test_a_gpu_is_left_alone_by_a_model_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a process that was forked from one which used it."""
+    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
+
+    def fail() -> None:
+        raise RuntimeError("Cannot re-initialize CUDA in forked subprocess")
+
+    monkeypatch.setattr(th.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(th.cuda, "get_rng_state_all", fail)
+    model.save(io.BytesIO())
+
+
 def test_random_weights_leave_the_support_alone(tmp_path: Any) -> None:
     # As SB3's own tests of saving do
     model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
@@ -163,6 +188,7 @@ def test_who_only_predicts_needs_no_replay_buffer(tmp_path: Any, n_envs: int) ->
         ({"target_update_interval": 100}, {"target_update_interval": None, "tau": 1.0}, 1.0),
         ({"tau": 0.005}, {"target_update_interval": 100}, 0.005),
         ({"tau": 1e-3}, {"target_update_interval": 100}, 1e-3),
+        ({}, {"custom_objects": {"target_update_interval": 100}}, 1.0),
     ],
 )
 def test_a_new_target_interval_brings_its_tau(
@@ -171,7 +197,8 @@ def test_a_new_target_interval_brings_its_tau(
     Rainbow("MlpPolicy", "CartPole-v1", **FAST, **made).save(tmp_path / "m")
     model = Rainbow.load(tmp_path / "m", **loaded)
     assert model.tau == tau
-    assert model.target_update_interval == {**made, **loaded}.get("target_update_interval")
+    given = {**made, **loaded, **loaded.get("custom_objects", {})}
+    assert model.target_update_interval == given.get("target_update_interval")
     # What was chosen at loading stays chosen.
     model.save(tmp_path / "again")
     assert Rainbow.load(tmp_path / "again").tau == tau

@@ -150,6 +150,9 @@ def test_the_evaluation_is_under_masks() -> None:
     """The environment raises where it is not."""
     package(model_of(f"{ENVS}:MaskedZoo-v0"), env_id="MaskedZoo-v0")
     assert "| MaskedZoo-v0 | 1 | 20.00 | 0.00 | greedy | yes |" in Path("out/README.md").read_text()
+    model = hub.load("out/rainbow-MaskedZoo-v0.zip")
+    with pytest.warns(UserWarning, match="mask"):
+        model.predict(model.observation_space.sample())
 
 
 class Swish(nn.Module):
