@@ -182,7 +182,8 @@ class CoopInsertionPhysicsDiscreteVectorEnv(SyncVectorEnv[Any, Any]):
         **arguments: Any,
     ) -> None:
         n = check_integer("num_envs", num_envs, 1)
-        self._pool = ThreadPoolExecutor(check_integer("threads", threads, 1))
+        self._threads = check_integer("threads", threads, 1)
+        self._pool: ThreadPoolExecutor | None = None
         if max_episode_steps is not None:
             own = arguments.get("max_moves")
             arguments["max_moves"] = lesser_limit(max_episode_steps, "max_moves", own)
@@ -199,9 +200,13 @@ class CoopInsertionPhysicsDiscreteVectorEnv(SyncVectorEnv[Any, Any]):
 
     def step(self, actions: Any) -> Any:
         checked = check_actions(actions, self.num_envs, N_ACTIONS)
+        self._pool = self._pool or ThreadPoolExecutor(self._threads)
         for env, action in zip(self.envs, checked.tolist(), strict=True):
             env.begin(self._pool, action)  # type: ignore[attr-defined]
         return super().step(checked)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_pool": None}
 
     def action_masks(self) -> Bools:
         """(num_envs, 12), of the present states."""
@@ -209,7 +214,8 @@ class CoopInsertionPhysicsDiscreteVectorEnv(SyncVectorEnv[Any, Any]):
 
     def close_extras(self, **kwargs: Any) -> None:
         """End the threads and the simulations."""
-        self._pool.shutdown()
+        if self._pool is not None:
+            self._pool.shutdown()
         super().close_extras(**kwargs)
 
 
@@ -220,7 +226,7 @@ class _Ahead(gymnasium.Wrapper[Any, Any, Any, Any]):
         self._result = pool.submit(self.env.step, action)
 
     def step(self, action: Any) -> Any:
-        return self._result.result()
+        return vars(self).pop("_result").result()
 
 
 def _arrays(observations: Any) -> list[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from itertools import cycle, islice
 from typing import Any
@@ -105,7 +106,12 @@ def test_rows_of_moves_are_single_environments() -> None:
             assert infos["distance"][k] == info["distance"]
     with pytest.raises(ActionError, match="actions"):
         env.step(np.array([0, 12, 0]))
+    again = copy.deepcopy(env)
+    actions = env.action_masks().argmax(axis=1)
+    for one, other in zip(env.step(actions)[:4], again.step(actions)[:4], strict=True):
+        np.testing.assert_equal(one, other)
     env.close()
+    again.close()
 
 
 class Timed:
