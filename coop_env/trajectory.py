@@ -81,7 +81,7 @@ class Trajectory:
             result.setdefault(move, REASONS[int(self.status[sample])])
         return list(result.items())
 
-    def to_csv(self, path: Path) -> None:
+    def to_csv(self, path: Path | str) -> None:
         """Write time, positions, velocities and accelerations, a row a sample; SI units."""
         kinds = ("position", "velocity", "acceleration")
         names = ["time", *(f"{joint}_{kind}" for kind in kinds for joint in JOINTS)]
@@ -110,7 +110,7 @@ class Trajectory:
             ],
         }
 
-    def to_yaml(self, path: Path) -> None:
+    def to_yaml(self, path: Path | str) -> None:
         """Write :meth:`to_joint_trajectory` as YAML.
 
         Raises:
@@ -123,7 +123,7 @@ class Trajectory:
         dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # ten times faster, where there is C
         style: dict[str, Any] = {"sort_keys": False, "default_flow_style": None}
         text = yaml.dump(self.to_joint_trajectory(), Dumper=dumper, **style)
-        path.write_text(text, encoding="utf-8")
+        Path(path).write_text(text, encoding="utf-8")
 
     def plot(self) -> Figure:
         """Positions, velocities and accelerations over time; a dotted line at each configuration.

@@ -66,7 +66,9 @@ def to_onnx(model: Rainbow, path: str | os.PathLike[str]) -> None:
         import onnx
         import onnxscript  # noqa: F401  which torch's exporter needs
     except ImportError as error:
-        raise ExportError(f"{error.name} is missing: pip install 'sb3-rainbow[export]'") from error
+        raise ExportError(
+            f"{error.name} is missing: pip install 'sb3-rainbow-coop[export]'"
+        ) from error
     program = to_program(model)
     with warnings.catch_warnings(), _errors_alone():
         warnings.simplefilter("ignore")  # of torch about itself

@@ -70,6 +70,13 @@ for preset in ("control", "minatar", "changes", "atari100k"):
     for task in load_suite(preset).tasks.values():
         build_model(task, "rainbow", 0)
 """,
+    "zoo": """
+import gymnasium
+import sb3_rainbow.zoo.registration
+env = gymnasium.make("CartPole-v1", render_mode="rgb_array")  # which `enjoy` shows
+env.reset()
+env.render()
+""",
 }
 
 

@@ -107,10 +107,14 @@ def save_stl(folder: Path, machine: Machine | None = None, unit: str = "m") -> l
     return paths
 
 
+Y_UP: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+
+
 def save_glb(path: Path, machine: Machine | None = None, unit: str = "m") -> None:
     """Write the machine at home as binary glTF, a node with its colours for each link.
 
-    glTF's own unit is the metre: of millimetres the reader has to be told.
+    glTF's own unit is the metre: of millimetres the reader has to be told. Its y axis points up, so
+    that the machine's (x, y, z) are its (x, z, -y).
 
     Raises:
         ArgumentError: the unit is neither ``"m"`` nor ``"mm"``.
@@ -120,7 +124,7 @@ def save_glb(path: Path, machine: Machine | None = None, unit: str = "m") -> Non
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = link.rotation, scale * link.position
         mesh = link.mesh.copy().apply_scale(scale)
-        scene.add_geometry(mesh, node_name=link.name, geom_name=link.name, transform=pose)
+        scene.add_geometry(mesh, node_name=link.name, geom_name=link.name, transform=Y_UP @ pose)
     scene.export(path, file_type="glb")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from coop_env.env import CoopInsertionEnv
-from coop_env.errors import ArgumentError, ResetOptionError, check_integer
+from coop_env.errors import ArgumentError, ResetOptionError, check_integer, check_number
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Machine
 from coop_env.physics.twin import Twin, closed_at
@@ -170,7 +170,7 @@ def replay(
 
     Raises:
         DriverError: no answer came in time, or none of six finite angles or three finite forces.
-        ArgumentError: an argument is wrong or needs a memory.
+        ArgumentError: an argument is wrong or needs a memory; nothing was commanded.
     """
     if wrong := [name for name in MEMORIES if arguments.get(name)]:
         raise ArgumentError(f"{wrong[0]}: a replay knows of no move but the present one")
@@ -181,6 +181,12 @@ def replay(
     env = CoopInsertionEnv(**geometries, **arguments)
     most = sum(m.task.active_holes(env.stage))
     check_integer("target", target, 0, most - 1, hint=", an active hole")
+    check_integer("max_moves", max_moves, 1)
+    for name, limit in (
+        *(("force_limit", force_limit), ("error_limit", error_limit)),
+        ("patience", patience),
+    ):
+        check_number(name, limit, 0.0, above=True)
     wanted_holes = most if holes is None else check_integer("holes", holes, 1, most)
     filled: list[int] = []
     seconds = force = error = 0.0
@@ -201,6 +207,9 @@ def replay(
         way = make_trajectory([where, env.configuration], m.rrs, m.delta, m.task)
         if blocked := way.blocked():
             return end(f"on the way there is {blocked[0][1]}")
+        measured = _numbers(driver.joints, N_AXES, patience)
+        if (off := float(np.abs(way.positions[0] - measured).max())) > error_limit:
+            return end(f"the way begins {off:.3g} rad from where the joints are")
         _ask(driver.command, way, seconds=way.duration + patience)
         moves, seconds = moves + 1, seconds + way.duration
         felt = float(np.linalg.norm(_numbers(driver.force, 3, patience)))

@@ -2,7 +2,7 @@
 
 World frame: where the 3-RRS's base is believed to stand, z up. Every hinge has the analytic angle
 as its coordinate, because the bodies are drawn at home and ``ref`` says which angle that is.
-Numbers without another source are of the prototype in section 11 of the specification;
+Numbers without another source are assumptions, of a machine that holds still and can be built;
 :mod:`~coop_env.physics.model_folder` writes them, with their origin, beside the file.
 """
 

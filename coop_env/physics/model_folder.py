@@ -11,7 +11,7 @@ from coop_env.physics.model import DELTA_RANGE, LOOP_TIME, Machine, build_mjcf, 
 
 MODEL: Final = "coop_insertion.xml"
 README: Final = "README.md"
-PROTOTYPE: Final = "chosen with a prototype, see docs/physics.md"
+ASSUMED: Final = "assumed"
 DRAWN: Final = "drawn so; touches nothing"
 
 Row = tuple[str, str, str]
@@ -71,33 +71,33 @@ def rows(m: Machine) -> Iterator[Row]:
     yield "holes: polar angle, azimuth", f"{holes} rad", "`coop_env.InsertionTask`"
     flats = m.delta.peg_radius + m.peg.clearance
     yield "bore: flats from the axis", f"{flats:g} m", "peg radius and clearance"
-    yield "bore: chamfer, depth", f"{m.peg.chamfer:g}, {m.peg.depth:g} m", PROTOTYPE
+    yield "bore: chamfer, depth", f"{m.peg.chamfer:g}, {m.peg.depth:g} m", ASSUMED
     yield "bore: width of the spot face", f"{SPOT_WIDTH:g} m", "a flat peg that misses slides on it"
-    yield "peg: tip, friction", f"{m.peg.tip}, {m.peg.friction:g}", PROTOTYPE
+    yield "peg: tip, friction", f"{m.peg.tip}, {m.peg.friction:g}", ASSUMED
     s = m.servos
-    yield "3-RRS: proximal, distal link, platform", _numbers(s.rrs_masses, "kg"), PROTOTYPE
-    yield "Delta: proximal link, rod, effector, peg", _numbers(s.delta_masses, "kg"), PROTOTYPE
+    yield "3-RRS: proximal, distal link, platform", _numbers(s.rrs_masses, "kg"), ASSUMED
+    yield "Delta: proximal link, rod, effector, peg", _numbers(s.delta_masses, "kg"), ASSUMED
     yield "inertia of the links", "of solid capsules, a disc, a sphere", "the bodies drawn"
     yield "platform's mass", "spread over plate and dome by their volumes", "of one material"
-    yield "3-RRS: servo stiffness kp", f"{s.rrs_stiffness:g} N m/rad", PROTOTYPE
-    yield "Delta: servo stiffness kp", f"{s.delta_stiffness:g} N m/rad", PROTOTYPE
-    yield "servo damping kv", f"2 sqrt({s.damping_time:g} kp) N m s/rad", PROTOTYPE
-    yield "torque limit, armature", f"{s.torque_limit:g} N m, {s.armature:g} kg m^2", PROTOTYPE
-    yield "gravity compensation", "on" if s.gravity_compensation else "off", PROTOTYPE
+    yield "3-RRS: servo stiffness kp", f"{s.rrs_stiffness:g} N m/rad", ASSUMED
+    yield "Delta: servo stiffness kp", f"{s.delta_stiffness:g} N m/rad", ASSUMED
+    yield "servo damping kv", f"2 sqrt({s.damping_time:g} kp) N m s/rad", ASSUMED
+    yield "torque limit, armature", f"{s.torque_limit:g} N m, {s.armature:g} kg m^2", ASSUMED
+    yield "gravity compensation", "on" if s.gravity_compensation else "off", ASSUMED
     low, high = m.rrs.joint_min, m.rrs.joint_max
     yield "3-RRS: range of joints and commands", f"{low:.4g} to {high:.4g} rad", "`RRSGeometry`"
     low, high = DELTA_RANGE
     yield "Delta: range of joints and commands", f"{low:.4g} to {high:.4g} rad", "beyond its reach"
     yield "effector: tilt within its play", f"{m.effector_play:g} rad", "`ContactTask`"
-    yield "timestep", f"{m.timestep:g} s, implicitfast, Newton", PROTOTYPE
+    yield "timestep", f"{m.timestep:g} s, implicitfast, Newton", ASSUMED
     yield (
         "collision tolerance",
         "1e-8 m",
         "with MuJoCo's 1e-6 a peg on two staves is now and then taken for 3 mm deep in one",
     )
-    yield "friction cone", "elliptic, impratio 5", f"{PROTOTYPE}: a pyramid falsifies contact"
-    yield "contact solref, solimp", f"{m.contact_time:g} s, 1; .95 .99 .0002", PROTOTYPE
-    yield "equality solref, solimp", f"{LOOP_TIME:g} s, 1; .99 .999 .0001", PROTOTYPE
+    yield "friction cone", "elliptic, impratio 5", f"{ASSUMED}: a pyramid falsifies contact"
+    yield "contact solref, solimp", f"{m.contact_time:g} s, 1; .95 .99 .0002", ASSUMED
+    yield "equality solref, solimp", f"{LOOP_TIME:g} s, 1; .99 .999 .0001", ASSUMED
     yield "base plates", "discs 8 mm thick", DRAWN
 
 

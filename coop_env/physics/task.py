@@ -36,7 +36,7 @@ _LARGEST_ERROR: Final = (*(_LARGEST["position_error"],) * 2, *(_LARGEST["tilt_er
 
 @dataclass(frozen=True, slots=True)
 class ContactTask:
-    """Insertion of one peg with an uncertain machine. SI units; numbers of section 11's prototype.
+    """Insertion of one peg with an uncertain machine. SI units; its numbers are assumptions.
 
     Attributes:
         peg: fit of the peg and shape of its tip.

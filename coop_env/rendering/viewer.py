@@ -255,7 +255,7 @@ class Viewer:
             if self.env.scene().status != "running":
                 return self._refuse("the episode is over: reset, or move a slider")
             if not self.env.action_masks()[action]:
-                return self._refuse(f"{name}: {REASONS[INVALID]}")
+                return self._refuse(f"{name}: masked ({REASONS[INVALID]}, or the masks' arguments)")
             self._observation, reward, _, _, info = self.env.step(action)
             if info["collision"]:
                 return self._refuse(f"{name}: the robots would collide")
@@ -295,7 +295,7 @@ class Viewer:
 
     def _play_loop(self) -> None:
         while not self._closed.is_set():
-            if not self._playing.wait(timeout=0.2):
+            if not self._playing.wait(timeout=0.2) or self._closed.is_set():
                 continue
             began = time.perf_counter()
             with self._lock:

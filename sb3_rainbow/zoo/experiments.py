@@ -20,6 +20,8 @@ from sb3_rainbow.zoo.model_file import read_model
 from sb3_rainbow.zoo.playing import masks_apply
 
 CHECKPOINT = "checkpoint.zip"
+HAS_SUPPORT = "has_support"
+"""A trial's attribute: whether the entry that it varies has a support, of discounted returns."""
 HYPERPARAMS = pathlib.Path(__file__).parent / "hyperparams.yml"
 
 
@@ -109,6 +111,7 @@ class RainbowExperimentManager(ExperimentManager):
         Raises:
             ActionMaskError: for masks that no trial could learn under; the zoo would prune each.
         """
+        trial.set_user_attr(HAS_SUPPORT, "v_max" in self._hyperparams)
         try:
             return super().objective(trial)
         except optuna.exceptions.TrialPruned as pruned:

@@ -14,7 +14,7 @@ from stable_baselines3.common.utils import get_system_info
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize, unwrap_vec_normalize
 
 from sb3_rainbow.rainbow import Rainbow
-from sb3_rainbow.zoo.files import ALGO, is_model_file, loading
+from sb3_rainbow.zoo.files import ALGO, ZooError, is_model_file, loading
 from sb3_rainbow.zoo.model_file import read_model, read_statistics, write_model, write_statistics
 from sb3_rainbow.zoo.playing import masks_apply
 
@@ -40,7 +40,7 @@ from sb3_rainbow.zoo.hub import load_from_hub
 
 model = load_from_hub("<organization>/{name}", "{name}.zip")
 ```
-
+{statistics}
 Nothing of the file is run: it holds numbers, text and arrays.
 
 ## How it was trained
@@ -54,6 +54,19 @@ Nothing of the file is run: it holds numbers, text and arrays.
 | | |
 |---|---|
 {versions}
+"""
+
+
+_STATISTICS = """
+It acts on normalized observations: wrap the environment by the repository's statistics.
+
+```python
+from huggingface_hub import hf_hub_download
+from sb3_rainbow.zoo.hub import load_vec_normalize
+
+path = hf_hub_download("<organization>/{name}", "vec_normalize.zip")
+env = load_vec_normalize(path, env)  # a VecEnv
+```
 """
 
 
@@ -89,14 +102,19 @@ def package(
         the model's file.
 
     Raises:
-        ZooError: naming the settings that only a pickle could hold, such as a network's own class.
+        ZooError: naming the settings that only a pickle could hold, such as a network's own class;
+            or the folder has another ``README.md``.
     """
     out = pathlib.Path(folder)
     out.mkdir(parents=True, exist_ok=True)
+    readme = out / "README.md"
+    if readme.exists() and "# **Rainbow** playing **" not in readme.read_text(encoding="utf-8"):
+        raise ZooError(f"{readme} is no model card of Rainbow's: choose a folder without one")
     name = f"{ALGO}-{env_id.replace('/', '-')}"
     path = out / f"{name}.zip"
     write_model(model, path)
     normalizer = unwrap_vec_normalize(eval_env)
+    (out / VEC_NORMALIZE).unlink(missing_ok=True)  # of an earlier model
     if normalizer is not None:
         write_statistics(normalizer, out / VEC_NORMALIZE)
         normalizer.training = normalizer.norm_reward = False
@@ -131,12 +149,13 @@ def package(
         actions="greedy" if deterministic else "exploring",
         masks="yes" if masked else "none",
         about=about,
+        statistics=_STATISTICS.format(name=name) if normalizer is not None else "",
         command=command,
         sb3_rainbow=versions["sb3_rainbow"],
         versions="\n".join(f"| {key} | {value} |" for key, value in versions.items()),
     )
     card = ModelCard(f"---\n{_card_data(env_id, mean, std).to_yaml()}\n---\n\n{text}")
-    card.save(out / "README.md")
+    card.save(readme)
     return path
 
 

@@ -13,6 +13,7 @@ from rl_zoo3.hyperparams_opt import convert_offpolicy_params
 
 from sb3_rainbow.rainbow import Rainbow
 from sb3_rainbow.zoo.experiments import (
+    HAS_SUPPORT,
     MaskedEvalCallback,
     MaskedTrialEvalCallback,
     RainbowExperimentManager,
@@ -25,7 +26,7 @@ def register_for_training() -> None:
     """Make ``rainbow`` an algorithm of the zoo's ``train``: new runs, resumed ones, searches."""
     rl_zoo3.ALGOS[ALGO] = Rainbow
     rl_zoo3.hyperparams_opt.HYPERPARAMS_SAMPLER[ALGO] = sample_rainbow_params
-    rl_zoo3.hyperparams_opt.HYPERPARAMS_CONVERTER[ALGO] = convert_offpolicy_params
+    rl_zoo3.hyperparams_opt.HYPERPARAMS_CONVERTER[ALGO] = convert_rainbow_params
     _replace("EvalCallback", MaskedEvalCallback, rl_zoo3.exp_manager)
     _replace("TrialEvalCallback", MaskedTrialEvalCallback, rl_zoo3.exp_manager)
     _replace("ExperimentManager", RainbowExperimentManager, rl_zoo3.train)
@@ -43,20 +44,42 @@ def _replace(name: str, value: Any, *modules: ModuleType) -> None:
         setattr(module, name, value)
 
 
+def convert_rainbow_params(sampled_params: dict[str, Any]) -> dict[str, Any]:
+    """Arguments of Rainbow from what a trial drew, also of one that the zoo has stored."""
+    result = convert_offpolicy_params({"one_minus_gamma": 0.0, **sampled_params})
+    if "one_minus_gamma" not in sampled_params:
+        del result["gamma"]
+    if not result["noisy"]:  # whatever the entry has beside its noise
+        result["exploration_initial_eps"] = 1.0
+    return {**result, "prioritized": True}  # an alpha of 0 is not
+
+
 def sample_rainbow_params(
     trial: optuna.Trial, n_actions: int, n_envs: int, additional_args: dict[str, Any]
 ) -> dict[str, Any]:
     """Draw hyperparameters for a trial of the zoo's search.
 
     What is not drawn stays as in the environment's entry of the file: above all the head and its
-    support, which no search should choose by the return alone. ``n_actions``, ``n_envs`` and
-    ``additional_args`` are for the zoo's other samplers.
+    support, which no search should choose by the return alone, and with a support the discount,
+    which it was chosen for. ``n_actions``, ``n_envs`` and ``additional_args`` are for the zoo's
+    other samplers.
     """
+    drawn: dict[str, Any] = {}
+    if not trial.user_attrs.get(HAS_SUPPORT):
+        drawn["one_minus_gamma"] = trial.suggest_float("one_minus_gamma", 1e-4, 0.03, log=True)
     train_freq = trial.suggest_int("train_freq", 1, 10)
     noisy = trial.suggest_categorical("noisy", [True, False])
-    return convert_offpolicy_params(
+    if noisy:
+        drawn["sigma0"] = trial.suggest_float("sigma0", 0.02, 1.0, log=True)
+    else:
+        for name, least, most in (
+            ("exploration_fraction", 0.02, 0.5),
+            ("exploration_final_eps", 0.01, 0.2),
+        ):
+            drawn[name] = trial.suggest_float(name, least, most)
+    return convert_rainbow_params(
         {
-            "one_minus_gamma": trial.suggest_float("one_minus_gamma", 1e-4, 0.03, log=True),
+            **drawn,
             "batch_size_pow": trial.suggest_int("batch_size_pow", 4, 9),
             "learning_rate": trial.suggest_float("learning_rate", 1e-5, 2e-3, log=True),
             "train_freq": train_freq,
@@ -64,8 +87,6 @@ def sample_rainbow_params(
             "tau": trial.suggest_float("tau", 5e-4, 0.05, log=True),
             "n_steps": trial.suggest_int("n_steps", 1, 10),
             "noisy": noisy,
-            **({"sigma0": trial.suggest_float("sigma0", 0.02, 1.0, log=True)} if noisy else {}),
-            "prioritized": True,  # an alpha of 0 is not
             "alpha": trial.suggest_float("alpha", 0.0, 0.8),
             "net_arch": trial.suggest_categorical("net_arch", ["small", "medium", "big"]),
         }

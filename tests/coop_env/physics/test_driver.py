@@ -176,6 +176,24 @@ def test_holes_that_there_are_not() -> None:
             replay(lambda observation, masks: DOWN, Obedient(), MACHINE, target=target, holes=holes)
 
 
+@pytest.mark.parametrize("limit", ["force_limit", "error_limit", "patience", "max_moves"])
+@pytest.mark.parametrize("wrong", [-1, float("nan"), "a", 0])
+def test_limits_that_hold_nothing_are_refused_before_a_command(limit: str, wrong: Any) -> None:
+    driver = Obedient()
+    with pytest.raises(ArgumentError, match=limit):
+        drive(driver, **{limit: wrong})
+    assert driver.commands == []
+
+
+def test_a_way_that_begins_elsewhere_is_not_commanded() -> None:
+    """Angles of another branch, or an encoder that is a turn off."""
+    for turned in (np.array([2 * np.pi, 0, 0, 0, 0, 0]), np.zeros(6)):
+        driver = Obedient()
+        driver.at = driver.at + turned if turned.any() else np.array([3, -3, 3, 0.3, 0.3, 0.3])
+        assert "begins" in drive(driver).stopped
+        assert driver.commands == []
+
+
 def test_all_active_holes_are_all() -> None:
     """At stage 0 one of two: with it filled the replay is at its end."""
     task = InsertionTask(holes=((0.0, 0.0), (0.4, 0.0)), stage_0_holes=1)

@@ -129,8 +129,10 @@ def test_play_lets_the_callable_act_and_stops_on_its_error() -> None:
         assert asked == [12, 12, 12]
         assert viewer.env.scene().time == pytest.approx(0.4)
     finally:
+        time = viewer.env.scene().time
         viewer.close()
         viewer.close()
+        assert viewer.env.scene().time == time
 
 
 @pytest.mark.parametrize("port", [0, 70000])

@@ -292,6 +292,18 @@ def test_statistics_travel_along() -> None:
         hub.load_vec_normalize("out/vec_normalize.zip", make_vec_env("Acrobot-v1"))
     with pytest.raises(ZooError, match="its format is 'VecNormalize 1', expected 'Rainbow 1'"):
         hub.load("out/vec_normalize.zip")
+    assert "load_vec_normalize" in Path("out/README.md").read_text()
+    package(model_of())  # another model, without
+    assert "load_vec_normalize" not in Path("out/README.md").read_text()
+    assert not Path("out/vec_normalize.zip").exists()
+
+
+def test_a_readme_of_something_else_stays() -> None:
+    Path("own").mkdir()
+    Path("own/README.md").write_text("# My project\n")
+    with pytest.raises(ZooError, match="choose a folder"):
+        package(model_of(), "own")
+    assert [path.name for path in Path("own").iterdir()] == ["README.md"]
 
 
 def test_statistics_of_a_dict_travel_along() -> None:

@@ -4,6 +4,7 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
+import optuna
 import pandas as pd
 import pytest
 import yaml
@@ -11,6 +12,8 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import ReplayBuffer
 
 from sb3_rainbow import PrioritizedReplayBuffer, Rainbow
+from sb3_rainbow.zoo.experiments import HAS_SUPPORT
+from sb3_rainbow.zoo.registration import convert_rainbow_params, sample_rainbow_params
 from tests.sb3_rainbow.zoo import environments
 from tests.sb3_rainbow.zoo.runs import ENVS, SMALL, train, trained, workplace, zoo
 
@@ -52,6 +55,36 @@ def test_all_is_played_under_masks() -> None:
     train(f"{MASKED} -n 200 -optimize --n-trials 2 --n-evaluations 1 --no-optim-plots")
     with pytest.raises(RuntimeError, match="not under masks"):
         train(f"{MASKED} -n 400 --hyperparams use_masking:False")
+
+
+def test_a_trial_explores_and_is_the_same_once_it_is_stored() -> None:
+    """Where the entry has noise alone, uniform replay or a support."""
+    for entry in ("MinAtar/Breakout-v1", "CoopInsertion-v0"):
+        seen = set()
+        for number in range(12):
+            study = optuna.create_study(sampler=optuna.samplers.RandomSampler(number))
+            trial = study.ask()
+            trial.set_user_attr(HAS_SUPPORT, "v_max" in OURS[entry])
+            drawn = sample_rainbow_params(trial, 12, 1, {})
+            study.tell(trial, 0.0)
+            assert convert_rainbow_params(study.best_trial.params) == drawn
+            settings = {**OURS[entry], **drawn}
+            assert settings["prioritized"]
+            if not settings["noisy"]:
+                assert settings["exploration_initial_eps"] > settings["exploration_final_eps"] > 0
+            assert ("gamma" in drawn) == (entry != "CoopInsertion-v0")
+            seen.add(settings["noisy"])
+        assert seen == {True, False}
+
+
+def test_a_game_of_atari_has_its_entry() -> None:
+    pytest.importorskip("ale_py", reason="needs the extra classic")
+    zoo(
+        "train --env ALE/Pong-v5 --gym-packages ale_py -n 8 --eval-freq -1 --device cpu --verbose 0"
+    )
+    model = trained(1, "ALE-Pong-v5")
+    assert model.observation_space.shape == (4, 84, 84)
+    assert (model.v_max, model.n_steps) == (10.0, 10)
 
 
 def test_masks_of_environments_in_other_processes() -> None:
