@@ -10,7 +10,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
 
-import gymnasium
 import numpy as np
 from stable_baselines3 import SAC
 
@@ -19,6 +18,7 @@ from benchmarks.evaluation.model_files import set_weights
 from benchmarks.protocol.presets import read_yaml
 from benchmarks.protocol.seeding import derive
 from benchmarks.studies.base import episode
+from benchmarks.studies.classic.envs import make
 
 ERRORS: Final = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # mm
 DRAWN: Final = None  # an error as the task draws it
@@ -97,7 +97,7 @@ def inserter(results: Path, name: str, seed: int) -> Any:
         return script_of(name, SimpleNamespace(task=resolve_task(LEVEL)), gains)
     config = read_yaml(path.with_name("config.yaml"))  # of the policy's file, arrays alone are read
     env, net = config["task"], config["arguments"]["policy_kwargs"]
-    made = gymnasium.make(env["env"], **env["env_kwargs"])
+    made = make(env["env"], **env["env_kwargs"])
     model = SAC("MlpPolicy", made, buffer_size=1, policy_kwargs=net, device="cpu")
     set_weights(model, path)
     return policy_of(model)
