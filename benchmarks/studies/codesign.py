@@ -28,7 +28,6 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.figures.style import save, style
-from benchmarks.reporting.verify import check_runs
 from benchmarks.runs.backends import Backend
 from benchmarks.runs.harness import Harness
 from benchmarks.runs.machine import describe
@@ -362,4 +361,7 @@ class Codesign(Study):
 
     @classmethod
     def problems(cls, results: Path) -> list[str]:
-        return super().problems(results) + check_runs(Store(results / "codesign", POLICIES))
+        preset, result = results / "codesign" / f"{POLICIES}.yaml", super().problems(results)
+        if preset.is_file():
+            result += Insertion(str(preset)).problems(Store(preset.parent, POLICIES))
+        return result

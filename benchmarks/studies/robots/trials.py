@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -17,7 +16,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.model_files import set_weights
 from benchmarks.protocol.presets import read_yaml
 from benchmarks.protocol.seeding import derive
-from benchmarks.studies.base import episode
+from benchmarks.studies.base import episode, read_stored
 from benchmarks.studies.classic.envs import make
 
 ERRORS: Final = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # mm
@@ -93,7 +92,7 @@ def inserter(results: Path, name: str, seed: int) -> Any:
     if not preset:
         from coop_env.physics.task import resolve_task
 
-        gains = json.loads(path.read_text(encoding="utf-8"))["parts"][LEVEL][name]["gains"]
+        gains = read_stored(path)["parts"][LEVEL][name]["gains"]
         return script_of(name, SimpleNamespace(task=resolve_task(LEVEL)), gains)
     config = read_yaml(path.with_name("config.yaml"))  # of the policy's file, arrays alone are read
     env, net = config["task"], config["arguments"]["policy_kwargs"]
