@@ -15,6 +15,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -259,6 +260,8 @@ class Codesign(Study):
         self.run_folder = RunFolder(self.folder)
         names = ("designs", "starts", "seeds", "policy_steps")
         self.asked: dict[str, Any] = {name: getattr(given, name) for name in names}
+        self.held = ExitStack()  # of all: two would share the journal
+        self.held.enter_context(self.run_folder.lock())
         self.run_folder.begin({"geometry": BASE, "bounds": [], **self.asked})
         self.rows: list[dict[str, Any]] = []
         self.studies: dict[str, Any] = {}
@@ -295,7 +298,7 @@ class Codesign(Study):
                 **{"floor": self.floor, "most": MOST, "base": BASE, "studies": self.studies},
             }
             write_text(self.folder / "codesign.json", json.dumps(record, indent=1) + "\n")
-        with self.run_folder.lock():
+        with self.held:
             result = SearchResult(self.folder)
             self._test(result)
             self._train(self._write_preset(result))
