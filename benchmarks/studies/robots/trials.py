@@ -77,6 +77,11 @@ def script_of(name: str, env: Any, gains: Mapping[str, float]) -> Any:
     return SCRIPTS[name](env, Gains(**gains))
 
 
+def policy_of_run(results: Path, name: str, seed: int) -> Path:
+    """The file of a policy of :data:`LEARNED`."""
+    return results / f"classic/{LEARNED[name]}/runs/{LEVEL}-sac-s{seed}/policy.zip"
+
+
 def inserter(results: Path, name: str, seed: int) -> Any:
     """A script with the gains that were chosen for it, or a policy of :data:`LEARNED`.
 
@@ -84,11 +89,12 @@ def inserter(results: Path, name: str, seed: int) -> Any:
         BenchmarkError: the gains or the policy are not among the results.
     """
     preset = LEARNED.get(name)
-    run = f"classic/{preset}/runs/{LEVEL}-sac-s{seed}/policy.zip"
-    path = results / (run if preset else "contact/scripts.json")
+    path = policy_of_run(results, name, seed) if preset else results / "contact/scripts.json"
     if not path.is_file():
+        # a complete run is not run again, and not every policy is in git
         command = f"run --preset {preset}" if preset else "study contact"
-        raise BenchmarkError(f"{path} is missing: run python -m benchmarks {command} first")
+        mend = f"delete {path.parent} and " * path.with_name("meta.json").is_file()
+        raise BenchmarkError(f"{path} is missing: {mend}run python -m benchmarks {command} first")
     if not preset:
         from coop_env.physics.task import resolve_task
 
