@@ -68,12 +68,25 @@ def run(given: Given) -> int:
     """Everything: what is missing is run, then tables and figures are written."""
     from benchmarks.runs.harness import Harness
 
-    console, (one, store) = Console(soft_wrap=True), _open(given, create=True)
     device = given.device or ("cuda" if given.gpus_per_run else "cpu")
+    _check_device(given, device)
+    console, (one, store) = Console(soft_wrap=True), _open(given, create=True)
     with store.lock(), closing(_backend(given)) as backend:
         console.print(f"{backend.describe()}, networks on {device}", markup=False)
         outcome = Harness(one, store, backend, console, device).run()
         return outcome.close(store, console, lambda: one.report(store, console))
+
+
+def _check_device(given: Given, device: str) -> None:
+    """Refuse a GPU that no run could use, before each of them fails for itself."""
+    if device == "cpu":
+        return
+    if catalogue.experiment(given.preset).place:
+        raise BenchmarkError(f"device {device}: public tasks run on the CPU; leave out the option")
+    import torch
+
+    if getattr(given, "backend", "") != "ray" and not torch.cuda.is_available():
+        raise BenchmarkError(f"device {device}: PyTorch finds no GPU here; use --device cpu")
 
 
 def _backend(given: Given) -> Backend:
@@ -104,7 +117,9 @@ def train(given: Given) -> int:
 
     one = catalogue.experiment(given.preset)
     one.find(given.cell)  # before anything is written
-    store, device = one.open_store(given.results, create=True), given.device or "cpu"
+    device = given.device or "cpu"
+    _check_device(given, device)
+    store = one.open_store(given.results, create=True)
     return run_here(one, store, given.cell, given.parent, given.wait, device)
 
 
@@ -240,8 +255,8 @@ ENTRY: Final = (
      "help": "of stored policies: other starts than the test episodes', 20 episodes per seed"}),
 )  # fmt: skip
 WATCH: Final = (
-    (("--geometry",), {"choices": ("initial", "optimized"), "default": "optimized",
-     "help": "of the 3-RRS"}),
+    (("--geometry",), {"choices": ("initial", "optimized"),
+     "help": "of the 3-RRS (default: the model's)"}),
     (("--model",), {"type": Path, "help": "a trained model instead of the optimum"}),
     TRUST,
     (("--twin",), {"action": "store_true", "help": "masses, servos and contact (MuJoCo)"}),

@@ -17,7 +17,20 @@ from pydantic import AfterValidator, Field
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.learners import LEARNERS, algorithm_of
-from benchmarks.protocol.strict import Count, Names, Number, Seeds, Strict, build, differ, merge
+from benchmarks.protocol.strict import (
+    Arguments,
+    AtLeast0,
+    Count,
+    Names,
+    Number,
+    Positive,
+    Seeds,
+    Share,
+    Strict,
+    build,
+    differ,
+    merge,
+)
 from coop_env.geometry import RRSGeometry
 from coop_env.simulation.insertion_task import InsertionTask
 from coop_env.simulation.sim_to_real import SimToReal
@@ -67,30 +80,30 @@ def _learners(methods: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
 class Hyperparameters(Strict):
     """The learner's settings (the paper's table of hyperparameters, and what it leaves out)."""
 
-    learning_rate: Number
-    learning_rate_end: Number  # linear decay over the run
-    gamma: Number
+    learning_rate: Positive
+    learning_rate_end: AtLeast0  # linear decay over the run
+    gamma: Share
     v_min: Number | None  # without both the head has quantiles
     v_max: Number | None
     batch_size: Count
-    tau: Number
-    sigma0: Number
-    updates_per_step: Number  # gradient steps per environment step
-    n_steps: int = 3
-    n_atoms: int = 51
-    weight_decay: Number = 1e-5
-    max_grad_norm: Number = 5.0
+    tau: Share
+    sigma0: AtLeast0
+    updates_per_step: Positive  # gradient steps per environment step
+    n_steps: Count = 3
+    n_atoms: Count = 51
+    weight_decay: AtLeast0 = 1e-5
+    max_grad_norm: Positive = 5.0
     buffer_size: Count = 1_000_000
-    learning_starts: int = 1_000
-    alpha: Number = 0.6
-    beta_start: Number = 0.4
-    beta_end: Number = 1.0
-    net_arch: list[int] = field(default_factory=lambda: [256, 128, 64])
+    learning_starts: Annotated[int, Field(ge=0)] = 1_000
+    alpha: AtLeast0 = 0.6
+    beta_start: Share = 0.4
+    beta_end: Share = 1.0
+    net_arch: list[Count] = field(default_factory=lambda: [256, 128, 64])
     n_envs: Count = 16
     # epsilon-greedy, for vanilla DQN and for Rainbow without noisy layers
-    epsilon_start: Number = 1.0
-    epsilon_end: Number = 0.05
-    epsilon_steps: int = 10_000
+    epsilon_start: Share = 1.0
+    epsilon_end: Share = 0.05
+    epsilon_steps: Count = 10_000
 
     @property
     def gradient_steps(self) -> int:
@@ -102,14 +115,14 @@ class Hyperparameters(Strict):
 class PPOSettings(Strict):
     """sb3-contrib's MaskablePPO, a further reference; gamma, net and envs are the track's."""
 
-    learning_rate: Number = 1.0e-3
-    learning_rate_end: Number = 1.0e-5  # linear decay over the run
-    n_steps: int = 128
+    learning_rate: Positive = 1.0e-3
+    learning_rate_end: AtLeast0 = 1.0e-5  # linear decay over the run
+    n_steps: Count = 128
     batch_size: Count = 256
-    n_epochs: int = 10
-    gae_lambda: Number = 0.95
-    ent_coef: Number = 0.01
-    clip_range: Number = 0.2
+    n_epochs: Count = 10
+    gae_lambda: Share = 0.95
+    ent_coef: AtLeast0 = 0.01
+    clip_range: Positive = 0.2
 
 
 @dataclass(frozen=True)
@@ -127,8 +140,8 @@ class Curriculum(Strict):
     """Stage 0 has the four peripheral holes, stage 1 all six."""
 
     enabled: bool = True
-    threshold: Number = 0.75
-    window: int = 20
+    threshold: Share = 0.75
+    window: Count = 20
 
 
 @dataclass(frozen=True)
@@ -165,7 +178,7 @@ class Track(Strict):
     curriculum: Curriculum = field(default_factory=Curriculum)
     ppo: PPOSettings = field(default_factory=PPOSettings)
     controls: Controls = field(default_factory=Controls)
-    methods: Annotated[dict[str, dict[str, Any]], AfterValidator(_learners)] = field(
+    methods: Annotated[dict[str, Arguments], AfterValidator(_learners)] = field(
         default_factory=dict
     )
 
@@ -189,7 +202,7 @@ class Evaluation(Strict):
     noise: Annotated[list[Number], AfterValidator(_levels)] = field(
         default_factory=lambda: [0.0, 0.01]
     )
-    errors: Annotated[list[Annotated[Number, Field(ge=0.0)]], AfterValidator(differ)] = field(
+    errors: Annotated[list[AtLeast0], AfterValidator(differ)] = field(
         default_factory=lambda: [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0]
     )
     stream: Literal["final", "test", "validate"] = "validate"
@@ -200,7 +213,7 @@ class Evaluation(Strict):
 class PlannerSettings(Strict):
     """Limits of one planning call (the paper: 5 s)."""
 
-    time_limit: Annotated[Number, Field(gt=0.0)] = 5.0
+    time_limit: Positive = 5.0
     max_iterations: Count = 20_000
     node_limit: Count = 2_000_000
 
@@ -238,7 +251,7 @@ class Preset(Strict):
     )
     planner: PlannerSettings = field(default_factory=PlannerSettings)
     design: DesignSettings | None = None
-    checkpoint_seconds: Number = 60.0
+    checkpoint_seconds: AtLeast0 = 60.0
 
 
 @dataclass(frozen=True)
@@ -259,8 +272,8 @@ class Task(Strict):
     timesteps: Count
     eval_every: Count  # environment steps between two evaluations
     eval_episodes: Count
-    methods: dict[str, dict[str, Any]]  # constructor arguments, and what changes of the guide
-    arguments: dict[str, Any] = field(default_factory=dict)  # of every method
+    methods: dict[str, Arguments]  # of constructors, and what changes of the guide
+    arguments: Arguments = field(default_factory=dict)  # of every method
     skip: Names = field(default_factory=list)  # the preset's methods that mean nothing here
     env_kwargs: dict[str, Any] = field(default_factory=dict)
     policy: str = "MlpPolicy"
@@ -287,7 +300,7 @@ class SuitePreset(Strict):
     tasks: dict[str, Task]
     methods: Names = field(default_factory=lambda: ["rainbow", "dqn", "qrdqn"])
     controls: Names = field(default_factory=list)  # a script only where a task has one
-    checkpoint_seconds: Number = 60.0
+    checkpoint_seconds: AtLeast0 = 60.0
     search: bool = False  # compares settings of an algorithm rather than algorithms
 
 

@@ -53,6 +53,15 @@ def _from_text(value: object) -> object:
     return value
 
 
+def _numbers(value: Any) -> Any:
+    """As :data:`Number`, of each value in mappings and lists."""
+    if isinstance(value, dict):
+        return {key: _numbers(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_numbers(each) for each in value]
+    return _from_text(value)
+
+
 def differ(values: list[Any]) -> list[Any]:
     """The values, if there are some and no two are equal."""
     if not values or len(set(values)) != len(values):
@@ -61,6 +70,10 @@ def differ(values: list[Any]) -> list[Any]:
 
 
 Number = Annotated[float, BeforeValidator(_from_text)]
+Positive = Annotated[Number, Field(gt=0.0)]
+AtLeast0 = Annotated[Number, Field(ge=0.0)]
+Share = Annotated[Number, Field(ge=0.0, le=1.0)]
+Arguments = Annotated[dict[str, Any], AfterValidator(_numbers)]  # of a constructor
 Count = Annotated[int, Field(gt=0)]
 Names = Annotated[list[str], AfterValidator(differ)]
 Seeds = Annotated[list[Annotated[int, Field(ge=0)]], AfterValidator(differ)]

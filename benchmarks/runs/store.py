@@ -61,9 +61,14 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
-    """Write rows of equal keys atomically; floats with seven digits, truth values as 0 and 1."""
+    """Write rows of equal keys atomically."""
+    write_text(path, csv_text(rows))
+
+
+def csv_text(rows: Sequence[Mapping[str, object]]) -> str:
+    """Rows of equal keys; floats with seven digits, truth values as 0 and 1."""
     frame = pd.DataFrame([*rows], dtype=object).map(_cell_text)
-    write_text(path, frame.to_csv(index=False, lineterminator="\n"))
+    return str(frame.to_csv(index=False, lineterminator="\n"))
 
 
 def _cell_text(value: object) -> object:

@@ -12,7 +12,6 @@ Beside them stands what the trained policies of a preset came to. Written to ``r
 from __future__ import annotations
 
 import json
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -20,7 +19,6 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from benchmarks.errors import BenchmarkError
 from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.methods.scripts import SCRIPTS, Moves, Simulator, moves_of
@@ -31,9 +29,10 @@ from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.results import Results, in_order, tail_mean
 from benchmarks.reporting.stats import over_seeds
 from benchmarks.reporting.tables.table import plain
+from benchmarks.reporting.verify import check_file
 from benchmarks.runs.machine import describe
-from benchmarks.runs.store import Store, write_csv, write_text
-from benchmarks.studies.base import Part, Study, Tick, count
+from benchmarks.runs.store import Store, csv_text, write_csv, write_text
+from benchmarks.studies.base import Part, Study, Tick, count, read_stored
 from coop_env.env import CoopInsertionEnv
 
 CELL: Final = ("track", "method", "ablation", "geometry", "seed")
@@ -95,6 +94,14 @@ def learned(store: Store) -> list[Row]:
     return rows
 
 
+def learned_text(results: Path, preset: str) -> str | None:
+    """What learned.csv says of a preset's runs, empty of none; None where it has no store."""
+    if not (results / preset / "store.json").is_file():
+        return None
+    rows = learned(Store.open(results, preset))
+    return csv_text(rows) if rows else ""
+
+
 def markdown(rows: pd.DataFrame, learners: pd.DataFrame | None = None) -> str:
     """Returns and holes as a Markdown table, a line for each track and script or learner."""
     lines = []
@@ -134,9 +141,8 @@ class Audit(Study):
         write_csv(self.folder / "scripted.csv", scripted(preset, self.given.starts, tick))
         path = self.folder / "learned.csv"
         path.unlink(missing_ok=True)
-        with suppress(BenchmarkError):  # the preset has no store
-            if learners := learned(Store.open(self.results, preset.name)):
-                write_csv(path, learners)
+        if text := learned_text(self.results, preset.name):
+            write_text(path, text)
         record = {**describe(), "starts": self.given.starts, "preset": preset.name}
         write_text(self.folder / "meta.json", json.dumps(record, indent=1, sort_keys=True) + "\n")
 
@@ -146,5 +152,17 @@ class Audit(Study):
         if not path.is_file():
             return {}
         learners = path.with_name("learned.csv")
-        stored = pd.read_csv(learners) if learners.is_file() else None
-        return {path.with_suffix(".md"): markdown(pd.read_csv(path), stored)}
+        stored = read_stored(learners) if learners.is_file() else None
+        return {path.with_suffix(".md"): markdown(read_stored(path), stored)}
+
+    @classmethod
+    def problems(cls, results: Path) -> list[str]:
+        folder, result = results / "audit", super().problems(results)
+        if (meta := folder / "meta.json").is_file():
+            preset = read_stored(meta)["preset"]
+            text = learned_text(results, preset)
+            if text is not None:
+                result += check_file(
+                    folder / "learned.csv", text, f"the runs in {results / preset}"
+                )
+        return result

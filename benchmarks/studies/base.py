@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
+import pandas as pd
 from rich.console import Console
 
 from benchmarks.errors import BenchmarkError, at_least
@@ -151,7 +152,7 @@ class Measured(Study):
         self.folder = self.path.parent
         self.result: dict[str, Any] = {"asked": self.asked(), "parts": {}}
         if self.path.is_file():
-            stored = json.loads(self.path.read_text(encoding="utf-8"))
+            stored = read_stored(self.path)
             if stored.get("asked") == self.result["asked"]:
                 self.result = stored
         self.result |= {"command": given.command, "machine": describe()}
@@ -183,11 +184,7 @@ class Measured(Study):
         path = results / cls.file
         if not path.is_file():
             return {}
-        try:
-            result = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise BenchmarkError(f"{path} cannot be read ({error}); delete it") from error
-        return {path.with_suffix(".md"): cls.to_markdown(result).strip() + "\n"}
+        return {path.with_suffix(".md"): cls.to_markdown(read_stored(path)).strip() + "\n"}
 
     @classmethod
     def problems(cls, results: Path) -> list[str]:
@@ -197,6 +194,20 @@ class Measured(Study):
             return [str(unreadable)]
         except KeyError as missing:
             return [f"{results / cls.file} has no {missing}: the command of the study goes on"]
+
+
+def read_stored(path: Path) -> Any:
+    """What a JSON or CSV file holds.
+
+    Raises:
+        BenchmarkError: it is missing or damaged.
+    """
+    try:
+        if path.suffix == ".csv":
+            return pd.read_csv(path)
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BenchmarkError(f"{path} cannot be read ({error}); delete it") from error
 
 
 def count(default: int | None, what: str, least: int = 1) -> Option:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from functools import cache
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, partial
 from pathlib import Path
 from typing import Final
 
@@ -115,6 +115,22 @@ def all_blocks(results: Path) -> Mapping[str, Block]:
     return result
 
 
+def _of_store(one: Experiment, results: Path) -> list[str]:
+    store = one.open_store(results)
+    # rows that cannot be trusted make no tables
+    return one.problems(store) or check_tables(store.tables, one.tables(store))
+
+
+def _guarded(path: Path, check: Callable[[], list[str]]) -> list[str]:
+    """What a check finds; where a damaged file ends it, that, and the others go on."""
+    try:
+        return check()
+    except BenchmarkError as error:
+        return [str(error)]
+    except Exception as error:  # whatever comes of what may stand in a file
+        return [f"{path}: a file cannot be read ({type(error).__name__}: {error})"]
+
+
 def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]:
     """Check the stores of ``presets`` (all under ``results`` if none is named), studies and pages.
 
@@ -122,24 +138,31 @@ def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]
         What was looked at, and a sentence for each thing that disagrees.
 
     Raises:
-        BenchmarkError: a store is missing or of another schema.
+        BenchmarkError: there are no results, or none of one of ``presets``.
     """
     there, found = stores(results), False
     if not there and not presets:
         raise BenchmarkError(f"{results} has no results; run: python -m benchmarks run")
     for name in presets or there:
         one = experiment(name)
-        store = one.open_store(results)
-        problems = one.problems(store)
-        if not problems:  # rows that cannot be trusted make no tables
-            problems = check_tables(store.tables, one.tables(store))
-        policies = sum(run.policy.is_file() for run in store.completed())
-        what = f"{store.folder}: tables of {len(store.completed())} runs, {policies} policies"
-        yield what, problems
+        if presets:
+            one.open_store(results)
+        folder = results / one.place / one.name
+        problems = _guarded(folder, partial(_of_store, one, results))
+        runs = Store(results / one.place, one.name).completed()
+        policies = sum(run.policy.is_file() for run in runs)
+        yield f"{folder}: tables of {len(runs)} runs, {policies} policies", problems
         found |= bool(problems)
     for name in () if presets else STUDIES:
-        problems = study(name).problems(results)
+        one_study = study(name)
+        path = results / getattr(one_study, "file", name)
+        problems = _guarded(path, partial(one_study.problems, results))
         yield f"{results / name}: what is told of it", problems
         found |= bool(problems)
+    own = {
+        path.parent for under in ("*", "classic/*") for path in results.glob(f"{under}/store.json")
+    }
+    for folder in () if presets else sorted(own - {*there.values()}):
+        yield f"{folder}: not looked at; --preset FILE says what is in it", []
     if not found and not presets:  # or the same once more
         yield from blocks.check(results, all_blocks(results))

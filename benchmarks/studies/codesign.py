@@ -15,6 +15,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -28,7 +29,6 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.figures.style import save, style
-from benchmarks.reporting.verify import check_runs
 from benchmarks.runs.backends import Backend
 from benchmarks.runs.harness import Harness
 from benchmarks.runs.machine import describe
@@ -260,6 +260,8 @@ class Codesign(Study):
         self.run_folder = RunFolder(self.folder)
         names = ("designs", "starts", "seeds", "policy_steps")
         self.asked: dict[str, Any] = {name: getattr(given, name) for name in names}
+        self.held = ExitStack()  # of all: two would share the journal
+        self.held.enter_context(self.run_folder.lock())
         self.run_folder.begin({"geometry": BASE, "bounds": [], **self.asked})
         self.rows: list[dict[str, Any]] = []
         self.studies: dict[str, Any] = {}
@@ -296,7 +298,7 @@ class Codesign(Study):
                 **{"floor": self.floor, "most": MOST, "base": BASE, "studies": self.studies},
             }
             write_text(self.folder / "codesign.json", json.dumps(record, indent=1) + "\n")
-        with self.run_folder.lock():
+        with self.held:
             result = SearchResult(self.folder)
             self._test(result)
             self._train(self._write_preset(result))
@@ -362,4 +364,7 @@ class Codesign(Study):
 
     @classmethod
     def problems(cls, results: Path) -> list[str]:
-        return super().problems(results) + check_runs(Store(results / "codesign", POLICIES))
+        preset, result = results / "codesign" / f"{POLICIES}.yaml", super().problems(results)
+        if preset.is_file():
+            result += Insertion(str(preset)).problems(Store(preset.parent, POLICIES))
+        return result

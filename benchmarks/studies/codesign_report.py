@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +19,7 @@ from benchmarks.reporting.results import Group, Results
 from benchmarks.reporting.stats import Value, over_seeds
 from benchmarks.reporting.tables.table import Number, Table, TableCell
 from benchmarks.runs.store import RunFolder, Store
+from benchmarks.studies.base import read_stored
 from coop_env.simulation.insertion_task import PAPER_TASK
 
 #: the studies and what each varies
@@ -44,7 +44,7 @@ class SearchResult:
     def __init__(self, folder: Path) -> None:
         self.folder, own = folder, RunFolder(folder)
         self.asked = own.config()
-        self.summary: dict[str, Any] = json.loads((folder / "codesign.json").read_text("utf-8"))
+        self.summary: dict[str, Any] = read_stored(folder / "codesign.json")
         self.designs = own.rows("designs").set_index("design")
 
     @cached_property

@@ -40,7 +40,7 @@ from benchmarks.protocol.seeding import derive
 from benchmarks.reporting.tables.table import Table, TableCell
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
-from benchmarks.studies.base import Part, Study, Tick, count
+from benchmarks.studies.base import Part, Study, Tick, count, read_stored
 from benchmarks.studies.robots.trials import script_of
 from coop_env.env import CoopInsertionEnv, Observation
 
@@ -280,7 +280,7 @@ def read(root: Path, recipe: Recipe) -> dict[str, Any] | None:
     path = root / recipe.id / "data" / "metadata.json"
     if not path.is_file():
         return None
-    result = json.loads(path.read_text(encoding="utf-8"))
+    result = read_stored(path)
     if result["settings"] != recipe.settings():
         raise BenchmarkError(
             f"{root / recipe.id} was made by {result['settings']}, this is {recipe.settings()}: "
@@ -314,7 +314,7 @@ class Data(Study):
 
     def finish(self) -> None:
         path = self.folder / "data.json"
-        stored = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
+        stored = read_stored(path) if path.is_file() else []
         made = (read(self.folder, recipe) for recipe in self._recipes())
         records = {record["id"]: record for record in [*stored, *made] if record}
         write_text(path, json.dumps(list(records.values()), indent=1) + "\n")
@@ -327,7 +327,7 @@ class Data(Study):
         path = results / "data" / "data.json"
         if not path.is_file():
             return {}
-        return {path.with_suffix(".md"): to_markdown(json.loads(path.read_text(encoding="utf-8")))}
+        return {path.with_suffix(".md"): to_markdown(read_stored(path))}
 
 
 def to_markdown(records: Sequence[Mapping[str, Any]]) -> str:

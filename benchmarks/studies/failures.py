@@ -28,7 +28,7 @@ from benchmarks.protocol.plan import Cell, expand, settings
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.reporting.results import tail_mean
 from benchmarks.runs.store import Store, write_csv
-from benchmarks.studies.base import Part, Study, Tick, greedy
+from benchmarks.studies.base import Part, Study, Tick, greedy, read_stored
 
 RECENT: Final = 40  # moves at the end of an episode ...
 FEW: Final = 4  # ... among which a cycle has at most so many configurations
@@ -74,7 +74,7 @@ def play(
 
 def read(path: Path) -> pd.DataFrame:
     """Stored rows as :func:`play` made them."""
-    return pd.read_csv(path).astype({"success": bool}).fillna({"cause": ""})
+    return read_stored(path).astype({"success": bool}).fillna({"cause": ""})
 
 
 def summary(rows: pd.DataFrame) -> str:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.presets import Preset, preset_names
 from benchmarks.protocol.seeding import derive
@@ -124,4 +125,11 @@ class Insertion(Experiment[Preset]):
     def problems(self, store: Store) -> list[str]:
         from benchmarks.reporting.verify import check_runs
 
-        return check_runs(store)
+        result = check_runs(store)
+        for cell in self.cells():
+            try:
+                if (run := store.run(cell.id)).is_complete():
+                    run.check_config(self.settings(cell))
+            except BenchmarkError as error:
+                result.append(str(error))
+        return list(dict.fromkeys(result))  # a file that cannot be read is named by both

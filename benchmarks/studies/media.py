@@ -60,7 +60,8 @@ def player(
 ) -> tuple[CoopInsertionEnv, Act]:
     """The environment to be shown, and who plays: a model under its own masks, or the optimum."""
     arguments, act = ({}, None) if model is None else stored_player(model, trust)
-    env = make(**arguments | {"render_mode": "rgb_array", **shown})
+    given = {name: value for name, value in shown.items() if value is not None}
+    env = make(**arguments | {"render_mode": "rgb_array", **given})
     return env, act or optimal_moves(env)
 
 
@@ -123,7 +124,7 @@ class Media(Study):
 
     name = "media"
     options = {  # noqa: RUF012
-        "--geometry": {"choices": sorted(GEOMETRIES), "default": "optimized", "help": "3-RRS"},
+        "--geometry": {"choices": sorted(GEOMETRIES), "help": "3-RRS (default: the model's)"},
         "--model": {"type": Path, "help": "a trained model instead of the optimum"},
         "--trust": {"action": "store_true", "help": TRUSTED},
         "--seed": count(DEFAULT_SEED, "of the episode's start", 0),

@@ -93,7 +93,7 @@ def fill(store: Store, preset: Preset, cell: Cell, solved: int, moves: int) -> N
     """
     run = store.run(cell.id)
     run.begin(settings(preset, cell))
-    seeds = episode_seeds(cell.seed, EPISODES, preset.evaluation.stream)
+    seeds = episode_seeds(cell.seed, preset.evaluation.episodes, preset.evaluation.stream)
     rows = []
     for level in levels_of(preset, cell):
         fewer = int(level["noise"] > 0)
@@ -119,13 +119,14 @@ def make_store(
     seeds: Sequence[int],
     preset_name: str = "quick",
     keep: Callable[[Cell], bool] = lambda cell: True,
+    episodes: int = EPISODES,
 ) -> Store:
     """A store of a preset with other seeds: each method solves what ``SOLVED`` says.
 
     A seed takes its number off what is solved, an ablation one more; ``keep`` leaves cells out.
     """
     shipped = load_preset(preset_name)
-    tests = dataclasses.replace(shipped.evaluation, episodes=EPISODES)
+    tests = dataclasses.replace(shipped.evaluation, episodes=episodes)
     preset = dataclasses.replace(shipped, seeds=list(seeds), evaluation=tests)
     store = Store.open(root, preset_name, create=True)
     with mock.patch("os.fsync"):  # half of the time, and no test needs it

@@ -280,7 +280,10 @@ def draw(
     axes: Axes, frames: Sequence[pd.DataFrame], column: str, label: str, colour: str,
     style: str = "-", band: bool = True, window: int = EPISODES, raw: bool = False,
 ) -> None:  # fmt: skip
-    """Mean over seeds with its 95 % band, and with ``raw`` the unsmoothed mean faintly behind."""
+    """Mean over seeds, and with ``raw`` the unsmoothed mean faintly behind.
+
+    The band is the middle 95 % of means of seeds drawn again, which for few seeds is too narrow.
+    """
     grid, values = _seed_curves(frames, column, window)
     if not len(grid):
         return

@@ -95,6 +95,7 @@ def leaderboard(results: Results) -> Table:
     notes = [
         "Optimized geometry, all methods on the same initial states; success and holes of greedy "
         "acting. Exploring: learners as they were trained, scripts with 5 % of random moves.",
+        *seeds_notes(shown),
         *([f"Brought: {', '.join(brought)}."] if brought else []),
         "Join with one command: python -m benchmarks evaluate --model FILE --name NAME",
     ]

@@ -223,8 +223,9 @@ def robustness(results: Results) -> Table:
     made: list[list[TableCell]] = []
     for x in noise_levels(results) or [0.0, 0.01]:
         cells = [
-            row.cell(row.success(), 1, paper.get(x, "") if row.method == "rainbow" else "")
+            row.cell(row.success(), 1, paper.get(x, "") if own else "")
             for row in (row.at(Level(x)) for row in result)
+            for own in [(row.method, row.ablation) == ("rainbow", "full")]
         ]
         made.append([f"{x:g}", paper.get(x, "-"), *cells])
     notes = [

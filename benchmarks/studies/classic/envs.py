@@ -38,7 +38,7 @@ def make(name: str, training: bool = False, **kwargs: Any) -> gym.Env[Any, Any]:
         kwargs: of the environment.
 
     Raises:
-        BenchmarkError: the name is unknown, or its package is not installed.
+        BenchmarkError: the name is unknown or another module's, or its package is not installed.
     """
     if name.startswith(MINATAR):
         return MinAtarEnv(name.removeprefix(MINATAR), **kwargs)
@@ -58,6 +58,9 @@ def make(name: str, training: bool = False, **kwargs: Any) -> gym.Env[Any, Any]:
 
 
 def _registered(name: str, **kwargs: Any) -> gym.Env[Any, Any]:
+    if name.rpartition(":")[0] not in ("", "coop_env"):  # Gymnasium imports what stands there
+        message = f"environment '{name}': only coop_env's module is imported; name a registered id"
+        raise BenchmarkError(message)
     try:
         return gym.make(name, disable_env_checker=True, **kwargs)
     except gym.error.DependencyNotInstalled as error:

@@ -59,10 +59,12 @@ class SuiteResults:
                 self.missing.append(cell.id)
 
     def problems(self) -> list[str]:
-        """A sentence for each run whose test episodes are not those of its seed."""
+        """A sentence for each run that is another's, or has other test episodes than its seed's."""
         number = self.preset.final_episodes
         result = []
         for run in self.all:
+            if run.meta["cell"] != run.cell.id:
+                result.append(f"{run.folder.path}: meta.json is of the run '{run.meta['cell']}'")
             if run.episodes["episode"].tolist() != list(range(number)):
                 result.append(
                     f"{run.folder.path}: episodes.csv has {len(run.episodes)} rows, not one for "

@@ -82,6 +82,7 @@ class Design(Study):
     def _runs(self, tick: Tick) -> None:
         measured = measured_runs(self.given.runs, tick)
         runs, paths = run_rows(measured)
+        (self.store.path / "meta.json").unlink(missing_ok=True)  # complete once all is anew
         self._write(table=table_rows(measured), runs=runs, paths=paths)
 
     def _optima(self, tick: Tick) -> None:

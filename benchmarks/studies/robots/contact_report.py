@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -15,6 +14,7 @@ from benchmarks.protocol.labels import of_suite
 from benchmarks.protocol.presets import CONTACT
 from benchmarks.reporting.figures.style import METHOD_COLOURS, PALETTE, canvas, legend_below
 from benchmarks.reporting.tables.table import Table
+from benchmarks.studies.base import read_stored
 from benchmarks.studies.classic.results import SuiteResults, student
 from benchmarks.studies.robots.trials import (
     CONDITIONS,
@@ -57,7 +57,7 @@ def _of(rows: pd.DataFrame, error: float | None) -> dict[str, Any]:
 def _entries(results: SuiteResults) -> Iterator[Entry]:
     """Learners, level by level, and the scripts that the study ``contact`` has stored."""
     path = results.root / "contact" / "scripts.json"
-    stored = json.loads(path.read_text(encoding="utf-8"))["parts"] if path.is_file() else {}
+    stored = read_stored(path)["parts"] if path.is_file() else {}
     for task, level in levels(results).items():
         for method in results.preset.methods:
             if not (runs := [run.folder.rows("contact") for run in results.runs(task, method)]):

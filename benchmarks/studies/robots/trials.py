@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -10,7 +9,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Final
 
-import gymnasium
 import numpy as np
 from stable_baselines3 import SAC
 
@@ -18,7 +16,8 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.model_files import set_weights
 from benchmarks.protocol.presets import read_yaml
 from benchmarks.protocol.seeding import derive
-from benchmarks.studies.base import episode
+from benchmarks.studies.base import episode, read_stored
+from benchmarks.studies.classic.envs import make
 
 ERRORS: Final = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)  # mm
 DRAWN: Final = None  # an error as the task draws it
@@ -78,6 +77,11 @@ def script_of(name: str, env: Any, gains: Mapping[str, float]) -> Any:
     return SCRIPTS[name](env, Gains(**gains))
 
 
+def policy_of_run(results: Path, name: str, seed: int) -> Path:
+    """The file of a policy of :data:`LEARNED`."""
+    return results / f"classic/{LEARNED[name]}/runs/{LEVEL}-sac-s{seed}/policy.zip"
+
+
 def inserter(results: Path, name: str, seed: int) -> Any:
     """A script with the gains that were chosen for it, or a policy of :data:`LEARNED`.
 
@@ -85,19 +89,20 @@ def inserter(results: Path, name: str, seed: int) -> Any:
         BenchmarkError: the gains or the policy are not among the results.
     """
     preset = LEARNED.get(name)
-    run = f"classic/{preset}/runs/{LEVEL}-sac-s{seed}/policy.zip"
-    path = results / (run if preset else "contact/scripts.json")
+    path = policy_of_run(results, name, seed) if preset else results / "contact/scripts.json"
     if not path.is_file():
+        # a complete run is not run again, and not every policy is in git
         command = f"run --preset {preset}" if preset else "study contact"
-        raise BenchmarkError(f"{path} is missing: run python -m benchmarks {command} first")
+        mend = f"delete {path.parent} and " * path.with_name("meta.json").is_file()
+        raise BenchmarkError(f"{path} is missing: {mend}run python -m benchmarks {command} first")
     if not preset:
         from coop_env.physics.task import resolve_task
 
-        gains = json.loads(path.read_text(encoding="utf-8"))["parts"][LEVEL][name]["gains"]
+        gains = read_stored(path)["parts"][LEVEL][name]["gains"]
         return script_of(name, SimpleNamespace(task=resolve_task(LEVEL)), gains)
     config = read_yaml(path.with_name("config.yaml"))  # of the policy's file, arrays alone are read
     env, net = config["task"], config["arguments"]["policy_kwargs"]
-    made = gymnasium.make(env["env"], **env["env_kwargs"])
+    made = make(env["env"], **env["env_kwargs"])
     model = SAC("MlpPolicy", made, buffer_size=1, policy_kwargs=net, device="cpu")
     set_weights(model, path)
     return policy_of(model)

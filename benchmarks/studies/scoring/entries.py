@@ -109,6 +109,8 @@ def score(preset: Preset, given: Given, console: Console) -> None:
     scorers = prepare(preset, given)
     store = Store.open(given.results, preset.name, create=True)
     with store.lock():
+        replacing, old = store.folder / "replacing", []
+        shutil.rmtree(replacing, ignore_errors=True)
         todo = [(RunFolder(store.entries / Cell(**c["cell"]).id), c, run) for c, run in scorers]
         for folder, config, _ in todo:
             if (folder.path / "config.yaml").is_file() and folder.config() != config:
@@ -117,12 +119,17 @@ def score(preset: Preset, given: Given, console: Console) -> None:
                         f"'{given.name}' is already on the board with another model or protocol "
                         f"({folder.path}); choose another --name, or --replace it"
                     )
-                shutil.rmtree(folder.path)
-        if complete := sum(folder.is_complete() for folder, *_ in todo):
+                old.append(folder.path)
+        if complete := sum(folder.is_complete() and folder.path not in old for folder, *_ in todo):
             console.print(f"{complete} of {len(todo)} seeds were scored already")
         with bar(console) as progress:
             for folder, config, run in todo:
-                _score(folder, config, run, preset.name, progress)
+                here = RunFolder(replacing / folder.id) if folder.path in old else folder
+                _score(here, config, run, preset.name, progress)
+        for path in old:  # gives way once all seeds of the new one have played
+            shutil.rmtree(path)
+            (replacing / path.name).rename(path)
+        shutil.rmtree(replacing, ignore_errors=True)
         built = {table.name: table for table in build_tables(Results(store))}
         for table in built.values():
             table.write(store.tables)

@@ -26,7 +26,7 @@ from benchmarks.evaluation.evaluate import evaluate_cell
 from benchmarks.evaluation.model_files import load_stored
 from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS
 from benchmarks.protocol.plan import DESIGN, Cell, own_error
-from benchmarks.protocol.presets import Preset
+from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.reporting.results import Result
 from benchmarks.reporting.tables.table import plain
 from benchmarks.runs.backends import default_jobs
@@ -51,7 +51,7 @@ class Replay(Insertion):
         starts: stands for other starts than the test episodes'; None for the test episodes.
 
     Raises:
-        BenchmarkError: the store is missing.
+        BenchmarkError: the store is missing, or the preset is of public tasks.
     """
 
     run_bytes = 1_000_000
@@ -59,6 +59,7 @@ class Replay(Insertion):
     def __init__(
         self, preset: str, results: Path | str, episodes: int | None, starts: int | None
     ) -> None:
+        load_preset(preset)  # no store of public tasks has what is played here
         super().__init__(preset)
         self.results, self.episodes, self.starts = Path(results), episodes, starts
         where = str(self.results.resolve())

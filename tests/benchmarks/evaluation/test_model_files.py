@@ -52,6 +52,17 @@ def test_the_stored_policy_with_contact_acts_as_it_was_saved() -> None:
     np.testing.assert_array_equal(policy(rows), saved.predict(rows, deterministic=True)[0])
 
 
+def test_a_stored_run_names_no_module_of_its_own(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    run = "classic/contact/runs/standard-sac-s0"
+    folder = shutil.copytree(RESULTS / run, tmp_path / run)
+    config = folder / "config.yaml"
+    text = config.read_text("utf-8").replace("coop_env:", "of_a_stranger:")
+    config.write_text(text, encoding="utf-8")
+    with pytest.raises(BenchmarkError, match="of_a_stranger:CoopInsertionContact-v0'"):
+        inserter(tmp_path, "SAC", 0)
+
+
 @pytest.mark.parametrize("which", CRAFTED)
 def test_what_a_stored_policy_pickles_stays_closed(
     which: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -123,6 +123,13 @@ def test_an_unknown_key_is_named_with_the_file_and_the_known_ones(
         ({"planner": {"node_limit": 0}}, "node_limit = 0 must be above 0"),
         ({"design": {"runs": 0}}, "runs = 0 must be above 0"),
         ({"checkpoint_seconds": "soon"}, "checkpoint_seconds"),
+        ({"checkpoint_seconds": -1}, "checkpoint_seconds = -1.* must be 0.0 or above"),
+        ({"tracks": {"safe": {"curriculum": {"window": -3}}}}, "window = -3 must be above 0"),
+        ({"tracks": {"safe": {"curriculum": {"threshold": 75}}}}, "threshold = 75.* 1.0 or below"),
+        ({"tracks": {"safe": {"hyperparameters": {"updates_per_step": -1}}}}, "must be above 0"),
+        ({"tracks": {"safe": {"hyperparameters": {"epsilon_start": 7}}}}, "must be 1.0 or below"),
+        ({"tracks": {"safe": {"hyperparameters": {"epsilon_steps": -5}}}}, "must be above 0"),
+        ({"tracks": {"safe": {"ppo": {"n_epochs": 0}}}}, "n_epochs = 0 must be above 0"),
         ({"name": "other"}, "name"),
         ({"geometries": {"mine": {"base_radius": 0.1, "proximal_length": 0.1}}}, "mine"),
         (
@@ -143,6 +150,14 @@ def test_an_unknown_key_is_named_with_the_file_and_the_known_ones(
 def test_an_impossible_value_is_refused(change: dict[str, Any], word: str) -> None:
     with pytest.raises(BenchmarkError, match=word):
         parse_preset(smoke() | change, "mine", "mine.yaml")
+
+
+def test_a_number_that_yaml_reads_as_text_is_one_among_arguments_too() -> None:
+    data: dict[str, Any] = {
+        "tracks": {"safe": {"methods": {"dqn": {"tau": "5e-3", "policy": "MlpPolicy"}}}}
+    }
+    dqn = smoke_preset(**data).tracks["safe"].methods["dqn"]
+    assert dqn == {"tau": 0.005, "policy": "MlpPolicy"}
 
 
 @pytest.mark.parametrize(

@@ -110,6 +110,13 @@ def test_tables_have_the_papers_rows_and_columns(full: Store, tables: dict[str, 
     assert list(rows) == ["0", "0.01", "0.02", "0.04"]
     assert rows["0.01"]["Rainbow DQN, paper"] == "88 ± 3"
     assert rows["0.01"]["Rainbow DQN"] == "70.0 ± 10.0"
+    held = {
+        name
+        for row in robust.rows
+        for name, cell in zip(robust.header, row, strict=True)
+        if getattr(cell, "paper", "")
+    }
+    assert held == {"Rainbow DQN"}  # the paper's noise is Rainbow's, and no other method's
     # another machine has scripts of its own, and none here
     row = Results(full).group("rainbow", "repaired").as_trained()
     machine = {**(row.settings or {}), "sim_to_real": {"base_position_error": 0.005}}
@@ -265,6 +272,7 @@ def test_a_partly_finished_preset_shows_what_is_missing(tmp_path: Path) -> None:
     assert "Rainbow DQN, safe" not in note
     assert by_name["controls"].header[1] == "Masked DQN"  # none of five seeds: its cells say so
     assert {row[1] for row in by_name["controls"].texts()} == {"missing"}
+    assert note in by_name["leaderboard"].notes
     board = {row[1] for row in by_name["leaderboard"].texts()}
     assert "Greedy, safe" not in board
     for table in built:

@@ -50,7 +50,7 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "docs").mkdir()
     for name in {page for page, _ in of_design()}:
         shutil.copy(ROOT / "docs" / name, folder / "docs" / name)
-    store = make_store(results, [0])
+    store = make_store(results, [0], episodes=load_preset("quick").evaluation.episodes)
     for table in build_tables(Results(store)):
         table.write(store.tables)
     for name, text in PAGES.items():
@@ -249,6 +249,54 @@ def test_a_damaged_or_foreign_run_is_named(store: Store) -> None:
     run.rename(run.with_name("aaa"))
     (problem,) = check_runs(store)
     assert f"holds the run '{run.name}'" in problem
+
+
+def test_a_setting_that_was_changed_by_hand_is_named(
+    copy: Path, store: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = learners(store)[0].path / "config.yaml"
+    text = config.read_text("utf-8")
+    config.write_text(re.sub("gamma: .*", "gamma: 0.5", text), encoding="utf-8")
+    assert main(words(copy)) == 1
+    (line, total) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"{config.parent} holds a run with other settings (track.hyperparam")
+    assert total == "1 difference found"
+
+
+def test_a_damaged_file_is_a_line_and_the_rest_is_checked(
+    copy: Path, store: Store, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results, run = copy / "results", store.completed()[-1]
+    rows = run.rows("episodes").astype({"noise": object})
+    rows.loc[0, "noise"] = "none"
+    rows.to_csv(run.path / "episodes.csv", index=False)
+    files = {
+        "contact/scripts.json": "{",
+        "codesign/codesign.json": "{",
+        "data/data.json": "{",
+        "audit/scripted.csv": "",
+        "quick/failures/rainbow-safe.csv": "",
+        "trajectory/trajectory.json": "[]",
+        "design/runs.csv": "",
+    }
+    for name, text in files.items():
+        (results / name).parent.mkdir(exist_ok=True)
+        (results / name).write_text(text, encoding="utf-8")
+    for name in ("config.yaml", "chosen.csv"):
+        shutil.copy(RESULTS / "codesign" / name, results / "codesign")
+    assert main(words(copy)) == 1
+    out, err = capsys.readouterr()
+    for path in (run.path, *(results / name for name in files)):
+        assert len([line for line in err.splitlines() if line.startswith(str(path))]) == 1, err
+    assert f"{results / 'transfer'}: what is told of it" in out
+
+
+def test_a_store_of_a_preset_of_ones_own_is_named(
+    copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = Store.open(copy / "results", "my2", create=True).folder
+    assert main(words(copy)) == 0
+    assert f"{folder}: not looked at; --preset FILE" in capsys.readouterr().out
 
 
 def test_a_table_that_nothing_makes_is_named(store: Store) -> None:

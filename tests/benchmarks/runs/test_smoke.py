@@ -270,6 +270,9 @@ def test_other_starts_are_starts_of_their_own(
         (["watch", "--port", "0"], "port 0"),
         (["verify", "--results", "."], "has no results"),
         (["report", "--results", "."], "has no results"),
+        (["evaluate", "--preset", "control"], "'control' is of public tasks"),
+        (["run", "--preset", "control", "--device", "cuda"], "public tasks run on the CPU"),
+        (["run", "--preset", "smoke", "--device", "cuda"], "PyTorch finds no GPU here"),
         (
             ["evaluate", "--preset", "smoke", "--planner", "astar"],
             "known: optimum, rrt_connect, rrt_lattice, or module:function",
@@ -285,6 +288,7 @@ def test_bad_input_is_one_error_and_writes_nothing(
     refused: Refused,
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     assert message in refused(*words)
     written = [path for path in tmp_path.rglob("*") if path.name != "store.json" and path.is_file()]
     assert written == []

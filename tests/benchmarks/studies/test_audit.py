@@ -102,6 +102,9 @@ def test_both_commands_write_what_they_say(
     assert main(["study", "audit", *words, "--starts", "1"]) == 0
     learned = pd.read_csv(tmp_path / "audit" / "learned.csv")
     assert learned["method"].tolist() == ["rainbow"]
+    assert audit.Audit.problems(tmp_path) == []
+    learned.assign(holes=99).to_csv(tmp_path / "audit" / "learned.csv", index=False)
+    assert any("learned.csv differs from the runs" in p for p in audit.Audit.problems(tmp_path))
     with pytest.raises(SystemExit):
         main(["study", "audit", *words, "--starts", "0"])
 

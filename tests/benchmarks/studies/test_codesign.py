@@ -106,6 +106,9 @@ def test_the_command_goes_on_and_can_be_checked(site: Any, monkeypatch: pytest.M
     results = here.results
     words = ["study", "codesign", "--results", str(results), "--jobs", "1", *SMALL]
     words += ["--policy-steps", "320"]
+    with RunFolder(results / "codesign").lock():
+        assert main(words) == 2
+        assert not (results / "codesign" / "journal.log").exists()
     monkeypatch.setattr(codesign, "EPISODES", 4)
     largest = {
         "lambdas": {"lambda1": 1.4386, "lambda2": 1.6591},

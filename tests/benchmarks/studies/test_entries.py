@@ -32,6 +32,7 @@ from benchmarks.reporting.results import Results
 from benchmarks.reporting.tables.beyond import build_tables
 from benchmarks.reporting.verify import check_runs
 from benchmarks.runs.store import Store
+from benchmarks.studies.scoring import entries
 from benchmarks.studies.scoring.entries import checked
 from coop_env.env import CoopInsertionEnv
 from sb3_rainbow import Rainbow
@@ -142,9 +143,21 @@ def test_the_algorithm_is_read_from_the_file(name: str, train: Callable[..., Pat
     assert detect_algorithm(train(name)) == name
 
 
+def _second_fails(score: Callable[..., None]) -> Callable[..., None]:
+    calls: list[object] = []
+
+    def failing(folder: Any, *rest: Any) -> None:
+        calls.append(folder)
+        if len(calls) > 1:
+            raise MemoryError
+        score(folder, *rest)
+
+    return failing
+
+
 def test_one_model_per_seed_and_a_second_call_scores_nothing(
     train: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str],
-    refused: Callable[..., str],
+    refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     preset = tmp_path / "two.yaml"
     preset.write_text(
@@ -167,7 +180,13 @@ def test_one_model_per_seed_and_a_second_call_scores_nothing(
     assert [(entry.path / "meta.json").read_bytes() for entry in store.entered()] == before
     # another model under the same name: refused, until it is said
     assert "choose another --name, or --replace it" in refused(*words, "--model", files[1])
+    with monkeypatch.context() as patch:
+        patch.setattr(entries, "_score", _second_fails(entries._score))
+        with pytest.raises(MemoryError):
+            main([*words, "--model", files[1], "--replace"])
+    assert [(entry.path / "meta.json").read_bytes() for entry in store.entered()] == before
     assert main([*words, "--model", files[1], "--replace"]) == 0
+    assert not (store.folder / "replacing").exists()
     assert "models: 1)" in (store.tables / "leaderboard.md").read_text(encoding="utf-8")
     assert "3 models for 2 seeds" in refused(*words, "--model", *files, files[0])
 

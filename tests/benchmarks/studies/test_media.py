@@ -57,6 +57,19 @@ def test_two_files_of_one_solved_episode_are_the_same_for_the_same_seed(
         assert (out / name).read_bytes() == (again / name).read_bytes()
 
 
+@pytest.mark.parametrize(("given", "shown"), [(None, "initial"), ("optimized", "optimized")])
+def test_a_policy_is_shown_on_its_own_robot(
+    given: str | None, shown: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stored = ({"geometry": "initial"}, lambda observation, masks: 0)
+    monkeypatch.setattr(media, "stored_player", lambda model, trust: stored)
+    make: Any = lambda **arguments: SimpleNamespace(**arguments)  # noqa: E731
+    words = ["--geometry", given] if given else []
+    geometry = media.Media.parser().parse_args(words).geometry
+    env: Any = media.player(Path("policy.zip"), False, make, geometry=geometry)[0]
+    assert env.geometry == shown
+
+
 def test_unsolvable_episode_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     nothing = SimpleNamespace(moves=None)
     monkeypatch.setattr("benchmarks.methods.oracle.LatticeOracle.plan", lambda self, env: nothing)

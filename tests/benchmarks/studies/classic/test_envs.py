@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import sys
 import warnings
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -135,6 +136,17 @@ def test_unknown_tasks_are_named() -> None:
     pytest.importorskip("minatar", reason="needs the extra 'classic'")
     with pytest.raises(BenchmarkError, match="unknown MinAtar game 'pong'"):
         make("MinAtar/pong")
+
+
+def test_no_module_that_a_file_names_is_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "evil.py").write_text("open('pwned', 'w')", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(BenchmarkError, match="'evil:X-v0': only coop_env's module is"):
+        make("evil:X-v0")
+    assert not Path("pwned").exists()
 
 
 def test_a_known_task_whose_package_is_missing_is_not_called_unknown(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from benchmarks.cli import main
 from benchmarks.methods.geometric_design import DesignRun, measured_runs, run_rows, table_rows
 from benchmarks.protocol import paper_values
 from benchmarks.studies.design import analyses as design_study
+from benchmarks.studies.design import study
 from benchmarks.studies.design.analyses import DesignStore
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -93,6 +95,20 @@ def test_figures_and_pages_come_from_stored_data_alone(
     assert "9.999" not in page.read_text("utf-8")
     assert "| differential evolution |" in page.read_text("utf-8")
     assert len(list(store.figures.glob("*.png"))) == 5
+
+
+def test_a_study_that_was_stopped_is_not_complete(
+    result: list[DesignRun], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(STORED.path, tmp_path / "design")
+
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(study, "measured_runs", lambda *_: result)
+    monkeypatch.setattr(study.Design, "_optima", stopped)
+    assert main(["study", "design", "--runs", "1", "--results", str(tmp_path)]) == 130
+    assert not DesignStore(tmp_path).is_complete()
 
 
 def test_maps_are_the_designs() -> None:

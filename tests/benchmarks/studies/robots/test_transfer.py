@@ -44,6 +44,19 @@ def test_what_inserts_must_be_there(name: str, mend: str, tmp_path: Path) -> Non
         inserter(tmp_path, name, 0)
 
 
+def test_a_run_without_its_policy_is_run_again_once_it_is_deleted(tmp_path: Path) -> None:
+    run = tmp_path / "classic/contact_errors/runs/standard-sac-s0"
+    run.mkdir(parents=True)
+    (run / "meta.json").write_text("{}")
+    name = "SAC, trained on machines that err"
+    with pytest.raises(BenchmarkError, match=f"is missing: delete {run} and run python"):
+        inserter(tmp_path, name, 0)
+    given = Transfer.parser().parse_args(["--results", str(tmp_path)])
+    given.command = ""
+    (tmp_path / "classic/contact").mkdir()
+    assert not [part for part in Transfer(given).measures() if part.startswith("machines")]
+
+
 @pytest.mark.parametrize("world", ["kinematics", "twin, no error"])
 def test_a_script_plays_under_the_masks_and_the_memory_of_a_track(world: str) -> None:
     preset = load_preset(transfer.PRESET)
