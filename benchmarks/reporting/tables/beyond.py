@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Final
 
 from benchmarks.protocol import labels
@@ -73,6 +74,7 @@ def leaderboard(results: Results) -> Table:
         result = Result.read(folder)
         entries.setdefault(result.config["cell"]["method"], []).append(result)
     shown = [row for row in complete(results.rows()) if row.method != "random"]
+    shown += complete(_removals(results))
     brought = []
     for name, runs in entries.items():
         entry = runs[0].config["entry"]
@@ -87,7 +89,7 @@ def leaderboard(results: Results) -> Table:
         rank += row.method != "optimum"
         trained = row.at(AS_TRAINED).success()
         made.append([
-            "-" if row.method == "optimum" else str(rank), *_head(row),
+            "-" if row.method == "optimum" else str(rank), _entry(row), *_head(row)[1:],
             Number(row.success(), 1), Number(trained, 1) if trained.n else "-",
             Number(row.value(HOLES), HOLES.digits),
         ])  # fmt: skip
@@ -95,11 +97,27 @@ def leaderboard(results: Results) -> Table:
     notes = [
         "Optimized geometry, all methods on the same initial states; success and holes of greedy "
         "acting. Exploring: learners as they were trained, scripts with 5 % of random moves.",
-        *seeds_notes(shown),
+        *seeds_notes(shown, [_entry(row) for row in shown]),
         *([f"Brought: {', '.join(brought)}."] if brought else []),
         "Join with one command: python -m benchmarks evaluate --model FILE --name NAME",
     ]
     return Table("leaderboard", "Leaderboard", header, made, notes, left=(1, 2, 3))
+
+
+def _removals(results: Results) -> Iterator[Group]:
+    """Rainbow without a component, on the tracks that have no table of removals."""
+    for track in results.tracks():
+        if track != results.scored and not results.uncertain(track):
+            for key in labels.ABLATIONS:
+                if key.startswith("no_"):
+                    yield results.group("rainbow", track, ablation=key)
+
+
+def _entry(row: Group) -> str:
+    """What a row is called on the board."""
+    if not row.ablation.startswith("no_"):
+        return row.name
+    return labels.on_track(f"{row.title} {labels.ABLATIONS[row.ablation]}", row.track)
 
 
 def _head(row: Group) -> list[TableCell]:

@@ -259,7 +259,8 @@ def seeds_notes(groups: Iterable[Group], names: Iterable[str] | None = None) -> 
     if seeds == [1]:
         first = f"Ours: 1 seed x {episodes} test episodes, so no spread can be given."
     else:
-        counts = " or ".join(str(n) for n in seeds)
+        *others, last = map(str, seeds)
+        counts = f"{', '.join(others)} or {last}" if others else last
         first = f"Ours: mean ± std over {counts} seeds x {episodes} test episodes."
     partial = [
         f"{name} {group.n} of {group.planned} seeds"
