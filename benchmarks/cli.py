@@ -69,7 +69,7 @@ def run(given: Given) -> int:
     from benchmarks.runs.harness import Harness
 
     device = given.device or ("cuda" if given.gpus_per_run else "cpu")
-    _check_device(given, device)
+    _check_device(given, given.device or "cpu")
     console, (one, store) = Console(soft_wrap=True), _open(given, create=True)
     with store.lock(), closing(_backend(given)) as backend:
         console.print(f"{backend.describe()}, networks on {device}", markup=False)

@@ -43,8 +43,8 @@ napoleon_use_ivar = True
 # What others document: their inventories would need the network.
 OTHERS = ("collections", "contextlib", "gym", "gymnasium", "io", "numpy", "os", "pandas", "pathlib",
           "pettingzoo", "rich", "stable_baselines3", "torch", "typing", "xml")  # fmt: skip
-NAMES = ("ArrayLike", "BaseCallback", "Console", "DependencyNotInstalled", "Env", "Figure",
-         "NDArray", "NoAsyncCallError", "ResetNeeded", "VecEnv", "WrapperActType",
+NAMES = ("ArrayLike", "BaseCallback", "ClosedEnvironmentError", "Console", "DependencyNotInstalled",
+         "Env", "Figure", "NDArray", "NoAsyncCallError", "ResetNeeded", "VecEnv", "WrapperActType",
          "WrapperObsType")  # fmt: skip
 nitpicky = True
 nitpick_ignore_regex = [

@@ -140,7 +140,7 @@ class Curriculum(Strict):
     """Stage 0 has the four peripheral holes, stage 1 all six."""
 
     enabled: bool = True
-    threshold: Share = 0.75
+    threshold: Annotated[Number, Field(le=1.0)] = 0.75  # below 0: after the first episodes
     window: Count = 20
 
 
