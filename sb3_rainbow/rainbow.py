@@ -189,7 +189,7 @@ class Rainbow(ResumableAlgorithm):
         super().__init__(
             policy,
             env,
-            default_learning_rate(policy) if learning_rate is None else learning_rate,
+            learning_rate,  # type: ignore[arg-type]  # of None _setup_model makes a number
             buffer_size,
             learning_starts,
             batch_size,

@@ -54,10 +54,7 @@ def check_runs(store: Store) -> list[str]:
             problems.append(str(error))
         except (KeyError, TypeError) as error:
             problems.append(f"{run.path}: config.yaml or meta.json lacks {error}")
-        except (
-            AttributeError,
-            ValueError,
-        ) as error:  # a word where a number or a mapping should be
+        except (AttributeError, ValueError) as error:  # a word for a number, or for a mapping
             problems.append(f"{run.path}: a value of its files is no value ({error})")
     return problems
 

@@ -182,10 +182,8 @@ def replay(
     most = sum(m.task.active_holes(env.stage))
     check_integer("target", target, 0, most - 1, hint=", an active hole")
     check_integer("max_moves", max_moves, 1)
-    for name, limit in (
-        *(("force_limit", force_limit), ("error_limit", error_limit)),
-        ("patience", patience),
-    ):
+    limits = {"force_limit": force_limit, "error_limit": error_limit, "patience": patience}
+    for name, limit in limits.items():
         check_number(name, limit, 0.0, above=True)
     wanted_holes = most if holes is None else check_integer("holes", holes, 1, most)
     filled: list[int] = []

@@ -60,7 +60,9 @@ _OF_THE_MACHINE = {
 }
 _MOST_STEPS = 1_000
 _COUNTERS: dict[str, type] = {
-    **{"num_timesteps": int, "_n_updates": int, "exploration_rate": float},
+    "num_timesteps": int,
+    "_n_updates": int,
+    "exploration_rate": float,
     "_masking": bool,  # whether it learned under masks
 }
 

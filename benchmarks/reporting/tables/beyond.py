@@ -89,7 +89,7 @@ def leaderboard(results: Results) -> Table:
         rank += row.method != "optimum"
         trained = row.at(AS_TRAINED).success()
         made.append([
-            "-" if row.method == "optimum" else str(rank), _entry(row), *_head(row)[1:],
+            "-" if row.method == "optimum" else str(rank), *_head(row, _entry(row)),
             Number(row.success(), 1), Number(trained, 1) if trained.n else "-",
             Number(row.value(HOLES), HOLES.digits),
         ])  # fmt: skip
@@ -120,9 +120,9 @@ def _entry(row: Group) -> str:
     return labels.on_track(f"{row.title} {labels.ABLATIONS[row.ablation]}", row.track)
 
 
-def _head(row: Group) -> list[TableCell]:
+def _head(row: Group, name: str = "") -> list[TableCell]:
     """The first cells of a row: the method, its masks and memory."""
-    return [row.name, row.knows.masks, row.knows.memory]
+    return [name or row.name, row.knows.masks, row.knows.memory]
 
 
 def _place(row: Group) -> tuple[bool, float, float, str]:
