@@ -26,7 +26,6 @@ SHORTER = (
     else (
         (r"learn\([\d_]+", f"learn({STEPS}"),
         (r"range\(500\)", "range(2)"),  # episodes
-        (r"range\(5_000\)", "range(200)"),  # steps of a script
         (r"n_envs=8", "n_envs=2"),
     )
 )

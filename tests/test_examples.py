@@ -23,6 +23,7 @@ SHORT = {
         ["build/cloned-optimum-small-s0"],
     ),
     "cartpole": ("300", r"return after 300 steps: \d+\.\d ± \d", ["build/rainbow_cartpole"]),
+    "contact_sac": ("300", r"peg inserted: \d+ of 20$", []),
     "drive_a_machine": ("0", r"filled: \d+ moves in \d\.\d\d s.*\ntip \d\.\d mm", []),
     "exact_resume": ("384", r"goes on at step 192 of 384\nweights equal to the bit: True", []),
     "images": ("150", r"share of balls caught: [01]\.\d\d", []),
