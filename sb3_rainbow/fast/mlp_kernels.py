@@ -258,7 +258,7 @@ def best_actions(
                 expectation = moment / total
             if chosen < 0 or expectation > best:
                 best, chosen = expectation, a
-        actions[b] = chosen
+        actions[b] = max(chosen, 0)  # torch's choice where nothing is allowed
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

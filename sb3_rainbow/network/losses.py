@@ -44,7 +44,7 @@ def project_distribution(
     position = _positions(rewards, discounts, n_atoms, v_min, v_max).clamp(0, n_atoms - 1)
     lower = position.floor().clamp(max=n_atoms - 2)
     upper_mass = probabilities * (position - lower)
-    index = lower.long()
+    index = lower.nan_to_num().long()  # a return that is no number makes its masses none
     projected = th.zeros_like(probabilities)
     projected.scatter_add_(1, index, probabilities - upper_mass)
     projected.scatter_add_(1, index + 1, upper_mass)

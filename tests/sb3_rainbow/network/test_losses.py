@@ -16,7 +16,6 @@ from sb3_rainbow.learner.update import td_losses, td_target
 from sb3_rainbow.network.losses import (
     categorical_losses,
     clipped_share,
-    huber_losses,
     mask_q_values,
     project_distribution,
     quantile_losses,
@@ -84,6 +83,10 @@ def test_projection_agrees_with_a_loop_and_keeps_mass_one(
     np.testing.assert_allclose(projected, slow, atol=2e-4)
 
 
+def test_a_return_that_is_no_number_makes_the_masses_none() -> None:
+    assert np.isnan(project([0.5, 0.5], np.nan, 1.0, -1.0, 2.0)).all()
+
+
 def test_clipped_share_is_the_mass_outside() -> None:
     p = th.tensor([[0.1, 0.2, 0.3, 0.4], [0.25, 0.25, 0.25, 0.25]])
     rewards, discounts = th.tensor([[1.5], [0.0]]), th.tensor([[1.0], [1.0]])
@@ -111,19 +114,6 @@ def test_a_narrow_support_far_from_zero_loses_no_digits() -> None:
     np.testing.assert_allclose(result, wanted, rtol=5e-5)
     share = clipped_share(th.full((1, 51), 1 / 51), th.zeros(1, 1), th.ones(1, 1), v_min, v_max)
     assert share.item() == 0.0
-
-
-def test_cross_entropy_per_sample() -> None:
-    logits = th.tensor([[0.0, 1.0, 2.0], [3.0, 0.0, 0.0]])
-    target = th.tensor([[0.2, 0.3, 0.5], [0.0, 1.0, 0.0]])
-    expected = -(target * th.log(th.softmax(logits, 1))).sum(1)
-    th.testing.assert_close(categorical_losses(logits, target), expected)
-
-
-def test_huber_per_sample() -> None:
-    errors = th.tensor([0.0, 0.5, -1.0, 3.0])
-    expected = th.tensor([0.0, 0.125, 0.5, 2.5])
-    th.testing.assert_close(huber_losses(errors, th.zeros(4)), expected)
 
 
 def test_masks_act_on_values() -> None:
