@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import warnings
 import zipfile
 from contextlib import nullcontext
@@ -15,7 +16,7 @@ from stable_baselines3.common.save_util import open_path
 from sb3_rainbow.network.rainbow_network import head_of
 from sb3_rainbow.policies import CnnPolicy, RainbowPolicy
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
-from sb3_rainbow.replay.parameters import check_replay_parameters, check_shares
+from sb3_rainbow.replay.parameters import check_counts, check_replay_parameters, check_shares
 from sb3_rainbow.type_aliases import Distributional
 
 # Constructor arguments that Rainbow hands to its policy
@@ -23,6 +24,11 @@ NETWORK_ARGUMENTS = frozenset(
     ("dueling", "noisy", "sigma0", "distributional", "n_atoms", "v_min", "v_max")
 )
 
+# Arguments from 0 to 1, but for those that a replay buffer checks too
+_SHARES = (
+    *("tau", "beta_start", "beta_end"),
+    *("exploration_fraction", "exploration_initial_eps", "exploration_final_eps"),
+)
 DEFAULT_N_STEPS = 3
 DEFAULT_SUPPORT = (-100.0, 100.0)
 
@@ -163,10 +169,9 @@ def check_settings(model: Any) -> None:
     Raises:
         ValueError: naming the first setting of the model that cannot work.
     """
-    check_replay_parameters(model.n_steps, model.gamma, model.alpha, model.beta_start)
-    check_shares(beta_end=model.beta_end, tau=model.tau)
-    if model.batch_size < 1:
-        raise ValueError(f"batch_size must be at least 1, got {model.batch_size}")
+    check_counts(batch_size=model.batch_size)
+    check_replay_parameters(model.n_steps, model.gamma, model.alpha)
+    check_shares(**{name: getattr(model, name) for name in _SHARES})
     if model.max_grad_norm is not None and not model.max_grad_norm > 0.0:
         raise ValueError(f"max_grad_norm must be positive, or None, got {model.max_grad_norm}")
     interval = model.target_update_interval
@@ -182,8 +187,8 @@ def check_settings(model: Any) -> None:
     check_support_of_file(
         model._support, support_of(model.distributional, model.v_min, model.v_max)
     )
-    if not model.sigma0 >= 0.0:
-        raise ValueError(f"sigma0 must not be negative, got {model.sigma0}")
+    if not 0.0 <= model.sigma0 < math.inf:
+        raise ValueError(f"sigma0 must be finite and not negative, got {model.sigma0}")
     if model.use_masking not in ("auto", True, False):
         raise ValueError(f"use_masking must be 'auto', True or False, got {model.use_masking!r}")
     if not issubclass(model.policy_class, RainbowPolicy):

@@ -394,17 +394,19 @@ def split_arch(net_arch: NetArch) -> tuple[list[int], list[int]]:
     """Sizes of the hidden layers that all streams share, and of those of each.
 
     Raises:
-        ValueError: for anything else than a list of sizes, or a dict of such lists with no other
-            keys than ``shared`` and ``streams``.
+        ValueError: for anything else than a list of positive sizes, or a dict of such lists with no
+            other keys than ``shared`` and ``streams``.
     """
     sizes = net_arch if isinstance(net_arch, dict) else {"shared": net_arch}
     try:
         if not sizes.keys() <= {"shared", "streams"}:
             raise ValueError
         shared, streams = ([index(n) for n in sizes.get(k, [])] for k in ("shared", "streams"))
+        if min([*shared, *streams], default=1) < 1:
+            raise ValueError
     except (TypeError, ValueError):
         raise ValueError(
-            "net_arch must be a list of sizes or dict(shared=[...], streams=[...]), "
+            "net_arch must be a list of positive sizes or dict(shared=[...], streams=[...]), "
             f"got {net_arch!r}"
         ) from None
     return shared, streams

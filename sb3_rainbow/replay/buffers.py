@@ -23,6 +23,7 @@ from sb3_rainbow.replay.observation_store import ObservationStore, Rows, in_sing
 from sb3_rainbow.replay.parameters import (
     check_buffer_size,
     check_replay_parameters,
+    check_shares,
     warn_of_memory,
 )
 from sb3_rainbow.replay.sum_tree import SumTree
@@ -86,7 +87,8 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         beta: float = 0.4,
         epsilon: float = 1e-6,
     ) -> None:
-        check_replay_parameters(n_steps, gamma, alpha, beta, epsilon)
+        check_replay_parameters(n_steps, gamma, alpha, epsilon)
+        check_shares(beta=beta)
         check_buffer_size(buffer_size, n_envs, n_steps)
         # ReplayBuffer's own constructor would allocate a second copy of every observation.
         super(ReplayBuffer, self).__init__(

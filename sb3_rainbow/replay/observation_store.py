@@ -79,8 +79,9 @@ class ObservationStore:
             if values.shape != expected:
                 name = f" {key!r}" if key else ""
                 raise ValueError(
-                    f"Observations{name} must have shape {expected} (envs first), "
-                    f"got {values.shape}"
+                    f"Observations{name} must have shape {expected} (envs first), got "
+                    f"{values.shape}. A VecNormalize must be the outermost wrapper, around any "
+                    "VecTransposeImage (the env's images have channels last) and VecFrameStack"
                 )
             rows[key] = values
         return rows

@@ -2,10 +2,12 @@
 
 import math
 import warnings
+from numbers import Integral
+from typing import Any
 
 
 def check_replay_parameters(
-    n_steps: int, gamma: float, alpha: float, beta: float, epsilon: float | None = None
+    n_steps: int, gamma: float, alpha: float, epsilon: float | None = None
 ) -> None:
     """Refuse parameters of a replay buffer that are out of range.
 
@@ -15,16 +17,20 @@ def check_replay_parameters(
     Raises:
         ValueError: naming the first parameter that is out of range.
     """
-    if n_steps < 1:
-        raise ValueError(f"n_steps must be at least 1, got {n_steps}")
-    if n_steps != int(n_steps):
-        raise ValueError(f"n_steps must be a whole number, got {n_steps}")
+    check_counts(n_steps=n_steps)
     if not 0.0 <= alpha <= 1.0:
         raise ValueError(f"alpha must lie in [0, 1] (0 is uniform replay), got {alpha}")
-    check_shares(gamma=gamma, beta=beta)
+    check_shares(gamma=gamma)
     if epsilon is not None and not 0.0 < epsilon < math.inf:
         # Without it a transition whose loss is zero once would never be drawn again.
         raise ValueError(f"epsilon must be above 0 and finite, got {epsilon}")
+
+
+def check_counts(**values: Any) -> None:
+    """Raise ``ValueError`` for the first value that is no integer from 1 on, by its name."""
+    for name, value in values.items():
+        if not isinstance(value, Integral) or value < 1:
+            raise ValueError(f"{name} must be an integer, at least 1, got {value!r}")
 
 
 def check_shares(**values: float) -> None:
@@ -40,6 +46,7 @@ def check_buffer_size(buffer_size: int, n_envs: int, n_steps: int) -> None:
     Raises:
         ValueError: if not even one window of each env fits in.
     """
+    check_counts(buffer_size=buffer_size)
     if buffer_size < smallest_buffer(n_envs, n_steps):
         raise ValueError(
             f"buffer_size={buffer_size} is too small: {n_envs} envs with n_steps={n_steps} need "

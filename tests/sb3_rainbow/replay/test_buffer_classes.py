@@ -132,7 +132,7 @@ BOTH = spaces.Dict({"image": IMAGE, "place": spaces.Discrete(7)})
         (spaces.Box(-1, 1, (4,)), (8,), r"shape \(2, 4\) .envs first., got \(8,\)"),
         (spaces.Box(-1, 1, (4,)), (1, 4), r"shape \(2, 4\) .envs first., got \(1, 4\)"),
         (spaces.Box(-1, 1, (1,)), (2,), r"shape \(2, 1\) .envs first., got \(2,\)"),
-        (IMAGE, (2, 4, 5, 3), r"shape \(2, 3, 4, 5\) .envs first., got \(2, 4, 5, 3\)"),
+        (IMAGE, (2, 4, 5, 3), r"shape \(2, 3, 4, 5\) .* got \(2, 4, 5, 3\)\. A VecNormalize must"),
         (BOTH, (2, 4, 5, 3), r"'image' must have shape \(2, 3, 4, 5\) .*got \(2, 4, 5, 3\)"),
     ],
 )

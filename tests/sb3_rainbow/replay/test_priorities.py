@@ -130,7 +130,7 @@ def test_a_reward_that_is_not_finite_is_refused(reward: float) -> None:
         ({"epsilon": -1.0}, "epsilon"),
         ({"epsilon": np.nan}, "epsilon"),
         ({"epsilon": np.inf}, "epsilon"),
-        ({"n_steps": 0}, "n_steps must be at least 1, got 0"),
+        ({"n_steps": 0}, "n_steps must be an integer, at least 1, got 0"),
         ({"n_rows": 3, "n_steps": 3}, "buffer_size=9 is too small: 3 envs with n_steps=3 need"),
     ],
 )
