@@ -133,7 +133,6 @@ class Rainbow(ResumableAlgorithm):
         "MultiInputPolicy": MultiInputPolicy,
     }
     exploration_schedule: Schedule
-    _epsilon_was_asked_for: bool = True  # False in files from when the noise alone was the default
     _warned_of_missing_masks: bool = False
     q_net: RainbowNetwork
     q_net_target: RainbowNetwork
@@ -183,8 +182,6 @@ class Rainbow(ResumableAlgorithm):
         _init_setup_model: bool = True,
     ) -> None:
         self._tau_was_chosen = tau is not None
-        if tau is None:
-            tau = default_tau(target_update_interval)
         prioritized, n_steps = served_by(replay_buffer_class, prioritized, n_steps)
         super().__init__(
             policy,
@@ -193,7 +190,7 @@ class Rainbow(ResumableAlgorithm):
             buffer_size,
             learning_starts,
             batch_size,
-            tau,
+            tau,  # type: ignore[arg-type]  # and so here
             gamma,
             train_freq,
             gradient_steps,
@@ -241,21 +238,21 @@ class Rainbow(ResumableAlgorithm):
             self._setup_model()
 
     def _setup_model(self) -> None:
-        asked: tuple[bool | None, int | None] = (self.prioritized, self.n_steps)
-        if None in asked:  # given to load, it means what it means to the constructor
+        given = vars(self)  # None, also where load was given it, is the default
+        if given["tau"] is None:
+            self.tau = default_tau(self.target_update_interval)
+        if given["learning_rate"] is None:
+            self.learning_rate = default_learning_rate(self.policy_class)
+        asked = given["prioritized"], given["n_steps"]
+        if None in asked:
             self.prioritized, self.n_steps = served_by(self.replay_buffer_class, *asked)
         self.distributional, self.v_min, self.v_max = head_and_support(
             self.distributional, self.v_min, self.v_max
         )
         check_settings(self)
         self._support = support_of(self.distributional, self.v_min, self.v_max)
-        rate: Any = self.learning_rate
-        self.learning_rate = default_learning_rate(self.policy_class) if rate is None else rate
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
-        if self.noisy and not self._epsilon_was_asked_for:
-            self.exploration_initial_eps = self.exploration_final_eps = 0.0
-        self._epsilon_was_asked_for = True
         self.exploration_schedule = LinearSchedule(
             self.exploration_initial_eps, self.exploration_final_eps, self.exploration_fraction
         )
@@ -473,18 +470,12 @@ class Rainbow(ResumableAlgorithm):
         smallest that is not.
         """
         given = {**(custom_objects or {}), **kwargs}
-        if given.keys() & {"exploration_initial_eps", "exploration_final_eps"}:
-            kwargs["_epsilon_was_asked_for"] = True
         if "tau" in given:
             kwargs["_tau_was_chosen"] = given["tau"] is not None
-        if given.get("tau", 0.0) is None:
-            kwargs.pop("tau", None)
-            custom_objects = {k: v for k, v in (custom_objects or {}).items() if k != "tau"}
         model = super().load(
             path, env, device, custom_objects, print_system_info, force_reset, **kwargs
         )
-        new_rule = not kwargs.get("_tau_was_chosen", True) or "target_update_interval" in given
-        if new_rule and not model._tau_was_chosen:
+        if "target_update_interval" in given and not model._tau_was_chosen:
             model.tau = default_tau(model.target_update_interval)
         return model
 

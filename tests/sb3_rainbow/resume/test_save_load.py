@@ -242,12 +242,3 @@ def test_parameters_are_read_without_running_what_is_stored_beside_them(tmp_path
         Rainbow("MlpPolicy", "CartPole-v1", v_min=0.0, v_max=9.0, **FAST).set_parameters(
             str(tmp_path / "model")
         )
-
-
-def test_a_file_from_when_noise_was_all_the_exploration_goes_on_so(tmp_path: Any) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
-    model._epsilon_was_asked_for = False
-    model.save(tmp_path / "m")
-    assert Rainbow.load(tmp_path / "m").exploration_schedule(1.0) == 0.0
-    given = Rainbow.load(tmp_path / "m", custom_objects={"exploration_final_eps": 0.7})
-    assert given.exploration_schedule(0.0) == pytest.approx(0.7)
