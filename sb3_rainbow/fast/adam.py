@@ -41,7 +41,7 @@ class AdamOnVector:
         self.parameters, self.vector, self.gradients = parameters, vector, gradients
         self.vector.grad = gradient
         self._values, self._gradient = vector.numpy(), gradient.numpy()
-        self._ids = {id(p) for p in parameters}
+        self.ids = {id(p) for p in parameters}
         self._tensors: list[th.Tensor] = []
         self._address = 0
 
@@ -55,10 +55,6 @@ class AdamOnVector:
             and set(map(id, group["params"])) == ids
             and not any(map(group.get, _UNKNOWN))
         )
-
-    def can_step(self, optimizer: th.optim.Optimizer) -> bool:
-        """As :meth:`is_possible`, for the parameters of this one."""
-        return self.is_possible(optimizer, self._ids)
 
     def is_ready(self, optimizer: th.optim.Optimizer) -> bool:
         """Whether the next steps are the kernel's alone, for as long as nobody else interferes."""

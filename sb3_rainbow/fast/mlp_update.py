@@ -103,7 +103,7 @@ class MlpUpdate:
     def is_current(self, optimizer: th.optim.Optimizer) -> bool:
         """Whether parameters and noise have the memory they had, and Adam is still Adam."""
         addresses = list(map(th.Tensor.data_ptr, self._shared))
-        return addresses == self._addresses and self._adam.can_step(optimizer)
+        return addresses == self._addresses and self._adam.is_possible(optimizer, self._adam.ids)
 
     def settle(self, optimizer: th.optim.Optimizer) -> bool:
         """Look once, before updates that nobody disturbs, at what each would look at by itself.

@@ -130,7 +130,7 @@ class Learner:
             target = td_target(self.q_net, self.q_net_target, batch, self.double_q)
             share = clipped_share(
                 target.next_values,
-                target.rewards,
+                batch.rewards,
                 batch.discounts * (1.0 - batch.dones),
                 self.q_net.v_min,
                 self.q_net.v_max,

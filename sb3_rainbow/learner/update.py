@@ -26,8 +26,6 @@ class Target(NamedTuple):
     """Actions chosen at t + k, ``(B, 1)``."""
     next_values: th.Tensor
     """The same at t + k, before discounting."""
-    rewards: th.Tensor
-    """Returns of the k steps, ``(B, 1)``."""
 
 
 def prepared(net: RainbowNetwork, batch: Batch) -> Batch:
@@ -54,13 +52,13 @@ def td_target(
     with th.no_grad():
         q_values = chooser(batch.next_observations, noisy=True)
         actions = mask_q_values(q_values, batch.next_action_masks).argmax(dim=1, keepdim=True)
-        discounts, rewards = batch.discounts * (1.0 - batch.dones), batch.rewards
+        rewards, discounts = batch.rewards, batch.discounts * (1.0 - batch.dones)
         logits = of_actions(q_net_target.logits(batch.next_observations, noisy=True), actions)
         if q_net.head != "categorical":  # values themselves, be it one or the quantiles
-            return Target(rewards + discounts * logits, actions, logits, rewards)
+            return Target(rewards + discounts * logits, actions, logits)
         probabilities = F.softmax(logits, dim=1)
         values = project_distribution(probabilities, rewards, discounts, q_net.v_min, q_net.v_max)
-        return Target(values, actions, probabilities, rewards)
+        return Target(values, actions, probabilities)
 
 
 def td_losses(

@@ -108,10 +108,11 @@ class RainbowNetwork(AsVector, BasePolicy):
             normalize_images=normalize_images,
         )
         self.head = head_of(distributional)
-        if self.head == "categorical":
-            check_support(n_atoms, v_min, v_max)
-        elif self.head == "quantile":
-            _check_atoms(n_atoms, 1)
+        least = 2 if self.head == "categorical" else 1
+        if self.head != "scalar" and (n_atoms < least or n_atoms != int(n_atoms)):
+            raise ValueError(f"n_atoms must be a whole number, at least {least}, got {n_atoms}")
+        if self.head == "categorical" and not -np.inf < v_min < v_max < np.inf:
+            raise ValueError(f"v_min must be below v_max, both finite, got {v_min} and {v_max}")
         if noisy_layers not in get_args(NoisyLayers):
             raise ValueError(
                 f"noisy_layers must be one of {get_args(NoisyLayers)}, got {noisy_layers!r}"
@@ -410,15 +411,3 @@ def split_arch(net_arch: NetArch) -> tuple[list[int], list[int]]:
             f"got {net_arch!r}"
         ) from None
     return shared, streams
-
-
-def _check_atoms(n_atoms: int, least: int) -> None:
-    if n_atoms < least or n_atoms != int(n_atoms):
-        raise ValueError(f"n_atoms must be a whole number, at least {least}, got {n_atoms}")
-
-
-def check_support(n_atoms: int, v_min: float, v_max: float) -> None:
-    """Raise ``ValueError`` for atoms that do not form a support."""
-    _check_atoms(n_atoms, 2)
-    if not (np.isfinite(v_min) and np.isfinite(v_max) and v_min < v_max):
-        raise ValueError(f"v_min must be below v_max, both finite, got {v_min} and {v_max}")

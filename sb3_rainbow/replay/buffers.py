@@ -19,7 +19,7 @@ from sb3_rainbow.replay.kernels import (
     importance_weights,
     scale_priorities,
 )
-from sb3_rainbow.replay.observation_store import ObservationStore, Rows, in_single
+from sb3_rainbow.replay.observation_store import ObservationStore, in_single
 from sb3_rainbow.replay.parameters import (
     check_buffer_size,
     check_replay_parameters,
@@ -185,7 +185,8 @@ class PrioritizedReplayBuffer(ReplayBuffer):
                 "float32): one such reward spoils every network; bound it, or mend its formula"
             )
         current, following = self._store.cast(obs), self._store.cast(next_obs)
-        self._close_interrupted_episodes(current)
+        # Left in the middle, as when someone resets the env
+        self._truncate(self._store.interrupted(current))
         pos = self.pos
         if self.full:
             overwritten = pos * self.n_envs + np.arange(self.n_envs, dtype=np.int64)
@@ -212,21 +213,14 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             self.full = True
             self.pos = 0
 
-    def _close_interrupted_episodes(self, current: Rows) -> None:
-        """Truncate episodes that were left in the middle, as when ``learn`` resets the env."""
-        if not (self.full or self.pos > 0):
-            return
-        newest = (self.pos - 1) % self.buffer_size
-        interrupted = self._store.interrupted(current)
-        if interrupted.any():
-            self._truncate(interrupted, newest)
-
     def truncate(self) -> None:
         """Truncate the episodes that run, because the env is reset in the middle of them."""
-        if self.full or self.pos > 0:
-            self._truncate(np.ones(self.n_envs, bool), (self.pos - 1) % self.buffer_size)
+        self._truncate(np.ones(self.n_envs, bool))
 
-    def _truncate(self, which: NDArray[np.bool_], newest: int) -> None:
+    def _truncate(self, which: NDArray[np.bool_]) -> None:
+        if not self.size() or not which.any():
+            return
+        newest = (self.pos - 1) % self.buffer_size
         which &= self.ends[newest] == RUNNING
         for env in np.flatnonzero(which).tolist():
             self.ends[newest, env] = TRUNCATED

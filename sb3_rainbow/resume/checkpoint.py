@@ -1,6 +1,6 @@
 """What a checkpoint holds of the env, and the names of its parts."""
 
-import pathlib
+import os
 import warnings
 import zipfile
 from typing import Any
@@ -27,12 +27,17 @@ _WRAPPER_STATE: dict[type[VecEnvWrapper], tuple[str, ...]] = {
 _STATELESS = (VecCheckNan, VecExtractDictObs, VecTransposeImage, VecVideoRecorder)
 
 
-def is_checkpoint(path: str | pathlib.Path) -> bool:
-    """Whether ``Rainbow.save_checkpoint`` wrote a file."""
+def members(path: str | os.PathLike[str]) -> set[str]:
+    """Names of what an archive holds; none of what is no archive."""
     if not zipfile.is_zipfile(path):
-        return False
+        return set()
     with zipfile.ZipFile(path) as archive:
-        return set(archive.namelist()) == {MODEL, REPLAY, ENV}
+        return set(archive.namelist())
+
+
+def is_checkpoint(path: str | os.PathLike[str]) -> bool:
+    """Whether ``Rainbow.save_checkpoint`` wrote a file."""
+    return members(path) == {MODEL, REPLAY, ENV}
 
 
 def env_state(env: VecEnv | None) -> dict[str, Any]:

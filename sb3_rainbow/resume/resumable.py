@@ -20,6 +20,7 @@ from sb3_rainbow.resume.checkpoint import (
     MODEL,
     REPLAY,
     env_state,
+    is_checkpoint,
     restore_env,
     restore_wrappers,
 )
@@ -171,15 +172,11 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         Raises:
             ValueError: if the file is no checkpoint, or was saved with other settings.
         """
-        try:
-            archive = zipfile.ZipFile(path)
-        except zipfile.BadZipFile as error:
-            raise ValueError(f"{path} is no checkpoint of Rainbow: {error}") from error
-        with archive:
-            if set(archive.namelist()) != {MODEL, REPLAY, ENV}:
-                raise ValueError(
-                    f"{path} is no checkpoint of Rainbow; was it written by save()? Then use load()"
-                )
+        if os.path.exists(path) and not is_checkpoint(path):
+            raise ValueError(
+                f"{path} is no checkpoint of Rainbow; was it written by save()? Then use load()"
+            )
+        with zipfile.ZipFile(path) as archive:
             state = pickle.loads(archive.read(ENV))
             resumable = state["env"] is not None
             model = cls.load(

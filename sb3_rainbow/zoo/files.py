@@ -7,6 +7,8 @@ from contextlib import contextmanager
 
 import stable_baselines3 as sb3
 
+from sb3_rainbow.resume.checkpoint import members
+
 ALGO = "rainbow"  # its name in the zoo, and in the names of files
 SETTINGS = "settings.json"  # in a file that holds no pickle
 
@@ -17,10 +19,7 @@ class ZooError(ValueError):
 
 def is_model_file(path: str | os.PathLike[str]) -> bool:
     """Whether a file has the packaged form, of which nothing is run."""
-    if not zipfile.is_zipfile(path):
-        return False
-    with zipfile.ZipFile(path) as archive:
-        return SETTINGS in archive.namelist()
+    return SETTINGS in members(path)
 
 
 @contextmanager

@@ -28,16 +28,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from torch import nn
 
 from sb3_rainbow import HESSEL, NoisyLinear, PrioritizedReplayBuffer, Rainbow
+from tests.sb3_rainbow import small
 
-FAST: dict[str, Any] = {
-    "learning_starts": 20,
-    "train_freq": 4,
-    "gradient_steps": 1,
-    "buffer_size": 500,
-    "batch_size": 8,
-    "seed": 0,
-    "policy_kwargs": {"net_arch": [16]},
-}
+FAST: dict[str, Any] = {**small.FAST, "gradient_steps": 1}
 COMPONENTS = ("double_q", "dueling", "prioritized", "noisy", "distributional")
 
 
