@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any
 
 
@@ -18,9 +18,7 @@ def check_replay_parameters(
         ValueError: naming the first parameter that is out of range.
     """
     check_counts(n_steps=n_steps)
-    if not 0.0 <= alpha <= 1.0:
-        raise ValueError(f"alpha must lie in [0, 1] (0 is uniform replay), got {alpha}")
-    check_shares(gamma=gamma)
+    check_shares(alpha=alpha, gamma=gamma)
     if epsilon is not None and not 0.0 < epsilon < math.inf:
         # Without it a transition whose loss is zero once would never be drawn again.
         raise ValueError(f"epsilon must be above 0 and finite, got {epsilon}")
@@ -33,11 +31,11 @@ def check_counts(**values: Any) -> None:
             raise ValueError(f"{name} must be an integer, at least 1, got {value!r}")
 
 
-def check_shares(**values: float) -> None:
-    """Raise ``ValueError`` for the first value outside of [0, 1], by its name."""
+def check_shares(**values: Any) -> None:
+    """Raise ``ValueError`` for the first value that is no number in [0, 1], by its name."""
     for name, value in values.items():
-        if not 0.0 <= value <= 1.0:
-            raise ValueError(f"{name} must lie in [0, 1], got {value}")
+        if not (isinstance(value, Real) and 0.0 <= float(value) <= 1.0):
+            raise ValueError(f"{name} must lie in [0, 1], got {value!r}")
 
 
 def check_buffer_size(buffer_size: int, n_envs: int, n_steps: int) -> None:

@@ -387,6 +387,7 @@ def test_tensorboard_folder_is_called_rainbow(tmp_path: Any) -> None:
         ({"batch_size": 8.0}, "batch_size must be an integer, at least 1, got 8.0"),
         ({"n_atoms": 20.5}, "n_atoms must be a whole number, at least 1, got 20.5"),
         ({"tau": 1.5}, "tau must lie in .0, 1., got 1.5"),
+        ({"tau": "5e-3"}, "tau must lie in .0, 1., got '5e-3'"),  # YAML's, without a dot
         ({"target_update_interval": 0}, "target_update_interval must be at least 1"),
         ({"sigma0": -0.1}, "sigma0 must be finite and not negative, got -0.1"),
         ({"sigma0": np.inf}, "sigma0 must be finite and not negative, got inf"),

@@ -122,7 +122,7 @@ def test_a_reward_that_is_not_finite_is_refused(reward: float) -> None:
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"alpha": -0.1}, "alpha must lie in .0, 1. .*got -0.1"),
+        ({"alpha": -0.1}, "alpha must lie in .0, 1., got -0.1"),
         ({"alpha": 1.1}, "alpha"),
         ({"beta": 2.0}, "beta must lie in .0, 1., got 2.0"),
         ({"gamma": 1.5}, "gamma"),
