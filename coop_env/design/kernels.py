@@ -49,8 +49,7 @@ def survey(
             pose = rrs.platform_pose(rolls[i, j], pitches[i, j], heave, p)
             reachable, q = rrs.inverse(pose, p)
             if reachable:
-                _, values, sigma[i, j] = rrs.singular_state(pose, q, p)
-                kappa[i, j] = values[0] / values[2] if values[2] != 0.0 else math.inf
+                _, _, sigma[i, j], kappa[i, j] = rrs.singular_state(pose, q, p)
                 if sigma[i, j] >= threshold and _within(rolls[i, j], pitches[i, j], q, p):
                     mask[i, j] = 0
 

@@ -23,7 +23,7 @@ from coop_env.kinematics import delta_kernels as kernels
 from coop_env.kinematics._batch import Bools, Floats, as_points, over_rows
 from coop_env.kinematics._batch import ShapeError as ShapeError
 from coop_env.kinematics.rrs_kernels import LIMB_COS, LIMB_SIN
-from coop_env.kinematics.singularity import determinant_3x3, singular_values_3x3
+from coop_env.kinematics.singularity import manipulability
 
 
 class Inverse(NamedTuple):
@@ -138,36 +138,21 @@ def limb_margin(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
 def _jacobian(
     p: Any, x: Any, y: Any, z: Any, matrix: Any, values: Any, signed: Any, kappa: Any
 ) -> None:
-    """J = l_a B^-1 A, its singular values, the least with its sign, kappa; NaN out of reach."""
+    """J, its singular values, the least with its sign, kappa; NaN out of reach."""
     matrix[:], values[:], signed[:], kappa[:] = math.nan, math.nan, math.nan, math.nan
     for n in range(len(x)):
         reachable, theta = kernels.inverse(x[n], y[n], z[n], p)
-        if not reachable:
-            continue
-        a, b = kernels.jacobian_parts(x[n], y[n], z[n], theta, p)
-        if b[0] == 0.0 or b[1] == 0.0 or b[2] == 0.0:
-            continue
-        for i in range(3):
-            for k in range(3):
-                matrix[n, i, k] = p.proximal_length * a[i][k] / b[i]
-        m = matrix[n]
-        sigma = singular_values_3x3(
-            (
-                (m[0, 0], m[0, 1], m[0, 2]),
-                (m[1, 0], m[1, 1], m[1, 2]),
-                (m[2, 0], m[2, 1], m[2, 2]),
-            )
-        )
-        values[n] = sigma
-        # Hanging on the axis, the three distal links always make a negative determinant.
-        signed[n] = math.copysign(sigma[2], -determinant_3x3(a))
-        kappa[n] = sigma[0] / sigma[2] if sigma[2] != 0.0 else math.inf
+        if reachable:
+            a, b = kernels.jacobian_parts(x[n], y[n], z[n], theta, p)
+            # Hanging on the axis, the three distal links always make a negative determinant.
+            j, values[n], signed[n], kappa[n] = manipulability(a, b, -1.0)
+            matrix[n, 0], matrix[n, 1], matrix[n, 2] = j
 
 
 def jacobian(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
     """J ``(..., 3, 3)`` with ``thetadot = J v / l_a``, dimensionless; NaN out of reach.
 
-    ``J = l_a B^-1 A``; A's rows are unit vectors along the distal links, B_i the crank's leverage.
+    ``J = B^-1 A``; A's rows are l_a times the distal links' directions, B_i the crank's leverage.
 
     >>> jacobian([0.0, 0.0, -0.5]).round(4)
     array([[-0.5357,  0.    , -0.848 ],

@@ -108,9 +108,9 @@ def forward(theta: Row, p: DeltaParams) -> tuple[bool, Row]:
 
 @njit(cache=True)
 def jacobian_parts(x: float, y: float, z: float, theta: Row, p: DeltaParams) -> tuple[Matrix3, Row]:
-    """A by rows (unit vectors along the distal links) and the diagonal of B (m).
+    """A by rows (the distal links' directions, l_a long) and the diagonal of B, both in m.
 
-    ``B thetadot = A v`` with v the effector's velocity. B = 0 on a limb is a type I (serial)
+    ``B thetadot = A v / l_a`` with v the effector's velocity. B = 0 on a limb is a type I (serial)
     singularity, det A = 0 a type II (parallel) one.
     """
     a0, b0 = _limb_row(x, y, z, theta[0], 0, p)
@@ -129,7 +129,7 @@ def _limb_row(
     dz = (z - k[2]) / p.distal_length
     inward = dx * LIMB_COS[limb] + dy * LIMB_SIN[limb]
     b = -p.proximal_length * (math.sin(theta) * inward + math.cos(theta) * dz)
-    return (dx, dy, dz), b
+    return (p.proximal_length * dx, p.proximal_length * dy, p.proximal_length * dz), b
 
 
 @njit(cache=True)

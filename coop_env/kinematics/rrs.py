@@ -29,14 +29,6 @@ from coop_env.kinematics._batch import ShapeError as ShapeError
 from coop_env.kinematics.rotations import yaw_of
 
 
-class Manipulability(NamedTuple):
-    """Singular values of J ``(..., 3)``, the least with its sign ``(...)``, and kappa ``(...)``."""
-
-    singular_values: Floats
-    signed_sigma_min: Floats
-    condition_number: Floats
-
-
 class PlatformPose(NamedTuple):
     """Where the platform is: centre ``(..., 3)`` in m and rotation matrix ``(..., 3, 3)``."""
 
@@ -218,9 +210,8 @@ def _jacobian(
         at = kernels.platform_pose(roll[n], pitch[n], heave[n], p)
         reachable, q = kernels.inverse(at, p)
         if reachable:
-            j, values[n], signed[n] = kernels.singular_state(at, q, p)
+            j, values[n], signed[n], kappa[n] = kernels.singular_state(at, q, p)
             matrix[n, 0], matrix[n, 1], matrix[n, 2] = j
-            kappa[n] = values[n, 0] / values[n, 2] if values[n, 2] != 0.0 else math.inf
 
 
 def jacobian(
@@ -240,17 +231,6 @@ def jacobian(
     return _jacobian(*_given(pose, geometry, pose_model))[0]
 
 
-def manipulability(
-    pose: ArrayLike, geometry: RRSGeometry = OPTIMIZED, pose_model: str = "exact"
-) -> Manipulability:
-    """All that J's singular values say, in one pass; the three functions below give one each.
-
-    >>> manipulability([0.0, 0.0, 0.21]).condition_number.round(4)
-    np.float64(1.5678)
-    """
-    return Manipulability(*_jacobian(*_given(pose, geometry, pose_model))[1:])
-
-
 def singular_values(
     pose: ArrayLike, geometry: RRSGeometry = OPTIMIZED, pose_model: str = "exact"
 ) -> Floats:
@@ -259,7 +239,7 @@ def singular_values(
     >>> singular_values([0.0, 0.0, 0.21]).round(4)
     array([1.5593, 0.9946, 0.9946])
     """
-    return manipulability(pose, geometry, pose_model).singular_values
+    return _jacobian(*_given(pose, geometry, pose_model))[1]
 
 
 def signed_sigma_min(
@@ -274,7 +254,7 @@ def signed_sigma_min(
     >>> signed_sigma_min(np.stack([roll, 0 * roll, 0 * roll + 0.21], axis=-1)).round(3)
     array([ 0.995,  0.263,  0.03 , -0.318])
     """
-    return manipulability(pose, geometry, pose_model).signed_sigma_min
+    return _jacobian(*_given(pose, geometry, pose_model))[2]
 
 
 def condition_number(
@@ -285,7 +265,7 @@ def condition_number(
     >>> float(condition_number([0.0, 0.0, 0.21]).round(4))
     1.5678
     """
-    return manipulability(pose, geometry, pose_model).condition_number
+    return _jacobian(*_given(pose, geometry, pose_model))[3]
 
 
 @over_rows("(3,3)f8")

@@ -16,8 +16,7 @@ from coop_env.geometry import RRSGeometry
 from coop_env.kinematics.singularity import (
     Matrix3,
     Row,
-    determinant_3x3,
-    singular_values_3x3,
+    manipulability,
     solve_3x3,
 )
 
@@ -247,31 +246,10 @@ def jacobian_parts(pose: Pose, q: Row, p: RRSParams) -> tuple[Matrix3, Row]:
 
 
 @njit(cache=True)
-def jacobian(a: Matrix3, b: Row) -> Matrix3:
-    """J = B^-1 A by rows, dimensionless; infinite at a type I (serial) singularity."""
-    if b[0] == 0.0 or b[1] == 0.0 or b[2] == 0.0:
-        inf = (math.inf, math.inf, math.inf)
-        return inf, inf, inf
-    (a00, a01, a02), (a10, a11, a12), (a20, a21, a22) = a
-    return (
-        (a00 / b[0], a01 / b[0], a02 / b[0]),
-        (a10 / b[1], a11 / b[1], a12 / b[1]),
-        (a20 / b[2], a21 / b[2], a22 / b[2]),
-    )
-
-
-@njit(cache=True)
-def singular_state(pose: Pose, q: Row, p: RRSParams) -> tuple[Matrix3, Row, float]:
-    """J by rows, its singular values descending, and the least with the sign of det A.
-
-    All but J are NaN at a type I (serial) singularity, where J is infinite.
-    """
+def singular_state(pose: Pose, q: Row, p: RRSParams) -> tuple[Matrix3, Row, float, float]:
+    """J, its singular values, the least with its sign relative to home, and kappa."""
     a, b = jacobian_parts(pose, q, p)
-    j = jacobian(a, b)
-    if b[0] == 0.0 or b[1] == 0.0 or b[2] == 0.0:
-        return j, (math.nan, math.nan, math.nan), math.nan
-    values = singular_values_3x3(j)
-    return j, values, math.copysign(values[2], determinant_3x3(a) * p.home_sign)
+    return manipulability(a, b, p.home_sign)
 
 
 @njit(cache=True)

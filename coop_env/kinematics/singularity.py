@@ -1,4 +1,4 @@
-"""Linear algebra on 3 x 3 matrices as tuples: singular values, determinant, linear solve.
+"""Linear algebra on 3 x 3 matrices as tuples, and what both robots' Jacobians say with it.
 
 Singular values come from one-sided Jacobi rotations. The closed form through the
 characteristic polynomial of J^T J is faster by a little but loses half the digits at a repeated
@@ -61,6 +61,27 @@ def determinant_3x3(rows: Matrix3) -> float:
     """Determinant of the matrix with the given rows."""
     (a, b, c), (d, e, f), (g, h, i) = rows
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+
+
+@njit(cache=True)
+def manipulability(a: Matrix3, b: Row, sign: float) -> tuple[Matrix3, Row, float, float]:
+    """J = B^-1 A by rows, its singular values, the least with the sign of ``sign det A``, kappa.
+
+    A is given by rows, B by its diagonal. All but J are NaN at a type I (serial) singularity,
+    where J is infinite.
+    """
+    if b[0] == 0.0 or b[1] == 0.0 or b[2] == 0.0:
+        inf, nan = (math.inf, math.inf, math.inf), math.nan
+        return (inf, inf, inf), (nan, nan, nan), nan, nan
+    (a00, a01, a02), (a10, a11, a12), (a20, a21, a22) = a
+    j = (
+        (a00 / b[0], a01 / b[0], a02 / b[0]),
+        (a10 / b[1], a11 / b[1], a12 / b[1]),
+        (a20 / b[2], a21 / b[2], a22 / b[2]),
+    )
+    values = singular_values_3x3(j)
+    kappa = values[0] / values[2] if values[2] != 0.0 else math.inf
+    return j, values, math.copysign(values[2], determinant_3x3(a) * sign), kappa
 
 
 @njit(cache=True)
