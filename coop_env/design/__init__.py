@@ -17,7 +17,6 @@ from coop_env.design.optimize import at_heaves as at_heaves
 from coop_env.design.optimize import atlas as atlas
 from coop_env.design.optimize import optimize as optimize
 from coop_env.design.optimize import optimize_globally as optimize_globally
-from coop_env.design.optimize import repeat as repeat
 from coop_env.design.problem import DesignError as DesignError
 from coop_env.design.problem import DesignProblem as DesignProblem
 from coop_env.design.problem import Samples as Samples

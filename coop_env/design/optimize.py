@@ -19,6 +19,7 @@ from coop_env.design.problem import (
     sample_points,
     workspace_area,
 )
+from coop_env.errors import check_integer, check_number
 from coop_env.geometry import INITIAL, GeometryError, RRSGeometry
 
 Constraint = Callable[[RRSGeometry], float]  # satisfied where it is not negative
@@ -30,8 +31,11 @@ FEASIBLE_BOX: Final[Bounds] = ((0.5, 2.0), (0.1, 3.4))
 
 @dataclass(frozen=True, slots=True)
 class Optimum:
-    """Where an optimizer ended. ``path`` holds every design it evaluated ``(n, 3)``:
-    lambda1, lambda2 and the objective, NaN where a constraint is broken.
+    """Where an optimizer ended.
+
+    ``converged`` says that it ended by its tolerance, before its limit; ``message`` why it ended.
+    ``path`` holds every design it evaluated ``(n, 3)``: lambda1, lambda2 and the objective, NaN
+    where a constraint is broken.
     """
 
     lambda1: float
@@ -167,14 +171,16 @@ def optimize(
 
     Raises:
         GeometryError: the start breaks the paper's constraints.
-        DesignError: the start has no workspace, or breaks a constraint; or a value is not finite.
+        DesignError: the start has no workspace, or breaks a constraint; a value is not finite; or
+            an argument is out of range.
 
     >>> optimum = optimize()
     >>> optimum.converged, round(optimum.value, 1), optimum.value > optimum.start_value
     (True, 1.2, True)
     """
-    if not simplex > 0.0:
-        raise DesignError(f"simplex = {simplex!r}: its edge must be above zero")
+    for name, size in (("simplex", simplex), ("tolerance", tolerance)):
+        check_number(name, size, 0.0, above=True, error=DesignError)
+    check_integer("max_evaluations", max_evaluations, 1, error=DesignError)
     cost, start_value = _cost_and_start(problem, start, objective, constraints, seed)
     first = np.array(start)
     result = minimize(
@@ -191,22 +197,6 @@ def optimize(
     return _optimum(cost, result, start_value)
 
 
-def repeat(
-    runs: int = 10, problem: DesignProblem | None = None, seed: int = 0, **arguments: object
-) -> list[Optimum]:
-    """``runs`` runs of :func:`optimize`, each with a jitter of its own, frozen within the run.
-
-    Args:
-        runs: how many; the paper averages over 10.
-        problem: as in :func:`optimize`.
-        seed: of the first run; run i has ``seed + i``.
-        arguments: the others of :func:`optimize`.
-    """
-    if runs < 1:
-        raise DesignError(f"runs = {runs!r}: must be at least 1")
-    return [optimize(problem, seed=seed + i, **arguments) for i in range(runs)]  # type: ignore[arg-type]
-
-
 def optimize_globally(
     problem: DesignProblem | None = None,
     bounds: Bounds = FEASIBLE_BOX,
@@ -220,10 +210,24 @@ def optimize_globally(
 ) -> Optimum:
     """Maximize over a box by differential evolution, to see whether Nelder-Mead's is the best.
 
-    Its end is polished by Nelder-Mead with a small simplex. Arguments as in :func:`optimize`;
-    ``seed`` is the search's own and the cells' centres are sampled. ``start`` joins the first
-    generation.
+    Its end is polished by Nelder-Mead with a small simplex. The cells' centres are sampled.
+
+    Args:
+        problem: as in :func:`optimize`.
+        bounds: least and largest lambda1, and lambda2.
+        objective: as in :func:`optimize`.
+        constraints: as in :func:`optimize`.
+        seed: of the search.
+        population: half the designs of a generation.
+        generations: at most so many follow the first.
+        start: (lambda1, lambda2) that joins the first generation.
+
+    Raises:
+        GeometryError: the start breaks the paper's constraints.
+        DesignError: as in :func:`optimize`.
     """
+    for name, number in (("population", population), ("generations", generations)):
+        check_integer(name, number, 1, error=DesignError)
     cost, start_value = _cost_and_start(problem, start, objective, constraints, None)
     result = differential_evolution(
         cost,
@@ -248,6 +252,7 @@ def optimize_globally(
         start_value=start_value,
         evaluations=coarse.evaluations + fine.evaluations,
         converged=coarse.converged and fine.converged,
+        message=f"global search: {coarse.message} polish: {fine.message}",
         path=np.concatenate([coarse.path, fine.path]),
     )
 
@@ -261,18 +266,6 @@ class Atlas:
     lambda1: Floats
     lambda2: Floats
     value: Floats
-
-    @property
-    def best(self) -> tuple[float, float, float]:
-        """(lambda1, lambda2, value) of the greatest entry.
-
-        Raises:
-            DesignError: no design of the grid meets the constraints.
-        """
-        if not np.isfinite(self.value).any():
-            raise DesignError("no design of this atlas meets lambda3 < lambda1 < 2: widen its grid")
-        i, j = np.unravel_index(np.nanargmax(self.value), self.value.shape)
-        return float(self.lambda1[i]), float(self.lambda2[j]), float(self.value[i, j])
 
 
 def atlas(

@@ -42,7 +42,7 @@ class DesignProblem:
     Attributes:
         eta: scale ``(Rb + 2 L1 + Rp) / 4``; every design has it.
         distal_length: L2; every design has it.
-        heaves: heights at which A_w is measured. The first is home, where det A defines its sign.
+        heaves: heights at which A_w is measured. The first is the home of designs that are sought.
         threshold: least sigma_min that counts; the paper's 0.15.
         joint_min: lower limit of the actuated angles.
         joint_max: upper limit.
@@ -105,7 +105,7 @@ class DesignProblem:
 
     @property
     def home_heave(self) -> float:
-        """Height at which the sign of det A is taken, m."""
+        """Height of the home of designs that are sought, m; det A has its sign there."""
         return self.heaves[0]
 
     @property

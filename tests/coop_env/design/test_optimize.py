@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,13 +27,10 @@ def test_nelder_mead_from_the_initial_design_finds_the_papers_gain() -> None:
 
 
 def test_runs_differ_by_their_jitter_and_repeat_by_their_seed() -> None:
-    runs = design.repeat(3, COARSE)
-    again = design.repeat(3, COARSE)
+    runs, again = ([design.optimize(COARSE, seed=seed) for seed in range(3)] for _ in range(2))
     assert [run.value for run in runs] == [run.value for run in again]
     assert len({run.lambda1 for run in runs}) == 3
     assert all(run.converged for run in runs)
-    with pytest.raises(DesignError, match="runs = 0"):
-        design.repeat(0)
 
 
 def test_no_evaluated_design_breaks_the_constraints() -> None:
@@ -52,12 +50,30 @@ def test_differential_evolution_finds_nothing_better() -> None:
     assert far.value == pytest.approx(local.value, rel=0.01)
 
 
+def test_a_search_cut_short_says_so() -> None:
+    for cut in (
+        design.optimize_globally(COARSE, population=3, generations=1),
+        design.optimize(COARSE, max_evaluations=5),
+    ):
+        assert not cut.converged
+        assert "has been exceeded" in cut.message
+        assert len(cut.path) == cut.evaluations
+        assert cut.value >= cut.start_value
+    wrong: dict[str, Any] = {"max_evaluations": 0, "tolerance": math.nan, "simplex": math.inf}
+    for name, value in wrong.items():
+        with pytest.raises(DesignError, match=name):
+            design.optimize(COARSE, **{name: value})
+    with pytest.raises(DesignError, match="population"):
+        design.optimize_globally(COARSE, population=0)
+
+
 def test_the_atlas_peaks_where_nelder_mead_ends() -> None:
     grid = design.atlas(COARSE, np.arange(1.2, 1.9, 0.06), np.arange(1.2, 2.0, 0.06))
-    lambda1, lambda2, value = grid.best
+    best = np.unravel_index(np.nanargmax(grid.value), grid.value.shape)
     result = design.optimize(COARSE)
-    assert value <= result.value + 1e-9
-    assert math.hypot(lambda1 - result.lambda1, lambda2 - result.lambda2) < 0.12
+    assert grid.value[best] <= result.value + 1e-9
+    apart = grid.lambda1[best[0]] - result.lambda1, grid.lambda2[best[1]] - result.lambda2
+    assert math.hypot(*apart) < 0.12
     i, j = 3, 4
     geometry = COARSE.geometry(grid.lambda1[i], grid.lambda2[j])
     assert grid.value[i, j] == design.workspace_area(geometry, COARSE)
@@ -75,8 +91,6 @@ def test_the_atlas_is_nan_exactly_outside_the_constraints_and_reports_progress()
             feasible = 0 < c < a < 2 and b > 0
             assert np.isfinite(grid.value[i, j]) == feasible
     assert rows == [(1, 3), (2, 3), (3, 3)]
-    with pytest.raises(DesignError, match="no design of this atlas"):
-        _ = design.atlas(tiny, [0.1], [0.1]).best
 
 
 def test_a_start_without_workspace_is_an_error_not_a_flat_optimum() -> None:
