@@ -168,10 +168,14 @@ class DeltaGeometry:
                 f"peg_length = {self.peg_length:.4g} m must exceed "
                 f"peg_radius = {self.peg_radius:.4g} m, the radius of its tip"
             )
-        if abs(self.base_radius - self.effector_radius) >= self.distal_length:
+        # on the axis, and so anywhere, at least one limb has to span this and l_p - l_a downwards
+        across = abs(self.base_radius - self.effector_radius)
+        most = 2.0 * math.sqrt(self.proximal_length * self.distal_length)
+        if not across < most:
             raise GeometryError(
-                f"base_radius - effector_radius = {self.base_radius - self.effector_radius:.4g} m "
-                f"must be within distal_length = {self.distal_length:.4g} m: it cannot be assembled"
+                f"base_radius and effector_radius differ by {across:.4g} m: must be less than "
+                f"2 sqrt(proximal_length distal_length) = {most:.4g} m, or the limbs reach no "
+                "point of the workspace"
             )
 
     @property

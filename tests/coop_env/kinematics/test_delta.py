@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import least_squares
 
-from coop_env.geometry import DELTA, DeltaGeometry
+from coop_env.geometry import DELTA, DeltaGeometry, GeometryError
 from coop_env.kinematics import delta, delta_kernels
 
 AZIMUTHS = np.radians([0.0, 120.0, 240.0])
@@ -51,23 +50,6 @@ def test_links_have_their_lengths_and_knees_point_out() -> None:
     knee_radial = np.einsum("nia,ia->ni", to_knee, RADIAL)
     outward = knee_radial * -chord[..., 2] + to_knee[..., 2] * radial
     assert (outward > -1e-12).all()
-
-
-def test_forward_agrees_with_a_numerical_solver() -> None:
-    points = _positions(30, seed=2)
-    theta = delta.inverse(points).theta
-    for angles, expected in zip(theta, points, strict=True):
-        reach = DELTA.base_radius + DELTA.proximal_length * np.cos(angles)
-        knees = reach[:, None] * RADIAL
-        knees[:, 2] = -DELTA.proximal_length * np.sin(angles)
-
-        def closure(x: np.ndarray, knees: np.ndarray = knees) -> np.ndarray:
-            joints = x + DELTA.effector_radius * RADIAL
-            return np.sum((joints - knees) ** 2, axis=-1) - DELTA.distal_length**2
-
-        solution = least_squares(closure, [0.0, 0.0, -0.6], xtol=1e-15, ftol=1e-15, gtol=1e-15).x
-        np.testing.assert_allclose(delta.forward(angles).position, solution, atol=1e-8)
-        np.testing.assert_allclose(solution, expected, atol=1e-8)
 
 
 def test_jacobian_is_the_derivative_of_the_inverse() -> None:
@@ -161,3 +143,23 @@ def test_bad_input() -> None:
         assert np.isnan(delta.jacobian(bad)).all()
         assert np.isnan(delta.signed_sigma_min(bad))
         assert not delta.is_valid(bad)
+
+
+def test_a_delta_is_refused_where_its_limbs_reach_nothing() -> None:
+    """Of two bases beside the bound, one reaches the workspace's highest point and one nothing."""
+    most = 2.0 * np.sqrt(DELTA.proximal_length * DELTA.distal_length)
+    wide = DeltaGeometry(base_radius=DELTA.effector_radius + 0.999 * most)
+    z = np.linspace(-0.65, -0.25, 2001)
+    points = np.column_stack([np.zeros((len(z), 2)), z])
+    reached = points[delta.is_valid(points, wide)]
+    assert len(reached) > 0
+    found = delta.forward(delta.inverse(reached, wide).theta, wide)
+    np.testing.assert_allclose(found.position, reached, atol=1e-9)
+    with pytest.raises(GeometryError, match="reach no point"):
+        DeltaGeometry(base_radius=DELTA.effector_radius + 1.001 * most)
+    too_wide = delta_kernels.make_params(wide)._replace(
+        base_radius=DELTA.effector_radius + 1.001 * most
+    )
+    rng = np.random.default_rng(0)
+    for x, y, height in rng.uniform([-0.16, -0.16, -0.65], [0.16, 0.16, -0.25], (20_000, 3)):
+        assert not delta_kernels.is_valid(x, y, height, too_wide)
