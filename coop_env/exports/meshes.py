@@ -98,37 +98,30 @@ def save_stl(folder: Path, machine: Machine | None = None, unit: str = "m") -> l
     Raises:
         ArgumentError: the unit is neither.
     """
-    scale, result = _scale(unit), links(machine)
+    if unit not in UNITS:
+        raise ArgumentError(f"unit = {unit!r}: must be one of {list(UNITS)}")
+    result, paths = links(machine), []
     folder.mkdir(parents=True, exist_ok=True)
-    paths = []
     for link in result:
         paths.append(folder / f"{link.name}.stl")
-        link.mesh.copy().apply_scale(scale).export(paths[-1])
+        link.mesh.copy().apply_scale(UNITS[unit]).export(paths[-1])
     return paths
 
 
 Y_UP: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
-def save_glb(path: Path, machine: Machine | None = None, unit: str = "m") -> None:
+def save_glb(path: Path, machine: Machine | None = None) -> None:
     """Write the machine at home as binary glTF, a node with its colours for each link.
 
-    glTF's own unit is the metre: of millimetres the reader has to be told. Its y axis points up, so
-    that the machine's (x, y, z) are its (x, z, -y).
-
-    Raises:
-        ArgumentError: the unit is neither ``"m"`` nor ``"mm"``.
+    As in all glTF, lengths are in m and the y axis points up, so that the machine's (x, y, z) are
+    the file's (x, z, -y).
     """
-    scale, scene = _scale(unit), trimesh.Scene()
+    scene = trimesh.Scene()
     for link in links(machine):
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = link.rotation, scale * link.position
-        mesh = link.mesh.copy().apply_scale(scale)
-        scene.add_geometry(mesh, node_name=link.name, geom_name=link.name, transform=Y_UP @ pose)
+        pose[:3, :3], pose[:3, 3] = link.rotation, link.position
+        scene.add_geometry(
+            link.mesh, node_name=link.name, geom_name=link.name, transform=Y_UP @ pose
+        )
     scene.export(path, file_type="glb")
-
-
-def _scale(unit: str) -> float:
-    if unit not in UNITS:
-        raise ArgumentError(f"unit = {unit!r}: must be one of {list(UNITS)}")
-    return UNITS[unit]
