@@ -89,25 +89,6 @@ def test_no_tilt_limit_is_needed_for_the_papers_designs() -> None:
     assert tight == pytest.approx(math.radians(20) ** 2)
 
 
-def test_the_area_has_the_mechanisms_symmetry() -> None:
-    """120 degrees about z maps the mechanism onto itself; the workspace must map as well."""
-    result = design.workspace_map(OPTIMIZED)
-    n = np.stack(
-        [
-            np.sin(result.samples.pitch),
-            -np.sin(result.samples.roll) * np.cos(result.samples.pitch),
-            np.cos(result.samples.roll) * np.cos(result.samples.pitch),
-        ],
-        axis=-1,
-    )[result.inside]
-    azimuth = np.arctan2(n[:, 1], n[:, 0])
-    tilt = np.arccos(n[:, 2])
-    sectors = [
-        tilt[np.cos(azimuth - centre) >= 0.5].max() for centre in np.radians([0.0, 120.0, 240.0])
-    ]
-    assert np.ptp(sectors) < math.radians(1.5)
-
-
 def test_only_the_ratios_of_lengths_matter() -> None:
     """Lengths and heave in other units are the same machine: J is dimensionless."""
     for size in (0.5, 3.0):

@@ -103,11 +103,13 @@ def test_a_success_is_one_insertion_and_all_filled_is_every_hole(
     env = CoopInsertionEnv(**SIX)
     info = start(env, filled)
     assert not any(info[key] for key in KEYS)
-    *_, terminated, _, info = env.step(5)
+    *_, terminated, truncated, info = env.step(5)
     assert info["inserted"]
     assert info["success"]
     assert info["is_success"]
     assert info["all_filled"] == all_filled == terminated
+    assert not truncated
+    assert env.scene().status == ("success" if all_filled else "running")
 
 
 @pytest.mark.parametrize("name", sorted(n for n in gym.registry if n.startswith("CoopInsertion")))

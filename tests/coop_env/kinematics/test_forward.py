@@ -74,19 +74,6 @@ def test_from_afar_it_is_the_pose_or_the_branch_has_ended_in_a_singularity(name:
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_from_home_the_limbs_close_at_the_pose(name: str) -> None:
-    g = GEOMETRIES[name]
-    poses = _valid_poses(g, 2000, seed=9)
-    poses = poses[rrs.signed_sigma_min(poses, g) >= 0.15]
-    result = rrs.forward(rrs.inverse(poses, g).q, [0.0, 0.0, 0.21], g)
-    found = result.pose[result.converged]
-    np.testing.assert_allclose(found, poses[result.converged], atol=1e-9)
-    points = rrs.limb_points(found, g)
-    distal = np.linalg.norm(points[..., 2, :] - points[..., 1, :], axis=-1)
-    assert np.abs(distal - g.distal_length).max() < 1e-12
-
-
-@pytest.mark.parametrize("name", EVERY)
 def test_two_assembly_modes_of_one_q_are_told_apart_by_the_previous_pose(name: str) -> None:
     """A pose beyond the singularity shares its q with another on home's side."""
     g = GEOMETRIES[name]

@@ -131,19 +131,6 @@ def _euler_yaw_sine(rotation: np.ndarray) -> np.ndarray:
     return np.sin(Rotation.from_matrix(rotation).as_euler("XYZ")[:, 2])
 
 
-def test_limb_points_are_joined_by_the_links() -> None:
-    poses = _poses(300, seed=5)
-    poses = poses[rrs.inverse(poses).reachable]
-    points = rrs.limb_points(poses)
-    proximal = np.linalg.norm(points[..., 1, :] - points[..., 0, :], axis=-1)
-    distal = np.linalg.norm(points[..., 2, :] - points[..., 1, :], axis=-1)
-    np.testing.assert_allclose(proximal, OPTIMIZED.proximal_length, atol=1e-12)
-    np.testing.assert_allclose(distal, OPTIMIZED.distal_length, atol=1e-12)
-    np.testing.assert_allclose(
-        np.linalg.norm(points[..., 0, :], axis=-1), OPTIMIZED.base_radius, atol=1e-14
-    )
-
-
 def test_margins_change_sign_where_validity_does() -> None:
     poses = _poses(3000, seed=6)
     q, reachable = rrs.inverse(poses)

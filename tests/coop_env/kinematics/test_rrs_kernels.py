@@ -153,15 +153,6 @@ def test_sigma_changes_sign_exactly_where_det_a_does(name: str) -> None:
     assert abs(sigma[ok][at:]).max() > 0.1  # and unsigned it would rise again beyond
 
 
-def test_home_is_positive_and_tilting_is_symmetric_at_home() -> None:
-    for p in PARAMS.values():
-        pose = kernels.platform_pose(0.0, 0.0, 0.21, p)
-        reachable, q = kernels.inverse(pose, p)
-        assert reachable
-        assert q[0] == pytest.approx(q[1], abs=1e-15) == pytest.approx(q[2], abs=1e-15)
-        assert kernels.sigma_at(0.0, 0.0, 0.21, p) > 0.15
-
-
 def test_a_joint_too_near_its_base_is_unreachable_though_the_paper_lets_it_pass() -> None:
     g = RRSGeometry(base_radius=0.17, proximal_length=0.06, platform_radius=0.165, heave_min=0.1)
     p = kernels.make_params(g)
