@@ -163,7 +163,8 @@ def optimize(
         objective: ``objective(geometry, problem, samples)``, not negative; A_w by default.
         constraints: functions of a geometry, each satisfied where not negative; they and the
             paper's own act as a penalty.
-        simplex: edge of the initial simplex, along each axis.
+        simplex: edge of the initial simplex, along each axis. One of a few thousandths stalls at
+            once, and is converged: the area changes in steps of a cell.
         seed: of the jitter, one draw per cell that is kept for the whole run; None for the
             cells' centres.
         tolerance: the search ends when the simplex is smaller than this in lambda and in value.

@@ -329,7 +329,8 @@ def forward(
     Up to 16 poses close the limbs for one q. This walks q in a straight line from the angles of
     ``previous`` and tracks the pose by Newton's method, in steps short enough that it contracts,
     with det A kept on its side. Where the branch ends on the way, in a parallel singularity, it
-    says ``converged=False`` and gives NaN: it never jumps to another assembly mode.
+    says ``converged=False`` and gives NaN. A long step can pass over a gap in which no pose of the
+    branch closes the limbs (6 of 3,748 random walks that converged): give waypoints.
 
     Args:
         q: actuated angles ``(..., 3)``, rad.

@@ -2,7 +2,7 @@
 
 Given actuated angles q, up to 16 platform poses close the limbs. Which of them the machine is in
 follows from where it was, so the solver walks q from the previous pose's angles to the goal's and
-tracks the pose, refusing every step in which Newton's method could have left the branch.
+tracks the pose, refusing steps in which Newton's method may have left the branch.
 """
 
 from __future__ import annotations
