@@ -9,8 +9,9 @@ library's it varies; without, one of a name that the library has varies that.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, TypeVar
+from typing import Annotated, Any, Final, Literal
 
 import yaml
 from pydantic import AfterValidator, Field
@@ -303,6 +304,16 @@ class SuitePreset(Strict):
     checkpoint_seconds: AtLeast0 = 60.0
     search: bool = False  # compares settings of an algorithm rather than algorithms
 
+    def __post_init__(self) -> None:
+        if self.search and self.controls:
+            raise ValueError("controls: a search compares settings, it has none")
+        if unknown := {*self.controls} - SUITE_CONTROLS.keys():
+            raise ValueError(f"controls: unknown '{min(unknown)}'; known: {known(SUITE_CONTROLS)}")
+        for method, (key, task) in product(self.methods, self.tasks.items()):
+            algorithm_of(method)
+            if method not in {*task.methods, *task.skip}:
+                raise ValueError(f"tasks: {key}: methods has no settings for '{method}'")
+
 
 def rows_of(team: str | None) -> int:
     """Transitions that one tick of a team makes: one, or one of each agent."""
@@ -332,9 +343,7 @@ def load(name: str) -> Preset | SuitePreset:
             f"unknown preset '{name}'; known presets: {known(preset_names())} "
             "(or the path of a .yaml file)"
         )
-    data = read_yaml(path)
-    parse = parse_suite if "tasks" in data else parse_preset
-    return parse(data, path.stem, path.name)
+    return parse(read_yaml(path), path.stem, path.name)
 
 
 def load_preset(name: str) -> Preset:
@@ -343,7 +352,10 @@ def load_preset(name: str) -> Preset:
     Raises:
         BenchmarkError: as :func:`load`, or the preset is of other tasks.
     """
-    return _of_kind(Preset, load(name), "public tasks, and this is for the insertion task")
+    preset = load(name)
+    if not isinstance(preset, Preset):
+        raise BenchmarkError(f"preset '{name}' is of public tasks: name one of the insertion task")
+    return preset
 
 
 def load_suite(name: str) -> SuitePreset:
@@ -352,43 +364,17 @@ def load_suite(name: str) -> SuitePreset:
     Raises:
         BenchmarkError: as :func:`load`, or the preset is of the insertion task.
     """
-    return _of_kind(SuitePreset, load(name), "the insertion task, and this is for public tasks")
-
-
-P = TypeVar("P", Preset, SuitePreset)
-
-
-def _of_kind(kind: type[P], preset: Preset | SuitePreset, words: str) -> P:
-    if not isinstance(preset, kind):
-        raise BenchmarkError(f"preset '{preset.name}' is of {words}")
+    preset = load(name)
+    if not isinstance(preset, SuitePreset):
+        raise BenchmarkError(f"preset '{name}' is of the insertion task: name one of public tasks")
     return preset
 
 
-def parse_preset(data: dict[str, Any], name: str, where: str) -> Preset:
+def parse(data: dict[str, Any], name: str, where: str) -> Preset | SuitePreset:
     """Check and build a preset from what its file holds; ``where`` is named in errors."""
-    tracks = _entries(data, "tracks", where)
-    return build(Preset, {**data, "name": name, "tracks": tracks}, where)
-
-
-def parse_suite(data: dict[str, Any], name: str, where: str) -> SuitePreset:
-    """As :func:`parse_preset`, of public tasks."""
-    tasks = _entries(data, "tasks", where)
-    preset = build(SuitePreset, {**data, "name": name, "tasks": tasks}, where)
-    if preset.search and preset.controls:
-        raise BenchmarkError(f"{where}: controls: a search compares settings, it has none")
-    for control in preset.controls:
-        if control not in SUITE_CONTROLS:
-            raise BenchmarkError(
-                f"{where}: controls: unknown '{control}'; known: {known(SUITE_CONTROLS)}"
-            )
-    for method in preset.methods:
-        algorithm_of(method)
-        for key, task in preset.tasks.items():
-            if method not in {*task.methods, *task.skip}:
-                raise BenchmarkError(
-                    f"{where}: tasks: {key}: methods has no settings for '{method}'"
-                )
-    return preset
+    kind: type[Preset | SuitePreset] = SuitePreset if "tasks" in data else Preset
+    key = "tasks" if "tasks" in data else "tracks"
+    return build(kind, {**data, "name": name, key: _entries(data, key, where)}, where)
 
 
 def _entries(data: dict[str, Any], kind: str, where: str) -> dict[str, Any]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from benchmarks.protocol.presets import PRESETS, Preset, parse_preset
+from benchmarks.protocol.presets import PRESETS, Preset, parse
 from benchmarks.protocol.strict import merge
 
 
@@ -20,10 +20,27 @@ def smoke(track: Mapping[str, Any] | None = None, **changes: Any) -> dict[str, A
 
 
 def smoke_preset(name: str = "smoke", **changes: Any) -> Preset:
-    return parse_preset(smoke(**changes), name, f"{name}.yaml")
+    return parsed(smoke(**changes), name)
+
+
+def parsed(data: dict[str, Any], name: str = "mine") -> Preset:
+    """A preset of the insertion task from what a file would hold."""
+    preset = parse(data, name, f"{name}.yaml")
+    assert isinstance(preset, Preset)
+    return preset
+
+
+def preset_file(folder: Path, data: Mapping[str, Any], name: str) -> Path:
+    path = folder / f"{name}.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    return path
 
 
 def smoke_file(folder: Path, name: str, **changes: Any) -> Path:
-    path = folder / f"{name}.yaml"
-    path.write_text(yaml.safe_dump(smoke(**changes)), encoding="utf-8")
-    return path
+    return preset_file(folder, smoke(**changes), name)
+
+
+def stop_after(rounds: int) -> Callable[[], bool]:
+    """Asks a run to stop once it has asked so often."""
+    left = iter(range(rounds))
+    return lambda: next(left, None) is None

@@ -17,13 +17,14 @@ from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.learners import build_model, make_training_env
 from benchmarks.methods.team.env import DecentralizedEnv, each_for_itself, make_env, own_masks
 from benchmarks.protocol.plan import Cell, expand
-from benchmarks.protocol.presets import Controls, Preset, parse_preset
+from benchmarks.protocol.presets import Controls, Preset
 from benchmarks.runs import policy_file
 from benchmarks.studies.insertion import Insertion
 from coop_env import parallel_env
 from coop_env.simulation.joint import HOLD_CHOICE, N_CHOICES, N_JOINT
 from coop_env.team.agents import AGENTS
 from sb3_rainbow import Rainbow
+from tests.benchmarks.smoke import parsed
 
 SAFE: dict[str, Any] = {"reward": "progress", "mask_singularities": True}
 LEARNED = ("central", "vdn", "vdn_sight", "shared", "shared_sight", "independent_sight")
@@ -32,14 +33,10 @@ TINY = {"n_envs": 4, "batch_size": 16, "buffer_size": 1000, "learning_starts": 6
 
 def tiny(track: str, **hyperparameters: Any) -> Preset:
     changed = {"timesteps": 400, "hyperparameters": TINY | {"net_arch": [16]} | hyperparameters}
-    return parse_preset(
-        {
-            **{"description": "", "seeds": [0], "evaluation": {"episodes": 2, "noise": [0.0]}},
-            **{"tracks": {track: changed}, "runs": [{"methods": ["rainbow"], "tracks": [track]}]},
-        },
-        "tiny",
-        "tiny.yaml",
-    )
+    return parsed({
+        **{"description": "", "seeds": [0], "evaluation": {"episodes": 2, "noise": [0.0]}},
+        **{"tracks": {track: changed}, "runs": [{"methods": ["rainbow"], "tracks": [track]}]},
+    })  # fmt: skip
 
 
 def built(track: str, **hyperparameters: Any) -> tuple[Preset, Cell, Any]:

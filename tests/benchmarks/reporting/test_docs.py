@@ -22,6 +22,7 @@ from benchmarks.runs.ray_backend import RETRIES
 from benchmarks.runs.store import write_text
 from benchmarks.studies import catalogue
 from benchmarks.studies.audit import Audit
+from tests.benchmarks.smoke import parsed
 from tests.process import tracked
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -79,7 +80,7 @@ def test_every_name_is_there() -> None:
 
 def test_the_example_is_a_preset() -> None:
     (example,) = re.findall(r"```yaml\n(.*?)```", PRESETS, re.DOTALL)
-    preset = presets.parse_preset(yaml.safe_load(example), "example", "example")
+    preset = parsed(yaml.safe_load(example))
     # two tracks and two ablations, a control, four on the machine, the optimum, for three seeds
     assert len(expand(preset)) == 3 * (2 * 2 + 1 + 4 + 1)
     assert preset.tracks["patient"].hyperparameters.gamma == 0.97
