@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -15,25 +16,27 @@ from benchmarks.runs.experiment import Experiment
 from benchmarks.runs.store import Store
 
 GUESSED_RATE: Final = 1.5e-3  # seconds per unit of work, where nothing was measured yet
+Kind = tuple[str, ...]
+Measured = list[tuple[Kind, float, int]]  # kind of a run, its seconds, its units of work
 
 
-Rates = dict[tuple[str, ...], float]  # seconds per unit of work, by kind of run
-
-
-def measure(experiment: Experiment, stores: Iterable[Store]) -> Rates:
-    """The rates of complete runs, without those that this version cannot read."""
-    seconds: Rates = {}
-    units: dict[tuple[str, ...], int] = {}
+def measure(experiment: Experiment, stores: Iterable[Store]) -> Measured:
+    """The complete runs, without those that this version cannot read."""
+    result: Measured = []
     for run in (run for store in stores for run in store.completed()):
-        try:
-            config, took = run.config(), run.seconds()
-            work, kinds = experiment.units(config), [*experiment.kinds(config)]
-        except (BenchmarkError, KeyError, TypeError):
-            continue
-        for kind in kinds:
-            seconds[kind] = seconds.get(kind, 0.0) + took
-            units[kind] = units.get(kind, 0) + work
-    return {kind: seconds[kind] / units[kind] for kind in seconds}
+        with suppress(BenchmarkError, KeyError, TypeError):
+            config = run.config()
+            result.append((experiment.kind(config), run.seconds(), experiment.units(config)))
+    return result
+
+
+def rate(kind: Kind, measured: Measured) -> float | None:
+    """Seconds per unit of work of the nearest runs; None if there are none of the kind."""
+    for length in range(len(kind), 0, -1):
+        near = [(took, work) for other, took, work in measured if other[:length] == kind[:length]]
+        if near:
+            return sum(took for took, _ in near) / sum(work for _, work in near)
+    return None
 
 
 @dataclass(frozen=True)
@@ -61,22 +64,21 @@ def costs(experiment: Experiment, store: Store, others: Sequence[Store] = ()) ->
     """
     own = measure(experiment, [store])
     result = []
-    elsewhere: Rates | None = None
+    elsewhere: Measured | None = None
     for cell in experiment.cells():
         folder, config = store.run(cell.id), experiment.settings(cell)
         folder.check_config(config)
         if folder.is_complete():
             result.append(Cost(cell.id, True, 1.0, folder.seconds(), False))
             continue
-        kinds = [*experiment.kinds(config)]
-        rates = [own[kind] for kind in kinds if kind in own]
-        if not rates:
+        kind = experiment.kind(config)
+        if (known := rate(kind, own)) is None:
             elsewhere = measure(experiment, others) if elsewhere is None else elsewhere
-            rates = [elsewhere[kind] for kind in kinds if kind in elsewhere]
+            known = rate(kind, elsewhere)
         share = folder.progress()[0]
         left = (1.0 - share) * experiment.units(config)
-        seconds = left * (rates[0] if rates else GUESSED_RATE)
-        result.append(Cost(cell.id, False, share, seconds, not rates))
+        seconds = left * (GUESSED_RATE if known is None else known)
+        result.append(Cost(cell.id, False, share, seconds, known is None))
     return result
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
@@ -91,9 +91,9 @@ class Experiment(ABC, Generic[P]):
         """A rough cost of a run by its settings, in environment steps."""
         return plan.units_of(config)
 
-    def kinds(self, config: dict[str, Any]) -> Iterator[tuple[str, ...]]:
-        """Kinds of run that this one is of, the closest first: equal kinds, equal unit costs."""
-        yield ()
+    @abstractmethod
+    def kind(self, config: dict[str, Any]) -> tuple[str, ...]:
+        """What decides a run's cost per unit, the weightiest first."""
 
     def checkpoint_bytes(self, cell: Cell) -> int:
         """Size of one checkpoint, generously."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from benchmarks.errors import BenchmarkError
@@ -43,17 +43,12 @@ class Insertion(Experiment[Preset]):
 
         return build_small(self.preset, cell)
 
-    def kinds(self, config: dict[str, Any]) -> Iterator[tuple[str, ...]]:
-        cell = config["cell"]
-        if "hyperparameters" in config.get("track", {}):
-            h = config["track"]["hyperparameters"]
-            work = tuple(str(h[name]) for name in ("updates_per_step", "batch_size", "net_arch"))
-            work += (str(config["track"].get("team")),)
-            yield (cell["method"], cell["ablation"], *work)
-            yield (cell["method"], *work)
-        else:
-            yield (cell["method"], cell["geometry"])
-        yield (cell["method"],)
+    def kind(self, config: dict[str, Any]) -> tuple[str, ...]:
+        cell, track = config["cell"], config.get("track", {})
+        h = track.get("hyperparameters", {})
+        work = [h.get(name) for name in ("updates_per_step", "batch_size", "net_arch")]
+        last = cell["ablation" if h else "geometry"]
+        return (cell["method"], *map(str, [track.get("team"), *work]), last)
 
     def run(
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from benchmarks.protocol.learners import learner_of
@@ -28,16 +27,10 @@ class Classic(Experiment[SuitePreset]):
 
         return build_model(self.preset.tasks[cell.track], cell.method, cell.seed)
 
-    def kinds(self, config: dict[str, Any]) -> Iterator[tuple[str, ...]]:
+    def kind(self, config: dict[str, Any]) -> tuple[str, ...]:
         task, method, env = config["cell"]["task"], config["cell"]["method"], config["task"]["env"]
-        yield (task, method)
-        if (algorithm := learner_of(method)) is None:
-            yield ("control", env)
-        else:
-            namespace = env.rpartition("/")[0]
-            yield ("env", env, algorithm)
-            yield ("namespace", namespace, algorithm)
-            yield ("namespace", namespace)
+        # games of one kind cost alike, and so do all controls of one
+        return (env.rpartition("/")[0], learner_of(method) or "control", env, task, method)
 
     def run(
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
