@@ -42,12 +42,14 @@ Groups = dict[str, Group]
 # figure name -> (column of curve.csv, axis label)
 CURVES: Final[dict[str, tuple[str, str]]] = {
     "cumulative_reward": ("episode_reward", "Episode reward"),
+    "holes": ("holes", "Holes per episode"),
     "success": ("success", "Success rate"),
     "max_q": ("mean_max_q", "Mean max Q"),
     "loss": ("loss", "Loss"),  # Rainbow's a cross-entropy, DQN's a Huber loss: not to be compared
     "duration": ("duration", "Episode duration (s)"),
 }
 RAW: Final = ("episode_reward", "duration")  # columns that are shown unsmoothed, too
+BOUNDED: Final = {"success": SUCCESS, "holes": HOLES}  # by the best control and the optimum
 
 
 def pictures(results: Results) -> list[Picture]:
@@ -79,7 +81,6 @@ def _learning(results: Results, track: str) -> list[Picture]:
     ]
     if scored:
         result.insert(1, Picture(f"{track}_exploration", partial(_exploration, groups)))
-        result.insert(2, Picture(f"{track}_holes", partial(_holes, groups, bounds)))
     return result
 
 
@@ -118,7 +119,7 @@ def _by_component(groups: Groups, bounds: Sequence[Group]) -> Figure:
             line = "--" if group.ablation == "none" else "-"
             if name not in removed or removed.index(name) % columns == panel:
                 draw(axes, group.curves(), "success", name, colour, line, window=WIDE)
-        _mark_bounds(axes, bounds, SUCCESS, 100.0)
+        _mark_bounds(axes, bounds, SUCCESS)
         finish(axes, "" if panel else "Success rate")
     legend_below(figure, panels, 3)
     return figure
@@ -171,9 +172,14 @@ def _curves(
 ) -> Figure:  # fmt: skip
     figure, (axes,) = canvas()
     for name, group, colour in _coloured(groups):
-        draw(axes, group.curves(), column, name, colour, window=window, raw=column in RAW)
-    if column == "success":
-        _mark_bounds(axes, bounds, SUCCESS, 100.0)
+        if column == "holes":
+            _draw_stages(axes, group.curves(), name, colour)
+        else:
+            draw(axes, group.curves(), column, name, colour, window=window, raw=column in RAW)
+    if column in BOUNDED:
+        _mark_bounds(axes, bounds, BOUNDED[column])
+    if column == "holes":
+        _mark_stages(axes)
     if column == "mean_max_q":
         _mark_support(axes, groups)
     _mark_switches(axes, groups)
@@ -184,10 +190,10 @@ def _curves(
     return figure
 
 
-def _mark_bounds(axes: Axes, bounds: Sequence[Group], metric: Metric, full: float = 1.0) -> None:
+def _mark_bounds(axes: Axes, bounds: Sequence[Group], metric: Metric) -> None:
     """Where the best control of the track and the optimum are, on the test episodes."""
     for row, line in zip(bounds, ("--", ":"), strict=False):
-        level = row.value(metric).mean / full
+        level = row.value(metric).mean / metric.scale
         axes.axhline(level, color="0.4", linestyle=line, linewidth=0.9, label=row.acting_name)
 
 
@@ -235,21 +241,14 @@ def _quantity(group: Group) -> str:
     return "epsilon" if group.method in ("rainbow", "dqn") else ""
 
 
-def _holes(groups: Groups, bounds: Sequence[Group]) -> Figure:
-    figure, (axes,) = canvas()
-    for name, group, colour in _coloured(groups):
-        _draw_stages(axes, group.curves(), name, colour)
-    _mark_bounds(axes, bounds, HOLES)
+def _mark_stages(axes: Axes) -> None:
+    """How many holes either stage of the curriculum has."""
     for holes, stage in ((STAGE_0_HOLES, 0), (N_HOLES, 1)):
         axes.axhline(holes, color="0.6", linewidth=0.8)
         text = f"all of stage {stage}"
         axes.annotate(text, (1.01, holes), xycoords=("axes fraction", "data"), va="center",
                       fontsize=7, color="0.4", annotation_clip=False)  # fmt: skip
-    _mark_switches(axes, groups)
-    finish(axes, "Holes per episode")
-    legend_below(figure, [axes], 2)
     axes.set_ylim(-0.2, N_HOLES + 0.6)
-    return figure
 
 
 def _series(frame: pd.DataFrame, column: str, window: int) -> tuple[Curve, Curve]:
@@ -310,12 +309,10 @@ def _draw_stages(axes: Axes, frames: Sequence[pd.DataFrame], label: str, colour:
     stages = np.stack([f["stage"].to_numpy()[at] for f, at in zip(kept, rows, strict=True)])
     _, low, high = mean_band(values)
     for stage, style in ((0, "--"), (1, "-")):
-        inside = stages == stage
-        count = inside.sum(axis=0)
-        if not count.any():
+        own = np.ma.masked_where(stages != stage, values)
+        if not own.count():
             continue
-        with np.errstate(invalid="ignore"):
-            mean = np.where(inside, values, 0.0).sum(axis=0) / count
-        axes.plot(grid, mean, style, color=colour, label=f"{label}, stage {stage}", linewidth=1.4)
-        whole = count == len(values)
+        name, mean = f"{label}, stage {stage}", own.mean(axis=0)
+        axes.plot(grid, mean, style, color=colour, label=name, linewidth=1.4)
+        whole = own.count(axis=0) == len(values)
         axes.fill_between(grid, low, high, where=whole, color=colour, alpha=0.2, linewidth=0)
