@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from stable_baselines3 import DQN
 from stable_baselines3.common.utils import set_random_seed
 
-from benchmarks.methods.base import Plan
+from benchmarks.methods.base import Chooser, Masks, Observations, Plan, Policy
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.methods.team.env import DecentralizedEnv, each_for_itself, make_env
 from benchmarks.protocol.metrics import EXPLORING, FIRST, GREEDY, RANDOM_MOVES
@@ -27,11 +27,6 @@ from benchmarks.protocol.seeding import derive, episode_seeds
 from coop_env.env import CoopInsertionEnv
 from coop_env.simulation.sim_to_real import SimToReal
 
-Observations = NDArray[np.float32]
-Masks = NDArray[np.bool_]
-Policy = Callable[[Observations, Masks], NDArray[Any]]
-#: observations (n, size), masks (n, 12) and indices (n,) of the episodes they are of, to actions
-Chooser = Callable[[Observations, Masks, Sequence[int]], NDArray[Any]]
 Rows = list[dict[str, object]]
 OnProgress = Callable[[float], None]  # hears which share is done
 #: plays all these episodes, which are under one condition
@@ -228,7 +223,7 @@ def play_together(
     """Play all episodes side by side until each is over: a network is asked once per move.
 
     Args:
-        choose: observations (n, size), action masks (n, 12) and the episodes' indices to actions.
+        choose: who acts.
         episodes: fresh episodes.
         noise: standard deviation of Gaussian noise on the normalized observations; clipped to
             [0, 1] like the observations themselves.

@@ -1,9 +1,11 @@
-"""What planners and scripts share: a planner's answer, the box it searches, the peg's miss."""
+"""What methods share: how they act, a planner's answer, the box it searches, the peg's miss."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,13 @@ from coop_env.compilation import njit
 from coop_env.kinematics.singularity import Row
 from coop_env.simulation.collision import peg_tip
 from coop_env.simulation.task import EnvParams
+
+Observations = NDArray[np.float32]
+Masks = NDArray[np.bool_]
+#: actions (n,) for observations (n, size) and masks (n, actions)
+Policy = Callable[[Observations, Masks], NDArray[Any]]
+#: the same, told the indices (n,) of the episodes they are of, too
+Chooser = Callable[[Observations, Masks, Sequence[int]], NDArray[Any]]
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.errors import BenchmarkError, known
-from benchmarks.methods.base import tip_distance
+from benchmarks.methods.base import Chooser, Masks, Observations, tip_distance
 from benchmarks.methods.episodes import Episode
 from benchmarks.protocol.plan import CONTROLS
 from benchmarks.protocol.presets import Controls
@@ -49,14 +49,9 @@ DISTANCE_WEIGHT: Final = 500.0  # per m
 INSERTED: Final = -1.0  # below any potential
 ROUNDING: Final = 1e-9  # what a move must win, or its robot holds
 
-Choose = Callable[[NDArray[np.float32], NDArray[np.bool_], Sequence[int]], NDArray[Any]]
 
-
-def control(method: str, weights: Controls, seed: int) -> Callable[[Sequence[Episode]], Choose]:
+def control(method: str, weights: Controls, seed: int) -> Callable[[Sequence[Episode]], Chooser]:
     """What plays a control in episodes of one environment's arguments, which it is given.
-
-    It takes observations (n, size), masks (n, actions) and the indices (n,) of the episodes they
-    are of.
 
     Raises:
         BenchmarkError: the method is no control.
@@ -69,24 +64,22 @@ def control(method: str, weights: Controls, seed: int) -> Callable[[Sequence[Epi
     return lambda episodes: _scripted(method, episodes, weight)
 
 
-def _random(episodes: Sequence[Episode], seed: int) -> Choose:
+def _random(episodes: Sequence[Episode], seed: int) -> Chooser:
     generators = [np.random.default_rng(derive("planner", seed, e.number)) for e in episodes]
 
-    def choose(_: Any, masks: NDArray[np.bool_], running: Sequence[int]) -> NDArray[Any]:
+    def choose(_: Observations, masks: Masks, running: Sequence[int]) -> NDArray[Any]:
         rows = zip(masks, running, strict=True)
         return np.array([generators[i].choice(np.flatnonzero(mask)) for mask, i in rows])
 
     return choose
 
 
-def _scripted(method: str, episodes: Sequence[Episode], weight: float) -> Choose:
+def _scripted(method: str, episodes: Sequence[Episode], weight: float) -> Chooser:
     env = episodes[0].env
     packed = task.pack(env.params)
     transform = make_observation("paper", True, env.params, env.task.error_bound)[0]
 
-    def choose(
-        observations: NDArray[np.float32], masks: NDArray[np.bool_], running: Sequence[int]
-    ) -> NDArray[Any]:
+    def choose(observations: Observations, masks: Masks, running: Sequence[int]) -> NDArray[Any]:
         states = np.zeros(len(running), env.state.dtype)
         if method.endswith("_observed"):
             states["mask"] = masks

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.methods.base import Masks, Observations, Policy
 from coop_env.env import CoopInsertionEnv
 from coop_env.shield import ShieldedInsertionEnv
 from coop_env.simulation.joint import N_CHOICES
 from coop_env.team.agents import AGENTS, Team, joint_actions
 from coop_env.team.joint_env import CoopInsertionJointEnv
-
-Policy = Callable[[NDArray[np.float32], NDArray[np.bool_]], NDArray[Any]]
 
 
 class DecentralizedEnv(Team):
@@ -40,7 +38,7 @@ def make_env(team: str | None = None, **arguments: Any) -> CoopInsertionEnv:
     return DecentralizedEnv(**arguments)
 
 
-def own_masks(masks: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def own_masks(masks: Masks) -> Masks:
     """The agents' masks (n, 2, 7) of joint ones (n, 49); holding is always allowed to both."""
     pairs = masks.reshape(-1, N_CHOICES, N_CHOICES)
     return np.stack([pairs.any(axis=2), pairs.any(axis=1)], axis=1)
@@ -49,7 +47,7 @@ def own_masks(masks: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def each_for_itself(policy: Policy, env: DecentralizedEnv) -> Policy:
     """Joint actions of a policy that was trained on rows of agents, with the indicator."""
 
-    def act(observations: NDArray[np.float32], masks: NDArray[np.bool_]) -> NDArray[Any]:
+    def act(observations: Observations, masks: Masks) -> NDArray[Any]:
         n = len(observations)
         tags = np.broadcast_to(np.eye(len(AGENTS), dtype=np.float32), (n, len(AGENTS), len(AGENTS)))
         rows = np.concatenate([env.share(observations), tags], axis=2)

@@ -24,8 +24,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.evaluation.evaluate import Chooser, model_policy, play_together
+from benchmarks.evaluation.evaluate import model_policy, play_together
 from benchmarks.evaluation.model_files import load_model
+from benchmarks.methods.base import Chooser
 from benchmarks.methods.controls import control
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.methods.oracle import LatticeOracle

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from benchmarks.evaluation.evaluate import (
     Condition,
-    Policy,
     Rows,
     begin_episodes,
     by_policy,
     no_progress,
 )
+from benchmarks.methods.base import Policy
 from benchmarks.methods.episodes import Episode, distance_to_segment, dome_frame
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.protocol.seeding import derive, episode_seeds
