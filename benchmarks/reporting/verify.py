@@ -95,14 +95,8 @@ def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...],
     task = str(result.config.get("track", {}).get("task"))
     where_from = (cell.geometry, task, bool(result.error))
     for (noise, error, acts), episodes in result.levels.items():
-        where = f"noise {noise}, error {error:g} mm, acting {acts}"
-        if episodes["episode"].tolist() != list(range(len(seeds))):
-            problems.append(
-                f"episodes.csv has {len(episodes)} rows at {where}, not one for each of the "
-                f"{len(seeds)} test episodes"
-            )
-        elif episodes["reset_seed"].tolist() != seeds:
-            problems.append(f"episodes.csv has rows at {where} of other than the test seeds")
+        where = f" at noise {noise}, error {error:g} mm, acting {acts}"
+        problems += check_seeds(episodes, "reset_seed", seeds, where)
         for seed, start in zip(episodes["reset_seed"], episodes["start"].astype(str), strict=True):
             before = starts.setdefault((*where_from, error, seed), start)
             if before != start:
@@ -112,6 +106,17 @@ def _check_episodes(result: Result, cell: Cell, starts: dict[tuple[object, ...],
                 )
                 return problems
     return problems
+
+
+def check_seeds(rows: pd.DataFrame, column: str, seeds: list[int], where: str = "") -> list[str]:
+    """Whether the rows of episodes.csv are those of the test episodes, by number and by seed."""
+    if rows["episode"].tolist() != list(range(len(seeds))):
+        return [
+            f"episodes.csv has {len(rows)} rows{where}, not one for each of the {len(seeds)} test "
+            "episodes"
+        ]
+    wrong = rows[column].tolist() != seeds
+    return [f"episodes.csv has rows{where} of other than the test seeds"] if wrong else []
 
 
 def _levels(result: Result, cell: Cell) -> dict[str, list[float]]:

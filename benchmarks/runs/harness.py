@@ -87,7 +87,7 @@ class Harness:
     Args:
         experiment: what to run.
         store: where results go; the caller holds its lock.
-        backend: where the processes live; a number stands for so many on this machine.
+        backend: where the processes live.
         console: where progress goes.
         device: of the networks: cpu or cuda.
     """
@@ -96,13 +96,12 @@ class Harness:
         self,
         experiment: Experiment,
         store: Store,
-        backend: Backend | int,
+        backend: Backend,
         console: Console,
         device: str = "cpu",
     ) -> None:
-        self.experiment, self.store = experiment, store
+        self.experiment, self.store, self.backend = experiment, store, backend
         self.console, self.device = console, device
-        self.backend = Backend(backend) if isinstance(backend, int) else backend
         self._queue: deque[Cell] = deque()
         self._children: list[_Child] = []
         self._units: dict[str, int] = {}

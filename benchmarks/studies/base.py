@@ -40,11 +40,13 @@ class Study(ABC):
 
     Attributes:
         name: of the command, of its folder below the results folder, and of its block.
+        file: what is stored, below the results folder, if all that is told follows from one file.
         options: argparse's arguments by name.
         needs: modules that an extra brings, and the extra.
     """
 
     name: ClassVar[str]
+    file: ClassVar[str] = ""
     options: ClassVar[Mapping[str, Option]] = {}
     needs: ClassVar[tuple[str, ...]] = ()
 
@@ -112,7 +114,15 @@ class Study(ABC):
     @classmethod
     def files(cls, results: Path) -> dict[Path, str]:
         """Files that follow from what is stored, with their texts; none where nothing is."""
-        return {}
+        path = results / cls.file
+        if not path.is_file():
+            return {}
+        return {path.with_suffix(".md"): cls.to_markdown(read_stored(path)).strip() + "\n"}
+
+    @staticmethod
+    def to_markdown(result: Any) -> str:
+        """What the file holds, as Markdown."""
+        raise NotImplementedError
 
     @classmethod
     def blocks(cls, results: Path) -> dict[str, Block]:
@@ -139,12 +149,7 @@ class Measured(Study):
     """A study whose parts lie in one JSON file, each stored as it is done.
 
     What was asked for decides the file: other settings, or another commit, begin anew.
-
-    Attributes:
-        file: the JSON file below the results folder.
     """
-
-    file: ClassVar[str]
 
     def __init__(self, given: argparse.Namespace) -> None:
         super().__init__(given)
@@ -166,11 +171,6 @@ class Measured(Study):
     def measures(self) -> Mapping[str, Part]:
         """All parts, by name, in order."""
 
-    @staticmethod
-    @abstractmethod
-    def to_markdown(result: dict[str, Any]) -> str:
-        """What is stored, as Markdown."""
-
     def parts(self) -> Mapping[str, Part]:
         kept = self.result["parts"]
         return {name: part for name, part in self.measures().items() if name not in kept}
@@ -178,13 +178,6 @@ class Measured(Study):
     def keep(self, name: str, result: Any) -> None:
         self.result["parts"][name] = result
         write_text(self.path, json.dumps(self.result, indent=1) + "\n")
-
-    @classmethod
-    def files(cls, results: Path) -> dict[Path, str]:
-        path = results / cls.file
-        if not path.is_file():
-            return {}
-        return {path.with_suffix(".md"): cls.to_markdown(read_stored(path)).strip() + "\n"}
 
     @classmethod
     def problems(cls, results: Path) -> list[str]:

@@ -30,7 +30,8 @@ import gymnasium
 import numpy as np
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.evaluation.evaluate import Chooser, follow, play_together, with_random_moves
+from benchmarks.evaluation.evaluate import follow, play_together, with_random_moves
+from benchmarks.methods.base import Chooser
 from benchmarks.methods.controls import control
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.methods.oracle import LatticeOracle
@@ -298,7 +299,7 @@ def read(root: Path, recipe: Recipe) -> dict[str, Any] | None:
 class Data(Study):
     """Minari datasets of the task."""
 
-    name = "data"
+    name, file = "data", "data/data.json"
     needs = ("h5py", "minari", "data")
     options = {  # noqa: RUF012
         "--steps": count(100_000, "least steps of each dataset"),
@@ -313,7 +314,7 @@ class Data(Study):
         write(self.folder, recipe, play(recipe, lambda n: tick(n / recipe.steps)))
 
     def finish(self) -> None:
-        path = self.folder / "data.json"
+        path = self.results / self.file
         stored = read_stored(path) if path.is_file() else []
         made = (read(self.folder, recipe) for recipe in self._recipes())
         records = {record["id"]: record for record in [*stored, *made] if record}
@@ -322,30 +323,25 @@ class Data(Study):
     def _recipes(self) -> list[Recipe]:
         return recipes(self.given.steps, self.given.contact)
 
-    @classmethod
-    def files(cls, results: Path) -> dict[Path, str]:
-        path = results / "data" / "data.json"
-        if not path.is_file():
-            return {}
-        return {path.with_suffix(".md"): to_markdown(read_stored(path))}
-
-
-def to_markdown(records: Sequence[Mapping[str, Any]]) -> str:
-    """The table as Markdown."""
-    rows: list[list[TableCell]] = []
-    for record in records:
-        shares = [f"{100.0 * record[name]:.1f}" for name in ("success", "all_holes")]
-        earned = f"{record['return']:.1f} ± {record['return_std']:.1f}"
-        sizes = [f"{record['steps']:,}", f"{record['starts']:,}", shares[0]]
-        sizes += [f"{record['holes']:.2f}", shares[1], earned, f"{record['megabytes']:.1f}"]
-        rows.append([f"`{record['id']}`", record["behaviour"], *sizes])
-    notes = [
-        "Success: episodes with an insertion, of all starts; return: mean ± std of the episodes.",
-        "Nothing inserts from more starts than the exact optimum: its rows are the ceiling.",
-    ]
-    if any("/contact-" in record["id"] for record in records):
-        notes.append("The contact task, `contact-`, has other starts and one hole.")
-    header = "Dataset | Behaviour | Steps | Starts | Success (%) | Holes (of 6) | All six (%) | "
-    header += "Return | MB"
-    title = "Datasets of the insertion task"
-    return Table("data", title, header.split(" | "), rows, notes, (0, 1)).markdown()
+    @staticmethod
+    def to_markdown(result: Sequence[Mapping[str, Any]]) -> str:
+        rows: list[list[TableCell]] = []
+        for record in result:
+            shares = [f"{100.0 * record[name]:.1f}" for name in ("success", "all_holes")]
+            earned = f"{record['return']:.1f} ± {record['return_std']:.1f}"
+            sizes = [f"{record['steps']:,}", f"{record['starts']:,}", shares[0]]
+            sizes += [f"{record['holes']:.2f}", shares[1], earned, f"{record['megabytes']:.1f}"]
+            rows.append([f"`{record['id']}`", record["behaviour"], *sizes])
+        notes = [
+            "Success: episodes with an insertion, of all starts; return: mean ± std of the "
+            "episodes.",
+            "Nothing inserts from more starts than the exact optimum: its rows are the ceiling.",
+        ]
+        if any("/contact-" in record["id"] for record in result):
+            notes.append("The contact task, `contact-`, has other starts and one hole.")
+        header = (
+            "Dataset | Behaviour | Steps | Starts | Success (%) | Holes (of 6) | All six (%) | "
+        )
+        header += "Return | MB"
+        title = "Datasets of the insertion task"
+        return Table("data", title, header.split(" | "), rows, notes, (0, 1)).markdown()

@@ -15,6 +15,7 @@ from benchmarks.protocol.plan import Cell, expand, settings
 from benchmarks.protocol.presets import SuitePreset
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.reporting.stats import Value, measured, over_seeds
+from benchmarks.reporting.verify import check_seeds
 from benchmarks.runs.store import RunFolder, Store
 
 Array = NDArray[np.float64]
@@ -60,18 +61,13 @@ class SuiteResults:
 
     def problems(self) -> list[str]:
         """A sentence for each run that is another's, or has other test episodes than its seed's."""
-        number = self.preset.final_episodes
         result = []
         for run in self.all:
+            seeds = episode_seeds(run.cell.seed, self.preset.final_episodes)
+            problems = check_seeds(run.episodes, "seed", seeds)
             if run.meta["cell"] != run.cell.id:
-                result.append(f"{run.folder.path}: meta.json is of the run '{run.meta['cell']}'")
-            if run.episodes["episode"].tolist() != list(range(number)):
-                result.append(
-                    f"{run.folder.path}: episodes.csv has {len(run.episodes)} rows, not one for "
-                    f"each of the {number} test episodes"
-                )
-            elif run.episodes["seed"].tolist() != episode_seeds(run.cell.seed, number):
-                result.append(f"{run.folder.path}: episodes.csv has rows of other than test seeds")
+                problems.append(f"meta.json is of the run '{run.meta['cell']}'")
+            result += [f"{run.folder.path}: {problem}" for problem in problems]
         return result
 
     def runs(self, task: str, method: str) -> list[Run]:

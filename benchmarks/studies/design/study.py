@@ -30,11 +30,11 @@ from typing import Any, Final
 import pandas as pd
 import yaml
 
-from benchmarks.errors import BenchmarkError, at_least
+from benchmarks.errors import BenchmarkError
 from benchmarks.methods.geometric_design import measured_runs, run_rows, table_rows
 from benchmarks.reporting.blocks import Block
 from benchmarks.runs.machine import describe
-from benchmarks.studies.base import Part, Study, Tick
+from benchmarks.studies.base import Part, Study, Tick, count
 from benchmarks.studies.design import analyses
 from benchmarks.studies.design.analyses import DesignStore
 from benchmarks.studies.design.figures import write_figures
@@ -54,7 +54,7 @@ class Design(Study):
 
     name = "design"
     options = {  # noqa: RUF012
-        "--runs": {"type": at_least(1), "default": 10, "help": "runs of the optimizer"},
+        "--runs": count(10, "runs of the optimizer"),
         "--figures-only": {"action": "store_true", "help": "redraw from stored data"},
     }
 

@@ -29,7 +29,7 @@ from benchmarks.protocol.plan import DESIGN, Cell, own_error
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.reporting.results import Result
 from benchmarks.reporting.tables.table import plain
-from benchmarks.runs.backends import default_jobs
+from benchmarks.runs.backends import Backend, default_jobs
 from benchmarks.runs.cell import ProgressReporter
 from benchmarks.runs.experiment import StopRequested
 from benchmarks.runs.harness import Harness
@@ -166,7 +166,7 @@ def score_again(replay: Replay, console: Console) -> int:
     again = Store.open(root, replay.name, create=True)
     with again.lock():  # before what another process may be at work on goes
         shutil.rmtree(again.folder / "runs", ignore_errors=True)
-        outcome = Harness(replay, again, jobs, console).run()
+        outcome = Harness(replay, again, Backend(jobs), console).run()
     if outcome.interrupted:
         console.print("Interrupted; the store is as it was")
         return 130

@@ -137,7 +137,7 @@ def test_runs_that_are_not_what_the_preset_says_are_named(tmp_path: Path) -> Non
         run.write_meta({"cell": cell.id, "training": {}})
     few, other = SuiteResults(atari, store).problems()
     assert "has 1 rows, not one for each of the 2 test episodes" in few
-    assert "other than test seeds" in other
+    assert "other than the test seeds" in other
     run.write_meta({"cell": "another", "training": {}})
     assert f"{run.path}: meta.json is of the run 'another'" in SuiteResults(atari, store).problems()
     text = (run.path / "config.yaml").read_text().replace("gamma: 0.99", "gamma: 0.5")
