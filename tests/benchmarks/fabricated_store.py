@@ -8,9 +8,12 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from benchmarks.protocol.plan import Cell, expand, explores, settings
+from benchmarks.evaluation.evaluate import levels
+from benchmarks.protocol.plan import Cell, expand, settings
 from benchmarks.protocol.presets import Preset, load_preset
 from benchmarks.protocol.seeding import episode_seeds
+from benchmarks.reporting.results import Results
+from benchmarks.reporting.tables.beyond import build_tables
 from benchmarks.runs.store import Store
 
 EPISODES = 10
@@ -72,18 +75,8 @@ def curve(cell: Cell) -> list[dict[str, object]]:
 
 def levels_of(preset: Preset, cell: Cell) -> list[dict[str, Any]]:
     """What tells the levels of a cell's tests apart, the headline first."""
-    track = preset.tracks.get(cell.track)
-    if track is not None and track.sim_to_real:
-        return [{"noise": 0.0, "error": error} for error in preset.evaluation.errors]
-    sees = not cell.learns and not cell.method.endswith("_observed")
-    levels: list[dict[str, Any]] = [
-        {"noise": noise} for noise in ([0.0] if sees else preset.evaluation.noise)
-    ]
-    if preset.evaluation.exploring:
-        levels = [{**level, "acting": "greedy"} for level in levels]
-    if preset.evaluation.exploring and explores(cell.method):
-        levels.append({"noise": 0.0, "acting": "exploring"})
-    return levels
+    acting = {"acting": "greedy"} if preset.evaluation.exploring else {}
+    return [{"noise": at.noise, **acting, **at.columns} for at in levels(preset, cell)]
 
 
 def fill(store: Store, preset: Preset, cell: Cell, solved: int, moves: int) -> None:
@@ -112,6 +105,10 @@ def fill(store: Store, preset: Preset, cell: Cell, solved: int, moves: int) -> N
         "cell": cell.id, "training": training, "wall_seconds": 60.0, "cpu_seconds": 60.0,
         "commit": "abc", "dirty": False, "machine": {"processor": "test"},
     })  # fmt: skip
+
+
+def write_tables(store: Store) -> list[Path]:
+    return [path for table in build_tables(Results(store)) for path in table.write(store.tables)]
 
 
 def make_store(

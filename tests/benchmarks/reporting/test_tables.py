@@ -33,13 +33,10 @@ from benchmarks.reporting.verify import check_tables
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.insertion import Insertion
 from tests.benchmarks import fabricated_store
+from tests.benchmarks.fabricated_store import write_tables
 from tests.benchmarks.smoke import smoke_file
 
 WIDEST = 7  # columns of a table
-
-
-def write_tables(store: Store) -> list[Path]:
-    return [path for table in build_tables(Results(store)) for path in table.write(store.tables)]
 
 
 @pytest.fixture(scope="module")
@@ -275,8 +272,7 @@ def test_a_partly_finished_preset_shows_what_is_missing(tmp_path: Path) -> None:
     assert note in by_name["leaderboard"].notes
     board = {row[1] for row in by_name["leaderboard"].texts()}
     assert "Greedy, safe" not in board
-    for table in built:
-        table.write(store.tables)
+    write_tables(store)
     assert check_tables(store.tables, built) == []
 
 

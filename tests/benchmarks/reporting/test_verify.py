@@ -22,7 +22,7 @@ from benchmarks.reporting.verify import check_runs, check_tables
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies import catalogue
 from benchmarks.studies.design.study import Design
-from tests.benchmarks.fabricated_store import make_store
+from tests.benchmarks.fabricated_store import make_store, write_tables
 
 ROOT = Path(__file__).resolve().parents[3]
 RESULTS = ROOT / "results"
@@ -51,8 +51,7 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in {page for page, _ in of_design()}:
         shutil.copy(ROOT / "docs" / name, folder / "docs" / name)
     store = make_store(results, [0], episodes=load_preset("quick").evaluation.episodes)
-    for table in build_tables(Results(store)):
-        table.write(store.tables)
+    write_tables(store)
     for name, text in PAGES.items():
         (folder / name).write_text(text, encoding="utf-8")
     blocks.rewrite(results, catalogue.all_blocks(results))

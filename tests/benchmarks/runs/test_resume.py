@@ -11,14 +11,12 @@ import shutil
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-import yaml
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from benchmarks.errors import BenchmarkError
@@ -32,7 +30,7 @@ from benchmarks.runs.store import RunFolder, Store
 from benchmarks.runs.training import train
 from benchmarks.studies.insertion import Insertion
 from sb3_rainbow import Rainbow
-from tests.benchmarks.smoke import smoke_preset
+from tests.benchmarks.smoke import preset_file, smoke_preset, stop_after
 
 Whole = dict[str, tuple[dict[str, torch.Tensor], str]]  # weights and curve of each cell
 CELLS = [
@@ -47,11 +45,6 @@ def preset() -> Preset:
     # a low bar, so that the curriculum's switch lies within the run
     track = {"timesteps": 400, "curriculum": {"threshold": -1.0, "window": 1}}
     return smoke_preset(track=track, evaluation={"episodes": 1, "noise": [0.0]})
-
-
-def stop_after(rounds: int) -> Callable[[], bool]:
-    left = iter(range(rounds))
-    return lambda: next(left, None) is None
 
 
 def weights(model: object) -> dict[str, torch.Tensor]:
@@ -211,10 +204,10 @@ def test_a_disk_that_fills_up_keeps_the_last_checkpoint(
 def test_a_disk_that_is_really_full_is_told_in_one_line(
     preset: Preset, uninterrupted: Whole, tmp_path: Path
 ) -> None:
-    disk, path = tmp_path / "disk", tmp_path / "smoke.yaml"
+    disk = tmp_path / "disk"
     disk.mkdir()
     data = {key: value for key, value in dataclasses.asdict(preset).items() if key != "name"}
-    path.write_text(yaml.safe_dump(data | {"checkpoint_seconds": 0.0}), encoding="utf-8")
+    path = preset_file(tmp_path, data | {"checkpoint_seconds": 0.0}, "smoke")
     words = f"train --preset {path} --results {disk} --cell {CELLS[2].id}"
     run = f"{shlex.quote(sys.executable)} -m benchmarks {words}"
     # a small file system of its own that fills up after a few checkpoints; then room is made

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-import yaml
 
 from benchmarks.cli import main
 from benchmarks.protocol.plan import expand, settings
@@ -15,6 +14,7 @@ from benchmarks.runs.policy_file import digest
 from benchmarks.runs.store import Store
 from benchmarks.runs.training import train
 from tests.benchmarks.runs.warm import Server
+from tests.benchmarks.smoke import preset_file, stop_after
 
 SMALL = {
     **{"n_envs": 4, "batch_size": 16, "buffer_size": 1000, "learning_starts": 100},
@@ -38,7 +38,7 @@ def results(tmp_path_factory: pytest.TempPathFactory, warm: Server) -> Path:
             {"methods": ["optimum", "optimum_at_once"]},
         ],
     }
-    (folder / "tiny.yaml").write_text(yaml.safe_dump(preset), encoding="utf-8")
+    preset_file(folder, preset, "tiny")
     with warm.children():
         assert main(["run", *_words(folder), "--jobs", "1"]) == 0
     return folder
@@ -88,8 +88,7 @@ def test_a_team_that_was_stopped_goes_on_as_if_never(
     for name in ("whole", "stopped"):
         folder = Store.open(tmp_path, name, create=True).run(cell.id)
         folder.begin(settings(preset, cell))
-        asked = iter([name == "stopped" and i == 30 for i in range(10_000)])
-        trained = train(preset, cell, folder, lambda asked=asked: next(asked))  # type: ignore[misc]
+        trained = train(preset, cell, folder, stop_after(30 if name == "stopped" else 10_000))
         assert (trained is None) == (name == "stopped")
         trained = trained or train(preset, cell, folder)
         assert trained is not None

@@ -25,17 +25,14 @@ from benchmarks.evaluation.evaluate import (
     model_policy,
     play,
 )
-from benchmarks.evaluation.model_files import detect_algorithm
+from benchmarks.evaluation.model_files import algorithms, detect_algorithm
 from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import episode_seeds
-from benchmarks.reporting.results import Results
-from benchmarks.reporting.tables.beyond import build_tables
 from benchmarks.reporting.verify import check_runs
 from benchmarks.runs.store import Store
 from benchmarks.studies.scoring import entries
 from benchmarks.studies.scoring.entries import checked
 from coop_env.env import CoopInsertionEnv
-from sb3_rainbow import Rainbow
 from tests.benchmarks import fabricated_store
 
 SETTINGS: dict[str, dict[str, Any]] = {
@@ -48,15 +45,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "rainbow": {"buffer_size": 200, "learning_starts": 10},
 }
 
-CLASSES: dict[str, Any] = {
-    "ppo": stable_baselines3.PPO,
-    "a2c": stable_baselines3.A2C,
-    "trpo": sb3_contrib.TRPO,
-    "maskable_ppo": sb3_contrib.MaskablePPO,
-    "dqn": stable_baselines3.DQN,
-    "qrdqn": sb3_contrib.QRDQN,
-    "rainbow": Rainbow,
-}
+CLASSES = algorithms()
 
 
 def make_env(**arguments: Any) -> CoopInsertionEnv:
@@ -382,8 +371,7 @@ def test_an_entry_leaves_the_presets_own_tables_alone(
     train: Callable[..., Path], tmp_path: Path
 ) -> None:
     store = fabricated_store.make_store(tmp_path, [0], "smoke")
-    for table in build_tables(Results(store)):
-        table.write(store.tables)
+    fabricated_store.write_tables(store)
     before = {path.name: path.read_bytes() for path in store.tables.iterdir()}
     assert evaluate(tmp_path, "--model", str(train("ppo")), "--name", "mine") == 0
     after = {path.name: path.read_bytes() for path in store.tables.iterdir()}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from benchmarks.studies.classic.experiment import Classic
 from benchmarks.studies.classic.playing import evaluate
 from benchmarks.studies.classic.train import build_model, run_learner
 from sb3_rainbow import Rainbow
+from tests.benchmarks.smoke import preset_file, stop_after
 
 pytest.importorskip("minatar", reason="needs the extra 'classic'")
 
@@ -37,9 +37,10 @@ def preset() -> SuitePreset:
     return load_suite("tiny")
 
 
-def stop_after(rounds: int) -> Callable[[], bool]:
-    calls = iter(range(rounds))
-    return lambda: next(calls, None) is None
+def tiny_file(folder: Path, **changes: Any) -> Path:
+    """The preset with other settings, as a file."""
+    data = yaml.safe_load((PRESETS / "tiny.yaml").read_text(encoding="utf-8"))
+    return preset_file(folder, data | changes, "changed")
 
 
 @pytest.mark.parametrize(
@@ -85,18 +86,14 @@ def test_box2d_goes_on_with_other_episodes_than_those_of_the_beginning(
         return learn(model, *args, **kwargs)
 
     monkeypatch.setattr(OffPolicyAlgorithm, "learn", note)
-    data = yaml.safe_load((PRESETS / "tiny.yaml").read_text(encoding="utf-8"))
     short = {"learning_starts": 50, "policy_kwargs": {"net_arch": [16]}, "train_freq": 4}
-    data["tasks"] = {
-        "lunarlander": {
-            "timesteps": 400,
-            "eval_every": 400,
-            "eval_episodes": 1,
-            "methods": dict.fromkeys(("rainbow", "dqn", "qrdqn"), short),
-        }
+    lander = {
+        "timesteps": 400,
+        "eval_every": 400,
+        "eval_episodes": 1,
+        "methods": dict.fromkeys(("rainbow", "dqn", "qrdqn"), short),
     }
-    path = tmp_path / "lander.yaml"
-    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    path = tiny_file(tmp_path, tasks={"lunarlander": lander})
     preset, folder = load_suite(str(path)), RunFolder(tmp_path / "run")
     cell = of_task("dqn", "lunarlander", 0)
     assert run_learner(preset, cell, folder, stop_after(40)) is None
@@ -176,17 +173,15 @@ def test_only_rainbow_reads_the_masks(preset: SuitePreset) -> None:
 
 @pytest.mark.usefixtures("forked")
 def test_the_command_from_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    data = yaml.safe_load((PRESETS / "tiny.yaml").read_text(encoding="utf-8"))
-    data |= {"methods": ["rainbow"]}
-    data["tasks"] = {"masked_identity": data["tasks"]["masked_identity"]}
-    path = tmp_path / "few.yaml"
-    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    tasks = yaml.safe_load((PRESETS / "tiny.yaml").read_text(encoding="utf-8"))["tasks"]
+    few = {"masked_identity": tasks["masked_identity"]}
+    path = tiny_file(tmp_path, methods=["rainbow"], tasks=few)
     words = ["--preset", str(path), "--results", str(tmp_path / "results"), "--jobs", "1"]
     assert main(["run", *words]) == 0
     report = capfd.readouterr().out
     assert "masked_identity-rainbow-s0: done in" in report
     assert "Masked identity" in report
-    folder = tmp_path / "results" / "classic" / "few"
+    folder = tmp_path / "results" / "classic" / "changed"
     assert (folder / "tables" / "scores.csv").is_file()
     assert (folder / "figures" / "curves.png").read_bytes()[:4] == b"\x89PNG"
     meta = RunFolder(folder / "runs" / "masked_identity-rainbow-s0").meta()
@@ -195,7 +190,7 @@ def test_the_command_from_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixtur
     assert sum(p.stat().st_size for p in (folder / "runs").rglob("*.*")) < 20_000
     assert main(["plan", *words]) == 0
     report = capfd.readouterr().out
-    assert "3 cells of preset 'few'" in report
+    assert "3 cells of preset 'changed'" in report
     assert ", 0 to run" in report
 
 
@@ -212,15 +207,15 @@ def test_the_command_from_end_to_end(tmp_path: Path, capfd: pytest.CaptureFixtur
         ({"controls": ["oracle"]}, "controls: unknown 'oracle'; known: held, random, script"),
         ({"methods": ["rainbow_x"]}, "methods has no settings for 'rainbow_x'"),
         ({"sedes": [1]}, "unknown key 'sedes'"),
-        ({"tasks": {"cartpole": {"timesteps": 0}}}, "timesteps = 0 must be above 0"),
+        (
+            {"tasks": {"cartpole": {"timesteps": 0}}},
+            "timesteps: Input should be greater than 0",
+        ),
     ],
 )
 def test_bad_presets_are_refused(change: dict[str, object], message: str, tmp_path: Path) -> None:
-    data = yaml.safe_load((PRESETS / "tiny.yaml").read_text(encoding="utf-8")) | change
-    path = tmp_path / "bad.yaml"
-    path.write_text(yaml.safe_dump(data), encoding="utf-8")
     with pytest.raises(BenchmarkError, match=re.escape(message)):
-        load_suite(str(path))
+        load_suite(str(tiny_file(tmp_path, **change)))
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from benchmarks.studies.classic.playing import make_env
 from benchmarks.studies.classic.train import build_model, run_learner
 from benchmarks.studies.robots import trials
 from benchmarks.studies.robots.contact import SEARCH, make
+from tests.benchmarks.smoke import stop_after
 
 pytest.importorskip("mujoco", reason="needs the extra physics")
 
@@ -98,11 +99,10 @@ def test_a_stopped_run_is_the_run_that_was_not(
 ) -> None:
     monkeypatch.setattr(trials, "EPISODES", 1)
     preset, cell = tiny(noise=0.3), of_task(method, "standard", 0)
-    calls = iter(range(100))
     whole, cut = RunFolder(tmp_path / "whole"), RunFolder(tmp_path / "cut")
     assert run_learner(preset, cell, whole) is not None
     rounds = 2 if method == "ppo" else 50
-    assert run_learner(preset, cell, cut, lambda: next(calls) == rounds - 1) is None
+    assert run_learner(preset, cell, cut, stop_after(rounds - 1)) is None
     summary: Any = run_learner(preset, cell, cut)
     assert summary["resumed_at"]
     rows = cut.rows("contact")
