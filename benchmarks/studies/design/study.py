@@ -1,7 +1,8 @@
 """The geometric optimization: the paper's table and figures, and analyses beyond them.
 
 All is computed afresh and written to ``results/design/``; --figures-only redraws from what is
-stored there. Blocks of ``docs/kinematics.md`` and ``docs/design.md`` are of the same data.
+stored there. Blocks of ``docs/kinematics.md``, ``docs/design.md`` and
+``docs/design_sensitivity.md`` are of the same data.
 
 table.csv               the paper's table of design results, ours beside it
 runs.csv paths.csv      the optimizer's runs (start, end, evaluations), every design they tried
