@@ -41,7 +41,7 @@ from benchmarks.protocol.seeding import derive
 from benchmarks.reporting.tables.table import Table, TableCell
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
-from benchmarks.studies.base import Part, Study, Tick, count, read_stored
+from benchmarks.studies.base import OfOneFile, Part, Tick, count, read_stored
 from benchmarks.studies.robots.trials import script_of
 from coop_env.env import CoopInsertionEnv, Observation
 
@@ -296,7 +296,7 @@ def read(root: Path, recipe: Recipe) -> dict[str, Any] | None:
     }
 
 
-class Data(Study):
+class Data(OfOneFile):
     """Minari datasets of the task."""
 
     name, file = "data", "data/data.json"
@@ -339,9 +339,7 @@ class Data(Study):
         ]
         if any("/contact-" in record["id"] for record in result):
             notes.append("The contact task, `contact-`, has other starts and one hole.")
-        header = (
-            "Dataset | Behaviour | Steps | Starts | Success (%) | Holes (of 6) | All six (%) | "
-        )
-        header += "Return | MB"
+        header = ["Dataset", "Behaviour", "Steps", "Starts", "Success (%)", "Holes (of 6)"]
+        header += ["All six (%)", "Return", "MB"]
         title = "Datasets of the insertion task"
-        return Table("data", title, header.split(" | "), rows, notes, (0, 1)).markdown()
+        return Table("data", title, header, rows, notes, (0, 1)).markdown()
