@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy.stats
+import scipy  # scipy.stats takes half a second: loaded at its first use
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]

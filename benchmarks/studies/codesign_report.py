@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
-from scipy.stats import bootstrap, spearmanr
+from scipy.stats import bootstrap, pearsonr, rankdata
 
 from benchmarks.protocol.metrics import METRICS, SUCCESS
 from benchmarks.reporting.figures.style import PALETTE, canvas, legend_below
@@ -121,11 +121,11 @@ def rank_correlation(x: ArrayLike, y: ArrayLike) -> Value:
     if pairs.shape[1] < FEW or (np.ptp(pairs, axis=1) == 0.0).any():
         return Value(math.nan, n=0)
 
-    def rho(x: Any, y: Any) -> Any:
-        return spearmanr(x, y).statistic
+    def rho(x: Any, y: Any, axis: int = -1) -> Any:
+        return pearsonr(*(rankdata(each, axis=axis) for each in (x, y)), axis=axis).statistic
 
     drawn: dict[str, Any] = {"n_resamples": 2_000, "rng": np.random.default_rng(0)}
-    drawn |= {"paired": True, "vectorized": False, "method": "percentile"}
+    drawn |= {"paired": True, "method": "percentile"}
     low, high = bootstrap(pairs, rho, **drawn).confidence_interval
     return Value(float(rho(*pairs)), n=pairs.shape[1], low=float(low), high=float(high))
 

@@ -4,12 +4,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 
-import scipy.linalg.cython_blas  # noqa: F401  # whose BLAS numba uses: it has to be loaded
 from threadpoolctl import LibController, ThreadpoolController
 
 
 @lru_cache(maxsize=1)
 def _libraries() -> list[LibController]:
+    import scipy.linalg.cython_blas  # noqa: F401  # whose BLAS numba uses: it has to be loaded
+
     return ThreadpoolController().select(user_api="blas").lib_controllers
 
 
