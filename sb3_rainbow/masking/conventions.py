@@ -76,6 +76,8 @@ def capture_terminal_masks(env: VecEnv) -> None:
 def as_action_masks(masks: ArrayLike, n_envs: int, n_actions: int) -> NDArray[np.bool_]:
     """Check masks and return them as booleans, ``(n_envs, n_actions)``.
 
+    As sb3-contrib, of an env that gives its mask as one row, ``(1, n_actions)``, too.
+
     Raises:
         ActionMaskError: for another shape, for entries other than False and True (0 and 1), or for
             a row that allows no action.
@@ -87,6 +89,8 @@ def as_action_masks(masks: ArrayLike, n_envs: int, n_actions: int) -> NDArray[np
             "An action mask holds True or False (1 or 0) for each action, not "
             f"{given[given != checked].flat[0]}: is it a list of actions?"
         )
+    if checked.shape == (n_envs, 1, n_actions):
+        checked = checked[:, 0]
     if checked.shape != (n_envs, n_actions):
         raise ActionMaskError(
             f"Action masks must have shape {(n_envs, n_actions)} (envs, actions), "

@@ -138,6 +138,7 @@ class Native(DummyVecEnv):
     ("make", "n_envs"),
     [
         (lambda: ActionMasker(Hidden(), lambda env: env.allowed()), 1),  # type: ignore[attr-defined]
+        (lambda: ActionMasker(Hidden(), lambda env: env.allowed()[None]), 1),  # type: ignore[attr-defined]
         (
             lambda: SubprocVecEnv(
                 [lambda: TerminalActionMask(ClockEnv())] * 2, start_method="fork"
@@ -146,7 +147,7 @@ class Native(DummyVecEnv):
         ),
         (lambda: Native([ClockEnv] * 3), 3),
     ],
-    ids=["action masker", "subprocesses", "native"],
+    ids=["action masker", "a row", "subprocesses", "native"],
 )
 def test_masks_of_every_kind_of_env_are_stored(make: Callable[[], Any], n_envs: int) -> None:
     env = make()
