@@ -12,7 +12,7 @@ from benchmarks.reporting.tables.table import MISSING, Number, Table, TableCell
 from benchmarks.reporting.verdicts import sentences
 
 PAPER: Final = ("Performance", "Ablation", "Geometry", "As printed")  # docs/results.md
-SHORT: Final = ("in_short", "performance", "components", "geometry")  # the README's
+SHORT: Final = ("in_short", "performance", "components", "geometry", "printed")  # README's
 # of the page of science: heading, sentences, tables, figures with what they show
 SECTIONS: Final[tuple[tuple[str, tuple[str, ...], tuple[str, ...], dict[str, str]], ...]] = (
     ("Performance", ("performance",), ("performance", "controls"),
@@ -27,7 +27,7 @@ SECTIONS: Final[tuple[tuple[str, tuple[str, ...], tuple[str, ...], dict[str, str
 
 
 def short(results: Results) -> str:
-    """What README shows: one word, three verdicts, a table of six rows, how much has been run."""
+    """What README shows: one word, four verdicts, a table of six rows, how much has been run."""
     report = sentences(results)
     parts = [report[topic].partition("\n\n")[0] for topic in SHORT if topic in report]
     done = len(results.all())

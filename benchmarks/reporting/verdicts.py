@@ -295,17 +295,19 @@ def printed(results: Results) -> str:
     report = f"Rainbow inserts in {_show(row.success())} %"
     if script := results.control_of(row):
         report += f", the best script under the same masks in {_show(script.success())}"
+    if why := ground(row):
+        verdict = f"No verdict yet on the reward as printed** ({why})."
+    else:
+        learns = "teaches" if row.success().mean >= LEARNS else "does not teach"
+        verdict = f"The reward as printed {learns} the task.**"
     reward, holes = (
         over_seeds([tail_mean(curve, column) for curve in row.curves()])
         for column in ("episode_reward", "holes")
     )
-    report += (
-        f"; its last training episodes earn {_show(reward, 0)} and fill {_show(holes, 2)} holes"
+    return (
+        f"**{verdict} {report}.\n\nRainbow's last training episodes earn {_show(reward, 0)} and "
+        f"fill {_show(holes, 2)} holes."
     )
-    if why := ground(row):
-        return f"**No verdict yet on the reward as printed** ({why}). {report}."
-    learns = "teaches" if row.success().mean >= LEARNS else "does not teach"
-    return f"**The reward as printed {learns} the task.** {report}."
 
 
 def _steps(row: Group) -> Value:
