@@ -123,6 +123,8 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
     for rival in rivals:
         if not ground(rival.theirs) and (as_good := as_well(rival)):
             said += f" {rival.theirs.title} is {as_good}."
+    if there := on_track(results, "terminal"):
+        said += f" Where a collision ends the episode, {there}."
     said += under_noise(results, greedy)
     details = []
     if (optimum := results.group("optimum")).n:
@@ -292,9 +294,6 @@ def printed(results: Results) -> str:
     row = results.group("rainbow", "printed").as_trained()
     if not row.n:
         return ""
-    report = f"Rainbow inserts in {_show(row.success())} %"
-    if script := results.control_of(row):
-        report += f", the best script under the same masks in {_show(script.success())}"
     if why := ground(row):
         verdict = f"No verdict yet on the reward as printed** ({why})."
     else:
@@ -304,10 +303,27 @@ def printed(results: Results) -> str:
         over_seeds([tail_mean(curve, column) for curve in row.curves()])
         for column in ("episode_reward", "holes")
     )
-    return (
-        f"**{verdict} {report}.\n\nRainbow's last training episodes earn {_show(reward, 0)} and "
-        f"fill {_show(holes, 2)} holes."
+    return _paragraphs(
+        f"**{verdict} {on_track(results, 'printed')}.",
+        [
+            f"Rainbow's last training episodes earn {_show(reward, 0)} and fill "
+            f"{_show(holes, 2)} holes."
+        ],
     )
+
+
+def on_track(results: Results, track: str) -> str:
+    """How often Rainbow inserts on a track, masked DQN and the best script; empty before Rainbow's
+    runs.
+    """
+    ours = results.group("rainbow", track).as_trained()
+    masked = results.group("rainbow", track, ablation="none").as_trained()
+    rows = (
+        ("Rainbow", ours),
+        ("masked DQN", masked),
+        ("the best script", results.control_of(ours)),
+    )
+    return _joined([(name, row) for name, row in rows if row and row.n]) if ours.n else ""
 
 
 def _steps(row: Group) -> Value:
