@@ -313,17 +313,12 @@ def printed(results: Results) -> str:
 
 
 def on_track(results: Results, track: str) -> str:
-    """How often Rainbow inserts on a track, masked DQN and the best script; empty before Rainbow's
-    runs.
-    """
+    """Success of Rainbow, masked DQN and the best script; empty where Rainbow was not run."""
     ours = results.group("rainbow", track).as_trained()
     masked = results.group("rainbow", track, ablation="none").as_trained()
-    rows = (
-        ("Rainbow", ours),
-        ("masked DQN", masked),
-        ("the best script", results.control_of(ours)),
-    )
-    return _joined([(name, row) for name, row in rows if row and row.n]) if ours.n else ""
+    script = results.control_of(ours)
+    rows = {"Rainbow": ours, "masked DQN": masked, "the best script": script}
+    return _joined([(name, row) for name, row in rows.items() if row and row.n]) if ours.n else ""
 
 
 def _steps(row: Group) -> Value:
