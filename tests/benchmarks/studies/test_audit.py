@@ -65,16 +65,6 @@ def test_scripts_return_what_the_environment_pays() -> None:
     assert "| as printed | farm |" in " ".join(audit.markdown(rows).split())
 
 
-def test_the_table_has_means_and_deviations_over_starts() -> None:
-    rows = [
-        {"track": "tuned", "script": script, "start": i, "return": 10.0 + k + i,
-         "discounted": 5.0, "holes": 1, "moves": 30}
-        for k, script in enumerate(SCRIPTS) for i in range(2)
-    ]  # fmt: skip
-    text = " ".join(audit.markdown(pd.DataFrame(rows)).split())
-    assert "| tuned | insert | 10.5 ± 0.7 | 5.0 | 1.00 | 1.00 |" in text
-
-
 def test_each_reward_is_played_once() -> None:
     assert list(audit.of_each_reward(load_preset("cut")).tracks) == ["printed", "reward", "safe"]
 
@@ -97,16 +87,12 @@ def test_both_commands_write_what_they_say(
     assert set(rows.loc[~rows["success"].astype(bool), "cause"]) <= set(failures.CAUSES)
     assert rows["acting"].isna().all()  # no training episode ended within so few steps
     assert "exploration" not in failures.summary(failures.read(folder / "rainbow-safe.csv"))
-    known = failures.read(folder / "rainbow-safe.csv").assign(acting=0.5)
-    assert "with exploration, last tenth of training: 50.0 %" in failures.summary(known)
     assert main(["study", "audit", *words, "--starts", "1"]) == 0
     learned = pd.read_csv(tmp_path / "audit" / "learned.csv")
     assert learned["method"].tolist() == ["rainbow"]
     assert audit.Audit.problems(tmp_path) == []
     learned.assign(holes=99).to_csv(tmp_path / "audit" / "learned.csv", index=False)
     assert any("learned.csv differs from the runs" in p for p in audit.Audit.problems(tmp_path))
-    with pytest.raises(SystemExit):
-        main(["study", "audit", *words, "--starts", "0"])
 
 
 def test_causes_are_told_apart() -> None:

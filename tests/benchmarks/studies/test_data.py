@@ -29,9 +29,6 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("work")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        (folder / "docs").mkdir()
-        page = "# Page\n\n<!-- data:begin -->\n<!-- data:end -->\n"
-        (folder / "docs" / "data.md").write_text(page, encoding="utf-8")
         words = ["study", "data", "--steps", str(STEPS), "--results", "results"]
         assert command(words) == command([*words, "--contact"]) == 0
     records = json.loads((folder / "results/data/data.json").read_text("utf-8"))
@@ -77,19 +74,6 @@ def test_no_episode_is_one_of_a_test_or_a_validation() -> None:
     for stream in ("test", "validate", "train", "fresh"):
         others = {s for seed in range(20) for s in episode_seeds(seed, 200, stream)}
         assert not mine & others
-
-
-def test_the_table_follows_from_the_records(results: Path) -> None:
-    docs = results.parent / "docs"
-    text = (results / "data" / "data.md").read_text("utf-8")
-    assert text.strip() in (docs / "data.md").read_text("utf-8")
-    assert data.Data.problems(results) == []
-    path = results / "data" / "data.json"
-    kept = path.read_text("utf-8")
-    path.write_text(kept.replace('"success": ', '"success": 1'), encoding="utf-8")
-    (problem,) = data.Data.problems(results)
-    assert "data.md differs" in problem
-    path.write_text(kept, encoding="utf-8")
 
 
 def test_what_is_there_is_kept_and_what_is_missing_made(results: Path, tmp_path: Path) -> None:

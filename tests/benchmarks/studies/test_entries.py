@@ -8,6 +8,7 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pandas as pd
@@ -34,6 +35,7 @@ from benchmarks.studies.scoring import entries
 from benchmarks.studies.scoring.entries import checked
 from coop_env.env import CoopInsertionEnv
 from tests.benchmarks import fabricated_store
+from tests.benchmarks.smoke import smoke_file
 
 SETTINGS: dict[str, dict[str, Any]] = {
     "ppo": {"n_steps": 16, "batch_size": 16},
@@ -132,28 +134,12 @@ def test_the_algorithm_is_read_from_the_file(name: str, train: Callable[..., Pat
     assert detect_algorithm(train(name)) == name
 
 
-def _second_fails(score: Callable[..., None]) -> Callable[..., None]:
-    calls: list[object] = []
-
-    def failing(folder: Any, *rest: Any) -> None:
-        calls.append(folder)
-        if len(calls) > 1:
-            raise MemoryError
-        score(folder, *rest)
-
-    return failing
-
-
 def test_one_model_per_seed_and_a_second_call_scores_nothing(
     train: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str],
-    refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch,
+    refused: Callable[..., str],
 ) -> None:  # fmt: skip
-    preset = tmp_path / "two.yaml"
-    preset.write_text(
-        "description: two seeds\nseeds: [3, 4]\nruns: []\n"
-        "evaluation: {episodes: 1, noise: [0.0]}\n",
-        encoding="utf-8",
-    )
+    tests = {"episodes": 1, "noise": [0.0]}
+    preset = smoke_file(tmp_path, "two", seeds=[3, 4], evaluation=tests)
     files = [str(train("ppo", 0)), str(train("ppo", 1))]
     words = ["evaluate", "--preset", str(preset), "--results", str(tmp_path), "--name", "two"]
     words.append("--trust")
@@ -169,10 +155,9 @@ def test_one_model_per_seed_and_a_second_call_scores_nothing(
     assert [(entry.path / "meta.json").read_bytes() for entry in store.entered()] == before
     # another model under the same name: refused, until it is said
     assert "choose another --name, or --replace it" in refused(*words, "--model", files[1])
-    with monkeypatch.context() as patch:
-        patch.setattr(entries, "_score", _second_fails(entries._score))
-        with pytest.raises(MemoryError):
-            main([*words, "--model", files[1], "--replace"])
+    second: Any = {"wraps": entries._score, "side_effect": [mock.DEFAULT, MemoryError]}
+    with mock.patch.object(entries, "_score", **second), pytest.raises(MemoryError):
+        main([*words, "--model", files[1], "--replace"])
     assert [(entry.path / "meta.json").read_bytes() for entry in store.entered()] == before
     assert main([*words, "--model", files[1], "--replace"]) == 0
     assert not (store.folder / "replacing").exists()
@@ -382,23 +367,6 @@ def test_an_entry_leaves_the_presets_own_tables_alone(
     assert rows["Method"].iloc[-1] == "mine"
     ranks = rows["Rank"].tolist()
     assert ranks == ["-", *[str(rank) for rank in range(1, len(ranks))]]
-
-
-def test_the_documented_example_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    page = Path(__file__).resolve().parents[3] / "docs" / "own_method.md"
-    section = page.read_text(encoding="utf-8")
-    code = section.split("```python\n")[1].split("```")[0]
-    assert "learn(200_000)" in code
-    command = next(line for line in section.splitlines() if line.startswith("    python -m"))
-    monkeypatch.chdir(tmp_path)
-    short = 'MaskablePPO("MlpPolicy", env, n_steps=64, batch_size=64'
-    exec(code.replace("200_000", "64").replace('MaskablePPO("MlpPolicy", env', short), {})
-    words = command.split()[3:]
-    assert words[:5] == ["evaluate", "--preset", "cut", "--model", "build/my_ppo.zip"]
-    assert main([*words, "--preset", "smoke", "--results", str(tmp_path)]) == 0
-    assert "my-ppo" in board(tmp_path).index
 
 
 def test_the_documented_study_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,6 @@ import pytest
 from PIL import Image
 
 from benchmarks.cli import main
-from benchmarks.errors import BenchmarkError
 from benchmarks.studies import media
 from benchmarks.studies.base import episode
 from coop_env.env import CoopInsertionEnv
@@ -68,14 +67,6 @@ def test_a_policy_is_shown_on_its_own_robot(
     geometry = media.Media.parser().parse_args(words).geometry
     env: Any = media.player(Path("policy.zip"), False, make, geometry=geometry)[0]
     assert env.geometry == shown
-
-
-def test_unsolvable_episode_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    nothing = SimpleNamespace(moves=None)
-    monkeypatch.setattr("benchmarks.methods.oracle.LatticeOracle.plan", lambda self, env: nothing)
-    env = CoopInsertionEnv()
-    with pytest.raises(BenchmarkError, match="no plan from here"):
-        media.play(env, 0, media.optimal_moves(env))
 
 
 def test_optimum_plans_anew_where_it_is_put() -> None:

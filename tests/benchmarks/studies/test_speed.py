@@ -68,27 +68,3 @@ def test_each_learner_of_images_is_measured() -> None:
     assert set(images) == {
         *("SB3 DQN", "sb3-contrib QR-DQN", "Rainbow", "Rainbow, by default two streams of 512")
     }
-
-
-def test_the_report_gives_the_ratios_of_the_rates() -> None:
-    rates = {
-        name: dict.fromkeys(speed.KINDS, rate)
-        for name, rate in (("SB3 DQN", 500.0), ("Rainbow", 600.0))
-    }
-    result: dict[str, Any] = {
-        "command": "c",
-        "asked": {"rounds": 1, "steps": 1},
-        "machine": {"machine": {"processor": "p"}, "commit": "0"},
-        "parts": {"updates": rates, "images": rates},
-    }
-
-    def report() -> str:
-        return " ".join(speed.SpeedRainbow.to_markdown(result).split())
-
-    assert "| Rainbow | 600 | 1.20 | 600 |" in report()
-    assert "| Rainbow of [256, 128, 64] | SB3 DQN | 1.20 | 1.20 | 1.5 |" in report()
-    assert "| Rainbow on images | SB3 DQN | 1.20 | 1.20 | 0.9 |" in report()
-    assert "SBX DQN was not measured: `sbx-rl` was not installed." in report()
-    result["parts"]["updates_64"] = {**rates, "SBX DQN": dict.fromkeys(speed.KINDS, 1200.0)}
-    assert "| Rainbow of [64, 64] | SBX DQN | 0.50 | 0.50 | 1.5 |" in report()
-    assert "was not measured" not in report()

