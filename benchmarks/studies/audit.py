@@ -80,25 +80,20 @@ def _returns(env: CoopInsertionEnv, simulator: Simulator, moves: Moves, gamma: f
     }
 
 
-def learned(store: Store) -> list[Row]:
-    """One row per stored learner: mean return and holes of its last training episodes.
+def learned(results: Path, preset: str) -> str | None:
+    """What learned.csv says of a preset's runs, empty of none; None where it has no store.
 
-    The last tenth of the run: with exploration on, as the learner saw it.
+    One row per stored learner: mean return and holes of the last tenth of its training, with
+    exploration on, as the learner saw it.
     """
+    if not (results / preset / "store.json").is_file():
+        return None
     rows = []
-    for run in Results(store).all():
+    for run in Results(Store.open(results, preset)).all():
         if run.folder.has_rows("curve"):
             cell, curve = run.config["cell"], run.folder.rows("curve")
             earned, holes = tail_mean(curve, "episode_reward"), tail_mean(curve, "holes")
             rows.append({**{key: cell[key] for key in CELL}, "return": earned, "holes": holes})
-    return rows
-
-
-def learned_text(results: Path, preset: str) -> str | None:
-    """What learned.csv says of a preset's runs, empty of none; None where it has no store."""
-    if not (results / preset / "store.json").is_file():
-        return None
-    rows = learned(Store.open(results, preset))
     return csv_text(rows) if rows else ""
 
 
@@ -107,19 +102,16 @@ def markdown(rows: pd.DataFrame, learners: pd.DataFrame | None = None) -> str:
     lines = []
     for name in in_order(rows["track"].astype(str).unique()):
         here = rows[rows["track"] == name].groupby("script", sort=False)
-        insert = here["return"].mean()["insert"]
-
-        def line(who: str, part: pd.DataFrame, of: str = name, scale: float = insert) -> list[str]:
-            mean = part.mean(numeric_only=True)
-            discounted = f"{mean['discounted']:.1f}" if "discounted" in mean else "-"
-            numbers = [over_seeds(part["return"]).text(1), discounted, f"{mean['holes']:.2f}"]
-            return [labels.track(of), who, *numbers, f"{mean['return'] / scale:.2f}"]
-
-        lines += [line(script, here.get_group(script)) for script in SCRIPTS]
+        parts = {script: here.get_group(script) for script in SCRIPTS}
         if learners is not None:
             mine = learners.query("ablation == 'full' and geometry == 'optimized'")
             for method, part in mine[mine["track"] == name].groupby("method", sort=False):
-                lines.append(line(f"{labels.METHODS[str(method)]}, trained", part))
+                parts[f"{labels.METHODS[str(method)]}, trained"] = part
+        for who, part in parts.items():
+            mean, insert = part.mean(numeric_only=True), parts["insert"]["return"].mean()
+            discounted = f"{mean['discounted']:.1f}" if "discounted" in mean else "-"
+            numbers = [over_seeds(part["return"]).text(1), discounted, f"{mean['holes']:.2f}"]
+            lines.append([labels.track(name), who, *numbers, f"{mean['return'] / insert:.2f}"])
     head = "Reward | Script | Return | Discounted | Holes | Return / inserting"
     return plain("What each reward pays", head, lines) + "\n"
 
@@ -141,7 +133,7 @@ class Audit(Study):
         write_csv(self.folder / "scripted.csv", scripted(preset, self.given.starts, tick))
         path = self.folder / "learned.csv"
         path.unlink(missing_ok=True)
-        if text := learned_text(self.results, preset.name):
+        if text := learned(self.results, preset.name):
             write_text(path, text)
         record = {**describe(), "starts": self.given.starts, "preset": preset.name}
         write_text(self.folder / "meta.json", json.dumps(record, indent=1, sort_keys=True) + "\n")
@@ -160,9 +152,7 @@ class Audit(Study):
         folder, result = results / "audit", super().problems(results)
         if (meta := folder / "meta.json").is_file():
             preset = read_stored(meta)["preset"]
-            text = learned_text(results, preset)
-            if text is not None:
-                result += check_file(
-                    folder / "learned.csv", text, f"the runs in {results / preset}"
-                )
+            if (text := learned(results, preset)) is not None:
+                source = f"the runs in {results / preset}"
+                result += check_file(folder / "learned.csv", text, source)
         return result

@@ -42,9 +42,11 @@ class Study(ABC):
         name: of the command, of its folder below the results folder, and of its block.
         options: argparse's arguments by name.
         needs: modules that an extra brings, and the extra.
+        file: below the results folder; all that is told follows from it, if there is one.
     """
 
     name: ClassVar[str]
+    file: ClassVar[str] = ""
     options: ClassVar[Mapping[str, Option]] = {}
     needs: ClassVar[tuple[str, ...]] = ()
 
@@ -112,7 +114,15 @@ class Study(ABC):
     @classmethod
     def files(cls, results: Path) -> dict[Path, str]:
         """Files that follow from what is stored, with their texts; none where nothing is."""
-        return {}
+        path = results / cls.file
+        if not path.is_file():
+            return {}
+        return {path.with_suffix(".md"): cls.to_markdown(read_stored(path)).strip() + "\n"}
+
+    @staticmethod
+    def to_markdown(result: Any) -> str:
+        """What ``file`` holds, as Markdown."""
+        raise NotImplementedError
 
     @classmethod
     def blocks(cls, results: Path) -> dict[str, Block]:
@@ -135,29 +145,7 @@ class Study(ABC):
         ]
 
 
-class OfOneFile(Study):
-    """A study of which all that is told follows from one JSON file.
-
-    Attributes:
-        file: it, below the results folder.
-    """
-
-    file: ClassVar[str]
-
-    @staticmethod
-    @abstractmethod
-    def to_markdown(result: Any) -> str:
-        """What the file holds, as Markdown."""
-
-    @classmethod
-    def files(cls, results: Path) -> dict[Path, str]:
-        path = results / cls.file
-        if not path.is_file():
-            return {}
-        return {path.with_suffix(".md"): cls.to_markdown(read_stored(path)).strip() + "\n"}
-
-
-class Measured(OfOneFile):
+class Measured(Study):
     """A study whose parts lie in one JSON file, each stored as it is done.
 
     What was asked for decides the file: other settings, or another commit, begin anew.

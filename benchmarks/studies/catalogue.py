@@ -155,7 +155,7 @@ def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]
         found |= bool(problems)
     for name in () if presets else STUDIES:
         one_study = study(name)
-        path = results / getattr(one_study, "file", name)
+        path = results / (one_study.file or name)
         problems = _guarded(path, partial(one_study.problems, results))
         yield f"{results / name}: what is told of it", problems
         found |= bool(problems)

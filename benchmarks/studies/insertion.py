@@ -54,7 +54,9 @@ class Insertion(Experiment[Preset]):
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
     ) -> dict[str, Any] | None:
         """Train and test a learner, test a control or planner, or optimize the geometry."""
-        training: dict[str, Any] | None = {}
+        from benchmarks.evaluation.evaluate import evaluate_cell
+
+        training: dict[str, Any] = {}
         if cell.method == DESIGN:
             from benchmarks.methods.geometric_design import measured_runs, table_rows
 
@@ -62,40 +64,30 @@ class Insertion(Experiment[Preset]):
             runs = measured_runs(self.preset.design.runs, lambda _: None)
             folder.write_rows("design", table_rows(runs))
         elif cell.learns:
-            training = self._train(cell, folder, stop_requested, device)
-        else:
-            from benchmarks.evaluation.evaluate import evaluate_cell
+            from benchmarks.runs import policy_file
+            from benchmarks.runs.training import train
 
+            trained = train(self.preset, cell, folder, stop_requested, device)
+            if trained is None:
+                return None
+            model, training = trained
+            folder.write_progress(1.0, "testing")
+            began = time.perf_counter()
+            training["weights_sha256"] = policy_file.digest(model)
+            policy_file.reduce_to_acting(model)
+            folder.write_rows("episodes", evaluate_cell(self.preset, cell, model=model))
+            policy_file.save(model, folder.policy)
+            training["policy_sha256"] = folder.policy_digest()
+            training["test_seconds"] = time.perf_counter() - began
+        else:
             rows = evaluate_cell(self.preset, cell, ProgressReporter(folder, stop_requested))
             folder.write_rows("episodes", rows)
-        if training is None:
-            return None
         seeds = {
             "cell": cell.seed,
             "learner": derive("learner", cell.seed),  # of its training episodes too
             "first_test_episode": derive(self.preset.evaluation.stream, cell.seed, 0),
         }
         return {"seeds": seeds, "training": training}
-
-    def _train(
-        self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
-    ) -> dict[str, Any] | None:
-        from benchmarks.evaluation.evaluate import evaluate_cell
-        from benchmarks.runs import policy_file
-        from benchmarks.runs.training import train
-
-        trained = train(self.preset, cell, folder, stop_requested, device)
-        if trained is None:
-            return None
-        model, summary = trained
-        folder.write_progress(1.0, "testing")
-        began = time.perf_counter()
-        summary["weights_sha256"] = policy_file.digest(model)
-        policy_file.reduce_to_acting(model)
-        folder.write_rows("episodes", evaluate_cell(self.preset, cell, model=model))
-        policy_file.save(model, folder.policy)
-        summary["policy_sha256"] = folder.policy_digest()
-        return {**summary, "test_seconds": time.perf_counter() - began}
 
     def verdict(self, folder: RunFolder) -> str:
         if not folder.has_rows("episodes"):

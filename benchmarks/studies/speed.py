@@ -19,9 +19,11 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import statistics
+import time
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -31,18 +33,14 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.methods.oracle import LatticeOracle
 from benchmarks.reporting.tables.table import plain
-from benchmarks.studies.base import Measured, Part, Tick, count, source
-from benchmarks.studies.timing import batch_stepping, in_turns, options, seconds_of, stepping
+from benchmarks.studies.base import Measured, Option, Part, Tick, count, source
 from coop_env.env import CoopInsertionEnv
-from coop_env.team.joint_env import CoopInsertionJointEnv
 from coop_env.vector.vec_env import CoopInsertionVecEnv
 
+Name = TypeVar("Name", bound=Hashable)
+
 SINGLE: Final = "single, gymnasium.make, Python loop"
-# rows of the optimum: geometry, and whether both robots move at once
-OPTIMA: Final = {
-    **{name: (name, False) for name in ("optimized", "initial")},
-    **{f"{name}, both at once": (name, True) for name in ("optimized", "initial")},
-}
+OPTIMA: Final = ("optimized", "initial")  # geometries of which the optimum is measured
 N_INPUTS: Final = 12
 N_ACTIONS: Final = 12
 BATCH_SIZE: Final = 64
@@ -59,6 +57,58 @@ TARGETS: Final = {"Rainbow": 1.5, "Rainbow, torch eager": 0.75}
 IMAGE_TARGET: Final = 0.9
 #: rates of updates with the steps of the env between them, and alone
 KINDS: Final = ("learn_cpu", "train_cpu")
+
+
+def seconds_of(action: Callable[[], Any]) -> float:
+    """CPU seconds of a call."""
+    began = time.process_time()
+    action()
+    return time.process_time() - began
+
+
+def in_turns(actions: Mapping[Name, Callable[[], Any]], rounds: int) -> dict[Name, float]:
+    """CPU seconds of a call: medians over rounds in turns; the first is not counted."""
+    times: dict[Name, list[float]] = {name: [] for name in actions}
+    for _ in range(rounds + 1):
+        for name, action in actions.items():
+            times[name].append(seconds_of(action))
+    return {name: statistics.median(values[1:]) for name, values in times.items()}
+
+
+def stepping(env: Any, actions: Iterable[Any], masks: bool = False) -> Callable[[], None]:
+    """A loop of so many steps, each followed by the action masks; one that is over begins anew."""
+    env.reset(seed=0)
+    look = env.unwrapped.action_masks if masks else bool
+
+    def loop() -> None:
+        for action in actions:
+            _, _, terminated, truncated, _ = env.step(action)
+            look()
+            if terminated or truncated:
+                env.reset()
+
+    return loop
+
+
+def batch_stepping(env: Any, actions: Iterable[Any], masks: bool = False) -> Callable[[], None]:
+    """The same for a batch of environments, which begin anew by themselves."""
+    env.reset()
+
+    def loop() -> None:
+        for row in actions:
+            env.step(row)
+            if masks:
+                env.env_method("action_masks")
+
+    return loop
+
+
+def options(steps: int, rounds: int) -> dict[str, Option]:
+    """How long each measurement takes."""
+    return {
+        "--steps": count(steps, "steps per round and method"),
+        "--rounds": count(rounds, "rounds, of which the median"),
+    }
 
 
 def measure_steps(steps: int, rounds: int) -> dict[str, float]:
@@ -81,11 +131,9 @@ def measure_steps(steps: int, rounds: int) -> dict[str, float]:
     return {name: 1e6 * each / steps for name, each in in_turns(loops, rounds).items()}
 
 
-def measure_oracle(starts: int, geometry: str, at_once: bool) -> dict[str, float]:
+def measure_oracle(starts: int, geometry: str) -> dict[str, float]:
     """CPU seconds, feasible share and mean length of the exact optimum over the first seeds."""
-    kind = CoopInsertionJointEnv if at_once else CoopInsertionEnv
-    env, oracle = kind(geometry=geometry), LatticeOracle(at_once=at_once)
-    plans = []
+    env, oracle, plans = CoopInsertionEnv(geometry=geometry), LatticeOracle(), []
 
     def plan() -> None:
         for seed in range(starts):
@@ -114,8 +162,8 @@ class SpeedEnv(Measured):
         return {
             "steps": lambda _: measure_steps(given.steps, given.rounds),
             **{
-                f"optimum, {name}": lambda _, what=what: measure_oracle(given.starts, *what)  # type: ignore[misc]
-                for name, what in OPTIMA.items()
+                f"optimum, {name}": lambda _, of=name: measure_oracle(given.starts, of)  # type: ignore[misc]
+                for name in OPTIMA
             },
         }
 
@@ -125,8 +173,7 @@ class SpeedEnv(Measured):
         steps = [[k, f"{v:.2f}", f"{1e6 / v:,.0f}", f"{us[SINGLE] / v:.2f}"] for k, v in us.items()]
         optimum = []
         for name in OPTIMA:
-            if (row := result["parts"].get(f"optimum, {name}")) is None:
-                continue  # measured before there was this one
+            row = result["parts"][f"optimum, {name}"]
             shown = [f"{100 * row['feasible']:.1f} %", f"{row['mean_moves']:.1f}"]
             optimum.append([name, *shown, f"{row['seconds']:.1f}"])
         tables = [
@@ -212,15 +259,13 @@ def make_models(net_arch: Sequence[int] | None, capacity: int = CAPACITY) -> dic
 
     images = net_arch is None
     net: dict[str, Any] = {} if net_arch is None else {"net_arch": list(net_arch)}
-    plain_net, quantiles = net, {**net, "n_quantiles": 51}
+    ours: dict[str, Any] = {"features_extractor_class": NatureCNN} if images else net
     variants: dict[str, dict[str, Any]] = {
         "Rainbow": {},
         "Rainbow, categorical": {"distributional": "categorical"},
         "Rainbow, torch eager": {"cpu_kernels": False},
     }
     if images:
-        plain_net, quantiles = {}, {"n_quantiles": 51}
-        net = {"features_extractor_class": NatureCNN}
         variants = {"Rainbow": {}, "Rainbow, by default two streams of 512": {"policy_kwargs": {}}}
     policy, shape = ("CnnPolicy", IMAGES) if images else ("MlpPolicy", (N_INPUTS,))
     settings: dict[str, Any] = {
@@ -237,10 +282,10 @@ def make_models(net_arch: Sequence[int] | None, capacity: int = CAPACITY) -> dic
 
     sbx = None if images else sbx_dqn()
     return {
-        BASELINE: make(DQN, policy_kwargs=plain_net),
-        "sb3-contrib QR-DQN": make(QRDQN, policy_kwargs=quantiles),
-        **({} if sbx is None else {JAX: make(sbx, policy_kwargs=plain_net)}),
-        **{name: make(Rainbow, **{"policy_kwargs": net, **v}) for name, v in variants.items()},
+        BASELINE: make(DQN, policy_kwargs=net),
+        "sb3-contrib QR-DQN": make(QRDQN, policy_kwargs={**net, "n_quantiles": 51}),
+        **({} if sbx is None else {JAX: make(sbx, policy_kwargs=net)}),
+        **{name: make(Rainbow, **{"policy_kwargs": ours, **v}) for name, v in variants.items()},
     }
 
 

@@ -1,8 +1,7 @@
 """The geometric optimization: the paper's table and figures, and analyses beyond them.
 
-All is computed afresh and written to ``results/design/``; --figures-only redraws from what is
-stored there. Blocks of ``docs/kinematics.md``, ``docs/design.md`` and
-``docs/design_sensitivity.md`` are of the same data.
+All is computed afresh and written to ``results/design/``. Blocks of ``docs/kinematics.md``,
+``docs/design.md`` and ``docs/design_sensitivity.md`` are of the same data.
 
 table.csv               the paper's table of design results, ours beside it
 runs.csv paths.csv      the optimizer's runs (start, end, evaluations), every design they tried
@@ -31,7 +30,6 @@ from typing import Any, Final
 import pandas as pd
 import yaml
 
-from benchmarks.errors import BenchmarkError
 from benchmarks.methods.geometric_design import measured_runs, run_rows, table_rows
 from benchmarks.reporting.blocks import Block
 from benchmarks.runs.machine import describe
@@ -56,20 +54,13 @@ class Design(Study):
     name = "design"
     options = {  # noqa: RUF012
         "--runs": count(10, "runs of the optimizer"),
-        "--figures-only": {"action": "store_true", "help": "redraw from stored data"},
     }
 
     def __init__(self, given: argparse.Namespace) -> None:
         super().__init__(given)
         self.store, self.began = DesignStore(self.results), time.monotonic()
-        if given.figures_only and not self.store.is_complete():
-            raise BenchmarkError(
-                f"{self.store.path} holds no study; run: python -m benchmarks study design"
-            )
 
     def parts(self) -> Mapping[str, Part]:
-        if self.given.figures_only:
-            return {}
         return {
             "optimizer's runs": self._runs,
             "atlas, global optimum, bands of heave": self._optima,

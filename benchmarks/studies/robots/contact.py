@@ -28,15 +28,7 @@ from benchmarks.reporting.tables.table import plain
 from benchmarks.studies.base import Measured, Part, Tick, count, episode, source
 from benchmarks.studies.media import write_animation
 from benchmarks.studies.robots import trials
-from benchmarks.studies.robots.trials import (
-    CONDITIONS,
-    LEVEL,
-    TRAINED,
-    WHAT,
-    Row,
-    play,
-    script_of,
-)
+from benchmarks.studies.robots.trials import LEVEL, TRAINED, WHAT, Row, play, script_of
 from coop_env.rendering import CAMERAS, render_frame
 
 LEVELS: Final = ("easy", "standard", "hard")
@@ -86,7 +78,7 @@ def measure(level: str, episodes: int, tick: Tick) -> Row:
         script = script_of(name, env, gains)
         result[name] = {
             "gains": gains,
-            "errors": [play(env, script, "test", episodes, error) for error in CONDITIONS],
+            "errors": [play(env, script, "test", episodes, error) for error in trials.CONDITIONS],
         }
         tick((done + 1) / len(GRIDS))
     return result
@@ -204,7 +196,7 @@ class Contact(Measured):
         )
         table = plain(
             f"Scripts over the hole's displacement: {WHAT}",
-            " | ".join(["level", "script", *map(trials.shown, CONDITIONS), "failures"]),
+            " | ".join(["level", "script", *map(trials.shown, trials.CONDITIONS), "failures"]),
             [
                 [level, name, *map(trials.in_cell, one["errors"]), _causes(one["errors"])]
                 for level, name, one in scripts

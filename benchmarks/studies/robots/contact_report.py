@@ -16,16 +16,8 @@ from benchmarks.reporting.figures.style import METHOD_COLOURS, PALETTE, canvas, 
 from benchmarks.reporting.tables.table import Table
 from benchmarks.studies.base import read_stored
 from benchmarks.studies.classic.results import SuiteResults, student
-from benchmarks.studies.robots.trials import (
-    CONDITIONS,
-    DRAWN,
-    ERRORS,
-    TRAINED,
-    WHAT,
-    in_cell,
-    medians,
-    shown,
-)
+from benchmarks.studies.robots import trials
+from benchmarks.studies.robots.trials import CONDITIONS, DRAWN, in_cell, medians, shown
 
 
 class Entry(NamedTuple):
@@ -83,7 +75,7 @@ def build_contact_tables(results: SuiteResults) -> list[Table]:
     """Success, time and force over the hole's error; none without such a task."""
     if not (entries := list(_entries(results))):
         return []
-    head, size = ["Level", "Method", "Seeds"], f"{TRAINED:g} mm"
+    head, size = ["Level", "Method", "Seeds"], f"{trials.TRAINED:g} mm"
     same = "The same test episodes for all; medians over the episodes of all seeds. "
     return [
         Table(
@@ -96,7 +88,7 @@ def build_contact_tables(results: SuiteResults) -> list[Table]:
         ),
         Table(
             "displacement",
-            f"Contact task over the hole's displacement: {WHAT}",
+            f"Contact task over the hole's displacement: {trials.WHAT}",
             [*head, *map(shown, CONDITIONS)],
             [[*e[:3], *map(in_cell, e.errors)] for e in entries],
             [f"{same}Beyond {size} is outside of training."],
@@ -113,9 +105,9 @@ def draw(results: SuiteResults) -> Figure:
     grid = np.array(axes).reshape(3, len(shown_levels))
     for entry in _entries(results):
         column = grid[:, shown_levels.index(entry.level)]
-        values = zip(*map(medians, entry.errors[: len(ERRORS)]), strict=True)
+        values = zip(*map(medians, entry.errors[: len(trials.ERRORS)]), strict=True)
         for each, line in zip(column, values, strict=True):
-            each.plot(ERRORS, line, label=entry.name, linewidth=1.2, **entry.look)
+            each.plot(trials.ERRORS, line, label=entry.name, linewidth=1.2, **entry.look)
     for level, column in zip(shown_levels, grid.T, strict=True):
         column[0].set_title(f"level {level}")
         column[-1].set_xlabel("displacement of the hole (mm)")

@@ -14,7 +14,7 @@ import psutil
 
 from benchmarks.reporting.tables.table import plain
 from benchmarks.studies.base import Measured, Part, count, source
-from benchmarks.studies.timing import batch_stepping, in_turns, options, stepping
+from benchmarks.studies.speed import batch_stepping, in_turns, options, stepping
 from coop_env.geometry import GEOMETRIES
 
 BATCH: Final = 16

@@ -12,7 +12,6 @@ and what it costs. Random machines are looked at too, and the worst within their
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
@@ -21,8 +20,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
 
 from benchmarks.evaluation.model_files import load_model
+from benchmarks.methods.episodes import Episode
 from benchmarks.protocol.seeding import derive, episode_seeds
 from benchmarks.reporting.stats import over_seeds
 from benchmarks.reporting.tables.table import plain
@@ -122,18 +123,18 @@ def price_of(
         changed += 1
         return choose(observation, masks)
 
-    holes, times, harm = [], [], 0
-    for start in episode_seeds(seed, episodes, "validate"):
-        _, *infos = episode(env, act, seed=start)
-        filled = [info["time"] for info in infos if info["inserted"]]
-        holes.append(len(filled))
-        times += filled[:1]
-        harm += sum(bool(info["collision"]) or bool(info["singular"]) for info in infos)
+    rows = []
+    for number, start in enumerate(episode_seeds(seed, episodes, "validate")):
+        played = Episode(env, number, start)
+        while not played.over:
+            played.move(act(played.observation))
+        rows.append(played.row())
+    mean = pd.DataFrame(rows).mean(numeric_only=True)
     return {
-        "success": 100.0 * float(np.mean(np.array(holes) > 0)),
-        "holes": float(np.mean(holes)),
-        "time": float(np.mean(times)) if times else math.nan,
-        "harm": harm / episodes,
+        "success": 100.0 * float(mean["success"]),
+        "holes": float(mean["holes"]),
+        "time": float(mean["time_first"]),
+        "harm": float(mean["collisions"] + mean["singular"]),
         "interventions": changed / episodes,
     }
 

@@ -12,8 +12,7 @@ from stable_baselines3.common.env_util import make_vec_env
 
 from benchmarks.cli import main
 from benchmarks.studies import speed
-from benchmarks.studies.speed import measure_updates
-from benchmarks.studies.timing import in_turns
+from benchmarks.studies.speed import in_turns, measure_updates
 from sb3_rainbow import Rainbow
 
 
