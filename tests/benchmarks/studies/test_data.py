@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.cli import main as command
 from benchmarks.methods.episodes import Episode
-from benchmarks.protocol.seeding import derive, episode_seeds
+from benchmarks.protocol.seeding import derive
 from benchmarks.studies import data
 
 minari = pytest.importorskip("minari", reason="Minari is not installed (extra data)")
@@ -67,13 +67,6 @@ def test_the_environment_does_what_a_dataset_says(name: str, results: Path) -> N
                 assert truncated == episode.truncations[t]
     if name.startswith("optimum"):
         assert all(episode.infos["n_filled"][-1] > 0 for episode in dataset)
-
-
-def test_no_episode_is_one_of_a_test_or_a_validation() -> None:
-    mine = {derive("data", number) for number in range(2_000)}
-    for stream in ("test", "validate", "train", "fresh"):
-        others = {s for seed in range(20) for s in episode_seeds(seed, 200, stream)}
-        assert not mine & others
 
 
 def test_what_is_there_is_kept_and_what_is_missing_made(results: Path, tmp_path: Path) -> None:

@@ -188,7 +188,6 @@ PLANNER = """
 from benchmarks.methods.oracle import LatticeOracle
 
 oracle = LatticeOracle()
-made = {}
 
 
 def plan(env):
@@ -200,15 +199,8 @@ def moves(env):
     return answer.moves.tolist() if answer.moves is not None else []
 
 
-def there_and_back(env):
-    # one move; then: is the way back allowed, are singular moves masked?
-    if id(env) not in made:
-        made[id(env)] = int(oracle.plan(env).moves[0])
-        return [made[id(env)]]
-    back = made.pop(id(env)) ^ 1
-    with open("masks.txt", "a") as stream:
-        stream.write(f"{env.action_masks()[back]} {env.params.task.mask_singularities}\\n")
-    return []
+def masks(env):
+    return f"{env.params.task.mask_singularities} {env.params.task.visited}"
 
 
 def cheat(env):
@@ -218,10 +210,6 @@ def cheat(env):
 
 def nonsense(env):
     return [12]
-
-
-def text(env):
-    return "up"
 """
 
 
@@ -249,18 +237,6 @@ def test_a_planner_joins_too_and_equals_the_harness_s_own(planners: Path) -> Non
     assert check_runs(store) == []
 
 
-@pytest.mark.parametrize("flags", [[], ["--mask-singularities", "--mask-visited", "3"]])
-def test_a_planner_acts_under_the_masks_that_it_asks_for(flags: list[str], planners: Path) -> None:
-    words = ["--planner", "my_planner:there_and_back", "--name", "mine", *flags]
-    assert evaluate(planners, *words) == 0
-    lines = (planners / "masks.txt").read_text(encoding="utf-8").splitlines()
-    assert set(lines) == {"False True" if flags else "True False"}
-    expected = (bool(flags), 3 if flags else 0)
-    (entry,) = Store.open(planners, "smoke").entered()
-    stored = entry.config()["entry"]
-    assert (stored["mask_singularities"], stored["mask_visited"]) == expected
-
-
 def test_moves_past_the_end_are_not_made() -> None:
     (episode,) = begin_episodes({"reward": "progress", "max_moves": 3}, 0, 1)
     follow(episode, checked(lambda env: [0, 1] * 5, "long"))
@@ -271,20 +247,21 @@ def test_moves_past_the_end_are_not_made() -> None:
 
 
 @pytest.mark.parametrize(
-    ("function", "message"),
+    ("words", "message"),
     [
         ("cheat", "moved the environment; plan on a copy"),
         ("nonsense", "returned move 12; moves are 0 to 11"),
-        ("text", "returned 'up', not a list of moves"),
+        ("masks", "returned 'False 0', not a list of moves"),
+        ("masks --mask-singularities --mask-visited 3", "returned 'True 3', not a list of moves"),
         ("missing", "cannot be imported"),
         ("oracle", "is no function but LatticeOracle"),
     ],
 )
 def test_a_planner_that_does_wrong_is_one_error(
-    function: str, message: str, planners: Path, refused: Callable[..., str]
+    words: str, message: str, planners: Path, refused: Callable[..., str]
 ) -> None:
-    words = ["--planner", f"my_planner:{function}", "--name", "wrong"]
-    assert message in refused(*command(planners, *words))
+    given = ["--planner", *f"my_planner:{words}".split(), "--name", "wrong"]
+    assert message in refused(*command(planners, *given))
     assert not list(planners.rglob("meta.json"))
     # and its name is free
     assert evaluate(planners, "--planner", "my_planner:moves", "--name", "wrong") == 0

@@ -12,7 +12,6 @@ import pytest
 import torch
 from gymnasium import spaces
 
-from benchmarks.cli import main
 from benchmarks.errors import BenchmarkError
 from benchmarks.methods.guided import Guided
 from benchmarks.methods.learners import class_on
@@ -137,8 +136,3 @@ def test_what_cannot_be_guided_is_said() -> None:
     wrong = replace(task, guide=Guide(10, 0.1, {"hodl": 3.0}))
     with pytest.raises(BenchmarkError, match="unknown gain 'hodl'; known: "):
         build_model(wrong, "sac", 0)
-
-
-def test_run_knows_the_preset_without_the_word_classic(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["plan", "--preset", "contact"]) == 0
-    assert "standard-crossq-s4" in capsys.readouterr().out
