@@ -16,8 +16,8 @@ import json
 import os
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import metadata
@@ -265,11 +265,9 @@ def write(root: Path, recipe: Recipe, episodes: Sequence[Episode | Demonstration
                 made.rename(root / NAMESPACE / made.name)
 
 
-@contextmanager
-def minari_root(folder: str | os.PathLike[str]) -> Iterator[None]:
+def minari_root(folder: str | os.PathLike[str]) -> AbstractContextManager[Any]:
     """Where Minari looks for datasets, and puts them."""
-    with mock.patch.dict(os.environ, {"MINARI_DATASETS_PATH": os.fspath(folder)}):
-        yield
+    return mock.patch.dict(os.environ, {"MINARI_DATASETS_PATH": os.fspath(folder)})
 
 
 def read(root: Path, recipe: Recipe) -> dict[str, Any] | None:

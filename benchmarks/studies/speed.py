@@ -76,29 +76,22 @@ def in_turns(actions: Mapping[Name, Callable[[], Any]], rounds: int) -> dict[Nam
 
 
 def stepping(env: Any, actions: Iterable[Any], masks: bool = False) -> Callable[[], None]:
-    """A loop of so many steps, each followed by the action masks; one that is over begins anew."""
-    env.reset(seed=0)
-    look = env.unwrapped.action_masks if masks else bool
+    """A loop of so many steps, each followed by the action masks.
+
+    One episode that is over begins anew; those of a batch do so by themselves.
+    """
+    single = not hasattr(env, "num_envs")
+    env.reset(**{"seed": 0} if single else {})
+    look: Callable[[], Any] = bool
+    if masks:
+        look = env.unwrapped.action_masks if single else partial(env.env_method, "action_masks")
 
     def loop() -> None:
         for action in actions:
-            _, _, terminated, truncated, _ = env.step(action)
+            _, _, *over, _ = env.step(action)
             look()
-            if terminated or truncated:
+            if single and any(over):
                 env.reset()
-
-    return loop
-
-
-def batch_stepping(env: Any, actions: Iterable[Any], masks: bool = False) -> Callable[[], None]:
-    """The same for a batch of environments, which begin anew by themselves."""
-    env.reset()
-
-    def loop() -> None:
-        for row in actions:
-            env.step(row)
-            if masks:
-                env.env_method("action_masks")
 
     return loop
 
@@ -123,11 +116,11 @@ def measure_steps(steps: int, rounds: int) -> dict[str, float]:
     loops = {
         SINGLE: stepping(gym.make("CoopInsertion-v0"), actions(), masks=True),
         "single, without Gymnasium's wrappers": stepping(CoopInsertionEnv(), actions(), masks=True),
-        "SB3 DummyVecEnv of 64": batch_stepping(dummies, actions(64), masks=True),
+        "SB3 DummyVecEnv of 64": stepping(dummies, actions(64), masks=True),
     }
     for n in (1, 8, 64, 256):
         batch = CoopInsertionVecEnv(n, seed=0)
-        loops[f"batch of {n}"] = batch_stepping(batch, actions(n), masks=True)
+        loops[f"batch of {n}"] = stepping(batch, actions(n), masks=True)
     return {name: 1e6 * each / steps for name, each in in_turns(loops, rounds).items()}
 
 

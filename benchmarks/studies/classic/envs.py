@@ -88,13 +88,11 @@ class NowAndThenRandom(gym.Wrapper[NDArray[np.uint8], Any, NDArray[np.uint8], An
         super().__init__(env)
         self._rng = np.random.default_rng()
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.uint8], dict[str, Any]]:
+    def reset(self, **given: Any) -> tuple[NDArray[np.uint8], dict[str, Any]]:
         """As the game's, with a generator of this seed's own."""
-        if seed is not None:
-            self._rng = np.random.default_rng(seed)
-        return self.env.reset(seed=seed, options=options)
+        if given.get("seed") is not None:
+            self._rng = np.random.default_rng(given["seed"])
+        return self.env.reset(**given)
 
     def step(self, action: Any) -> tuple[NDArray[np.uint8], Any, bool, bool, dict[str, Any]]:
         """As the game's, but now and then by another action."""
@@ -241,8 +239,6 @@ class MaskedIdentityEnv(IdentityEnv):
     """
 
     def __init__(self, size: int = 100, n_valid: int = 5, length: int = 50) -> None:
-        if not 1 <= n_valid <= size:
-            raise BenchmarkError(f"n_valid = {n_valid} must lie between 1 and size = {size}")
         super().__init__(size, length)
         self._n_valid = n_valid
         self._mask = np.ones(size, dtype=bool)

@@ -14,7 +14,7 @@ import psutil
 
 from benchmarks.reporting.tables.table import plain
 from benchmarks.studies.base import Measured, Part, count, source
-from benchmarks.studies.speed import batch_stepping, in_turns, options, stepping
+from benchmarks.studies.speed import in_turns, options, stepping
 from coop_env.geometry import GEOMETRIES
 
 BATCH: Final = 16
@@ -69,7 +69,7 @@ def measure_speed(steps: int, rounds: int) -> dict[str, float]:
 
     loops = {SINGLE: stepping(env, actions.reshape(-1, 6))}
     for name, n in BATCHES.items():
-        loops[name] = batch_stepping(CoopInsertionContactVectorEnv(BATCH, threads=n), actions)
+        loops[name] = stepping(CoopInsertionContactVectorEnv(BATCH, threads=n), actions)
     loops[ENGINE] = engine
     return {name: steps / each for name, each in in_turns(loops, rounds).items()}
 

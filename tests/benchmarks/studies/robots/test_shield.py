@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.studies.robots import shield
-from benchmarks.studies.robots.shield import Shield
-from benchmarks.studies.robots.shield_machines import ERRORS, at_the_margin, attack, draw_machine
+from benchmarks.studies.robots.shield import ERRORS, Shield, at_the_margin, attack, draw_machine
 from coop_env import CoopInsertionEnv
 from coop_env.shield import KinematicShield
 from coop_env.shield.certificate import Certificate, check_product, lattice
