@@ -72,14 +72,9 @@ def play(
     return rows
 
 
-def read(path: Path) -> pd.DataFrame:
-    """Stored rows as :func:`play` made them."""
-    return read_stored(path).astype({"success": bool}).fillna({"cause": ""})
-
-
 def summary(rows: pd.DataFrame) -> str:
     """Success beside the optimum's, the excess in moves, the causes, and success in training."""
-    failed, won = rows.loc[~rows["success"], "cause"].tolist(), rows[rows["success"]]
+    failed, won = rows[rows["success"] == 0]["cause"].tolist(), rows[rows["success"] == 1]
     moves, optimum = won[["moves", "optimum"]].dropna().sum()
     named = ", ".join(f"{failed.count(cause)} {cause}" for cause in CAUSES)
     lines = [
@@ -141,4 +136,4 @@ class Failures(Study):
     @classmethod
     def files(cls, results: Path) -> dict[Path, str]:
         paths = sorted(results.glob("*/failures/*.csv"))
-        return {path.with_suffix(".md"): summary(read(path)) for path in paths}
+        return {path.with_suffix(".md"): summary(read_stored(path)) for path in paths}

@@ -12,7 +12,7 @@ from typing import Any, Final
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.wrappers import FrameStackObservation, ReshapeObservation
+from gymnasium.wrappers import FrameStackObservation, ReshapeObservation, TimeLimit
 from numpy.typing import NDArray
 
 from benchmarks.errors import BenchmarkError
@@ -23,6 +23,7 @@ MASKED_IDENTITY: Final = "MaskedIdentity"
 NO_ACTION: Final = 0  # "n", of MinAtar's six
 FRAMES: Final = 4  # stacked
 EPISODE_STEPS: Final = 27_000  # half an hour of play at 60 frames a second, 4 of them a step
+MINATAR_STEPS: Final = 5_000  # after which an episode is truncated, too
 NOOPS: Final = 30  # at most, at the start of an episode
 EPSILON: Final = 0.001  # of the actions of a test, Dopamine's: else at most 30 episodes differ
 
@@ -41,13 +42,13 @@ def make(name: str, training: bool = False, **kwargs: Any) -> gym.Env[Any, Any]:
         BenchmarkError: the name is unknown or another module's, or its package is not installed.
     """
     if name.startswith(MINATAR):
-        return MinAtarEnv(name.removeprefix(MINATAR), **kwargs)
+        return TimeLimit(MinAtarEnv(name.removeprefix(MINATAR), **kwargs), MINATAR_STEPS)
     if name.startswith(ATARI):
         return make_atari(name, training, **kwargs)
-    if name == MASKED_IDENTITY:
-        return MaskedIdentityEnv(**kwargs)
-    if name == "Identity":
-        return IdentityEnv(**kwargs)
+    if name in ("Identity", MASKED_IDENTITY):
+        length = kwargs.pop("length", 100)
+        kind = MaskedIdentityEnv if name == MASKED_IDENTITY else IdentityEnv
+        return TimeLimit(kind(**kwargs), length)
     if name == "BitFlipping":
         from stable_baselines3.common.envs import BitFlippingEnv
 
@@ -145,19 +146,17 @@ class MinAtarEnv(gym.Env[NDArray[np.uint8], np.int64]):
 
     Args:
         game: asterix, breakout, freeway, seaquest or space_invaders.
-        max_episode_steps: frames after which an episode is truncated.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
 
-    def __init__(self, game: str, max_episode_steps: int = 5_000) -> None:
+    def __init__(self, game: str) -> None:
         module = _import("minatar", f"MinAtar's {game}")
         try:
             self._game = module.Environment(game)
         except ModuleNotFoundError as error:
             raise BenchmarkError(f"unknown MinAtar game '{game}'") from error
         self._actions: list[int] = self._game.minimal_action_set()
-        self._steps, self._limit = 0, max_episode_steps
         rows, columns, channels = self._game.state_shape()
         self.observation_space = spaces.Box(0, 255, (channels, rows, columns), np.uint8)
         self.action_space = spaces.Discrete(len(self._actions))
@@ -171,15 +170,12 @@ class MinAtarEnv(gym.Env[NDArray[np.uint8], np.int64]):
             self._game.seed(int(self.np_random.integers(2**31)))
         self._game.last_action = NO_ACTION
         self._game.reset()
-        self._steps = 0
         return self._observation(), {}
 
     def step(self, action: np.int64) -> tuple[NDArray[np.uint8], float, bool, bool, dict[str, Any]]:
         """One frame."""
         reward, terminated = self._game.act(self._actions[int(action)])
-        self._steps += 1
-        truncated = self._steps >= self._limit
-        return self._observation(), float(reward), bool(terminated), truncated, {}
+        return self._observation(), float(reward), bool(terminated), False, {}
 
     def _observation(self) -> NDArray[np.uint8]:
         state = self._game.state().astype(np.uint8) * np.uint8(255)
@@ -194,32 +190,28 @@ class IdentityEnv(gym.Env[np.int64, np.int64]):
 
     Args:
         size: states and actions.
-        length: steps of an episode.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
 
-    def __init__(self, size: int = 4, length: int = 100) -> None:
+    def __init__(self, size: int = 4) -> None:
         self.observation_space = spaces.Discrete(size)
         self.action_space = spaces.Discrete(size)
-        self._size, self._length = size, length
-        self._steps, self._state = 0, np.int64(0)
+        self._size, self._state = size, np.int64(0)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.int64, dict[str, Any]]:
         """Begin an episode."""
         super().reset(seed=seed)
-        self._steps = 0
         self._draw()
         return self._state, {}
 
     def step(self, action: np.int64) -> tuple[np.int64, float, bool, bool, dict[str, Any]]:
         """Answer, and see the next state."""
         reward = float(int(action) == int(self._state))
-        self._steps += 1
         self._draw()
-        return self._state, reward, False, self._steps >= self._length, {}
+        return self._state, reward, False, False, {}
 
     def _draw(self) -> None:
         self._state = np.int64(self.np_random.integers(self._size))
@@ -235,11 +227,10 @@ class MaskedIdentityEnv(IdentityEnv):
     Args:
         size: states and actions.
         n_valid: allowed actions per step.
-        length: steps of an episode.
     """
 
-    def __init__(self, size: int = 100, n_valid: int = 5, length: int = 50) -> None:
-        super().__init__(size, length)
+    def __init__(self, size: int = 100, n_valid: int = 5) -> None:
+        super().__init__(size)
         self._n_valid = n_valid
         self._mask = np.ones(size, dtype=bool)
 

@@ -86,33 +86,26 @@ def page(store: Store) -> str:
 
 
 def _scores(results: SuiteResults) -> Table:
-    preset = results.preset
-    published = ["Published"] if any(task.published for task in preset.tasks.values()) else []
+    preset, tasks = results.preset, results.preset.tasks
+    header = ["Task", "Steps", "Goal", "Seeds", *map(of_suite, preset.methods)]
+    notes = [f"Mean over seeds [{_INTERVAL}]; the test episodes' seeds are used for nothing else."]
+    if marks := dict.fromkeys(who for task in tasks.values() for who in task.published):
+        header.append("Published")
+        notes.append(f"Published, in this order and by protocols of their own: {'; '.join(marks)}.")
+    if any(task.env == MASKED_IDENTITY for task in tasks.values()):
+        notes.append(_MASKS)
     rows: list[list[TableCell]] = []
-    for key, task in preset.tasks.items():
-        values = [results.score(key, method) for method in preset.methods]
+    for key, task in tasks.items():
         counts = [str(len(results.runs(key, method))) for method in preset.methods]
-        if len(set(counts)) == 1:
-            counts = counts[:1]
+        counts = counts[:1] if len(set(counts)) == 1 else counts
         goal = "-" if task.goal is None else f"{task.goal:g}"
         row: list[TableCell] = [task.title, f"{task.timesteps:,}", goal, "/".join(counts)]
-        row += [_with_interval(v) for v in values]
-        if published:
-            row.append(", ".join(f"{task.published[who]:g}" for who in task.published) or "-")
+        row += [_with_interval(results.score(key, method)) for method in preset.methods]
+        if marks:
+            row.append(", ".join(f"{value:g}" for value in task.published.values()) or "-")
         rows.append(row)
-    marks = dict.fromkeys(who for task in preset.tasks.values() for who in task.published)
-    notes = [f"Published, in this order and by protocols of their own: {'; '.join(marks)}."]
-    return Table(
-        "scores",
-        f"Return of the last greedy policy, {preset.final_episodes} test episodes per seed",
-        ["Task", "Steps", "Goal", "Seeds", *(of_suite(m) for m in preset.methods), *published],
-        rows,
-        [
-            f"Mean over seeds [{_INTERVAL}]; the test episodes' seeds are used for nothing else.",
-            *(notes if published else []),
-            *([_MASKS] if any(t.env == MASKED_IDENTITY for t in preset.tasks.values()) else []),
-        ],
-    )
+    title = f"Return of the last greedy policy, {preset.final_episodes} test episodes per seed"
+    return Table("scores", title, header, rows, notes)
 
 
 def _controls(results: SuiteResults) -> Table:
@@ -133,27 +126,21 @@ def _controls(results: SuiteResults) -> Table:
 def _search(results: SuiteResults) -> Table:
     """Variants by row: what each scored on the tasks that were run, over how many seeds."""
     preset = results.preset
-    header: list[str] = []
-    columns: list[list[str]] = []
+    header, columns = ["Variant"], [list(map(of_suite, preset.methods))]
     for key, task in preset.tasks.items():
         values = [results.score(key, method) for method in preset.methods]
         if counts := sorted({value.n for value in values} - {0}):
             header.append(f"{task.title}, seeds: {'/'.join(map(str, counts))}")
             columns.append([_with_interval(value) for value in values])
-    names = map(of_suite, preset.methods)
     rows: list[list[TableCell]] = [
-        list(row) for row in zip(names, *columns, strict=True) if {*row[1:]} - {"-"}
+        list(row) for row in zip(*columns, strict=True) if {*row[1:]} - {"-"}
     ]
-    return Table(
-        "scores",
-        f"Return of the last greedy policy, {preset.final_episodes} episodes per seed",
-        ["Variant", *header],
-        rows,
-        [
-            f"Mean over seeds [{_INTERVAL}]; of one seed it is a lead. Tasks and variants "
-            "without a run are left out."
-        ],
+    title = f"Return of the last greedy policy, {preset.final_episodes} episodes per seed"
+    note = (
+        f"Mean over seeds [{_INTERVAL}]; of one seed it is a lead. Tasks and variants without a "
+        "run are left out."
     )
+    return Table("scores", title, header, rows, [note])
 
 
 def _together(results: SuiteResults, tasks: list[str]) -> Table:
@@ -163,13 +150,13 @@ def _together(results: SuiteResults, tasks: list[str]) -> Table:
     ours = preset.methods[0]
     rows: list[list[TableCell]] = []
     for method, theirs in scores.items():
-        middle, better = Value(math.nan), Value(math.nan)
+        middle = better = Value(math.nan)
         if len(theirs):
             middle = _by_tasks(theirs.T, interquartile_mean)
         if method != ours and len(theirs) and len(scores[ours]):
             better = _by_tasks([*scores[ours].T, *theirs.T], improvement)
-        row: list[TableCell] = [of_suite(method), str(len(theirs))]
-        rows.append([*row, _with_interval(middle, 2), _with_interval(better, 2)])
+        shown = [_with_interval(value, 2) for value in (middle, better)]
+        rows.append([of_suite(method), str(len(theirs)), *shown])
     return Table(
         "together",
         f"All {len(tasks)} tasks together",
