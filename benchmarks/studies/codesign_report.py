@@ -15,7 +15,7 @@ from scipy.stats import bootstrap, pearsonr, rankdata
 
 from benchmarks.protocol.metrics import METRICS, SUCCESS
 from benchmarks.reporting.figures.style import PALETTE, canvas, legend_below
-from benchmarks.reporting.results import Group, Results
+from benchmarks.reporting.results import Results
 from benchmarks.reporting.stats import Value, over_seeds
 from benchmarks.reporting.tables.table import Number, Table, TableCell
 from benchmarks.runs.store import RunFolder, Store
@@ -84,12 +84,9 @@ class SearchResult:
         return {design: "; ".join(why) for design, why in chosen.items()}
 
     @cached_property
-    def _policies(self) -> Results:
+    def policies(self) -> Results:
+        """The policies that were trained on the chosen designs."""
         return Results(Store(self.folder, POLICIES))
-
-    def policies(self, design: str) -> Group:
-        """The policies that were trained on a design."""
-        return self._policies.group("rainbow", OF_ONE, design)
 
 
 def on_front(rows: pd.DataFrame, floor: float) -> np.ndarray:
@@ -180,7 +177,8 @@ def _designs(result: SearchResult) -> Table:
     rows: list[list[TableCell]] = []
     seconds = PAPER_TASK.dt
     for design, tests in result.chosen.groupby("design", sort=False):
-        of, group = result.designs.loc[design], result.policies(str(design))
+        of = result.designs.loc[design]
+        group = result.policies.group("rainbow", OF_ONE, str(design))
         margin, why = tests[["sigma_cone", "chosen"]].iloc[0]
         for study, symbols in SYMBOLS.items():
             why = why.replace(f"{study}:", symbols)

@@ -10,7 +10,6 @@ ways become trajectories, stop-and-go and blended, and the twin drives each to t
 from __future__ import annotations
 
 import math
-from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -218,21 +217,17 @@ class TrajectoryStudy(Measured):
         given = cls.parser().parse_args(list(argv))
         if given.export is None:
             return super().main(argv)
-        try:
-            cls._export(given)
-        except DependencyNotInstalled as missing:
-            raise BenchmarkError(str(missing)) from missing
-        return 0
-
-    @staticmethod
-    def _export(given: Namespace) -> None:
         arguments, play = NOMINAL if given.model is None else stored(given.model)
-        seed = list(episode_seeds(0, given.start + 1, "test"))[-1]
-        way = played(arguments, play, seed)
+        way = played(arguments, play, episode_seeds(0, given.start + 1, "test")[-1])
         if len(way.configurations) < 2:
             raise BenchmarkError(f"start {given.start}: no move was made; choose another --start")
         geometry = arguments.get("geometry", "optimized")
-        export(given.export, make_trajectory(way.configurations, geometry, blend=given.blend))
+        try:
+            trajectory = make_trajectory(way.configurations, geometry, blend=given.blend)
+        except DependencyNotInstalled as missing:
+            raise BenchmarkError(str(missing)) from missing
+        export(given.export, trajectory)
+        return 0
 
     def asked(self) -> dict[str, Any]:
         model = self.given.results / MODEL if self.given.model is None else self.given.model

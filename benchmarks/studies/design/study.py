@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -125,20 +125,16 @@ class Design(Study):
 
 
 def _columns(store: DesignStore, name: str, _: str) -> str:
-    return "\n\n".join(
-        _markdown(PREPARED.get(rows, lambda frame: frame)(store.rows(rows)), columns)
-        for rows, columns in COLUMNS[name].items()
-    )
-
-
-def _markdown(frame: pd.DataFrame, columns: Sequence[Sequence[str]]) -> str:
-    """Columns (key, heading, format) of a frame as a Markdown table."""
-    lines = ["| " + " | ".join(heading for _, heading, _ in columns) + " |"]
-    lines.append("|" + "|".join("---:" if form else "---" for _, _, form in columns) + "|")
-    for row in frame.to_dict("records"):
-        cells = [format(row[key], form) if form else str(row[key]) for key, _, form in columns]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+    """Columns (key, heading, format) of stored rows as Markdown tables."""
+    tables = []
+    for file, columns in COLUMNS[name].items():
+        rows = PREPARED.get(file, lambda frame: frame)(store.rows(file)).to_dict("records")
+        cells = [[heading for _, heading, _ in columns]]
+        cells += [[format(row[key], form) for key, _, form in columns] for row in rows]
+        lines = [f"| {' | '.join(row)} |" for row in cells]
+        lines.insert(1, "|" + "|".join("---:" if form else "---" for _, _, form in columns) + "|")
+        tables.append("\n".join(lines))
+    return "\n\n".join(tables)
 
 
 def _optima(frame: pd.DataFrame) -> pd.DataFrame:
