@@ -162,26 +162,18 @@ class SpeedEnv(Measured):
 
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:
-        asked, us = result["asked"], result["parts"]["steps"]
-        steps = [[k, f"{v:.2f}", f"{1e6 / v:,.0f}", f"{us[SINGLE] / v:.2f}"] for k, v in us.items()]
-        optimum = []
+        us = result["parts"]["steps"]
+        rows = [[k, f"{v:.2f}", f"{1e6 / v:,.0f}", f"{us[SINGLE] / v:.2f}"] for k, v in us.items()]
+        head = "method | us a step | steps/s | ratio to the single loop"
+        steps = plain("A step with its action masks, CPU time", head, rows)
+        rows = []
         for name in OPTIMA:
             row = result["parts"][f"optimum, {name}"]
             shown = [f"{100 * row['feasible']:.1f} %", f"{row['mean_moves']:.1f}"]
-            optimum.append([name, *shown, f"{row['seconds']:.1f}"])
-        tables = [
-            plain(
-                "A step with its action masks, CPU time",
-                "method | us a step | steps/s | ratio to the single loop",
-                steps,
-            ),
-            plain(
-                f"Exact optimum over {asked['starts']} starts",
-                "geometry | feasible | mean moves or ticks | CPU s",
-                optimum,
-            ),
-        ]
-        return "\n\n".join([*tables, _source(result)])
+            rows.append([name, *shown, f"{row['seconds']:.1f}"])
+        head = "geometry | feasible | mean moves or ticks | CPU s"
+        optimum = plain(f"Exact optimum over {result['asked']['starts']} starts", head, rows)
+        return "\n\n".join([steps, optimum, _source(result)])
 
 
 def _source(result: dict[str, Any]) -> str:

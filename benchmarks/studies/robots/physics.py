@@ -118,32 +118,24 @@ class Physics(Measured):
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:
         asked, parts = result["asked"], result["parts"]
-        errors, speeds, rate = [], [], parts["speed"]
+        rows, rate = [], parts["speed"]
         for geometry in GEOMETRIES:
             for key, error in parts[f"errors, {geometry}"].items():
                 name, unit, factor, goal = ERRORS[key]
                 numbers = [f"{factor * error[of]:.2g}" for of in ("median", "largest")]
-                errors.append([geometry, f"{name}, {unit}", *numbers, goal])
-        goals = {SINGLE: "1,000", **dict.fromkeys(BATCHES, "0.9 of single")}
+                rows.append([geometry, f"{name}, {unit}", *numbers, goal])
+        title = f"Twin against kinematics, {asked['poses']:,} random valid poses"
+        errors = plain(title, "geometry | error | median | largest | goal, at most", rows)
+        goals, rows = {SINGLE: "1,000", **dict.fromkeys(BATCHES, "0.9 of single")}, []
         for name, value in rate.items():
             per_core = f"{value / rate[SINGLE]:.2f}" if name in BATCHES else ""
-            speeds.append([name, f"{value:,.0f}", per_core, goals.get(name, "")])
-        tables = [
-            plain(
-                f"Twin against kinematics, {asked['poses']:,} random valid poses",
-                "geometry | error | median | largest | goal, at most",
-                errors,
-            ),
-            plain(
-                "Control steps a CPU second (one is 25 timesteps)",
-                "form | steps/s | per core, of single | goal, at least",
-                speeds,
-            ),
-        ]
+            rows.append([name, f"{value:,.0f}", per_core, goals.get(name, "")])
+        title = "Control steps a CPU second (one is 25 timesteps)"
+        speeds = plain(title, "form | steps/s | per core, of single | goal, at least", rows)
         load = f", load {parts['load']:.1f}"
         note = (
             f"Memory over {asked['memory_steps']:,} control steps: {parts['memory']:+.1f} MB. "
             f"{source(result, load)} Speed is the median of "
             f"{asked['rounds']} rounds of {asked['steps']:,} control steps."
         )
-        return "\n\n".join([*tables, note])
+        return "\n\n".join([errors, speeds, note])

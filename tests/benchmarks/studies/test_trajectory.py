@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[3]
 MODEL = ROOT / "results" / trajectory.MODEL
 
 
-@pytest.mark.parametrize("words", [[], ["--blend"], ["--model", str(MODEL)]])
+@pytest.mark.parametrize("words", [["--blend"], ["--model", str(MODEL)]])
 def test_one_episode_is_exported(
     words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
