@@ -36,8 +36,6 @@ class LatticeOracle:
     def __init__(
         self, node_limit: int = 2_000_000, real: bool = False, at_once: bool = False
     ) -> None:
-        if node_limit < 1:
-            raise ValueError(f"node_limit = {node_limit!r}: must be at least 1")
         self.node_limit, self.real, self.at_once = node_limit, real, at_once
         self._paths: Paths | None = None
 

@@ -42,20 +42,13 @@ class RRTConnect:
         time_limit: seconds for each of the two planning calls (the paper: 5 s).
         max_iterations: termination checks for each call. The clock alone would make results
             depend on the machine's load; this limit binds first on any machine.
-        seed: of OMPL's global generator, 1 or above. OMPL takes it once per process, before the
-            first sampler is made: plans repeat from process to process, not within one.
-
-    Raises:
-        ValueError: a limit is not positive, or the seed is 0, which OMPL ignores.
+        seed: of OMPL's global generator, 1 or above: it ignores 0. OMPL takes it once per process,
+            before the first sampler is made: plans repeat from process to process, not within one.
     """
 
     def __init__(
         self, time_limit: float = 5.0, max_iterations: int = 20_000, seed: int = 1
     ) -> None:
-        if time_limit <= 0.0 or max_iterations < 1:
-            raise ValueError(f"time_limit = {time_limit}, max_iterations = {max_iterations}")
-        if seed < 1:
-            raise ValueError(f"seed = {seed}: OMPL ignores seeds below 1")
         self.time_limit = time_limit
         self.max_iterations = max_iterations
         ou.setLogLevel(ou.LOG_NONE)

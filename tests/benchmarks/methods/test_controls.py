@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.evaluate import begin_episodes, play_together
 from benchmarks.methods.controls import control
 from benchmarks.methods.episodes import Episode
@@ -138,21 +137,3 @@ def test_random_draws_from_the_masks_and_from_the_seed_alone() -> None:
     assert one[0].row()["energy"] == again[0].row()["energy"]
     assert one[0].row()["energy"] != other[0].row()["energy"]
     assert all(e.collisions == e.violations == 0 for e in one)
-
-
-def test_a_memory_is_worth_what_it_is_worth() -> None:
-    """Rough bounds of the figures in the tables, on validation starts."""
-    rate = {
-        (name, method): np.mean([bool(e.insertions) for e in play(method, arguments, 30)])
-        for name, arguments in (("safe", SAFE), ("memory", MEMORY))
-        for method in ("random", "greedy")
-    }
-    assert rate["safe", "random"] == rate["memory", "random"] == 0.0
-    assert rate["memory", "greedy"] >= 0.9
-    assert rate["safe", "greedy"] <= 0.9
-    assert rate["safe", "greedy"] < rate["memory", "greedy"]
-
-
-def test_what_is_no_control_is_named() -> None:
-    with pytest.raises(BenchmarkError, match="unknown control 'rainbow'"):
-        control("rainbow", WEIGHTS, 0)

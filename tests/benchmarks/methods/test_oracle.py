@@ -38,9 +38,11 @@ def made(at_once: bool) -> tuple[Any, LatticeOracle]:
 both = pytest.mark.parametrize("at_once", [False, True], ids=["in turn", "at once"])
 
 
-@pytest.mark.parametrize("geometry", ["initial", "optimized"])
-def test_plans_insert_leave_all_as_it_was_and_at_once_are_never_longer(geometry: str) -> None:
-    env, joint_env = CoopInsertionEnv(geometry=geometry), CoopInsertionJointEnv(geometry=geometry)
+@pytest.mark.parametrize("arguments", [{"geometry": "initial"}, {}, {"pose_model": "paper"}])
+def test_plans_insert_leave_all_as_it_was_and_at_once_are_never_longer(
+    arguments: dict[str, Any],
+) -> None:
+    env, joint_env = CoopInsertionEnv(**arguments), CoopInsertionJointEnv(**arguments)
     oracle, joint = LatticeOracle(), LatticeOracle(at_once=True)
     solved = shorter = 0
     for seed in range(40):
@@ -193,24 +195,10 @@ def test_with_sim_to_real_knobs_the_plan_is_the_models() -> None:
             np.testing.assert_array_equal(plan.moves, expected.moves)
 
 
-def test_the_paper_pose_model_is_planned_too() -> None:
-    env = CoopInsertionEnv(pose_model="paper")
-    solved = 0
-    for seed in range(10):
-        env.reset(seed=seed)
-        plan = LatticeOracle().plan(env)
-        if plan.moves is not None:
-            solved += 1
-            assert executes(env, plan.moves)
-    assert solved > 5
-
-
 def test_the_node_limit_is_told() -> None:
     env = CoopInsertionEnv()
     env.reset(seed=0)
     assert LatticeOracle(node_limit=1).plan(env).status == "node_limit"
-    with pytest.raises(ValueError, match="node_limit = 0"):
-        LatticeOracle(node_limit=0)
 
 
 def fewest_ticks(env: CoopInsertionJointEnv, most: int) -> int | None:
@@ -261,14 +249,3 @@ def test_no_fewer_ticks_insert_on_a_coarse_lattice() -> None:
             assert fewest_ticks(env, 4) == lengths[-1]
             assert executes(env, plan.moves)
     assert len(set(lengths)) > 1
-
-
-def test_no_fewer_ticks_insert_near_the_goal() -> None:
-    env, oracle = CoopInsertionJointEnv(), LatticeOracle(at_once=True)
-    for seed in range(3):
-        env.reset(seed=seed)
-        plan: Any = oracle.plan(env)
-        for action in plan.moves[:-2]:
-            env.step(action)
-        rest: Any = oracle.plan(env)
-        assert len(rest.moves) == fewest_ticks(env, 2) == 2

@@ -156,13 +156,6 @@ def test_a_plan_into_a_singularity_ends_there(planner: RRTConnect) -> None:
     assert "singularity" in causes
 
 
-def test_bad_limits_and_ignored_seeds_are_refused() -> None:
-    with pytest.raises(ValueError, match="seed = 0"):
-        RRTConnect(seed=0)
-    with pytest.raises(ValueError, match="time_limit"):
-        RRTConnect(time_limit=0.0)
-
-
 def test_a_seed_repeats_its_plans_from_process_to_process() -> None:
     code = (
         "from benchmarks.methods.rrt_connect import RRTConnect;"

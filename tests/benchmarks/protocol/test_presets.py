@@ -138,6 +138,11 @@ def test_an_impossible_cell_is_refused(
         expand(preset)
 
 
+def test_a_preset_without_a_run_is_an_error() -> None:
+    with pytest.raises(BenchmarkError, match="preset 'empty' holds no run"):
+        expand(smoke_preset("empty", runs=[]))
+
+
 def test_a_geometry_of_ones_own_reaches_the_runs_settings() -> None:
     sizes = {"base_radius": 0.18, "proximal_length": 0.1, "platform_radius": 0.11}
     runs = [{"methods": ["optimum"], "geometries": ["mine"]}]

@@ -116,6 +116,12 @@ def test_an_include_is_filled_and_filled_again(tmp_path: Path) -> None:
     assert filled.endswith("\n\nAnd on.\n")
     assert blocks.rewrite(results, known) == []
     assert [problems for _, problems in blocks.check(results, known)] == [[]]
+    write_text(results / "a" / "b.md", "| 96 % |\n")
+    ((_, (problem,)),) = blocks.check(results, known)
+    assert problem.startswith(f"{page} differs from stored data (line 5: stored '| 95 % |'")
+    (results / "a" / "b.md").unlink()
+    ((_, (problem,)),) = blocks.check(results, known)
+    assert "is no file of" in problem
 
 
 @pytest.mark.parametrize("name", ["results/audit/none.md", "results/../page.md", "page.md"])

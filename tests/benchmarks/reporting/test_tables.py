@@ -197,16 +197,6 @@ def test_tables_are_written_in_three_forms_that_agree_and_repeat(tmp_path: Path)
     assert full["Greedily (%) | n"] == "2"
 
 
-def test_an_empty_store_gives_tables_of_dashes(tmp_path: Path) -> None:
-    store = Store.open(tmp_path, "quick", create=True)
-    assert {table.name for table in build_tables(Results(store))} >= {*Insertion.printed} - {
-        "team",
-        "difficulty",
-    }
-    write_tables(store)
-    assert check_tables(store.tables, build_tables(Results(store))) == []
-
-
 def test_a_preset_of_ones_own_has_the_tables_that_it_fills(tmp_path: Path) -> None:
     """No table of removals without one; the headline's track is the one that there is."""
     there = {("rrt_connect", ""), ("optimum", "")}
@@ -283,23 +273,6 @@ def test_episodes_that_began_elsewhere_are_no_pairs(tmp_path: Path) -> None:
     path.write_text(path.read_text("utf-8").replace("start3", "start33", 1), encoding="utf-8")
     with pytest.raises(BenchmarkError, match="episode 3 of seed 0 began"):
         build_tables(Results(store))
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("95 ± 2", (94.5, 95.5)),
-        ("0.1 ± 0.05", (0.05, 0.15)),
-        ("-7", (-7.5, -6.5)),
-        ("0", (-0.5, 0.5)),
-        ("-", None),
-        ("", None),
-    ],
-)
-def test_a_printed_number_stands_for_all_that_round_to_it(
-    text: str, expected: tuple[float, float] | None
-) -> None:
-    assert printed_range(text) == expected
 
 
 @given(st.floats(-500, 500), st.integers(0, 3))

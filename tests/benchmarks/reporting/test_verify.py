@@ -6,7 +6,6 @@ import random
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import pandas as pd
@@ -43,13 +42,12 @@ def verify(store: Store) -> list[str]:
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of preset quick, pages about them, the committed design and its pages."""
+    """Results of preset quick, pages about them, the committed design and its page."""
     folder = tmp_path_factory.mktemp("original")
     results, unneeded = folder / "results", shutil.ignore_patterns("figures")
     shutil.copytree(RESULTS / "design", results / "design", ignore=unneeded)
     (folder / "docs").mkdir()
-    for name in {page for page, _ in of_design()}:
-        shutil.copy(ROOT / "docs" / name, folder / "docs" / name)
+    shutil.copy(ROOT / "docs" / "design.md", folder / "docs")
     store = make_store(results, [0], episodes=load_preset("quick").evaluation.episodes)
     write_tables(store)
     for name, text in PAGES.items():
@@ -135,40 +133,11 @@ def test_one_digit_of_a_page_is_seen(
     assert main(words(copy)) == 0
 
 
-def check_design(copy: Path) -> list[str]:
-    results = copy / "results"
-    known = Design.blocks(results)
-    pages = [problem for _, result in blocks.check(results, known) for problem in result]
-    return Design.problems(results) + pages
-
-
-def of_design() -> Iterator[tuple[str, str]]:
-    for path in sorted((ROOT / "docs").glob("*.md")):
-        text = path.read_text(encoding="utf-8")
-        for name in Design.blocks(RESULTS):
-            if f"<!-- {name}:begin" in text:
-                yield path.name, name
-
-
-def test_one_digit_of_any_generated_block_of_the_docs_is_seen(copy: Path) -> None:
-    rng = random.Random(2)
-    result = list(of_design())
-    assert len(result) >= 7
-    for page, name in result:
-        path = copy / "docs" / page
-        kept = path.read_bytes()
-        line = change_digit(path, rng, f"<!-- {name}:begin", f"<!-- {name}:end")
-        (problem,) = check_design(copy)
-        assert problem.startswith(f"{path} differs from stored data")
-        assert f"(line {line}: stored" in problem
-        path.write_bytes(kept)
-
-
 def test_the_designs_table_must_follow_from_its_runs(copy: Path) -> None:
     path = copy / "results" / "design" / "runs.csv"
     runs = pd.read_csv(path)
     runs.assign(a_w=runs["a_w"] + 0.01).to_csv(path, index=False)
-    (problem,) = check_design(copy)
+    (problem,) = Design.problems(copy / "results")
     wanted = runs["a_w"].mean() + 0.01
     assert f"as the optimized workspace, the mean of runs.csv is {wanted:.7g}" in problem
 
@@ -326,26 +295,6 @@ def test_the_public_tasks_tables_must_follow_from_their_runs(tmp_path: Path) -> 
     change_digit(store.tables / "scores.md", random.Random(4))
     ((_, (problem,)),) = catalogue.verify(tmp_path / "results", ["public"])
     assert "scores.md differs" in problem
-
-
-def test_an_included_file_that_changed_is_seen(
-    copy: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    part = copy / "results" / "audit" / "part.md"
-    part.parent.mkdir(exist_ok=True)
-    part.write_text("95 %\n", encoding="utf-8")
-    page = copy / "docs" / "more.md"
-    page.write_text(
-        "<!-- include:begin results/audit/part.md -->\n<!-- include:end -->\n", encoding="utf-8"
-    )
-    blocks.rewrite(copy / "results", {"include": blocks.include(copy / "results")})
-    assert main(words(copy)) == 0
-    part.write_text("96 %\n", encoding="utf-8")
-    assert main(words(copy)) == 1
-    assert f"{page} differs from stored data" in capsys.readouterr().err
-    part.unlink()
-    assert main(words(copy)) == 1
-    assert "is no file of" in capsys.readouterr().err
 
 
 def test_the_policies_in_git_are_few(tmp_path: Path) -> None:

@@ -71,16 +71,6 @@ def test_a_game_costs_what_games_of_its_kind_did_not_what_other_tasks_did(tmp_pa
     assert not any(planned[name].guessed for name in learners)
 
 
-def test_runs_of_another_version_are_no_measure(tmp_path: Path) -> None:
-    preset, other = make("mine", 1000), make("other", 500)
-    store = Store.open(tmp_path, "mine", create=True)
-    elsewhere = Store.open(tmp_path, "other", create=True)
-    complete(elsewhere, other, "dqn", 5.0)
-    meta = elsewhere.run("dqn-optimized-safe-s0").path / "meta.json"
-    meta.write_text('{"schema": 99, "wall_seconds": 1.0}', encoding="utf-8")
-    assert all(cost.guessed for cost in costs(Insertion(preset), store, [elsewhere]))
-
-
 def test_time_left_is_that_of_processes_taking_the_next_run() -> None:
     planned = [Cost("a", False, 0.0, seconds, False) for seconds in (5.0, 4.0, 3.0, 2.0)]
     planned.append(Cost("a", True, 1.0, 100.0, False))

@@ -127,19 +127,16 @@ class FakeJob(Job):
         self.log, self.folder, self.script = folder.log, folder, script
         self.code: int | None = None
         self.waits = True
-        self.stopped = self.waited = False
 
     def poll(self) -> int | None:
         if self.code is not None:
             return self.code
         share, note = next(self.script)
         self.waits = note == "waits"
-        if note == "ctrl-c":
-            raise KeyboardInterrupt
         if share < 0.0:
             self.folder.log.parent.mkdir(parents=True, exist_ok=True)
             self.folder.log.write_text("first line\nthe reason\n", encoding="utf-8")
-            self.code = 1
+            self.code = int(share)
         elif share == 1.0:
             self.folder.write_meta({"training": {"set_aside": ["broken-step-7"]}})
             self.code = 0
@@ -150,22 +147,12 @@ class FakeJob(Job):
     def place(self) -> str | None:
         return None if self.waits else "far"
 
-    def stop(self) -> None:
-        self.stopped = True
-
-    def wait(self, seconds: float) -> None:
-        assert self.stopped
-        self.waited = True
-
 
 class FakeBackend(Backend):
     def __init__(self, slots: int, scripts: dict[str, list[tuple[float, str]]]) -> None:
         self.slots, self.scripts = slots, scripts
         self.jobs: dict[str, FakeJob] = {}
         self.most = 0
-
-    def describe(self) -> str:
-        return "a fake"
 
     def start(self, words: Sequence[str], folder: RunFolder) -> FakeJob:
         assert words[words.index("--cell") + 1] == folder.id
@@ -215,21 +202,10 @@ def test_each_run_has_a_line_and_all_have_one_together(tmp_path: Path) -> None:
     assert re.search(rf"  {CELLS[0]} .* 25 % .*success 3 % on far", text)
     assert re.search(rf"  {CELLS[1]} .* 50 % .*success 9 % on far", text)
     assert re.search(r"all 4 runs .* 19 % .*2 wait", text)  # a quarter and a half of four
-    assert re.search(rf"{CELLS[2]}: failed with exit code 1, see .*log.txt", text)
+    assert re.search(rf"{CELLS[2]}: was killed by signal 1, .*, see .*log.txt", text)
     assert "the reason" in text
     assert f"{CELLS[0]}: done in" in text
     assert re.search(rf"{CELLS[3]}: a checkpoint could not be read and is kept as .*broken-", text)
-
-
-@pytest.mark.usefixtures("quick_polls")
-def test_ctrl_c_asks_every_run_to_save_and_waits_for_it(tmp_path: Path) -> None:
-    scripts = {cell: [(0.5, "")] * 9 for cell in CELLS}
-    scripts[CELLS[1]] = [(0.5, ""), (0.0, "ctrl-c")]
-    outcome, backend, text = fake_run(tmp_path, 2, scripts)
-    assert outcome.interrupted
-    assert "Stopping: the runs save their checkpoints" in text
-    assert len(backend.jobs) == 2
-    assert all(job.stopped and job.waited for job in backend.jobs.values())
 
 
 @pytest.mark.usefixtures("quick_polls")
@@ -279,11 +255,3 @@ def test_a_planner_that_is_asked_to_stop_stops(tmp_path: Path) -> None:
     assert not store.run(cell.id).is_complete()
     assert store.run(cell.id).progress()[0] == 0.0
     assert run_cell(Insertion(preset), cell, store)
-
-
-def test_a_preset_without_a_run_is_an_error(tmp_path: Path, refused: Refused) -> None:
-    path = smoke_file(tmp_path, "empty", runs=[])
-    for command in ("plan", "run"):
-        words = ["--preset", str(path), "--results", str(tmp_path / "results")]
-        assert "preset 'empty' holds no run" in refused(command, *words)
-    assert not (tmp_path / "results").exists()

@@ -5,22 +5,18 @@ from __future__ import annotations
 import contextlib
 import errno
 import importlib
-import os
+import io
 import shutil
-import signal
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
-import psutil
 import pytest
 
 from benchmarks.cli import main
 from benchmarks.runs.store import SCHEMA, Store
 from tests.benchmarks.runs.warm import Server
 from tests.benchmarks.smoke import smoke_file
-from tests.process import python
 
 Capture = pytest.CaptureFixture[str]
 Refused = Callable[..., str]
@@ -31,33 +27,18 @@ RUNS = {
     "rrt_connect-optimized-s0",
     "optimum-optimized-s0",
 }
-CURVES = {
-    "episode_reward",
-    "learning_rate",
-    "noise_magnitude",
-    "holes_per_episode",
-    "success_rate",
-    "mean_max_q",
-    "loss",
-    "episode_duration_s",
-}
-
-
-def harness(*words: str) -> str:
-    """What the command prints in a process of its own."""
-    env = {**os.environ, "MPLBACKEND": "Agg"}
-    return python("-m", "benchmarks", *words, env=env, timeout=280).stdout
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("results")
-    out = harness("run", "--preset", "smoke", "--results", str(folder), "--jobs", "2")
+def results(tmp_path_factory: pytest.TempPathFactory, warm: Server) -> Path:
+    folder, out = tmp_path_factory.mktemp("results"), io.StringIO()
+    with warm.children(), contextlib.redirect_stdout(out):
+        assert main(["run", "--preset", "smoke", "--results", str(folder), "--jobs", "2"]) == 0
     for title in ("Performance, safe", "Tables (CSV, Markdown, LaTeX)"):
-        assert title in out
+        assert title in out.getvalue()
     # no run of this preset is of the other geometry, or lacks a component
     for title in ("design stage", "one component removed"):
-        assert title not in out
+        assert title not in out.getvalue()
     return folder
 
 
@@ -112,9 +93,6 @@ def test_tensorboard_has_the_papers_curves(results: Path) -> None:
     # no episode of 300 moves need end within so few steps: what counts episodes may be missing
     always = {"learning_rate", "noise_magnitude", "mean_max_q", "loss"}
     assert {f"paper/{name}" for name in always} <= tags
-    assert {tag for tag in tags if tag.startswith("paper/")} <= {
-        f"paper/{name}" for name in CURVES | {"stage"}
-    }
 
 
 def test_a_second_call_trains_nothing_and_changes_no_result(results: Path, capsys: Capture) -> None:
@@ -185,38 +163,6 @@ def test_a_policy_plays_only_under_its_own_settings(
     for command in (["evaluate"], ["study", "failures"]):
         words = [*command, "--preset", str(changed), "--results", str(results)]
         assert "track.mask_visited: 0 -> 8" in refused(*words)
-
-
-def playing(pid: int) -> list[psutil.Process]:
-    """The processes that a process has started to play, but for those that have ended."""
-    result = []
-    for child in psutil.Process(pid).children():
-        # git, which tells the commit, ends at any moment: between these lines, too
-        with contextlib.suppress(psutil.NoSuchProcess):  # a zombie is one of these
-            if "cell" in child.cmdline() and child.status() != psutil.STATUS_ZOMBIE:
-                result.append(child)
-    return result
-
-
-def test_a_lost_process_and_ctrl_c_end_at_once(
-    copied: list[str], tmp_path: Path, warm: Server
-) -> None:
-    for number, report in ((signal.SIGKILL, "was killed"), (signal.SIGINT, "Interrupted")):
-        log = tmp_path / f"{number}.txt"
-        done = warm.start(log, "evaluate", *copied)
-        players: list[psutil.Process] = []
-        while not players:
-            assert done.poll() is None
-            time.sleep(0.05)
-            players = playing(done.pid)
-        os.kill(players[0].pid if number == signal.SIGKILL else done.pid, number)
-        assert done.wait(60) == (1 if number == signal.SIGKILL else 130)
-        out = log.read_text(encoding="utf-8")
-        assert report in out
-        assert "Traceback" not in out
-        assert "Success (%) of the played runs" not in out
-        _, alive = psutil.wait_procs(players, timeout=30)
-        assert not alive
 
 
 def test_a_full_disk_is_one_error(
