@@ -46,17 +46,12 @@ def episode(number: int, noise: float, success: bool, moves: int) -> dict[str, o
         "success": success,
         "holes": 2 * success,
         "all_holes": False,
-        "singular": False,
-        "moves": 300,
         "moves_first": moves if success else nothing,
         "time_first": 0.2 * moves if success else nothing,
-        "time_per_hole": 6.0 if success else nothing,
         "alignment_error": 0.5 if success else nothing,
         "trajectory_error": 3.0 if success else nothing,
         "collisions": number % 2,
-        "collisions_first": 0.0 if success else nothing,
         "energy": 10.0,
-        "energy_first": 5.0 if success else nothing,
         "failure": "" if success else "precision",
         "plan_seconds": 0.003,
     }
@@ -73,38 +68,35 @@ def curve(cell: Cell) -> list[dict[str, object]]:
     ]  # fmt: skip
 
 
-def levels_of(preset: Preset, cell: Cell) -> list[dict[str, Any]]:
-    """What tells the levels of a cell's tests apart, the headline first."""
-    acting = {"acting": "greedy"} if preset.evaluation.exploring else {}
-    return [{"noise": at.noise, **acting, **at.columns} for at in levels(preset, cell)]
-
-
-def fill(store: Store, preset: Preset, cell: Cell, solved: int, moves: int) -> None:
+def fill(
+    store: Store, preset: Preset, cell: Cell, solved: int, more: int = 1, **training: Any
+) -> None:
     """A complete run that solves the first ``solved`` episodes.
 
-    One fewer with noise, one more exploring, one more without an error of the base.
+    One fewer with noise, one more without an error of the base, ``more`` exploring. A learner's
+    meta.json says ``training`` of it beside what is the same for all.
     """
-    run = store.run(cell.id)
-    run.begin(settings(preset, cell))
+    run, acting = store.run(cell.id), {"acting": "greedy"} if preset.evaluation.exploring else {}
     seeds = episode_seeds(cell.seed, preset.evaluation.episodes, preset.evaluation.stream)
     rows = []
-    for level in levels_of(preset, cell):
-        fewer = int(level["noise"] > 0)
-        fewer -= level.get("error") == 0.0 or level.get("acting") == "exploring"
+    for at in levels(preset, cell):
+        right = solved - (at.noise > 0) + (at.columns.get("error") == 0.0) + more * at.exploring
         rows += [
-            {**episode(i, level["noise"], i < solved - fewer, moves), **level, "reset_seed": seed}
+            {**episode(i, at.noise, i < right, MOVES.get(cell.method, 25)), **acting, **at.columns,
+             "reset_seed": seed}
             for i, seed in enumerate(seeds)
-        ]
-    run.write_rows("episodes", rows)
-    training: dict[str, Any] = {}
-    if cell.learns:
-        run.write_rows("curve", curve(cell))
-        training = {"steps_to_75": 30_000 if solved > 7 else None, "curriculum_switch": 300}
-        training |= {"singular": 2, "episodes": 500, "final_success_20": 0.9}
-    run.write_meta({
-        "cell": cell.id, "training": training, "wall_seconds": 60.0, "cpu_seconds": 60.0,
-        "commit": "abc", "dirty": False, "machine": {"processor": "test"},
-    })  # fmt: skip
+        ]  # fmt: skip
+    learned = {"singular": 2, "episodes": 500, "final_success_20": 0.9, "curriculum_switch": 300}
+    with mock.patch("os.fsync"):  # half of the time, and no test needs it
+        run.begin(settings(preset, cell))
+        run.write_rows("episodes", rows)
+        if cell.learns:
+            run.write_rows("curve", curve(cell))
+        run.write_meta({
+            "cell": cell.id, "training": learned | training if cell.learns else {},
+            "wall_seconds": 60.0, "cpu_seconds": 60.0, "commit": "abc", "dirty": False,
+            "machine": {"processor": "test"},
+        })  # fmt: skip
 
 
 def write_tables(store: Store) -> list[Path]:
@@ -126,10 +118,8 @@ def make_store(
     tests = dataclasses.replace(shipped.evaluation, episodes=episodes)
     preset = dataclasses.replace(shipped, seeds=list(seeds), evaluation=tests)
     store = Store.open(root, preset_name, create=True)
-    with mock.patch("os.fsync"):  # half of the time, and no test needs it
-        for cell in expand(preset):
-            if cell.method == "design" or not keep(cell):
-                continue
+    for cell in expand(preset):
+        if cell.method != "design" and keep(cell):
             solved = SOLVED[cell.method] - (cell.ablation != "full") - cell.seed
-            fill(store, preset, cell, solved, MOVES.get(cell.method, 25))
+            fill(store, preset, cell, solved, steps_to_75=30_000 if solved > 7 else None)
     return store
