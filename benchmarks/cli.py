@@ -34,16 +34,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not arguments:
         parser().print_help()
         return 0
-    if arguments[0] == "study" and len(arguments) > 1 and not arguments[1].startswith("-"):
-        return _guarded(lambda: catalogue.study(arguments[1]).main(arguments[2:]))
-    given = parser().parse_args(arguments)
-    command: Callable[[Given], int | None] = given.command
-    return _guarded(lambda: command(given) or 0)
-
-
-def _guarded(action: Callable[[], int]) -> int:
     try:
-        return action()
+        if arguments[0] == "study" and len(arguments) > 1 and not arguments[1].startswith("-"):
+            return catalogue.study(arguments[1]).main(arguments[2:])
+        given = parser().parse_args(arguments)
+        return int(given.command(given) or 0)
     except BenchmarkError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -69,7 +64,7 @@ def run(given: Given) -> int:
     from benchmarks.runs.harness import Harness
 
     device = given.device or ("cuda" if given.gpus_per_run else "cpu")
-    _check_device(given, given.device or "cpu")
+    _check_device(given)
     console, (one, store) = Console(soft_wrap=True), _open(given, create=True)
     with store.lock(), closing(_backend(given)) as backend:
         console.print(f"{backend.describe()}, networks on {device}", markup=False)
@@ -77,16 +72,14 @@ def run(given: Given) -> int:
         return outcome.close(store, console, lambda: one.report(store, console))
 
 
-def _check_device(given: Given, device: str) -> None:
+def _check_device(given: Given) -> None:
     """Refuse a GPU that no run could use, before each of them fails for itself."""
-    if device == "cpu":
-        return
-    if catalogue.experiment(given.preset).place:
-        raise BenchmarkError(f"device {device}: public tasks run on the CPU; leave out the option")
-    import torch
+    from benchmarks.runs.cell import check_gpu
 
-    if getattr(given, "backend", "") != "ray" and not torch.cuda.is_available():
-        raise BenchmarkError(f"device {device}: PyTorch finds no GPU here; use --device cpu")
+    if given.device == "cuda" and catalogue.experiment(given.preset).place:
+        raise BenchmarkError("--device cuda: public tasks run on the CPU; leave out the option")
+    if getattr(given, "backend", "") != "ray":
+        check_gpu(given.device)
 
 
 def _backend(given: Given) -> Backend:
@@ -117,10 +110,9 @@ def train(given: Given) -> int:
 
     one = catalogue.experiment(given.preset)
     one.find(given.cell)  # before anything is written
-    device = given.device or "cpu"
-    _check_device(given, device)
+    _check_device(given)
     store = one.open_store(given.results, create=True)
-    return run_here(one, store, given.cell, given.parent, given.wait, device)
+    return run_here(one, store, given.cell, given.parent, given.wait, given.device or "cpu")
 
 
 def cell(given: Given) -> int:

@@ -8,8 +8,7 @@ the policy or the observation.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from benchmarks.protocol.learners import LEARNERS, algorithm_of
 from benchmarks.protocol.plan import PLANNERS
@@ -91,8 +90,7 @@ def of_suite(method: str) -> str:
     return f"{LEARNERS[learner].title}, {variant}" if variant else LEARNERS[learner].title
 
 
-@dataclass(frozen=True)
-class Knowledge:
+class Knowledge(NamedTuple):
     """Masks and memory of a row of a table, in words."""
 
     masks: str

@@ -45,12 +45,3 @@ GEOMETRY_ABLATION: Final[dict[str, tuple[str, str]]] = {
 
 # Section "Robustness": observation noise -> Rainbow's success rate as printed
 ROBUSTNESS: Final[dict[float, str]] = {0.0: "95 ± 2", 0.01: "88 ± 3"}
-
-
-def mean(printed: str) -> float:
-    """The mean of a value as printed.
-
-    >>> mean("95 ± 2")
-    95.0
-    """
-    return float(printed.split(" ± ")[0])

@@ -103,11 +103,8 @@ def _in_words(error: ErrorDetails) -> str:
 
 def merge(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str, Any]:
     """``base`` with ``override`` laid over it, mapping by mapping."""
-    merged = dict(base)
-    for key, value in override.items():
-        old = merged.get(key)
-        if isinstance(old, Mapping) and isinstance(value, Mapping):
-            merged[key] = merge(old, value)
-        else:
-            merged[key] = value
+    merged = {**base, **override}
+    for key in base.keys() & override.keys():
+        if isinstance(base[key], Mapping) and isinstance(override[key], Mapping):
+            merged[key] = merge(base[key], override[key])
     return merged

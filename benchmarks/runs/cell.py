@@ -6,7 +6,6 @@ import json
 import os
 import pkgutil
 import signal
-import threading
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -40,10 +39,9 @@ class StopFlag:
         return self.requested or orphaned
 
     def listen(self) -> None:
-        """Let the signals set the flag; outside the main thread there are no signals to take."""
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGTERM, signal.SIGINT):
-                signal.signal(number, self._set)
+        """Let the signals set the flag."""
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._set)
 
     def _set(self, number: int, frame: object) -> None:
         self.requested = True
@@ -145,6 +143,15 @@ def opened(kind: str, recipe: str, folder: Path) -> tuple[Experiment, Store]:
     return experiment, Store(folder.parent, folder.name)
 
 
+def check_gpu(device: str | None) -> None:
+    """Raise BenchmarkError if networks are to live on a GPU and there is none."""
+    if device == "cuda":
+        import torch
+
+        if not torch.cuda.is_available():
+            raise BenchmarkError("--device cuda: PyTorch finds no GPU here; use --device cpu")
+
+
 def run_here(
     experiment: Experiment, store: Store, cell_id: str, parent: int | None, wait: float,
     device: str,
@@ -153,13 +160,7 @@ def run_here(
     flag = StopFlag(parent)
     flag.listen()
     cell = experiment.find(cell_id)
-    if device == "cuda":
-        import torch
-
-        if not torch.cuda.is_available():
-            raise BenchmarkError(
-                f"--device {device}: torch {torch.__version__} sees no GPU here; use --device cpu"
-            )
+    check_gpu(device)
     folder = store.run(cell.id).path
     if not run_cell(experiment, cell, store, flag, wait, device):
         print(f"{cell.id}: stopped, {folder} keeps what was saved; the same command resumes")

@@ -128,10 +128,7 @@ class RunCallback(BaseCallback):
         A state that lacks something, or is of another environment, is refused before any change.
         """
         rng, parts = state["rng"], [(part, state[name]) for name, part in self.kept.items()]
-        # older checkpoints lack made_with
-        past = {name: state[name] for name in self._past if name != "made_with"}
-        made_with = state.get("made_with", self._past["made_with"])
-        set_aside = [*state["set_aside"], *self.set_aside]
+        past, set_aside = {name: state[name] for name in self._past}, state["set_aside"]
         for part, saved in parts:
             if saved is None:
                 model._last_obs = None  # has learn() reset the environments, not as at the start
@@ -139,12 +136,11 @@ class RunCallback(BaseCallback):
                 model.env.seed(derive("train", model.seed or 0, model.num_timesteps))
             else:
                 part.set_state(saved)
-        if not _version().items() <= made_with[-1].items():
+        if not _version().items() <= past["made_with"][-1].items():
             # the same settings, but perhaps not the same code: the run says so
-            made_with = [*made_with, {"from_step": model.num_timesteps, **_version()}]
-        resumed_at = [*past["resumed_at"], model.num_timesteps]
-        self.rng, self.set_aside = rng, set_aside
-        self._past = {**past, "resumed_at": resumed_at, "made_with": made_with}
+            past["made_with"] += [{"from_step": model.num_timesteps, **_version()}]
+        past["resumed_at"] += [model.num_timesteps]
+        self.rng, self._past, self.set_aside = rng, past, [*set_aside, *self.set_aside]
 
 
 def _version() -> dict[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import signal
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -231,10 +230,6 @@ class Harness:
 @contextmanager
 def terminable() -> Iterator[None]:
     """Take SIGTERM, with which a batch system ends a job, as Ctrl-C."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield

@@ -33,7 +33,6 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.presets import SAFE_LOADER
 
 SCHEMA: Final = 1
-SAFE_DUMPER: Final = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 WORDS: Final = ("track.description",)  # settings that decide no result
 PROGRESS_SECONDS: Final = 0.5  # between two reports of a run
 BROKEN: Final = "broken-"  # before the name of a checkpoint that could not be read
@@ -135,8 +134,7 @@ class RunFolder:
         """Raise BenchmarkError if the folder holds a run with other settings than ``config``."""
         if not (self.path / "config.yaml").is_file():
             return
-        wanted = yaml.load(yaml.dump(dict(config), Dumper=SAFE_DUMPER), SAFE_LOADER)
-        if changed := changes(self.config(), wanted):
+        if changed := changes(self.config(), json.loads(json.dumps(config))):
             raise BenchmarkError(
                 f"{self.path} holds a run with other settings ({'; '.join(changed[:4])}); "
                 "use another --results folder, or delete that one"

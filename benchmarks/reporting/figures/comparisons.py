@@ -143,8 +143,8 @@ def _arms(values: Sequence[Value]) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 def _printed(papers: Sequence[str]) -> dict[str, list[float]]:
     """Means and spreads of what the paper prints."""
-    spreads = [float(text.partition(" ± ")[2] or 0.0) for text in papers]
-    return {"mean": [paper_values.mean(text) for text in papers], "spread": spreads}
+    pairs = [text.partition(" ± ") for text in papers]
+    return {"mean": [float(p[0]) for p in pairs], "spread": [float(p[2] or 0.0) for p in pairs]}
 
 
 def _robustness(results: Results, noisy: list[Group]) -> Figure:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Final
 
 from benchmarks.protocol import labels
 from benchmarks.protocol.metrics import HOLES, JOINTS_TIME, METRICS, SUCCESS
 from benchmarks.protocol.plan import METHODS, OPTIMUM_AT_ONCE
-from benchmarks.reporting.compared import comparisons
+from benchmarks.reporting.compared import comparisons, differences
 from benchmarks.reporting.results import AS_TRAINED, Group, Level, Result, Results, complete
-from benchmarks.reporting.stats import Value, mean_interval, measured
+from benchmarks.reporting.stats import measured
 from benchmarks.reporting.tables.paper import (
     ENDS,
     ablation,
@@ -298,15 +299,7 @@ def _costs(central: Group, others: list[Group]) -> list[str]:
     for sight, words in ((True, "in sight"), (False, "without sight")):
         if seen := [row for row in others if _sees(row) == sight]:
             best = max(seen, key=lambda row: row.success().mean)
-            change = _change(best, central).signed(" points")
+            points = differences("", best, central)
+            change = measured(points, lambda: (math.nan, math.nan)).signed(" points")
             parts.append(f"{words} {TEAMS[_of(best)]}, the best, changes that by {change}")
     return parts if len(parts) > 1 else []
-
-
-def _change(ours: Group, theirs: Group) -> Value:
-    """Difference of the success rates on the same starts, in points, over the seeds of both."""
-    changes = [
-        100.0 * (both["success"] - both["success_other"]).to_numpy(float)
-        for _, _, both in ours.beside(theirs)
-    ]
-    return measured([each.mean() for each in changes], lambda: mean_interval(changes[0]))
