@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
+from multiprocessing import get_all_start_methods
 
 import pytest
 
@@ -27,14 +27,11 @@ def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
 
 
 @pytest.fixture(scope="session")
-def warm() -> Iterator[Server]:
+def warm() -> Server:
     """Its ``children()`` are the processes of a harness without the seconds of their imports."""
-    if not hasattr(os, "fork"):
+    if "forkserver" not in get_all_start_methods():
         pytest.skip("needs os.fork")
-    learners = ("rainbow-optimized-safe-s0", "dqn-optimized-safe-s0")
-    server = Server("smoke", *learners, "rrt_connect-optimized-s0")
-    yield server
-    server.close()
+    return Server()
 
 
 @pytest.fixture

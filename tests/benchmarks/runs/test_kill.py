@@ -30,9 +30,8 @@ from tests.benchmarks.smoke import smoke_file
 
 KILLS = 24  # by the clock; the task asks for 20
 INSIDE = 12  # of these, surely inside training
-TORN = 3  # of these, while a checkpoint was being written
 CRASHES = 10  # at file operations, half of them among the last
-GIVE_UP = 200  # kills, if the clock never hits a checkpoint
+GIVE_UP = 200  # attempts
 
 
 @dataclass(frozen=True)
@@ -100,10 +99,10 @@ def cells(preset: Path) -> list[str]:
     return [cell.id for cell in expand(load_preset(str(preset)))]
 
 
-def train(warm: Server, preset: Path, cell: str, results: Path, **crash: int) -> Forked:
+def train(warm: Server, preset: Path, cell: str, results: Path, crash: int | None = None) -> Forked:
     results.mkdir(parents=True, exist_ok=True)
     words = ["train", "--preset", str(preset), "--results", str(results), "--cell", cell]
-    return warm.start(results / "log.txt", *words, **crash)
+    return warm.start(results / "log.txt", *words, crash=crash)
 
 
 @pytest.fixture(scope="module")
@@ -133,9 +132,9 @@ def test_kills_at_random_moments_change_nothing(
     scratch: Path,
 ) -> None:
     rng = random.Random(0)
-    kills = inside = torn = polite = completed = 0
+    kills = inside = completed = 0
     for attempt in range(GIVE_UP):
-        if kills >= KILLS and inside >= INSIDE and torn >= TORN and completed >= len(cells):
+        if kills >= KILLS and inside >= INSIDE and completed >= len(cells):
             break
         cell = cells[completed % len(cells)]
         expected, seconds = uninterrupted[cell]
@@ -156,15 +155,10 @@ def test_kills_at_random_moments_change_nothing(
         elif number == signal.SIGKILL:
             assert code == -signal.SIGKILL
             kills += 1
-            is_torn = (run.checkpoint / "saving").exists()
-            torn += is_torn
-            inside += is_torn or newest(run) > before
-        else:
-            polite += code == 130
-    print(f"{kills} kills, {inside} inside training, {torn} in a checkpoint, {completed} runs")
+            inside += (run.checkpoint / "saving").exists() or newest(run) > before
+    print(f"{kills} kills, {inside} inside training, {completed} runs")
     assert kills >= KILLS
     assert inside >= INSIDE
-    assert torn >= TORN
     assert completed >= len(cells)
 
 

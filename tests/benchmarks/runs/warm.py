@@ -1,51 +1,115 @@
-"""Speaks with ``warm_server.py``, of which runs are forked: their imports are paid once."""
+"""Processes of the command without the seconds of their imports, which tests may kill.
+
+They are forks of one that has imported and compiled everything.
+"""
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
 import sys
-import time
+import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 
-from benchmarks.runs.machine import REPOSITORY
+OPERATIONS = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "shutil.rmtree"}
 
-SERVER = "tests.benchmarks.runs.warm_server"
+
+class FileOperations:
+    """Counts operations that change files below a folder, and kills the process at one of them."""
+
+    def __init__(self, below: str, crash: int) -> None:
+        self.below, self.crash = below, crash
+        self.count = 0
+
+    def __call__(self, event: str, arguments: tuple[Any, ...]) -> None:
+        if event == "open":
+            path, mode, flags = arguments
+            writes = set("wax+") & set(mode or "") or (flags or 0) & (os.O_WRONLY | os.O_RDWR)
+        elif event in OPERATIONS:
+            path, writes = arguments[0], True
+        else:
+            return
+        if writes and isinstance(path, (str, os.PathLike)) and self.below in os.fspath(path):
+            if self.count == self.crash:
+                os.kill(os.getpid(), signal.SIGKILL)
+            self.count += 1
+
+
+def run(argv: Sequence[str], log: str, crash: int | None) -> None:
+    """In the fork: the command, its output in ``log``.
+
+    With ``crash`` it kills itself before its n-th operation on files (counted from 0), and without
+    being killed writes how many there were to ``<log>.count``.
+    """
+    from benchmarks.cli import main
+
+    handle = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    os.dup2(handle, 1)
+    os.dup2(handle, 2)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a run before may have left its own
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    code = 1
+    try:
+        if crash is None:
+            code = main(argv)
+        else:
+            operations = FileOperations(f"{os.sep}runs{os.sep}", crash)
+            sys.addaudithook(operations)
+            code = main(argv)
+            Path(f"{log}.count").write_text(str(operations.count), encoding="utf-8")
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+class Forked:
+    """A fork, as far as a harness needs a ``Popen``."""
+
+    def __init__(self, log: Path, words: Sequence[str], crash: int | None) -> None:
+        arguments = (words, str(log), crash)
+        self.process = get_context("forkserver").Process(target=run, args=arguments, daemon=True)
+        self.process.start()
+
+    def poll(self) -> int | None:
+        return self.process.exitcode
+
+    def send_signal(self, number: int) -> None:
+        with suppress(ProcessLookupError):  # it has ended
+            os.kill(int(str(self.process.pid)), number)
+
+    def kill(self) -> None:
+        self.process.kill()
+
+    def wait(self, seconds: float = 250.0) -> int:
+        self.process.join(seconds)
+        if (code := self.process.exitcode) is None:
+            raise subprocess.TimeoutExpired("fork", seconds)
+        return code
 
 
 class Server:
-    """A process that has run these cells of a preset."""
+    """Starts such processes."""
 
-    def __init__(self, preset: str, *cells: str) -> None:
-        self.process: Any = subprocess.Popen(
-            [sys.executable, "-m", SERVER, preset, *cells],
-            cwd=REPOSITORY,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "CUDA_VISIBLE_DEVICES": "", "OMP_NUM_THREADS": "1"},
-        )
-        assert self._read() == "ready"
+    def __init__(self) -> None:
+        context = get_context("forkserver")
+        context.set_forkserver_preload(["tests.benchmarks.runs.warmed"])
+        first = context.Process(target=int)  # once it has ended all is compiled
+        first.start()
+        first.join()
 
-    def _read(self) -> str:
-        return str(self.process.stdout.readline().strip())
-
-    def ask(self, **request: Any) -> Any:
-        self.process.stdin.write(json.dumps(request) + "\n")
-        self.process.stdin.flush()
-        return json.loads(self._read())
-
-    def start(self, log: Path, *words: str, **crash: int) -> Forked:
+    def start(self, log: Path, *words: str, crash: int | None = None) -> Forked:
         """Start ``python -m benchmarks`` with these words."""
-        return Forked(self, self.ask(argv=words, log=str(log), **crash))
+        return Forked(log, words, crash)
 
     @contextmanager
     def children(self) -> Iterator[None]:
@@ -53,42 +117,9 @@ class Server:
 
         def spawn(argv: Sequence[str], log: Path) -> Forked:
             log.parent.mkdir(parents=True, exist_ok=True)
-            return self.start(log, *argv, "--parent", str(self.process.pid))
+            return self.start(log, *argv)
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("benchmarks.runs.backends.spawn", spawn)
             patch.setattr("benchmarks.runs.harness.POLL_SECONDS", 0.1)
             yield
-
-    def close(self) -> None:
-        for left in psutil.Process(self.process.pid).children(recursive=True):
-            left.kill()  # of a test that failed
-        with self.process as process:
-            process.kill()
-
-
-class Forked:
-    """A fork, as far as a harness needs a ``Popen``."""
-
-    def __init__(self, server: Server, pid: int) -> None:
-        self.server, self.pid = server, pid
-        self.code: int | None = None
-
-    def poll(self) -> int | None:
-        if self.code is None:
-            self.code = self.server.ask(poll=self.pid)
-        return self.code
-
-    def send_signal(self, number: int) -> None:
-        os.kill(self.pid, number)
-
-    def kill(self) -> None:
-        self.send_signal(signal.SIGKILL)
-
-    def wait(self, seconds: float = 250.0) -> int:
-        end = time.monotonic() + seconds
-        while (code := self.poll()) is None:
-            if time.monotonic() > end:
-                raise subprocess.TimeoutExpired("fork", seconds)
-            time.sleep(0.02)
-        return code
