@@ -231,12 +231,13 @@ def test_runs_of_other_settings_are_no_seeds_of_one_method(tmp_path: Path) -> No
 
 
 def test_markup_of_tables_is_escaped() -> None:
-    number = Number(Value(1.0, 0.5, 3), 1)
-    table = Table("t", "50 % & more", ["a|b", "x_1"], [["p < 0.01", number]], ["100 %"])
+    flagged = Number(Value(76.0, 0.5, 3, low=66.0, high=83.0), 1, paper="95 ± 2")
+    table = Table("t", "50 % & more", ["a|b", "x_1"], [["p < 0.01", flagged]], ["100 %"])
     assert r"a\|b" in table.markdown()
     assert r"50 \% \& more" in table.latex()
     assert r"x\_1" in table.latex()
-    assert "p $<$ 0.01 & 1.0 $\\pm$ 0.5" in table.latex()
+    assert "p $<$ 0.01 & 76.0 $\\pm$ 0.5 $^\\dagger$" in table.latex()
+    assert table.texts() == [["p < 0.01", f"76.0 ± 0.5 {FLAG}"]]
     with pytest.raises(ValueError, match="does not fit"):
         Table("t", "t", ["a"], [["1", "2"]])
 
@@ -292,18 +293,6 @@ def test_outside_means_that_no_rounding_reconciles(low: float, width: float, pap
     elif width > 0.01:
         assert inside
     assert not Number(Value(paper + 100.0), paper=text).flagged  # no interval, no verdict
-
-
-def table(value: Value, paper: str) -> Table:
-    return Table("performance", "T", ["M", "Ours"], [["Speed", Number(value, 1, paper=paper)]])
-
-
-def test_the_flag_is_printed() -> None:
-    flagged = table(Value(76.0, low=66.0, high=83.0), "95 ± 2")
-    assert flagged.texts() == [["Speed", f"76.0 {FLAG}"]]
-    assert r"76.0 $^\dagger$" in flagged.latex()
-    agreeing = table(Value(76.0, low=66.0, high=94.6), "95 ± 2")
-    assert agreeing.texts() == [["Speed", "76.0"]]
 
 
 def test_values_over_seeds_have_students_interval_which_flags_follow(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies import catalogue
 from benchmarks.studies.design.study import Design
 from tests.benchmarks.fabricated_store import make_store, write_tables
+from tests.process import tracked
 
 ROOT = Path(__file__).resolve().parents[3]
 RESULTS = ROOT / "results"
@@ -113,21 +114,14 @@ def test_one_digit_of_any_table_is_seen(store: Store) -> None:
     assert verify(store) == []
 
 
-@pytest.mark.parametrize(("page", "end"), [("README.md", END), ("docs/results.md", "")])
-def test_one_digit_of_a_page_is_seen(
-    page: str, end: str, copy: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = copy / page
-    rng = random.Random(1)
-    begin = next(mark for mark in (BEGIN, SCIENCE) if mark in path.read_text())
+def test_one_digit_of_a_page_is_seen(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = copy / "docs" / "results.md"
     text = path.read_text(encoding="utf-8")
-    for _ in range(2):
-        line = change_digit(path, rng, begin, end)
-        assert main(words(copy)) == 1
-        err = capsys.readouterr().err
-        assert f"{path} differs from stored data (line {line}: stored " in err
-        assert "1 difference found" in err
-        path.write_text(text, encoding="utf-8")
+    line = change_digit(path, random.Random(1), SCIENCE)
+    assert main(words(copy)) == 1
+    err = capsys.readouterr().err
+    assert f"{path} differs from stored data (line {line}: stored " in err
+    assert "1 difference found" in err
     # what stands outside the block is free
     path.write_text(f"1 2 3\n{text}4 5 6\n", encoding="utf-8")
     assert main(words(copy)) == 0
@@ -275,13 +269,11 @@ def test_a_table_that_nothing_makes_is_named(store: Store) -> None:
     assert "old.md is made by no table" in old
 
 
-@pytest.mark.parametrize("preset", [["--preset", "quick"], []])  # none: all with results
-def test_a_report_rewrites_the_readme(preset: list[str], copy: Path) -> None:
+def test_a_report_rewrites_the_readme(copy: Path) -> None:
     readme = copy / "README.md"
     before = readme.read_bytes()
     change_digit(readme, random.Random(0), BEGIN, END)
-    assert readme.read_bytes() != before
-    assert main(["report", *preset, "--results", str(copy / "results")]) == 0
+    assert main(["report", "--results", str(copy / "results")]) == 0
     assert readme.read_bytes() == before
 
 
@@ -297,25 +289,12 @@ def test_the_public_tasks_tables_must_follow_from_their_runs(tmp_path: Path) -> 
     assert "scores.md differs" in problem
 
 
-def test_the_policies_in_git_are_few(tmp_path: Path) -> None:
-    """Those of the headline methods; what else a run leaves is ignored."""
-    if not (ROOT / ".git").exists():
-        pytest.skip("not a git checkout")
-
-    def git(*words: str, given: str = "") -> list[str]:
-        done = subprocess.run(
-            ["git", *words], cwd=ROOT, capture_output=True, text=True, input=given
-        )
-        return done.stdout.split()
-
-    tracked = [ROOT / name for name in git("ls-files", "results/**/policy.zip")]
-    assert 0 < sum(path.stat().st_size for path in tracked) < 8_000_000
-    names = [str(path) for path in tracked]
-    # a renewed run of a preset whose results are tracked adds no file, and quick is not tracked
-    assert git("check-ignore", "--no-index", "--stdin", given="\n".join(names)) == []
-    made = ["results/quick/tables/performance.md"]
-    for preset in ("cut",):
-        cells = [f"results/{preset}/runs/{c.id}/policy.zip" for c in expand(load_preset(preset))]
-        made += [cell for cell in cells if str(ROOT / cell) not in names]
-    assert git("check-ignore", "--no-index", "--stdin", given="\n".join(made)) == made
-    assert git("ls-files", "results/quick") == []
+def test_the_policies_in_git_are_few() -> None:
+    """Those of the headline methods; a renewed run adds no file, and quick is not tracked."""
+    names = tracked("results/**/policy.zip")
+    assert 0 < sum((ROOT / name).stat().st_size for name in names) < 8_000_000
+    made = [f"results/cut/runs/{cell.id}/policy.zip" for cell in expand(load_preset("cut"))]
+    made = [*({*made} - {*names}), "results/quick/tables/performance.md"]
+    ignored = ["git", "check-ignore", "--no-index", *names, *made]
+    done = subprocess.run(ignored, cwd=ROOT, capture_output=True, text=True)
+    assert sorted(done.stdout.split()) == sorted(made)

@@ -12,7 +12,6 @@ from benchmarks.protocol.plan import expand, settings, units_of
 from benchmarks.protocol.presets import Preset
 from benchmarks.runs.costs import GUESSED_RATE, Cost, costs, duration, wall_seconds
 from benchmarks.runs.store import Store
-from benchmarks.studies.classic.experiment import Classic
 from benchmarks.studies.insertion import Insertion
 from tests.benchmarks.smoke import smoke_preset
 
@@ -47,28 +46,6 @@ def test_cost_comes_from_the_nearest_runs(tmp_path: Path) -> None:
     assert guessed.guessed
     optimum = next(settings(preset, cell) for cell in expand(preset) if cell.id == guessed.id)
     assert guessed.seconds == pytest.approx(GUESSED_RATE * units_of(optimum))
-
-
-def test_a_game_costs_what_games_of_its_kind_did_not_what_other_tasks_did(tmp_path: Path) -> None:
-    searches, suite = Classic("tuning_minatar"), Classic("minatar")
-    store = Store.open(tmp_path, "minatar", create=True)
-    elsewhere = Store.open(tmp_path, "others", create=True)
-    for experiment, name, seconds in (
-        (searches, "freeway-rainbow_quantile_uniform-s1000", 100.0),
-        (searches, "freeway-qrdqn_same-s1000", 120.0),
-        (Classic("contact"), "hard-dqn-s0", 9999.0),
-    ):
-        cell = next(each for each in experiment.cells() if each.id == name)
-        run = elsewhere.run(name)
-        run.begin(experiment.settings(cell))
-        run.write_meta({"wall_seconds": seconds})
-    planned = {cost.id: cost for cost in costs(suite, store, [elsewhere])}
-    assert planned["freeway-rainbow-s1"].seconds == pytest.approx(500.0)  # five times the steps
-    assert planned["asterix-rainbow-s1"].seconds == pytest.approx(500.0)
-    assert planned["asterix-qrdqn-s1"].seconds == pytest.approx(600.0)
-    assert 300.0 < planned["asterix-dqn-s1"].seconds < 600.0  # no run of MinAtar's by DQN
-    learners = {cell.id for cell in suite.cells() if cell.learns}
-    assert not any(planned[name].guessed for name in learners)
 
 
 def test_time_left_is_that_of_processes_taking_the_next_run() -> None:

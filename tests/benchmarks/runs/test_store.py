@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.runs.store import SCHEMA, RunFolder, Store, write_atomic, write_csv, write_text
+from benchmarks.runs.store import SCHEMA, RunFolder, Store, write_atomic, write_text
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:
@@ -28,18 +28,6 @@ def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_reader_never_sees_half_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "a.txt"
-    write_text(path, "old")
-
-    def look(temporary: Path) -> None:
-        temporary.write_text("half", encoding="utf-8")
-        assert path.read_text(encoding="utf-8") == "old"
-
-    write_atomic(path, look)
-    assert path.read_text(encoding="utf-8") == "half"
-
-
 def test_rows_come_back_as_they_went(tmp_path: Path) -> None:
     run = Store.open(tmp_path, "smoke", create=True).run("cell")
     run.write_rows("episodes", [
@@ -52,12 +40,6 @@ def test_rows_come_back_as_they_went(tmp_path: Path) -> None:
     assert frame["time"][0] == 1.25
     assert math.isnan(frame["time"][1])
     assert frame["failure"][1] == "no plan"
-
-
-def test_rows_are_text_that_does_not_depend_on_the_machine(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    write_csv(path, [{"x": 1.0 / 3.0, "y": True}])
-    assert path.read_bytes() == b"x,y\n0.3333333,1\n"
 
 
 def test_a_run_is_complete_when_meta_is_there_and_not_before(tmp_path: Path) -> None:

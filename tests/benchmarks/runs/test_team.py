@@ -48,24 +48,6 @@ def _words(folder: Path) -> list[str]:
     return ["--preset", str(folder / "tiny.yaml"), "--results", str(folder)]
 
 
-def test_every_form_has_its_row(results: Path) -> None:
-    text = (results / "tiny" / "tables" / "team.md").read_text(encoding="utf-8")
-    for name, moves, decided in (
-        ("Rainbow", "in turn", "one for both"),
-        ("Rainbow on 49 joint moves", "at once", "one for both"),
-        ("VDN, a sum of two Rainbows", "at once", "each robot, without sight"),
-        ("Rainbow with shared parameters", "at once", "each robot, in sight"),
-        ("Independent Rainbows", "at once", "each robot, without sight"),
-        ("Greedy", "at once", "one for both"),
-        ("Exact optimum", "in turn", "one for both"),
-        ("Exact optimum", "at once", "one for both"),
-    ):
-        rows = [[cell.strip() for cell in line.split("|")] for line in text.splitlines()]
-        assert [name, moves, decided] in [[row[1], *row[3:5]] for row in rows if len(row) > 4]
-    assert "what decentralization costs" in text
-    assert (results / "tiny" / "figures" / "team_success.png").is_file()
-
-
 def test_all_began_alike_and_verify_agrees(
     results: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
