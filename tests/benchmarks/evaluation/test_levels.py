@@ -154,11 +154,6 @@ def test_rows_say_under_which_error_they_were_played(method: str, preset: Preset
     assert 0.0 <= report[0] <= report[-1] <= 1.0
 
 
-def replay(results: Path, episodes: int | None, starts: int | None) -> Replay:
-    Store.open(results, "cut", create=True)
-    return Replay("cut", results, episodes, starts)
-
-
 @pytest.mark.parametrize(
     ("method", "track", "result"),
     [
@@ -173,7 +168,8 @@ def test_other_starts_are_played_as_the_headline_has_them(
     method: str, track: str, result: list[dict[str, object]], tmp_path: Path
 ) -> None:
     cell = Cell(method, "full", "optimized", track, 0)
-    fresh = replay(tmp_path, None, 7)
+    Store.open(tmp_path, "cut", create=True)
+    fresh = Replay("cut", tmp_path, None, 7)
     preset = fresh.shortened(cell)
     assert preset.evaluation.episodes == FRESH_EPISODES
     mine = levels(preset, cell)
@@ -182,12 +178,3 @@ def test_other_starts_are_played_as_the_headline_has_them(
     # the same machine as in the stored episodes, to the bit
     whole = [level.arguments for level in levels(fresh.preset, cell)]
     assert all(level.arguments in whole for level in mine)
-
-
-def test_the_test_episodes_are_played_whole(tmp_path: Path) -> None:
-    cell = Cell("greedy", "full", "optimized", "uncertain", 0)
-    again = replay(tmp_path, None, None)
-    assert again.shortened(cell) == again.preset
-    few = replay(tmp_path, 3, None).shortened(cell).evaluation
-    assert (few.episodes, few.errors) == (3, again.preset.evaluation.errors)
-    assert replay(tmp_path, 50, 7).shortened(cell).evaluation.episodes == 50

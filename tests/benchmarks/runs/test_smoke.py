@@ -20,13 +20,8 @@ from tests.benchmarks.smoke import smoke_file
 
 Capture = pytest.CaptureFixture[str]
 Refused = Callable[..., str]
-RUNS = {
-    "rainbow-optimized-safe-s0",
-    "dqn-optimized-safe-s0",
-    "greedy-optimized-safe-s0",
-    "rrt_connect-optimized-s0",
-    "optimum-optimized-s0",
-}
+RUNS = {f"{method}-optimized-safe-s0" for method in ("rainbow", "dqn", "greedy")}
+RUNS |= {f"{planner}-optimized-s0" for planner in ("rrt_connect", "optimum")}
 
 
 @pytest.fixture(scope="module")
@@ -50,8 +45,10 @@ def copied(results: Path, tmp_path: Path) -> list[str]:
 
 
 def test_all_methods_ran_and_say_how(results: Path) -> None:
-    runs = {run.id: run for run in Store.open(results, "smoke").completed()}
+    store = Store.open(results, "smoke")
+    runs = {run.id: run for run in store.completed()}
     assert set(runs) == RUNS
+    assert (store.figures / "safe_success.png").is_file()
     for run in runs.values():
         meta = run.meta()
         assert meta["schema"] == SCHEMA
@@ -62,26 +59,6 @@ def test_all_methods_ran_and_say_how(results: Path) -> None:
         assert runs[name].policy.is_file()
         assert runs[name].meta()["training"]["timesteps"] == 480
         assert runs[name].rows("curve")["timesteps"].is_monotonic_increasing
-
-
-def test_every_method_began_the_same_episodes(results: Path) -> None:
-    store = Store.open(results, "smoke")
-    episodes = {run.id: run.rows("episodes") for run in store.completed()}
-    starts = {name: tuple(rows["start"].unique()) for name, rows in episodes.items()}
-    assert len(set(starts.values())) == 1
-    assert set(episodes["rainbow-optimized-safe-s0"]["noise"]) == {0.0, 0.01}
-    optimum = episodes["optimum-optimized-s0"]
-    assert optimum["success"].all()
-    assert (optimum["collisions"] == 0).all()
-
-
-def test_tables_and_figures_lie_where_it_says(results: Path) -> None:
-    store = Store.open(results, "smoke")
-    names = {path.name for path in store.tables.iterdir()}
-    for table in ("performance", "leaderboard", "robustness"):
-        assert {f"{table}.csv", f"{table}.md", f"{table}.tex"} <= names
-    assert names.isdisjoint({"design.md", "geometry.md"})
-    assert (store.figures / "safe_success.png").is_file()
 
 
 def test_tensorboard_has_the_papers_curves(results: Path) -> None:
