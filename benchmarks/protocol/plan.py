@@ -82,13 +82,9 @@ class Cell:
             return DESIGN
         if not self.geometry:
             return f"{self.track}-{self.method}-s{self.seed}"
-        parts = [self.method]
-        if self.ablation != "full":
-            parts.append(self.ablation)
-        parts.append(self.geometry)
-        if self.track:
-            parts.append(self.track)
-        return "-".join([*parts, f"s{self.seed}"])
+        ablation = "" if self.ablation == "full" else self.ablation
+        parts = (self.method, ablation, self.geometry, self.track, f"s{self.seed}")
+        return "-".join(filter(None, parts))
 
     @property
     def learns(self) -> bool:

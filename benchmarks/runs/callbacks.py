@@ -16,12 +16,6 @@ from benchmarks.protocol.presets import Curriculum, Track
 ROWS: Final = 400  # rows of curve.csv at most, so that it can be committed
 REFERENCE_THRESHOLD: Final = 0.75  # the paper's "environment steps to 75 % success" ...
 REFERENCE_WINDOW: Final = 20  # ... over 20 training episodes
-# name of a curve in TensorBoard -> column of curve.csv
-TENSORBOARD: Final = {
-    **{"episode_reward": "episode_reward", "learning_rate": "learning_rate"},
-    **{"noise_magnitude": "noise", "holes_per_episode": "holes", "success_rate": "success"},
-    **{"mean_max_q": "mean_max_q", "loss": "loss", "episode_duration_s": "duration"},
-}
 
 
 def ended(step: dict[str, Any], rows: int) -> list[dict[str, Any]]:
@@ -148,7 +142,7 @@ class CurveRecorder(Recorder):
         """End the interval: one row, one point of each TensorBoard curve."""
         ended = np.array(self._ended, dtype=np.float64).reshape(-1, 4)
         mean = ended.mean(axis=0) if len(ended) else np.full(4, math.nan)
-        row: dict[str, object] = {
+        row: dict[str, float] = {
             "timesteps": self.num_timesteps,
             "episodes": self.counts["episodes"],
             "stage": self.curriculum.stage,
@@ -163,11 +157,9 @@ class CurveRecorder(Recorder):
             "noise": self._noise(),
         }
         self.rows.append(row)
-        for name, column in TENSORBOARD.items():
-            value = row[column]
-            if isinstance(value, float) and not math.isnan(value):
-                self.logger.record(f"paper/{name}", value)
-        self.logger.record("paper/stage", self.curriculum.stage)
+        for column, value in row.items():
+            if not math.isnan(value):
+                self.logger.record(f"paper/{column}", value)
         self.logger.dump(self.num_timesteps)
         self._ended.clear()
         self._losses.clear()

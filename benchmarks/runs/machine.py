@@ -6,6 +6,7 @@ import importlib.metadata
 import os
 import platform
 import subprocess
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -23,11 +24,7 @@ def describe() -> dict[str, Any]:
     return {
         "commit": _git("rev-parse", "HEAD") or "unknown",
         # results are written while a run is on; only changed sources make a commit dirty
-        "dirty": bool(
-            _git(
-                "status", "--porcelain", "--untracked-files=no", "--", "*.py", "*.yaml", ":!results"
-            )
-        ),
+        "dirty": bool(_git("status", "--porcelain", "-uno", "--", "*.py", "*.yaml", ":!results")),
         "versions": {"python": platform.python_version(), **_versions()},
         "machine": {
             "processor": _processor(),
@@ -48,20 +45,16 @@ def _git(*arguments: str) -> str:
 
 
 def _versions() -> dict[str, str]:
-    result = {}
+    result = dict.fromkeys(PACKAGES, "absent")
     for package in PACKAGES:
-        try:
+        with suppress(importlib.metadata.PackageNotFoundError):
             result[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            result[package] = "absent"
     return result
 
 
 def _processor() -> str:
-    try:
+    with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
                 return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
     return platform.processor() or "unknown"

@@ -68,7 +68,7 @@ def test_tensorboard_has_the_papers_curves(results: Path) -> None:
     events.Reload()
     tags = set(events.Tags()["scalars"])
     # no episode of 300 moves need end within so few steps: what counts episodes may be missing
-    always = {"learning_rate", "noise_magnitude", "mean_max_q", "loss"}
+    always = {"learning_rate", "noise", "mean_max_q", "loss", "stage"}
     assert {f"paper/{name}" for name in always} <= tags
 
 
