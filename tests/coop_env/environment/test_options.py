@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
 import math
-import pickle
 import random
 from typing import Any
 
@@ -236,37 +234,3 @@ def test_when_everything_valid_was_refused_it_is_allowed_again() -> None:
     env.set_state(snapshot)
     assert env.step(action)[-1]["collision"]
     assert np.array_equal(env.action_masks(), valid)
-
-
-def test_a_reset_forgets_and_a_snapshot_remembers() -> None:
-    env = CoopInsertionEnv(mask_refused=True, **DISPLACED)
-    env.reset(seed=0)
-    rng = np.random.default_rng(0)
-    while not env.step(descend(env, rng))[-1]["collision"]:
-        pass
-    remembered = env.action_masks()
-    snapshot = env.get_state()
-    copies = [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
-    assert env.state["refused"].sum() > 0
-    env.reset(seed=1)
-    assert env.state["refused"].sum() == 0
-    env.set_state(snapshot)
-    for twin in (env, *copies):
-        assert np.array_equal(twin.action_masks(), remembered)
-
-
-def test_on_a_machine_as_modelled_it_changes_nothing_but_what_is_refused() -> None:
-    """With masks that know collisions nothing is refused, and the episodes are the same."""
-    kwargs: dict[str, Any] = {"mask_singularities": True, "mask_visited": 8}
-    env, plain = CoopInsertionEnv(mask_refused=True, **kwargs), CoopInsertionEnv(**kwargs)
-    rng = np.random.default_rng(3)
-    for seed in range(3):
-        assert env.reset(seed=seed)[0].tobytes() == plain.reset(seed=seed)[0].tobytes()
-        for _ in range(300):
-            assert np.array_equal(env.action_masks(), plain.action_masks())
-            action = descend(env, rng)
-            ours, theirs = env.step(action), plain.step(action)
-            assert ours[0].tobytes() == theirs[0].tobytes()
-            assert ours[1:4] == theirs[1:4]
-            if ours[2] or ours[3]:
-                break

@@ -7,7 +7,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.wrappers import TimeAwareObservation
 
 import coop_env
 from coop_env import CoopInsertionEnv, CoopInsertionVectorEnv
@@ -16,41 +15,22 @@ from coop_env.errors import ArgumentError, ResetOptionError
 ID = "CoopInsertion-v0"
 
 
-def moves_until_cut(env: gym.Env[Any, Any], most: int = 1000) -> int:
+@pytest.mark.parametrize(
+    ("limits", "expected"),
+    [
+        ({}, 300),
+        ({"max_moves": 40}, 40),
+        ({"max_episode_steps": 25}, 25),
+        ({"max_moves": 30, "max_episode_steps": 99}, 30),
+        ({"max_moves": 30, "max_episode_steps": -1}, 30),
+        ({"max_moves": 450, "max_episode_steps": 450}, 450),
+    ],
+)
+def test_the_earlier_of_both_limits_cuts(limits: dict[str, Any], expected: int) -> None:
+    env: Any = gym.make(ID, **limits)
     env.reset(seed=0)
-    for k in range(1, most):
-        *_, terminated, truncated, _ = env.step(k % 2)
-        assert not terminated
-        if truncated:
-            return k
-    return most
-
-
-@pytest.mark.parametrize("limit", [40, 300, 450])
-def test_the_limit_is_what_wrappers_see(limit: int) -> None:
-    env: Any = gym.make(ID, max_moves=limit, max_episode_steps=limit)
-    assert env.spec.max_episode_steps == limit
-    assert moves_until_cut(env) == limit
-    assert moves_until_cut(gym.make(env.spec)) == limit
-
-
-def test_the_earlier_of_both_limits_cuts() -> None:
-    env = gym.make(ID)
-    assert moves_until_cut(env) == 300
-    assert env.unwrapped.scene().time == pytest.approx(60.0)  # type: ignore[attr-defined]
-    assert moves_until_cut(gym.make(ID, max_moves=40)) == 40
-    assert moves_until_cut(gym.make(ID, max_episode_steps=25)) == 25
-    assert moves_until_cut(gym.make(ID, max_moves=30, max_episode_steps=99)) == 30
-    assert moves_until_cut(gym.make(ID, max_moves=30, max_episode_steps=-1)) == 30
-
-
-def test_time_can_be_observed() -> None:
-    env = TimeAwareObservation(gym.make(ID), normalize_time=True)
-    observation, _ = env.reset(seed=0)
-    assert observation.shape == (13,)
-    assert observation[-1] == 0.0
-    for k in range(1, 4):
-        assert env.step(0)[0][-1] == pytest.approx(k / 300)
+    ends = [env.step(k % 2)[2:4] for k in range(expected)]
+    assert ends == [(False, k == expected - 1) for k in range(expected)]
 
 
 def test_make_vec_knows_gymnasiums_name_of_the_limit() -> None:

@@ -1,4 +1,4 @@
-"""The collision kernel against densely sampled bodies; an entry into a filled hole counts once."""
+"""The collision kernel against all pairs of bodies; an entry into a filled hole counts once."""
 
 from __future__ import annotations
 
@@ -57,27 +57,25 @@ def test_point_segment_distance(p: Point, a: Point, b: Point) -> None:
 
 
 def clearance(env: CoopInsertionEnv, c: Configuration) -> float:
-    """Least gap between the two robots' bodies, all sampled, with the chamfer's exemption."""
+    """Least gap between the two robots' bodies, all with all, with the chamfer's exemption."""
     p, task = env.params, env.task
     _, theta, pose, q = joint_angles(c, p)
-    x, y, z = c[0], c[1], c[2] + p.delta.base_height
-    tip, effector = np.array([x, y, z - p.delta.peg_length]), np.array([x, y, z])
-    rotation = np.array(pose[3:]).reshape(3, 3)
-    centre = np.array(pose[:3])
-    peg = (sampled(tip + np.array([0, 0, p.delta.peg_radius]), effector), p.delta.peg_radius)
+    radius, effector = p.delta.peg_radius, (c[0], c[1], c[2] + p.delta.base_height)
+    tip = (c[0], c[1], effector[2] - p.delta.peg_length)
+    centre, rotation = pose[:3], np.array(pose[3:]).reshape(3, 3)
     arms = [arm_points(c[0], c[1], c[2], theta, i, p.delta) for i in range(3)]
-    upper = [peg, (effector[None], task.effector_radius)]
-    upper += [(sampled(knee, joint), task.forearm_radius) for _, knee, joint in arms]
+    upper = [(((*tip[:2], tip[2] + radius), effector), radius)]
+    upper += [((effector, effector), task.effector_radius)]
+    upper += [((knee, joint), task.forearm_radius) for _, knee, joint in arms]
     limbs = [limb_points(pose, q[i], i, p.rrs) for i in range(3)]
-    lower = [(sampled(centre, joint), task.spoke_radius) for _, _, joint in limbs]
-    lower += [(sampled(elbow, joint), task.limb_radius) for _, elbow, joint in limbs]
-    lower += [(sampled(base, elbow), task.limb_radius) for base, elbow, _ in limbs]
-    mouths = centre + task.dome_radius * np.array(task.hole_normals) @ rotation.T
-    exempt = np.linalg.norm(mouths - tip, axis=1).min() < p.task.chamfer + p.delta.peg_radius
-    gaps = [least(a, b) - ra - rb for a, ra in upper for b, rb in lower]
-    for k, (a, ra) in enumerate(upper):
-        if k > 0 or not exempt:
-            gaps.append(least(a, centre[None]) - ra - task.dome_radius)
+    lower = [((centre, joint), task.spoke_radius) for _, _, joint in limbs]
+    lower += [((elbow, joint), task.limb_radius) for _, elbow, joint in limbs]
+    lower += [((base, elbow), task.limb_radius) for base, elbow, _ in limbs]
+    mouths = np.array(centre) + task.dome_radius * np.array(task.hole_normals) @ rotation.T
+    exempt = np.linalg.norm(mouths - tip, axis=1).min() < p.task.chamfer + radius
+    gaps = [segment_distance(*a, *b) - ra - rb for a, ra in upper for b, rb in lower]
+    for a, ra in upper[1:] if exempt else upper:
+        gaps.append(point_segment_distance(centre, *a) - ra - task.dome_radius)
     return min(gaps)
 
 
@@ -101,7 +99,7 @@ LONG = {"proximal_length": 0.3, "distal_length": 0.35, "base_height": 0.55, "peg
     ],
     ids=["paper", "thick", "flat", "long"],
 )
-def test_configurations_collide_when_their_sampled_bodies_do(
+def test_configurations_collide_when_their_bodies_do(
     task: dict[str, Any], delta: dict[str, Any], heights: tuple[float, float]
 ) -> None:
     env = CoopInsertionEnv(task=task, delta=delta)
@@ -115,8 +113,6 @@ def test_configurations_collide_when_their_sampled_bodies_do(
         if not valid:
             continue
         gap = clearance(env, c)
-        if abs(gap) < 0.006:  # finer than the sampling
-            continue
         hit = collides(c[0], c[1], c[2], theta, pose, q, env.params)
         assert hit == (gap < 0.0)
         counts[hit] += 1
@@ -153,29 +149,6 @@ LEANING = (
 )
 
 
-def clearances(env: CoopInsertionEnv, c: Configuration) -> tuple[float, float]:
-    """Least gap of the forearms' axes, and of the other bodies' surfaces, to the 3-RRS, m."""
-    p = env.params
-    _, theta, pose, q = joint_angles(c, p)
-    effector = (c[0], c[1], c[2] + p.delta.base_height)
-    radius = p.delta.peg_radius
-    peg = (*effector[:2], effector[2] - p.delta.peg_length + radius)
-    centre = (pose.x, pose.y, pose.z)
-    limbs = [limb_points(pose, q[i], i, p.rrs) for i in range(3)]
-    thin = [(centre, joint) for _, _, joint in limbs]
-    thin += [pair for base, elbow, joint in limbs for pair in ((base, elbow), (elbow, joint))]
-    arms = [arm_points(c[0], c[1], c[2], theta, i, p.delta)[1:] for i in range(3)]
-    spans = [*arms, (peg, effector), (effector, effector)]
-    gaps = [
-        min(
-            point_segment_distance(centre, a, b) - 0.10,
-            *(segment_distance(a, b, d, e) - 0.008 for d, e in thin),
-        )
-        for a, b in spans
-    ]
-    return min(gaps[:3]), min(gaps[3] - radius, gaps[4] - 0.04)
-
-
 @pytest.mark.parametrize("leaning", LEANING)
 def test_a_forearm_touches_at_ten_millimetres(leaning: Configuration) -> None:
     env = CoopInsertionEnv()
@@ -189,9 +162,10 @@ def test_a_forearm_touches_at_ten_millimetres(leaning: Configuration) -> None:
             free = middle
         else:
             touching = middle
-    forearm, others = clearances(env, (x, y, free, roll, pitch, heave))
-    assert forearm == pytest.approx(0.010, abs=1e-6)
-    assert others > 0.005
+    for radius in (0.010, 0.009):  # a thinner forearm would be free
+        thinner = CoopInsertionEnv(task={"forearm_radius": radius})
+        gap = clearance(thinner, (x, y, free, roll, pitch, heave))
+        assert gap == pytest.approx(0.010 - radius, abs=1e-6)
 
 
 def test_staying_in_a_filled_hole_is_no_duplicate() -> None:

@@ -123,26 +123,6 @@ def test_ticks_against_a_slow_reference() -> None:
     assert both - {(INVALID, COLLISION), (VALID, SINGULAR)} <= set(seen), seen
 
 
-def test_moves_that_are_free_alone_may_collide_together_and_then_neither_is_made() -> None:
-    env, result = CoopInsertionJointEnv(), 0
-    for delta, rrs in low_walk(env, 1, 4000):
-        snapshot = env.get_state()
-        alone = []
-        for choices in ((delta, HOLD), (HOLD, rrs)):
-            alone.append(env.step(joint_action(*choices))[4]["violation"])
-            env.set_state(snapshot)
-        before = env.state
-        *_, info = env.step(joint_action(delta, rrs))
-        if info["collision"] and not any(alone):
-            result += 1
-            assert delta != HOLD
-            assert rrs != HOLD
-            for name in ("configuration", "offset", "theta", "q", "tip", "energy"):
-                np.testing.assert_array_equal(env.state[name], before[name])
-            assert info["reward_terms"]["violation"] == -3.0
-    assert result > 0
-
-
 def test_a_refused_robot_does_not_stop_the_other_from_inserting() -> None:
     env = CoopInsertionJointEnv()
     for seed in range(10):

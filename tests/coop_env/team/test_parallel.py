@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
 from typing import Any
 
 import numpy as np
@@ -92,19 +90,6 @@ def test_fields_by_name() -> None:
     assert fields["rrs"] == ("x", "y", "z", "roll", "pitch", "heave", "n_x", "n_y", "n_z")
 
 
-@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
-def test_a_copy_plays_on_as_the_original(duplicate: Any) -> None:
-    env = coop_env.parallel_env(observation="markov")
-    env.reset(seed=0)
-    env.step({"delta": 4, "rrs": 0})
-    twin = duplicate(env)
-    assert twin.agents == env.agents
-    for choice in (4, 2, 6, 1):
-        actions = {"delta": choice, "rrs": 6 - choice}
-        assert twin.step(actions)[1] == env.step(actions)[1]
-        assert twin.state().tobytes() == env.state().tobytes()
-
-
 def test_done_agents_do_not_act() -> None:
     env = coop_env.parallel_env(max_moves=1)
     with pytest.raises(ResetNeeded, match="reset"):
@@ -130,9 +115,7 @@ def test_done_agents_do_not_act() -> None:
         (None, "one for each of"),
         ({"delta": 7, "rrs": 0}, r"actions\['delta'\] = 7: must be an integer from 0 to 6"),
         ({"delta": 0, "rrs": -1}, r"actions\['rrs'\] = -1"),
-        ({"delta": float("nan"), "rrs": 0}, r"actions\['delta'\] = nan"),
         ({"delta": 0, "rrs": True}, r"actions\['rrs'\] = True"),
-        ({"delta": None, "rrs": 0}, r"actions\['delta'\] = None"),
     ],
 )
 def test_wrong_actions_are_named_and_change_nothing(actions: Any, message: str) -> None:
