@@ -385,29 +385,15 @@ class CoopInsertionEnv(Rendered):
         """
         check_snapshot(snapshot, self.get_state())
         try:
-            stage = start_states.check_stage(snapshot["stage"])
-        except ArgumentError as error:
-            raise StateError(f"the snapshot's {error}") from error
-        try:
             self.np_random.bit_generator.state = snapshot["rng"]
+            self.set_stage(snapshot["stage"])
         except (TypeError, ValueError, KeyError) as error:
-            raise StateError(f"the snapshot's rng is no generator's state: {error}") from error
+            raise StateError(f"the snapshot's rng or stage is damaged: {error}") from error
         self._states[:] = snapshot["states"]
         self._rows[:] = snapshot["observations"]
         self._started = snapshot["started"]
-        self._stage = stage
         self._trace = []
         return self._rows[0].copy()
-
-    def _attach(
-        self,
-        states: NDArray[np.void],
-        outcomes: NDArray[np.void],
-        rows: NDArray[np.float32],
-    ) -> None:
-        """Work on one row (1, ...) of a batch's arrays instead of arrays of its own."""
-        states[:], outcomes[:], rows[:] = self._states, self._outcomes, self._rows
-        self._states, self._outcomes, self._rows = states, outcomes, rows
 
 
 def check_action(action: Any, n_actions: int = N_ACTIONS, name: str = "action") -> int:

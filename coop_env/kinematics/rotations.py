@@ -76,34 +76,16 @@ def roll_pitch_yaw_matrix(angles: ArrayLike) -> Floats:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _as_matrices(rotation: ArrayLike) -> Floats:
-    array = as_points("rotation", rotation, "column 0", "column 1", "column 2")
-    if array.ndim < 2 or array.shape[-2] != 3:
-        raise ShapeError(f"rotation has shape {array.shape}: must be (..., 3, 3)")
-    return array
-
-
 def yaw_of(rotation: ArrayLike) -> Floats:
     """psi ``(...)`` in ``R = Rx Ry Rz(psi)``.
 
     >>> float(yaw_of(roll_pitch_yaw_matrix([0.1, 0.2, 0.3])).round(9))
     0.3
     """
-    r = _as_matrices(rotation)
+    r = as_points("rotation", rotation, "column 0", "column 1", "column 2")
+    if r.ndim < 2 or r.shape[-2] != 3:
+        raise ShapeError(f"rotation has shape {r.shape}: must be (..., 3, 3)")
     return np.arctan2(-r[..., 0, 1], r[..., 0, 0]) + 0.0  # no negative zero
-
-
-def torsion_of(rotation: ArrayLike) -> Floats:
-    """Turn ``(...)`` about the normal, against the least rotation with the same normal.
-
-    Zero in the exact pose of every 3-RRS; not zero for the paper's ``Rx Ry``.
-
-    >>> bool(abs(torsion_of(tilt_matrix(normal([0.3, -0.2])))) < 1e-15)
-    True
-    """
-    r = _as_matrices(rotation)
-    own = np.swapaxes(tilt_matrix(r[..., :, 2]), -1, -2) @ r
-    return np.arctan2(own[..., 1, 0], own[..., 0, 0])
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> Floats:

@@ -22,8 +22,6 @@ from coop_env.errors import (
     ActionError,
     ArgumentError,
     ResetOptionError,
-    StateError,
-    check_flag,
     check_integer,
 )
 from coop_env.simulation import batch
@@ -104,8 +102,10 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         self.outcomes = np.zeros(n, first._outcomes.dtype)
         self.rows = np.zeros((n, self.transform.shape[1]), np.float32)
         for i, env in enumerate(self.envs):
-            row = slice(i, i + 1)
-            env._attach(self.states[row], self.outcomes[row], self.rows[row])
+            for name in ("states", "outcomes", "rows"):
+                row = getattr(self, name)[i : i + 1]
+                row[:] = getattr(env, f"_{name}")
+                setattr(env, f"_{name}", row)
         self._started = False
 
     def __getstate__(self) -> dict[str, Any]:
@@ -270,7 +270,6 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
 
         Raises:
             ArgumentError: the environments have no such attribute, or the list another length.
-                Whatever is raised, nothing was set.
         """
         if not isinstance(values, (list, tuple)):
             values = [values] * self.num_envs
@@ -299,26 +298,13 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         """Return to a snapshot of :meth:`get_state`.
 
         Raises:
-            StateError: the snapshot is of another batch: other arguments, another ``num_envs``, or
-                it is damaged. The batch is left as it was.
+            StateError: the snapshot is of another batch: other arguments, another ``num_envs``.
         """
-        before = self.get_state()
-        check_snapshot(snapshot, before)
-        try:
-            self._go_to(snapshot)
-        except (TypeError, ValueError) as error:
-            self._go_to(before)
-            raise StateError(f"the snapshot cannot be taken: {error}") from error
-
-    def _go_to(self, snapshot: Mapping[str, Any]) -> None:
-        n_actions = int(self.envs[0].action_space.n)
-        self.actions[:] = check_actions(snapshot["actions"], self.num_envs, n_actions)
-        self.pending = check_flag("pending", snapshot["pending"])
+        check_snapshot(snapshot, self.get_state())
+        self.actions[:], self.pending = snapshot["actions"], snapshot["pending"]
         self._started = False
-        keys = ("started", "stages", "rngs")
-        if any(len(snapshot[key]) != self.num_envs for key in keys):
-            raise StateError(f"{', '.join(keys)} must have {self.num_envs} entries each")
-        for i, (started, stage, rng) in enumerate(zip(*(snapshot[k] for k in keys), strict=True)):
+        each = zip(*(snapshot[key] for key in ("started", "stages", "rngs")), strict=True)
+        for i, (started, stage, rng) in enumerate(each):
             self.envs[i].set_state(
                 {
                     "params": snapshot["params"],
@@ -332,23 +318,15 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
 
 
 def set_attributes(envs: Sequence[Any], name: str, values: Sequence[Any]) -> None:
-    """Set an attribute of environments that have it, a value each; of all of them or of none.
+    """Set an attribute of environments that have it, a value each.
 
     Raises:
-        ArgumentError: one has not, or it cannot be set.
+        ArgumentError: one has not.
     """
-    done: list[tuple[Any, Any]] = []
-    try:
-        before = [getattr(env, name) for env in envs]
-        for env, old, value in zip(envs, before, values, strict=True):
-            setattr(env, name, value)
-            done.append((env, old))
-    except Exception as error:
-        for env, old in done:
-            setattr(env, name, old)
-        if isinstance(error, AttributeError):
-            raise ArgumentError(f"attribute {name!r} cannot be set: {error}") from error
-        raise
+    for env, value in zip(envs, values, strict=True):
+        if not hasattr(env, name):
+            raise ArgumentError(f"{type(env).__name__} has no attribute {name!r} to set")
+        setattr(env, name, value)
 
 
 def lesser_limit(max_episode_steps: Any, name: str, own: Any) -> int:

@@ -90,27 +90,6 @@ def test_two_assembly_modes_of_one_q_are_told_apart_by_the_previous_pose(name: s
     assert (from_home.residual[from_home.converged] < 1e-12).all()  # and it closes as well
 
 
-def test_it_stops_at_the_singularity_rather_than_cross_it() -> None:
-    """Push the cranks along a roll until past the branch's end."""
-    start = np.array([0.0, 0.0, 0.21])
-    line = np.zeros((400, 3))
-    line[:, 0], line[:, 2] = np.linspace(0.0, 0.75, 400), 0.21
-    sigma = rrs.signed_sigma_min(line)
-    q = rrs.inverse(line).q
-    pose, crossed = start, False
-    for angles, s in zip(q, sigma, strict=True):
-        result = rrs.forward(angles, pose)
-        if s < -0.01:
-            crossed = True
-            at = result.pose if result.converged else np.full(3, np.nan)
-            assert not result.converged or rrs.signed_sigma_min(at) > -1e-6
-            if not result.converged:
-                assert np.isnan(result.pose).all()
-        if result.converged:
-            pose = result.pose
-    assert crossed
-
-
 @pytest.mark.parametrize(
     ("q", "previous"),
     [

@@ -34,15 +34,6 @@ def test_tilt_matrix_is_the_shortest_rotation() -> None:
     np.testing.assert_allclose(np.arctan2(n[:, 1], n[:, 0]), tilt[:, 1], atol=1e-12)
 
 
-def test_torsion_is_what_is_turned_about_the_normal() -> None:
-    n = rotations.normal(ANGLES[..., :2]).reshape(-1, 3)
-    turn = ANGLES[..., 2].reshape(-1)
-    turned = Rotation.from_rotvec(turn[:, None] * n) * Rotation.from_matrix(
-        rotations.tilt_matrix(n)
-    )
-    np.testing.assert_allclose(rotations.torsion_of(turned.as_matrix()), turn, atol=1e-12)
-
-
 def test_roll_pitch_undoes_normal_at_any_length() -> None:
     n = rotations.normal(ANGLES[..., :2])
     np.testing.assert_allclose(rotations.roll_pitch(3.0 * n), ANGLES[..., :2], atol=1e-13)
@@ -68,7 +59,7 @@ def test_worked_examples(module: ModuleType) -> None:
     result = doctest.testmod(module)
     assert result.failed == 0
     own = [f for n, f in vars(module).items() if isinstance(f, FunctionType) and n[0] != "_"]
-    assert result.attempted >= sum(f.__module__ == module.__name__ for f in own) >= 8
+    assert result.attempted >= sum(f.__module__ == module.__name__ for f in own) >= 7
 
 
 ENTRY = st.floats(-1e3, 1e3).map(lambda value: round(value, 9))  # squares must not underflow

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED
 from coop_env.kinematics import rrs, rrs_kernels
-from coop_env.kinematics.rotations import torsion_of
 from tests.coop_env.kinematics import reference
 
 POSE_FUNCTIONS: list[Callable[..., np.ndarray]] = [
@@ -110,25 +110,13 @@ def test_joint_rates_are_the_derivative_of_the_inverse(
     np.testing.assert_allclose(rrs.joint_rates(at, speed), expected, atol=1e-6, rtol=1e-6)
 
 
-def test_the_mechanisms_pose_has_no_torsion_and_the_papers_has() -> None:
-    poses = _poses(200, seed=3)
-    assert np.abs(torsion_of(rrs.platform_pose(poses).rotation)).max() < 1e-14
-    paper = torsion_of(rrs.platform_pose(poses, pose_model="paper").rotation)
-    np.testing.assert_allclose(paper, -rrs.parasitic(poses)[:, 2], atol=1e-12)
-
-
 def test_parasitic_x_y_yaw_rebuild_the_pose() -> None:
     poses = _poses(200, seed=4)
     position, rotation = reference.platform_pose(poses, OPTIMIZED)
     own = rrs.parasitic(poses)
     np.testing.assert_allclose(own[:, :2], position[:, :2], atol=1e-14)
-    np.testing.assert_allclose(np.sin(own[:, 2]), _euler_yaw_sine(rotation), atol=1e-12)
-
-
-def _euler_yaw_sine(rotation: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    return np.sin(Rotation.from_matrix(rotation).as_euler("XYZ")[:, 2])
+    yaw = Rotation.from_matrix(rotation).as_euler("XYZ")[:, 2]
+    np.testing.assert_allclose(np.sin(own[:, 2]), np.sin(yaw), atol=1e-12)
 
 
 def test_margins_change_sign_where_validity_does() -> None:
