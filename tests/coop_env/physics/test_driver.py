@@ -18,7 +18,8 @@ from coop_env.physics.driver import Driver, DriverError, Replayed, TwinDriver, r
 from coop_env.physics.model import Machine
 from coop_env.trajectory import Trajectory, make_trajectory
 
-MACHINE = Machine(task=InsertionTask(holes=((0.0, 0.0),)))  # one hole, upright at home
+RING = tuple((0.5, float(k)) for k in range(5))
+MACHINE = Machine(task=InsertionTask(holes=((0.0, 0.0), *RING)))  # the first is upright at home
 DOWN = 5
 LAG = np.array([0.004, 0.004, 0.004, 0.0, 0.0, 0.0])
 ERROR_BOUND = 0.02
@@ -44,8 +45,11 @@ class Obedient:
         return self.felt
 
 
-def drive(driver: Driver, action: int = DOWN, **arguments: float) -> Replayed:
-    return replay(lambda observation, masks: action, driver, MACHINE, target=0, **arguments)  # type: ignore[arg-type]
+def drive(driver: Driver, machine: Machine = MACHINE, **arguments: Any) -> Replayed:
+    """Down onto the first hole, unless the arguments say otherwise."""
+    action = arguments.pop("action", DOWN)
+    arguments = {"target": 0, "holes": 1, **arguments}
+    return replay(lambda observation, masks: action, driver, machine, **arguments)
 
 
 @pytest.mark.parametrize("blend", [False, True])
@@ -117,14 +121,14 @@ def test_it_stops_at_limits() -> None:
 def test_moves_that_are_not_free_are_not_commanded() -> None:
     driver = Obedient()
     wide = replace(MACHINE, task=replace(MACHINE.task, linear_step=0.2))
-    result = replay(lambda observation, masks: 0, driver, wide, target=0)
+    result = drive(driver, wide, action=0)
     assert (result.stopped, driver.commands) == ("the move is not allowed", [])
     # beside the dome, low: the other side can be reached, the way there leads through it
     beside = MACHINE.home()
     beside[[0, 2]] = -0.14, MACHINE.rrs.home_heave + 0.09
     beside[2] += MACHINE.delta.peg_length - MACHINE.delta.base_height
     driver.at = make_trajectory([beside, beside]).positions[0]
-    result = replay(lambda observation, masks: 0, driver, wide, target=0)
+    result = drive(driver, wide, action=0)
     assert (result.stopped, driver.commands) == ("on the way there is a collision", [])
 
 
@@ -164,25 +168,26 @@ def test_a_machine_that_stands_where_it_must_not() -> None:
     assert drive(driver).stopped.startswith("the machine stands where it must not")
 
 
-def test_what_needs_a_memory_is_refused() -> None:
-    for argument in ({"mask_visited": 3}, {"observation": "markov"}):
-        with pytest.raises(ArgumentError, match=next(iter(argument))):
-            drive(Obedient(), **argument)
-
-
-def test_holes_that_there_are_not() -> None:
-    for target, holes in ((1, None), (-1, None), (0, 0), (0, 2)):
-        with pytest.raises(ArgumentError, match="target" if holes is None else "holes"):
-            replay(lambda observation, masks: DOWN, Obedient(), MACHINE, target=target, holes=holes)
-
-
-@pytest.mark.parametrize("limit", ["force_limit", "error_limit", "patience", "max_moves"])
-@pytest.mark.parametrize("wrong", [-1, float("nan"), "a", 0])
-def test_limits_that_hold_nothing_are_refused_before_a_command(limit: str, wrong: Any) -> None:
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("mask_visited", 3), ("observation", "markov"), ("target", 6), ("target", -1), ("holes", 0),
+        ("holes", 7), ("force_limit", -1), ("error_limit", float("nan")), ("patience", "a"),
+        ("max_moves", 0),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused_before_a_command(name: str, wrong: Any) -> None:
     driver = Obedient()
-    with pytest.raises(ArgumentError, match=limit):
-        drive(driver, **{limit: wrong})
+    with pytest.raises(ArgumentError, match=name):
+        drive(driver, **{name: wrong})
     assert driver.commands == []
+
+
+def test_all_active_holes_are_all() -> None:
+    """At stage 0 one of six: with it filled the replay is at its end."""
+    machine = replace(MACHINE, task=replace(MACHINE.task, stage_0_holes=1))
+    result = drive(Obedient(), machine, holes=None, stage=0)
+    assert (result.stopped, result.filled) == ("filled", [0])
 
 
 def test_a_way_that_begins_elsewhere_is_not_commanded() -> None:
@@ -192,11 +197,3 @@ def test_a_way_that_begins_elsewhere_is_not_commanded() -> None:
         driver.at = driver.at + turned if turned.any() else np.array([3, -3, 3, 0.3, 0.3, 0.3])
         assert "begins" in drive(driver).stopped
         assert driver.commands == []
-
-
-def test_all_active_holes_are_all() -> None:
-    """At stage 0 one of two: with it filled the replay is at its end."""
-    task = InsertionTask(holes=((0.0, 0.0), (0.4, 0.0)), stage_0_holes=1)
-    machine = replace(MACHINE, task=task)
-    result = replay(lambda *_: DOWN, Obedient(), machine, target=0, stage=0)
-    assert (result.stopped, result.filled) == ("filled", [0])

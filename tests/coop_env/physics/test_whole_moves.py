@@ -118,38 +118,20 @@ def test_a_finish_inserts_and_leaves_the_peg_above_the_hole() -> None:
     assert not info["violation"]
 
 
-def test_a_hole_that_is_not_filled_is_given_up() -> None:
-    env = CoopInsertionPhysicsDiscreteEnv(finish=push)
-    env.reset(seed=0, options={**above(3, 0.025), "error": [0.003, 0.0, 0.0, 0.0]})
-    *_, info = env.step(DOWN)
-    assert not info["inserted"]
-    assert info["given_up"] == [3]
-    assert info["target"] != 3
-    assert info["n_filled"] == 0
-    assert info["failure"] == ""
-
-
-def test_an_episode_that_gave_up_its_last_hole_says_so() -> None:
-    env = CoopInsertionPhysicsDiscreteEnv(finish=push, render_mode="rgb_array")
-    aside = {"error": [0.003, 0.0, 0.0, 0.0], "filled": [0, 1, 2, 4, 5]}
-    env.reset(seed=0, options={**above(3, 0.025), **aside})
-    _, _, terminated, _, info = env.step(DOWN)
-    assert terminated
-    assert not info["success"]
-    assert info["failure"] == env.scene().status == "not inserted"
-    assert env.render().shape[2] == 3
-
-
-def test_an_episode_that_gave_up_every_hole_can_be_seen() -> None:
+def test_a_hole_that_is_not_filled_is_given_up_and_the_last_one_ends_the_episode() -> None:
     env = CoopInsertionPhysicsDiscreteEnv(finish=push)
     with pytest.raises(ResetNeeded):
         env.scene()
-    env.reset(seed=0)
-    for _ in range(6):
-        env.physics.give_up(0)
-    scene = env.scene()
-    assert not scene.active.any()
-    assert scene.status == "not inserted"
+    for filled in ([], [0, 1, 2, 4, 5]):
+        aside = {"error": [0.003, 0.0, 0.0, 0.0], "filled": filled}
+        env.reset(seed=0, options={**above(3, 0.025), **aside})
+        _, _, terminated, _, info = env.step(DOWN)
+        assert not info["inserted"]
+        assert info["given_up"] == [3]
+        assert (info["target"] == 3) == terminated == bool(filled)
+        assert info["failure"] == ("not inserted" if filled else "")
+    assert env.scene().status == "not inserted"
+    assert not env.scene().active[3]
 
 
 def fly(env: CoopInsertionPhysicsDiscreteEnv, hole: int) -> np.ndarray:
@@ -208,7 +190,7 @@ def test_time_is_a_cause() -> None:
 
 def test_bad_input_is_refused() -> None:
     for wrong in ({"sim_to_real": "random"}, {"pose_model": "paper"}, {"finish": 3},
-                  {"touch": 0.0}, {"level": "none"}, {"reward": "none"}):  # fmt: skip
+                  {"touch": 0.0}):  # fmt: skip
         with pytest.raises(ArgumentError):
             CoopInsertionPhysicsDiscreteEnv(**wrong)
     env = CoopInsertionPhysicsDiscreteEnv()
