@@ -194,7 +194,6 @@ def render_frame(
     *,
     size: tuple[int, int] = (640, 480),
     camera: CameraSpec = "iso",
-    trace: npt.ArrayLike | None = None,
     panel: bool = True,
     samples: int = 2,
 ) -> Image8:
@@ -204,22 +203,18 @@ def render_frame(
         scene: what to show, from ``env.unwrapped.scene()``.
         size: (width, height) in pixels.
         camera: a name of ``CAMERAS``, (elevation, azimuth) in degrees, or a ``Camera``.
-        trace: points (n, 3) that the tip passed, m; None takes the scene's own.
         panel: draw the card with the numbers and the close view of the dome (pictures narrower
             than 400 or lower than 240 pixels have no room for it).
         samples: rays per pixel and axis at edges; 2 is smooth, 1 fast, 4 for print.
 
     Raises:
-        ValueError: unknown camera, impossible size or samples, or a trace of another shape.
+        ValueError: unknown camera, impossible size or samples.
     """
     size = _check_size(size)
     if not 1 <= samples <= 8:
         raise ValueError(f"samples = {samples!r}: must be 1 to 8")
-    path = np.asarray(scene.trace if trace is None else trace, dtype=np.float64)
-    if path.size and (path.ndim != 2 or path.shape[1] != 3):
-        raise ValueError(f"trace of shape {path.shape}: must be (n, 3), world points in m")
     seen_from = resolve(camera)
-    model = triangles(bodies(replace(scene, trace=path)))
+    model = triangles(bodies(scene))
     light = cast_light(model, seen_from.azimuth)
     view = frame_view(scene, size=size, camera=seen_from, panel=panel)
     image = draw(model, light, view, size, samples)

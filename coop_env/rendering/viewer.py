@@ -21,7 +21,6 @@ import numpy.typing as npt
 from coop_env.env import CoopInsertionEnv
 from coop_env.errors import ResetOptionError
 from coop_env.geometry import GEOMETRIES
-from coop_env.kinematics.rrs_kernels import make_params
 from coop_env.rendering.bodies import COLOURS, Body, bodies, hole_state, pixels
 from coop_env.rendering.scene import Scene
 from coop_env.simulation.state import INVALID
@@ -32,8 +31,6 @@ if TYPE_CHECKING:
     import viser
 
 Act = Callable[[Any, npt.NDArray[np.bool_]], int]
-MakeEnv = Callable[[str], CoopInsertionEnv]
-
 _ANGLES: Final = (3, 4)
 """Axes that the view shows in degrees."""
 
@@ -123,19 +120,12 @@ def _name(action: int) -> str:
     return f"{'+-'[action % 2]} {AXES[action // 2]}"
 
 
-def _geometry_name(env: CoopInsertionEnv) -> str | None:
-    """Which of the named geometries the environment has, if any."""
-    own = env.params.rrs[:4]  # the lengths
-    return next((name for name, g in GEOMETRIES.items() if make_params(g)[:4] == own), None)
-
-
 class Viewer:
     """A browser view of one environment, which it plays.
 
     Args:
         env: what to show; it is reset first.
         act: chooses a move from (observation, action masks) for the play button; None has none.
-        make_env: builds the environment for a geometry's name; None leaves out the switch.
         host: address to listen on; the default is reachable from this machine alone.
         port: 1 to 65535, free.
 
@@ -148,7 +138,6 @@ class Viewer:
         env: CoopInsertionEnv,
         act: Act | None = None,
         *,
-        make_env: MakeEnv | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
     ) -> None:
@@ -158,7 +147,6 @@ class Viewer:
         env.action_masks()
         self._server = _open_server(host, port)
         self._act = act
-        self._make_env = make_env
         self._lock = threading.RLock()  # the browser's events come on threads of their own
         self._playing = threading.Event()
         self._closed = threading.Event()
@@ -190,11 +178,6 @@ class Viewer:
         if self._act is not None:
             self._play = gui.add_button("Play")
             self._play.on_click(lambda _: self.toggle_play())
-        if self._make_env is not None:
-            switch = gui.add_dropdown(
-                "geometry", tuple(GEOMETRIES), initial_value=_geometry_name(self.env)
-            )
-            switch.on_update(lambda event: self.switch_geometry(str(event.target.value)))
         tabs = gui.add_tab_group()
         with tabs.add_tab("Degrees of freedom"):
             bounds = np.array(axis_bounds(self.env.params)).T
@@ -269,16 +252,6 @@ class Viewer:
             self._observation, _ = self.env.reset()
             self._show("")
 
-    def switch_geometry(self, name: str) -> None:
-        """Go on with the other machine, from a start of its own."""
-        if self._make_env is None:
-            raise ViewerError("no make_env was given, so the geometry cannot change")
-        with self._lock:
-            self.stop()
-            old, self.env = self.env, self._make_env(name)
-            old.close()
-            self.reset()
-
     def toggle_play(self) -> None:
         """Let ``act`` play at the robots' own pace, or stop it."""
         if self._playing.is_set():
@@ -346,16 +319,11 @@ class Viewer:
 
 
 def view(
-    env: CoopInsertionEnv,
-    act: Act | None = None,
-    *,
-    make_env: MakeEnv | None = None,
-    host: str = "127.0.0.1",
-    port: int = 8080,
+    env: CoopInsertionEnv, act: Act | None = None, *, host: str = "127.0.0.1", port: int = 8080
 ) -> None:
     """Show an environment in the browser until interrupted; see :class:`Viewer`."""
     print("building the scene", flush=True)
-    viewer = Viewer(env, act, make_env=make_env, host=host, port=port)
+    viewer = Viewer(env, act, host=host, port=port)
     print(f"open http://{host}:{port} in a browser; Ctrl-C ends", flush=True)
     try:
         while True:
@@ -373,17 +341,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
     parser.add_argument("--port", type=int, default=8080)
     arguments = parser.parse_args(argv)
-
-    def make_env(geometry: str) -> CoopInsertionEnv:
-        return CoopInsertionEnv(geometry=geometry, render_mode="rgb_array")
-
+    env = CoopInsertionEnv(arguments.geometry, render_mode="rgb_array")
     try:
-        view(
-            make_env(arguments.geometry),
-            make_env=make_env,
-            host=arguments.host,
-            port=arguments.port,
-        )
+        view(env, host=arguments.host, port=arguments.port)
     except ViewerError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -33,22 +33,16 @@ def _until(condition: Callable[[], bool], seconds: float, what: str) -> None:
         time.sleep(0.05)
 
 
-def _make_env(geometry: str) -> CoopInsertionEnv:
-    return CoopInsertionEnv(geometry=geometry, render_mode="rgb_array")
-
-
 @pytest.fixture(scope="module")
 def opened() -> Iterator[Viewer]:
-    viewer = Viewer(_make_env("optimized"), make_env=_make_env, port=_free_port())
+    viewer = Viewer(CoopInsertionEnv(render_mode="rgb_array"), port=_free_port())
     yield viewer
     viewer.close()
 
 
 @pytest.fixture
 def view(opened: Viewer) -> Viewer:
-    """At a start of known pose and target, optimized geometry."""
-    if opened.env.params.rrs.base_radius != CoopInsertionEnv().params.rrs.base_radius:
-        opened.switch_geometry("optimized")
+    """At a start of known pose and target."""
     opened.env.reset(seed=1, options={"configuration": START, "target": 1, "filled": [4]})
     opened.place(0, START[0])
     return opened
@@ -105,12 +99,6 @@ def test_colliding_move_is_refused_aloud(view: Viewer) -> None:
             break
     assert "collide" in view.message.content
     assert view.env.configuration_status(view.env.configuration) == 0
-
-
-def test_geometry_switch_changes_the_machine(view: Viewer) -> None:
-    before = np.linalg.norm(view.env.scene().rrs_base_joints[0])
-    view.switch_geometry("initial")
-    assert np.linalg.norm(view.env.scene().rrs_base_joints[0]) > before + 0.02
 
 
 def test_play_lets_the_callable_act_and_stops_on_its_error() -> None:
