@@ -174,7 +174,7 @@ class CoopInsertionEnv(Rendered):
         self._set_render_mode(render_mode)
         if collision not in ("refuse", "terminate"):
             raise ArgumentError(f"collision = {collision!r}: must be 'refuse' or 'terminate'")
-        self._stage = start_states.check_stage(stage)
+        self.set_stage(stage)
         self._task = PAPER_TASK if task is None else as_dataclass("task", task, InsertionTask)
         self._knobs = resolve(sim_to_real, self._task)
         self._params = make_params(
@@ -229,8 +229,12 @@ class CoopInsertionEnv(Rendered):
         self.set_stage(stage)
 
     def set_stage(self, stage: int) -> None:
-        """Choose the active holes from the next reset on: 0 the four peripheral, 1 all six."""
-        self._stage = start_states.check_stage(stage)
+        """Choose the active holes from the next reset on: 0 the four peripheral, 1 all six.
+
+        Raises:
+            ArgumentError: it is not 0 or 1.
+        """
+        self._stage = check_integer("stage", stage, 0, 1, hint=": the first holes, or all of them")
 
     @property
     def configuration(self) -> NDArray[np.float64]:

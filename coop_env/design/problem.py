@@ -18,8 +18,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import label
 
-from coop_env.design.kernels import flood, survey
+from coop_env.design.kernels import survey
 from coop_env.errors import check_integer, check_number, is_list
 from coop_env.geometry import INITIAL, OPTIMIZED, RRSGeometry
 from coop_env.kinematics.rrs_kernels import RRSParams, make_params
@@ -196,11 +197,9 @@ def workspace_area(
     """
     problem = problem or DesignProblem()
     samples = samples or sample_points(problem)
-    p = problem.params(geometry)
-    counts = []
-    for heave in problem.heaves:
-        mask = np.zeros(samples.roll.shape, dtype=np.int8)
-        counts.append(flood(*samples, heave, problem.threshold, p, mask, False))
+    counts = [
+        int(_survey(geometry, problem, samples, heave, False)[2].sum()) for heave in problem.heaves
+    ]
     combined = min(counts) if problem.over_heaves == "min" else sum(counts) / len(counts)
     return problem.cell_area * combined
 
@@ -218,9 +217,18 @@ def workspace_map(
     problem = problem or DesignProblem()
     samples = samples or sample_points(problem)
     height = problem.home_heave if heave is None else float(heave)
-    p = problem.params(geometry)
-    sigma, kappa = np.empty(samples.roll.shape), np.empty(samples.roll.shape)
-    mask = np.empty(samples.roll.shape, dtype=np.int8)
-    survey(*samples, height, problem.threshold, p, sigma, kappa, mask)
-    count = flood(*samples, height, problem.threshold, p, mask, True)
-    return WorkspaceMap(samples, sigma, kappa, mask == 1, problem.cell_area * count)
+    sigma, kappa, inside = _survey(geometry, problem, samples, height, True)
+    return WorkspaceMap(samples, sigma, kappa, inside, problem.cell_area * int(inside.sum()))
+
+
+def _survey(
+    geometry: RRSGeometry, problem: DesignProblem, samples: Samples, heave: float, whole: bool
+) -> tuple[Floats, Floats, Bools]:
+    """sigma, kappa, and the admitted cells that edges connect with those about the centre."""
+    shape, p = samples.roll.shape, problem.params(geometry)
+    sigma, kappa, admitted = np.empty(shape), np.empty(shape), np.empty(shape, bool)
+    survey(*samples, heave, problem.threshold, p, whole, sigma, kappa, admitted)
+    parts, _ = label(admitted)
+    about = slice((problem.cells - 1) // 2, problem.cells // 2 + 1)
+    home = parts[about, about]
+    return sigma, kappa, np.isin(parts, home[home > 0])

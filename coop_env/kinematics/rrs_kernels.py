@@ -62,13 +62,6 @@ class Pose(NamedTuple):
 
 
 @njit(cache=True)
-def platform_normal(roll: float, pitch: float) -> Row:
-    """Platform normal n = Rx(roll) Ry(pitch) z."""
-    cp = math.cos(pitch)
-    return math.sin(pitch), -math.sin(roll) * cp, math.cos(roll) * cp
-
-
-@njit(cache=True)
 def platform_pose(roll: float, pitch: float, heave: float, p: RRSParams) -> Pose:
     """Pose of the platform at (roll, pitch, heave).
 
@@ -76,7 +69,9 @@ def platform_pose(roll: float, pitch: float, heave: float, p: RRSParams) -> Pose
     spherical joint in its limb's plane. Otherwise the paper's ``Rx Ry`` on the axis, which takes
     the joints out of their planes.
     """
-    nx, ny, nz = platform_normal(roll, pitch)
+    cr, sr = math.cos(roll), math.sin(roll)
+    cp, sp = math.cos(pitch), math.sin(pitch)
+    nx, ny, nz = sp, -sr * cp, cr * cp  # Rx(roll) Ry(pitch) z
     if p.exact:
         k = 1.0 / (1.0 + nz)
         half = 0.5 * p.platform_radius * k
@@ -94,9 +89,7 @@ def platform_pose(roll: float, pitch: float, heave: float, p: RRSParams) -> Pose
             -ny,
             nz,
         )
-    cr, sr = math.cos(roll), math.sin(roll)
-    cp, sp = math.cos(pitch), math.sin(pitch)
-    return Pose(0.0, 0.0, heave, cp, 0.0, sp, sr * sp, cr, -sr * cp, -cr * sp, sr, cr * cp)
+    return Pose(0.0, 0.0, heave, cp, 0.0, nx, sr * sp, cr, ny, -cr * sp, sr, nz)
 
 
 @njit(cache=True)

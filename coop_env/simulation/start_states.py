@@ -56,15 +56,6 @@ def _draw_configuration(
     return False
 
 
-def check_stage(stage: object) -> int:
-    """The curriculum's stage as an int.
-
-    Raises:
-        ArgumentError: it is not 0 or 1.
-    """
-    return check_integer("stage", stage, 0, 1, hint=": the first holes, or all of them")
-
-
 class StartOptions:
     """Reset options, checked before anything is drawn or written.
 

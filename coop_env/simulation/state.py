@@ -18,7 +18,6 @@ from coop_env.kinematics.rrs_kernels import Pose
 from coop_env.kinematics.singularity import Row
 from coop_env.simulation import rewards
 from coop_env.simulation.collision import below_ceiling, collides, hole
-from coop_env.simulation.insertion_task import PAPER_TASK
 from coop_env.simulation.machine import MACHINE
 from coop_env.simulation.task import KEY_SPAN, N_ACTIONS, N_AXES, TRAIL, EnvParams, unpack
 
@@ -31,7 +30,7 @@ HOLD: Final = -1
 """In place of a robot's move: none."""
 
 Configuration = tuple[float, float, float, float, float, float]
-Record = Any  # a row of STATE or OUTCOME, whose fields numba reads as attributes
+Record = Any  # a row of state or OUTCOME, whose fields numba reads as attributes
 
 
 @lru_cache
@@ -68,9 +67,6 @@ def state_dtype(n_holes: int) -> np.dtype[np.void]:
     padding = [("unused", "u1", (unaligned,))] if unaligned else []
     return np.dtype([*fields, *padding], align=True)
 
-
-STATE: Final = state_dtype(len(PAPER_TASK.holes))
-"""A row of state of the paper's six holes."""
 
 OUTCOME: Final = np.dtype(
     [

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import label
 
 from coop_env import design
 from coop_env.design import DesignError, DesignProblem
@@ -44,28 +43,6 @@ def test_agrees_with_numpy_and_batched_svd_cell_by_cell(name: str) -> None:
     poses = np.stack([*result.samples, np.full_like(sigma, 0.21)], axis=-1)
     np.testing.assert_array_equal(result.kappa, rrs.condition_number(poses, g))
     assert result.area == pytest.approx(design.workspace_area(g), abs=1e-12)
-
-
-def test_the_flood_fill_is_scipys_component_on_jittered_samples() -> None:
-    problem = DesignProblem(threshold=0.02, heaves=(0.21,))
-    for seed, (name, g) in enumerate(sorted(GEOMETRIES.items())):
-        samples = design.sample_points(problem, np.random.default_rng(seed))
-        result = design.workspace_map(g, problem, samples)
-        poses = np.stack([*samples, np.full_like(samples.roll, 0.21)], axis=-1)
-        q = rrs.inverse(poses, g).q
-        allowed = ((q >= g.joint_min) & (q <= g.joint_max)).all(axis=-1) & (result.sigma >= 0.02)
-        components, count = label(allowed)
-        np.testing.assert_array_equal(result.inside, components == components[60, 60], name)
-        assert count >= 1
-
-
-def test_a_disconnected_piece_on_homes_own_side_does_not_count() -> None:
-    problem = DesignProblem(heaves=(0.20,))
-    result = design.workspace_map(OPTIMIZED, problem)
-    poses = np.stack([*result.samples, np.full_like(result.sigma, 0.20)], axis=-1)
-    margin = rrs.joint_margin(poses, OPTIMIZED).min(axis=-1)
-    admitted = (margin >= 0.0) & (result.sigma >= 0.15)
-    assert admitted.sum() > result.inside.sum()
 
 
 def test_no_tilt_limit_is_needed_for_the_papers_designs() -> None:

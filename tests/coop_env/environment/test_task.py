@@ -16,7 +16,7 @@ from benchmarks.methods.oracle import LatticeOracle
 from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, DeltaGeometry, InsertionTask, SimToReal
 from coop_env.errors import ArgumentError
 from coop_env.geometry import OPTIMIZED, GeometryError
-from coop_env.simulation.state import STATE
+from coop_env.simulation.state import state_dtype
 
 RING = [[0.4, 2.0 * math.pi * k / 9.0] for k in range(9)]
 
@@ -55,7 +55,7 @@ def test_any_number_of_holes() -> None:
     env = CoopInsertionEnv(**arguments)
     gymnasium_check(env, skip_render_check=True)
     assert env.observation_space.shape == (13 + n,)
-    for dtype in (env.state.dtype, STATE):  # no padding, so that bytes compare
+    for dtype in (env.state.dtype, state_dtype(6)):  # no padding, so that bytes compare
         assert dtype.itemsize == sum(dtype[name].itemsize for name in dtype.names or ())
     batch = CoopInsertionVecEnv(2, seed=7, stage=0, **arguments)
     batch.reset()

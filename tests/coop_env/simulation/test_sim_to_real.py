@@ -16,7 +16,7 @@ from coop_env.kinematics.rrs_kernels import Pose
 from coop_env.simulation.collision import on_base
 from coop_env.simulation.machine import displaced, gaussian, uniform
 from coop_env.simulation.sim_to_real import RANDOMIZED
-from coop_env.simulation.state import STATE
+from coop_env.simulation.state import state_dtype
 
 
 def insertions(knobs: SimToReal | None, starts: int) -> float:
@@ -175,7 +175,7 @@ def test_randomized_machines_differ_between_episodes_and_repeat_with_the_seed() 
 
 
 def test_the_rows_generator_is_uniform_and_normal() -> None:
-    machine = np.zeros(1, STATE)[0]["machine"]
+    machine = np.zeros(1, state_dtype(6))[0]["machine"]
     machine["key"] = 12345
     draws = np.array([uniform(machine) for _ in range(20_000)])
     assert draws.min() >= 0.0
