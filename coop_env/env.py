@@ -145,10 +145,6 @@ class CoopInsertionEnv(Rendered):
     * v0: initial version
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own form
-        **Rendered.metadata,
-        "render_fps": round(1.0 / PAPER_TASK.dt),
-    }
     step_batch: ClassVar[Callable[..., None]] = staticmethod(batch.step_batch)
     """What moves a batch's rows: arguments as :func:`coop_env.simulation.batch.step_batch`."""
 
@@ -171,11 +167,11 @@ class CoopInsertionEnv(Rendered):
         task: InsertionTask | Mapping[str, Any] | None = None,
         collision: str = "refuse",
     ) -> None:
-        self._set_render_mode(render_mode)
         if collision not in ("refuse", "terminate"):
             raise ArgumentError(f"collision = {collision!r}: must be 'refuse' or 'terminate'")
         self.set_stage(stage)
         self._task = PAPER_TASK if task is None else as_dataclass("task", task, InsertionTask)
+        self._set_render_mode(render_mode, self._task.dt)
         self._knobs = resolve(sim_to_real, self._task)
         self._params = make_params(
             resolve_rrs(geometry),
@@ -196,8 +192,6 @@ class CoopInsertionEnv(Rendered):
             observation, normalize, self._params, self._task.error_bound
         )
         self.action_space: spaces.Discrete = spaces.Discrete(N_ACTIONS)
-        if self._task.dt != PAPER_TASK.dt:
-            self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self._task.dt))}
         self._states = np.zeros(1, state.state_dtype(len(self._task.holes)))
         self._outcomes = np.zeros(1, state.OUTCOME)
         self._rows = np.zeros((1, self._observation.shape[1]), np.float32)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -126,10 +126,6 @@ class RRSGeometry:
                 )
         return cls(lambda1 * eta, lambda2 * eta / 2.0, lambda3 * eta, **limits)
 
-    def as_dict(self) -> dict[str, float]:
-        """The fields by name, for a configuration file."""
-        return asdict(self)
-
 
 @dataclass(frozen=True, slots=True)
 class DeltaGeometry:
@@ -182,10 +178,6 @@ class DeltaGeometry:
     def planar_limit(self) -> float:
         """r_max = 0.8 min(l_a, l_p) in m (paper, equation delta-ws)."""
         return 0.8 * min(self.proximal_length, self.distal_length)
-
-    def as_dict(self) -> dict[str, float]:
-        """The fields by name, for a configuration file."""
-        return asdict(self)
 
 
 #: the paper's initial design

@@ -16,6 +16,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -332,7 +333,7 @@ class Codesign(Study):
             "seeds": list(range(self.asked["seeds"])),
             "evaluation": {"episodes": EPISODES, "noise": [0.0], "stream": "test"},
             "tracks": {OF_ONE: {"timesteps": steps} if steps else None},
-            "geometries": {design: geometry.as_dict() for design, geometry in own.items()},
+            "geometries": {design: asdict(geometry) for design, geometry in own.items()},
             "runs": [{"methods": ["rainbow"], "geometries": chosen, "tracks": [OF_ONE]}],
         }
         path = self.folder / f"{POLICIES}.yaml"

@@ -31,10 +31,6 @@ _SLACK: Final = 1e-6  # a float32 policy may miss the bound by its rounding
 class PhysicsEnv(Rendered):
     """An environment that plays a batch of one; the tasks are subclasses."""
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own form
-        **Rendered.metadata,
-        "render_fps": round(1.0 / ContactTask().dt),
-    }
     batch_class: type[PhysicsBatch] = ContactBatch
     discrete = False
 
@@ -52,7 +48,6 @@ class PhysicsEnv(Rendered):
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
-        self._set_render_mode(render_mode)
         if more := {"n", "threads"} & set(arguments):
             raise ArgumentError(f"{min(more)}: of a batch, see make_vec; this is one machine")
         self.batch: Any = self.batch_class(
@@ -60,7 +55,7 @@ class PhysicsEnv(Rendered):
             reward_scale=reward_scale, privileged=privileged, **arguments,
         )  # fmt: skip
         self.task = self.batch.task
-        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.task.dt))}
+        self._set_render_mode(render_mode, self.task.dt)
         self.observation_space, self.action_space = make_spaces(self.batch, self.discrete)
         self._running = False
 

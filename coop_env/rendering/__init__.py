@@ -8,12 +8,12 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from coop_env.rendering.camera import CAMERAS, Camera, CameraSpec
+from coop_env.rendering.camera import CAMERAS, Camera
 
 if TYPE_CHECKING:
     from coop_env.rendering.frame import frame_view, render_frame
 
-__all__ = ["CAMERAS", "Camera", "CameraSpec", "frame_view", "render_frame"]
+__all__ = ["CAMERAS", "Camera", "frame_view", "render_frame"]
 
 
 def __getattr__(name: str) -> Any:

@@ -39,35 +39,19 @@ CAMERAS: Final = MappingProxyType(
         "dome": Camera(30.0, -50.0, 0.70, (0.0, 0.0, 0.080), follows=True),
     }
 )
-CameraSpec = str | Camera | tuple[float, float]
 
 
-def resolve(camera: CameraSpec) -> Camera:
-    """A camera by name, by (elevation, azimuth) in degrees, or as it is.
+def resolve(camera: str | Camera) -> Camera:
+    """A camera by name, or as it is.
 
     Raises:
-        ValueError: unknown name, or angles that are not two finite numbers with elevation in
-            [-90, 90].
+        ValueError: unknown name.
     """
     if isinstance(camera, Camera):
         return camera
-    if isinstance(camera, str):
-        if camera not in CAMERAS:
-            raise ValueError(
-                f"unknown camera {camera!r}: one of {', '.join(CAMERAS)}, or (elevation, azimuth)"
-            )
-        return CAMERAS[camera]
-    try:
-        elevation, azimuth = (float(a) for a in camera)
-    except (TypeError, ValueError):
-        raise ValueError(
-            f"camera {camera!r}: give a name or (elevation, azimuth) in degrees"
-        ) from None
-    if not (math.isfinite(azimuth) and abs(elevation) <= 90.0):
-        raise ValueError(
-            f"camera {camera!r}: azimuth must be finite and elevation within -90 to 90 degrees"
-        )
-    return Camera(elevation, azimuth)
+    if camera not in CAMERAS:
+        raise ValueError(f"unknown camera {camera!r}: one of {', '.join(CAMERAS)}, or a Camera")
+    return CAMERAS[camera]
 
 
 @dataclass(frozen=True, slots=True)

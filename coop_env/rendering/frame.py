@@ -18,7 +18,7 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from coop_env.rendering.bodies import COLOURS, Body, bodies, hole_state, pixels
-from coop_env.rendering.camera import CAMERAS, CameraSpec, View, make_view, resolve
+from coop_env.rendering.camera import CAMERAS, Camera, View, make_view, resolve
 from coop_env.rendering.rasterizer import Triangles, cast_light, draw, to_linear
 from coop_env.rendering.scene import Scene
 
@@ -180,7 +180,7 @@ def frame_view(
     scene: Scene,
     *,
     size: tuple[int, int] = (640, 480),
-    camera: CameraSpec = "iso",
+    camera: str | Camera = "iso",
     panel: bool = True,
 ) -> View:
     """The projection that :func:`render_frame` uses: where a world point lands in the picture."""
@@ -193,7 +193,7 @@ def render_frame(
     scene: Scene,
     *,
     size: tuple[int, int] = (640, 480),
-    camera: CameraSpec = "iso",
+    camera: str | Camera = "iso",
     panel: bool = True,
     samples: int = 2,
 ) -> Image8:
@@ -202,7 +202,7 @@ def render_frame(
     Args:
         scene: what to show, from ``env.unwrapped.scene()``.
         size: (width, height) in pixels.
-        camera: a name of ``CAMERAS``, (elevation, azimuth) in degrees, or a ``Camera``.
+        camera: a name of ``CAMERAS`` or a ``Camera``.
         panel: draw the card with the numbers and the close view of the dome (pictures narrower
             than 400 or lower than 240 pixels have no room for it).
         samples: rays per pixel and axis at edges; 2 is smooth, 1 fast, 4 for print.

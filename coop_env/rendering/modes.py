@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from coop_env.errors import ArgumentError
 from coop_env.rendering.scene import Scene
+from coop_env.simulation.insertion_task import PAPER_TASK
 
 
 class Rendered(gym.Env[Any, Any], ABC):
@@ -22,13 +23,17 @@ class Rendered(gym.Env[Any, Any], ABC):
     Gymnasium's :class:`~gymnasium.wrappers.HumanRendering` (pygame).
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "ansi"]}  # noqa: RUF012 - Gymnasium's own form
+    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own form
+        "render_modes": ["rgb_array", "ansi"],
+        "render_fps": round(1.0 / PAPER_TASK.dt),
+    }
     render_kwargs: Mapping[str, Any] = MappingProxyType({})
     """``size``, ``camera``, ``panel``, ``samples`` of :func:`coop_env.rendering.render_frame`; set
     it on the instance, for a window before reset."""
     _trace: list[NDArray[Any]]
 
-    def _set_render_mode(self, mode: str | None) -> None:
+    def _set_render_mode(self, mode: str | None, dt: float) -> None:
+        """Check and keep the mode; a step takes ``dt``, s."""
         modes = self.metadata["render_modes"]
         if mode is not None and mode not in modes:
             raise ArgumentError(
@@ -36,6 +41,7 @@ class Rendered(gym.Env[Any, Any], ABC):
                 "gymnasium.make(..., render_mode='human')"
             )
         self.render_mode = mode
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / dt))}
         self._trace = []
 
     @abstractmethod

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Final
 
 from coop_env.errors import ArgumentError, check_integer, check_number, is_list
@@ -134,10 +134,6 @@ class InsertionTask:
         n = len(self.holes)
         first = n if stage else min(self.stage_0_holes, n)
         return (1,) * first + (0,) * (n - first)
-
-    def as_dict(self) -> dict[str, Any]:
-        """The fields by name, for a configuration file."""
-        return asdict(self)
 
 
 def _of(name: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import sys
+from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -156,7 +157,7 @@ def test_limits_that_make_no_sense(kind: str, value: float) -> None:
     with pytest.raises(GeometryError, match=name):
         DeltaGeometry(**{name: value})
     with pytest.raises(GeometryError, match=name):
-        RRSGeometry(**{**OPTIMIZED.as_dict(), name: value})
+        RRSGeometry(**{**asdict(OPTIMIZED), name: value})
 
 
 STILL = {"max_joint_velocity": 1e-9, "max_joint_acceleration": 1e-9, "max_joint_jerk": 1e-9}

@@ -208,8 +208,8 @@ def draw_machine(rng: np.random.Generator) -> CoopInsertionEnv:
         task = scaled(PAPER_TASK, BODIES, 4.0) | scaled(PAPER_TASK, STEPS, 2.0)
         try:
             env = CoopInsertionEnv(
-                geometry={**OPTIMIZED.as_dict(), **links},
-                delta={**DELTA.as_dict(), **arms, **peg, **scaled(DELTA, ("peg_radius",), 3.0)},
+                geometry={**asdict(OPTIMIZED), **links},
+                delta={**asdict(DELTA), **arms, **peg, **scaled(DELTA, ("peg_radius",), 3.0)},
                 task=task,
             )
             KinematicShield(env)

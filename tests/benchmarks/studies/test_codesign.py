@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ SMALL = ["--designs", "4", "--starts", "3", "--seeds", "2"]
 
 def test_a_design_is_the_given_machine_with_some_lengths_changed() -> None:
     same = codesign.geometry_of({})
-    for name, value in OPTIMIZED.as_dict().items():
+    for name, value in asdict(OPTIMIZED).items():
         assert getattr(same, name) == pytest.approx(value, abs=1e-12), name
     higher = codesign.geometry_of({"home_heave": 0.23, "distal_length": 0.25})
     assert (higher.heave_min, higher.heave_max) == pytest.approx((0.23, 0.27))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -75,23 +76,23 @@ def test_a_geometry_that_cannot_be_assembled() -> None:
     with pytest.raises(
         GeometryError, match=r"home_heave = 0\.21 m: must lie from heave_min = 0\.22"
     ):
-        RRSGeometry(**{**OPTIMIZED.as_dict(), "heave_min": 0.22})
+        RRSGeometry(**{**asdict(OPTIMIZED), "heave_min": 0.22})
     with pytest.raises(GeometryError, match=r"peg_length = 0\.004 m must exceed peg_radius"):
         DeltaGeometry(peg_length=0.004, peg_radius=0.005)
 
 
 def test_a_geometry_of_other_numbers_is_one_of_floats() -> None:
-    given: dict[str, Any] = {k: np.float32(value) for k, value in OPTIMIZED.as_dict().items()}
+    given: dict[str, Any] = {k: np.float32(value) for k, value in asdict(OPTIMIZED).items()}
     machine = RRSGeometry(**{**given, "joint_min": 0})
-    assert {type(value) for value in machine.as_dict().values()} == {float}
-    assert json.loads(json.dumps(DeltaGeometry(base_radius=np.float64(0.12)).as_dict()))
+    assert {type(value) for value in asdict(machine).values()} == {float}
+    assert json.loads(json.dumps(asdict(DeltaGeometry(base_radius=np.float64(0.12)))))
 
 
 def test_a_geometry_without_start_states_is_told_not_searched_for_ever() -> None:
     p = CoopInsertionEnv().params.rrs
     home = rrs_kernels.inverse(rrs_kernels.platform_pose(0.0, 0.0, 0.21, p), p)[1][0]
     limits = {"joint_min": home - 1e-5, "joint_max": home + 1e-5}
-    env = CoopInsertionEnv(geometry=RRSGeometry(**{**OPTIMIZED.as_dict(), **limits}))
+    env = CoopInsertionEnv(geometry=RRSGeometry(**{**asdict(OPTIMIZED), **limits}))
     with pytest.raises(ResetOptionError, match="too little workspace"):
         env.reset(seed=0)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 import gymnasium as gym
@@ -23,11 +24,11 @@ RING = [[0.4, 2.0 * math.pi * k / 9.0] for k in range(9)]
 
 def test_the_defaults_are_one_task_in_three_spellings() -> None:
     own = CoopInsertionEnv().get_state()["params"]
-    for task in (InsertionTask(), {}, InsertionTask().as_dict()):
+    for task in (InsertionTask(), {}, asdict(InsertionTask())):
         assert CoopInsertionEnv(task=task).get_state()["params"] == own
-    for delta in (DeltaGeometry(), {}, DeltaGeometry().as_dict()):
+    for delta in (DeltaGeometry(), {}, asdict(DeltaGeometry())):
         assert CoopInsertionEnv(delta=delta).get_state()["params"] == own
-    assert CoopInsertionEnv(geometry=OPTIMIZED.as_dict()).get_state()["params"] == own
+    assert CoopInsertionEnv(geometry=asdict(OPTIMIZED)).get_state()["params"] == own
     made: Any = gym.make("CoopInsertion-v0", task={"tolerance": 0.005}, delta={"peg_length": 0.1})
     assert made.unwrapped.task.tolerance == 0.005
     assert made.unwrapped.params.delta.peg_length == 0.1
@@ -186,7 +187,7 @@ def test_bad_numbers_of_a_task(task: Any, message: str) -> None:
         ({"delta": {"proximal_length": 0.5}}, GeometryError, "must exceed"),
         ({"delta": 0.2}, ArgumentError, "must be a DeltaGeometry or a mapping"),
         ({"geometry": {"base_radius": 0.2}}, ArgumentError, "proximal_length"),
-        ({"geometry": {**OPTIMIZED.as_dict(), "joint_min": "low"}}, GeometryError, "'low'"),
+        ({"geometry": {**asdict(OPTIMIZED), "joint_min": "low"}}, GeometryError, "'low'"),
         ({"mask_visited": 1, "task": {"linear_step": 1e-4}}, ArgumentError, "steps of at least"),
         (
             {"sim_to_real": {"chamfer_error": 0.004}, "task": {"tolerance": 0.003}},

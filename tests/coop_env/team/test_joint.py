@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -238,7 +239,7 @@ def test_a_full_mask_of_the_single_agent_is_not_taken_for_leave() -> None:
     """Where no move is valid the single agent's mask is full; the team's allows to hold alone."""
     arguments: dict[str, Any] = {
         "task": {"linear_step": 0.2, "angular_step": 0.5, "heave_step": 0.2},
-        "geometry": {**OPTIMIZED.as_dict(), "max_tilt": 0.4},
+        "geometry": {**asdict(OPTIMIZED), "max_tilt": 0.4},
         "mask_singularities": True,
     }
     here = {"configuration": (0.0, 0.0, -0.4, 0.0, 0.0, 0.23)}
