@@ -305,11 +305,11 @@ def atlas(
     return Atlas(rows, columns, value)
 
 
-def at_heaves(problem: DesignProblem, heaves: Sequence[float], how: str = "min") -> DesignProblem:
+def at_heaves(problem: DesignProblem, heaves: Sequence[float]) -> DesignProblem:
     """The same problem measured over a band of heaves; home stays where it was, and counts.
 
     >>> at_heaves(DesignProblem(), [0.20, 0.22]).heaves
     (0.21, 0.2, 0.22)
     """
     others = tuple(float(h) for h in heaves if h != problem.home_heave)
-    return replace(problem, heaves=(problem.home_heave, *others), over_heaves=how)
+    return replace(problem, heaves=(problem.home_heave, *others))

@@ -51,7 +51,6 @@ class DesignProblem:
         max_tilt: limit on \\|roll\\| and \\|pitch\\| within the grid.
         cells: cells along an axis of the grid.
         pose_model: ``"exact"``, or ``"paper"`` to see what its error does to the design.
-        over_heaves: how several heaves make one number: ``"min"`` or ``"mean"``.
 
     Raises:
         DesignError: a value out of range.
@@ -67,7 +66,6 @@ class DesignProblem:
     max_tilt: float = math.pi / 3
     cells: int = 120
     pose_model: str = "exact"
-    over_heaves: str = "min"
 
     def __post_init__(self) -> None:
         if not is_list(self.heaves) or not len(self.heaves):
@@ -89,8 +87,6 @@ class DesignProblem:
         check_integer("cells", self.cells, 2, error=DesignError)
         if self.pose_model not in ("exact", "paper"):
             raise DesignError(f"pose_model = {self.pose_model!r}: must be 'exact' or 'paper'")
-        if self.over_heaves not in ("min", "mean"):
-            raise DesignError(f"over_heaves = {self.over_heaves!r}: must be 'min' or 'mean'")
 
     @classmethod
     def of(cls, geometry: RRSGeometry, **others: Any) -> DesignProblem:
@@ -189,7 +185,7 @@ def workspace_area(
 ) -> float:
     """A_w in rad^2: area of the connected component of home; zero if home itself is not in it.
 
-    With several heaves, the least or the mean over them (``problem.over_heaves``).
+    With several heaves, the least over them.
 
     >>> from coop_env.geometry import INITIAL, OPTIMIZED
     >>> round(workspace_area(INITIAL), 2), round(workspace_area(OPTIMIZED), 2)
@@ -197,11 +193,8 @@ def workspace_area(
     """
     problem = problem or DesignProblem()
     samples = samples or sample_points(problem)
-    counts = [
-        int(_survey(geometry, problem, samples, heave, False)[2].sum()) for heave in problem.heaves
-    ]
-    combined = min(counts) if problem.over_heaves == "min" else sum(counts) / len(counts)
-    return problem.cell_area * combined
+    inside = (_survey(geometry, problem, samples, heave, False)[2] for heave in problem.heaves)
+    return problem.cell_area * min(int(cells.sum()) for cells in inside)
 
 
 def workspace_map(

@@ -50,41 +50,31 @@ class TwinDriver:
     Args:
         machine: what is simulated; None, the standard one.
         configuration: where it stands at first (6,); None, at home.
-        base: where the 3-RRS's base really stands, as for ``Twin.place``.
-        friction: of the peg.
 
     Raises:
         ArgumentError: the configuration is out of reach.
     """
 
     def __init__(
-        self,
-        machine: Machine | None = None,
-        configuration: ArrayLike | None = None,
-        base: ArrayLike | None = None,
-        friction: float | None = None,
+        self, machine: Machine | None = None, configuration: ArrayLike | None = None
     ) -> None:
         self.twin = Twin(machine)
         self._kp, self._kv = self.twin.machine.servos.gains
         self._weight: Floats
-        self.place(
-            self.twin.machine.home() if configuration is None else configuration, base, friction
-        )
+        self.place(self.twin.machine.home() if configuration is None else configuration)
         self._force: Floats = np.zeros(3)
         self.errors: Floats = np.zeros((0, N_AXES))
         """Measured minus commanded angles (samples, 6) of the last trajectory, rad."""
         self.torques: Floats = np.zeros((0, N_AXES))
         """Of the six servos by their law (samples, 6) in the last trajectory, N m."""
 
-    def place(
-        self, configuration: ArrayLike, base: ArrayLike | None = None, friction: float | None = None
-    ) -> None:
-        """Set the machine down at rest; arguments as for the class.
+    def place(self, configuration: ArrayLike) -> None:
+        """Set the machine down at rest at a configuration (6,).
 
         Raises:
             ArgumentError: the configuration is out of reach.
         """
-        self._weight = self.twin.place(0, configuration, base, friction).wrench[:3]
+        self._weight = self.twin.place(0, configuration).wrench[:3]
 
     def command(self, trajectory: Trajectory) -> None:
         """Lead the servos along the trajectory and hold its end for a tenth of a second.

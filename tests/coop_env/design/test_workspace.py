@@ -91,8 +91,6 @@ def test_several_heaves_make_one_number() -> None:
     problem = design.at_heaves(DesignProblem(), [0.20, 0.22])
     each = design.over_heaves(OPTIMIZED, [0.21, 0.20, 0.22])
     assert design.workspace_area(OPTIMIZED, problem) == pytest.approx(each.min())
-    mean = replace(problem, over_heaves="mean")
-    assert design.workspace_area(OPTIMIZED, mean) == pytest.approx(each.mean())
 
 
 def test_a_home_that_cannot_be_reached_has_no_area() -> None:
@@ -120,7 +118,6 @@ def test_a_home_that_cannot_be_reached_has_no_area() -> None:
         ("cells", 1),
         ("cells", 2.5),
         ("pose_model", "papr"),
-        ("over_heaves", "max"),
     ],
 )
 def test_impossible_problems_are_named(field: str, value: object) -> None:
