@@ -81,25 +81,6 @@ def test_crossing_a_singularity_terminates(geometry: str) -> None:
     assert ended > 5
 
 
-def test_the_scene_agrees_with_the_link_lengths() -> None:
-    env = CoopInsertionEnv()
-    env.reset(seed=0)
-    p, scene = env.params, env.scene()
-
-    def lengths(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        return np.linalg.norm(a - b, axis=1)
-
-    proximal, distal = p.delta.proximal_length, p.delta.distal_length
-    np.testing.assert_allclose(lengths(scene.delta_base_joints, scene.knees), proximal)
-    np.testing.assert_allclose(lengths(scene.knees, scene.effector_joints), distal)
-    np.testing.assert_allclose(lengths(scene.rrs_base_joints, scene.elbows), p.rrs.proximal_length)
-    np.testing.assert_allclose(lengths(scene.elbows, scene.platform_joints), p.rrs.distal_length)
-    np.testing.assert_allclose(lengths(scene.hole_mouths, scene.platform_centre[None]), 0.10)
-    assert scene.effector[2] - scene.tip[2] == pytest.approx(0.08)
-    assert "target" in scene.describe()
-    assert scene.status == "running"
-
-
 @pytest.mark.parametrize("reward", ["paper", "progress"])
 def test_a_collision_is_refused_or_ends_the_episode_in_failure(reward: str) -> None:
     """Both environments go the same way until the first collision, where one of them ends."""

@@ -40,19 +40,6 @@ def _decode(path: Path, shape: tuple[int, int, int]) -> npt.NDArray[np.uint8]:
     return np.frombuffer(raw, np.uint8).reshape(-1, *shape)
 
 
-def test_rgb_array_is_the_scene_and_follows_the_robots() -> None:
-    env = gym.make(ID, render_mode="rgb_array")
-    env.reset(seed=0)
-    first = env.render()
-    assert isinstance(first, np.ndarray)
-    assert np.array_equal(first, render_frame(env.unwrapped.scene()))  # type: ignore[attr-defined]
-    _step(env)
-    second = env.render()
-    assert isinstance(second, np.ndarray)
-    assert (first != second).any(axis=2).mean() > 0.002
-    env.close()
-
-
 def test_camera_and_size_can_be_chosen_for_the_environment() -> None:
     env = CoopInsertionEnv(render_mode="rgb_array")
     env.reset(seed=0)

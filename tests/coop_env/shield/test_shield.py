@@ -223,11 +223,6 @@ class TestContact:
         with pytest.raises(ArgumentError, match="RepeatAction changes"):
             ShieldWrapper(twice)
 
-    def test_moves_have_masks(self) -> None:
-        wrapped = ShieldWrapper(gym.make("CoopInsertionContactDiscrete-v0"))
-        wrapped.reset(seed=0)
-        assert wrapped.action_masks().all()
-
 
 @pytest.mark.parametrize(
     ("margin", "said"),
@@ -283,13 +278,3 @@ def test_masks_are_the_wrappers_on_the_way() -> None:
             _, _, _, _, info = env.step(action)
             assert not info["shielded"]
     assert tightened > 0
-
-
-def test_the_batch_pickles_with_its_shield() -> None:
-    batch = ShieldedInsertionVecEnv(2, seed=1, shield={"clearance": 0.004}, **ARGUMENTS)
-    batch.reset()
-    other = pickle.loads(pickle.dumps(batch))
-    np.testing.assert_array_equal(
-        batch.env_method("action_masks"), other.env_method("action_masks")
-    )
-    assert other.envs[0].shield.margin.clearance == 0.004
