@@ -154,10 +154,6 @@ WEAK: dict[str, Any] = {"gravity_compensation": False}
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (
-            lambda: twin(servos=Servos(rrs_stiffness=5.0, delta_stiffness=1.0, **WEAK)),
-            "cannot hold",
-        ),
         (lambda: twin(servos=Servos(torque_limit=0.3, **WEAK)), "cannot hold"),
         # its weight lets the platform sink, level
         (lambda: twin(servos=Servos(rrs_stiffness=5.0, **WEAK)), "the platform 12.8 mm"),
@@ -169,14 +165,10 @@ WEAK: dict[str, Any] = {"gravity_compensation": False}
         (lambda: solids(dome_radius=0.01), "dome_radius"),
         # a bore into the dome's own filling, or bores into each other
         (lambda: solids(dome_radius=0.03, holes=((0.0, 0.0),)), "hole depth 0.02 m"),
-        (lambda: solids(depth=0.06), "hole depth 0.06 m"),
         (lambda: Peg(clearance=0.0), "Peg.clearance"),
-        (lambda: Peg(clearance=float("nan")), "Peg.clearance"),
         (lambda: Peg(chamfer=0.02), "Peg.chamfer"),
         (lambda: Peg(tip="round"), "Peg.tip"),
-        (lambda: Peg(friction=-1.0), "Peg.friction"),
         (lambda: Servos(rrs_masses=(1.0, 2.0)), r"Servos\.rrs_masses"),  # type: ignore[arg-type]
-        (lambda: Servos(torque_limit=0.0), r"Servos\.torque_limit"),
     ],
 )
 def test_machines_that_cannot_be(make: Callable[[], Any], message: str) -> None:

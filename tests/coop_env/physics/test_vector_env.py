@@ -171,12 +171,10 @@ def test_bad_input() -> None:
             env.step(wrong)
     moves = CoopInsertionContactDiscreteVectorEnv(2)
     moves.reset(seed=0)
-    for moved in ([0, 12], [0.0, 0.0], [0, 0, 0]):
-        with pytest.raises(ActionError, match="actions"):
-            moves.step(np.array(moved))
-    for number in (0, 1.5, True):
-        with pytest.raises(ArgumentError, match="num_envs"):
-            CoopInsertionContactVectorEnv(number)  # type: ignore[arg-type]
+    with pytest.raises(ActionError, match="actions"):
+        moves.step(np.array([0, 12]))
+    with pytest.raises(ArgumentError, match="num_envs"):
+        CoopInsertionContactVectorEnv(0)
     with pytest.raises(TypeError, match="render_mode"):
         CoopInsertionContactVectorEnv(2, render_mode="rgb_array")
     with pytest.raises(ArgumentError, match="threads"):

@@ -118,21 +118,6 @@ def test_links_behind_the_dome_are_hidden() -> None:
         assert (image == magenta).all(axis=2).any() == visible
 
 
-def test_margin_bar_is_as_long_as_sigma_min() -> None:
-    scene = make_scene()
-    shares = (0.9, 0.3, 0.02)
-    full, none, *some = (
-        render_frame(dataclasses.replace(scene, sigma_min=sigma)).astype(int)
-        for sigma in (1.0, -0.5, *shares)
-    )
-    row = int(np.argmax((np.abs(full - none).max(axis=2) > 20).sum(axis=1)))
-    columns = np.flatnonzero(np.abs(full[row] - none[row]).max(axis=1) > 20)
-    for picture, share in zip(some, shares, strict=True):
-        filled = columns[np.abs(picture[row, columns] - none[row, columns]).max(axis=1) > 20]
-        length = (filled.max() - columns.min() + 1) / (columns.max() - columns.min() + 1)
-        assert length == pytest.approx(share, abs=0.06)
-
-
 def test_card_is_left_out_of_small_pictures_and_on_request() -> None:
     scene = make_scene()
     later = dataclasses.replace(scene, time=12.0)
