@@ -112,10 +112,6 @@ class CoopInsertionVecEnv(VecEnv):
         """
         self._vector.take(actions)
 
-    def step(self, actions: NDArray[Any]) -> StepReturn:
-        self.step_async(actions)
-        return self.step_wait()
-
     def step_wait(self) -> StepReturn:
         """Move all environments; those whose episode ends are reset.
 
