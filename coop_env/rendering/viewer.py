@@ -1,15 +1,12 @@
 """Both robots in the browser: sliders, the twelve moves, and a policy or planner at play (viser).
 
-``python -m coop_env.rendering.viewer`` opens it on its own; :func:`view` shows an environment of
-the caller's and lets a callable act in it.
+:func:`view` shows an environment of the caller's and lets a callable act in it.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 import socket
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -20,7 +17,6 @@ import numpy.typing as npt
 
 from coop_env.env import CoopInsertionEnv
 from coop_env.errors import ResetOptionError
-from coop_env.geometry import GEOMETRIES
 from coop_env.rendering.bodies import COLOURS, Body, bodies, hole_state, pixels
 from coop_env.rendering.scene import Scene
 from coop_env.simulation.state import INVALID
@@ -330,25 +326,3 @@ def view(
             time.sleep(1.0)
     except KeyboardInterrupt:
         viewer.close()
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Command line; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m coop_env.rendering.viewer", description="Both robots in the browser."
-    )
-    parser.add_argument("--geometry", choices=list(GEOMETRIES), default="optimized")
-    parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
-    parser.add_argument("--port", type=int, default=8080)
-    arguments = parser.parse_args(argv)
-    env = CoopInsertionEnv(arguments.geometry, render_mode="rgb_array")
-    try:
-        view(env, host=arguments.host, port=arguments.port)
-    except ViewerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
