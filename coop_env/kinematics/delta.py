@@ -134,16 +134,18 @@ def limb_margin(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
     return _inverse(*_given(position, geometry))[1]
 
 
-@over_rows("(3,3)f8", "f8")
-def _jacobian(p: Any, x: Any, y: Any, z: Any, matrix: Any, signed: Any) -> None:
-    """J and its least singular value with its sign; NaN out of reach."""
-    matrix[:], signed[:] = math.nan, math.nan
+@over_rows("(3,3)f8", "3f8", "f8", "f8")
+def _jacobian(
+    p: Any, x: Any, y: Any, z: Any, matrix: Any, values: Any, signed: Any, kappa: Any
+) -> None:
+    """J, its singular values, the least with its sign, kappa; NaN out of reach."""
+    matrix[:], values[:], signed[:], kappa[:] = math.nan, math.nan, math.nan, math.nan
     for n in range(len(x)):
         reachable, theta = kernels.inverse(x[n], y[n], z[n], p)
         if reachable:
             a, b = kernels.jacobian_parts(x[n], y[n], z[n], theta, p)
             # Hanging on the axis, the three distal links always make a negative determinant.
-            j, _, signed[n], _ = manipulability(a, b, -1.0)
+            j, values[n], signed[n], kappa[n] = manipulability(a, b, -1.0)
             matrix[n, 0], matrix[n, 1], matrix[n, 2] = j
 
 
@@ -160,13 +162,31 @@ def jacobian(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
     return _jacobian(*_given(position, geometry))[0]
 
 
+def singular_values(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
+    """Singular values of J ``(..., 3)``, descending; NaN out of reach.
+
+    >>> singular_values([0.0, 0.0, -0.5]).round(4)
+    array([1.4687, 0.6561, 0.6561])
+    """
+    return _jacobian(*_given(position, geometry))[1]
+
+
 def signed_sigma_min(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
     """Least singular value of J ``(...)``, negative beyond a parallel singularity.
 
     >>> float(signed_sigma_min([0.0, 0.0, -0.5]).round(4))
     0.6561
     """
-    return _jacobian(*_given(position, geometry))[1]
+    return _jacobian(*_given(position, geometry))[2]
+
+
+def condition_number(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
+    """kappa ``(...)``, greatest over least singular value of J, at least 1; NaN out of reach.
+
+    >>> float(condition_number([0.0, 0.0, -0.5]).round(4))
+    2.2387
+    """
+    return _jacobian(*_given(position, geometry))[3]
 
 
 @over_rows("(3,3,3)f8")

@@ -200,17 +200,17 @@ def limb_margin(
     return _inverse(*_given(pose, geometry, pose_model))[1]
 
 
-@over_rows("(3,3)f8", "f8", "f8")
+@over_rows("(3,3)f8", "3f8", "f8", "f8")
 def _jacobian(
-    p: Any, roll: Any, pitch: Any, heave: Any, matrix: Any, signed: Any, kappa: Any
+    p: Any, roll: Any, pitch: Any, heave: Any, matrix: Any, values: Any, signed: Any, kappa: Any
 ) -> None:
-    """J, its least singular value with its sign, kappa; NaN where unreachable."""
-    matrix[:], signed[:], kappa[:] = math.nan, math.nan, math.nan
+    """J, its singular values, the least with its sign, kappa; NaN where unreachable."""
+    matrix[:], values[:], signed[:], kappa[:] = math.nan, math.nan, math.nan, math.nan
     for n in range(len(roll)):
         at = kernels.platform_pose(roll[n], pitch[n], heave[n], p)
         reachable, q = kernels.inverse(at, p)
         if reachable:
-            j, _, signed[n], kappa[n] = kernels.singular_state(at, q, p)
+            j, values[n], signed[n], kappa[n] = kernels.singular_state(at, q, p)
             matrix[n, 0], matrix[n, 1], matrix[n, 2] = j
 
 
@@ -231,6 +231,17 @@ def jacobian(
     return _jacobian(*_given(pose, geometry, pose_model))[0]
 
 
+def singular_values(
+    pose: ArrayLike, geometry: RRSGeometry = OPTIMIZED, pose_model: str = "exact"
+) -> Floats:
+    """Singular values of J ``(..., 3)``, descending; NaN out of reach.
+
+    >>> singular_values([0.0, 0.0, 0.21]).round(4)
+    array([1.5593, 0.9946, 0.9946])
+    """
+    return _jacobian(*_given(pose, geometry, pose_model))[1]
+
+
 def signed_sigma_min(
     pose: ArrayLike, geometry: RRSGeometry = OPTIMIZED, pose_model: str = "exact"
 ) -> Floats:
@@ -243,7 +254,7 @@ def signed_sigma_min(
     >>> signed_sigma_min(np.stack([roll, 0 * roll, 0 * roll + 0.21], axis=-1)).round(3)
     array([ 0.995,  0.263,  0.03 , -0.318])
     """
-    return _jacobian(*_given(pose, geometry, pose_model))[1]
+    return _jacobian(*_given(pose, geometry, pose_model))[2]
 
 
 def condition_number(
@@ -254,7 +265,7 @@ def condition_number(
     >>> float(condition_number([0.0, 0.0, 0.21]).round(4))
     1.5678
     """
-    return _jacobian(*_given(pose, geometry, pose_model))[2]
+    return _jacobian(*_given(pose, geometry, pose_model))[3]
 
 
 @over_rows("(3,3)f8")
