@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
-from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.save_util import open_path
 
 from sb3_rainbow.network.rainbow_network import head_of
-from sb3_rainbow.policies import CnnPolicy, RainbowPolicy
+from sb3_rainbow.policies import RainbowPolicy
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
-from sb3_rainbow.replay.parameters import check_counts, check_replay_parameters, check_shares
+from sb3_rainbow.replay.parameters import check_counts, check_shares
 from sb3_rainbow.type_aliases import Distributional
 
 # Constructor arguments that Rainbow hands to its policy
@@ -24,12 +23,11 @@ NETWORK_ARGUMENTS = frozenset(
     ("dueling", "noisy", "sigma0", "distributional", "n_atoms", "v_min", "v_max")
 )
 
-# Arguments from 0 to 1, but for those that a replay buffer checks too
+# Arguments from 0 to 1
 _SHARES = (
-    *("tau", "beta_start", "beta_end"),
+    *("tau", "gamma", "alpha", "beta_start", "beta_end"),
     *("exploration_fraction", "exploration_initial_eps", "exploration_final_eps"),
 )
-DEFAULT_N_STEPS = 3
 DEFAULT_SUPPORT = (-100.0, 100.0)
 
 HESSEL: dict[str, Any] = {
@@ -71,7 +69,7 @@ def served_by(
         buffer_class: None for :class:`PrioritizedReplayBuffer`.
 
     Raises:
-        ValueError: if the buffer cannot do what was asked for.
+        ValueError: if the buffer cannot do what was asked for, or nobody could.
     """
     prioritizes = buffer_class is None or issubclass(buffer_class, PrioritizedReplayBuffer)
     sums = prioritizes or issubclass(buffer_class, NStepReplayBuffer)  # type: ignore[arg-type]
@@ -96,19 +94,9 @@ def served_by(
             stacklevel=3,
         )
     if n_steps is None:
-        n_steps = DEFAULT_N_STEPS if sums else 1
+        n_steps = 3 if sums else 1
+    check_counts(n_steps=n_steps)
     return prioritizes if prioritized is None else prioritized, n_steps
-
-
-def default_tau(target_update_interval: int | None) -> float:
-    """A small step after every update, or SB3's whole copy at every interval."""
-    return 5e-3 if target_update_interval is None else 1.0
-
-
-def default_learning_rate(policy: str | type[BasePolicy]) -> float:
-    """SB3's for images, of which the defaults were not searched, and a perceptron's."""
-    of_images = isinstance(policy, type) and issubclass(policy, CnnPolicy)
-    return 1e-4 if of_images or policy == "CnnPolicy" else 1e-3
 
 
 def head_and_support(
@@ -170,7 +158,6 @@ def check_settings(model: Any) -> None:
         ValueError: naming the first setting of the model that cannot work.
     """
     check_counts(batch_size=model.batch_size)
-    check_replay_parameters(model.n_steps, model.gamma, model.alpha)
     check_shares(**{name: getattr(model, name) for name in _SHARES})
     if model.max_grad_norm is not None and not model.max_grad_norm > 0.0:
         raise ValueError(f"max_grad_norm must be positive, or None, got {model.max_grad_norm}")

@@ -44,15 +44,6 @@ class PrioritizedReplayBufferSamples(NamedTuple):
     next_action_masks: th.Tensor | None = None
 
 
-class Prepared(NamedTuple):
-    """Observations as a features extractor wants them: scaled, one-hot, ``(B, ...)``.
-
-    Only networks that do not override the preparation meet them, in the place of observations.
-    """
-
-    values: th.Tensor | TensorDict
-
-
 class Batch(NamedTuple):
     """What an update needs of a sample, from whatever replay buffer it came.
 

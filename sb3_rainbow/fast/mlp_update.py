@@ -1,5 +1,7 @@
 """Updates of plain networks on the CPU by compiled kernels instead of torch's autograd."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from operator import is_
 from typing import TypeAlias
 
@@ -13,10 +15,11 @@ from torch import nn
 from sb3_rainbow.fast import learning_kernels
 from sb3_rainbow.fast import mlp_kernels as kernels
 from sb3_rainbow.fast.adam import GRAD, AdamOnVector
+from sb3_rainbow.fast.blas import single_blas_thread
 from sb3_rainbow.fast.eligibility import parameters_of, table_of
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.network.shared_memory import join, parts, share
-from sb3_rainbow.type_aliases import Batch, Prepared
+from sb3_rainbow.type_aliases import Batch
 
 # Below any probability that float32 holds as a normal number
 _TINY = float(np.finfo(np.float32).tiny)
@@ -105,22 +108,26 @@ class MlpUpdate:
         addresses = list(map(th.Tensor.data_ptr, self._shared))
         return addresses == self._addresses and self._adam.is_possible(optimizer, self._adam.ids)
 
-    def settle(self, optimizer: th.optim.Optimizer) -> bool:
+    @contextmanager
+    def undisturbed(self, optimizer: th.optim.Optimizer) -> Iterator[None]:
         """Look once, before updates that nobody disturbs, at what each would look at by itself.
 
-        Returns:
-            False where that cannot be, as with an extractor of someone else's.
+        That cannot be where an extractor is someone else's: then each looks.
         """
         self.settled = self._flattens and self._adam.is_ready(optimizer)
         if self.settled:
             self._put_gradients()
-        return self.settled
+        try:
+            yield
+        finally:
+            self.settled = False
 
     def _put_gradients(self) -> None:
         if not all(map(is_, map(GRAD, self._online), self._gradients)):
             for p, gradient in zip(self._online, self._gradients, strict=True):
                 p.grad = gradient
 
+    @single_blas_thread()
     def update(
         self,
         batch: Batch,
@@ -174,6 +181,7 @@ class MlpUpdate:
             else:
                 p.grad = gradient.copy_(p.grad)
 
+    @single_blas_thread()
     def act(self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None) -> NDArray[np.int64]:
         """Greedy actions of the online network under fresh noise, each environment's its own.
 
@@ -184,7 +192,7 @@ class MlpUpdate:
         Returns:
             shape ``(n_envs,)``.
         """
-        features = self._features(self.q_net, self.q_net.prepare(obs))
+        features = self._features(self.q_net, obs)
         n, noise, drawn = features.shape[0], self._noises[0], self._drawn[0]
         self._reserve(n)
         if n > 1:
@@ -207,12 +215,13 @@ class MlpUpdate:
         with th.no_grad():
             return self._extract(net, obs).contiguous().numpy()
 
-    def _extract(self, net: RainbowNetwork, obs: PyTorchObs | Prepared) -> th.Tensor:
-        """Features of prepared observations; to flatten them costs less than to call a module."""
-        if self._flattens and isinstance(obs, Prepared):
-            assert isinstance(obs.values, th.Tensor)
-            return obs.values.flatten(1)
-        return net.extract_features(obs, net.features_extractor)  # type: ignore[arg-type]
+    def _extract(self, net: RainbowNetwork, obs: PyTorchObs) -> th.Tensor:
+        """Features of observations; to flatten them costs less than to call a module."""
+        if self._flattens:
+            values = net.preprocess(obs)
+            assert isinstance(values, th.Tensor)
+            return values.flatten(1)
+        return net.extract_features(obs, net.features_extractor)
 
     def _slopes(
         self,

@@ -8,13 +8,13 @@ import torch as th
 from numpy.typing import NDArray
 from torch import nn
 
-from sb3_rainbow.learner.update import mean_loss, prepared, td_target
+from sb3_rainbow.learner.update import mean_loss, td_target
 from sb3_rainbow.network.losses import clipped_share
-from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.policies import RainbowPolicy
 from sb3_rainbow.type_aliases import Batch
 
 try:
+    from sb3_rainbow.fast.mlp_update import MlpUpdate
     from sb3_rainbow.fast.shortcuts import Shortcuts
 except ModuleNotFoundError:  # without its folder everything is as it is here, slower
     Shortcuts = None  # type: ignore[assignment, misc]
@@ -45,23 +45,14 @@ class Learner:
         available = cpu_kernels and Shortcuts is not None
         self.shortcuts: Shortcuts | None = Shortcuts(policy) if available else None
 
-    @property
-    def q_net(self) -> RainbowNetwork:
-        """The policy's online network."""
-        return self.policy.q_net
-
-    @property
-    def q_net_target(self) -> RainbowNetwork:
-        """The policy's target network."""
-        return self.policy.q_net_target
-
-    def uses_kernels(self) -> bool:
-        """Whether compiled kernels take over at present."""
-        return self.shortcuts is not None and self.shortcuts.kernels is not None
+    def kernels(self) -> "MlpUpdate | None":
+        """The compiled kernels, where they take over at present."""
+        return None if self.shortcuts is None else self.shortcuts.kernels
 
     def undisturbed(self) -> AbstractContextManager[None]:
         """For updates between which nobody else touches the policy: they look at it once."""
-        return nullcontext() if self.shortcuts is None else self.shortcuts.undisturbed()
+        kernels = self.kernels()
+        return nullcontext() if kernels is None else kernels.undisturbed(self.policy.optimizer)
 
     def update(self, batch: Batch, tau: float | None = None) -> tuple[th.Tensor, th.Tensor]:
         """One optimizer step, with fresh and independent noise in both networks.
@@ -73,44 +64,51 @@ class Learner:
         Returns:
             mean loss, scalar, and priorities ``(B,)``; both stay on the device.
         """
-        batch = prepared(self.q_net, batch)
-        result = None
-        if self.shortcuts is not None:
-            result = self.shortcuts.update(batch, self.double_q, self.max_grad_norm)
-        if result is None:
+        kernels = self.kernels()
+        if kernels is None:
             result = self._update(batch)
+        else:
+            settings = self.double_q, self.max_grad_norm
+            result = kernels.update(batch, self.policy.optimizer, *settings)
         if tau is not None:
             self.move_target(tau)
         return result
 
     def _update(self, batch: Batch) -> tuple[th.Tensor, th.Tensor]:
         """One optimizer step by torch."""
-        self.q_net.reset_noise()
-        self.q_net_target.reset_noise()
-        self.policy.update_optimizer()
-        loss, priorities = mean_loss(self.q_net, self.q_net_target, batch, self.double_q)
-        self.q_net.zero_grad()
-        self.policy.optimizer.zero_grad()  # which may hold parameters of elsewhere
+        policy = self.policy
+        policy.q_net.reset_noise()
+        policy.q_net_target.reset_noise()
+        policy.update_optimizer()
+        loss, priorities = mean_loss(policy.q_net, policy.q_net_target, batch, self.double_q)
+        policy.q_net.zero_grad()
+        policy.optimizer.zero_grad()  # which may hold parameters of elsewhere
         loss.backward()
         if self.max_grad_norm is not None:
-            nn.utils.clip_grad_norm_(self.q_net.parameters(), self.max_grad_norm)
-        self.policy.optimizer.step()
+            nn.utils.clip_grad_norm_(policy.q_net.parameters(), self.max_grad_norm)
+        policy.optimizer.step()
         return loss.detach(), priorities
 
     def act(
         self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None
     ) -> NDArray[np.int64] | None:
         """Greedy actions under fresh noise, ``(n_envs,)``; None where the policy has to choose."""
-        return None if self.shortcuts is None else self.shortcuts.act(obs, action_masks)
+        kernels = self.kernels()
+        if self.shortcuts is None or kernels is None or not self.shortcuts.act:
+            return None
+        return kernels.act(obs, action_masks)
 
     def move_target(self, tau: float) -> None:
         """Move the target network towards the online one by ``tau`` (Polyak average)."""
-        if self.shortcuts is None or not self.shortcuts.move_target(tau):
+        kernels = self.kernels()
+        if kernels is None:
             self._move_target(tau)
+        else:
+            kernels.move_target(tau)
 
     @th.no_grad()
     def _move_target(self, tau: float) -> None:
-        online, target = self.q_net, self.q_net_target
+        online, target = self.policy.q_net, self.policy.q_net_target
         th._foreach_lerp_(list(target.parameters()), list(online.parameters()), tau)
         # what torch compiled is a module around the network
         nets = (getattr(net, "_orig_mod", net).modules() for net in (online, target))
@@ -124,16 +122,17 @@ class Learner:
         """Values for the logs: mean over states of the largest Q-value, share of the target that
         the support clips, spread (standard deviation over mean) of priorities, noise magnitudes.
         """
-        self.q_net.set_training_mode(False)  # statistics of normalization layers stay
-        values = {"max_q": float(self.q_net(batch.observations).amax(dim=1).mean())}
-        if self.q_net.head == "categorical":
-            target = td_target(self.q_net, self.q_net_target, batch, self.double_q)
+        q_net = self.policy.q_net
+        q_net.set_training_mode(False)  # statistics of normalization layers stay
+        values = {"max_q": float(q_net(batch.observations).amax(dim=1).mean())}
+        if q_net.head == "categorical":
+            target = td_target(q_net, self.policy.q_net_target, batch, self.double_q)
             share = clipped_share(
                 target.next_values,
                 batch.rewards,
                 batch.discounts * (1.0 - batch.dones),
-                self.q_net.v_min,
-                self.q_net.v_max,
+                q_net.v_min,
+                q_net.v_max,
             )
             values["clipped_support"] = float(share)
         if batch.weights is not None:
@@ -141,7 +140,7 @@ class Learner:
                 min=1e-12
             )
             values["priority_spread"] = float(spread)
-        magnitudes = self.q_net.noise_magnitudes()
+        magnitudes = q_net.noise_magnitudes()
         if magnitudes:
             values["noise_magnitude"] = float(np.mean(list(magnitudes.values())))
             values.update({f"noise_magnitude_{name}": m for name, m in magnitudes.items()})

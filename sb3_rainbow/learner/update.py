@@ -28,14 +28,6 @@ class Target(NamedTuple):
     """The same at t + k, before discounting."""
 
 
-def prepared(net: RainbowNetwork, batch: Batch) -> Batch:
-    """The batch with its observations as the network's extractor wants them."""
-    return batch._replace(
-        observations=net.prepare(batch.observations),
-        next_observations=net.prepare(batch.next_observations),
-    )
-
-
 def td_target(
     q_net: RainbowNetwork,
     q_net_target: RainbowNetwork,

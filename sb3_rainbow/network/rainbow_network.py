@@ -1,6 +1,5 @@
 """Rainbow's Q-network."""
 
-from collections.abc import Iterator
 from contextlib import nullcontext
 from itertools import pairwise
 from operator import index
@@ -10,8 +9,8 @@ import numpy as np
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.preprocessing import is_image_space, preprocess_obs
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, FlattenExtractor
+from stable_baselines3.common.preprocessing import preprocess_obs
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 from torch.nn import functional as F
@@ -20,31 +19,10 @@ from sb3_rainbow.network.convolutions import gains_by_channels_last, put_channel
 from sb3_rainbow.network.losses import mask_q_values
 from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_, share_noise_, silenced
 from sb3_rainbow.network.shared_memory import AsVector, separate, share
-from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers, Prepared
+from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers
 
-# Modules that hold no noisy layer and do not mind whether they are trained
-_NOTHING_INSIDE = {
-    *(NoisyLinear, nn.Linear, FlattenExtractor),
-    *(nn.ReLU, nn.Tanh, nn.ELU, nn.LeakyReLU, nn.SiLU, nn.GELU),
-}
-
-
-_USE_OBSERVATIONS = ("extract_features", "streams", "logits", "forward")
 # Where the layers are that a network calls by itself
 _LAYERS = ("layers", "value_layers", "advantage_layers")
-_TORCHS_TRAIN, _TORCHS_SETATTR = nn.Module.train, nn.Module.__setattr__
-
-
-def _train(module: nn.Module, mode: bool) -> None:
-    """``module.train(mode)`` at a tenth of its time, which SB3 takes twice a step."""
-    kind = type(module)
-    if kind.train is _TORCHS_TRAIN and kind.__setattr__ is _TORCHS_SETATTR:
-        vars(module)["training"] = mode
-        for child in module._modules.values():
-            if child is not None:
-                _train(child, mode)
-    else:
-        module.train(mode)
 
 
 class RainbowNetwork(AsVector, BasePolicy):
@@ -132,7 +110,6 @@ class RainbowNetwork(AsVector, BasePolicy):
         # A constant, not a weight: what loads or randomizes the weights must not change it.
         self.register_buffer("support", th.linspace(v_min, v_max, self.n_atoms), persistent=False)
         self.register_buffer("noise", th.zeros(0), persistent=False)
-        self._scales = normalize_images and is_image_space(observation_space)
         if gains_by_channels_last(features_extractor):
             put_channels_last(features_extractor)
         self._build_layers()
@@ -176,34 +153,18 @@ class RainbowNetwork(AsVector, BasePolicy):
             layers.append(NoisyLinear(n_in, n_out, self.sigma0, shared))
         return nn.ModuleList(layers)
 
-    def prepare(self, obs: PyTorchObs) -> PyTorchObs:
-        """Scale observations or make them one-hot, once for all passes of an update.
-
-        A subclass that overrides how they are used gets them as they are, and so does a hook.
-        """
-        own: Any = type(self)
-        inherited = vars(self).keys().isdisjoint(_USE_OBSERVATIONS) and all(
-            getattr(own, name) is getattr(RainbowNetwork, name) for name in _USE_OBSERVATIONS
-        )
-        hooked = self._forward_hooks or self._forward_pre_hooks
-        if isinstance(obs, Prepared) or hooked or not inherited:
-            return obs
-        return Prepared(self._preprocess(obs))  # type: ignore[return-value]
-
-    def _preprocess(self, obs: PyTorchObs) -> PyTorchObs:
+    def preprocess(self, obs: PyTorchObs) -> PyTorchObs:
+        """Scale observations or make them one-hot; large images get their channels last."""
         if gains_by_channels_last(self.features_extractor):
             assert isinstance(obs, th.Tensor)
             obs = obs.contiguous(memory_format=th.channels_last)
-            if self._scales and obs.dtype == th.uint8:
-                return obs / 255.0  # SB3's two passes over the memory in one
         return preprocess_obs(obs, self.observation_space, normalize_images=self.normalize_images)
 
     def extract_features(
         self, obs: PyTorchObs, features_extractor: BaseFeaturesExtractor
     ) -> th.Tensor:
-        """As SB3's; large images are handed over with their channels last."""
-        values = obs.values if isinstance(obs, Prepared) else self._preprocess(obs)
-        features: th.Tensor = features_extractor(values)
+        """As SB3's, after :meth:`preprocess`."""
+        features: th.Tensor = features_extractor(self.preprocess(obs))
         return features
 
     def _own_layers(self) -> list[nn.Module]:
@@ -232,14 +193,10 @@ class RainbowNetwork(AsVector, BasePolicy):
             self._noise_sizes = [e.numel() for e in epsilons]
         return epsilons
 
-    def _layers_called_by_others(self) -> Iterator[NoisyLinear]:
+    def _layers_called_by_others(self) -> list[NoisyLinear]:
         """Noisy layers inside of wrappers, in the features extractor, or of a subclass's own."""
-        own = self._own_layers()
-        others = [part for name, part in self._modules.items() if name not in _LAYERS and part]
-        for part in [*others, *own]:
-            if isinstance(part, NoisyLinear) or type(part) not in _NOTHING_INSIDE:
-                inside = (m for m in part.modules() if isinstance(m, NoisyLinear))
-                yield from (m for m in inside if not any(m is layer for layer in own))
+        own = set(map(id, self._own_layers()))
+        return [m for m in self.modules() if isinstance(m, NoisyLinear) and id(m) not in own]
 
     def __getstate__(self) -> dict[str, Any]:
         self._separate()
@@ -345,10 +302,6 @@ class RainbowNetwork(AsVector, BasePolicy):
         if self.head == "categorical":
             return F.softmax(logits, dim=-1)
         return th.full_like(logits, 1.0 / self.n_atoms)
-
-    def set_training_mode(self, mode: bool) -> None:
-        """Training or evaluation mode, which the noisy layers ignore."""
-        _train(self, mode)
 
     def _predict(
         self,

@@ -22,7 +22,7 @@ from sb3_rainbow.replay.kernels import (
 from sb3_rainbow.replay.observation_store import ObservationStore, in_single
 from sb3_rainbow.replay.parameters import (
     check_buffer_size,
-    check_replay_parameters,
+    check_counts,
     check_shares,
     warn_of_memory,
 )
@@ -87,8 +87,11 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         beta: float = 0.4,
         epsilon: float = 1e-6,
     ) -> None:
-        check_replay_parameters(n_steps, gamma, alpha, epsilon)
-        check_shares(beta=beta)
+        check_counts(n_steps=n_steps)
+        check_shares(gamma=gamma, alpha=alpha, beta=beta)
+        if not 0.0 < epsilon < np.inf:
+            # Without it a transition whose loss is zero once would never be drawn again.
+            raise ValueError(f"epsilon must be above 0 and finite, got {epsilon}")
         check_buffer_size(buffer_size, n_envs, n_steps)
         # ReplayBuffer's own constructor would allocate a second copy of every observation.
         super(ReplayBuffer, self).__init__(
@@ -158,9 +161,8 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         reward: NDArray,
         done: NDArray,
         infos: list[dict[str, Any]],
-        next_action_masks: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Store one step of every env.
+        """Store one step of every env, which allows every action after it.
 
         Args:
             obs: observations the actions were chosen on, ``(n_envs, ...)``.
@@ -170,8 +172,6 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             reward: shape ``(n_envs,)``.
             done: terminated or truncated, ``(n_envs,)``.
             infos: ``"TimeLimit.truncated"`` tells truncations from terminations.
-            next_action_masks: actions allowed at ``next_obs``, ``(n_envs, n_actions)``; None allows
-                all.
 
         Raises:
             ValueError: for a reward that is not finite in float32; nothing is stored then.
@@ -195,7 +195,8 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         self._store.write(pos, current, following)
         self.actions[pos] = action.reshape(self.n_envs, self.action_dim)
         self.rewards[pos] = rewards
-        self._store_masks(pos, next_action_masks)
+        if self.next_action_masks is not None:
+            self.next_action_masks[pos] = True
 
         ended = np.asarray(done, dtype=bool)
         self.ends[pos] = RUNNING
@@ -227,20 +228,16 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             self._store.keep_newest(newest, env)
         self._complete(which, newest)
 
-    def _store_masks(self, pos: int, masks: NDArray[np.bool_] | None) -> None:
-        stored = self.next_action_masks
-        if masks is None:
-            if stored is not None:
-                stored[pos] = True
-            return
-        if stored is None:
+    def set_next_action_masks(self, masks: NDArray[np.bool_]) -> None:
+        """Say which actions the newest step's ``next_obs`` allow, ``(n_envs, n_actions)``."""
+        if self.next_action_masks is None:
             n_actions = int(cast(spaces.Discrete, self.action_space).n)
             # zeros take no memory before they are written to, and every row that is drawn was
-            stored = np.zeros((self.buffer_size, self.n_envs, n_actions), dtype=np.bool_)
-            stored[: self.size()] = True
-            self.next_action_masks = stored
+            shape = (self.buffer_size, self.n_envs, n_actions)
+            self.next_action_masks = np.zeros(shape, dtype=np.bool_)
+            self.next_action_masks[: self.size()] = True
             warn_of_memory(self.nbytes)
-        stored[pos] = masks
+        self.next_action_masks[self.pos - 1] = masks
 
     def _complete(self, ended: NDArray[np.bool_], newest: int) -> None:
         leaves = np.empty(int(self._pending.sum()), dtype=np.int64)

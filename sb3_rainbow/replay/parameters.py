@@ -1,27 +1,8 @@
 """What a replay buffer can be asked for, and whether the memory holds it."""
 
-import math
 import warnings
 from numbers import Integral, Real
 from typing import Any
-
-
-def check_replay_parameters(
-    n_steps: int, gamma: float, alpha: float, epsilon: float | None = None
-) -> None:
-    """Refuse parameters of a replay buffer that are out of range.
-
-    Args:
-        epsilon: None where only the buffer knows it.
-
-    Raises:
-        ValueError: naming the first parameter that is out of range.
-    """
-    check_counts(n_steps=n_steps)
-    check_shares(alpha=alpha, gamma=gamma)
-    if epsilon is not None and not 0.0 < epsilon < math.inf:
-        # Without it a transition whose loss is zero once would never be drawn again.
-        raise ValueError(f"epsilon must be above 0 and finite, got {epsilon}")
 
 
 def check_counts(**values: Any) -> None:

@@ -77,8 +77,6 @@ def write_model(model: Rainbow, path: str | os.PathLike[str]) -> None:
     """
     given = {name: getattr(model, name) for name in _hints() if hasattr(model, name)}
     given |= {"policy": model.policy_class, "train_freq": model.train_freq}
-    if not model._tau_was_chosen:
-        given["tau"] = None
     weights = {name: value.cpu().numpy() for name, value in model.policy.state_dict().items()}
     arrays = {f"policy.{name}": np.ascontiguousarray(value) for name, value in weights.items()}
     unwritable: list[str] = []
@@ -132,11 +130,14 @@ def read_model(
         env: environment to go on learning in.
         device: torch device.
         changed: arguments of the constructor that differ from those in the file. Without a
-            ``buffer_size`` it is the smallest.
+            ``buffer_size`` it is the smallest, with a ``target_update_interval`` alone ``tau`` is
+            the default beside it.
 
     Raises:
         ZooError: if the file is of another form, damaged, or does not fit together.
     """
+    if "target_update_interval" in changed:
+        changed.setdefault("tau", None)
     with loading(path):
         settings, arrays = _read(path, _MODEL)
         arguments = _checked(settings.pop("arguments"), _hints())

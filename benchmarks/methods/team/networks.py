@@ -65,10 +65,6 @@ class TeamNetwork(RainbowNetwork):
         """The agents' own."""
         return list(self.agents)  # type: ignore[arg-type]
 
-    def prepare(self, obs: PyTorchObs) -> PyTorchObs:
-        """As they are: each network prepares its own."""
-        return obs
-
     def own_logits(self, obs: PyTorchObs, noisy: bool) -> list[th.Tensor]:
         """Each agent's outputs ``(B, 7, N)`` for its columns of observations ``(B, size)``."""
         assert isinstance(obs, th.Tensor)

@@ -54,7 +54,7 @@ def make_learner(
     for p in policy.q_net_target.parameters():
         p.data += 0.3 * th.randn_like(p)
     learner = Learner(policy, double_q, 0.5, cpu_kernels=cpu_kernels)
-    assert space is IMAGES or learner.uses_kernels() == cpu_kernels
+    assert space is IMAGES or (learner.kernels() is not None) == cpu_kernels
     return learner
 
 
@@ -112,8 +112,8 @@ SEEN: dict[str, Any] = {"space": IMAGES, "features_extractor_class": Convolution
 def test_updates_agree_with_torch(kwargs: dict[str, Any]) -> None:
     """Also what an extractor learns, whose memory formats stay."""
     ours, reference = make_learner(True, **kwargs), make_learner(False, **kwargs)
-    assert ours.uses_kernels()
-    assert not reference.uses_kernels()
+    assert ours.kernels() is not None
+    assert reference.kernels() is None
     sees = "space" in kwargs
     close: dict[str, Any] = {"rtol": 1e-3, "atol": 1e-5}
     if sees:
@@ -131,7 +131,7 @@ def test_updates_agree_with_torch(kwargs: dict[str, Any]) -> None:
         states, others = (x.policy.state_dict() for x in (ours, reference))
         for name, value in others.items():
             th.testing.assert_close(states[name], value, rtol=1e-4, atol=1e-5, msg=name)
-    for p, q in zip(ours.q_net.parameters(), reference.q_net.parameters(), strict=True):
+    for p, q in zip(*(x.policy.q_net.parameters() for x in (ours, reference)), strict=True):
         assert p.grad is not None
         th.testing.assert_close(p.grad, q.grad, **close)
         state = [x.policy.optimizer.state[y] for x, y in ((ours, p), (reference, q))]
@@ -157,10 +157,10 @@ def test_the_target_follows_a_layer_that_a_hook_has_just_put_in() -> None:
         fresh = nn.Linear(6, 24)
 
         def put_in(*_: Any, learner: Learner = learner, fresh: nn.Linear = fresh) -> None:
-            learner.q_net.layers[0] = fresh
+            learner.policy.q_net.layers[0] = fresh
 
         learner.policy.optimizer.register_step_post_hook(put_in)
-        target = learner.q_net_target.layers[0]
+        target = learner.policy.q_net_target.layers[0]
         before = target.get_parameter("weight").detach().clone()
         learner.update(make_batch(0, masked=True), 0.5)
         moved.append(target.get_parameter("weight").detach())
@@ -180,7 +180,7 @@ def test_the_target_follows_a_layer_that_a_hook_has_just_put_in() -> None:
 )
 def test_torch_does_what_the_kernels_cannot(policy_kwargs: dict[str, Any]) -> None:
     model = Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, "policy_kwargs": policy_kwargs})
-    assert not model._learner.uses_kernels()
+    assert model._learner.kernels() is None
     model.learn(40)
 
 
@@ -193,7 +193,7 @@ def test_an_optimizer_given_later_is_the_one_that_steps(kind: Any) -> None:
     model.policy.optimizer.register_step_post_hook(lambda *_: calls.append(1))
     before = nn.utils.parameters_to_vector(model.q_net.parameters())
     model.learn(60, reset_num_timesteps=False)
-    assert model._learner.uses_kernels() == (kind is th.optim.Adam)
+    assert (model._learner.kernels() is not None) == (kind is th.optim.Adam)
     assert len(calls) == 60
     steps = {int(state["step"]) for state in model.policy.optimizer.state.values() if state}
     assert steps == ({60} if kind is th.optim.Adam else set())
@@ -204,7 +204,7 @@ def test_options_that_older_torch_does_not_have_are_not_asked_for() -> None:
     learner = make_learner(True)
     optimizer = learner.policy.optimizer
     del optimizer.param_groups[0]["decoupled_weight_decay"]  # as torch before 2.7
-    assert AdamOnVector.is_possible(optimizer, set(map(id, learner.q_net.parameters())))
+    assert AdamOnVector.is_possible(optimizer, set(map(id, learner.policy.q_net.parameters())))
 
 
 @pytest.mark.parametrize("images", [False, True])
@@ -219,7 +219,7 @@ def test_updates_that_nobody_disturbs_are_those_that_look_each_time(images: bool
                     learner.update(make_images(i) if images else make_batch(i, False), tau=0.1)
             learner.policy.optimizer.param_groups[0]["lr"] *= 0.5  # what happens between counts
             with th.no_grad():
-                next(learner.q_net.parameters()).mul_(0.9)
+                next(learner.policy.q_net.parameters()).mul_(0.9)
         assert {int(s["step"]) for s in learner.policy.optimizer.state.values()} == {12}
         weights.append(nn.utils.parameters_to_vector(learner.policy.parameters()))
     assert th.equal(*weights)
@@ -263,7 +263,7 @@ def test_extractors_with_a_state_are_left_to_torch() -> None:
         made = policy(
             space, spaces.Discrete(2), lambda _: 1e-3, distributional="quantile", **kwargs
         )
-        return Learner(made, double_q=True, max_grad_norm=1.0).uses_kernels()
+        return Learner(made, double_q=True, max_grad_norm=1.0).kernels() is not None
 
     box, image = spaces.Box(-1, 1, (4,)), spaces.Box(0, 255, (3, 36, 36), np.uint8)
     assert applies(MlpPolicy, box)
@@ -281,7 +281,7 @@ def test_a_layer_whose_weights_are_replaced_counts_and_trains(network: str, laye
         th.manual_seed(1)
         learner.update(batch)
         learner.move_target(0.1)
-        parameter = next(getattr(learner, network).layers[layer].parameters())
+        parameter = next(getattr(learner.policy, network).layers[layer].parameters())
         # As a callback might, or a user who puts one layer of another network in its place
         parameter.data = 0.1 * th.randn(parameter.shape, generator=th.Generator().manual_seed(1))
         before = parameter.detach().clone()
@@ -347,6 +347,6 @@ def test_extractors_that_are_left_to_torch(why: str) -> None:
     width = 400 if why == "large" else 8
     learner = make_learner(True, **SEEN, net_arch=[width], **kwargs)
     if why == "frozen":
-        learner.q_net.features_extractor.requires_grad_(False)
-    assert not learner.uses_kernels()
+        learner.policy.q_net.features_extractor.requires_grad_(False)
+    assert learner.kernels() is None
     learner.update(make_images(0))

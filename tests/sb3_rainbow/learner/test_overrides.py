@@ -69,7 +69,7 @@ def test_methods_of_the_network_and_of_the_policy(
     if kind is RainbowNetwork:
         # Twice the online network, once the target network
         assert learning == 2 * (1 if method == "forward" else 3)
-        assert not model._learner.uses_kernels()
+        assert model._learner.kernels() is None
 
 
 @ACTIVATIONS
@@ -137,7 +137,7 @@ def test_changed_parts_act_and_learn(change: Callable[[RainbowNetwork], None]) -
     result = []
     for cpu_kernels in (True, False):
         model = Rainbow("MlpPolicy", "CartPole-v1", cpu_kernels=cpu_kernels, **FAST)
-        assert model._learner.uses_kernels() == cpu_kernels
+        assert (model._learner.kernels() is not None) == cpu_kernels
         model._learner.act(th.zeros(1, 4), None)
         th.manual_seed(5)
         for net in (model.q_net, model.q_net_target):
@@ -145,7 +145,7 @@ def test_changed_parts_act_and_learn(change: Callable[[RainbowNetwork], None]) -
         before = [p.detach().clone() for p in model.q_net.parameters()]
         th.manual_seed(6)
         model.learn(60)
-        assert not model._learner.uses_kernels()
+        assert model._learner.kernels() is None
         after = list(model.q_net.parameters())
         assert not any(th.equal(p, q) for p, q in zip(before, after, strict=True))
         result.append((nn.utils.parameters_to_vector(after), model.replay_buffer))
@@ -156,18 +156,18 @@ def test_changed_parts_act_and_learn(change: Callable[[RainbowNetwork], None]) -
 def test_a_network_that_is_the_packages_own_gets_its_kernels_back() -> None:
     model = make_model()
     handle = model.q_net.layers[0].register_forward_hook(lambda *_: None)
-    assert not model._learner.uses_kernels()
+    assert model._learner.kernels() is None
     handle.remove()
-    assert model._learner.uses_kernels()
+    assert model._learner.kernels() is not None
     optimizer = model.policy.optimizer
     model.policy.optimizer = th.optim.SGD(model.q_net.parameters(), lr=0.1)
-    assert not model._learner.uses_kernels()
+    assert model._learner.kernels() is None
     model.policy.optimizer = optimizer
-    assert model._learner.uses_kernels()
+    assert model._learner.kernels() is not None
     model.policy.to(th.float64)
-    assert not model._learner.uses_kernels()
+    assert model._learner.kernels() is None
     model.policy.to(th.float32)
-    assert model._learner.uses_kernels()
+    assert model._learner.kernels() is not None
     model.learn(40)
 
 
@@ -178,11 +178,11 @@ def test_hooks_on_parameters_are_called(hook: str) -> None:
     weight = model.q_net.layers[0].weight_mu
     calls: list[Any] = []
     handle = getattr(weight, hook)(lambda given: calls.append(given))
-    assert not model._learner.uses_kernels()
+    assert model._learner.kernels() is None
     model.train(2, 8)
     assert len(calls) == 2
     handle.remove()
-    assert model._learner.uses_kernels()
+    assert model._learner.kernels() is not None
 
 
 @pytest.mark.parametrize("kernels", [True, False])

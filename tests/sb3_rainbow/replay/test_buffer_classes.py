@@ -176,8 +176,7 @@ def test_a_buffer_beyond_the_memory_is_a_warning(monkeypatch: pytest.MonkeyPatch
         with pytest.warns(UserWarning, match=r"enough memory .* 0.00GB > 0.00GB"):
             make(n, space)
     # Masks come with the first step, and are 100 bytes each here.
-    obs, masks = np.zeros((1, 4)), np.ones((1, 100), bool)
     with pytest.warns(UserWarning, match="enough memory"):
-        buffer.add(obs, obs, np.zeros(1), np.zeros(1), np.zeros(1), [{}], masks)
+        buffer.set_next_action_masks(np.ones((1, 100), bool))
     Memory.available = 10**9
     make(300, box)

@@ -156,8 +156,8 @@ def add(buffer: PrioritizedReplayBuffer, row: list[Step], kind: str = "box") -> 
         np.array([step.reward for step in row]),
         np.array([step.terminated or step.truncated for step in row]),
         [{"TimeLimit.truncated": step.truncated} for step in row],
-        np.array([step.mask for step in row]),
     )
+    buffer.set_next_action_masks(np.array([step.mask for step in row]))
 
 
 def check(buffer: PrioritizedReplayBuffer, world: World, kind: str = "box") -> None:
@@ -274,7 +274,8 @@ def test_masks_take_memory_as_they_are_stored() -> None:
     obs, one, no = np.zeros((1, 2), np.float32), np.ones(1), np.zeros(1, bool)
     buffer.add(obs, obs, one, one, no, [{}])  # without masks: all is allowed
     before = resident()
-    buffer.add(obs, obs, one, one, no, [{}], np.eye(200, dtype=bool)[:1])
+    buffer.add(obs, obs, one, one, no, [{}])
+    buffer.set_next_action_masks(np.eye(200, dtype=bool)[:1])
     assert resident() - before < 50e6
     masks: Any = buffer.samples_at(np.arange(2)).next_action_masks
     assert masks.sum(dim=1).tolist() == [200, 1]
