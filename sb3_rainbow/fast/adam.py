@@ -1,7 +1,5 @@
 """torch's Adam over one vector, by a kernel on the optimizer's own state."""
 
-from collections.abc import Callable
-from functools import partial
 from itertools import chain
 from operator import attrgetter, is_, itemgetter
 from typing import Any
@@ -78,19 +76,18 @@ class AdamOnVector:
                 th.nn.utils.clip_grad_norm_([self.vector], max_grad_norm)
             else:
                 kernels.clip(self._gradient, max_grad_norm)
-        step = self._first_step if is_first else self._step
-        if "step" in vars(optimizer) or not (learn and (is_first or self._has_moments(states))):
-            # A learning rate scheduler counts the calls; some parameters do not always train.
+        if is_first or "step" in vars(optimizer) or not (learn and self._has_moments(states)):
+            # Torch knows best what belongs into the state of a parameter; a learning rate scheduler
+            # counts the calls; some parameters do not always train.
             optimizer.step()
         elif has_hooks(optimizer):
-            hooked = partial(self._after_hooks, step)
-            th.optim.Optimizer.profile_hook_step(hooked)(optimizer)
+            th.optim.Optimizer.profile_hook_step(self._after_hooks)(optimizer)
         else:
-            step(optimizer)
+            self._step(optimizer)
 
-    def _after_hooks(self, step: Callable[[Any], None], optimizer: th.optim.Optimizer) -> None:
+    def _after_hooks(self, optimizer: th.optim.Optimizer) -> None:
         if all(map(is_, map(GRAD, self.parameters), self.gradients)):
-            step(optimizer)
+            self._step(optimizer)
         else:  # a hook put in a gradient of its own
             th.optim.Adam.step.__wrapped__(optimizer)  # type: ignore[attr-defined]
 
@@ -129,19 +126,6 @@ class AdamOnVector:
             float(group["weight_decay"]),
             float(self._steps[0]),
         )
-
-    def _first_step(self, optimizer: th.optim.Optimizer) -> None:
-        """By torch, which knows best what belongs into the state of a parameter."""
-        group = {k: v for k, v in optimizer.param_groups[0].items() if k != "params"}
-        on_vector = th.optim.Adam([{**group, "params": [self.vector]}])
-        on_vector.step()
-        made = on_vector.state[self.vector]
-        for name, value in made.items():
-            each = [value.clone() for _ in self.parameters]
-            if value.ndim > 0:
-                each = parts(value, self.parameters)
-            for p, own in zip(self.parameters, each, strict=True):
-                optimizer.state[p][name] = own
 
 
 def has_hooks(optimizer: th.optim.Optimizer) -> bool:

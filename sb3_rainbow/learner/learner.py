@@ -98,16 +98,13 @@ class Learner:
             return None
         return kernels.act(obs, action_masks)
 
+    @th.no_grad()
     def move_target(self, tau: float) -> None:
         """Move the target network towards the online one by ``tau`` (Polyak average)."""
         kernels = self.kernels()
-        if kernels is None:
-            self._move_target(tau)
-        else:
+        if kernels is not None:
             kernels.move_target(tau)
-
-    @th.no_grad()
-    def _move_target(self, tau: float) -> None:
+            return
         online, target = self.policy.q_net, self.policy.q_net_target
         th._foreach_lerp_(list(target.parameters()), list(online.parameters()), tau)
         # what torch compiled is a module around the network

@@ -45,12 +45,12 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         total_timesteps: int,
         callback: MaybeCallback = None,
         reset_num_timesteps: bool = True,
-        tb_log_name: str = "run",
-        progress_bar: bool = False,
+        *args: Any,
+        **kwargs: Any,
     ) -> tuple[int, BaseCallback]:
         rng_state, self._rng_to_resume = self._rng_to_resume, None
         prepared = super()._setup_learn(
-            total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
+            total_timesteps, callback, reset_num_timesteps, *args, **kwargs
         )
         if rng_state is not None and not reset_num_timesteps:
             set_rng_state(rng_state, self.action_space)

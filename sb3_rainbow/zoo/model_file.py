@@ -75,7 +75,7 @@ def write_model(model: Rainbow, path: str | os.PathLike[str]) -> None:
     Raises:
         ZooError: naming each setting that has no form without a pickle.
     """
-    given = {name: getattr(model, name) for name in _hints() if hasattr(model, name)}
+    given = {name: getattr(model, name) for name in _HINTS if hasattr(model, name)}
     given |= {"policy": model.policy_class, "train_freq": model.train_freq}
     weights = {name: value.cpu().numpy() for name, value in model.policy.state_dict().items()}
     arrays = {f"policy.{name}": np.ascontiguousarray(value) for name, value in weights.items()}
@@ -91,12 +91,11 @@ def write_model(model: Rainbow, path: str | os.PathLike[str]) -> None:
             return None
         return result
 
-    hints, of_policy = _hints(), _policy_hints()
     kwargs = model.policy_kwargs
     settings = {
         "format": _MODEL,
-        "arguments": {name: plain(name, value, hints[name]) for name, value in given.items()},
-        "policy_kwargs": {key: plain(key, kwargs[key], of_policy.get(key)) for key in kwargs},
+        "arguments": {name: plain(name, value, _HINTS[name]) for name, value in given.items()},
+        "policy_kwargs": {key: plain(key, kwargs[key], _POLICY_HINTS.get(key)) for key in kwargs},
         "counters": {name: kind(getattr(model, name)) for name, kind in _COUNTERS.items()},
     }
     for name in ("observation_space", "action_space"):
@@ -140,10 +139,10 @@ def read_model(
         changed.setdefault("tau", None)
     with loading(path):
         settings, arrays = _read(path, _MODEL)
-        arguments = _checked(settings.pop("arguments"), _hints())
+        arguments = _checked(settings.pop("arguments"), _HINTS)
         if arguments.get("n_steps", 1) > _MOST_STEPS:  # the smallest buffer holds one return
             raise ValueError(f"n_steps cannot be {arguments['n_steps']}: at most {_MOST_STEPS}")
-        policy_kwargs = _checked(settings.pop("policy_kwargs"), _policy_hints())
+        policy_kwargs = _checked(settings.pop("policy_kwargs"), _POLICY_HINTS)
         counters = _checked(settings.pop("counters"), _COUNTERS)
         own_spaces = {name: _read_space(value, name, arrays) for name, value in settings.items()}
         support = support_of(
@@ -180,7 +179,7 @@ def write_statistics(normalizer: VecNormalize, path: str | os.PathLike[str]) -> 
         for name, statistics in _statistics(normalizer).items()
         for part in ("mean", "var", "count")
     }
-    settings = {name: getattr(normalizer, name) for name in _normalizer_hints()}
+    settings = {name: getattr(normalizer, name) for name in _NORMALIZER_HINTS}
     _write(path, {"format": _STATISTICS, "arguments": settings}, arrays)
 
 
@@ -192,7 +191,7 @@ def read_statistics(path: str | os.PathLike[str], venv: VecEnv) -> VecNormalize:
     """
     with loading(path):
         settings, arrays = _read(path, _STATISTICS)
-        arguments = _checked(settings["arguments"], _normalizer_hints())
+        arguments = _checked(settings["arguments"], _NORMALIZER_HINTS)
         normalizer = VecNormalize(venv, training=False, **arguments)
         normalizer.norm_reward = False
         for name, statistics in _statistics(normalizer).items():
@@ -241,27 +240,24 @@ def _refuse(constant: str) -> None:
     raise ValueError(f"{constant} is no number")
 
 
-def _hints() -> dict[str, Any]:
-    """Constructor arguments of Rainbow that a file holds, and their types in JSON."""
-    hints = _hints_of(Rainbow.__init__, _OF_THE_MACHINE | {"policy_kwargs"})
-    return {**hints, "learning_rate": float | dict[str, float], "train_freq": tuple[int, str]}
-
-
-def _policy_hints() -> dict[str, Any]:
-    left_out = {"self", "observation_space", "action_space", "lr_schedule", *NETWORK_ARGUMENTS}
-    return _hints_of(RainbowPolicy.__init__, left_out)
-
-
-def _normalizer_hints() -> dict[str, Any]:
-    return _hints_of(VecNormalize.__init__, {"self", "venv", "training"})
-
-
 def _hints_of(function: Callable[..., Any], left_out: set[str]) -> dict[str, Any]:
     return {
         name: str | None if name in CLASSES else parameter.annotation
         for name, parameter in inspect.signature(function).parameters.items()
         if name not in left_out
     }
+
+
+# What a file holds of the constructors' arguments, and their types in JSON
+_HINTS = {
+    **_hints_of(Rainbow.__init__, _OF_THE_MACHINE | {"policy_kwargs"}),
+    **{"learning_rate": float | dict[str, float], "train_freq": tuple[int, str]},
+}
+_POLICY_HINTS = _hints_of(
+    RainbowPolicy.__init__,
+    {"self", "observation_space", "action_space", "lr_schedule", *NETWORK_ARGUMENTS},
+)
+_NORMALIZER_HINTS = _hints_of(VecNormalize.__init__, {"self", "venv", "training"})
 
 
 def _checked(settings: dict[str, Any], hints: dict[str, Any]) -> dict[str, Any]:

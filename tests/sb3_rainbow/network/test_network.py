@@ -1,7 +1,6 @@
 """Noisy layers and the dueling, distributional head."""
 
 import copy
-import pickle
 from typing import Any
 
 import numpy as np
@@ -12,12 +11,9 @@ from stable_baselines3.common.torch_layers import NatureCNN
 from torch import nn
 
 from sb3_rainbow import NoisyLinear
-from sb3_rainbow.learner.learner import Learner
-from sb3_rainbow.learner.update import of_actions
 from sb3_rainbow.network.convolutions import NatureConvolutions
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy
-from sb3_rainbow.type_aliases import Batch
 
 OBS = spaces.Box(-1, 1, (4,), np.float32)
 ACTIONS = spaces.Discrete(3)
@@ -155,37 +151,6 @@ def test_noise_survives_copies_and_moves() -> None:
         th.testing.assert_close(net(obs), net(obs))
 
 
-def unit_batch() -> Batch:
-    ones = {n: th.ones(8, n) for n in (1, 4)}
-    actions = th.zeros(8, 1, dtype=th.int64)
-    return Batch(ones[4], actions, ones[4], ones[1], ones[1], ones[1], None, None)
-
-
-@pytest.mark.parametrize("kernels", [True, False])
-def test_a_pickled_policy_explores_acts_and_learns(kernels: bool) -> None:
-    policy = pickle.loads(pickle.dumps(make_policy(sigma0=2.0)))
-    values = set()
-    for _ in range(10):
-        policy.reset_noise()
-        values.add(policy.q_net(th.ones(1, 4), noisy=True).detach().numpy().tobytes())
-    assert len(values) == 10
-
-    learner = Learner(policy, double_q=True, max_grad_norm=10.0, cpu_kernels=kernels)
-    before = nn.utils.parameters_to_vector(policy.q_net.parameters())
-    learner.update(unit_batch())
-    learner.move_target(0.5)
-    after = nn.utils.parameters_to_vector(policy.q_net.parameters())
-    assert not th.equal(before, after)
-    target = nn.utils.parameters_to_vector(policy.q_net_target.parameters())
-    th.testing.assert_close(target, (before + after) / 2)
-    if kernels:
-        obs = th.randn(50, 4)
-        th.manual_seed(3)
-        actions = learner.act(obs, None)
-        th.manual_seed(3)
-        np.testing.assert_array_equal(actions, policy.predict(obs.numpy())[0])
-
-
 @pytest.mark.parametrize(
     ("noisy_layers", "expected"),
     [
@@ -210,19 +175,6 @@ def test_dueling_is_identifiable() -> None:
     th.testing.assert_close(net.join(shifted), net.join(streams))
     # Adding to the value shifts every action alike, and the mean over actions is the value.
     th.testing.assert_close(net.join(streams).mean(dim=1), streams[:, 0])
-
-
-@pytest.mark.parametrize("dueling", [True, False])
-@pytest.mark.parametrize("distributional", [True, False])
-def test_the_taken_actions_row_is_the_same_row(dueling: bool, distributional: bool) -> None:
-    net = make_net(dueling=dueling, distributional=distributional)
-    streams = net.streams(OBSERVATIONS, noisy=True)
-    assert streams.shape == (6, 3 + dueling, 51 if distributional else 1)
-    actions = th.tensor([[0], [1], [2], [2], [1], [0]])
-    whole = net.join(streams)
-    th.testing.assert_close(net.logits(OBSERVATIONS, noisy=True), whole)
-    taken = of_actions(whole, actions)
-    th.testing.assert_close(taken, whole[th.arange(6), actions[:, 0]])
 
 
 def test_q_values_are_expectations_under_the_distribution() -> None:

@@ -1,7 +1,6 @@
 """What a file of a model brings back, and what it must agree with."""
 
 import io
-import pickle
 from typing import Any
 
 import numpy as np
@@ -122,18 +121,6 @@ def test_parameters_of_other_settings(tmp_path: Any) -> None:
     del parameters["policy"][last]
     with pytest.raises(RuntimeError, match=last):
         model.set_parameters(parameters)
-
-
-def test_weights_are_pickled_once() -> None:
-    """After the kernels have made them parts of one vector."""
-    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
-    model.learn(40)
-    assert model._learner.kernels() is not None
-    n_bytes = sum(4 * p.numel() for p in model.policy.parameters())
-    assert len(pickle.dumps(model.policy.state_dict())) < n_bytes + 20_000
-    assert len(pickle.dumps(model.get_parameters())) < 2 * n_bytes + 40_000
-    model.learn(8, reset_num_timesteps=False)
-    assert model._learner.kernels() is not None
 
 
 def test_a_gpu_is_left_alone_by_a_model_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
