@@ -11,7 +11,7 @@ import yaml
 from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import ReplayBuffer
 
-from sb3_rainbow import PrioritizedReplayBuffer, Rainbow
+from sb3_rainbow import Rainbow
 from sb3_rainbow.zoo.experiments import HAS_SUPPORT
 from sb3_rainbow.zoo.registration import convert_rainbow_params, sample_rainbow_params
 from tests.sb3_rainbow.zoo import environments
@@ -85,19 +85,6 @@ def test_a_game_of_atari_has_its_entry() -> None:
     model = trained(1, "ALE-Pong-v5")
     assert model.observation_space.shape == (4, 84, 84)
     assert (model.v_max, model.n_steps) == (10.0, 10)
-
-
-def test_masks_of_environments_in_other_processes() -> None:
-    entry = {**SMALL, "n_envs": 2, "env_wrapper": "sb3_rainbow.TerminalActionMask"}
-    Path("small.yml").write_text(yaml.safe_dump({"MaskedZoo-v0": entry}), encoding="utf-8")
-    words = "--save-replay-buffer --eval-freq 100 --eval-episodes 1 -n 200"
-    train(f"{MASKED} --vec-env subproc {words}")
-    replay = trained(1, "MaskedZoo-v0").replay_buffer
-    assert isinstance(replay, PrioritizedReplayBuffer)
-    samples = replay.sample(200)
-    assert replay.timeouts.sum() == 10
-    # the observation is the mask, at the end of an episode too
-    np.testing.assert_array_equal(samples.next_action_masks, samples.next_observations)
 
 
 def test_arguments_of_the_environment_reach_the_evaluation(
