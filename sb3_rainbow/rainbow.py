@@ -396,8 +396,7 @@ class Rainbow(ResumableAlgorithm):
                 batch = as_batch(samples, self.gamma, self._masking)
                 loss, priorities = learner.update(batch, tau)
                 if isinstance(buffer, PrioritizedReplayBuffer) and self.prioritized:
-                    indices = samples.indices  # type: ignore[attr-defined]
-                    buffer.update_priorities(indices, priorities.cpu().numpy())
+                    buffer.update_priorities(batch.indices, priorities.cpu().numpy())
                     losses.append(float(loss))
                 else:
                     losses.append(loss)

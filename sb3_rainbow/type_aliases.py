@@ -29,7 +29,8 @@ class PrioritizedReplayBufferSamples(NamedTuple):
         rewards: discounted sum of the k rewards, ``(B, 1)``.
         discounts: gamma^k, each sample's own, ``(B, 1)``.
         weights: importance-sampling weights over their batch maximum, ``(B,)``.
-        indices: leaves of the sum tree, for ``update_priorities``, ``(B,)``.
+        indices: leaves of the sum tree, for ``update_priorities``, ``(B,)``; none in an update from
+            one of SB3's buffers.
         next_action_masks: allowed actions at t + k, ``(B, n_actions)``, None without masks.
     """
 
@@ -44,17 +45,5 @@ class PrioritizedReplayBufferSamples(NamedTuple):
     next_action_masks: th.Tensor | None = None
 
 
-class Batch(NamedTuple):
-    """What an update needs of a sample, from whatever replay buffer it came.
-
-    Shapes as in :class:`PrioritizedReplayBufferSamples`.
-    """
-
-    observations: th.Tensor | TensorDict
-    actions: th.Tensor
-    next_observations: th.Tensor | TensorDict
-    dones: th.Tensor
-    rewards: th.Tensor
-    discounts: th.Tensor
-    weights: th.Tensor | None
-    next_action_masks: th.Tensor | None
+# What an update learns from, whatever buffer it came from
+Batch: TypeAlias = PrioritizedReplayBufferSamples

@@ -140,7 +140,7 @@ class MlpUpdate:
             noise.normal_()
             kernels.scale_noise(drawn[None], self.table)
         n = batch.actions.shape[0]
-        weights = np.ones(n, np.float32) if batch.weights is None else batch.weights.numpy()
+        weights = batch.weights.numpy()
         slope, losses, priorities = self._slopes(batch, weights, double_q)
         obs = self._obs
         learns = self._obs_features.requires_grad

@@ -132,11 +132,8 @@ class Learner:
                 q_net.v_max,
             )
             values["clipped_support"] = float(share)
-        if batch.weights is not None:
-            spread = priorities.std(correction=int(len(priorities) > 1)) / priorities.mean().clamp(
-                min=1e-12
-            )
-            values["priority_spread"] = float(spread)
+        deviation = priorities.std(correction=int(len(priorities) > 1))
+        values["priority_spread"] = float(deviation / priorities.mean().clamp(min=1e-12))
         magnitudes = q_net.noise_magnitudes()
         if magnitudes:
             values["noise_magnitude"] = float(np.mean(list(magnitudes.values())))
@@ -145,23 +142,23 @@ class Learner:
 
 
 def as_batch(samples: Any, gamma: float, masking: bool) -> Batch:
-    """What an update needs of a sample of ours or of one of SB3's buffers.
+    """A sample of ours or of one of SB3's buffers as ours.
 
     Args:
         samples: sample of the buffer.
         gamma: discount of samples that bring none.
         masking: whether the masks of the sample, if any, count.
     """
-    discounts = getattr(samples, "discounts", None)
-    if discounts is None:
-        discounts = th.full_like(samples.rewards, gamma)
+    discounts, weights = (getattr(samples, name, None) for name in ("discounts", "weights"))
+    n = len(samples.rewards)
     return Batch(
         samples.observations,
         samples.actions.long(),
         samples.next_observations,
         samples.dones,
         samples.rewards,
-        discounts,
-        getattr(samples, "weights", None),
+        th.full_like(samples.rewards, gamma) if discounts is None else discounts,
+        samples.rewards.new_ones(n) if weights is None else weights,
+        getattr(samples, "indices", np.empty(0, np.int64)),
         getattr(samples, "next_action_masks", None) if masking else None,
     )

@@ -91,7 +91,7 @@ def mean_loss(
     """Importance-weighted mean of the losses, scalar with gradient, and priorities ``(B,)``."""
     target = td_target(q_net, q_net_target, batch, double_q)
     losses, priorities = td_losses(q_net, batch, target.values)
-    return (losses if batch.weights is None else losses * batch.weights).mean(), priorities
+    return (losses * batch.weights).mean(), priorities
 
 
 def of_actions(logits: th.Tensor, actions: th.Tensor) -> th.Tensor:

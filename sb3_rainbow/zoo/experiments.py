@@ -149,15 +149,13 @@ class RainbowExperimentManager(ExperimentManager):
             "verbose": self.verbose,
             "device": self.device,
         }
-        restored = is_checkpoint(path)
-        if restored:
+        if is_checkpoint(path):
             print("Going on from a checkpoint, with its replay buffer")
             model = ResumedRainbow.load_checkpoint(path, env, **given)
         else:
             print("Going on with the replay buffer beside the model")
             model = ResumedRainbow.load(path, env, **given)
             model.load_replay_buffer(replay, self.truncate_last_trajectory)
-        if not (restored and hasattr(env.unwrapped, "set_state")):
-            # The run's own seed would play the episodes of its beginning once more.
-            env.seed(self.seed + model.num_timesteps)
+        # The run's own seed would play the episodes of its beginning once more.
+        env.seed(self.seed + model.num_timesteps)
         return model

@@ -13,7 +13,6 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.envs import (
     FakeImageEnv,
-    IdentityEnv,
     SimpleMultiObsEnv,
 )
 from stable_baselines3.common.logger import KVWriter, Logger
@@ -260,13 +259,6 @@ def test_hessel_et_als_settings_are_those_of_their_table() -> None:
     assert {layer.sigma0 for layer in model.q_net.layers} == {0.5}
     assert model.policy.optimizer.param_groups[0]["eps"] == 1.5e-4
     assert Rainbow("MlpPolicy", env, buffer_size=1000).learning_rate == 1e-3
-
-
-def test_noise_explores_and_deterministic_predictions_do_not() -> None:
-    model = Rainbow("MlpPolicy", IdentityEnv(6), sigma0=3.0, **FAST)
-    obs = np.array([2])
-    assert len({int(model.predict(obs)[0][0]) for _ in range(60)}) > 1
-    assert len({int(model.predict(obs, deterministic=True)[0][0]) for _ in range(60)}) == 1
 
 
 def test_the_target_moves_at_every_update_or_at_an_interval() -> None:

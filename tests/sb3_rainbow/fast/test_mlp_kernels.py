@@ -72,6 +72,7 @@ def make_batch(seed: int, masked: bool) -> Batch:
         rewards=2 * th.randn(n, 1, generator=generator),
         discounts=0.9 ** th.randint(1, 4, (n, 1), generator=generator).float(),
         weights=th.rand(n, generator=generator),
+        indices=np.arange(n),
         next_action_masks=masks if masked else None,
     )
 

@@ -120,20 +120,6 @@ class Hidden(ClockEnv):
         return self.observation(), 0.0, False, self.time == self.length, {}
 
 
-class Native(DummyVecEnv):
-    """As a batched env would: no gym envs to wrap, the mask in the info."""
-
-    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        return [True] * self.num_envs
-
-    def step_wait(self) -> Any:
-        obs, rewards, dones, infos = super().step_wait()
-        for done, info in zip(dones, infos, strict=True):
-            if done:
-                info["terminal_action_mask"] = mask_at(*info["terminal_observation"])
-        return obs, rewards, dones, infos
-
-
 @pytest.mark.parametrize(
     ("make", "n_envs"),
     [
@@ -145,9 +131,8 @@ class Native(DummyVecEnv):
             ),
             2,
         ),
-        (lambda: Native([ClockEnv] * 3), 3),
     ],
-    ids=["action masker", "a row", "subprocesses", "native"],
+    ids=["action masker", "a row", "subprocesses"],
 )
 def test_masks_of_every_kind_of_env_are_stored(make: Callable[[], Any], n_envs: int) -> None:
     env = make()
@@ -357,16 +342,6 @@ def test_no_transition_skips_a_step(n_envs: int, stops: tuple[int, ...]) -> None
     for obs, mask in zip(samples.next_observations, samples.next_action_masks, strict=True):
         np.testing.assert_array_equal(mask, mask_at(*obs.tolist()))
     assert model._episode_num == 12 * n_envs
-
-
-def test_what_is_stored_is_that_of_a_run_that_was_never_stopped() -> None:
-    whole, stopped = trained(2, ()), trained(2, (4, 17))
-    buffers: list[Any] = [whole.replay_buffer, stopped.replay_buffer]
-    leaves, others = (np.flatnonzero(buffer.tree.leaves) for buffer in buffers)
-    np.testing.assert_array_equal(leaves, others)
-    first, second = (buffer.samples_at(leaves) for buffer in buffers)
-    for name in ("observations", "next_observations", "actions", "rewards", "dones"):
-        th.testing.assert_close(getattr(first, name), getattr(second, name))
 
 
 def test_it_serves_sb3s_buffer_normalization_and_lists_of_callbacks() -> None:

@@ -167,7 +167,8 @@ def make_batch(masks: th.Tensor | None = None, n: int = 64) -> Batch:
         dones=(th.rand(n, 1, generator=generator) < 0.3).float(),
         rewards=th.randn(n, 1, generator=generator),
         discounts=0.99 ** th.randint(1, 4, (n, 1), generator=generator).float(),
-        weights=None,
+        weights=th.ones(n),
+        indices=np.arange(n),
         next_action_masks=masks,
     )
 

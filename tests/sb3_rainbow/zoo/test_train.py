@@ -9,9 +9,7 @@ import pandas as pd
 import pytest
 import yaml
 from stable_baselines3 import DQN
-from stable_baselines3.common.buffers import ReplayBuffer
 
-from sb3_rainbow import Rainbow
 from sb3_rainbow.zoo.experiments import HAS_SUPPORT
 from sb3_rainbow.zoo.registration import convert_rainbow_params, sample_rainbow_params
 from tests.sb3_rainbow.zoo import environments
@@ -143,29 +141,9 @@ def test_bad_input_is_one_clear_error(command: str, said: str) -> None:
         zoo(command)
 
 
-def test_an_unknown_algorithm_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        zoo("train --algo rainbo")
-    assert "invalid choice: 'rainbo'" in capsys.readouterr().err
-
-
 def test_enjoy_refuses_a_file_of_another_algorithm() -> None:
     train("-n 50")
     model = DQN("MlpPolicy", "CartPole-v1", buffer_size=10, device="cpu")
     model.save("logs/rainbow/CartPole-v1_1/CartPole-v1.zip")
     with pytest.raises(SystemExit, match=r"cannot be loaded as Rainbow: .* another algorithm"):
         zoo("enjoy --env CartPole-v1 --no-render")
-
-
-def test_enjoy_needs_no_room_for_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    train("-n 50")
-    sizes: list[int] = []
-    make = Rainbow._make_replay_buffer
-
-    def make_and_tell(self: Rainbow) -> ReplayBuffer:
-        sizes.append(self.buffer_size)
-        return make(self)
-
-    monkeypatch.setattr(Rainbow, "_make_replay_buffer", make_and_tell)
-    zoo("enjoy --env CartPole-v1 --no-render -n 5")
-    assert sizes == [1]
