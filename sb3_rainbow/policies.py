@@ -1,7 +1,7 @@
 """Policies of Rainbow: the online and the target network, and how actions are chosen."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch as th
@@ -55,6 +55,7 @@ class RainbowPolicy(AsVector, BasePolicy):
 
     q_net: RainbowNetwork
     q_net_target: RainbowNetwork
+    _default_extractor: ClassVar[type[BaseFeaturesExtractor]] = FlattenExtractor
     _parameters_then: Sequence[nn.Parameter] = ()  # of the online network when last looked at
 
     def __init__(
@@ -84,7 +85,11 @@ class RainbowPolicy(AsVector, BasePolicy):
                 "Rainbow is loaded by Rainbow.load, and no other algorithm can use its policies"
             )
         if features_extractor_class is None:
-            features_extractor_class = self._default_extractor(features_extractor_kwargs or {})
+            features_extractor_class = self._default_extractor
+            if features_extractor_class is NatureConvolutions and (
+                "features_dim" in (features_extractor_kwargs or {})
+            ):
+                features_extractor_class = NatureCNN  # a size asks for the layer that has it
         super().__init__(
             observation_space,
             action_space,
@@ -114,11 +119,6 @@ class RainbowPolicy(AsVector, BasePolicy):
         self.net_arch = net_arch
         self.activation_fn = activation_fn
         self._build(lr_schedule)
-
-    @staticmethod
-    def _default_extractor(kwargs: dict[str, Any]) -> type[BaseFeaturesExtractor]:
-        """Extractor where none was asked for, by its keyword arguments."""
-        return FlattenExtractor
 
     def _build(self, lr_schedule: Schedule) -> None:
         self.q_net = self.make_q_net()
@@ -256,18 +256,13 @@ class CnnPolicy(RainbowPolicy):
     head.
     """
 
-    @staticmethod
-    def _default_extractor(kwargs: dict[str, Any]) -> type[BaseFeaturesExtractor]:
-        # a size asks for the layer that has it
-        return NatureCNN if "features_dim" in kwargs else NatureConvolutions
+    _default_extractor = NatureConvolutions
 
 
 class MultiInputPolicy(RainbowPolicy):
     """:class:`RainbowPolicy` for dict observations: ``CombinedExtractor`` by default."""
 
-    @staticmethod
-    def _default_extractor(kwargs: dict[str, Any]) -> type[BaseFeaturesExtractor]:
-        return CombinedExtractor
+    _default_extractor = CombinedExtractor
 
 
 def _default_arch(features_extractor_class: type[BaseFeaturesExtractor]) -> NetArch:

@@ -9,7 +9,6 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule, TensorDict
 from stable_baselines3.common.utils import LinearSchedule
@@ -456,14 +455,10 @@ class Rainbow(ResumableAlgorithm):
             SettingsMismatchError: if the parameters are of other shapes, or a file of a model with
                 another support.
         """
-        parameters: Any = load_path_or_dict
-        if not isinstance(parameters, dict):
-            # Its data may be any object, which nobody who wants weights alone has to unpickle.
-            own = support_of(self.distributional, self.v_min, self.v_max)
-            check_support_of_file(support_in_file(parameters), own)
-            _, parameters, _ = load_from_zip_file(parameters, load_data=False, device=device)
+        if not isinstance(load_path_or_dict, dict):
+            check_support_of_file(support_in_file(load_path_or_dict), self._support)
         try:
-            super().set_parameters(parameters, exact_match, device)
+            super().set_parameters(load_path_or_dict, exact_match, device)
         except RuntimeError as error:
             raise SettingsMismatchError(
                 f"The checkpoint was saved with other settings than the model's: {error}"

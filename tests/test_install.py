@@ -129,27 +129,29 @@ def test_the_env_needs_nothing_that_draws_or_learns() -> None:
     python("-c", f"import sys, coop_env.env; assert not {heavy} & {{*sys.modules}}", cwd=ROOT)
 
 
+def needed(requirements: list[str]) -> set[str]:
+    """Names of the distributions that these requirements come to, extras only where asked for."""
+    seen: set[tuple[str, ...]] = set()
+    left = [(Requirement(text), {""}) for text in requirements]
+    while left:
+        need, extras = left.pop()
+        applies = not need.marker or any(need.marker.evaluate({"extra": e}) for e in extras)
+        if applies and (need.name, *need.extras) not in seen:
+            seen.add((need.name, *need.extras))
+            asked = need.extras or {""}
+            left += [(Requirement(text), asked) for text in metadata.requires(need.name) or []]
+    return {canonicalize_name(name) for name, *_ in seen}
+
+
 def not_brought_by(extras: str) -> set[str]:
     """The modules installed here that an install of those extras alone would not bring."""
     setup = configparser.ConfigParser()
     setup.read(ROOT / "setup.cfg", encoding="utf-8")
-    left = setup["options"]["install_requires"].strip().splitlines()
-    for extra in extras.split(","):
-        left += setup["options.extras_require"][extra].strip().splitlines()
-    brought: set[tuple[str, ...]] = {("sb3-rainbow-coop",)}
-    while left:
-        need = Requirement(left.pop())
-        if (need.name, *need.extras) not in brought:
-            brought.add((need.name, *need.extras))
-            left += [
-                line
-                for line in metadata.requires(need.name) or ()
-                if not (marker := Requirement(line).marker)
-                or any(marker.evaluate({"extra": extra}) for extra in need.extras or ("",))
-            ]
-    names = {canonicalize_name(name) for name, *_ in brought}
+    lists = [setup["options"]["install_requires"]]
+    lists += [setup["options.extras_require"][extra] for extra in extras.split(",")]
+    brought = needed("".join(lists).split()) | {"sb3-rainbow-coop"}
     modules = metadata.packages_distributions().items()
-    return {module for module, of in modules if not {*map(canonicalize_name, of)} & names}
+    return {module for module, of in modules if not {*map(canonicalize_name, of)} & brought}
 
 
 @pytest.mark.parametrize("extras", ON_EXTRAS)
@@ -234,22 +236,6 @@ def test_the_readme_runs_where_only_the_wheel_and_its_needs_are(
     )
     assert done.returncode == 0, done.stderr
     assert not list(empty.iterdir())
-
-
-def needed(requirements: list[str]) -> set[str]:
-    """Names of the distributions that these requirements come to, extras only where asked for."""
-    result: set[str] = set()
-    asked = [Requirement(text) for text in requirements]
-    while asked:
-        one = asked.pop()
-        extras = {"", *one.extras}
-        if one.marker and not any(one.marker.evaluate({"extra": extra}) for extra in extras):
-            continue
-        name = re.sub(r"[-_.]+", "-", one.name).lower()
-        if name not in result:
-            result.add(name)
-            asked += [Requirement(text) for text in metadata.requires(name) or []]
-    return result
 
 
 def tops(name: str) -> Iterator[Path]:

@@ -82,11 +82,6 @@ class NoisyLinear(nn.Module):
         scale_noise_(self.epsilon_in.normal_())
         share_noise_(scale_noise_(self.epsilon_out.normal_()), self.outputs_per_noise)
 
-    @th.no_grad()
-    def noise_magnitude(self) -> th.Tensor:
-        """Mean absolute sigma of the weights: how strongly the layer still explores; scalar."""
-        return self.weight_sigma.abs().mean()
-
     def forward(self, inputs: th.Tensor, noisy: bool = True) -> th.Tensor:
         """Outputs ``(..., out_features)`` of ``(..., in_features)``, with noise or without."""
         if not noisy or self._silent:

@@ -235,9 +235,9 @@ class RainbowNetwork(AsVector, BasePolicy):
             layer.reset_noise()
 
     def noise_magnitudes(self) -> dict[str, float]:
-        """Mean absolute sigma of each noisy layer, by the layer's place among the layers."""
+        """Mean absolute sigma of each noisy layer's weights, by its place among the layers."""
         return {
-            f"layer{i}": float(layer.noise_magnitude())
+            f"layer{i}": float(layer.weight_sigma.detach().abs().mean())
             for i, layer in enumerate(self._own_layers())
             if isinstance(layer, NoisyLinear)
         }

@@ -137,7 +137,7 @@ class ObservationStore:
             two arrays ``(n, ...)``, or two dicts of such.
         """
         n = leaves.shape[0]
-        current, following = self._empty(n), self._empty(n)
+        current, following = self._zeros((n,)), self._zeros((n,))
         for key, values in self._rows.items():
             gather_observations(
                 _as_bytes(values, self.n_rows * self.n_envs),
@@ -151,9 +151,6 @@ class ObservationStore:
         if _PLAIN in current:
             return current[_PLAIN], following[_PLAIN]
         return current, following
-
-    def _empty(self, n: int) -> Rows:
-        return {key: np.empty((n, *shape), dtype) for key, (shape, dtype) in self._layout.items()}
 
     def trimmed_state(self, n_used: int) -> dict[str, Any]:
         """State for pickling, without the rows from ``n_used`` on, which were never written."""

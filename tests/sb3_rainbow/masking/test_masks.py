@@ -36,7 +36,7 @@ class ClockEnv(gym.Env):
         self.action_space = spaces.Discrete(N_ACTIONS)
         self.length, self.truncates = length, truncates
         self.episode, self.time = -1, 0
-        self.stage = 0
+        self.stage = self._level = 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         super().reset(seed=seed)
@@ -55,9 +55,6 @@ class ClockEnv(gym.Env):
 
     def action_masks(self) -> np.ndarray:
         return mask_at(self.episode, self.time)
-
-    def set_stage(self, stage: int) -> None:
-        self.stage = stage
 
 
 def mask_at(episode: float, time: float) -> np.ndarray:
@@ -168,18 +165,6 @@ def test_no_one_asks_for_the_mask_of_a_terminated_state() -> None:
     env.close()
 
 
-def test_without_masking_no_mask_is_ever_asked_for() -> None:
-    class Silent(ClockEnv):
-        def step(self, action: int) -> Any:
-            self.time += 1
-            return self.observation(), 0.0, False, self.time == self.length, {}
-
-        def action_masks(self) -> np.ndarray:
-            raise RuntimeError("nobody should ask")
-
-    small_model(Silent(), use_masking=False).learn(40)
-
-
 def test_a_truncated_state_that_allows_nothing_is_named() -> None:
     class Stuck(ClockEnv):
         def action_masks(self) -> np.ndarray:
@@ -190,38 +175,22 @@ def test_a_truncated_state_that_allows_nothing_is_named() -> None:
         small_model(env).learn(40)
 
 
-def test_attributes_are_set_through_a_monitor() -> None:
+def test_the_wrapper_around_a_monitor_is_one_and_not_seen() -> None:
     env = make_vec_env(ClockEnv, n_envs=2)
-    small_model(env).learn(30)
-    assert env.env_is_wrapped(TerminalActionMask) == [True, True]
-    clocks = [wrapped.unwrapped for wrapped in env.envs]  # type: ignore[attr-defined]
-    env.env_method("set_wrapper_attr", "stage", 3)
-    assert [clock.stage for clock in clocks] == env.get_attr("stage") == [3, 3]
-    env.set_attr("stage", 4)
-    assert [clock.stage for clock in clocks] == env.get_attr("stage") == [4, 4]
-    unknown = env.env_method("set_wrapper_attr", "no_such_thing", 1, force=False)
-    assert unknown == [False, False]
-
-
-def test_private_attributes_are_set_where_they_are() -> None:
-    task = ClockEnv()
-    task._level = 0  # type: ignore[attr-defined]
-    env = DummyVecEnv([lambda: task])
-    small_model(env).learn(30)
-    env.set_attr("_level", 5)
-    assert task._level == 5  # type: ignore[attr-defined]
-    assert env.get_attr("_level") == [5]
-    assert env.envs[0]._level == 5  # type: ignore[attr-defined]
-    own, plain = vars(env.envs[0]), vars(gym.Wrapper(task))
-    assert own.keys() == plain.keys()
-
-
-def test_wrapping_again_is_harmless() -> None:
-    inner = ClockEnv()
-    env = DummyVecEnv([lambda: inner])
     for _ in range(2):
         small_model(env).learn(30)
-        assert env.envs[0].env is inner  # type: ignore[attr-defined]
+    assert env.env_is_wrapped(TerminalActionMask) == [True, True]
+    wrapped = env.envs  # type: ignore[attr-defined]
+    assert [type(each.env) for each in wrapped] == [Monitor, Monitor]
+    own, plain = vars(wrapped[0]), vars(gym.Wrapper(wrapped[0].env))
+    assert own.keys() == plain.keys()
+    for name in ("stage", "_level"):
+        env.env_method("set_wrapper_attr", name, 3)
+        assert [vars(e.unwrapped)[name] for e in wrapped] == env.get_attr(name) == [3, 3]
+        env.set_attr(name, 4)
+        assert [vars(e.unwrapped)[name] for e in wrapped] == env.get_attr(name) == [4, 4]
+    unknown = env.env_method("set_wrapper_attr", "no_such_thing", 1, force=False)
+    assert unknown == [False, False]
 
 
 def test_predict_obeys_masks_of_one_observation_and_of_a_batch() -> None:
