@@ -17,7 +17,7 @@ from sb3_rainbow.fast.adam import AdamOnVector
 from sb3_rainbow.learner.learner import Learner
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy
 from sb3_rainbow.type_aliases import Batch
-from tests.sb3_rainbow.small import FAST
+from tests.sb3_rainbow.small import FAST, random_batch
 
 N_ACTIONS = 5
 BOX, IMAGES = spaces.Box(-1, 1, (6,), np.float32), spaces.Box(0, 255, (2, 36, 36), np.uint8)
@@ -59,22 +59,10 @@ def make_learner(
 
 
 def make_batch(seed: int, masked: bool) -> Batch:
-    generator = th.Generator().manual_seed(seed)
-    n = 32
-    masks = th.rand(n, N_ACTIONS, generator=generator) < 0.5
+    masks = th.rand(32, N_ACTIONS, generator=th.Generator().manual_seed(seed)) < 0.5
     masks[1:, seed % N_ACTIONS] = True
     masks[0] = False  # as someone who fills a buffer by hand may leave it
-    return Batch(
-        observations=th.randn(n, 6, generator=generator),
-        actions=th.randint(0, N_ACTIONS, (n, 1), generator=generator),
-        next_observations=th.randn(n, 6, generator=generator),
-        dones=(th.rand(n, 1, generator=generator) < 0.3).float(),
-        rewards=2 * th.randn(n, 1, generator=generator),
-        discounts=0.9 ** th.randint(1, 4, (n, 1), generator=generator).float(),
-        weights=th.rand(n, generator=generator),
-        indices=np.arange(n),
-        next_action_masks=masks if masked else None,
-    )
+    return random_batch(6, N_ACTIONS, 32, seed, masks if masked else None)
 
 
 def make_images(seed: int) -> Batch:

@@ -23,6 +23,7 @@ from sb3_rainbow.network.losses import (
 )
 from sb3_rainbow.policies import MlpPolicy
 from sb3_rainbow.type_aliases import Batch
+from tests.sb3_rainbow.small import random_batch
 
 
 def project(p: list[float], reward: float, discount: float, v_min: float, v_max: float) -> list:
@@ -158,19 +159,8 @@ def make_policy(**kwargs: Any) -> MlpPolicy:
     return policy
 
 
-def make_batch(masks: th.Tensor | None = None, n: int = 64) -> Batch:
-    generator = th.Generator().manual_seed(0)
-    return Batch(
-        observations=th.rand(n, 3, generator=generator),
-        actions=th.randint(0, N_ACTIONS, (n, 1), generator=generator),
-        next_observations=3 * th.rand(n, 3, generator=generator) - 1,
-        dones=(th.rand(n, 1, generator=generator) < 0.3).float(),
-        rewards=th.randn(n, 1, generator=generator),
-        discounts=0.99 ** th.randint(1, 4, (n, 1), generator=generator).float(),
-        weights=th.ones(n),
-        indices=np.arange(n),
-        next_action_masks=masks,
-    )
+def make_batch(masks: th.Tensor | None = None) -> Batch:
+    return random_batch(3, N_ACTIONS, 64, masks=masks)
 
 
 def masked_argmax(q_values: np.ndarray, masks: np.ndarray | None) -> list[int]:

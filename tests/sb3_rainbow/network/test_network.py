@@ -106,12 +106,6 @@ def test_noise_has_nothing_to_do_with_train_and_eval(training: bool) -> None:
     th.testing.assert_close(layer(x, noisy=False), layer(x, noisy=False))
 
 
-def test_epsilons_are_buffers() -> None:
-    net = make_net()
-    assert not any("epsilon" in name or "noise" in name for name, _ in net.named_parameters())
-    assert sum("epsilon" in name for name, _ in net.named_buffers()) == 4
-
-
 def test_online_and_target_noise_are_independent() -> None:
     policy = make_policy()
     policy.q_net.reset_noise()

@@ -172,14 +172,6 @@ def test_hindsight_never_joins_the_episodes_before_and_after_a_checkpoint(tmp_pa
     assert model.learn(54, reset_num_timesteps=False).replay_buffer.ep_start[46] == 46
 
 
-def test_a_checkpoint_of_an_env_that_cannot_tell_its_state_resets_it(tmp_path: Any) -> None:
-    Rainbow("MlpPolicy", "CartPole-v1", **FAST).learn(100).save_checkpoint(tmp_path / "c")
-    model: Any = Rainbow.load_checkpoint(tmp_path / "c", gym.make("CartPole-v1"))
-    assert model.replay_buffer.size() == 100
-    model.learn(100, reset_num_timesteps=False)
-    assert model.num_timesteps == 200
-
-
 def test_files_that_are_no_checkpoint(tmp_path: Any) -> None:
     (tmp_path / "text").write_text("hello")
     env = gym.make("CartPole-v1")

@@ -41,24 +41,4 @@ class Masked(gym.Env):
         return np.zeros((16, 16, 3), np.uint8)
 
 
-class Worsening(gym.Env):
-    """Each that is made pays less than those before it."""
-
-    observation_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-    action_space = spaces.Discrete(2)
-    made = 0
-
-    def __init__(self) -> None:
-        Worsening.made += 1
-        self.reward = -float(Worsening.made)
-
-    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
-        super().reset(seed=seed)
-        return np.zeros(2, np.float32), {}
-
-    def step(self, action: Any) -> Any:
-        return np.zeros(2, np.float32), self.reward, False, False, {}
-
-
 gym.register("MaskedZoo-v0", f"{__name__}:Masked", max_episode_steps=20)
-gym.register("WorseningZoo-v0", f"{__name__}:Worsening", max_episode_steps=20)

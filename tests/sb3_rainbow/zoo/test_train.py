@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import optuna
-import pandas as pd
 import pytest
 import yaml
 from stable_baselines3 import DQN
@@ -96,17 +95,6 @@ def test_arguments_of_the_environment_reach_the_evaluation(
     assert environments.Masked.tags == ["given"] * 2
     train(f"{MASKED} --eval-freq 100 --eval-env-kwargs tag:'other' -n 100")
     assert sorted(environments.Masked.tags[2:]) == ["given", "other"]
-
-
-def test_a_search_prunes() -> None:
-    search = "-optimize --n-trials 2 --n-startup-trials 1 --n-evaluations 2 --eval-episodes 1"
-    packages = f"--env WorseningZoo-v0 --gym-packages {ENVS}"
-    train(f"{packages} {search} -n 200 --no-optim-plots")
-    (report,) = Path("logs/rainbow").glob("report_*.csv")
-    trials = pd.read_csv(report)
-    assert trials["state"].tolist() == ["COMPLETE", "PRUNED"]
-    for name in ("tau", "n_steps", "noisy", "alpha"):
-        assert trials[f"params_{name}"].nunique() > 0
 
 
 def test_the_zoos_own_algorithms_stay_as_they_are() -> None:
