@@ -251,17 +251,6 @@ def test_a_layer_whose_weights_are_replaced_counts_and_trains(network: str, laye
         th.testing.assert_close(ours.policy.state_dict()[name], value, rtol=1e-4, atol=1e-5)
 
 
-def test_weights_that_are_loaded_count_for_the_next_action() -> None:
-    learner = make_learner(True, sigma0=2.0)
-    weights = make_learner(True, sigma0=2.0).policy.parameters_to_vector()
-    learner.policy.load_from_vector(-weights)
-    obs = th.randn(50, 6)
-    th.manual_seed(1)
-    actions = learner.act(obs, None)
-    th.manual_seed(1)
-    np.testing.assert_array_equal(actions, learner.policy.predict(obs.numpy())[0])
-
-
 @pytest.mark.parametrize("masked", [False, True])
 def test_exploring_actions_are_those_of_the_policy_under_the_same_noise(masked: bool) -> None:
     model = Rainbow("MlpPolicy", "CartPole-v1", buffer_size=100, sigma0=2.0, seed=0, device="cpu")

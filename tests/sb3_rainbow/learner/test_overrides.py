@@ -159,11 +159,6 @@ def test_a_network_that_is_the_packages_own_gets_its_kernels_back() -> None:
     assert model._learner.kernels() is None
     handle.remove()
     assert model._learner.kernels() is not None
-    optimizer = model.policy.optimizer
-    model.policy.optimizer = th.optim.SGD(model.q_net.parameters(), lr=0.1)
-    assert model._learner.kernels() is None
-    model.policy.optimizer = optimizer
-    assert model._learner.kernels() is not None
     model.policy.to(th.float64)
     assert model._learner.kernels() is None
     model.policy.to(th.float32)

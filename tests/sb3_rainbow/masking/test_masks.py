@@ -9,9 +9,6 @@ import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
-from sb3_contrib.common.maskable.callbacks import MaskableEvalCallback
-from sb3_contrib.common.maskable.evaluation import evaluate_policy
-from sb3_contrib.common.maskable.utils import get_action_masks
 from sb3_contrib.common.wrappers import ActionMasker
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import CallbackList, StopTrainingOnMaxEpisodes
@@ -253,19 +250,6 @@ def test_use_masking() -> None:
         small_model(ClockEnv()).learn(50, use_masking=False)
     with pytest.raises(ValueError, match="use_masking must be"):
         small_model(ClockEnv(), use_masking="yes")
-
-
-def test_sb3_contribs_evaluation_and_callback(tmp_path: Any) -> None:
-    model = small_model(ClockEnv())
-    callback = MaskableEvalCallback(
-        Monitor(ClockEnv()), eval_freq=50, n_eval_episodes=3, verbose=0, log_path=str(tmp_path)
-    )
-    model.learn(100, callback=callback)
-    assert (tmp_path / "evaluations.npz").exists()
-    env = make_vec_env(ClockEnv, n_envs=2)
-    mean: Any = evaluate_policy(model, env, n_eval_episodes=4)[0]  # type: ignore[arg-type]
-    assert 0 <= mean <= 5
-    assert get_action_masks(env).shape == (2, N_ACTIONS)
 
 
 def test_masks_left_out_of_a_prediction_are_told_once(tmp_path: Any) -> None:

@@ -136,15 +136,6 @@ def test_each_environment_explores_by_noise_of_its_own() -> None:
     th.testing.assert_close(net(obs, noisy=True), net(obs[:1], noisy=True).expand(5, -1))
 
 
-def test_noise_survives_copies_and_moves() -> None:
-    for net in (copy.deepcopy(make_net()), make_net().to(th.float64).to(th.float32)):
-        obs = th.zeros(1, 4)
-        before = net(obs, noisy=True)
-        net.reset_noise()
-        assert not th.equal(net(obs, noisy=True), before)
-        th.testing.assert_close(net(obs), net(obs))
-
-
 @pytest.mark.parametrize(
     ("noisy_layers", "expected"),
     [
