@@ -100,7 +100,9 @@ class RainbowPolicy(AsVector, BasePolicy):
             normalize_images=normalize_images,
         )
         if net_arch is None:
-            net_arch = _default_arch(features_extractor_class)
+            net_arch = [] if features_extractor_class is NatureCNN else [64, 64]
+            if features_extractor_class is NatureConvolutions:
+                net_arch = {"shared": [], "streams": [512]}
         self.net_args: dict[str, Any] = {
             "observation_space": observation_space,
             "action_space": action_space,
@@ -263,12 +265,6 @@ class MultiInputPolicy(RainbowPolicy):
     """:class:`RainbowPolicy` for dict observations: ``CombinedExtractor`` by default."""
 
     _default_extractor = CombinedExtractor
-
-
-def _default_arch(features_extractor_class: type[BaseFeaturesExtractor]) -> NetArch:
-    if features_extractor_class == NatureConvolutions:
-        return {"shared": [], "streams": [512]}
-    return [] if features_extractor_class == NatureCNN else [64, 64]
 
 
 MlpPolicy = RainbowPolicy

@@ -229,15 +229,11 @@ def _read(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, Any], Arra
             )
         if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
             raise ValueError("it is compressed, which no packaged file is")
-        settings = json.loads(archive.read(SETTINGS), parse_constant=_refuse)
+        settings = json.loads(archive.read(SETTINGS))
         form = settings.pop("format")
         if form != kind:
             raise ValueError(f"its format is {form!r}, expected {kind!r}")
         return settings, load_arrays(archive.read(_ARRAYS))
-
-
-def _refuse(constant: str) -> None:
-    raise ValueError(f"{constant} is no number")
 
 
 def _hints_of(function: Callable[..., Any], left_out: set[str]) -> dict[str, Any]:

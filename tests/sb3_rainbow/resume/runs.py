@@ -12,16 +12,11 @@ from stable_baselines3.common.vec_env import (
 )
 
 from sb3_rainbow import PrioritizedReplayBuffer, Rainbow
+from tests.sb3_rainbow import small
 
 FAST: dict[str, Any] = {
-    "learning_rate": 1e-3,
-    "learning_starts": 40,
-    "train_freq": 2,
-    "gradient_steps": 1,
-    "buffer_size": 300,
-    "batch_size": 8,
-    "policy_kwargs": {"net_arch": [16, 16]},
-    "seed": 7,
+    **{**small.FAST, "learning_starts": 40, "buffer_size": 300, "seed": 7},
+    **{"train_freq": 2, "gradient_steps": 1},
 }
 
 
