@@ -156,10 +156,6 @@ class NoMovesLeft(ClockEnv):
 
 def test_no_one_asks_for_the_mask_of_a_terminated_state() -> None:
     small_model(DummyVecEnv([lambda: NoMovesLeft(truncates=False)] * 2)).learn(60)
-    wrapped: list[Any] = [lambda: TerminalActionMask(NoMovesLeft(truncates=False))] * 2
-    env = SubprocVecEnv(wrapped, start_method="fork")
-    small_model(env).learn(60)
-    env.close()
 
 
 def test_a_truncated_state_that_allows_nothing_is_named() -> None:

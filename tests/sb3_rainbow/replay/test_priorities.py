@@ -11,10 +11,10 @@ from gymnasium import spaces
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chisquare
-from stable_baselines3 import DQN, SAC
+from stable_baselines3 import SAC
 from stable_baselines3.common.utils import set_random_seed
 
-from sb3_rainbow import PrioritizedReplayBuffer, PrioritizedReplayCallback, SumTree
+from sb3_rainbow import PrioritizedReplayBuffer, SumTree
 
 OURS: dict[str, Any] = {
     "learning_starts": 20,
@@ -145,16 +145,6 @@ def test_a_reset_forgets_everything_and_sampling_before_a_window_is_complete_say
     assert (buffer.size(), buffer.tree.total, buffer.can_sample) == (0, 0.0, False)
     with pytest.raises(ValueError, match="no complete n-step window"):
         buffer.sample(4)
-
-
-def test_under_sb3s_dqn() -> None:
-    kwargs = {"n_steps": 3, "gamma": 0.99, "alpha": 0.6}
-    model = DQN("MlpPolicy", "CartPole-v1", train_freq=1, replay_buffer_kwargs=kwargs, **OURS)
-    model.learn(300, callback=PrioritizedReplayCallback())
-    buffer = model.replay_buffer
-    assert isinstance(buffer, PrioritizedReplayBuffer)
-    filled = buffer.tree.leaves[buffer.tree.leaves > 0]
-    assert np.unique(filled).size > 100
 
 
 def test_continuous_actions_of_other_algorithms_are_kept_whole() -> None:
