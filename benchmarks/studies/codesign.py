@@ -34,18 +34,9 @@ from benchmarks.runs.backends import Backend
 from benchmarks.runs.harness import Harness
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import RunFolder, Store, write_text
+from benchmarks.studies import codesign_report as report
 from benchmarks.studies.base import Part, Study, Tick, count
-from benchmarks.studies.codesign_report import (
-    ALL,
-    BASE,
-    MOST,
-    OF_ONE,
-    POLICIES,
-    STUDIES,
-    SearchResult,
-    fronts,
-    to_markdown,
-)
+from benchmarks.studies.codesign_report import BASE, MOST, POLICIES, STUDIES, SearchResult
 from benchmarks.studies.insertion import Insertion
 from coop_env.design import DesignProblem, measure, workspace_area
 from coop_env.errors import ResetOptionError
@@ -277,7 +268,8 @@ class Codesign(Study):
     def _score_named(self, tick: Tick) -> None:
         starts = self.asked["starts"]
         for name, geometry in GEOMETRIES.items():
-            self.rows.append(score(name, ALL if name == BASE else "lambdas", geometry, starts))
+            study = report.ALL if name == BASE else "lambdas"
+            self.rows.append(score(name, study, geometry, starts))
         self.floor = min(row["success"] for row in self.rows)
         for study in STUDIES:
             best = geometry_of(area_best(study))
@@ -305,7 +297,7 @@ class Codesign(Study):
             self._train(self._write_preset(result))
         with style():
             for kind in ("png", "pdf"):
-                figure = fronts(SearchResult(self.folder))
+                figure = report.fronts(SearchResult(self.folder))
                 save(figure, self.folder / "figures" / f"fronts.{kind}")
 
     def _test(self, result: SearchResult) -> None:
@@ -332,9 +324,9 @@ class Codesign(Study):
             "description": "A policy on each of the designs that the co-design chose",
             "seeds": list(range(self.asked["seeds"])),
             "evaluation": {"episodes": EPISODES, "noise": [0.0], "stream": "test"},
-            "tracks": {OF_ONE: {"timesteps": steps} if steps else None},
+            "tracks": {report.OF_ONE: {"timesteps": steps} if steps else None},
             "geometries": {design: asdict(geometry) for design, geometry in own.items()},
-            "runs": [{"methods": ["rainbow"], "geometries": chosen, "tracks": [OF_ONE]}],
+            "runs": [{"methods": ["rainbow"], "geometries": chosen, "tracks": [report.OF_ONE]}],
         }
         path = self.folder / f"{POLICIES}.yaml"
         write_text(path, yaml.safe_dump(preset, sort_keys=False))
@@ -361,7 +353,7 @@ class Codesign(Study):
         folder = results / "codesign"
         if not (folder / "chosen.csv").is_file():
             return {}
-        return {folder / "codesign.md": to_markdown(SearchResult(folder)) + "\n"}
+        return {folder / "codesign.md": report.to_markdown(SearchResult(folder)) + "\n"}
 
     @classmethod
     def problems(cls, results: Path) -> list[str]:

@@ -25,18 +25,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.errors import BenchmarkError, known, resolve
-from benchmarks.evaluation.evaluate import (
-    Condition,
-    OnProgress,
-    Rows,
-    by_policy,
-    follow,
-    in_turn,
-    model_policy,
-    no_progress,
-    planner_runner,
-    play,
-)
+from benchmarks.evaluation import evaluate
 from benchmarks.evaluation.model_files import detect_algorithm, fitting_observation, load_model
 from benchmarks.methods.base import Plan
 from benchmarks.methods.episodes import Episode, env_arguments
@@ -53,8 +42,9 @@ from benchmarks.studies.scoring.scores import in_words
 Given = argparse.Namespace
 GEOMETRY: Final = "optimized"
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,60}")
+Run = Callable[[evaluate.OnProgress], evaluate.Rows]
 #: a seed's settings, and what plays its test episodes
-Scorer = tuple[dict[str, Any], Callable[[OnProgress], Rows]]
+Scorer = tuple[dict[str, Any], Run]
 
 
 def prepare(preset: Preset, given: Given) -> list[Scorer]:
@@ -75,7 +65,7 @@ def prepare(preset: Preset, given: Given) -> list[Scorer]:
     def scorer(seed: int, path: Path | None) -> Scorer:
         cell = Cell(given.name, "full", GEOMETRY, "", seed)
         if path is None:
-            player, noise = in_turn(_planner(preset, given.planner, seed)), [0.0]
+            player, noise = evaluate.in_turn(_planner(preset, given.planner, seed)), [0.0]
             source = {"algorithm": given.planner, "sha256": "", **_source(given.planner)}
             protocol = dict(masks)
         else:
@@ -84,7 +74,7 @@ def prepare(preset: Preset, given: Given) -> list[Scorer]:
                 "algorithm": given.algorithm or detect_algorithm(path),
                 "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
             }
-            player = by_policy(model_policy(loaded[path]), seed)
+            player = evaluate.by_policy(evaluate.model_policy(loaded[path]), seed)
             noise = preset.evaluation.noise
         config = {
             "cell": asdict(cell),
@@ -92,8 +82,8 @@ def prepare(preset: Preset, given: Given) -> list[Scorer]:
             "entry": {**source, **protocol},
         }
         arguments = env_arguments(preset, cell) | protocol
-        conditions = [Condition(arguments, level) for level in noise]
-        return config, partial(play, player, preset, seed, conditions)
+        conditions = [evaluate.Condition(arguments, level) for level in noise]
+        return config, partial(evaluate.play, player, preset, seed, conditions)
 
     return list(map(scorer, preset.seeds, files or (None,) * number))
 
@@ -139,9 +129,8 @@ def score(preset: Preset, given: Given, console: Console) -> None:
 
 
 def _score(
-    folder: RunFolder, config: dict[str, Any], run: Callable[[OnProgress], Rows], preset: str,
-    progress: Progress,
-) -> None:  # fmt: skip
+    folder: RunFolder, config: dict[str, Any], run: Run, preset: str, progress: Progress
+) -> None:
     task = progress.add_task(folder.id, total=1.0)
 
     def work() -> dict[str, Any]:
@@ -162,7 +151,7 @@ def glance(preset: Preset, given: Given) -> Iterator[str]:
     preset = dataclasses.replace(preset, evaluation=tests)
     for config, run in prepare(preset, given):
         name = f"{given.name}, seed {config['cell']['seed']}"
-        yield from in_words(pd.DataFrame(run(no_progress)), name)
+        yield from in_words(pd.DataFrame(run(evaluate.no_progress)), name)
 
 
 def _check(preset: Preset, given: Given) -> None:
@@ -185,7 +174,7 @@ def _check(preset: Preset, given: Given) -> None:
 
 def _planner(preset: Preset, planner: str, seed: int) -> Callable[[Episode], None]:
     if planner in PERFECT_PLANNERS:
-        return planner_runner(preset, Cell(planner, "full", GEOMETRY, "", seed))
+        return evaluate.planner_runner(preset, Cell(planner, "full", GEOMETRY, "", seed))
     if ":" not in planner:
         raise BenchmarkError(
             f"unknown planner '{planner}'; known: {known(PERFECT_PLANNERS)}, or "
@@ -196,7 +185,7 @@ def _planner(preset: Preset, planner: str, seed: int) -> Callable[[Episode], Non
         kind = type(function).__name__
         raise BenchmarkError(f"planner '{planner}' is no function but {kind}")
     ask = checked(function, planner)
-    return lambda episode: follow(episode, ask)
+    return lambda episode: evaluate.follow(episode, ask)
 
 
 def _source(planner: str) -> dict[str, str]:
