@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -100,18 +102,14 @@ def test_causes_are_told_apart() -> None:
     preset = load_preset("smoke")
     cell = next(c for c in expand(preset) if c.method == "rainbow")
 
-    class Model:
-        def __init__(self, actions: list[int]) -> None:
-            self.actions = actions
-
-        def predict(self, observation: np.ndarray, **_: object) -> tuple[np.ndarray, None]:
-            self.actions.append(self.actions.pop(0))
-            return np.array([self.actions[-1]]), None
+    def model(*actions: int) -> SimpleNamespace:
+        turn = itertools.cycle(actions)
+        return SimpleNamespace(predict=lambda *_, deterministic: (np.array([next(turn)]), None))
 
     plain = dataclasses.replace(preset.tracks["safe"], mask_singularities=False, mask_visited=0)
     preset = dataclasses.replace(preset, tracks={"safe": plain})
-    rows = failures.play(preset, cell, Model([4, 5]), LatticeOracle())
+    rows = failures.play(preset, cell, model(4, 5), LatticeOracle())
     assert {row["cause"] for row in rows} <= {"cycle", "infeasible"}
     assert any(row["cause"] == "cycle" for row in rows)
-    rows = failures.play(preset, cell, Model([6]), LatticeOracle())
+    rows = failures.play(preset, cell, model(6), LatticeOracle())
     assert {row["cause"] for row in rows} <= {"singular", "cycle", "infeasible"}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pandas as pd
@@ -117,21 +118,12 @@ def test_the_command_goes_on_and_can_be_checked(site: Any, monkeypatch: pytest.M
     }
     monkeypatch.setattr(codesign, "area_best", lambda of: largest[of])
     choose, few = SearchResult.choose, ("initial", "optimized", "lambdas-area", "heights-area")
-
-    def two(result: SearchResult) -> dict[str, str]:  # of the six and more, to train on
-        return {design: choose(result)[design] for design in few[1::2]}
-
-    monkeypatch.setattr(SearchResult, "choose", two)
-    score, calls = codesign.optimum, []
-
-    def cut_off(*arguments: Any, **named: Any) -> dict[str, float]:
-        calls.append(arguments)
-        if len(calls) == 7:
-            raise KeyboardInterrupt
-        return score(*arguments, **named)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(codesign, "optimum", cut_off)
+    monkeypatch.setattr(  # of the six and more, two to train on
+        SearchResult, "choose", lambda result: {name: choose(result)[name] for name in few[1::2]}
+    )
+    cut_off = [*6 * [mock.DEFAULT], KeyboardInterrupt]
+    seventh: Any = {"wraps": codesign.optimum, "side_effect": cut_off}
+    with mock.patch.object(codesign, "optimum", **seventh):
         assert main(words) == 130
     folder = results / "codesign"
     assert not (folder / "designs.csv").exists()
