@@ -10,13 +10,16 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import DESIGN, Cell
 from benchmarks.protocol.presets import Preset, preset_names
 from benchmarks.protocol.seeding import derive
+from benchmarks.reporting.results import Result, Results
+from benchmarks.reporting.tables.beyond import build_tables
+from benchmarks.reporting.tables.table import Table
+from benchmarks.reporting.verify import check_runs
 from benchmarks.runs.cell import ProgressReporter
 from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
 
 if TYPE_CHECKING:
     from benchmarks.reporting.figures.style import Picture
-    from benchmarks.reporting.tables.table import Table
 
 
 class Insertion(Experiment[Preset]):
@@ -92,26 +95,18 @@ class Insertion(Experiment[Preset]):
     def verdict(self, folder: RunFolder) -> str:
         if not folder.has_rows("episodes"):
             return ""
-        from benchmarks.reporting.results import Result
-
         clean = Result.read(folder, {}).test()
         return f", success {100 * clean['success'].mean():.0f} % of {len(clean)} test episodes"
 
     def tables(self, store: Store) -> list[Table]:
-        from benchmarks.reporting.results import Results
-        from benchmarks.reporting.tables.beyond import build_tables
-
         return build_tables(Results(store))
 
     def pictures(self, store: Store) -> list[Picture]:
         from benchmarks.reporting.figures.learning import pictures
-        from benchmarks.reporting.results import Results
 
         return pictures(Results(store))
 
     def problems(self, store: Store) -> list[str]:
-        from benchmarks.reporting.verify import check_runs
-
         result = check_runs(store)
         for cell in self.cells():
             try:

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 from benchmarks.protocol.learners import learner_of
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import SuitePreset
+from benchmarks.reporting.tables.table import Table
 from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
+from benchmarks.studies.classic.results import SuiteResults
 
 if TYPE_CHECKING:
     from benchmarks.reporting.figures.style import Picture
-    from benchmarks.reporting.tables.table import Table
-    from benchmarks.studies.classic.results import SuiteResults
 
 
 class Classic(Experiment[SuitePreset]):
@@ -50,17 +50,12 @@ class Classic(Experiment[SuitePreset]):
     def tables(self, store: Store) -> list[Table]:
         from benchmarks.studies.classic.report import build_tables
 
-        return build_tables(self._stored(store))
+        return build_tables(SuiteResults(self.preset, store))
 
     def pictures(self, store: Store) -> list[Picture]:
         from benchmarks.studies.classic.report import pictures
 
-        return pictures(self._stored(store))
+        return pictures(SuiteResults(self.preset, store))
 
     def problems(self, store: Store) -> list[str]:
-        return self._stored(store).problems()
-
-    def _stored(self, store: Store) -> SuiteResults:
-        from benchmarks.studies.classic.results import SuiteResults
-
-        return SuiteResults(self.preset, store)
+        return SuiteResults(self.preset, store).problems()
