@@ -29,6 +29,10 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
+from sb3_contrib import QRDQN
+from stable_baselines3 import DQN
+from stable_baselines3.common.torch_layers import NatureCNN
+from stable_baselines3.common.vec_env import DummyVecEnv
 from threadpoolctl import threadpool_limits
 
 from benchmarks.methods.oracle import LatticeOracle
@@ -36,6 +40,7 @@ from benchmarks.reporting.tables.table import plain
 from benchmarks.studies.base import Measured, Option, Part, Tick, count, source
 from coop_env.env import CoopInsertionEnv
 from coop_env.vector.vec_env import CoopInsertionVecEnv
+from sb3_rainbow import Rainbow
 
 Name = TypeVar("Name", bound=Hashable)
 
@@ -106,7 +111,6 @@ def options(steps: int, rounds: int) -> dict[str, Option]:
 
 def measure_steps(steps: int, rounds: int) -> dict[str, float]:
     """Microseconds a step, median over rounds in turns."""
-    from stable_baselines3.common.vec_env import DummyVecEnv
 
     def actions(*of: int) -> NDArray[np.int64]:
         size = (max(1, steps // of[0]), *of) if of else steps
@@ -236,12 +240,6 @@ def make_models(net_arch: Sequence[int] | None, capacity: int = CAPACITY) -> dic
     Without layers they learn from images: all have DQN's own convolutions, and buffers of 2,000
     frames that are not filled.
     """
-    from sb3_contrib import QRDQN
-    from stable_baselines3 import DQN
-    from stable_baselines3.common.torch_layers import NatureCNN
-
-    from sb3_rainbow import Rainbow
-
     images = net_arch is None
     net: dict[str, Any] = {} if net_arch is None else {"net_arch": list(net_arch)}
     ours: dict[str, Any] = {"features_extractor_class": NatureCNN} if images else net

@@ -9,16 +9,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from benchmarks.protocol.plan import Cell, expand, settings
 from benchmarks.protocol.presets import SuitePreset
 from benchmarks.protocol.seeding import episode_seeds
-from benchmarks.reporting.stats import Value, measured, over_seeds
+from benchmarks.reporting.stats import Array, Value, measured, over_seeds
 from benchmarks.reporting.verify import check_seeds
 from benchmarks.runs.store import RunFolder, Store
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
