@@ -141,17 +141,14 @@ def table(rows: pd.DataFrame) -> str:
     for (method, kind), all_of in rows.groupby(["method", "kind"], sort=False):
         done = all_of[all_of["moves_first"] > 0]
         mean, error = done.mean(numeric_only=True), done["error"]
-        counts = (
-            *(done["blocked_first"] == 0, done["inserted"].astype(bool)),
-            done["force"] <= FORCE_LIMIT,
-        )
-        free, inserted, soft = (str(int(each.sum())) for each in counts)
+        free, soft = (done["blocked_first"] == 0).sum(), (done["force"] <= FORCE_LIMIT).sum()
+        inserted = done["inserted"].astype(bool).sum()
         lines.append(
             [
                 *(str(method), str(kind), f"{len(done)} of {len(all_of)}"),
                 *_lengths(mean["moves_first"], mean["seconds_first"]),
-                *(free, f"{error.median():.1f} / {error.max():.1f}"),
-                *(f"{done['torque'].max():.1f}", inserted, soft),
+                *(f"{free}", f"{error.median():.1f} / {error.max():.1f}"),
+                *(f"{done['torque'].max():.1f}", f"{inserted}", f"{soft}"),
                 " / ".join(_lengths(mean["moves"], mean["seconds"])[1:]),
             ]
         )

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import product
@@ -72,15 +72,12 @@ def measure(level: str, episodes: int, tick: Tick) -> Row:
     from benchmarks.methods.contact_scripts import GRIDS
 
     env, result = make(level), {}
-    for done, (name, grid) in enumerate(GRIDS.items()):
+    for name, grid in GRIDS.items():
         gains = choose(env, name, grid, episodes)
-        tick((done + 0.5) / len(GRIDS))
         script = script_of(name, env, gains)
-        result[name] = {
-            "gains": gains,
-            "errors": [play(env, script, "test", episodes, error) for error in trials.CONDITIONS],
-        }
-        tick((done + 1) / len(GRIDS))
+        errors = [play(env, script, "test", episodes, error) for error in trials.CONDITIONS]
+        result[name] = {"gains": gains, "errors": errors}
+        tick(len(result) / len(GRIDS))
     return result
 
 
@@ -187,30 +184,20 @@ class Contact(Measured):
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:
         n = result["asked"]["episodes"]
-        scripts = [(level, *each) for level in LEVELS for each in result["parts"][level].items()]
         low, high = (100.0 * share for share in wilson(n, n))
-        chosen = "; ".join(
-            f"{level}, {name}: {', '.join(f'{k} {v:g}' for k, v in one['gains'].items())}"
-            for level, name, one in scripts
-            if one["gains"]
-        )
-        table = plain(
-            f"Scripts over the hole's displacement: {WHAT}",
-            " | ".join(["level", "script", *map(trials.shown, trials.CONDITIONS), "failures"]),
-            [
-                [level, name, *map(trials.in_cell, one["errors"]), _causes(one["errors"])]
-                for level, name, one in scripts
-            ],
-        )
+        rows, chosen = [], []
+        scripts = [(level, *each) for level in LEVELS for each in result["parts"][level].items()]
+        for level, name, one in scripts:
+            failed = Counter(cause for row in one["errors"] for cause in row["failure"] if cause)
+            causes = ", ".join(f"{cause} {times}" for cause, times in sorted(failed.items())) or "-"
+            rows.append([level, name, *map(trials.in_cell, one["errors"]), causes])
+            if gains := ", ".join(f"{gain} {value:g}" for gain, value in one["gains"].items()):
+                chosen.append(f"{level}, {name}: {gains}")
+        head = " | ".join(["level", "script", *map(trials.shown, trials.CONDITIONS), "failures"])
+        table = plain(f"Scripts over the hole's displacement: {WHAT}", head, rows)
         note = (
             f"{n} episodes a cell (all of them successful: {low:.0f} to {high:.0f} %, "
             f"95 % interval); to {TRAINED:g} mm errors are as the task draws them. "
-            f"Gains chosen: {chosen}. {source(result)}"
+            f"Gains chosen: {'; '.join(chosen)}. {source(result)}"
         )
         return "\n\n".join([table, varied(result["parts"]), note])
-
-
-def _causes(rows: Sequence[Mapping[str, Sequence[Any]]]) -> str:
-    """How often episodes failed by each cause."""
-    counted = Counter(cause for row in rows for cause in row["failure"] if cause)
-    return ", ".join(f"{cause} {n}" for cause, n in sorted(counted.items())) or "-"

@@ -174,20 +174,17 @@ def prices(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dict[st
     def policy(runs: str, env: CoopInsertionEnv, seed: int) -> Act:
         return greedy(load_model(results / f"{runs}-s{seed}" / "policy.zip"))
 
-    players: list[tuple[str, str, Maker]] = [
-        ("random", "paper's", _at_random),
-        ("random", "safe", _at_random),
-    ]
+    players: dict[str, Maker] = {"random": _at_random}
     for name, runs in LEARNED.items():
         if (results / f"{runs}-s0" / "policy.zip").is_file():
-            players += [(name, masks, partial(policy, runs)) for masks in ("paper's", "safe")]
+            players[name] = partial(policy, runs)
     rows: list[dict[str, Any]] = []
-    for (name, masks, make), shielded in product(players, (False, True)):
-        arguments = SAFE if masks == "safe" else TASK
-        result = [price_of(make, arguments, shielded, seed, episodes) for seed in range(seeds)]
+    for name, masks, shielded in product(players, ("paper's", "safe"), (False, True)):
+        of = (players[name], SAFE if masks == "safe" else TASK, shielded)
+        result = [price_of(*of, seed, episodes) for seed in range(seeds)]
         numbers = {key: [one[key] for one in result] for key in result[0]}
         rows.append({"policy": name, "masks": masks, "shield": shielded, **numbers})
-        tick(len(rows) / (2 * len(players)))
+        tick(len(rows) / (4 * len(players)))
     return rows
 
 
@@ -354,45 +351,34 @@ class Shield(Measured):
         names = {"full": "one start's, in full", "sampled": f"{asked['phases']:,} starts', sampled"}
         digits = {"success": 1, "holes": 2, "time": 1, "harm": 2, "interventions": 1}
         margin = ", ".join(f"{name} {value:.3g}" for name, value in asked["margin"].items())
-        tables = [
-            plain(
-                "Certificate: moves that the shield allows, on the nominal machine",
-                "lattice | configurations | moves | harmful | dead ends",
-                [
-                    [names[key], *counts(one, "points moves harmful dead_ends")]
-                    for key, one in parts["certificate"].items()
-                ],
-            ),
-            plain(
-                "An adversary on machines that err, by the bounds of their errors",
-                "errors | shield | moves | collisions | singular",
-                [
-                    [name, shield, *counts(parts[f"{name}: {way}"], "moves collisions singular")]
-                    for name in ERRORS
-                    for way, shield in (("bare", "no"), ("shielded", "yes"))
-                ],
-            ),
-            plain(
-                f"Price: {asked['seeds']} seeds, {asked['episodes']} validation starts each",
-                "policy | its masks | shield | success (%) | holes | time to the first (s) | "
-                "harmful moves | interventions",
-                [
-                    [row["policy"], row["masks"], said[row["shield"]], *_numbers(row, digits)]
-                    for row in parts["prices"]
-                    if row["policy"] != "adversary"  # of older files
-                ],
-            ),
-            plain(
-                "Random machines: moves that the shield allows where the robots may meet",
-                "machines | moves | harmful",
-                [counts(parts["machines"], "machines moves harmful")],
-            ),
-            plain(
-                "The worst machine within the bounds of its errors, its model at the margin",
-                "errors | configurations | harmed",
-                [[n, *counts(parts[f"{n}: margin"], "configurations harmed")] for n in ERRORS],
-            ),
+        title = "Certificate: moves that the shield allows, on the nominal machine"
+        head = "lattice | configurations | moves | harmful | dead ends"
+        rows = [
+            [names[key], *counts(one, "points moves harmful dead_ends")]
+            for key, one in parts["certificate"].items()
         ]
+        tables = [plain(title, head, rows)]
+        title = "An adversary on machines that err, by the bounds of their errors"
+        rows = [
+            [name, shield, *counts(parts[f"{name}: {way}"], "moves collisions singular")]
+            for name in ERRORS
+            for way, shield in (("bare", "no"), ("shielded", "yes"))
+        ]
+        tables.append(plain(title, "errors | shield | moves | collisions | singular", rows))
+        title = f"Price: {asked['seeds']} seeds, {asked['episodes']} validation starts each"
+        head = "policy | its masks | shield | success (%) | holes | time to the first (s) | "
+        rows = [
+            [row["policy"], row["masks"], said[row["shield"]], *_numbers(row, digits)]
+            for row in parts["prices"]
+            if row["policy"] != "adversary"  # of older files
+        ]
+        tables.append(plain(title, head + "harmful moves | interventions", rows))
+        title = "Random machines: moves that the shield allows where the robots may meet"
+        rows = [counts(parts["machines"], "machines moves harmful")]
+        tables.append(plain(title, "machines | moves | harmful", rows))
+        title = "The worst machine within the bounds of its errors, its model at the margin"
+        rows = [[n, *counts(parts[f"{n}: margin"], "configurations harmed")] for n in ERRORS]
+        tables.append(plain(title, "errors | configurations | harmed", rows))
         note = (
             "Mean ± std over seeds, of means an episode; a harmful move collides, or ends the "
             f"episode by a singularity. Margins (rad, m): {margin}. {source(result)}"
