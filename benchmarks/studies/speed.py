@@ -109,7 +109,7 @@ def options(steps: int, rounds: int) -> dict[str, Option]:
     }
 
 
-def measure_steps(steps: int, rounds: int) -> dict[str, float]:
+def measure_steps(steps: int, rounds: int, _: Tick) -> dict[str, float]:
     """Microseconds a step, median over rounds in turns."""
 
     def actions(*of: int) -> NDArray[np.int64]:
@@ -128,7 +128,7 @@ def measure_steps(steps: int, rounds: int) -> dict[str, float]:
     return {name: 1e6 * each / steps for name, each in in_turns(loops, rounds).items()}
 
 
-def measure_oracle(starts: int, geometry: str) -> dict[str, float]:
+def measure_oracle(starts: int, geometry: str, _: Tick) -> dict[str, float]:
     """CPU seconds, feasible share and mean length of the exact optimum over the first seeds."""
     env, oracle, plans = CoopInsertionEnv(geometry=geometry), LatticeOracle(), []
 
@@ -157,11 +157,8 @@ class SpeedEnv(Measured):
     def measures(self) -> dict[str, Part]:
         given = self.given
         return {
-            "steps": lambda _: measure_steps(given.steps, given.rounds),
-            **{
-                f"optimum, {name}": lambda _, of=name: measure_oracle(given.starts, of)  # type: ignore[misc]
-                for name in OPTIMA
-            },
+            "steps": partial(measure_steps, given.steps, given.rounds),
+            **{f"optimum, {name}": partial(measure_oracle, given.starts, name) for name in OPTIMA},
         }
 
     @staticmethod

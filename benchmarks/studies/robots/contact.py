@@ -81,9 +81,9 @@ def measure(level: str, episodes: int, tick: Tick) -> Row:
     return result
 
 
-def sensitivity(level: str, gains: Row, episodes: int, tick: Tick) -> list[Row]:
+def sensitivity(level: str, measured: Row, episodes: int, tick: Tick) -> list[Row]:
     """The search, as its gains were chosen, under each of :data:`VARIANTS`."""
-    rows = []
+    gains, rows = measured[level][SEARCH]["gains"], []
     for variant, fields in VARIANTS.items():
         env = make(level, **fields)
         result = play(env, script_of(SEARCH, env, gains), "test", episodes)
@@ -169,12 +169,7 @@ class Contact(Measured):
         n, kept = self.given.episodes, self.result["parts"]
         return {
             **{level: partial(measure, level, n) for level in LEVELS},
-            **{
-                f"{level}, varied": lambda tick, of=level: sensitivity(
-                    of, kept[of][SEARCH]["gains"], n, tick
-                )  # type: ignore[misc]
-                for level in SENSITIVE
-            },
+            **{f"{level}, varied": partial(sensitivity, level, kept, n) for level in SENSITIVE},
         }
 
     def finish(self) -> None:

@@ -7,13 +7,14 @@ actions are random, drawn beforehand, with a bias downwards so that the peg meet
 from __future__ import annotations
 
 import os
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 import psutil
 
 from benchmarks.reporting.tables.table import plain
-from benchmarks.studies.base import Measured, Part, count, source
+from benchmarks.studies.base import Measured, Part, Tick, count, source
 from benchmarks.studies.speed import in_turns, options, stepping
 from coop_env.geometry import GEOMETRIES
 
@@ -32,7 +33,7 @@ ERRORS: Final = {
 }
 
 
-def measure_errors(geometry: str, poses: int) -> dict[str, Any]:
+def measure_errors(geometry: str, poses: int, _: Tick) -> dict[str, Any]:
     """Median and largest error of each kind, SI, over so many random valid poses."""
     from coop_env.physics.model import Machine
     from coop_env.physics.twin import Twin
@@ -53,7 +54,7 @@ def _actions(steps: int) -> np.ndarray:
     return np.clip(drawn, -1.0, 1.0)
 
 
-def measure_speed(steps: int, rounds: int) -> dict[str, float]:
+def measure_speed(steps: int, rounds: int, _: Tick) -> dict[str, float]:
     """Control steps a CPU second: the single form, batches, and the engine alone above a hole."""
     from coop_env.physics.env import CoopInsertionContactEnv
     from coop_env.physics.twin import Twin
@@ -74,7 +75,7 @@ def measure_speed(steps: int, rounds: int) -> dict[str, float]:
     return {name: steps / each for name, each in in_turns(loops, rounds).items()}
 
 
-def measure_memory(steps: int) -> float:
+def measure_memory(steps: int, tick: Tick) -> float:
     """Megabytes that the process grows by over so many control steps after a tenth as many."""
     from coop_env.physics.env import CoopInsertionContactEnv
 
@@ -82,8 +83,9 @@ def measure_memory(steps: int) -> float:
     loop()
     process = psutil.Process()
     before = process.memory_info().rss
-    for _ in range(10):
+    for done in range(10):
         loop()
+        tick((done + 1) / 10)
     return float(process.memory_info().rss - before) / 1e6
 
 
@@ -98,15 +100,12 @@ class Physics(Measured):
     }
 
     def measures(self) -> dict[str, Part]:
-        given = self.given
+        given, n = self.given, self.given.poses
         return {
-            **{
-                f"errors, {name}": lambda _, of=name: measure_errors(of, given.poses)  # type: ignore[misc]
-                for name in GEOMETRIES
-            },
+            **{f"errors, {name}": partial(measure_errors, name, n) for name in GEOMETRIES},
             "load": lambda _: os.getloadavg()[0],
-            "speed": lambda _: measure_speed(given.steps, given.rounds),
-            "memory": lambda _: measure_memory(given.memory_steps),
+            "speed": partial(measure_speed, given.steps, given.rounds),
+            "memory": partial(measure_memory, given.memory_steps),
         }
 
     def finish(self) -> None:

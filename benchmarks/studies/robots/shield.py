@@ -250,7 +250,7 @@ def search(machines: int, tick: Tick) -> dict[str, int]:
     return total
 
 
-def at_the_margin(real: SimToReal, configurations: int) -> dict[str, int]:
+def at_the_margin(real: SimToReal, configurations: int, tick: Tick) -> dict[str, int]:
     """Configurations driven to the margin, and at how many the worst machine in bounds is harmed.
 
     The base stands off by the whole bound along all axes and is tilted by it about both; all links
@@ -269,6 +269,7 @@ def at_the_margin(real: SimToReal, configurations: int) -> dict[str, int]:
         worst = product(corners, (-real.link_length_error, real.link_length_error))
         result["configurations"] += 1
         result["harmed"] += any(_status(env, base, longer) != VALID for base, longer in worst)
+        tick(result["configurations"] / configurations)
     return result
 
 
@@ -335,7 +336,7 @@ class Shield(Measured):
             },
             "machines": partial(search, given.machines),
             **{
-                f"{name}: margin": lambda _, of=real: at_the_margin(of, CONFIGURATIONS)  # type: ignore[misc]
+                f"{name}: margin": partial(at_the_margin, real, CONFIGURATIONS)
                 for name, real in ERRORS.items()
             },
         }
