@@ -121,16 +121,6 @@ def _of_store(one: Experiment, results: Path) -> list[str]:
     return one.problems(store) or check_tables(store.tables, one.tables(store))
 
 
-def _guarded(path: Path, check: Callable[[], list[str]]) -> list[str]:
-    """What a check finds; where a damaged file ends it, that, and the others go on."""
-    try:
-        return check()
-    except BenchmarkError as error:
-        return [str(error)]
-    except Exception as error:  # whatever comes of what may stand in a file
-        return [f"{path}: a file cannot be read ({type(error).__name__}: {error})"]
-
-
 def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]:
     """Check the stores of ``presets`` (all under ``results`` if none is named), studies and pages.
 
@@ -143,21 +133,27 @@ def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]
     there, found = stores(results), False
     if not there and not presets:
         raise BenchmarkError(f"{results} has no results; run: python -m benchmarks run")
+    checks: list[tuple[str, Path, Callable[[], list[str]]]] = []
     for name in presets or there:
         one = experiment(name)
         if presets:
             one.open_store(results)
         folder = results / one.place / one.name
-        problems = _guarded(folder, partial(_of_store, one, results))
-        runs = Store(results / one.place, one.name).completed()
+        runs = Store(folder.parent, folder.name).completed()
         policies = sum(run.policy.is_file() for run in runs)
-        yield f"{folder}: tables of {len(runs)} runs, {policies} policies", problems
-        found |= bool(problems)
+        what = f"{folder}: tables of {len(runs)} runs, {policies} policies"
+        checks.append((what, folder, partial(_of_store, one, results)))
     for name in () if presets else STUDIES:
-        one_study = study(name)
-        path = results / (one_study.file or name)
-        problems = _guarded(path, partial(one_study.problems, results))
-        yield f"{results / name}: what is told of it", problems
+        of, what = study(name), f"{results / name}: what is told of it"
+        checks.append((what, results / (of.file or name), partial(of.problems, results)))
+    for what, path, check in checks:
+        try:
+            problems = check()
+        except BenchmarkError as error:  # a damaged file ends its check, the others go on
+            problems = [str(error)]
+        except Exception as error:  # whatever comes of what may stand in a file
+            problems = [f"{path}: a file cannot be read ({type(error).__name__}: {error})"]
+        yield what, problems
         found |= bool(problems)
     own = {
         path.parent for under in ("*", "classic/*") for path in results.glob(f"{under}/store.json")
