@@ -183,8 +183,6 @@ class Measured(Study):
     def problems(cls, results: Path) -> list[str]:
         try:
             return super().problems(results)
-        except BenchmarkError as unreadable:
-            return [str(unreadable)]
         except KeyError as missing:
             return [f"{results / cls.file} has no {missing}: the command of the study goes on"]
 

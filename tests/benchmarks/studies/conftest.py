@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from benchmarks.errors import BenchmarkError
 from benchmarks.reporting import blocks
 from benchmarks.studies.base import Measured, Study
 
@@ -24,9 +26,15 @@ class Site:
         """Whether the page is not what the stored data say."""
         return any(result for _, result in blocks.check(self.results, study.blocks(self.results)))
 
-    def check(self, study: type[Study], path: str, word: str) -> str:
-        """The text of a file, which was printed and is on the page; a changed word is noticed."""
-        text = (self.results / path).read_text("utf-8")
+    def parts(self, study: type[Measured]) -> dict[str, Any]:
+        """What a study measured."""
+        parts: dict[str, Any] = json.loads((self.results / study.file).read_text("utf-8"))["parts"]
+        return parts
+
+    def check(self, study: type[Study], word: str) -> str:
+        """The text of its file, which was printed and is on the page; a changed word is noticed."""
+        (path,) = study.files(self.results)
+        text = path.read_text("utf-8")
         assert text.strip() in self.capsys.readouterr().out
         page = self.page.read_text("utf-8")
         assert text.strip() in page
@@ -39,7 +47,8 @@ class Site:
             stored = self.results / study.file
             whole = stored.read_text("utf-8")
             stored.write_text(whole[:-20], encoding="utf-8")
-            assert "cannot be read" in study.problems(self.results)[0]
+            with pytest.raises(BenchmarkError, match="cannot be read"):
+                study.problems(self.results)
             stored.write_text(whole, encoding="utf-8")
         return text
 

@@ -134,7 +134,7 @@ def test_the_command_goes_on_and_can_be_checked(site: Any, monkeypatch: pytest.M
     assert {*few} <= choose(result).keys()
     assert result.policies.group("rainbow", "central", "heights-area").n == 2
 
-    text = here.check(Codesign, "codesign/codesign.md", "too few")
+    text = here.check(Codesign, "too few")
     assert text.count("too few designs") == 2
     assert "](../results/codesign/figures/fronts.png)" in text
     assert "--designs 4" in result.summary["command"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from typing import Any
 
@@ -20,8 +19,8 @@ def test_the_command_writes_what_it_prints(site: Any) -> None:
     here = site("speed-env")
     small = ["--steps", "256", "--rounds", "1", "--starts", "3"]
     assert main(["study", "speed-env", "--results", str(here.results), *small]) == 0
-    here.check(speed.SpeedEnv, "speed/env.md", "batch of 64")
-    parts = json.loads((here.results / "speed" / "env.json").read_text())["parts"]
+    here.check(speed.SpeedEnv, "batch of 64")
+    parts = here.parts(speed.SpeedEnv)
     assert all(value > 0.0 for value in parts["steps"].values())
     assert parts["optimum, optimized"]["feasible"] > 0.0
     # generous, so that only a gross slip fails here whatever else the machine does

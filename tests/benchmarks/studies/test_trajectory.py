@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -39,9 +38,8 @@ def test_the_tables_follow_from_the_rows(site: Any) -> None:
     here = site("trajectory")
     places = ["--results", str(here.results), "--model", str(MODEL)]
     assert command(["study", "trajectory", "--starts", "2", *places]) == 0
-    here.check(TrajectoryStudy, "trajectory/trajectory.md", "optimum")
-    stored = json.loads((here.results / "trajectory" / "trajectory.json").read_text("utf-8"))
-    rows = pd.DataFrame([row for part in stored["parts"].values() for row in part])
+    here.check(TrajectoryStudy, "optimum")
+    rows = pd.DataFrame([row for part in here.parts(TrajectoryStudy).values() for row in part])
     assert len(rows) == 12
     assert set(rows["method"]) == {"optimum", "RRT-Connect", "Rainbow"}
     done = rows[rows["moves_first"] > 0]

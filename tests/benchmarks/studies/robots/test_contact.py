@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from types import SimpleNamespace
 from typing import Any
@@ -91,11 +90,10 @@ def test_the_command_writes_what_it_prints_and_keeps_what_is_measured(
     monkeypatch.setattr(contact, "measure", pytest.fail)  # it is not called again
     monkeypatch.setattr(Contact, "finish", lambda self: None)
     assert Contact.main(words) == 0
-    here.check(Contact, "contact/scripts.md", "compliant")
-    stored = json.loads((here.results / "contact" / "scripts.json").read_text("utf-8"))
-    level = stored["parts"]["standard"]
-    assert level["compliant push"]["errors"][1]["success"] == [True, True]
-    rows = {row["variant"]: row for row in stored["parts"]["standard, varied"]}
+    here.check(Contact, "compliant")
+    parts = here.parts(Contact)
+    assert parts["standard"]["compliant push"]["errors"][1]["success"] == [True, True]
+    rows = {row["variant"]: row for row in parts["standard, varied"]}
     assert rows["contact 20 ms"]["yields"] > rows["contact 10 ms"]["yields"] > 0.0
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
@@ -31,9 +30,8 @@ def test_the_command_writes_what_it_prints_and_goes_on(
     with monkeypatch.context() as patched:
         patched.setattr(shield, "prices", _interrupted)  # was done before
         assert Shield.main(words) == 0
-    here.check(Shield, "shield/shield.md", "Certificate")
-    stored = json.loads((here.results / "shield" / "shield.json").read_text("utf-8"))
-    parts = stored["parts"]
+    here.check(Shield, "Certificate")
+    parts = here.parts(Shield)
     assert parts["certificate"]["sampled"]["harmful"] == 0
     for name in ERRORS:
         assert parts[f"{name}: shielded"]["collisions"] == 0
