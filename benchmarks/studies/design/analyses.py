@@ -213,9 +213,8 @@ def map_arrays() -> dict[str, np.ndarray]:
     for name, g in GEOMETRIES.items():
         maps = [design.workspace_map(g, problem, heave=heave) for heave in MAP_HEAVES]
         arrays[f"sigma_{name}"] = np.stack([m.sigma for m in maps]).astype(np.float16)
-        arrays[f"manipulability_{name}"] = np.stack([1.0 / m.kappa for m in maps]).astype(
-            np.float16
-        )
+        kappa = np.stack([m.kappa for m in maps])
+        arrays[f"manipulability_{name}"] = (1.0 / kappa).astype(np.float16)
         arrays[f"inside_{name}"] = np.stack([m.inside for m in maps])
     return arrays
 

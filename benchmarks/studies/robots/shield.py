@@ -70,23 +70,21 @@ BODIES: Final = ("dome_radius", "effector_radius", "forearm_radius", "spoke_radi
 STEPS: Final = ("linear_step", "angular_step", "heave_step")
 
 
-class Adversary:
+def adversary(env: CoopInsertionEnv) -> Act:
     """Takes, of the moves it may, one after which the least of the margins is left."""
+    rng, unit = np.random.default_rng(derive("fresh", 14)), asdict(ShieldMargin())
+    margins = [{name: m * size for name, size in unit.items()} for m in LADDER]
+    shields = [KinematicShield(env, margin) for margin in margins]
 
-    def __init__(self, env: CoopInsertionEnv, rng: np.random.Generator) -> None:
-        self._env, self._rng, unit = env, rng, asdict(ShieldMargin())
-        self._shields = [
-            KinematicShield(env, {name: m * size for name, size in unit.items()}) for m in LADDER
-        ]
-
-    def __call__(self, observation: Any, masks: Any) -> int:
-        """The move."""
+    def act(observation: Any, masks: Any) -> int:
         left = np.full(len(masks), np.inf)
         for move in np.flatnonzero(masks).tolist():
-            to = self._env.configuration
-            to[move // 2] += self._shields[0].steps[move // 2] * (1 - 2 * (move % 2))
-            left[move] = sum(shield.is_certified(to) for shield in self._shields)
-        return int(self._rng.choice(np.flatnonzero(left == left.min())))
+            to = env.configuration
+            to[move // 2] += shields[0].steps[move // 2] * (1 - 2 * (move % 2))
+            left[move] = sum(shield.is_certified(to) for shield in shields)
+        return int(rng.choice(np.flatnonzero(left == left.min())))
+
+    return act
 
 
 def _at_random(env: CoopInsertionEnv, seed: int) -> Act:
@@ -117,8 +115,7 @@ def harm_of(real: SimToReal, moves: int, shielded: bool, tick: Tick) -> dict[str
     """Collisions and singular ends in so many of the adversary's moves."""
     env = CoopInsertionEnv(**SAFE, sim_to_real=real)
     player: Any = ShieldWrapper(env) if shielded else env
-    choose = Adversary(env, np.random.default_rng(derive("fresh", 14)))
-    result = {"moves": 0, "collisions": 0, "singular": 0, "episodes": 0}
+    choose, result = adversary(env), {"moves": 0, "collisions": 0, "singular": 0, "episodes": 0}
     while result["moves"] < moves:
         start = derive("validate", 2, result["episodes"])
         steps = episode(player, lambda seen: choose(seen, player.action_masks()), seed=start)
