@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import DESIGN, Cell
@@ -17,9 +17,6 @@ from benchmarks.reporting.verify import check_runs
 from benchmarks.runs.cell import ProgressReporter
 from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
-
-if TYPE_CHECKING:
-    from benchmarks.reporting.figures.style import Picture
 
 
 class Insertion(Experiment[Preset]):
@@ -101,7 +98,7 @@ class Insertion(Experiment[Preset]):
     def tables(self, store: Store) -> list[Table]:
         return build_tables(Results(store))
 
-    def pictures(self, store: Store) -> list[Picture]:
+    def pictures(self, store: Store) -> Sequence[Any]:
         from benchmarks.reporting.figures.learning import pictures
 
         return pictures(Results(store))

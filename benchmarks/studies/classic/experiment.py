@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 from benchmarks.protocol.learners import learner_of
 from benchmarks.protocol.plan import Cell
@@ -11,9 +12,6 @@ from benchmarks.reporting.tables.table import Table
 from benchmarks.runs.experiment import Experiment, StopRequested
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.classic.results import SuiteResults
-
-if TYPE_CHECKING:
-    from benchmarks.reporting.figures.style import Picture
 
 
 class Classic(Experiment[SuitePreset]):
@@ -52,7 +50,7 @@ class Classic(Experiment[SuitePreset]):
 
         return build_tables(SuiteResults(self.preset, store))
 
-    def pictures(self, store: Store) -> list[Picture]:
+    def pictures(self, store: Store) -> Sequence[Any]:
         from benchmarks.studies.classic.report import pictures
 
         return pictures(SuiteResults(self.preset, store))
