@@ -139,19 +139,15 @@ def _chart(forces: np.ndarray, now: int, fps: int) -> np.ndarray:
 
 def varied(parts: Row) -> str:
     """The table of what the simulation assumes."""
-    return plain(
-        f"What the simulation assumes, varied: {SEARCH}, errors to {TRAINED:g} mm",
-        f"level | variant | {WHAT} | largest peak (N) | rim yields at {PRESSED:g} N (mm)",
-        [
-            [
-                *(level, row["variant"], trials.in_cell(row)),
-                *(f"{max(row['force']):.1f}", f"{1e3 * row['yields']:.3f}"),
-            ]
-            for level in SENSITIVE
-            for row in parts.get(f"{level}, varied", [])
-            if row.get("script", SEARCH) == SEARCH  # older files have others, too
-        ],
-    )
+    rows = []
+    for level in SENSITIVE:
+        for row in parts.get(f"{level}, varied", []):
+            if row.get("script", SEARCH) == SEARCH:  # older files have others, too
+                numbers = [f"{max(row['force']):.1f}", f"{1e3 * row['yields']:.3f}"]
+                rows.append([level, row["variant"], trials.in_cell(row), *numbers])
+    title = f"What the simulation assumes, varied: {SEARCH}, errors to {TRAINED:g} mm"
+    head = f"level | variant | {WHAT} | largest peak (N) | rim yields at {PRESSED:g} N (mm)"
+    return plain(title, head, rows)
 
 
 class Contact(Measured):
