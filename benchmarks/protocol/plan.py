@@ -8,7 +8,7 @@ is one cell of its own. On public tasks a cell's track is the task, and it has n
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Any, Final
@@ -119,7 +119,8 @@ def expand(preset: Preset | SuitePreset) -> list[Cell]:
         return sorted(suite, key=lambda c: (c.seed, -units_of(settings(preset, c))))
     cells: dict[Cell, None] = {}
     for group in preset.runs:
-        _check_group(preset, group)
+        for problem in _problems(preset, group):
+            raise BenchmarkError(f"preset '{preset.name}': {problem}")
         seeds = preset.seeds if group.seeds is None else group.seeds
         tracks = group.tracks or [""]
         for seed in seeds:  # who stops early has some seeds of every kind
@@ -246,75 +247,65 @@ def _track(track: Track, method: str) -> dict[str, Any]:
     return {key: value for key, value in config.items() if key not in unused}
 
 
-def _check_group(preset: Preset, group: RunGroup) -> None:
-    where = f"preset '{preset.name}'"
-    geometries = (*GEOMETRIES, *preset.geometries)
-    for kind, names, allowed in (
-        ("method", group.methods, METHODS),
-        ("ablation", group.ablations, tuple(ABLATIONS)),
-        ("geometry", group.geometries, geometries),
-        ("track", group.tracks, tuple(preset.tracks)),
-    ):
-        for name in names:
-            if name not in allowed:
-                raise BenchmarkError(f"{where}: unknown {kind} '{name}'; known: {known(allowed)}")
-    for name in group.tracks:
-        if machine := preset.tracks[name].sim_to_real:
-            own = own_error(machine)
-            if not any(math.isclose(own, level) for level in preset.evaluation.errors):
-                raise BenchmarkError(
-                    f"{where}: evaluation: errors lack {own:g} mm, track '{name}'s own"
-                )
-        _check_team(preset, name, group.methods)
-    for method in group.methods:
-        if method in (*LEARNERS, *CONTROLS) and not group.tracks:
-            raise BenchmarkError(f"{where}: method '{method}' needs a track")
-        if method in PLANNERS:
-            _check_planner(preset, method, group.tracks)
-        if method != "rainbow" and group.ablations != ["full"]:
-            raise BenchmarkError(f"{where}: only rainbow has ablations, not '{method}'")
-
-
 def own_error(machine: Mapping[str, Any]) -> float:
     """Bound of the base's displacement of a track's ``sim_to_real``, mm."""
     return round(1000.0 * float(machine["base_position_error"]), 6)
 
 
-def _check_team(preset: Preset, name: str, methods: list[str]) -> None:
-    where, track = f"preset '{preset.name}': track '{name}'", preset.tracks[name]
+def _problems(preset: Preset, group: RunGroup) -> Iterator[str]:
+    """What cannot be run of a group."""
+    for kind, names, allowed in (
+        ("method", group.methods, METHODS),
+        ("ablation", group.ablations, tuple(ABLATIONS)),
+        ("geometry", group.geometries, (*GEOMETRIES, *preset.geometries)),
+        ("track", group.tracks, tuple(preset.tracks)),
+    ):
+        for name in names:
+            if name not in allowed:
+                yield f"unknown {kind} '{name}'; known: {known(allowed)}"
+    for name in group.tracks:
+        track = preset.tracks[name]
+        if track.sim_to_real:
+            own = own_error(track.sim_to_real)
+            if not any(math.isclose(own, level) for level in preset.evaluation.errors):
+                yield f"evaluation: errors lack {own:g} mm, track '{name}'s own"
+        for problem in _of_team(track, group.methods):
+            yield f"track '{name}': {problem}"
+    for method in group.methods:
+        if method in (*LEARNERS, *CONTROLS) and not group.tracks:
+            yield f"method '{method}' needs a track"
+        if method in PLANNERS:
+            yield from _of_planner(preset, method, group.tracks)
+        if method != "rainbow" and group.ablations != ["full"]:
+            yield f"only rainbow has ablations, not '{method}'"
+
+
+def _of_team(track: Track, methods: list[str]) -> Iterator[str]:
     if track.team is None:
         if track.sight:
-            raise BenchmarkError(f"{where}: sight = true is of a team: name it, or leave it out")
+            yield "sight = true is of a team: name it, or leave it out"
         return
-    team = f"{where}: team = '{track.team}'"
+    team = f"team = '{track.team}'"
     for key in ("mask_visited", "mask_refused", "sim_to_real", "shield", "collision"):
         if (value := getattr(track, key)) not in (0, False, None, "refuse"):
-            raise BenchmarkError(
-                f"{team}: {key} = {value!r} is of robots that move one at a time: leave it out"
-            )
+            yield f"{team}: {key} = {value!r} is of robots that move one at a time: leave it out"
     if track.team == "central" and track.sight:
-        raise BenchmarkError(f"{team} sees both robots: leave out sight = true")
-    if track.hyperparameters.n_envs % track.rows:
-        raise BenchmarkError(
-            f"{team}: n_envs = {track.hyperparameters.n_envs} is odd, but each team has two rows"
-        )
+        yield f"{team} sees both robots: leave out sight = true"
+    if (envs := track.hyperparameters.n_envs) % track.rows:
+        yield f"{team}: n_envs = {envs} is odd, but each team has two rows"
     for method in methods:
         if method not in OF_TEAMS:
-            raise BenchmarkError(
-                f"{team}: method '{method}' has no form for a team; known: {known(OF_TEAMS)}"
-            )
+            yield f"{team}: method '{method}' has no form for a team; known: {known(OF_TEAMS)}"
 
 
-def _check_planner(preset: Preset, method: str, tracks: list[str]) -> None:
-    where = f"preset '{preset.name}'"
+def _of_planner(preset: Preset, method: str, tracks: list[str]) -> Iterator[str]:
     if not tracks and method not in (*PERFECT_PLANNERS, OPTIMUM_AT_ONCE):
-        raise BenchmarkError(f"{where}: method '{method}' needs a track with sim_to_real")
+        yield f"method '{method}' needs a track with sim_to_real"
     for name in tracks:
         track = preset.tracks[name]
         known_machine = PERFECT_PLANNERS if track.task else ()
-        allowed = known_machine if track.sim_to_real is None else IMPERFECT_PLANNERS
-        if method not in allowed:
-            raise BenchmarkError(
-                f"{where}: method '{method}' plans and takes no track '{name}'; with a track of "
-                f"task plan: {known(PERFECT_PLANNERS)}; of sim_to_real: {known(IMPERFECT_PLANNERS)}"
+        if method not in (known_machine if track.sim_to_real is None else IMPERFECT_PLANNERS):
+            yield (
+                f"method '{method}' plans and takes no track '{name}'; with a track of task plan: "
+                f"{known(PERFECT_PLANNERS)}; of sim_to_real: {known(IMPERFECT_PLANNERS)}"
             )

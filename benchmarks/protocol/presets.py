@@ -337,8 +337,7 @@ def load(name: str) -> Preset | SuitePreset:
         BenchmarkError: there is no such preset, or the file has an unknown or impossible key.
     """
     path = Path(name) if name.endswith((".yaml", ".yml")) else PRESETS / f"{name}.yaml"
-    hidden = path.stem.startswith(".") or (path.parent == PRESETS and path.stem.startswith("_"))
-    if hidden or not path.is_file():
+    if not path.is_file() or (path.parent == PRESETS and path.stem not in preset_names()):
         raise BenchmarkError(
             f"unknown preset '{name}'; known presets: {known(preset_names())} "
             "(or the path of a .yaml file)"
