@@ -285,21 +285,19 @@ def _form(row: Group) -> list[TableCell]:
 
 
 def _answer(at_once: list[Group], ablation: str) -> list[str]:
-    """What decentralization costs, as far as there are runs."""
+    """What decentralization costs the best learner with and without sight; empty without runs."""
     learned = [r for r in complete(at_once) if (r.method, r.ablation) == ("rainbow", ablation)]
-    central = next((row for row in learned if _of(row) == "central"), None)
-    costs = [] if central is None else _costs(central, [r for r in learned if r is not central])
-    what = labels.ABLATIONS[ablation]
-    return [f"{what}, what decentralization costs: {'; '.join(costs)}."] if costs else []
-
-
-def _costs(central: Group, others: list[Group]) -> list[str]:
-    """The best decentralized learner with and without sight, beside the central one."""
-    parts = [f"the central Rainbow has {central.success().mean:.1f} %"]
+    central = [row for row in learned if _of(row) == "central"]
+    parts = []
     for sight, words in ((True, "in sight"), (False, "without sight")):
-        if seen := [row for row in others if _sees(row) == sight]:
+        seen = [row for row in learned if row not in central and _sees(row) == sight]
+        if central and seen:
             best = max(seen, key=lambda row: row.success().mean)
-            points = differences("", best, central)
+            points = differences("", best, central[0])
             change = measured(points, lambda: (math.nan, math.nan)).signed(" points")
             parts.append(f"{words} {TEAMS[_of(best)]}, the best, changes that by {change}")
-    return parts if len(parts) > 1 else []
+    if not parts:
+        return []
+    rate = f"the central Rainbow has {central[0].success().mean:.1f} %"
+    what = labels.ABLATIONS[ablation]
+    return [f"{what}, what decentralization costs: {'; '.join([rate, *parts])}."]

@@ -51,13 +51,10 @@ class Number:
             return False
         return printed[1] < self.value.low or printed[0] > self.value.high
 
-    def plain(self) -> str:
-        """The value as printed, without a flag."""
-        return self.shown or self.value.text(self.digits) + (self.suffix if self.value.n else "")
-
     def text(self) -> str:
         """The value as printed, with a flag if the paper's number lies outside our interval."""
-        return f"{self.plain()} {FLAG}" if self.flagged else self.plain()
+        plain = self.shown or self.value.text(self.digits) + (self.suffix if self.value.n else "")
+        return f"{plain} {FLAG}" if self.flagged else plain
 
 
 TableCell = str | Number

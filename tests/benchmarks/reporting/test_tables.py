@@ -316,7 +316,7 @@ def test_values_over_seeds_have_students_interval_which_flags_follow(tmp_path: P
     # 0.3, 0.3 and never within its steps: more than that cannot be excluded
     assert steps.value.high == math.inf
     assert not steps.flagged
-    assert steps.plain() == "0.30 ± 0.00 (1 of 3 never)"
+    assert steps.text() == "0.30 ± 0.00 (1 of 3 never)"
 
 
 def test_a_budget_below_the_papers_number_proves_nothing(tmp_path: Path) -> None:

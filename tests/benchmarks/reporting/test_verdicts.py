@@ -291,5 +291,5 @@ def test_the_readmes_six_rows_have_the_papers_figures(results_of: Callable[..., 
     paper, ours = rows["Rainbow"]
     assert paper == "95 ± 2"
     assert isinstance(ours, Number)
-    assert ours.plain() == "95.0 ± 1.0"
+    assert ours.text() == "95.0 ± 1.0"
     assert rows["RRT-Connect, the paper's planner"] == ["55 ± 4", "missing"]
