@@ -11,6 +11,12 @@ import yaml
 from benchmarks.protocol.presets import PRESETS, Preset, parse
 from benchmarks.protocol.strict import merge
 
+#: hyperparameters of teams
+SMALL = {
+    **{"n_envs": 4, "batch_size": 16, "buffer_size": 1000, "learning_starts": 60},
+    **{"updates_per_step": 0.25, "net_arch": [16], "n_atoms": 5},
+}
+
 
 def smoke(track: Mapping[str, Any] | None = None, **changes: Any) -> dict[str, Any]:
     """The preset's data; ``track`` is laid over its track, ``changes`` replace the rest."""

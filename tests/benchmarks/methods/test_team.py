@@ -24,15 +24,14 @@ from coop_env import parallel_env
 from coop_env.simulation.joint import HOLD_CHOICE, N_CHOICES, N_JOINT
 from coop_env.team.agents import AGENTS
 from sb3_rainbow import Rainbow
-from tests.benchmarks.smoke import parsed
+from tests.benchmarks.smoke import SMALL, parsed
 
 SAFE: dict[str, Any] = {"reward": "progress", "mask_singularities": True}
 LEARNED = ("central", "vdn", "vdn_sight", "shared", "shared_sight", "independent_sight")
-TINY = {"n_envs": 4, "batch_size": 16, "buffer_size": 1000, "learning_starts": 60, "n_atoms": 5}
 
 
 def tiny(track: str, **hyperparameters: Any) -> Preset:
-    changed = {"timesteps": 400, "hyperparameters": TINY | {"net_arch": [16]} | hyperparameters}
+    changed = {"timesteps": 400, "hyperparameters": SMALL | hyperparameters}
     return parsed({
         **{"description": "", "seeds": [0], "evaluation": {"episodes": 2, "noise": [0.0]}},
         **{"tracks": {track: changed}, "runs": [{"methods": ["rainbow"], "tracks": [track]}]},

@@ -21,13 +21,15 @@ from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.store import RunFolder
 from benchmarks.runs.training import train
 from sb3_rainbow import Rainbow
-from tests.benchmarks.smoke import smoke_preset, stop_after
+from tests.benchmarks.smoke import SMALL, smoke, smoke_preset, stop_after
 
 Whole = dict[str, tuple[dict[str, torch.Tensor], str]]  # weights and curve of each cell
+TEAMS = ("vdn", "shared_sight", "independent")
 CELLS = [
     Cell("rainbow", "full", "optimized", "safe", 0),
     Cell("rainbow", "no_noisy", "optimized", "safe", 0),
     Cell("dqn", "full", "optimized", "safe", 0),
+    *(Cell("rainbow", "full", "optimized", team, 0) for team in TEAMS),
 ]
 
 
@@ -35,7 +37,8 @@ CELLS = [
 def preset() -> Preset:
     # a low bar, so that the curriculum's switch lies within the run
     track = {"timesteps": 400, "curriculum": {"threshold": -1.0, "window": 1}}
-    return smoke_preset(track=track, evaluation={"episodes": 1, "noise": [0.0]})
+    tracks = smoke(track)["tracks"] | {t: {**track, "hyperparameters": SMALL} for t in TEAMS}
+    return smoke_preset(tracks=tracks, evaluation={"episodes": 1, "noise": [0.0]})
 
 
 def weights(model: object) -> dict[str, torch.Tensor]:
