@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,23 +10,20 @@ import pytest
 import torch as th
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.evaluation.evaluate import begin_episodes, evaluate_cell, play_together
+from benchmarks.evaluation.evaluate import begin_episodes, play_together
 from benchmarks.methods.controls import control
 from benchmarks.methods.episodes import env_arguments
 from benchmarks.methods.learners import build_model, make_training_env
 from benchmarks.methods.team.env import DecentralizedEnv, each_for_itself, make_env, own_masks
 from benchmarks.protocol.plan import Cell, expand
 from benchmarks.protocol.presets import Controls, Preset
-from benchmarks.runs import policy_file
 from benchmarks.studies.insertion import Insertion
 from coop_env import parallel_env
 from coop_env.simulation.joint import HOLD_CHOICE, N_CHOICES, N_JOINT
 from coop_env.team.agents import AGENTS
-from sb3_rainbow import Rainbow
 from tests.benchmarks.smoke import SMALL, parsed
 
 SAFE: dict[str, Any] = {"reward": "progress", "mask_singularities": True}
-LEARNED = ("central", "vdn", "vdn_sight", "shared", "shared_sight", "independent_sight")
 
 
 def tiny(track: str, **hyperparameters: Any) -> Preset:
@@ -111,25 +107,6 @@ def test_independent_learners_have_nothing_in_common() -> None:
         ]
         assert sums[agent] > 0.0
         assert sums[1 - agent] == 0.0
-
-
-@pytest.mark.parametrize("track", LEARNED)
-def test_each_learns_is_stored_and_acts_in_the_tests(track: str, tmp_path: Path) -> None:
-    preset, cell, model = built(track)
-    before = {name: value.clone() for name, value in model.q_net.state_dict().items()}
-    model.learn(400)
-    moved = [n for n, v in model.q_net.state_dict().items() if not th.equal(v, before[n])]
-    assert any("weight" in name for name in moved)
-    kernels = model._learner.shortcuts.kernels
-    assert (kernels is None) == track.startswith(("vdn", "independent"))
-    policy_file.reduce_to_acting(model)
-    policy_file.save(model, tmp_path / "policy.zip")
-    loaded = Rainbow.load(tmp_path / "policy.zip")
-    rows = evaluate_cell(preset, cell, model=model)
-    assert rows == evaluate_cell(preset, cell, model=loaded)
-    assert len(rows) == 2
-    alone = evaluate_cell(tiny("in_turn"), Cell("greedy", "full", "optimized", "in_turn", 0))
-    assert [row["start"] for row in rows] == [row["start"] for row in alone]
 
 
 def test_rows_of_agents_act_as_in_the_batch_that_they_learned_in() -> None:

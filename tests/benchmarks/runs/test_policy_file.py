@@ -18,7 +18,10 @@ from benchmarks.runs import policy_file
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.store import Store
 from benchmarks.studies.insertion import Insertion
-from tests.benchmarks.smoke import smoke_preset
+from tests.benchmarks.smoke import SMALL, smoke, smoke_preset
+
+METHODS = [name for name, each in LEARNERS.items() if each.discrete]
+TEAMS = ("central", "vdn", "vdn_sight", "shared", "shared_sight", "independent_sight")
 
 
 @pytest.fixture(scope="module")
@@ -26,14 +29,18 @@ def preset() -> Preset:
     ppo = {"n_steps": 16, "batch_size": 16, "n_epochs": 1}
     own = {"qrdqn": {"policy_kwargs": {"net_arch": [64, 64], "n_quantiles": 20}}}
     tests = {"episodes": 3, "noise": [0.0]}
-    return smoke_preset(track={"ppo": ppo, "methods": own}, evaluation=tests)
+    tracks = smoke({"ppo": ppo, "methods": own})["tracks"]
+    tracks |= {team: {"timesteps": 400, "hyperparameters": SMALL} for team in TEAMS}
+    return smoke_preset(tracks=tracks, evaluation=tests)
 
 
-@pytest.mark.parametrize("method", [name for name, each in LEARNERS.items() if each.discrete])
+@pytest.mark.parametrize(
+    ("method", "track"), [*((name, "safe") for name in METHODS), *(("rainbow", t) for t in TEAMS)]
+)
 def test_the_stored_policy_repeats_the_stored_episodes(
-    method: str, preset: Preset, tmp_path: Path
+    method: str, track: str, preset: Preset, tmp_path: Path
 ) -> None:
-    cell = Cell(method, "full", "optimized", "safe", 0)
+    cell = Cell(method, "full", "optimized", track, 0)
     store = Store.open(tmp_path, "smoke", create=True)
     assert run_cell(Insertion(preset), cell, store)
     run = store.run(cell.id)
@@ -49,7 +56,7 @@ def test_the_stored_policy_repeats_the_stored_episodes(
     assert [row["moves"] for row in again] == stored["moves"].tolist()
 
 
-@pytest.mark.parametrize("method", [name for name, each in LEARNERS.items() if each.discrete])
+@pytest.mark.parametrize("method", METHODS)
 def test_half_precision_moves_no_weight_further_than_its_last_bit(
     method: str, preset: Preset
 ) -> None:
