@@ -126,9 +126,20 @@ def cell(given: Given) -> int:
 def evaluate(given: Given) -> int:
     """Score a model or planner of one's own for the leaderboard, or stored policies again."""
     if given.model or given.planner:
+        from benchmarks.studies.scoring.entries import glance, score
+
         if given.starts is not None:
             raise BenchmarkError("--starts is for stored policies, not for --model or --planner")
-        return _evaluate_entry(given)
+        preset = load_preset(given.preset)
+        source = given.model[0].stem if given.model else given.planner.partition(":")[2]
+        given.name = given.name or source or given.planner
+        if given.episodes is None:
+            score(preset, given, Console(soft_wrap=True))
+            return 0
+        for line in glance(preset, given):
+            print(line)
+        print("Nothing was stored: the leaderboard needs all test episodes")
+        return 0
     of_entries = ("name", "algorithm", "trust", "mask_singularities", "mask_visited", "replace")
     if result := [word for word in of_entries if getattr(given, word)]:
         raise BenchmarkError(
@@ -138,21 +149,6 @@ def evaluate(given: Given) -> int:
 
     replay = Replay(given.preset, given.results, given.episodes, given.starts)
     return score_again(replay, Console(soft_wrap=True))
-
-
-def _evaluate_entry(given: Given) -> int:
-    from benchmarks.studies.scoring.entries import glance, score
-
-    preset = load_preset(given.preset)
-    source = given.model[0].stem if given.model else given.planner.partition(":")[2]
-    given.name = given.name or source or given.planner
-    if given.episodes is None:
-        score(preset, given, Console(soft_wrap=True))
-        return 0
-    for line in glance(preset, given):
-        print(line)
-    print("Nothing was stored: the leaderboard needs all test episodes")
-    return 0
 
 
 def _of_stored(method: str) -> Callable[[Given], None]:

@@ -142,11 +142,11 @@ def _teams(results: Results) -> list[Picture]:
 
 def _over_ticks(groups: Sequence[Group]) -> Figure:
     figure, (axes,) = canvas()
-    settings_of = {group.track: group.settings or {} for group in groups}
-    forms = list(dict.fromkeys(settings["team"] for settings in settings_of.values()))
+    forms: list[str] = []
     for group in groups:
-        settings = settings_of[group.track]
+        settings = group.settings or {}
         form = settings["team"]
+        forms += [] if form in forms else [form]
         frames = [f.assign(timesteps=f["timesteps"] / rows_of(form)) for f in group.curves()]
         line = "--" if form != "central" and not settings.get("sight") else "-"
         colour = PALETTE[forms.index(form)]

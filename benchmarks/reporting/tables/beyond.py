@@ -83,7 +83,8 @@ def leaderboard(results: Results) -> Table:
         brought.append(f"{name} ({entry['algorithm']}{f', models: {models}' if models else ''})")
         runs.sort(key=lambda run: run.seed)
         shown.append(Group(name, settings=entry if models else None, runs=tuple(runs)))
-    shown.sort(key=_place)
+    shown.sort(key=lambda row: (-row.success().mean, -row.value(HOLES).mean, row.name))
+    shown.sort(key=lambda row: row.method != "optimum")
     made: list[list[TableCell]] = []
     rank = 0
     for row in shown:
@@ -124,10 +125,6 @@ def _entry(row: Group) -> str:
 def _head(row: Group, name: str = "") -> list[TableCell]:
     """The first cells of a row: the method, its masks and memory."""
     return [name or row.name, row.knows.masks, row.knows.memory]
-
-
-def _place(row: Group) -> tuple[bool, float, float, str]:
-    return row.method != "optimum", -row.success().mean, -row.value(HOLES).mean, row.name
 
 
 def significance(results: Results) -> Table:

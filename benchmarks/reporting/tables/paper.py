@@ -14,7 +14,7 @@ import pandas as pd
 
 from benchmarks.protocol import labels, paper_values
 from benchmarks.protocol.learners import LEARNERS
-from benchmarks.protocol.metrics import EXTRA_METRICS, JOINTS_TIME, METRICS, PAPER_METRICS, Metric
+from benchmarks.protocol.metrics import EXTRA_METRICS, JOINTS_TIME, METRICS, PAPER_METRICS
 from benchmarks.reporting.compared import ABLATION, comparisons, find
 from benchmarks.reporting.results import MAIN, Group, Level, Results, complete
 from benchmarks.reporting.stats import Value, t_interval
@@ -43,7 +43,8 @@ def performance(results: Results) -> Table:
         ]
         made.append([metric.label, *_in_pairs(printed, ours)])
         if metric.key == "time_first" and timed(result):
-            made.append([JOINTS_TIME.label, *_in_pairs(["-"] * 3, _measures(JOINTS_TIME, result))])
+            seconds = [row.measure(JOINTS_TIME) for row in result]
+            made.append([JOINTS_TIME.label, *_in_pairs(["-"] * 3, seconds)])
     if any(row.level != MAIN for row in result):
         made.append([GREEDILY, *_in_pairs(["-"] * 3, [row.tested(MAIN) for row in result])])
     notes = [*_how(result), *seeds_notes(result), *failure_notes(results), FLAG_NOTE]
@@ -53,10 +54,6 @@ def performance(results: Results) -> Table:
 def timed(rows: Iterable[Group]) -> bool:
     """Whether the test episodes of any know the joints' time; those of older runs do not."""
     return any(row.value(JOINTS_TIME).n for row in rows)
-
-
-def _measures(metric: Metric, result: Sequence[Group]) -> list[TableCell]:
-    return [row.measure(metric) for row in result]
 
 
 def _in_pairs(papers: Sequence[str], ours: Sequence[TableCell]) -> list[TableCell]:
@@ -77,7 +74,9 @@ def controls(results: Results) -> Table:
     metrics = [*PAPER_METRICS, *EXTRA_METRICS[:2]]
     if timed(result):
         metrics.insert(1 + metrics.index(METRICS["time_first"]), JOINTS_TIME)
-    made: list[list[TableCell]] = [[m.label, *_measures(m, result)] for m in metrics]
+    made: list[list[TableCell]] = [
+        [metric.label, *(row.measure(metric) for row in result)] for metric in metrics
+    ]
     if any(row.level != MAIN for row in result):
         made.append([GREEDILY, *(row.tested(MAIN) for row in result)])
     notes = [*_how(result), *seeds_notes(result, names)]
