@@ -23,10 +23,9 @@ from coop_env.errors import check_integer, check_number
 from coop_env.geometry import INITIAL, GeometryError, RRSGeometry
 
 Constraint = Callable[[RRSGeometry], float]  # satisfied where it is not negative
-Bounds = tuple[tuple[float, float], tuple[float, float]]
 
 #: Where the paper's constraints leave designs with a workspace; beyond, lambda2 would exceed 3.4.
-FEASIBLE_BOX: Final[Bounds] = ((0.5, 2.0), (0.1, 3.4))
+FEASIBLE_BOX: Final = ((0.5, 2.0), (0.1, 3.4))
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +151,6 @@ def optimize(
     constraints: Sequence[Constraint] = (),
     simplex: float = 0.15,
     seed: int | None = None,
-    tolerance: float = 1e-4,
     max_evaluations: int = 400,
 ) -> Optimum:
     """Maximize an objective over (lambda1, lambda2) by Nelder-Mead, as the paper does.
@@ -167,8 +165,8 @@ def optimize(
             once, and is converged: the area changes in steps of a cell.
         seed: of the jitter, one draw per cell that is kept for the whole run; None for the
             cells' centres.
-        tolerance: the search ends when the simplex is smaller than this in lambda and in value.
-        max_evaluations: of the objective.
+        max_evaluations: of the objective, unless the simplex is smaller than 1e-4 in lambda and in
+            value before.
 
     Raises:
         GeometryError: the start breaks the paper's constraints.
@@ -179,8 +177,7 @@ def optimize(
     >>> optimum.converged, round(optimum.value, 1), optimum.value > optimum.start_value
     (True, 1.2, True)
     """
-    for name, size in (("simplex", simplex), ("tolerance", tolerance)):
-        check_number(name, size, 0.0, above=True, error=DesignError)
+    check_number("simplex", simplex, 0.0, above=True, error=DesignError)
     check_integer("max_evaluations", max_evaluations, 1, error=DesignError)
     cost, start_value = _cost_and_start(problem, start, objective, constraints, seed)
     first = np.array(start)
@@ -190,8 +187,8 @@ def optimize(
         method="Nelder-Mead",
         options={
             "initial_simplex": first + np.array([[0.0, 0.0], [simplex, 0.0], [0.0, simplex]]),
-            "xatol": tolerance,
-            "fatol": tolerance,
+            "xatol": 1e-4,
+            "fatol": 1e-4,
             "maxfev": max_evaluations,
         },
     )
@@ -200,39 +197,36 @@ def optimize(
 
 def optimize_globally(
     problem: DesignProblem | None = None,
-    bounds: Bounds = FEASIBLE_BOX,
     *,
     objective: Objective = workspace_area,
     constraints: Sequence[Constraint] = (),
     seed: int = 0,
     population: int = 12,
     generations: int = 30,
-    start: tuple[float, float] = INITIAL.lambdas[:2],
 ) -> Optimum:
-    """Maximize over a box by differential evolution, to see whether Nelder-Mead's is the best.
+    """Maximize over the feasible box by differential evolution: is Nelder-Mead's the best?
 
-    Its end is polished by Nelder-Mead with a small simplex. The cells' centres are sampled.
+    The initial design joins the first generation. The end is polished by Nelder-Mead with a small
+    simplex. The cells' centres are sampled.
 
     Args:
         problem: as in :func:`optimize`.
-        bounds: least and largest lambda1, and lambda2.
         objective: as in :func:`optimize`.
         constraints: as in :func:`optimize`.
         seed: of the search.
         population: half the designs of a generation.
         generations: at most so many follow the first.
-        start: (lambda1, lambda2) that joins the first generation.
 
     Raises:
-        GeometryError: the start breaks the paper's constraints.
         DesignError: as in :func:`optimize`.
     """
     for name, number in (("population", population), ("generations", generations)):
         check_integer(name, number, 1, error=DesignError)
+    start = INITIAL.lambdas[:2]
     cost, start_value = _cost_and_start(problem, start, objective, constraints, None)
     result = differential_evolution(
         cost,
-        bounds,
+        FEASIBLE_BOX,
         x0=np.array(start),
         rng=np.random.default_rng(seed),
         popsize=population,

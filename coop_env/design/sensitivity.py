@@ -15,7 +15,7 @@ from coop_env.design.problem import (
     sample_points,
     workspace_area,
 )
-from coop_env.geometry import INITIAL, GeometryError, RRSGeometry
+from coop_env.geometry import GeometryError, RRSGeometry
 
 LENGTHS = ("base_radius", "proximal_length", "platform_radius", "distal_length")
 
@@ -55,19 +55,18 @@ def over_thresholds(
     geometries: Sequence[RRSGeometry],
     thresholds: Sequence[float] | Floats,
     problem: DesignProblem | None = None,
-    start: tuple[float, float] = INITIAL.lambdas[:2],
 ) -> ThresholdSweep:
     """How the areas and the optimum itself move with the threshold on sigma_min.
 
     Raises:
-        DesignError: the start has no workspace at one of the thresholds.
+        DesignError: the initial design has no workspace at one of the thresholds.
     """
     problem = problem or DesignProblem()
     given, optimum, lambdas = [], [], []
     for threshold in thresholds:
         here = replace(problem, threshold=float(threshold))
         given.append([workspace_area(geometry, here) for geometry in geometries])
-        result = optimize(here, start)
+        result = optimize(here)
         optimum.append(result.value)
         lambdas.append([result.lambda1, result.lambda2])
     return ThresholdSweep(
@@ -99,7 +98,6 @@ def under_tolerances(
     tolerance: float,
     draws: int = 100,
     problem: DesignProblem | None = None,
-    seed: int = 0,
 ) -> Floats:
     """A_w ``(draws,)`` with every length off by an independent uniform error of +-``tolerance`` m.
 
@@ -110,7 +108,7 @@ def under_tolerances(
         raise DesignError(f"tolerance = {tolerance!r} m: must not be negative")
     problem = problem or DesignProblem()
     samples = sample_points(problem)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     areas = np.zeros(draws)
     for i in range(draws):
         errors = rng.uniform(-tolerance, tolerance, len(LENGTHS))

@@ -63,24 +63,20 @@ def _smoothstep(x: Floats) -> Floats:
 def cone_trajectory(
     tilt: float = math.radians(22.0),
     heave: tuple[float, float] = (0.21, 0.22),
-    turns: float = 2.0,
     duration: float = 12.0,
-    steps: int = 1201,
 ) -> PlatformTrajectory:
-    """From home, tilt, sweep the normal ``turns`` times about the cone while heave rises and falls,
-    and return home; smooth up to the third rate.
+    """From home, tilt, sweep the normal twice about the cone while heave rises and falls, and
+    return home; smooth up to the third rate.
 
     Raises:
-        DesignError: tilt not in (0, pi/2), or no time or steps to do it in.
+        DesignError: tilt not in (0, pi/2).
     """
     if not 0.0 < tilt < math.pi / 2:
         raise DesignError(f"tilt = {tilt!r} rad: must lie in (0, pi/2)")
-    if not (duration > 0.0 and steps >= 8):
-        raise DesignError(f"duration = {duration!r} s, steps = {steps!r}: give at least 8 steps")
-    time = np.linspace(0.0, duration, steps)
+    time = np.linspace(0.0, duration, 1201)
     u = time / duration
     lean = tilt * _smoothstep(u / 0.25) * _smoothstep((1.0 - u) / 0.25)
-    azimuth = 2.0 * math.pi * turns * _smoothstep(u)
+    azimuth = 4.0 * math.pi * _smoothstep(u)
     n = np.stack(
         [np.sin(lean) * np.cos(azimuth), np.sin(lean) * np.sin(azimuth), np.cos(lean)], axis=-1
     )

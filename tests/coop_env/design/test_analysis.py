@@ -102,8 +102,6 @@ def test_a_trajectory_too_far_is_reported_not_hidden() -> None:
     assert math.isnan(out.joint_high)
     with pytest.raises(DesignError, match="tilt"):
         design.cone_trajectory(tilt=2.0)
-    with pytest.raises(DesignError, match="steps"):
-        design.cone_trajectory(steps=2)
 
 
 @pytest.mark.parametrize(
