@@ -155,13 +155,16 @@ def test_actions(kind: type[CoopInsertionEnv], action: Any) -> None:
     assert env.state.tobytes() == before
 
 
-@pytest.mark.parametrize("actions", [[0, 1], [0, 1, 12], [0, -1, 2], [0.0, 1.0, 2.0], [[0, 1, 2]]])
-def test_batch_actions(actions: Any) -> None:
-    batch = CoopInsertionVecEnv(3, seed=0)
+@pytest.mark.parametrize("actions", [[0], [0, 99], [0, -1], [0.0, 1.0], [[0, 1]]])
+@pytest.mark.parametrize("form", [CoopInsertionVecEnv, CoopInsertionTeamVecEnv])
+def test_batch_actions(form: Any, actions: Any) -> None:
+    batch = form(1 if form is CoopInsertionTeamVecEnv else 2, seed=0)
+    with pytest.raises(ResetNeeded):
+        batch.step(np.zeros(2, int))
     batch.reset()
     before = batch.get_state()["states"].tobytes()
     with pytest.raises(ActionError):
-        batch.step(actions)
+        batch.step(np.array(actions))
     assert batch.get_state()["states"].tobytes() == before
 
 

@@ -7,7 +7,6 @@ import pickle
 from collections.abc import Callable
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.error import NoAsyncCallError, ResetNeeded
@@ -262,8 +261,10 @@ def test_attributes_and_calls_reach_each_environment() -> None:
     env.call("set_stage", 0)
     env.set_attr("stage", [1, 0])
     assert env.get_attr("stage") == (1, 0)
+    env.step(np.zeros(2, int))
     frames: Any = env.render()
     assert all("target" in frame for frame in frames)
+    assert [len(each.scene().trace) for each in env.envs] == [2, 2]
     with pytest.raises(ArgumentError, match="3 values for 2"):
         env.set_attr("stage", [0, 1, 0])
     with pytest.raises(ArgumentError, match="speed"):
@@ -283,15 +284,3 @@ def test_a_shallow_copy_of_a_batch_leaves_the_original_its_rows() -> None:
     assert [env.configuration[0] for env in batch.envs] == [
         row["configuration"][0] for row in batch.states
     ]
-
-
-def test_a_batch_is_seen_as_single_environments_are() -> None:
-    batch = gym.make_vec("CoopInsertion-v0", num_envs=1, render_mode="rgb_array")
-    env = CoopInsertionEnv(render_mode="rgb_array")
-    batch.reset(seed=0)
-    env.reset(seed=0)
-    for action in (0, 2, 0, 2):
-        batch.step(np.array([action]))
-        env.step(action)
-    shown: Any = batch.render()
-    np.testing.assert_array_equal(shown[0], env.render())

@@ -118,16 +118,6 @@ def test_configurations_collide_when_their_bodies_do(
         counts[hit] += 1
 
 
-def test_an_effector_thicker_than_the_peg_is_long_collides_before_the_peg_does() -> None:
-    env = CoopInsertionEnv(delta={"peg_length": 0.01})
-    delta, task = env.params.delta, env.task
-    for gap in (-0.002, 0.002):  # between the effector's ball and the top of the dome
-        centre = 0.21 + task.dome_radius + task.effector_radius + gap
-        c = (0.0, 0.0, centre - delta.base_height, 0.0, 0.0, 0.21)
-        assert (clearance(env, c) < 0.0) == (gap < 0.0)
-        assert env.configuration_status(c) == (2 if gap < 0.0 else 0)
-
-
 def test_the_peg_may_touch_the_dome_only_inside_a_chamfer() -> None:
     env = CoopInsertionEnv()
     statuses = []

@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
 from stable_baselines3.common.vec_env import VecMonitor
 
 from coop_env import CoopInsertionTeamVecEnv
-from coop_env.errors import ActionError, ArgumentError
+from coop_env.errors import ArgumentError
 from coop_env.team.agents import Team
 
 ARGUMENTS: list[dict[str, Any]] = [
@@ -79,18 +78,6 @@ def test_attributes_options_and_wrappers() -> None:
     assert batch.env_is_wrapped(VecMonitor) == [False] * 4  # type: ignore[arg-type]
     assert len(batch.get_images()) == 2
     batch.close()
-
-
-@pytest.mark.parametrize(
-    "actions", [[0, 0], [0, 0, 0, 7], [0, 0, 0, -1], [0.0] * 4, [np.nan] * 4, [[0, 0], [0, 0]]]
-)
-def test_wrong_actions_are_named(actions: Any) -> None:
-    batch = CoopInsertionTeamVecEnv(2, seed=0)
-    with pytest.raises(ResetNeeded):
-        batch.step(np.zeros(4, int))
-    batch.reset()
-    with pytest.raises(ActionError):
-        batch.step(np.array(actions))
 
 
 def test_wrong_arguments_are_named() -> None:
