@@ -414,13 +414,11 @@ def check_snapshot(snapshot: Mapping[str, Any], own: Mapping[str, Any]) -> None:
     if not isinstance(snapshot, Mapping) or set(snapshot) != set(own):
         raise StateError(f"the snapshot must be a mapping with the keys {sorted(own)}")
     for key in ("states", "observations"):
-        result = snapshot[key]
-        if not isinstance(result, np.ndarray):
-            raise StateError(f"the snapshot's {key} are {type(result).__name__}, not an array")
-        if result.dtype != own[key].dtype or result.shape != own[key].shape:
+        there, here = np.asarray(snapshot[key]), own[key]
+        if there.dtype != here.dtype or there.shape != here.shape:
             raise StateError(
-                f"the snapshot holds {result.shape} {key} of another layout than this "
-                f"environment's {own[key].shape}: build it as the saved one was built"
+                f"the snapshot holds {there.shape} {key} of another layout than this "
+                f"environment's {here.shape}: build it as the saved one was built"
             )
     if snapshot["params"] != own["params"]:
         raise StateError("the snapshot is of an environment with other arguments (geometry, ...)")
