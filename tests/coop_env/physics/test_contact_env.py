@@ -17,8 +17,9 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 from coop_env.errors import ActionError, ArgumentError, ResetOptionError
 from coop_env.geometry import GeometryError
 from coop_env.kinematics import delta, rrs
-from coop_env.physics.env import CoopInsertionContactEnv
+from coop_env.physics.env import CoopInsertionContactEnv, CoopInsertionPhysicsEnv
 from coop_env.physics.model import Servos
+from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
 from coop_env.physics.twin import last
 from tests.coop_env.physics.episodes import ASIDE, PUSH, REST, RIM, above, play
 
@@ -243,36 +244,54 @@ def test_actions_that_are_none(env: CoopInsertionContactEnv, action: Any) -> Non
     assert np.array_equal(env.batch.twin.states, state)
 
 
-def test_reset_options_that_cannot_be() -> None:
-    env, wrong = CoopInsertionContactEnv(), [
+OPTIONS: dict[Any, list[Any]] = {
+    CoopInsertionContactEnv: [
         {"hole": 6}, {"hole": True}, {"hole": np.array([1, 2])},
         {"error": [0.0, 0.0]}, {"error": [np.nan] * 4}, {"error": dict.fromkeys(range(4))},
-        {"error": {0.0: 1, 0.001: 1, 0.002: 1, 0.003: 1}},
         {"error": [0.1, 0, 0, 0]}, {"friction": 0.0}, {"force": 1}, 7,
-    ]  # fmt: skip
-    for options in wrong:
-        with pytest.raises(ResetOptionError):
-            env.reset(options=options)  # type: ignore[arg-type]
+    ],
+    CoopInsertionPhysicsEnv: [{"error": [1.0]}, {"hole": 1}, {"target": 9}, 3],
+    CoopInsertionPhysicsDiscreteEnv: [{"error": [0.0]}, {"hole": 1}],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", OPTIONS)
+def test_reset_options_that_cannot_be(kind: Any) -> None:
+    env = kind()
+    still = 0 * env.action_space.sample()
     with pytest.raises(ResetNeeded):
-        env.step(DOWN)
+        env.step(still)
+    env.reset(seed=0)
+    before = env.configuration
+    for options in OPTIONS[kind]:
+        with pytest.raises(ResetOptionError):
+            env.reset(options=options)
+    np.testing.assert_array_equal(env.configuration, before)
+    env.step(still)
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    ("kind", "wrong"),
     [
-        {"level": "harder"},
-        {"level": {"dt": 0.001}},
-        {"level": {"friction": [0.4, 0.1]}},
-        {"level": {"insertion_depth": 0.03}},
-        {"level": {"max_steps": 0}},
-        {"level": {"position_error": 0.03}},
-        {"level": {"clearence": 1}},
-        {"servos": {"rrs_stiffness": -1.0}},
+        (CoopInsertionContactEnv, {"level": "harder"}),
+        (CoopInsertionContactEnv, {"level": {"dt": 0.001}}),
+        (CoopInsertionContactEnv, {"level": {"friction": [0.4, 0.1]}}),
+        (CoopInsertionContactEnv, {"level": {"insertion_depth": 0.03}}),
+        (CoopInsertionContactEnv, {"level": {"max_steps": 0}}),
+        (CoopInsertionContactEnv, {"level": {"position_error": 0.03}}),
+        (CoopInsertionContactEnv, {"level": {"clearence": 1}}),
+        (CoopInsertionContactEnv, {"servos": {"rrs_stiffness": -1.0}}),
+        (CoopInsertionPhysicsEnv, {"max_steps": 0}),
+        (CoopInsertionPhysicsEnv, {"stage": 2}),
+        (CoopInsertionPhysicsEnv, {"render_mode": "x"}),
+        (CoopInsertionPhysicsDiscreteEnv, {"pose_model": "paper"}),
+        (CoopInsertionPhysicsDiscreteEnv, {"finish": 3}),
+        (CoopInsertionPhysicsDiscreteEnv, {"touch": 0.0}),
     ],
 )
-def test_arguments_that_cannot_be(wrong: dict[str, Any]) -> None:
+def test_arguments_that_cannot_be(kind: Any, wrong: dict[str, Any]) -> None:
     with pytest.raises(ArgumentError):
-        CoopInsertionContactEnv(**wrong)
+        kind(**wrong)
 
 
 def test_holes_that_cannot_be_turned_upright() -> None:

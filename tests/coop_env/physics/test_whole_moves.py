@@ -11,7 +11,7 @@ from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
 from coop_env.env import CoopInsertionEnv
-from coop_env.errors import ActionError, ArgumentError, ResetOptionError, StateError
+from coop_env.errors import ActionError, StateError
 from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
 from tests.coop_env.physics.episodes import NO_ERROR, REST, above
 
@@ -188,22 +188,14 @@ def test_time_is_a_cause() -> None:
     assert info["failure"] == env.scene().status == "time"
 
 
-def test_bad_input_is_refused() -> None:
-    for wrong in ({"sim_to_real": "random"}, {"pose_model": "paper"}, {"finish": 3},
-                  {"touch": 0.0}):  # fmt: skip
-        with pytest.raises(ArgumentError):
-            CoopInsertionPhysicsDiscreteEnv(**wrong)
+def test_a_simulation_has_no_snapshots() -> None:
     env = CoopInsertionPhysicsDiscreteEnv()
+    for use in (env.get_state, lambda: env.set_state({})):
+        with pytest.raises(StateError):
+            use()
     env.reset(seed=0)
     with pytest.raises(ActionError):
         env.step(12)
-    with pytest.raises(ResetOptionError):
-        env.reset(options={"error": [0.0]})
-    with pytest.raises(StateError):
-        env.get_state()
-    with pytest.raises(StateError):
-        env.set_state({})
-    env.step(4)
 
 
 def test_it_is_drawn_as_it_is_from_the_start_of_each_episode() -> None:
