@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from coop_env.errors import (
     ActionError,
     ArgumentError,
-    ResetOptionError,
     StateError,
     as_dataclass,
     check_flag,
@@ -285,7 +284,7 @@ class CoopInsertionEnv(Rendered):
 
         Raises:
             ResetOptionError: an option is malformed, or names a state that cannot be taken. The
-                environment is left as it was.
+                episode goes on as it was.
         """
         self._begin(self._draw(self.check_options(options), seed))
         outcome: Any = self._outcomes.item(0)
@@ -301,16 +300,9 @@ class CoopInsertionEnv(Rendered):
         return start_states.StartOptions(options, active, self._params)
 
     def _draw(self, start: start_states.StartOptions, seed: int | None = None) -> NDArray[np.void]:
-        """Draw a start state (1,); nothing else changes but the generator, unless it fails."""
-        generator, state = self.np_random, self.np_random.bit_generator.state
-        seeded = self._np_random_seed
+        """Draw a start state (1,); nothing else changes but the generator."""
         super().reset(seed=seed)
-        try:
-            return start_states.draw_start(start, self._params, self._knobs, self.np_random)
-        except ResetOptionError:
-            generator.bit_generator.state = state
-            self._np_random, self._np_random_seed = generator, seeded
-            raise
+        return start_states.draw_start(start, self._params, self._knobs, self.np_random)
 
     def _begin(self, states: NDArray[np.void]) -> None:
         """Begin at a start state: writes it, its observation, and an outcome before any move."""
