@@ -286,7 +286,15 @@ class CoopInsertionEnv(Rendered):
             ResetOptionError: an option is malformed, or names a state that cannot be taken. The
                 episode goes on as it was.
         """
-        self._begin(self._draw(self.check_options(options), seed))
+        start = self.check_options(options)
+        super().reset(seed=seed)
+        self._states[:] = start_states.draw_start(start, self._params, self._knobs, self.np_random)
+        self._started = True
+        observe_batch(self._states, self._packed, self._observation, self._rows)
+        batch.write_reset_outcome(self._states[0], self._outcomes[0])
+        self._set_down()
+        if self.render_mode is not None:
+            self._follow(self._tip(), first=True)
         outcome: Any = self._outcomes.item(0)
         return self._rows[0].copy(), batch.make_info(outcome)
 
@@ -298,21 +306,6 @@ class CoopInsertionEnv(Rendered):
         """
         active = self._task.active_holes(self._stage)
         return start_states.StartOptions(options, active, self._params)
-
-    def _draw(self, start: start_states.StartOptions, seed: int | None = None) -> NDArray[np.void]:
-        """Draw a start state (1,); nothing else changes but the generator."""
-        super().reset(seed=seed)
-        return start_states.draw_start(start, self._params, self._knobs, self.np_random)
-
-    def _begin(self, states: NDArray[np.void]) -> None:
-        """Begin at a start state: writes it, its observation, and an outcome before any move."""
-        self._states[:] = states
-        self._started = True
-        observe_batch(self._states, self._packed, self._observation, self._rows)
-        batch.write_reset_outcome(self._states[0], self._outcomes[0])
-        self._set_down()
-        if self.render_mode is not None:
-            self._follow(self._tip(), first=True)
 
     def _set_down(self) -> None:
         """Where a subclass brings a machine of its own to the start, before anything is shown."""

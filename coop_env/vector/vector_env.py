@@ -54,7 +54,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
 
     Raises:
         ArgumentError: ``num_envs`` is no positive integer, a keyword is wrong, or the class moves
-            or resets in a way of its own, of which a batch would know nothing.
+            in a way of its own, of which a batch would know nothing.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own form
@@ -75,7 +75,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
             own = kwargs.get("max_moves")
             kwargs["max_moves"] = lesser_limit(max_episode_steps, "max_moves", own)
         self.env_class = env_class or self.env_class
-        for name in ("reset", "step", "action_masks"):
+        for name in ("step", "action_masks"):
             if getattr(self.env_class, name) is not getattr(CoopInsertionEnv, name):
                 raise ArgumentError(
                     f"{self.env_class.__name__} has a {name}() of its own, which a batch would "
@@ -142,18 +142,13 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         return list(options)
 
     def start(self, seeds: Sequence[int | None], options: Sequence[Any]) -> None:
-        """Start all episodes; all options are checked before the first environment is touched.
+        """Start all episodes, one after another.
 
         Raises:
             ResetOptionError: an option is malformed, or names a state that cannot be taken.
         """
-        starts = [env.check_options(own) for env, own in zip(self.envs, options, strict=True)]
-        drawn = [
-            env._draw(start, seed)
-            for env, start, seed in zip(self.envs, starts, seeds, strict=True)
-        ]
-        for env, states in zip(self.envs, drawn, strict=True):
-            env._begin(states)
+        for env, seed, own in zip(self.envs, seeds, options, strict=True):
+            env.reset(seed=seed, options=own)
         self.pending = False
 
     def reset(

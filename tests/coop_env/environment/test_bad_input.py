@@ -229,20 +229,6 @@ def test_snapshots_of_another_kind() -> None:
             env.set_state(snapshot)
 
 
-def test_a_start_that_is_not_found_leaves_the_episodes_as_they_were() -> None:
-    there = CoopInsertionEnv()
-    there.reset(seed=0)
-    start = {"configuration": there.configuration}
-    batch = CoopInsertionVecEnv(2, seed=0, task={"start_sigma": 10.0})
-    batch.set_options(start)
-    batch.reset()
-    rows = batch.get_state()["states"]
-    batch.set_options([{**start, "target": 5}, {}])
-    with pytest.raises(ResetOptionError, match="no start state"):
-        batch.reset()
-    np.testing.assert_array_equal(batch.get_state()["states"], rows)
-
-
 def test_a_batch_refuses_a_class_whose_step_it_would_pass_by() -> None:
     class Slower(CoopInsertionEnv):
         def step(self, action: Any) -> Any:

@@ -187,17 +187,6 @@ def test_bad_options_leave_the_old_ones(bad: Any) -> None:
     assert tuple(env.get_attr("configuration")[0]) != here
 
 
-def test_a_batch_is_reset_wholly_or_not_at_all() -> None:
-    env = CoopInsertionVecEnv(2, seed=0)
-    env.reset()
-    env.set_options([{}, {"target": 5}])
-    env.set_attr("stage", 0)
-    before = env.get_state()["states"].tobytes()
-    with pytest.raises(ResetOptionError, match="not active"):
-        env.reset()
-    assert env.get_state()["states"].tobytes() == before
-
-
 @pytest.mark.parametrize("seed", [-1, "one", 1.5, True])
 def test_seeds(seed: Any) -> None:
     with pytest.raises(ArgumentError, match="seed"):
