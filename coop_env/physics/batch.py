@@ -122,7 +122,7 @@ class PhysicsBatch(ABC):
         self._packed = self.twin.packed
         self._noise = np.tile([task.force_noise] * 3 + [task.moment_noise] * 3, (n, 1))
         self._mouth_radius = machine.delta.peg_radius + machine.peg.clearance + machine.peg.chamfer
-        self.rngs: list[np.random.Generator | None] = [None] * n
+        self.rngs: list[Any] = [None] * n  # generators, once an episode was started
         self.steps, self.hole, self.failure = (np.zeros(n, np.int64) for _ in range(3))
         self.success, self.taken = np.zeros(n, bool), np.ones(n, bool)
         self.command, self._targets, self._action, self._wrench, self._tare = (
@@ -332,7 +332,7 @@ class PhysicsBatch(ABC):
         """
         joints, near = self._joints(rows), self._near(rows)
         view = kernels.perceive(joints, near, self.hole[rows], self._packed)
-        draws = [rng.normal(size=N_AXES) for rng in self.rngs[rows] if rng is not None]
+        draws = [rng.normal(size=N_AXES) for rng in self.rngs[rows]]
         return view, joints, self._wrench[rows] + np.array(draws) * self._noise[rows]
 
     def _near(self, rows: slice) -> Floats:

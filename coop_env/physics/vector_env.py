@@ -74,7 +74,6 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
         )
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._rngs: list[np.random.Generator] = []
 
     def reset(
         self,
@@ -93,12 +92,11 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
             ArgumentError: a seed is no integer, is negative, or the list has another length.
         """
         checked = self.batch.check_options(options)
-        seeds, old = seeds_of(seed, self.num_envs), self._rngs
-        self._rngs = [
-            old[i] if old and each is None else seeding.np_random(each)[0]
-            for i, each in enumerate(seeds)
+        rngs = [
+            old if old is not None and each is None else seeding.np_random(each)[0]
+            for old, each in zip(self.batch.rngs, seeds_of(seed, self.num_envs), strict=True)
         ]
-        firsts = [self.batch.reset(row, checked, rng) for row, rng in enumerate(self._rngs)]
+        firsts = [self.batch.reset(row, checked, rng) for row, rng in enumerate(rngs)]
         info = {name: part for name, part in self.batch.columns().items() if name in firsts[0]}
         return self.batch.seen(slice(None)), _masked(info, np.ones(self.num_envs, bool))
 
@@ -109,7 +107,7 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
             ResetNeeded: :meth:`reset` was never called.
             ActionError: an action is not in the action space.
         """
-        if not self._rngs:
+        if None in self.batch.rngs:
             raise ResetNeeded("call reset() first: there are no running episodes")
         outcome = self.batch.step(self._increments(actions))
         ended = outcome.terminated | outcome.truncated
@@ -119,7 +117,7 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
             options = self.batch.check_options(None)
             for row in np.flatnonzero(ended).tolist():
                 final[row] = row_of(observations, row)
-                first = self.batch.reset(row, options, self._rngs[row])
+                first = self.batch.reset(row, options, self.batch.rngs[row])
                 seen = self.batch.seen(slice(row, row + 1))
                 for whole, new in zip(_arrays(observations), _arrays(seen), strict=True):
                     whole[row] = new[0]

@@ -10,7 +10,7 @@ import pytest
 
 import coop_env
 from coop_env import CoopInsertionEnv, CoopInsertionVectorEnv
-from coop_env.errors import ArgumentError, ResetOptionError
+from coop_env.errors import ArgumentError
 
 ID = "CoopInsertion-v0"
 
@@ -53,15 +53,6 @@ def test_the_registry_names_both_entries() -> None:
     assert gym.make(ID, render_mode="ansi").unwrapped.render_mode == "ansi"
     for name in coop_env.__all__:
         assert getattr(coop_env, name) is not None
-
-
-def test_a_refused_reset_leaves_the_generators() -> None:
-    env = CoopInsertionVectorEnv(2)
-    env.reset(seed=3)
-    before = env.np_random.bit_generator.state
-    with pytest.raises(ResetOptionError):
-        env.reset(seed=9, options={"target": 77})
-    assert env.np_random.bit_generator.state == before
 
 
 KEYS = {"success", "is_success", "all_filled"}
