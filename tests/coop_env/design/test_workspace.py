@@ -10,6 +10,7 @@ import pytest
 
 from coop_env import design
 from coop_env.design import DesignError, DesignProblem
+from coop_env.design.sensitivity import LENGTHS
 from coop_env.geometry import GEOMETRIES, INITIAL, OPTIMIZED, RRSGeometry
 from coop_env.kinematics import rrs
 from tests.coop_env.kinematics import reference
@@ -60,15 +61,8 @@ def test_no_tilt_limit_is_needed_for_the_papers_designs() -> None:
 def test_only_the_ratios_of_lengths_matter() -> None:
     """Lengths and heave in other units are the same machine: J is dimensionless."""
     for size in (0.5, 3.0):
-        scaled = RRSGeometry(
-            size * OPTIMIZED.base_radius,
-            size * OPTIMIZED.proximal_length,
-            size * OPTIMIZED.platform_radius,
-            size * OPTIMIZED.distal_length,
-            heave_min=0.01,
-            heave_max=9.0,
-            home_heave=size * 0.21,
-        )
+        lengths = {name: size * getattr(OPTIMIZED, name) for name in (*LENGTHS, "home_heave")}
+        scaled = replace(OPTIMIZED, **lengths, heave_min=0.01, heave_max=9.0)
         result = design.workspace_area(scaled, DesignProblem(heaves=(size * 0.21,)))
         assert result == pytest.approx(design.workspace_area(OPTIMIZED), rel=2e-3)
 

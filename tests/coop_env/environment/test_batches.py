@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium.error import NoAsyncCallError, ResetNeeded
+from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from coop_env import (
@@ -195,19 +196,6 @@ def test_seeds(seed: Any) -> None:
         CoopInsertionVectorEnv(2).reset(seed=seed)
 
 
-def assert_same(ours: dict[str, Any], theirs: dict[str, Any]) -> None:
-    assert set(ours) == set(theirs)
-    for key, value in ours.items():
-        if isinstance(value, dict):
-            assert_same(value, theirs[key])
-        elif value.dtype == object:
-            for a, b in zip(value, theirs[key], strict=True):
-                assert (a is None and b is None) or a.tobytes() == b.tobytes()
-        else:
-            assert value.dtype == theirs[key].dtype
-            np.testing.assert_array_equal(value, theirs[key])
-
-
 def test_the_vector_env_shows_what_gymnasiums_own_shows() -> None:
     """Against ``SyncVectorEnv`` in the same autoreset mode: values, types, infos, final infos."""
     arguments: dict[str, Any] = {"max_moves": 9, "reward": "progress", "observation": "markov"}
@@ -221,7 +209,7 @@ def test_the_vector_env_shows_what_gymnasiums_own_shows() -> None:
     assert ours.action_space == theirs.action_space
     (a, own_infos), (b, infos) = ours.reset(seed=5), theirs.reset(seed=5)
     assert a.tobytes() == b.tobytes()
-    assert_same(own_infos, infos)
+    assert data_equivalence(own_infos, infos, exact=True)
     rng = np.random.default_rng(0)
     finals = 0
     for _ in range(60):
@@ -239,7 +227,7 @@ def test_the_vector_env_shows_what_gymnasiums_own_shows() -> None:
             assert final_masks.shape == masks.shape
             assert not final_masks[~ended].any()
             assert final_masks[ended].any(axis=1).all()
-        assert_same(own_infos, infos)
+        assert data_equivalence(own_infos, infos, exact=True)
     assert finals >= 6
 
 

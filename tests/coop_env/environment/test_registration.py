@@ -99,11 +99,3 @@ def test_every_environment_has_the_keys(name: str) -> None:
     assert all(infos[key].shape == (2,) for key in KEYS)
     env.close()
     many.close()
-
-
-def test_the_team_has_the_keys() -> None:
-    pytest.importorskip("pettingzoo", reason="PettingZoo is not installed (extra team)")
-    env = coop_env.parallel_env()
-    env.reset(seed=0)
-    *_, infos = env.step(dict.fromkeys(env.agents, 0))
-    assert all(set(info) >= KEYS for info in infos.values())
