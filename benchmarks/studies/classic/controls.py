@@ -14,7 +14,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import SCRIPTED
 
 Image = NDArray[np.uint8]  # (channels, 10, 10), of MinAtar
@@ -43,13 +42,7 @@ def held(action: int) -> Act:
 
 
 def scripted(name: str) -> Act:
-    """The script of an environment.
-
-    Raises:
-        BenchmarkError: there is none.
-    """
-    if name not in SCRIPTS:
-        raise BenchmarkError(f"{name} has no script")
+    """The script of an environment."""
     script = SCRIPTS[name]
     return lambda batch, _: np.array([script(each) for each in batch])
 

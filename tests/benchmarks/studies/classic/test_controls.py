@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import expand, of_task
 from benchmarks.protocol.presets import load_suite
 from benchmarks.protocol.seeding import episode_seeds
 from benchmarks.runs.cell import run_cell
 from benchmarks.runs.store import RunFolder, Store
-from benchmarks.studies.classic.controls import SCRIPTS, _heading, at_random, held, scripted
+from benchmarks.studies.classic.controls import SCRIPTS, at_random, held, scripted
 from benchmarks.studies.classic.experiment import Classic
 from benchmarks.studies.classic.playing import evaluate, make_env, run_control
 
@@ -90,17 +89,3 @@ def test_controls_are_runs_of_the_preset_and_can_be_stopped(tmp_path: Path) -> N
         if not cell.learns:
             assert run_cell(tiny, cell, store)
             assert tiny.verdict(store.run(cell.id)).endswith("over 3 test episodes")
-
-
-def test_a_task_without_a_script_is_named() -> None:
-    with pytest.raises(BenchmarkError, match="Pendulum-v1 has no script"):
-        scripted("Pendulum-v1")
-
-
-def test_what_moves_in_a_row_heads_away_from_its_trail() -> None:
-    for x in range(10):
-        for heading in (1, -1):
-            image = np.zeros((4, 10, 10), np.uint8)
-            if 0 <= x - heading <= 9:  # off the edge at first
-                image[2, 3, x - heading] = 255
-            assert _heading(image, 2, 3, x) == heading
