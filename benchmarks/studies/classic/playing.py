@@ -38,13 +38,9 @@ def evaluate(
         seeds: of the episodes.
         discrete: whether actions are numbers, where the task could be played by both.
     """
-    results: list[tuple[float, int]] = []
-    for first in range(0, len(seeds), PARALLEL):
-        results += _play(act, task, seeds[first : first + PARALLEL], discrete)
-    return results
-
-
-def _play(act: Act, task: Task, seeds: Sequence[int], discrete: bool) -> list[tuple[float, int]]:
+    if len(seeds) > PARALLEL:
+        some = evaluate(act, task, seeds[:PARALLEL], discrete)
+        return some + evaluate(act, task, seeds[PARALLEL:], discrete)
     playing = [make_env(task, discrete) for _ in seeds]
     masked = playing[0].has_wrapper_attr("action_masks")
     observations = [env.reset(seed=seed)[0] for env, seed in zip(playing, seeds, strict=True)]
@@ -79,13 +75,11 @@ def test(act: Act, preset: SuitePreset, cell: Cell, folder: RunFolder, discrete:
     """The final test, whose episodes depend on the cell's seed alone; writes ``episodes.csv``."""
     seeds = episode_seeds(cell.seed, preset.final_episodes)
     played = evaluate(act, preset.tasks[cell.track], seeds, discrete)
-    folder.write_rows(
-        "episodes",
-        [
-            {"episode": i, "seed": episode_seed, "return": total, "length": length}
-            for i, (episode_seed, (total, length)) in enumerate(zip(seeds, played, strict=True))
-        ],
-    )
+    rows = [
+        {"episode": number, "seed": seed, "return": total, "length": length}
+        for number, (seed, (total, length)) in enumerate(zip(seeds, played, strict=True))
+    ]
+    folder.write_rows("episodes", rows)
 
 
 def run_control(
