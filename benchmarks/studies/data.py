@@ -31,7 +31,6 @@ import numpy as np
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.evaluation.evaluate import follow, play_together, with_random_moves
-from benchmarks.methods.base import Chooser
 from benchmarks.methods.controls import control
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.methods.oracle import LatticeOracle
@@ -200,6 +199,7 @@ def _demonstrate(recipe: Recipe) -> Callable[[int, int], list[Demonstration]]:
 def _move(recipe: Recipe) -> Callable[[int, int], list[Episode]]:
     arguments, oracle = arguments_of_the_task(), LatticeOracle()
     longest = CoopInsertionEnv(**arguments).params.task.max_moves
+    script = control("lookahead_observed", load_preset("cut").tracks[TRACK].controls, 0)
 
     def together(first: int, steps: int) -> list[Episode]:
         numbers = range(first, first + min(TOGETHER, steps // longest + 1))
@@ -208,17 +208,12 @@ def _move(recipe: Recipe) -> Callable[[int, int], list[Episode]]:
             for episode in batch:
                 follow(episode, oracle.plan)
         else:
-            play_together(_mixed(batch, RANDOM_SHARE[recipe.behaviour]), batch, 0.0, 0)
+            generators = [np.random.default_rng(derive("data", e.number, 1)) for e in batch]
+            expert, share = script(batch), RANDOM_SHARE[recipe.behaviour]
+            play_together(with_random_moves(expert, generators, share), batch, 0.0, 0)
         return batch
 
     return together
-
-
-def _mixed(episodes: Sequence[Episode], share: float) -> Chooser:
-    """The expert, but for a share of its moves, which are drawn from the allowed ones."""
-    weights = load_preset("cut").tracks[TRACK].controls
-    generators = [np.random.default_rng(derive("data", e.number, 1)) for e in episodes]
-    return with_random_moves(control("lookahead_observed", weights, 0)(episodes), generators, share)
 
 
 def measure(episodes: Sequence[Episode | Demonstration]) -> dict[str, Any]:
