@@ -230,6 +230,8 @@ class MaskedIdentityEnv(IdentityEnv):
     """
 
     def __init__(self, size: int = 100, n_valid: int = 5) -> None:
+        if not 1 <= n_valid <= size:
+            raise BenchmarkError(f"n_valid = {n_valid} must lie between 1 and size = {size}")
         super().__init__(size)
         self._n_valid = n_valid
         self._mask = np.ones(size, dtype=bool)
