@@ -169,7 +169,7 @@ class CoopInsertionEnv(Rendered):
         if collision not in ("refuse", "terminate"):
             raise ArgumentError(f"collision = {collision!r}: must be 'refuse' or 'terminate'")
         self.set_stage(stage)
-        self._task = PAPER_TASK if task is None else as_dataclass("task", task, InsertionTask)
+        self._task = as_dataclass("task", task, InsertionTask, {None: PAPER_TASK})
         self._set_render_mode(render_mode, self._task.dt)
         self._knobs = resolve(sim_to_real, self._task)
         self._params = make_params(

@@ -9,12 +9,14 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import fields
 from numbers import Real
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
 
 T = TypeVar("T")
 LARGEST = 2**31 - 1
+_NONE: Mapping[Any, Any] = MappingProxyType({})
 
 
 class ArgumentError(ValueError):
@@ -105,16 +107,26 @@ def check_flag(name: str, value: Any) -> bool:
     return bool(value)
 
 
-def as_dataclass(name: str, value: Any, kind: type[T]) -> T:
+def as_dataclass(name: str, value: Any, kind: type[T], presets: Mapping[Any, T] = _NONE) -> T:
     """The value, or a mapping of fields (from YAML, say) made into one of ``kind``.
 
+    Args:
+        name: of the argument.
+        value: given.
+        kind: a dataclass.
+        presets: what is meant by names, or by None.
+
     Raises:
-        ArgumentError: it is neither, or names a field that ``kind`` does not have, or misses one.
+        ArgumentError: it is none of these, or names a field that ``kind`` does not have, or misses
+            one.
     """
     if isinstance(value, kind):
         return value
+    if isinstance(value, str | None) and value in presets:
+        return presets[value]
     if not isinstance(value, Mapping):
-        kinds = f"a {kind.__name__} or a mapping of its fields"
+        names = "".join(f"{preset!r}, " for preset in presets)
+        kinds = f"{names}a {kind.__name__} or a mapping of its fields"
         raise ArgumentError(f"{name} = {value!r}: must be {kinds}")
     known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
     unknown = sorted(str(key) for key in value if key not in known)

@@ -8,12 +8,11 @@ headline figures (workspace 0.82 to 1.16 rad^2), so they are no independent conf
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
 
-from coop_env.errors import ArgumentError, as_dataclass, check_number
+from coop_env.errors import as_dataclass, check_number
 
 MAX_JOINT_VELOCITY: Final = 2.61
 """rad/s. The paper names no drives. These limits are published for joints 6 and 7 of the Franka
@@ -197,14 +196,7 @@ def resolve_rrs(value: Any) -> RRSGeometry:
         ArgumentError: it is none of these.
         GeometryError: the machine is impossible.
     """
-    if isinstance(value, str) and value in GEOMETRIES:
-        return GEOMETRIES[value]
-    if not isinstance(value, (RRSGeometry, Mapping)):
-        raise ArgumentError(
-            f"geometry = {value!r}: must be one of {sorted(GEOMETRIES)}, an RRSGeometry or a "
-            "mapping of its fields"
-        )
-    return as_dataclass("geometry", value, RRSGeometry)
+    return as_dataclass("geometry", value, RRSGeometry, GEOMETRIES)
 
 
 def resolve_delta(value: Any) -> DeltaGeometry:
@@ -214,6 +206,4 @@ def resolve_delta(value: Any) -> DeltaGeometry:
         ArgumentError: it is none of these.
         GeometryError: the machine is impossible.
     """
-    if value is None:
-        return DELTA
-    return as_dataclass("delta", value, DeltaGeometry)
+    return as_dataclass("delta", value, DeltaGeometry, {None: DELTA})

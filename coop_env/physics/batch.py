@@ -108,8 +108,8 @@ class PhysicsBatch(ABC):
         self.machine = machine = Machine(
             resolve_rrs(geometry),
             resolve_delta(delta),
-            PAPER_TASK if holes is None else as_dataclass("holes", holes, InsertionTask),
-            Servos() if servos is None else as_dataclass("servos", servos, Servos),
+            as_dataclass("holes", holes, InsertionTask, {None: PAPER_TASK}),
+            as_dataclass("servos", servos, Servos, {None: Servos()}),
             task.peg,
             task.timestep,
             task.contact_time,

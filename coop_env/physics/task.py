@@ -157,11 +157,7 @@ def resolve_task(value: Any) -> ContactTask:
     Raises:
         ArgumentError: it is none of these.
     """
-    if isinstance(value, str):
-        if value not in LEVELS:
-            raise ArgumentError(f"level = {value!r}: must be one of {list(LEVELS)}")
-        return LEVELS[value]
-    return as_dataclass("level", value, ContactTask)
+    return as_dataclass("level", value, ContactTask, LEVELS)
 
 
 def draw_error(task: ContactTask, rng: np.random.Generator) -> Floats:

@@ -110,9 +110,7 @@ class KinematicShield:
     def __init__(
         self, env: gym.Env[Any, Any], margin: ShieldMargin | Mapping[str, Any] | None = None
     ) -> None:
-        self.margin = (
-            ShieldMargin() if margin is None else as_dataclass("margin", margin, ShieldMargin)
-        )
+        self.margin = as_dataclass("margin", margin, ShieldMargin, {None: ShieldMargin()})
         inner: Any = getattr(env, "unwrapped", env)
         if not (hasattr(inner, "params") and hasattr(inner, "task")):
             raise ArgumentError(f"env = {inner!r}: must be an environment of coop_env")

@@ -143,15 +143,7 @@ KINEMATIC_KNOBS: Final = frozenset(
 
 
 def _knobs(value: Any, preset: SimToReal, others: frozenset[str], hint: str) -> SimToReal:
-    if value is None:
-        return NOMINAL
-    if isinstance(value, str):
-        if value != "randomized":
-            raise ArgumentError(
-                f"sim_to_real = {value!r}: must be None, 'randomized' or a coop_env.SimToReal"
-            )
-        value = preset
-    knobs = as_dataclass("sim_to_real", value, SimToReal)
+    knobs = as_dataclass("sim_to_real", value, SimToReal, {None: NOMINAL, "randomized": preset})
     if wrong := sorted(knobs.turned & others):
         raise ArgumentError(f"SimToReal.{wrong[0]}: {hint}")
     return knobs

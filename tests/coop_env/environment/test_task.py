@@ -175,7 +175,7 @@ def test_bad_numbers_of_a_task(task: Any, message: str) -> None:
         ({"delta": {"proximal": 0.2}}, ArgumentError, "delta has unknown keys.*proximal"),
         ({"delta": {"proximal_length": "long"}}, GeometryError, "'long': must be a number"),
         ({"delta": {"proximal_length": 0.5}}, GeometryError, "must exceed"),
-        ({"delta": 0.2}, ArgumentError, "must be a DeltaGeometry or a mapping"),
+        ({"delta": 0.2}, ArgumentError, "must be None, a DeltaGeometry or a mapping"),
         ({"geometry": {"base_radius": 0.2}}, ArgumentError, "proximal_length"),
         ({"geometry": {**asdict(OPTIMIZED), "joint_min": "low"}}, GeometryError, "'low'"),
         ({"mask_visited": 1, "task": {"linear_step": 1e-4}}, ArgumentError, "steps of at least"),
