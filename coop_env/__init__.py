@@ -59,14 +59,14 @@ for _name, _steps, _home, _vector_home in (
     ("Contact", 80, "physics.env", "physics.vector_env"),
     ("ContactDiscrete", 80, "physics.env", "physics.vector_env"),
     ("Physics", 2400, "physics.env", "physics.vector_env"),
-    ("PhysicsDiscrete", 300, "physics.moves", "physics.vector_env"),
+    ("PhysicsDiscrete", 300, "physics.moves", ""),  # many of them by Gymnasium's own vector forms
 ):
     _class = f"CoopInsertion{_name}"
     gymnasium.register(
         id=f"{_class}-v0",
         entry_point=f"coop_env.{_home}:{_class}Env",
         max_episode_steps=_steps,
-        vector_entry_point=f"coop_env.{_vector_home}:{_class}VectorEnv",
+        vector_entry_point=f"coop_env.{_vector_home}:{_class}VectorEnv" if _vector_home else None,
     )
 
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import gymnasium
 import numpy as np
 from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
-from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
+from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
@@ -19,7 +16,6 @@ from coop_env.errors import check_integer
 from coop_env.physics.batch import PhysicsBatch, row_of
 from coop_env.physics.contact import ContactBatch
 from coop_env.physics.env import PhysicsEnv, check_increments, make_spaces, move
-from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
 from coop_env.physics.whole import WholeBatch
 from coop_env.simulation.task import N_ACTIONS, N_AXES
 from coop_env.vector.vector_env import check_actions, lesser_limit, seeds_of
@@ -152,79 +148,6 @@ class CoopInsertionPhysicsVectorEnv(PhysicsVectorEnv):
     """Many :class:`~coop_env.physics.env.CoopInsertionPhysicsEnv`."""
 
     batch_class = WholeBatch
-
-
-class CoopInsertionPhysicsDiscreteVectorEnv(SyncVectorEnv[Any, Any]):
-    """Many :class:`~coop_env.physics.moves.CoopInsertionPhysicsDiscreteEnv`.
-
-    A move takes each machine another number of control steps, so each is simulated by itself, in
-    one of so many threads. Autoreset is as for :class:`PhysicsVectorEnv`.
-
-    Args:
-        num_envs: number of environments.
-        threads: in which they are simulated.
-        max_episode_steps: Gymnasium's limit; the smaller of it and ``max_moves`` holds.
-        arguments: of the single environment, without ``render_mode``. A ``finish`` with a
-            ``reset`` has a memory, so each machine gets a copy of its own; any other serves all
-            threads at once.
-
-    Raises:
-        ArgumentError: a number is no positive integer, or another argument is wrong.
-    """
-
-    def __init__(
-        self,
-        num_envs: int = 1,
-        threads: int = 1,
-        max_episode_steps: int | None = None,
-        **arguments: Any,
-    ) -> None:
-        n = check_integer("num_envs", num_envs, 1)
-        self._threads = check_integer("threads", threads, 1)
-        self._pool: ThreadPoolExecutor | None = None
-        if max_episode_steps is not None:
-            own = arguments.get("max_moves")
-            arguments["max_moves"] = lesser_limit(max_episode_steps, "max_moves", own)
-        finish = arguments.pop("finish", None)
-
-        def make() -> _Ahead:
-            own = copy.deepcopy(finish) if hasattr(finish, "reset") else finish
-            return _Ahead(CoopInsertionPhysicsDiscreteEnv(own, **arguments))
-
-        super().__init__([make] * n, autoreset_mode=AutoresetMode.SAME_STEP)
-
-    def reset(self, *, seed: Any = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
-        return super().reset(seed=seeds_of(seed, self.num_envs), options=options)
-
-    def step(self, actions: Any) -> Any:
-        checked = check_actions(actions, self.num_envs, N_ACTIONS)
-        self._pool = self._pool or ThreadPoolExecutor(self._threads)
-        for env, action in zip(self.envs, checked.tolist(), strict=True):
-            env.begin(self._pool, action)  # type: ignore[attr-defined]
-        return super().step(checked)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None}
-
-    def action_masks(self) -> Bools:
-        """(num_envs, 12), of the present states."""
-        return np.array(self.call("action_masks"))
-
-    def close_extras(self, **kwargs: Any) -> None:
-        """End the threads and the simulations."""
-        if self._pool is not None:
-            self._pool.shutdown()
-        super().close_extras(**kwargs)
-
-
-class _Ahead(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """An environment whose step was begun in a thread before it is asked for."""
-
-    def begin(self, pool: ThreadPoolExecutor, action: int) -> None:
-        self._result = pool.submit(self.env.step, action)
-
-    def step(self, action: Any) -> Any:
-        return vars(self).pop("_result").result()
 
 
 def _arrays(observations: Any) -> list[Any]:

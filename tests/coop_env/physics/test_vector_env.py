@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 from itertools import cycle, islice
 from typing import Any
@@ -21,7 +20,6 @@ from coop_env.physics.task import ContactTask
 from coop_env.physics.vector_env import (
     CoopInsertionContactDiscreteVectorEnv,
     CoopInsertionContactVectorEnv,
-    CoopInsertionPhysicsDiscreteVectorEnv,
 )
 from tests.coop_env.physics.episodes import NO_ERROR, PUSH, REST, RIM, above, steps
 
@@ -81,64 +79,6 @@ def same(infos: dict[str, Any], row: int, info: dict[str, Any]) -> None:
             assert infos[key][row] == value
         else:
             np.testing.assert_allclose(infos[key][row], value, rtol=0, atol=1e-12, err_msg=key)
-
-
-def test_rows_of_moves_are_single_environments() -> None:
-    name = "CoopInsertionPhysicsDiscrete-v0"
-    arguments: dict[str, Any] = {"max_moves": 6, "privileged": True}
-    env: Any = gym.make_vec(name, num_envs=3, threads=2, **arguments)
-    assert isinstance(env, CoopInsertionPhysicsDiscreteVectorEnv)
-    singles: list[Any] = [gym.make(name, **arguments).unwrapped for _ in range(3)]
-    observations, _ = env.reset(seed=7)
-    rows = [single.reset(seed=7 + k)[0] for k, single in enumerate(singles)]
-    rng = np.random.default_rng(0)
-    for _ in range(14):
-        assert_equal([row_of(observations, k) for k in range(3)], rows)
-        masks = env.action_masks()
-        np.testing.assert_array_equal(masks, [single.action_masks() for single in singles])
-        actions = np.array([rng.choice(np.flatnonzero(mask)) for mask in masks])
-        observations, rewards, terminated, truncated, infos = env.step(actions)
-        for k, single in enumerate(singles):
-            rows[k], reward, *ends, info = single.step(int(actions[k]))
-            assert (reward, ends) == (rewards[k], [terminated[k], truncated[k]])
-            if any(ends):
-                assert infos["final_info"]["failure"][k] == info["failure"]
-                rows[k], info = single.reset()
-            assert infos["distance"][k] == info["distance"]
-    with pytest.raises(ActionError, match="actions"):
-        env.step(np.array([0, 12, 0]))
-    again = copy.deepcopy(env)
-    actions = env.action_masks().argmax(axis=1)
-    assert_equal(env.step(actions)[:4], again.step(actions)[:4])
-    env.close()
-    again.close()
-
-
-class Timed:
-    """A finish with a memory: down, and then up again."""
-
-    def __init__(self) -> None:
-        self.count = 0
-
-    def reset(self) -> None:
-        self.count = 0
-
-    def __call__(self, seen: Any) -> Any:
-        self.count += 1
-        return 0.3 * (PUSH if self.count <= 40 else -PUSH)
-
-
-def test_a_finish_with_a_memory_serves_one_machine() -> None:
-    forces = []
-    for threads in (1, 2):
-        env: Any = CoopInsertionPhysicsDiscreteVectorEnv(2, threads, finish=Timed(), level=NO_ERROR)
-        start = above(0)
-        start["configuration"][2] += 0.01
-        env.reset(seed=0, options=start)
-        forces.append(env.step(np.array([5, 5]))[-1]["peak_force"].tolist())
-        assert len({id(each.unwrapped.physics.finish) for each in env.envs}) == 2
-        env.close()
-    assert forces[0] == forces[1]
 
 
 def test_make_vec_makes_it_and_knows_the_limit() -> None:
