@@ -44,63 +44,80 @@ Observation = NDArray[np.float32]
 class CoopInsertionEnv(Rendered):
     """A Delta carries a peg, a 3-RRS tilts a dome of holes; fill them one after another.
 
-    ``docs/env.md`` says all of this at length.
+    ``docs/env.md`` holds the next five sections, the keys of ``info`` and the batched forms.
 
     **Action Space**
 
-    ``Discrete(12)``: action ``2 k`` adds one step on axis ``k``, ``2 k + 1`` takes it away.
+    ``Discrete(12)``. Even actions add one step on their axis, odd ones subtract it. A move lasts
+    0.2 s. A move and its reverse cancel exactly.
 
-    =======  ===============================  ========
-    Actions  Axis                             Step
-    =======  ===============================  ========
-    0 - 5    x, y, z of the Delta's effector  0.02 m
-    6 - 9    roll, pitch of the platform      0.03 rad
-    10, 11   heave of the platform            0.02 m
-    =======  ===============================  ========
+    =======  =========================  ========
+    Actions  Axis                       Step
+    =======  =========================  ========
+    0, 1     x of the Delta's effector  0.02 m
+    2, 3     y                          0.02 m
+    4, 5     z                          0.02 m
+    6, 7     roll of the platform       0.03 rad
+    8, 9     pitch                      0.03 rad
+    10, 11   heave                      0.02 m
+    =======  =========================  ========
 
-    :meth:`action_masks` is True where a move leads to a configuration both robots can take.
+    :meth:`action_masks` is True for moves that keep the limits of both workspaces, the reach of
+    every limb and the joint limits. If no move is valid, all are True. An invalid or colliding move
+    is not executed. It costs the violation penalty and a timestep.
 
     **Observation Space**
 
-    ``Box(0, 1, (12,), float32)``, or ``(19,)`` with ``observation="markov"``, scaled from:
+    ``Box(0, 1, (12,), float32)``, or ``(19,)`` with ``observation="markov"``. Each field is scaled
+    from its bounds to [0, 1] and clipped. ``normalize=False`` leaves SI units. The bounds follow
+    the geometry.
 
-    =======  ============================================  =====  =================
-    Field    Meaning                                       Least  Largest
-    =======  ============================================  =====  =================
-    0, 1     x, y of the effector, Delta's frame, m        -0.16  0.16
-    2        z of the effector, m                          -0.65  -0.25
-    3, 4     roll, pitch, rad                              -pi/4  pi/4
-    5        heave, m                                      0.21   0.25
-    6 - 8    target hole's mouth - tip, world frame, m     -0.15  0.15
-    9 - 11   normal of the target hole, world frame        -1     1
-    12 - 17  hole filled (``"markov"``; one field a hole)  0      1
-    18       time elapsed, s (``"markov"``)                0      0.2 ``max_moves``
-    =======  ============================================  =====  =================
+    =======  ==========================================================  =======  =================
+    Field    Meaning                                                     Least    Largest
+    =======  ==========================================================  =======  =================
+    0, 1     x, y of the effector, Delta's frame                         -0.16 m  0.16 m
+    2        z of the effector, Delta's frame                            -0.65 m  -0.25 m
+    3, 4     roll, pitch                                                 -pi/4    pi/4
+    5        heave                                                       0.21 m   0.25 m
+    6 - 8    target hole's mouth minus tip, world frame                  -0.15 m  0.15 m
+    9 - 11   outward normal of the target hole, world frame              -1       1
+    12 - 17  hole filled (``markov`` only; as many as there are holes)   0        1
+    18       time elapsed (``markov`` only)                              0 s      0.2 ``max_moves``
+    =======  ==========================================================  =======  =================
 
     **Rewards**
 
-    ========================  ================================  =================================
-    Event or term             ``"paper"``                       ``"progress"``
-    ========================  ================================  =================================
-    violation                 -3                                ``-violation_penalty``
-    insertion, the N-th at t  150 + 25 N + 80 (1 - t / 60)      ``insertion_bonus``, or so
-    entry to a filled hole    -1                                ``-duplicate_penalty``
-    other steps               -0.01 - d + 200 max(0.03 - d, 0)  ``-step_cost``
-    approach                  50 max(d_before - d, 0)           ``distance_scale`` (d_before - d)
-    alignment                                                   ``angle_scale`` (a_before - a)
-    failure, n moves left     -3                                violation and n steps, no progress
-    ========================  ================================  =================================
+    Flags v, z and u are 1 if their event happens and 0 otherwise. v is a violation (an invalid,
+    colliding or singular move), z is a new insertion, u is the entry into a filled hole. d is the
+    distance from tip to mouth in m, a is the angle between peg and normal in rad, N is the number
+    of filled holes, and t is the time in s. Then::
+
+        paper:     -3 v + (150 + 25 N + 80 (1 - t / 60)) z - u
+                   without v, z, u:  -0.01 - d + 50 max(d_before - d, 0) + 200 max(0.03 - d, 0)
+        progress:  -violation_penalty v + insertion_bonus z - duplicate_penalty u
+                   - step_cost (1 - v) + distance_scale (d_before - d)
+                   + angle_scale (a_before - a)
+
+    An insertion is an executed move that ends with the tip within 10 mm of the mouth and the angle
+    below 5 degrees. Under ``"progress"`` the last move of a failed episode pays
+    ``-violation_penalty - step_cost n``. n is the number of moves left, the last move included. An
+    episode fails at a singularity or, with ``collision="terminate"``, at a collision.
 
     **Starting State**
 
-    Tilt, height, tip and target hole are drawn within the task's start ranges until the state is
-    valid, free of collision and far from singular; ``options`` of :meth:`reset` can set them.
+    sigma_min is the least singular value of the 3-RRS's Jacobian. It is 0 at a type II singularity.
+    Roll and pitch are uniform within +-0.5 rad, among poses with a sigma_min of at least 0.15.
+    Heave is uniform over its range. x and y are uniform within +-0.06 m. The tip is 0.05 to 0.15 m
+    above the dome's apex. The start is valid and free of collision. The target is uniform over the
+    open holes. ``reset(options=...)`` takes ``configuration`` (x, y, z, roll, pitch, heave),
+    ``target`` (a hole) and ``filled`` (holes that count as filled).
 
     **Episode End**
 
-    1. Termination: all active holes are filled, or a move ends with signed sigma_min below 0.05,
-       or, with ``collision="terminate"``, would collide.
-    2. Truncation: ``max_moves`` moves were made.
+    1. Terminated: every active hole is filled, or signed sigma_min falls below 0.05
+       (``info["singular"]``), or, with ``collision="terminate"``, a move would collide.
+    2. Truncated: after 300 moves (60 s). Longer episodes need both limits:
+       ``gymnasium.make("CoopInsertion-v0", max_moves=450, max_episode_steps=450)``.
 
     **Arguments**
 

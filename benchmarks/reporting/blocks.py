@@ -1,4 +1,4 @@
-"""Generated blocks of pages: what stands between two markers is written from stored data.
+"""Generated blocks of pages: what stands between two markers is written by a command.
 
     <!-- shield:begin (written by: python -m benchmarks study shield) -->
     <!-- shield:end -->
@@ -10,6 +10,7 @@ folder. `report` and every study fill their blocks, `verify` compares.
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -83,6 +84,34 @@ def include(results: Path) -> Block:
         return path.read_text(encoding="utf-8")
 
     return read
+
+
+def docstring(title: str) -> str:
+    """A section of the environment's docstring as Markdown.
+
+    Raises:
+        BenchmarkError: the docstring has no section of that title.
+    """
+    from coop_env import CoopInsertionEnv
+
+    _, found, text = str(inspect.getdoc(CoopInsertionEnv)).partition(f"**{title}**\n")
+    if not found:
+        raise BenchmarkError(f"CoopInsertionEnv's docstring has no section {title!r}")
+    table = r"^(=[= ]+)\n(.*)\n\1\n((?:.+\n)+?)\1$"
+    text = re.sub(table, _as_markdown, text.partition("\n**")[0], flags=re.MULTILINE)
+    text = text.replace("``", "`").replace("::\n", ":\n")
+    return re.sub(r":\w+:`[~.\w]*?(\w+)`", r"`\1`", text)
+
+
+def _as_markdown(table: re.Match[str]) -> str:
+    """A simple table of reStructuredText."""
+    starts = [column.start() for column in re.finditer("=+", table[1])]
+    spans = [slice(*ends) for ends in zip(starts, [*starts[1:], None], strict=True)]
+    rows = [
+        [line[span].strip() for span in spans] for line in (table[2] + "\n" + table[3]).splitlines()
+    ]
+    rows.insert(1, ["---"] * len(spans))
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 def provenance(preset: str, runs: Sequence[RunFolder], missing: int = 0, controls: int = 0) -> str:

@@ -106,6 +106,7 @@ def all_blocks(results: Path) -> Mapping[str, Block]:
 
     result: dict[str, Block] = {
         "include": blocks.include(results),
+        "docstring": blocks.docstring,
         "results": lambda said: science.short(results_of(said)),
         "science": lambda said: science.science(results_of(said.split()[0]), "beyond" in said),
         "classic": public,

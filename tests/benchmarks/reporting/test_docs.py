@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 import shlex
 import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
@@ -22,6 +24,7 @@ from benchmarks.runs.ray_backend import RETRIES
 from benchmarks.runs.store import write_text
 from benchmarks.studies import catalogue
 from benchmarks.studies.audit import Audit
+from coop_env import CoopInsertionEnv
 from tests.benchmarks.smoke import parsed
 from tests.process import tracked
 
@@ -128,6 +131,24 @@ def test_an_include_is_filled_and_filled_again(tmp_path: Path) -> None:
 def test_an_include_of_what_is_not_there_is_named(name: str) -> None:
     with pytest.raises(BenchmarkError, match="is no file of"):
         blocks.include(ROOT / "results")(name)
+
+
+def test_the_environments_docstring_says_its_bounds_and_steps() -> None:
+    envs = [CoopInsertionEnv(observation="markov", normalize=scaled) for scaled in (False, True)]
+    named = {"pi/4": math.pi / 4, "-pi/4": -math.pi / 4, "0.2 `max_moves`": 60.0}
+    bounds = []
+    for row in re.findall(r"^\| (\d.*) \|$", blocks.docstring("Observation Space"), re.MULTILINE):
+        fields, _, *ends = row.split(" | ")
+        said = [named.get(end) or float(end.split()[0]) for end in ends]
+        bounds += [said] * (int(fields.split()[-1]) - int(fields.split()[0].strip(",")) + 1)
+    low, high = np.array(bounds).T
+    for seed in range(20):
+        plain, scaled = (env.reset(seed=seed, options={"filled": [3]})[0] for env in envs)
+        assert scaled == pytest.approx(((plain - low) / (high - low)).clip(0.0, 1.0), abs=1e-6)
+    steps = re.findall(r"(\d\.\d+) (?:m|rad) \|", blocks.docstring("Action Space"))
+    assert [*map(float, steps)] == list(envs[0].task.steps)
+    with pytest.raises(BenchmarkError, match="no section 'Dessert'"):
+        blocks.docstring("Dessert")
 
 
 def test_a_block_without_its_data_stays() -> None:
