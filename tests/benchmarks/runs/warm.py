@@ -12,7 +12,7 @@ import sys
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from multiprocessing import get_context
+from multiprocessing import forkserver, get_context
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +102,7 @@ class Server:
 
     def __init__(self) -> None:
         context = get_context("forkserver")
+        forkserver._forkserver._stop()  # type: ignore[attr-defined] # another's lacks our imports
         context.set_forkserver_preload(["tests.benchmarks.runs.warmed"])
         first = context.Process(target=int)  # once it has ended all is compiled
         first.start()
