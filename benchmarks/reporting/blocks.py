@@ -86,21 +86,19 @@ def include(results: Path) -> Block:
     return read
 
 
-def docstring(title: str) -> str:
-    """A section of the environment's docstring as Markdown.
+def docstring(owner: object) -> Block:
+    """The block that holds a section of an object's docstring, as Markdown."""
 
-    Raises:
-        BenchmarkError: the docstring has no section of that title.
-    """
-    from coop_env import CoopInsertionEnv
+    def read(title: str) -> str:
+        _, found, text = str(inspect.getdoc(owner)).partition(f"**{title}**\n")
+        if not found:
+            raise BenchmarkError(f"the docstring has no section {title!r}")
+        table = r"^(=[= ]+)\n(.*)\n\1\n((?:.+\n)+?)\1$"
+        text = re.sub(table, _as_markdown, text.partition("\n**")[0], flags=re.MULTILINE)
+        text = text.replace("``", "`").replace("::\n", ":\n")
+        return re.sub(r":\w+:`[~.\w]*?(\w+)`", r"`\1`", text)
 
-    _, found, text = str(inspect.getdoc(CoopInsertionEnv)).partition(f"**{title}**\n")
-    if not found:
-        raise BenchmarkError(f"CoopInsertionEnv's docstring has no section {title!r}")
-    table = r"^(=[= ]+)\n(.*)\n\1\n((?:.+\n)+?)\1$"
-    text = re.sub(table, _as_markdown, text.partition("\n**")[0], flags=re.MULTILINE)
-    text = text.replace("``", "`").replace("::\n", ":\n")
-    return re.sub(r":\w+:`[~.\w]*?(\w+)`", r"`\1`", text)
+    return read
 
 
 def _as_markdown(table: re.Match[str]) -> str:

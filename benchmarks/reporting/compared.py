@@ -14,11 +14,11 @@ from benchmarks.protocol.learners import LEARNERS
 from benchmarks.reporting.results import Group, Results, complete
 from benchmarks.reporting.stats import Value, holm, measured, paired_p
 
-CONTROL: Final = "Learner against best script"
-MASKED: Final = "Rainbow against learners"
-ABLATION: Final = "Without one component"
-GEOMETRY: Final = "Initial against optimized geometry"
-SCRIPT: Final = "On the uncertain machine"
+CONTROL: Final = "Best script"
+MASKED: Final = "Other learners"
+ABLATION: Final = "Components"
+GEOMETRY: Final = "Geometry"
+SCRIPT: Final = "Uncertain machine"
 
 
 @dataclass(frozen=True)

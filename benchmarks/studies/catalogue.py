@@ -88,6 +88,7 @@ def stores(results: Path) -> dict[str, Path]:
 
 def all_blocks(results: Path) -> Mapping[str, Block]:
     """Every block that a page may hold."""
+    from coop_env import CoopInsertionEnv
 
     def of_store(name: str) -> Store:
         folder = results.joinpath(*Path(name).parts[1:])
@@ -106,7 +107,7 @@ def all_blocks(results: Path) -> Mapping[str, Block]:
 
     result: dict[str, Block] = {
         "include": blocks.include(results),
-        "docstring": blocks.docstring,
+        "docstring": blocks.docstring(CoopInsertionEnv),
         "results": lambda said: science.short(results_of(said)),
         "science": lambda said: science.science(results_of(said.split()[0]), "beyond" in said),
         "classic": public,

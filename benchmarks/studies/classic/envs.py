@@ -12,7 +12,7 @@ from typing import Any, Final
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.wrappers import FrameStackObservation, ReshapeObservation, TimeLimit
+from gymnasium.wrappers import FrameStackObservation, ReshapeObservation
 from numpy.typing import NDArray
 
 from benchmarks.errors import BenchmarkError
@@ -42,13 +42,13 @@ def make(name: str, training: bool = False, **kwargs: Any) -> gym.Env[Any, Any]:
         BenchmarkError: the name is unknown or another module's, or its package is not installed.
     """
     if name.startswith(MINATAR):
-        return TimeLimit(MinAtarEnv(name.removeprefix(MINATAR), **kwargs), MINATAR_STEPS)
+        return _limited(MinAtarEnv(name.removeprefix(MINATAR), **kwargs), MINATAR_STEPS)
     if name.startswith(ATARI):
         return make_atari(name, training, **kwargs)
     if name in ("Identity", MASKED_IDENTITY):
         length = kwargs.pop("length", 100)
         kind = MaskedIdentityEnv if name == MASKED_IDENTITY else IdentityEnv
-        return TimeLimit(kind(**kwargs), length)
+        return _limited(kind(**kwargs), length)
     if name == "BitFlipping":
         from stable_baselines3.common.envs import BitFlippingEnv
 
@@ -80,6 +80,11 @@ def _import(module: str, what: str) -> Any:
             raise BenchmarkError(
                 f"{what} needs the package {module} ({error}); pip install -e '.[classic]'"
             ) from error
+
+
+def _limited(env: gym.Env[Any, Any], steps: int) -> gym.Env[Any, Any]:
+    # Looked up late: rl_zoo3 puts another in its place, and pickle refuses the one that it replaced
+    return gym.wrappers.TimeLimit(env, steps)
 
 
 class NowAndThenRandom(gym.Wrapper[NDArray[np.uint8], Any, NDArray[np.uint8], Any]):

@@ -135,9 +135,10 @@ def test_an_include_of_what_is_not_there_is_named(name: str) -> None:
 
 def test_the_environments_docstring_says_its_bounds_and_steps() -> None:
     envs = [CoopInsertionEnv(observation="markov", normalize=scaled) for scaled in (False, True)]
+    said_of = blocks.docstring(CoopInsertionEnv)
     named = {"pi/4": math.pi / 4, "-pi/4": -math.pi / 4, "0.2 `max_moves`": 60.0}
     bounds = []
-    for row in re.findall(r"^\| (\d.*) \|$", blocks.docstring("Observation Space"), re.MULTILINE):
+    for row in re.findall(r"^\| (\d.*) \|$", said_of("Observation Space"), re.MULTILINE):
         fields, _, *ends = row.split(" | ")
         said = [named.get(end) or float(end.split()[0]) for end in ends]
         bounds += [said] * (int(fields.split()[-1]) - int(fields.split()[0].strip(",")) + 1)
@@ -145,10 +146,10 @@ def test_the_environments_docstring_says_its_bounds_and_steps() -> None:
     for seed in range(20):
         plain, scaled = (env.reset(seed=seed, options={"filled": [3]})[0] for env in envs)
         assert scaled == pytest.approx(((plain - low) / (high - low)).clip(0.0, 1.0), abs=1e-6)
-    steps = re.findall(r"(\d\.\d+) (?:m|rad) \|", blocks.docstring("Action Space"))
+    steps = re.findall(r"(\d\.\d+) (?:m|rad) \|", said_of("Action Space"))
     assert [*map(float, steps)] == list(envs[0].task.steps)
     with pytest.raises(BenchmarkError, match="no section 'Dessert'"):
-        blocks.docstring("Dessert")
+        said_of("Dessert")
 
 
 def test_a_block_without_its_data_stays() -> None:

@@ -200,7 +200,6 @@ def test_other_starts_are_starts_of_their_own(
             ["evaluate", "--preset", "smoke", "--planner", "astar"],
             "known: optimum, rrt_connect, rrt_lattice, or module:function",
         ),
-        (["study", "design", "--figures-only"], "run: python -m benchmarks study design"),
     ],
 )
 def test_bad_input_is_one_error_and_writes_nothing(
