@@ -384,10 +384,12 @@ class CoopInsertionEnv(Rendered):
             StateError: the snapshot is of an environment with other arguments, or is none.
         """
         check_snapshot(snapshot, self.get_state())
+        before = self._stage
         try:
-            self.np_random.bit_generator.state = snapshot["rng"]
             self.set_stage(snapshot["stage"])
+            self.np_random.bit_generator.state = snapshot["rng"]
         except (TypeError, ValueError, KeyError) as error:
+            self._stage = before
             raise StateError(f"the snapshot's rng or stage is damaged: {error}") from error
         self._states[:] = snapshot["states"]
         self._rows[:] = snapshot["observations"]

@@ -1,5 +1,7 @@
 """Rainbow on Stable-Baselines3."""
 
+import io
+import pathlib
 import warnings
 from typing import Any, ClassVar, TypeVar
 
@@ -26,6 +28,7 @@ from sb3_rainbow.settings import (
     SettingsMismatchError,
     check_settings,
     check_support_of_file,
+    default_tau,
     head_and_support,
     served_by,
     support_in_file,
@@ -176,6 +179,7 @@ class Rainbow(ResumableAlgorithm):
         cpu_kernels: bool = True,
         _init_setup_model: bool = True,
     ) -> None:
+        self._tau_was_chosen = tau is not None
         prioritized, n_steps = served_by(replay_buffer_class, prioritized, n_steps)
         super().__init__(
             policy,
@@ -234,7 +238,7 @@ class Rainbow(ResumableAlgorithm):
     def _setup_model(self) -> None:
         given = vars(self)  # None, also where load was given it, is the default
         if given["tau"] is None:
-            self.tau = 5e-3 if self.target_update_interval is None else 1.0  # SB3's copy
+            self.tau = default_tau(self.target_update_interval)
         if given["learning_rate"] is None:  # SB3's for images, of which the others were not found
             self.learning_rate = 1e-4 if issubclass(self.policy_class, CnnPolicy) else 1e-3
         self.distributional, self.v_min, self.v_max = head_and_support(
@@ -442,6 +446,34 @@ class Rainbow(ResumableAlgorithm):
         return super().learn(
             total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar
         )
+
+    @classmethod
+    def load(
+        cls: type[SelfRainbow],
+        path: str | pathlib.Path | io.BufferedIOBase,
+        env: GymEnv | None = None,
+        device: th.device | str = "auto",
+        custom_objects: dict[str, Any] | None = None,
+        print_system_info: bool = False,
+        force_reset: bool = True,
+        **kwargs: Any,
+    ) -> SelfRainbow:
+        """As SB3's ``load``.
+
+        A new ``target_update_interval`` brings its own default ``tau``, unless one was chosen when
+        the model was made, or is given now. A ``seed`` wins over the saved random generators. A
+        ``buffer_size`` that is too small to learn with (1, by who only predicts) becomes the
+        smallest that is not.
+        """
+        given = {**(custom_objects or {}), **kwargs}
+        if "tau" in given:
+            kwargs["_tau_was_chosen"] = given["tau"] is not None
+        model = super().load(
+            path, env, device, custom_objects, print_system_info, force_reset, **kwargs
+        )
+        if "target_update_interval" in given and not model._tau_was_chosen:
+            model.tau = default_tau(model.target_update_interval)
+        return model
 
     def set_parameters(
         self,

@@ -99,6 +99,11 @@ def served_by(
     return prioritizes if prioritized is None else prioritized, n_steps
 
 
+def default_tau(target_update_interval: int | None) -> float:
+    """A small step after every update, or SB3's whole copy at every interval."""
+    return 5e-3 if target_update_interval is None else 1.0
+
+
 def head_and_support(
     distributional: Distributional | None, v_min: float | None, v_max: float | None
 ) -> tuple[Distributional, float, float]:

@@ -153,6 +153,8 @@ class Measured(Study):
 
     def __init__(self, given: argparse.Namespace) -> None:
         super().__init__(given)
+        if not self.file:
+            raise BenchmarkError(f"{type(self).__name__} needs file: its JSON's below the results")
         self.path = self.results / self.file
         self.folder = self.path.parent
         self.result: dict[str, Any] = {"asked": self.asked(), "parts": {}}
@@ -166,6 +168,11 @@ class Measured(Study):
         """What decides the parts, as JSON can hold it."""
         given = {k: v for k, v in vars(self.given).items() if k not in ("results", "command")}
         return {**given, "commit": describe()["commit"]}
+
+    @staticmethod
+    @abstractmethod
+    def to_markdown(result: Any) -> str:
+        """What ``file`` holds, as Markdown."""
 
     @abstractmethod
     def measures(self) -> Mapping[str, Part]:

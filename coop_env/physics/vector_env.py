@@ -62,6 +62,7 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
         self.num_envs = check_integer("num_envs", num_envs, 1)
         self.batch = self.batch_class(n=num_envs, threads=threads, **arguments)
         self.task = self.batch.task
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.task.dt))}
         if max_episode_steps is not None:
             own = self.batch.max_steps
             self.batch.max_steps = lesser_limit(max_episode_steps, "max_steps", own)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.env import CoopInsertionEnv
+from coop_env.errors import check_integer
 from coop_env.physics import kernels
 from coop_env.physics.batch import (
     FAILURES,
@@ -45,7 +46,8 @@ class WholeBatch(PhysicsBatch):
     def __init__(
         self, *arguments: Any, stage: int = 1, max_steps: int = MAX_STEPS, **more: Any
     ) -> None:
-        super().__init__(*arguments, max_steps=max_steps, **more)
+        limit = check_integer("max_steps", max_steps, 1)
+        super().__init__(*arguments, max_steps=limit, **more)
         machine, n = self.machine, self.n
         self._starts = CoopInsertionEnv(
             machine.rrs, delta=machine.delta, task=machine.task, stage=stage

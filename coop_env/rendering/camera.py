@@ -49,7 +49,7 @@ def resolve(camera: str | Camera) -> Camera:
     """
     if isinstance(camera, Camera):
         return camera
-    if camera not in CAMERAS:
+    if not isinstance(camera, str) or camera not in CAMERAS:
         raise ValueError(f"unknown camera {camera!r}: one of {', '.join(CAMERAS)}, or a Camera")
     return CAMERAS[camera]
 

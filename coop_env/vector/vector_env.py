@@ -22,6 +22,8 @@ from coop_env.errors import (
     ActionError,
     ArgumentError,
     ResetOptionError,
+    StateError,
+    check_flag,
     check_integer,
 )
 from coop_env.simulation import batch
@@ -145,11 +147,14 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         """Start all episodes, one after another.
 
         Raises:
-            ResetOptionError: an option is malformed, or names a state that cannot be taken.
+            ResetOptionError: an option is malformed, before anything is reset, or names a state
+                that cannot be taken: then those before it are reset, and no move is pending.
         """
+        for env, own in zip(self.envs, options, strict=True):
+            env.check_options(own)
+        self.pending = False
         for env, seed, own in zip(self.envs, seeds, options, strict=True):
             env.reset(seed=seed, options=own)
-        self.pending = False
 
     def reset(
         self,
@@ -293,13 +298,26 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         """Return to a snapshot of :meth:`get_state`.
 
         Raises:
-            StateError: the snapshot is of another batch: other arguments, another ``num_envs``.
+            StateError: the snapshot is of another batch: other arguments, another ``num_envs``, or
+                it is damaged. The batch is left as it was.
         """
-        check_snapshot(snapshot, self.get_state())
-        self.actions[:], self.pending = snapshot["actions"], snapshot["pending"]
+        before = self.get_state()
+        check_snapshot(snapshot, before)
+        try:
+            self._go_to(snapshot)
+        except (TypeError, ValueError) as error:
+            self._go_to(before)
+            raise StateError(f"the snapshot cannot be taken: {error}") from error
+
+    def _go_to(self, snapshot: Mapping[str, Any]) -> None:
+        n_actions = int(self.envs[0].action_space.n)
+        self.actions[:] = check_actions(snapshot["actions"], self.num_envs, n_actions)
+        self.pending = check_flag("pending", snapshot["pending"])
         self._started = False
-        each = zip(*(snapshot[key] for key in ("started", "stages", "rngs")), strict=True)
-        for i, (started, stage, rng) in enumerate(each):
+        keys = ("started", "stages", "rngs")
+        if any(len(snapshot[key]) != self.num_envs for key in keys):
+            raise StateError(f"{', '.join(keys)} must have {self.num_envs} entries each")
+        for i, (started, stage, rng) in enumerate(zip(*(snapshot[k] for k in keys), strict=True)):
             self.envs[i].set_state(
                 {
                     "params": snapshot["params"],
@@ -313,15 +331,23 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
 
 
 def set_attributes(envs: Sequence[Any], name: str, values: Sequence[Any]) -> None:
-    """Set an attribute of environments that have it, a value each.
+    """Set an attribute of environments that have it, a value each; of all of them or of none.
 
     Raises:
-        ArgumentError: one has not.
+        ArgumentError: one has not, or it cannot be set.
     """
-    for env, value in zip(envs, values, strict=True):
-        if not hasattr(env, name):
-            raise ArgumentError(f"{type(env).__name__} has no attribute {name!r} to set")
-        setattr(env, name, value)
+    done: list[tuple[Any, Any]] = []
+    try:
+        before = [getattr(env, name) for env in envs]
+        for env, old, value in zip(envs, before, values, strict=True):
+            setattr(env, name, value)
+            done.append((env, old))
+    except Exception as error:
+        for env, old in done:
+            setattr(env, name, old)
+        if isinstance(error, AttributeError):
+            raise ArgumentError(f"attribute {name!r} cannot be set: {error}") from error
+        raise
 
 
 def lesser_limit(max_episode_steps: Any, name: str, own: Any) -> int:

@@ -132,8 +132,9 @@ class Learner:
                 q_net.v_max,
             )
             values["clipped_support"] = float(share)
-        deviation = priorities.std(correction=int(len(priorities) > 1))
-        values["priority_spread"] = float(deviation / priorities.mean().clamp(min=1e-12))
+        if len(batch.indices):  # of a buffer that has priorities
+            deviation = priorities.std(correction=int(len(priorities) > 1))
+            values["priority_spread"] = float(deviation / priorities.mean().clamp(min=1e-12))
         magnitudes = q_net.noise_magnitudes()
         if magnitudes:
             values["noise_magnitude"] = float(np.mean(list(magnitudes.values())))

@@ -1,4 +1,4 @@
-"""Action masks as in sb3-contrib, and the masks that autoreset would lose."""
+"""Action masks as in sb3-contrib, and the masks and observations that autoreset would lose."""
 
 from typing import Any
 
@@ -6,7 +6,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sb3_contrib.common.maskable.utils import is_masking_supported
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
+
+from sb3_rainbow.type_aliases import ObsArray
 
 TERMINAL_MASK_KEY = "terminal_action_mask"
 LOST_MASK_WARNING = (
@@ -101,6 +103,33 @@ def as_action_masks(masks: ArrayLike, n_envs: int, n_actions: int) -> NDArray[np
             "be True (if nothing is valid, let action_masks() return all True)"
         )
     return checked
+
+
+def with_terminal_observations(
+    obs: ObsArray, dones: NDArray, infos: list[dict[str, Any]], normalizer: VecNormalize | None
+) -> ObsArray:
+    """Observations after the step, those of ended episodes from ``infos``; a copy.
+
+    Args:
+        obs: as the VecEnv returned them (unnormalized), ``(n_envs, ...)``, or a dict of such.
+        dones: which episodes ended, ``(n_envs,)``.
+        infos: hold ``"terminal_observation"``.
+        normalizer: undoes its normalization of the terminal observations.
+    """
+    result = {k: v.copy() for k, v in obs.items()} if isinstance(obs, dict) else obs.copy()
+    for env in np.flatnonzero(dones):
+        terminal = infos[env].get("terminal_observation")
+        if terminal is None:
+            continue
+        if normalizer is not None:
+            terminal = normalizer.unnormalize_obs(terminal)
+        if isinstance(result, dict):
+            for key, part in result.items():
+                part[env] = terminal[key]
+        else:
+            whole = result.dtype.kind in "iu"  # a normalizer's way there and back rounds
+            result[env] = np.rint(np.asarray(terminal)) if whole else terminal
+    return result
 
 
 def with_terminal_masks(

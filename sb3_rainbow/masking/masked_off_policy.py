@@ -19,6 +19,7 @@ from sb3_rainbow.masking.conventions import (
     as_action_masks,
     capture_terminal_masks,
     with_terminal_masks,
+    with_terminal_observations,
 )
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.type_aliases import ObsArray, UseMasking
@@ -129,13 +130,27 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
         dones: NDArray,
         infos: list[dict[str, Any]],
     ) -> None:
-        super()._store_transition(replay_buffer, buffer_action, new_obs, reward, dones, infos)
-        if not self._masking:
+        if not isinstance(replay_buffer, PrioritizedReplayBuffer):
+            super()._store_transition(replay_buffer, buffer_action, new_obs, reward, dones, infos)
             return
-        self._last_action_masks = self._current_masks()
-        next_masks, lost = with_terminal_masks(self._last_action_masks, dones, infos)
-        assert isinstance(replay_buffer, PrioritizedReplayBuffer)
-        replay_buffer.set_next_action_masks(next_masks)
-        if lost and not self._warned_of_lost_mask:
-            self._warned_of_lost_mask = True
-            warnings.warn(LOST_MASK_WARNING, stacklevel=2)
+        stored_obs, original_obs, stored_reward = self._last_obs, new_obs, reward
+        normalizer = self._vec_normalize_env
+        if normalizer is not None:
+            stored_obs = self._last_original_obs
+            original_obs = normalizer.get_original_obs()
+            stored_reward = normalizer.get_original_reward()
+        next_obs = original_obs
+        if dones.any():
+            next_obs = with_terminal_observations(original_obs, dones, infos, normalizer)
+        masks: tuple[NDArray[np.bool_], ...] = ()
+        if self._masking:
+            self._last_action_masks = self._current_masks()
+            next_masks, lost = with_terminal_masks(self._last_action_masks, dones, infos)
+            masks = (next_masks,)
+            if lost and not self._warned_of_lost_mask:
+                self._warned_of_lost_mask = True
+                warnings.warn(LOST_MASK_WARNING, stacklevel=2)
+        assert stored_obs is not None
+        replay_buffer.add(stored_obs, next_obs, buffer_action, stored_reward, dones, infos, *masks)
+        self._last_obs = new_obs
+        self._last_original_obs = original_obs

@@ -161,8 +161,9 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         reward: NDArray,
         done: NDArray,
         infos: list[dict[str, Any]],
+        next_action_masks: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Store one step of every env, which allows every action after it.
+        """Store one step of every env.
 
         Args:
             obs: observations the actions were chosen on, ``(n_envs, ...)``.
@@ -172,6 +173,8 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             reward: shape ``(n_envs,)``.
             done: terminated or truncated, ``(n_envs,)``.
             infos: ``"TimeLimit.truncated"`` tells truncations from terminations.
+            next_action_masks: actions allowed at ``next_obs``, ``(n_envs, n_actions)``; None allows
+                all.
 
         Raises:
             ValueError: for a reward that is not finite in float32; nothing is stored then.
@@ -195,8 +198,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         self._store.write(pos, current, following)
         self.actions[pos] = action.reshape(self.n_envs, self.action_dim)
         self.rewards[pos] = rewards
-        if self.next_action_masks is not None:
-            self.next_action_masks[pos] = True
+        self._store_masks(pos, next_action_masks)
 
         ended = np.asarray(done, dtype=bool)
         self.ends[pos] = RUNNING
@@ -228,16 +230,20 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             self._store.keep_newest(newest, env)
         self._complete(which, newest)
 
-    def set_next_action_masks(self, masks: NDArray[np.bool_]) -> None:
-        """Say which actions the newest step's ``next_obs`` allow, ``(n_envs, n_actions)``."""
-        if self.next_action_masks is None:
+    def _store_masks(self, pos: int, masks: NDArray[np.bool_] | None) -> None:
+        stored = self.next_action_masks
+        if masks is None:
+            if stored is not None:
+                stored[pos] = True
+            return
+        if stored is None:
             n_actions = int(cast(spaces.Discrete, self.action_space).n)
             # zeros take no memory before they are written to, and every row that is drawn was
-            shape = (self.buffer_size, self.n_envs, n_actions)
-            self.next_action_masks = np.zeros(shape, dtype=np.bool_)
-            self.next_action_masks[: self.size()] = True
+            stored = np.zeros((self.buffer_size, self.n_envs, n_actions), dtype=np.bool_)
+            stored[: self.size()] = True
+            self.next_action_masks = stored
             warn_of_memory(self.nbytes)
-        self.next_action_masks[self.pos - 1] = masks
+        stored[pos] = masks
 
     def _complete(self, ended: NDArray[np.bool_], newest: int) -> None:
         leaves = np.empty(int(self._pending.sum()), dtype=np.int64)

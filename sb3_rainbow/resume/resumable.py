@@ -85,14 +85,7 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         force_reset: bool = True,
         **kwargs: Any,
     ) -> SelfResumable:
-        """As SB3's ``load``.
-
-        A ``seed`` in ``kwargs`` wins over the saved random generators. A ``target_update_interval``
-        brings its own default ``tau``, unless that is given too. A ``buffer_size`` that is too
-        small to learn with (1, by who only predicts) becomes the smallest that is not.
-        """
-        if "target_update_interval" in kwargs:
-            kwargs.setdefault("tau", None)
+        """As SB3's ``load``; a ``seed`` in ``kwargs`` wins over the saved random generators."""
         model = super().load(
             path, env, device, custom_objects, print_system_info, force_reset, **kwargs
         )

@@ -77,6 +77,8 @@ def write_model(model: Rainbow, path: str | os.PathLike[str]) -> None:
     """
     given = {name: getattr(model, name) for name in _HINTS if hasattr(model, name)}
     given |= {"policy": model.policy_class, "train_freq": model.train_freq}
+    if not model._tau_was_chosen:
+        given["tau"] = None
     weights = {name: value.cpu().numpy() for name, value in model.policy.state_dict().items()}
     arrays = {f"policy.{name}": np.ascontiguousarray(value) for name, value in weights.items()}
     unwritable: list[str] = []
@@ -129,14 +131,11 @@ def read_model(
         env: environment to go on learning in.
         device: torch device.
         changed: arguments of the constructor that differ from those in the file. Without a
-            ``buffer_size`` it is the smallest, with a ``target_update_interval`` alone ``tau`` is
-            the default beside it.
+            ``buffer_size`` it is the smallest.
 
     Raises:
         ZooError: if the file is of another form, damaged, or does not fit together.
     """
-    if "target_update_interval" in changed:
-        changed.setdefault("tau", None)
     with loading(path):
         settings, arrays = _read(path, _MODEL)
         arguments = _checked(settings.pop("arguments"), _HINTS)
@@ -229,11 +228,15 @@ def _read(path: str | os.PathLike[str], kind: str) -> tuple[dict[str, Any], Arra
             )
         if any(member.compress_type != zipfile.ZIP_STORED for member in archive.infolist()):
             raise ValueError("it is compressed, which no packaged file is")
-        settings = json.loads(archive.read(SETTINGS))
+        settings = json.loads(archive.read(SETTINGS), parse_constant=_refuse)
         form = settings.pop("format")
         if form != kind:
             raise ValueError(f"its format is {form!r}, expected {kind!r}")
         return settings, load_arrays(archive.read(_ARRAYS))
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"{constant} is no number")
 
 
 def _hints_of(function: Callable[..., Any], left_out: set[str]) -> dict[str, Any]:

@@ -46,7 +46,7 @@ def make(name: str, training: bool = False, **kwargs: Any) -> gym.Env[Any, Any]:
     if name.startswith(ATARI):
         return make_atari(name, training, **kwargs)
     if name in ("Identity", MASKED_IDENTITY):
-        length = kwargs.pop("length", 100)
+        length = kwargs.pop("length", 50 if name == MASKED_IDENTITY else 100)
         kind = MaskedIdentityEnv if name == MASKED_IDENTITY else IdentityEnv
         return _limited(kind(**kwargs), length)
     if name == "BitFlipping":

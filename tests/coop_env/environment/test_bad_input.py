@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import pickle
 from dataclasses import asdict
 from typing import Any
 
@@ -227,6 +228,34 @@ def test_snapshots_of_another_kind() -> None:
     ):
         with pytest.raises(StateError, match="other arguments"):
             env.set_state(snapshot)
+
+
+def test_a_damaged_snapshot_changes_nothing() -> None:
+    """Neither states and generators nor the move that a batch has taken."""
+    batch: Any = CoopInsertionVecEnv(2, seed=0)
+    batch.reset()
+    old = batch.get_state()
+    batch.reset()
+    batch.step_async(np.array([0, 1]))
+    before = pickle.dumps(batch.get_state())
+    for name, wrong in (
+        ("rngs", [old["rngs"][0], "no"]),
+        ("rngs", old["rngs"][:1]),
+        ("stages", [1, 7]),
+        ("actions", np.array([0, 41])),
+        ("pending", None),
+    ):
+        with pytest.raises(StateError):
+            batch.set_state({**old, name: wrong})
+        assert pickle.dumps(batch.get_state()) == before
+    one = CoopInsertionEnv()
+    one.reset(seed=0)
+    snapshot, _ = one.get_state(), one.reset()
+    before = pickle.dumps(one.get_state())
+    for name, wrong in (("stage", 7), ("rng", "no")):
+        with pytest.raises(StateError, match=name):
+            one.set_state({**snapshot, name: wrong})
+        assert pickle.dumps(one.get_state()) == before
 
 
 def test_a_batch_refuses_a_class_whose_step_it_would_pass_by() -> None:

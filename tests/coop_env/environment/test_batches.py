@@ -247,7 +247,8 @@ def test_attributes_and_calls_reach_each_environment() -> None:
     with pytest.raises(ArgumentError, match="speed"):
         env.set_attr("speed", 1)
     with pytest.raises(ArgumentError, match="stage = 7"):
-        env.set_attr("stage", 7)
+        env.set_attr("stage", [0, 7])
+    assert env.get_attr("stage") == (1, 0)  # the first is as it was, too
     with pytest.raises(ArgumentError, match="seed"):
         env.reset(seed=[1, 2, 3])
 

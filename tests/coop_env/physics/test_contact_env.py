@@ -282,6 +282,7 @@ def test_reset_options_that_cannot_be(kind: Any) -> None:
         (CoopInsertionContactEnv, {"level": {"clearence": 1}}),
         (CoopInsertionContactEnv, {"servos": {"rrs_stiffness": -1.0}}),
         (CoopInsertionPhysicsEnv, {"max_steps": 0}),
+        (CoopInsertionPhysicsEnv, {"max_steps": None}),
         (CoopInsertionPhysicsEnv, {"stage": 2}),
         (CoopInsertionPhysicsEnv, {"render_mode": "x"}),
         (CoopInsertionPhysicsDiscreteEnv, {"pose_model": "paper"}),

@@ -62,6 +62,40 @@ def test_small_differences_of_large_numbers_are_learned_from() -> None:
     assert buffer.samples_at(np.arange(50)).observations.dtype == th.float32
 
 
+class Sevens(gym.Env):
+    """Counts in sevens, in integers, until it is truncated."""
+
+    action_space = spaces.Discrete(2)
+
+    def __init__(self, space: spaces.Space) -> None:
+        self.observation_space: spaces.Space = space
+
+    def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:
+        self.count = 0
+        return self._seen(), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self.count += 7
+        return self._seen(), 0.0, False, self.count == 35, {}
+
+    def _seen(self) -> Any:
+        return np.full(self.observation_space.shape, self.count, np.int64)
+
+
+@pytest.mark.parametrize(
+    ("space", "norm_obs"), [(spaces.Box(0, 99, (1,), np.int64), True), (spaces.Discrete(99), False)]
+)
+def test_truncated_episodes_of_integers_end_where_they_ended(
+    space: spaces.Space, norm_obs: bool
+) -> None:
+    """SB3's own way casts what is normalized to the integers of the environment."""
+    env = VecNormalize(DummyVecEnv([lambda: Sevens(space)]), norm_obs=norm_obs)
+    buffer: Any = Rainbow("MlpPolicy", env, n_steps=1, **FAST).learn(60).replay_buffer
+    samples = buffer.samples_at(np.arange(59))
+    steps = samples.next_observations.double() - samples.observations.double()
+    assert set(steps.ravel().tolist()) == {7.0}
+
+
 def hindsight(**kwargs: Any) -> Rainbow:
     env = BitFlippingEnv(n_bits=4, continuous=False)
     return Rainbow("MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, **FAST, **kwargs)
@@ -176,7 +210,8 @@ def test_a_buffer_beyond_the_memory_is_a_warning(monkeypatch: pytest.MonkeyPatch
         with pytest.warns(UserWarning, match=r"enough memory .* 0.00GB > 0.00GB"):
             make(n, space)
     # Masks come with the first step, and are 100 bytes each here.
+    obs, masks = np.zeros((1, 4)), np.ones((1, 100), bool)
     with pytest.warns(UserWarning, match="enough memory"):
-        buffer.set_next_action_masks(np.ones((1, 100), bool))
+        buffer.add(obs, obs, np.zeros(1), np.zeros(1), np.zeros(1), [{}], masks)
     Memory.available = 10**9
     make(300, box)

@@ -154,8 +154,8 @@ def add(buffer: PrioritizedReplayBuffer, row: list[Step], kind: str = "box") -> 
         np.array([step.reward for step in row]),
         np.array([step.terminated or step.truncated for step in row]),
         [{"TimeLimit.truncated": step.truncated} for step in row],
+        np.array([step.mask for step in row]),
     )
-    buffer.set_next_action_masks(np.array([step.mask for step in row]))
 
 
 def check(buffer: PrioritizedReplayBuffer, world: World, kind: str = "box") -> None:

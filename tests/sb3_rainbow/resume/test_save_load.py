@@ -163,7 +163,9 @@ def test_who_only_predicts_needs_no_replay_buffer(tmp_path: Any, n_envs: int) ->
         ({"target_update_interval": 100}, {}, 1.0),
         ({"target_update_interval": 100}, {"target_update_interval": None}, 5e-3),
         ({"target_update_interval": 100}, {"target_update_interval": None, "tau": 1.0}, 1.0),
-        ({"tau": 1e-3}, {"target_update_interval": 100}, 1.0),
+        ({"tau": 0.005}, {"target_update_interval": 100}, 0.005),
+        ({"tau": 1e-3}, {"target_update_interval": 100}, 1e-3),
+        ({}, {"custom_objects": {"target_update_interval": 100}}, 1.0),
     ],
 )
 def test_a_new_target_interval_brings_its_tau(
@@ -172,7 +174,7 @@ def test_a_new_target_interval_brings_its_tau(
     Rainbow("MlpPolicy", "CartPole-v1", **FAST, **made).save(tmp_path / "m")
     model = Rainbow.load(tmp_path / "m", **loaded)
     assert model.tau == tau
-    given = {**made, **loaded}
+    given = {**made, **loaded, **loaded.get("custom_objects", {})}
     assert model.target_update_interval == given.get("target_update_interval")
     # What was chosen at loading stays chosen.
     model.save(tmp_path / "again")
