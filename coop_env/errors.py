@@ -126,7 +126,7 @@ def as_dataclass(name: str, value: Any, kind: type[T], presets: Mapping[Any, T] 
         return presets[value]
     if not isinstance(value, Mapping):
         names = "".join(f"{preset!r}, " for preset in presets)
-        kinds = f"{names}{kind.__name__} or a mapping of its fields"
+        kinds = f"{names}a {kind.__name__} or a mapping of its fields"
         raise ArgumentError(f"{name} = {value!r}: must be {kinds}")
     known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
     unknown = sorted(str(key) for key in value if key not in known)

@@ -24,8 +24,8 @@ def survey(
     """Signed sigma_min and kappa of every cell, and which are admitted.
 
     A cell is if its pose is reachable within tilt and joint limits (NaN is not) with sigma_min at
-    the threshold. All arrays are ``(n, n)``; NaN where a limb cannot reach. Unless ``whole``, which
-    takes longer, sigma_min is NaN beyond the limits too, and kappa everywhere.
+    the threshold. All arrays are ``(n, n)``; NaN where a limb cannot reach, and unless ``whole``,
+    which takes longer, beyond the limits too.
     """
     for i in range(rolls.shape[0]):
         for j in range(rolls.shape[1]):
@@ -35,8 +35,6 @@ def survey(
             reachable, q = rrs.inverse(pose, p)
             tilted = abs(rolls[i, j]) <= p.max_tilt and abs(pitches[i, j]) <= p.max_tilt
             within = tilted and rrs.joints_within_limits(q, p)
-            if reachable and whole:
+            if reachable and (whole or within):
                 _, _, sigma[i, j], kappa[i, j] = rrs.singular_state(pose, q, p)
-            elif reachable and within:
-                sigma[i, j] = rrs.signed_sigma_min(pose, q, p)
                 admitted[i, j] = within and sigma[i, j] >= threshold
