@@ -239,7 +239,7 @@ class Rainbow(ResumableAlgorithm):
         given = vars(self)  # None, also where load was given it, is the default
         if given["tau"] is None:
             self.tau = default_tau(self.target_update_interval)
-        if given["learning_rate"] is None:  # SB3's for images, of which the others were not found
+        if given["learning_rate"] is None:  # for images SB3's: ours was searched on perceptrons
             self.learning_rate = 1e-4 if issubclass(self.policy_class, CnnPolicy) else 1e-3
         self.distributional, self.v_min, self.v_max = head_and_support(
             self.distributional, self.v_min, self.v_max

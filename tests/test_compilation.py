@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -140,3 +141,15 @@ def test_what_kernels_inline_is_looked_at_for_changes_too() -> None:
     sources = ROOT / "coop_env" / "simulation"
     assert compilation._newest_kernel(sources, "task.py") > 0.0
     assert compilation._newest_kernel(sources, "insertion_task.py") == 0.0
+
+
+def test_processes_that_compile_at_once_leave_a_sound_cache(tmp_path: Path) -> None:
+    code = KINEMATICS.replace(".shape)", ".sum().round(9))")
+    places = {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_OPT": "1"}
+
+    def start(_: int) -> str:
+        return python("-c", code, env={**os.environ, **places}, timeout=200).stdout
+
+    with ThreadPoolExecutor(2) as pool:
+        printed = [*pool.map(start, range(2)), start(2)]
+    assert len(set(printed)) == 1

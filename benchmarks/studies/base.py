@@ -42,7 +42,7 @@ class Study(ABC):
         name: of the command, of its folder below the results folder, and of its block.
         options: argparse's arguments by name.
         needs: modules that an extra brings, and the extra.
-        file: below the results folder; all that is told follows from it, if there is one.
+        file: of a :class:`Measured`, below the results folder; all that is told follows from it.
     """
 
     name: ClassVar[str]
@@ -114,15 +114,7 @@ class Study(ABC):
     @classmethod
     def files(cls, results: Path) -> dict[Path, str]:
         """Files that follow from what is stored, with their texts; none where nothing is."""
-        path = results / cls.file
-        if not path.is_file():
-            return {}
-        return {path.with_suffix(".md"): cls.to_markdown(read_stored(path)).strip() + "\n"}
-
-    @staticmethod
-    def to_markdown(result: Any) -> str:
-        """What ``file`` holds, as Markdown."""
-        raise NotImplementedError
+        return {}
 
     @classmethod
     def blocks(cls, results: Path) -> dict[str, Block]:
@@ -185,6 +177,13 @@ class Measured(Study):
     def keep(self, name: str, result: Any) -> None:
         self.result["parts"][name] = result
         write_text(self.path, json.dumps(self.result, indent=1) + "\n")
+
+    @classmethod
+    def files(cls, results: Path) -> dict[Path, str]:
+        path = results / cls.file
+        if not path.is_file():
+            return {}
+        return {path.with_suffix(".md"): cls.to_markdown(read_stored(path)).strip() + "\n"}
 
     @classmethod
     def problems(cls, results: Path) -> list[str]:

@@ -25,7 +25,7 @@ class Shortcuts:
         self._detector: ChangeDetector | None = None
         self._optimizer: th.optim.Optimizer | None = None
         self._mlp: MlpUpdate | None = None
-        self.act = False
+        self.acts = False
         """Whether the kernels may choose actions too, as of the last look."""
 
     def __getstate__(self) -> dict[str, Any]:
@@ -52,6 +52,6 @@ class Shortcuts:
         nets = self.policy.q_net, self.policy.q_net_target
         if kernels_apply(*nets, optimizer):
             self._mlp = MlpUpdate(*nets)
-        self.act = inherits(self.policy, RainbowPolicy, *_ACTING)
+        self.acts = inherits(self.policy, RainbowPolicy, *_ACTING)
         self._detector, self._optimizer = ChangeDetector(self.policy), optimizer
         return self._mlp

@@ -94,7 +94,7 @@ class Learner:
     ) -> NDArray[np.int64] | None:
         """Greedy actions under fresh noise, ``(n_envs,)``; None where the policy has to choose."""
         kernels = self.kernels()
-        if self.shortcuts is None or kernels is None or not self.shortcuts.act:
+        if self.shortcuts is None or kernels is None or not self.shortcuts.acts:
             return None
         return kernels.act(obs, action_masks)
 

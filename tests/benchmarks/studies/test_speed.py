@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import time
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,7 +12,9 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.env_util import make_vec_env
 
 from benchmarks.cli import main
+from benchmarks.errors import BenchmarkError
 from benchmarks.studies import speed
+from benchmarks.studies.base import Measured
 from benchmarks.studies.speed import in_turns, measure_updates
 from sb3_rainbow import Rainbow
 
@@ -66,3 +70,18 @@ def test_each_learner_of_images_is_measured() -> None:
     assert set(images) == {
         *("SB3 DQN", "sb3-contrib QR-DQN", "Rainbow", "Rainbow, by default two streams of 512")
     }
+
+
+def test_a_study_says_before_it_measures_what_it_lacks(tmp_path: Path) -> None:
+    class Nameless(Measured):
+        name = "nameless"
+
+        def measures(self) -> dict[str, Any]:
+            raise AssertionError("measured")
+
+    given = argparse.Namespace(results=tmp_path, command="")
+    with pytest.raises(TypeError, match="to_markdown"):
+        Nameless(given)  # type: ignore[abstract]
+    kind = type("Nameless", (Nameless,), {"to_markdown": staticmethod(str)})
+    with pytest.raises(BenchmarkError, match="Nameless needs file"):
+        kind(given)

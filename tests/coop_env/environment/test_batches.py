@@ -262,3 +262,15 @@ def test_a_shallow_copy_of_a_batch_leaves_the_original_its_rows() -> None:
     assert [env.configuration[0] for env in batch.envs] == [
         row["configuration"][0] for row in batch.states
     ]
+
+
+def test_a_reset_that_is_refused_starts_no_environment() -> None:
+    """Options that were right when they were set, and are wrong at another stage."""
+    env = CoopInsertionVecEnv(3, seed=0)
+    env.reset()
+    before = env.get_attr("state")
+    env.set_options([{}, {"target": 5}, {}])
+    env.set_attr("stage", 0)
+    with pytest.raises(ResetOptionError, match="target"):
+        env.reset()
+    assert env.get_attr("state") == before

@@ -1,5 +1,6 @@
 """Projection, losses and masks by hand and against a loop; who chooses, and who values."""
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -136,6 +137,19 @@ def test_quantile_losses_are_sb3_contribs() -> None:
     th.testing.assert_close(th.autograd.grad(losses.mean(), quantiles)[0], gradient)
 
 
+def test_quantile_regression_finds_the_quantiles() -> None:
+    """Of a known distribution, against its inverse at the midpoints."""
+    generator = th.Generator().manual_seed(0)
+    quantiles = th.zeros(1, 5, requires_grad=True)
+    optimizer = th.optim.Adam([quantiles], lr=0.1)
+    for _ in range(1000):
+        target = 40.0 * th.rand(1, 256, generator=generator)  # wide: the Huber threshold is 1
+        optimizer.zero_grad()
+        quantile_losses(quantiles, target).sum().backward()
+        optimizer.step()
+    np.testing.assert_allclose(quantiles.detach()[0], 40.0 * (np.arange(5) + 0.5) / 5, atol=1.0)
+
+
 N_ACTIONS = 4
 
 
@@ -231,3 +245,15 @@ def test_priorities_are_divergences() -> None:
     divergences = th.distributions.kl_divergence(ahead, th.distributions.Categorical(probs=taken))
     th.testing.assert_close(priorities, divergences.detach(), rtol=1e-4, atol=1e-5)
     assert not priorities.requires_grad
+
+
+def test_no_gradient_reaches_the_target() -> None:
+    policy = make_policy()
+    batch = make_batch()
+    before = copy.deepcopy(policy.q_net_target.state_dict())
+    target = td_target(policy.q_net, policy.q_net_target, batch, True)
+    assert not target.values.requires_grad
+    td_losses(policy.q_net, batch, target.values)[0].mean().backward()
+    assert all(parameter.grad is None for parameter in policy.q_net_target.parameters())
+    for name, value in policy.q_net_target.state_dict().items():
+        assert th.equal(value, before[name])
