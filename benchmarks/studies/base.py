@@ -42,11 +42,9 @@ class Study(ABC):
         name: of the command, of its folder below the results folder, and of its block.
         options: argparse's arguments by name.
         needs: modules that an extra brings, and the extra.
-        file: of a :class:`Measured`, below the results folder; all that is told follows from it.
     """
 
     name: ClassVar[str]
-    file: ClassVar[str] = ""
     options: ClassVar[Mapping[str, Option]] = {}
     needs: ClassVar[tuple[str, ...]] = ()
 
@@ -137,7 +135,29 @@ class Study(ABC):
         ]
 
 
-class Measured(Study):
+class OfOneFile(Study):
+    """A study of which all that is told follows from one JSON file.
+
+    Attributes:
+        file: it, below the results folder.
+    """
+
+    file: ClassVar[str] = ""
+
+    @staticmethod
+    @abstractmethod
+    def to_markdown(result: Any) -> str:
+        """What the file holds, as Markdown."""
+
+    @classmethod
+    def files(cls, results: Path) -> dict[Path, str]:
+        path = results / cls.file
+        if not path.is_file():
+            return {}
+        return {path.with_suffix(".md"): cls.to_markdown(read_stored(path)).strip() + "\n"}
+
+
+class Measured(OfOneFile):
     """A study whose parts lie in one JSON file, each stored as it is done.
 
     What was asked for decides the file: other settings, or another commit, begin anew.
@@ -161,11 +181,6 @@ class Measured(Study):
         given = {k: v for k, v in vars(self.given).items() if k not in ("results", "command")}
         return {**given, "commit": describe()["commit"]}
 
-    @staticmethod
-    @abstractmethod
-    def to_markdown(result: Any) -> str:
-        """What ``file`` holds, as Markdown."""
-
     @abstractmethod
     def measures(self) -> Mapping[str, Part]:
         """All parts, by name, in order."""
@@ -177,13 +192,6 @@ class Measured(Study):
     def keep(self, name: str, result: Any) -> None:
         self.result["parts"][name] = result
         write_text(self.path, json.dumps(self.result, indent=1) + "\n")
-
-    @classmethod
-    def files(cls, results: Path) -> dict[Path, str]:
-        path = results / cls.file
-        if not path.is_file():
-            return {}
-        return {path.with_suffix(".md"): cls.to_markdown(read_stored(path)).strip() + "\n"}
 
     @classmethod
     def problems(cls, results: Path) -> list[str]:

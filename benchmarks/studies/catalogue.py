@@ -15,7 +15,7 @@ from benchmarks.reporting.results import Results
 from benchmarks.reporting.verify import check_tables
 from benchmarks.runs.experiment import Experiment
 from benchmarks.runs.store import Store, write_text
-from benchmarks.studies.base import Study
+from benchmarks.studies.base import OfOneFile, Study
 
 #: name -> where it is, and a line of help
 STUDIES: Final = {
@@ -146,8 +146,9 @@ def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]
         what = f"{folder}: tables of {len(runs)} runs, {policies} policies"
         checks.append((what, folder, partial(_of_store, one, results)))
     for name in () if presets else STUDIES:
-        of, what = study(name), f"{results / name}: what is told of it"
-        checks.append((what, results / (of.file or name), partial(of.problems, results)))
+        of, path = study(name), results / name
+        file = results / of.file if issubclass(of, OfOneFile) else path
+        checks.append((f"{path}: what is told of it", file, partial(of.problems, results)))
     for what, path, check in checks:
         try:
             problems = check()

@@ -40,7 +40,7 @@ from benchmarks.protocol.seeding import derive
 from benchmarks.reporting.tables.table import Table, TableCell
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
-from benchmarks.studies.base import Part, Study, Tick, count, read_stored
+from benchmarks.studies.base import OfOneFile, Part, Tick, count, read_stored
 from benchmarks.studies.robots.trials import script_of
 from coop_env.env import CoopInsertionEnv, Observation
 
@@ -289,7 +289,7 @@ def read(root: Path, recipe: Recipe) -> dict[str, Any] | None:
     }
 
 
-class Data(Study):
+class Data(OfOneFile):
     """Minari datasets of the task."""
 
     name, file = "data", "data/data.json"
