@@ -152,7 +152,7 @@ class CoopInsertionEnv(Rendered):
             steps, start ranges, bodies. Another number of holes compiles the kernels once more.
 
     Raises:
-        ArgumentError: an argument is unknown or out of range (its message names the mend).
+        ArgumentError: an argument is out of range (its message names the mend).
         RewardError: so is a reward or one of its scales.
         GeometryError: a robot cannot be assembled, or not at its home height.
 
@@ -386,14 +386,15 @@ class CoopInsertionEnv(Rendered):
         check_snapshot(snapshot, self.get_state())
         before = self._stage
         try:
+            started = check_flag("started", snapshot["started"])
             self.set_stage(snapshot["stage"])
             self.np_random.bit_generator.state = snapshot["rng"]
         except (TypeError, ValueError, KeyError) as error:
             self._stage = before
-            raise StateError(f"the snapshot's rng or stage is damaged: {error}") from error
+            raise StateError(f"the snapshot's rng, stage or start is damaged: {error}") from error
         self._states[:] = snapshot["states"]
         self._rows[:] = snapshot["observations"]
-        self._started = snapshot["started"]
+        self._started = started
         self._trace = []
         return self._rows[0].copy()
 

@@ -28,7 +28,7 @@ class RewardError(ArgumentError):
 
 
 class ActionError(ValueError):
-    """An action that is not one of the action space, or of no agent, or of one that is done."""
+    """An action outside the action space, of an unknown agent, or of an agent that is done."""
 
 
 class ResetOptionError(ValueError):

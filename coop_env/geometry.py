@@ -41,8 +41,8 @@ class RRSGeometry:
 
     Lengths in m, angles in rad. ``base_radius`` and ``platform_radius`` run from the centre to the
     revolute and to the spherical joints. The lengths obey the paper's equation (constraints):
-    ``platform_radius < base_radius < 2 eta``. What an actuated joint may do stands in rad/s,
-    rad/s^2 and rad/s^3; :data:`MAX_JOINT_VELOCITY` says where the numbers come from.
+    ``platform_radius < base_radius < 2 eta``. Joint limits are in rad/s, rad/s^2 and
+    rad/s^3; :data:`MAX_JOINT_VELOCITY` says where the numbers come from.
 
     Raises:
         GeometryError: a length or limit is not finite, out of order, or breaks the constraints.
@@ -132,8 +132,8 @@ class DeltaGeometry:
 
     ``proximal_length`` is the paper's active rod l_a, ``distal_length`` its passive rod l_p;
     the radii run from the centre to the joints. ``base_height`` places the Delta's base frame
-    above the 3-RRS's on their common axis. The peg hangs ``peg_length`` below the effector. What
-    an actuated joint may do stands in rad/s, rad/s^2 and rad/s^3, see :data:`MAX_JOINT_VELOCITY`.
+    above the 3-RRS's on their common axis. The peg hangs ``peg_length`` below the effector. Joint
+    limits are in rad/s, rad/s^2 and rad/s^3, see :data:`MAX_JOINT_VELOCITY`.
 
     Raises:
         GeometryError: a length or limit is not finite and positive, or the robot cannot be

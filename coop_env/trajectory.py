@@ -39,7 +39,7 @@ REASONS: Final = {
 }
 _SAME: Final = 1e-12  # rad
 _BOW: Final = 1e-3
-"""m and rad by which a way, straight for the joints, may bow out of the 3-RRS's heave and tilt."""
+"""m and rad by which a way, straight for the joints, may bow out of a robot's workspace."""
 
 
 class TrajectoryError(ValueError):
@@ -169,8 +169,8 @@ def make_trajectory(
     a joint that goes on in the same direction passes a configuration with the harmonic mean of its
     two mean velocities, and one that turns round rests there. Every configuration is met exactly;
     whether the ways between them are free is in ``status`` and :meth:`Trajectory.blocked`. A way is
-    straight for the joints, so it may bow out of the 3-RRS's range of heave and tilt, by 1 mm and
-    1 mrad at most.
+    straight for the joints, so it may bow out of the Delta's radius and the 3-RRS's range of heave
+    and tilt, by 1 mm and 1 mrad at most.
 
     Args:
         configurations: (n, 6), at least two: x, y, z of the effector, roll, pitch, heave; m, rad.
@@ -220,12 +220,15 @@ def make_trajectory(
     stops = np.cumsum([0, *(move.shape[1] - 1 for move in moves)])
     parts = [moves[0][:, :1], *(move[:, 1:] for move in moves)]
     positions, velocities, accelerations = np.concatenate(parts, axis=1)
-    bowed = params.rrs._replace(
-        heave_min=params.rrs.heave_min - _BOW,
-        heave_max=params.rrs.heave_max + _BOW,
-        max_tilt=params.rrs.max_tilt + _BOW,
+    bowed = params._replace(
+        delta=params.delta._replace(planar_limit=params.delta.planar_limit + _BOW),
+        rrs=params.rrs._replace(
+            heave_min=params.rrs.heave_min - _BOW,
+            heave_max=params.rrs.heave_max + _BOW,
+            max_tilt=params.rrs.max_tilt + _BOW,
+        ),
     )
-    result, status = _follow(positions, points[0], pack(params._replace(rrs=bowed)))
+    result, status = _follow(positions, points[0], pack(bowed))
     times = TIMESTEP * np.arange(len(positions), dtype=np.float64)
     return Trajectory(times, positions, velocities, accelerations, result, status, stops)
 

@@ -23,9 +23,9 @@ def survey(
 ) -> None:
     """Signed sigma_min and kappa of every cell, and which are admitted.
 
-    A cell is if its pose is reachable within tilt and joint limits (NaN is not) with sigma_min at
-    the threshold. All arrays are ``(n, n)``; NaN where a limb cannot reach, and unless ``whole``,
-    which takes longer, beyond the limits too.
+    A cell is admitted if its pose is reachable within tilt and joint limits (NaN is not) and its
+    sigma_min is at least the threshold. All arrays are ``(n, n)``; NaN where a limb cannot reach,
+    and unless ``whole``, which takes longer, beyond the limits too.
     """
     for i in range(rolls.shape[0]):
         for j in range(rolls.shape[1]):

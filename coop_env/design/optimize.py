@@ -75,7 +75,7 @@ class _Cost:
         try:
             geometry = self.problem.geometry(lambda1, lambda2)
         except GeometryError:
-            return -1e-9  # on a bound itself, by rounding
+            return -1e-9  # on a bound itself
         broken = sum(max(0.0, -constraint(geometry)) for constraint in self.constraints)
         if broken > 0.0:
             return -broken
@@ -100,32 +100,6 @@ def _violation(lambda1: float, lambda2: float) -> float:
     lambda3 = 4.0 - lambda1 - lambda2
     over = (-lambda2, -lambda3, lambda3 - lambda1, lambda1 - 2.0)
     return sum(max(0.0, amount) for amount in over)
-
-
-def _cost_and_start(
-    problem: DesignProblem | None,
-    start: tuple[float, float],
-    objective: Objective,
-    constraints: Sequence[Constraint],
-    seed: int | None,
-) -> tuple[_Cost, float]:
-    problem = problem or DesignProblem()
-    rng = None if seed is None else np.random.default_rng(seed)
-    cost = _Cost(problem, objective, sample_points(problem, rng), constraints)
-    lambda1, lambda2 = start
-    if not (math.isfinite(lambda1) and math.isfinite(lambda2)) or _violation(*start) > 0.0:
-        problem.geometry(lambda1, lambda2)  # says which constraint
-        raise DesignError(f"start = {start}: outside lambda3 < lambda1 < 2, lambda2 > 0")
-    value = cost.value(lambda1, lambda2)
-    if value < 0.0:
-        raise DesignError(f"start = {start} breaks a constraint by {-value:.3g}: start within them")
-    if value == 0.0:
-        raise DesignError(
-            f"start = {start} has objective 0 at heave {problem.home_heave:.4g} m: its home is out "
-            f"of reach, of the joint limits, or below sigma_min = {problem.threshold:.3g}, and all "
-            "about it is as flat; start from a design with some workspace (see atlas)"
-        )
-    return cost, value
 
 
 def _optimum(cost: _Cost, result: OptimizeResult, start_value: float) -> Optimum:
@@ -179,7 +153,21 @@ def optimize(
     """
     check_number("simplex", simplex, 0.0, above=True, error=DesignError)
     check_integer("max_evaluations", max_evaluations, 1, error=DesignError)
-    cost, start_value = _cost_and_start(problem, start, objective, constraints, seed)
+    problem = problem or DesignProblem()
+    rng = None if seed is None else np.random.default_rng(seed)
+    cost = _Cost(problem, objective, sample_points(problem, rng), constraints)
+    problem.geometry(*start)  # says which constraint a start breaks
+    start_value = cost.value(*start)
+    if start_value < 0.0:
+        raise DesignError(
+            f"start = {start} breaks a constraint by {-start_value:.3g}: start within them"
+        )
+    if start_value == 0.0:
+        raise DesignError(
+            f"start = {start} has objective 0 at heave {problem.home_heave:.4g} m: its home is out "
+            f"of reach, of the joint limits, or below sigma_min = {problem.threshold:.3g}, and all "
+            "about it is as flat; start from a design with some workspace (see atlas)"
+        )
     first = np.array(start)
     result = minimize(
         cost,
@@ -206,8 +194,8 @@ def optimize_globally(
 ) -> Optimum:
     """Maximize over the feasible box by differential evolution: is Nelder-Mead's the best?
 
-    The initial design joins the first generation. The end is polished by Nelder-Mead with a small
-    simplex. The cells' centres are sampled.
+    The initial design joins the first generation if it has a workspace. The end is polished by
+    Nelder-Mead with a small simplex. The cells' centres are sampled.
 
     Args:
         problem: as in :func:`optimize`.
@@ -218,22 +206,31 @@ def optimize_globally(
         generations: at most so many follow the first.
 
     Raises:
-        DesignError: as in :func:`optimize`.
+        DesignError: no design that was tried has a workspace within the constraints, a value is not
+            finite, or an argument is out of range.
     """
     for name, number in (("population", population), ("generations", generations)):
         check_integer(name, number, 1, error=DesignError)
+    problem = problem or DesignProblem()
+    cost = _Cost(problem, objective, sample_points(problem), constraints)
     start = INITIAL.lambdas[:2]
-    cost, start_value = _cost_and_start(problem, start, objective, constraints, None)
+    start_value = max(cost.value(*start), 0.0)
     result = differential_evolution(
         cost,
         FEASIBLE_BOX,
-        x0=np.array(start),
+        x0=np.array(start) if start_value > 0.0 else None,
         rng=np.random.default_rng(seed),
         popsize=population,
         maxiter=generations,
         tol=1e-3,
         polish=False,
     )
+    if not result.fun < 0.0:
+        raise DesignError(
+            f"all {result.nfev} designs tried have objective 0 at heave {problem.home_heave:.4g} "
+            "m, or break a constraint: homes are out of reach, of the joint limits, or below "
+            f"sigma_min = {problem.threshold:.3g}"
+        )
     coarse = _optimum(cost, result, start_value)
     fine = optimize(
         problem,

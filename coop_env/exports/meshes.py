@@ -87,7 +87,7 @@ def _joined(parts: list[Body], rotation: Floats, position: Floats) -> Any:
     return trimesh.util.concatenate(meshes)
 
 
-def save_stl(folder: Path, machine: Machine | None = None, unit: str = "m") -> list[Path]:
+def save_stl(folder: str | Path, machine: Machine | None = None, unit: str = "m") -> list[Path]:
     """Write a binary STL of each link, in its own frame; returns the paths.
 
     Args:
@@ -101,6 +101,7 @@ def save_stl(folder: Path, machine: Machine | None = None, unit: str = "m") -> l
     if unit not in UNITS:
         raise ArgumentError(f"unit = {unit!r}: must be one of {list(UNITS)}")
     result, paths = links(machine), []
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     for link in result:
         paths.append(folder / f"{link.name}.stl")
@@ -111,7 +112,7 @@ def save_stl(folder: Path, machine: Machine | None = None, unit: str = "m") -> l
 Y_UP: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
-def save_glb(path: Path, machine: Machine | None = None) -> None:
+def save_glb(path: str | Path, machine: Machine | None = None) -> None:
     """Write the machine at home as binary glTF, a node with its colours for each link.
 
     As in all glTF, lengths are in m and the y axis points up, so that the machine's (x, y, z) are

@@ -29,13 +29,14 @@ FILE: Final = "coop_insertion.sdf"
 MESHES: Final = "meshes"
 
 
-def save_sdf(folder: Path, machine: Machine | None = None) -> Path:
+def save_sdf(folder: str | Path, machine: Machine | None = None) -> Path:
     """Write ``coop_insertion.sdf`` and the meshes it names into a folder; returns the file.
 
     Raises:
         GeometryError: a robot cannot be assembled.
     """
     m = Machine() if machine is None else machine
+    folder = Path(folder)
     save_stl(folder / MESHES, m)
     root = build_sdf(m)
     ET.indent(root)

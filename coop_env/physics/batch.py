@@ -136,8 +136,9 @@ class PhysicsBatch(ABC):
         self._hole_normals = np.array(machine.task.hole_normals)
         self._late = np.zeros((n, task.substeps, N_AXES))  # joint commands not yet carried out
         self._geared = np.zeros((n, N_AXES))  # joint commands behind the play
-        self.insertion = np.zeros((n, 3))
-        """Depth, distance from the axis, m, and misalignment, rad, of where things really are."""
+        self._askew = np.zeros(n)  # by link errors the platform is off its command from the start
+        self.insertion = np.zeros((n, 4))
+        """Where things really are, as :func:`coop_env.physics.kernels.insertion` has it."""
 
     @abstractmethod
     def check_options(self, options: Any) -> Any:
@@ -233,29 +234,34 @@ class PhysicsBatch(ABC):
         ``drawn`` are the error and the friction that hold where none is in the options.
         """
         self.error[row] = own.get("error", drawn[0])
+        base = askew(self.error[row], pivot)
         if self.knobs.active:
-            self._disturb(row, start, rng.spawn(1)[0])
+            self._disturb(row, start, base, rng.spawn(1)[0])
         friction = min(drawn[1] * self.disturbances[row].friction, MAX_FRICTION)
         self.friction[row] = own.get("friction", friction)
-        base = askew(self.error[row], pivot)
         self._targets[row] = self._late[row] = self._geared[row] = self.twin.servo_targets(start)
         self._tare[row] = self.twin.place(row, start, base, self.friction[row]).wrench
         self.rngs[row] = rng
         self.command[row] = start
+        self._askew[row] = self.twin.platform_error(self.twin.readings(), self.command)[row]
         self._action[row], self._wrench[row] = 0.0, 0.0
         self.steps[row], self.failure[row], self.peak[row], self.peak_force[row] = 0, 0, 0.0, 0.0
         self.success[row], self.taken[row] = False, True
         rows = slice(row, row + 1)
-        self.insertion[rows] = self._measure(self.twin.readings(), rows)
+        self.insertion[rows] = self._measure(self.twin.readings(), rows, self.hole)
 
-    def _disturb(self, row: int, start: Floats, rng: np.random.Generator) -> None:
-        """Draw a machine that can stand where it starts; ``rng`` serves nothing else."""
+    def _disturb(
+        self, row: int, start: Floats, base: list[float], rng: np.random.Generator
+    ) -> None:
+        """Draw a machine that can stand where it starts, free; ``rng`` serves nothing else."""
         for _ in range(TRIES):
             errors = draw_disturbance(self.knobs, rng)
             try:
                 self.twin.disturb(row, errors)
-                self.twin.place(row, start)
+                self.twin.place(row, start, base)
             except (GeometryError, ArgumentError):
+                continue
+            if self.twin.inspect(row)[1].ncon:
                 continue
             self.disturbances[row] = errors
             self._machine_errors[row] = np.hstack(errors) - np.hstack(UNDISTURBED)
@@ -300,8 +306,9 @@ class PhysicsBatch(ABC):
         self.peak_force = np.maximum(self.peak_force, self.peak)
         self._wrench = sensed.mean(axis=1)
         now = last(readings)
-        self.insertion = self._measure(now, slice(None))
-        snapped = self.twin.platform_error(now, self.command) > task.snap_angle
+        self.insertion = self._measure(now, slice(None), self.hole)
+        off = self.twin.platform_error(now, self.command) - self._askew
+        snapped = off > task.snap_angle
         self.failure = np.where(snapped, SNAP, 0)
         self.failure[self.peak > task.force_limit] = FORCE
         self.failure[self.twin.diverged] = DIVERGED
@@ -310,13 +317,13 @@ class PhysicsBatch(ABC):
         """Joint commands of a control step: (n, 1, 6), held, or (n, substeps, 6)."""
         return self._targets[:, None]
 
-    def _measure(self, readings: Readings, rows: slice) -> Floats:
+    def _measure(self, readings: Readings, rows: slice, holes: NDArray[np.int64]) -> Floats:
         tip, platform, rotation = (
             np.ascontiguousarray(part[rows])
             for part in (readings.tip, readings.platform, readings.rotation)
         )
         result: Floats = kernels.insertion(
-            tip, platform, rotation, self.hole[rows], self._mouth_radius, self._packed
+            tip, platform, rotation, holes[rows], self._mouth_radius, self._packed
         )
         return result
 
@@ -368,7 +375,7 @@ class PhysicsBatch(ABC):
 
     def columns(self) -> dict[str, Any]:
         """``info`` of all episodes, but the reward's terms, in columns (n, ...)."""
-        depth, lateral, angle = self.insertion.T
+        depth, lateral, angle, _ = self.insertion.T
         return {
             "success": self.success.copy(),
             "is_success": self.success.copy(),

@@ -81,9 +81,12 @@ class PhysicsEnv(Rendered):
 
         Raises:
             ResetOptionError: an option is malformed. The environment is left as it was.
+            ClosedEnvironmentError: :meth:`close` was called.
         """
         checked = self.batch.check_options(options)
+        self.batch.twin.require_open()
         super().reset(seed=seed)
+        self._running = False  # until the machine stands
         info = self.batch.reset(0, checked, self.np_random)
         self._running = True
         if self.render_mode is not None:
@@ -209,7 +212,7 @@ class CoopInsertionContactEnv(PhysicsEnv):
 
     Raises:
         DependencyNotInstalled: on import, if MuJoCo is missing; it names the extra.
-        ArgumentError: an argument is unknown or out of range, or the servos cannot hold home.
+        ArgumentError: an argument is out of range, or the servos cannot hold home.
         GeometryError: a robot cannot be assembled, or no hole can be turned upright.
 
     **Version History**

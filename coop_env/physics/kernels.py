@@ -1,4 +1,4 @@
-"""What is computed of each row between two runs of the engine, compiled.
+"""Compiled functions that run on each row between two calls of the engine.
 
 ``take`` and what follows it are the kinematic model's side of a move that the twin has made: no
 collision stops it there.
@@ -66,14 +66,15 @@ def insertion(
     mouth_radius: float,
     packed: np.ndarray,
 ) -> np.ndarray:
-    """(n, 3): depth of the tip below the real mouth, distance from the axis, m; misalignment, rad.
+    """(n, 4): depth of the tip below the real mouth, distance from the axis, m; misalignment, rad.
 
     Beside the mouth, ``mouth_radius`` wide to the chamfer's flats, depth stops at zero, however far
-    down the dome's side the tip may be. ``tip`` (n, 3), the ``platform``'s centre (n, 3) and its
-    ``rotation`` (n, 3, 3) are where they really are, world frame.
+    down the dome's side the tip may be; the last column is how far, m. ``tip`` (n, 3), the
+    ``platform``'s centre (n, 3) and its ``rotation`` (n, 3, 3) are where they really are, world
+    frame.
     """
     p = unpack(packed)
-    result = np.empty((tip.shape[0], 3))
+    result = np.empty((tip.shape[0], 4))
     for i in range(tip.shape[0]):
         c, r = platform[i], rotation[i]
         pose = Pose(
@@ -88,6 +89,7 @@ def insertion(
         result[i, 0] = depth if lateral <= mouth_radius else min(depth, 0.0)
         result[i, 1] = lateral
         result[i, 2] = math.atan2(math.hypot(n[0], n[1]), n[2])
+        result[i, 3] = depth
     return result
 
 

@@ -113,8 +113,8 @@ class Peg:
         depth: of a bore, the thickness of the dome's shell.
         tip: ``"flat"``, a cylinder's end, or ``"capsule"``, the kinematic task's round one, which
             finds a hole by itself.
-        friction: Coulomb coefficient of the peg on the dome, of a twin that is told none; episodes
-            of the environments draw theirs from the task's range.
+        friction: Coulomb coefficient of the peg on the dome, used where no friction is given;
+            episodes of the environments draw theirs from the task's range.
 
     Raises:
         ArgumentError: a value is out of its range.

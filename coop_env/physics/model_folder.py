@@ -17,7 +17,7 @@ DRAWN: Final = "drawn so; touches nothing"
 Row = tuple[str, str, str]
 
 
-def save_model(machine: Machine, folder: Path) -> None:
+def save_model(machine: Machine, folder: str | Path) -> None:
     """Write the MJCF and its README into a folder, which is made if it is missing.
 
     Raises:
@@ -25,6 +25,7 @@ def save_model(machine: Machine, folder: Path) -> None:
         ArgumentError: the holes do not fit the dome.
     """
     xml, readme = to_xml(build_mjcf(machine)), describe(machine)
+    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / MODEL).write_text(xml, encoding="utf-8")
     (folder / README).write_text(readme, encoding="utf-8")

@@ -60,7 +60,7 @@ class Lead(WholeBatch):
 
     def reached(self) -> bool:
         """Whether the tip really meets the kinematic task's criterion at the target."""
-        task, (_, _, angle) = self.machine.task, self.insertion[0]
+        task, angle = self.machine.task, self.insertion[0, 2]
         return bool(self.distance[0] < task.tolerance and angle < task.angle_tolerance)
 
     def lead(self, to: Floats, steps: int = 1, touch: float = math.inf) -> bool:
@@ -161,7 +161,7 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
 
     Raises:
         DependencyNotInstalled: on import, if MuJoCo is missing; it names the extra.
-        ArgumentError: an argument is unknown or out of range, or the servos cannot hold home.
+        ArgumentError: an argument is out of range, or the servos cannot hold home.
         RewardError: so is a reward or one of its scales.
         GeometryError: a robot cannot be assembled.
 
@@ -205,7 +205,9 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         return start
 
     def _set_down(self) -> None:
+        self._started = False  # until the machine stands
         self.physics.begin(0, self._states[0], self._own, self.np_random)
+        self._started = True
 
     def _tip(self) -> NDArray[Any]:
         tip: NDArray[Any] = self.physics.twin.readings().tip[0]
@@ -214,6 +216,7 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
+        self.physics.twin.require_open()
         observation, info = super().reset(seed=seed, options=options)
         return self._seen(observation), self._merge(info)
 
@@ -239,7 +242,8 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         if truncated:
             body.failure[0] = TIME
         info = self._merge(batch.make_info(outcome))
-        info["collision"] = violation and bool(body.taken[0])
+        gone = info["failure"] in ("snap", "diverged")
+        info["collision"] = violation and bool(body.taken[0]) and not gone
         if self.render_mode is not None:
             self._follow(self._tip())
         return self._seen(self._rows[0].copy()), reward, terminated, truncated, info
@@ -291,6 +295,7 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
     def close(self) -> None:
         super().close()
         self.physics.twin.close()
+        self._started = False
 
     def get_state(self) -> dict[str, Any]:
         """There is no snapshot of a simulation: a ``StateError``, as of :meth:`set_state`."""

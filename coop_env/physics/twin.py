@@ -73,7 +73,7 @@ def _unlogged() -> Iterator[None]:
 
 
 class Twin:
-    """So many machines of one kind, each with its own state, base and friction.
+    """n machines of one kind, each with its own state, base and friction.
 
     Args:
         machine: what they are.
@@ -97,6 +97,7 @@ class Twin:
         self._base, self._peg = first.body("rrs_base").id, first.geom("peg").id
         self.states: Floats = np.zeros((n, mujoco.mj_stateSize(first, _STATE)))
         self._sensors: Floats = np.zeros((n, first.nsensordata))
+        self._controls: Floats = np.zeros((n, first.nu))  # what the servos were told last
         self.base: Floats = np.zeros((n, 5))
         self._turns: Floats = np.zeros((n, 3, 3))
         self.diverged: NDArray[np.bool_] = np.zeros(n, bool)
@@ -146,7 +147,7 @@ class Twin:
         mujoco.mj_setConst(model, self._data[0])
 
     def joint_positions(self, configuration: ArrayLike, machine: Machine | None = None) -> Floats:
-        """Generalized coordinates (22,) at (x, y, z, roll, pitch, heave), from the kinematics.
+        """Generalized coordinates (nq,) at (x, y, z, roll, pitch, heave), from the kinematics.
 
         Args:
             configuration: (6,).
@@ -189,7 +190,7 @@ class Twin:
             ArgumentError: the configuration is out of reach.
             ClosedEnvironmentError: :meth:`close` was called.
         """
-        self._require_open()
+        self.require_open()
         model = self.models[row]
         self.base[row] = 0.0 if base is None else base
         model.body_pos[self._base] = self.base[row, :3]
@@ -204,7 +205,7 @@ class Twin:
         self.states[row] = 0.0
         self.states[row, 1 : 1 + q.size] = q
         self.diverged[row] = False
-        self._data[0].ctrl[:] = joints - self._home_angles[row]
+        self._controls[row] = joints - self._home_angles[row]
         self._sensors[row] = self.inspect(row)[1].sensordata
         return _readings(self._sensors[row].copy())
 
@@ -219,6 +220,7 @@ class Twin:
         """
         model, data = self.models[row], self._data[0]
         mujoco.mj_setState(model, data, self.states[row], _STATE)
+        data.ctrl[:] = self._controls[row]
         data.qacc_warmstart[:] = 0.0  # the solver would begin where another machine was
         mujoco.mj_forward(model, data)
         return model, data
@@ -238,7 +240,7 @@ class Twin:
         Raises:
             ClosedEnvironmentError: :meth:`close` was called.
         """
-        self._require_open()
+        self.require_open()
         held = np.asarray(targets, np.float64)
         held = (held[:, None] if held.ndim == 2 else held) - self._home_angles[:, None]
         controls = np.ascontiguousarray(np.broadcast_to(held, (self.n, steps, N_AXES)))
@@ -256,6 +258,7 @@ class Twin:
         if gone.any():
             sensors[gone], states[gone, -1] = self._sensors[gone][:, None], self.states[gone]
         self.states, self._sensors = states[:, -1].copy(), sensors[:, -1]
+        self._controls = controls[:, -1].copy()
         return _readings(sensors)
 
     def platform_error(self, readings: Readings, configurations: Floats) -> Floats:
@@ -266,7 +269,8 @@ class Twin:
         pose = rrs.platform_pose(configurations[:, 3:], self.machine.rrs)
         return rotation_angle(readings.rotation, self._turns @ pose.rotation)
 
-    def _require_open(self) -> None:
+    def require_open(self) -> None:
+        """Raise ``ClosedEnvironmentError`` if :meth:`close` was called."""
         if self._pool is None:
             raise ClosedEnvironmentError("the simulation was closed: make the environment anew")
 

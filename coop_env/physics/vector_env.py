@@ -17,6 +17,7 @@ from coop_env.physics.batch import PhysicsBatch, row_of
 from coop_env.physics.contact import ContactBatch
 from coop_env.physics.env import PhysicsEnv, check_increments, make_spaces, move
 from coop_env.physics.whole import WholeBatch
+from coop_env.simulation.batch import masked
 from coop_env.simulation.task import N_ACTIONS, N_AXES
 from coop_env.vector.vector_env import check_actions, lesser_limit, seeds_of
 
@@ -63,9 +64,8 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
         self.batch = self.batch_class(n=num_envs, threads=threads, **arguments)
         self.task = self.batch.task
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.task.dt))}
-        if max_episode_steps is not None:
-            own = self.batch.max_steps
-            self.batch.max_steps = lesser_limit(max_episode_steps, "max_steps", own)
+        limit = lesser_limit(max_episode_steps, "max_steps", self.batch.max_steps)
+        self.batch.max_steps = limit
         self.single_observation_space, self.single_action_space = make_spaces(
             self.batch, self.discrete
         )
@@ -95,7 +95,7 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
         ]
         firsts = [self.batch.reset(row, checked, rng) for row, rng in enumerate(rngs)]
         info = {name: part for name, part in self.batch.columns().items() if name in firsts[0]}
-        return self.batch.seen(slice(None)), _masked(info, np.ones(self.num_envs, bool))
+        return self.batch.seen(slice(None)), masked(info, np.ones(self.num_envs, bool))
 
     def step(self, actions: Any) -> Step:
         """Make one control step in all environments; those whose episode ends start the next.
@@ -108,7 +108,7 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
             raise ResetNeeded("call reset() first: there are no running episodes")
         outcome = self.batch.step(self._increments(actions))
         ended = outcome.terminated | outcome.truncated
-        infos, observations = _masked(outcome.info, ~ended), outcome.observation
+        infos, observations = masked(outcome.info, ~ended), outcome.observation
         if ended.any():
             final = np.full(self.num_envs, None, object)
             options = self.batch.check_options(None)
@@ -121,7 +121,7 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
                 for name, value in first.items():
                     if not isinstance(value, dict):
                         infos[name][row], infos[f"_{name}"][row] = value, True
-            infos |= {"final_obs": final, "final_info": _masked(outcome.info, ended),
+            infos |= {"final_obs": final, "final_info": masked(outcome.info, ended),
                       "_final_obs": ended, "_final_info": ended.copy()}  # fmt: skip
         return observations, outcome.reward, outcome.terminated, outcome.truncated, infos
 
@@ -153,16 +153,3 @@ class CoopInsertionPhysicsVectorEnv(PhysicsVectorEnv):
 
 def _arrays(observations: Any) -> list[Any]:
     return list(observations.values()) if isinstance(observations, dict) else [observations]
-
-
-def _masked(columns: dict[str, Any], there: Bools) -> dict[str, Any]:
-    """Gymnasium's form: zeros (or None) in rows that have no info, and a mask ``_key`` each."""
-    result: dict[str, Any] = {}
-    for name, part in columns.items():
-        if isinstance(part, dict):
-            result[name] = _masked(part, there)
-        else:
-            result[name] = np.full_like(part, None if part.dtype == object else 0)
-            result[name][there] = part[there]
-        result[f"_{name}"] = there.copy()
-    return result

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Final
@@ -90,7 +89,7 @@ class WholeBatch(PhysicsBatch):
         self.active[row] = self._wanted[row] = state["active"]
         self.filled[row] = state["filled"]
         self.given_up[row], self.inserted[row] = [], -1
-        self.distance[row] = self.to_mouth(row)
+        self.distance[row] = self._to_mouth()[row]
 
     def step(self, actions: Floats) -> StepResult:
         self._action = np.array(actions, np.float64)
@@ -110,9 +109,9 @@ class WholeBatch(PhysicsBatch):
         self._advance(wanted)
         self.inserted[:] = -1
         deep = (self.failure == 0) & (self.insertion[:, 0] >= self.task.insertion_depth)
-        for row in range(self.n):
-            self.distance[row] = self.to_mouth(row)
-            if deep[row] and not self.filled[row, self.hole[row]]:
+        self.distance = self._to_mouth()
+        for row in np.flatnonzero(deep).tolist():
+            if not self.filled[row, self.hole[row]]:
                 self.fill(row)
 
     def _lead(self, before: Floats) -> Floats:
@@ -166,24 +165,15 @@ class WholeBatch(PhysicsBatch):
         views = kernels.perceive(joints, command, open_holes, self._packed)
         self.hole[row] = open_holes[np.argmin(np.linalg.norm(views[:, :3], axis=1))]
 
-    def _from_mouth(self, row: int, hole: int) -> tuple[Floats, Floats]:
-        """The tip from a hole's mouth, m, and the hole's normal (3,), as they really are."""
-        readings, task = self.twin.readings(), self.machine.task
-        normal = readings.rotation[row] @ task.hole_normals[hole]
-        return readings.tip[row] - readings.platform[row] - task.dome_radius * normal, normal
-
-    def to_mouth(self, row: int) -> float:
-        """Distance of a machine's tip from its target's mouth, m."""
-        return float(np.linalg.norm(self._from_mouth(row, self.hole[row])[0]))
+    def _to_mouth(self) -> Floats:
+        """Distances (n,) of the tips from their targets' mouths, m."""
+        result: Floats = np.hypot(self.insertion[:, 1], self.insertion[:, 3])
+        return result
 
     def _left_to(self, holes: NDArray[np.int64]) -> Floats:
         """(n, 2): from the tip to the point where a hole counts as filled, m; misalignment, rad."""
-        left = np.empty((self.n, 2))
-        for row, hole in enumerate(holes.tolist()):
-            tip, normal = self._from_mouth(row, hole)
-            left[row, 0] = np.linalg.norm(tip + self.task.insertion_depth * normal)
-            left[row, 1] = math.atan2(math.hypot(normal[0], normal[1]), normal[2])
-        return left
+        _, lateral, angle, depth = self._measure(self.twin.readings(), slice(None), holes).T
+        return np.column_stack([np.hypot(lateral, self.task.insertion_depth - depth), angle])
 
     def observe(self, rows: slice) -> NDArray[np.float32]:
         gone = self.steps[rows, None] / self.max_steps

@@ -105,8 +105,12 @@ class _Card:
 
     def dots(self, colours: list[Ink]) -> None:
         """The holes in their order, one disc each."""
-        discs = [_disc(self.px(7.4), colour) for colour in colours]
-        gap = self.px(3.2)
+        diameter, gap = self.px(7.4), self.px(3.2)
+        if len(colours) > 6:  # smaller, as the label needs its room
+            pitch = self.px(60.4) // len(colours)
+            diameter = max(1, round(0.7 * pitch))
+            gap = pitch - diameter
+        discs = [_disc(diameter, colour) for colour in colours]
         x = self.right - sum(d.width for d in discs) - gap * (len(discs) - 1)
         self.brush.text((self.left, self.y), "holes", MUTED, _font(self.px(7.0)))
         for disc in discs:

@@ -83,12 +83,20 @@ def make_columns(
     ``present`` (n,) marks the rows that have an info; all of them by default.
     """
     there = np.ones(len(outcomes), bool) if present is None else present
-    columns: dict[str, Any] = {name: outcomes[name].copy() for name in INFO_FIELDS}
-    columns["is_success"] = columns["success"].copy()
-    terms = outcomes["terms"].T.copy()
-    columns["reward_terms"] = _masked(dict(zip(TERMS, terms, strict=True)), there)
-    return _masked(columns, there)
+    columns: dict[str, Any] = {name: outcomes[name] for name in INFO_FIELDS}
+    columns["is_success"] = outcomes["success"]
+    columns["reward_terms"] = dict(zip(TERMS, outcomes["terms"].T, strict=True))
+    return masked(columns, there)
 
 
-def _masked(columns: dict[str, Any], there: NDArray[np.bool_]) -> dict[str, Any]:
-    return columns | {f"_{name}": there for name in columns}
+def masked(columns: dict[str, Any], there: NDArray[np.bool_]) -> dict[str, Any]:
+    """Gymnasium's form: zeros (or None) in rows that have no info, and a mask ``_key`` each."""
+    result: dict[str, Any] = {}
+    for name, part in columns.items():
+        if isinstance(part, dict):
+            result[name] = masked(part, there)
+        else:
+            result[name] = np.full_like(part, None if part.dtype == object else 0)
+            result[name][there] = part[there]
+        result[f"_{name}"] = there.copy()
+    return result

@@ -52,7 +52,8 @@ class InsertionTask:
         holes: (polar angle, azimuth) of each hole on the dome, 1 to 32 of them.
         stage_0_holes: at the curriculum's stage 0 the first so many are active (or all).
         dome_radius: of the sphere about the platform's centre that bears the holes.
-        chamfer: lead-in: the peg may touch the dome this much beyond its radius from a mouth.
+        chamfer: lead-in: the peg may enter the dome while its tip is nearer to a mouth than its
+            radius plus this.
         tolerance: a tip less than this from the mouth is in it ...
         angle_tolerance: ... if the peg's axis is less than this from the hole's normal.
         singular_margin: a move to a signed sigma_min below this ends the episode.

@@ -26,12 +26,12 @@ Floats = NDArray[np.float64]
 class SimToReal:
     """How far the real machine may be from its model. Errors are drawn uniformly within +-bound.
 
-    Both kinds of environment have ``link_length_error``, ``backlash``, ``joint_resolution`` and
-    ``latency``; only the kinematic ones have the first, the base's two, ``chamfer_error`` and
-    ``insertion_probability``, in whose place those with contact have their ``level``; only those
-    with contact have the last five.
+    All environments take ``link_length_error``, ``backlash``, ``joint_resolution``, ``latency``
+    and ``randomize``. Only the kinematic ones take ``observation_noise``, ``base_position_error``,
+    ``base_tilt_error``, ``chamfer_error`` and ``insertion_probability``: those with contact have
+    their ``level`` instead. Only those with contact take the last five.
 
-    FORGE (Noseworthy et al. 2024, arXiv 2408.04587) has published ranges for these five, in the
+    FORGE (Noseworthy et al. 2024, arXiv 2408.04587) has published ranges for the last five, in the
     file ``forge_env_cfg.py`` of Isaac Lab: gains times or divided by up to 1.41; a dead zone of up
     to 5 N and 1 N m; the held part's mass up to 5 g more or less; the fixed part's friction 0.25 to
     1.25; a force noise of 1 N. ``FORGE`` takes them over to this machine.

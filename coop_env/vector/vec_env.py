@@ -14,9 +14,14 @@ from stable_baselines3.common.vec_env.base_vec_env import (
 )
 
 from coop_env.env import CoopInsertionEnv, check_snapshot
-from coop_env.errors import check_integer
+from coop_env.errors import StateError, check_integer
 from coop_env.simulation import batch
-from coop_env.vector.vector_env import CoopInsertionVectorEnv, check_seed, set_attributes
+from coop_env.vector.vector_env import (
+    CoopInsertionVectorEnv,
+    check_seed,
+    seeds_of,
+    set_attributes,
+)
 
 StepReturn = tuple[
     NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]
@@ -203,11 +208,19 @@ class CoopInsertionVecEnv(VecEnv):
             algorithm that is to go on from here must take them for its ``_last_obs``.
 
         Raises:
-            StateError: the snapshot is of another batch: other arguments, another ``n_envs``.
+            StateError: the snapshot is of another batch: other arguments, another ``n_envs``, or
+                it is damaged. The batch is left as it was.
         """
         check_snapshot(snapshot, self.get_state())
-        own = {"seeds", "options"}
-        self._vector.set_state({key: snapshot[key] for key in snapshot if key not in own})
-        self._seeds = self._spread(snapshot["seeds"])
-        self._options = self._spread(snapshot["options"])
+        n, options = len(self.envs), snapshot["options"]
+        try:
+            seeds = seeds_of(list(snapshot["seeds"]), n)
+        except (TypeError, ValueError) as error:
+            raise StateError(f"the snapshot's seeds are damaged: {error}") from error
+        fit = isinstance(options, list) and len(options) == n
+        if not (fit and all(isinstance(own, Mapping) for own in options)):
+            raise StateError(f"the snapshot's options = {options!r}: must be {n} mappings")
+        own = {key: snapshot[key] for key in snapshot if key not in ("seeds", "options")}
+        self._vector.set_state(own)
+        self._seeds, self._options = self._spread(seeds), self._spread(options)
         return self._observed(self._vector.rows)

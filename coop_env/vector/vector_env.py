@@ -73,9 +73,9 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         env_class: type[CoopInsertionEnv] | None = None,
         **kwargs: Any,
     ) -> None:
-        if max_episode_steps is not None:
-            own = kwargs.get("max_moves")
-            kwargs["max_moves"] = lesser_limit(max_episode_steps, "max_moves", own)
+        limit = lesser_limit(max_episode_steps, "max_moves", kwargs.get("max_moves"))
+        if limit is not None:
+            kwargs["max_moves"] = limit
         self.env_class = env_class or self.env_class
         for name in ("step", "action_masks"):
             if getattr(self.env_class, name) is not getattr(CoopInsertionEnv, name):
@@ -233,8 +233,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         """Start the next episodes of the environments given; what the last ones ended with."""
         these = np.zeros(self.num_envs, bool)
         these[ended] = True
-        final = np.zeros_like(self.outcomes)
-        final[ended] = self.outcomes[ended]
+        final = batch.make_columns(self.outcomes, these)
         observations = np.full(self.num_envs, None, object)
         masks = self.action_masks() & these[:, None]
         for i in ended.tolist():
@@ -242,7 +241,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
             self.envs[i].reset()
         infos = {
             "final_obs": observations,
-            "final_info": batch.make_columns(final, these),
+            "final_info": final,
             "final_action_mask": masks,
         }
         return infos | {f"_{key}": these.copy() for key in infos}
@@ -350,12 +349,14 @@ def set_attributes(envs: Sequence[Any], name: str, values: Sequence[Any]) -> Non
         raise
 
 
-def lesser_limit(max_episode_steps: Any, name: str, own: Any) -> int:
-    """The smaller of Gymnasium's limit and the environment's ``own``, if there is one.
+def lesser_limit(max_episode_steps: Any, name: str, own: Any) -> Any:
+    """The smaller of Gymnasium's limit (None and -1: none) and ``own``, if there is one.
 
     Raises:
         ArgumentError: one is no positive integer.
     """
+    if max_episode_steps is None or max_episode_steps == -1:
+        return own
     most = check_integer("max_episode_steps", max_episode_steps, 1)
     return most if own is None else min(most, check_integer(name, own, 1))
 

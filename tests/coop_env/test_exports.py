@@ -38,7 +38,7 @@ def drawn(machine: Machine) -> np.ndarray:
 
 @pytest.mark.parametrize("machine", [Machine(), OWN])
 def test_stl_of_all_links_put_together_is_the_picture(machine: Machine, tmp_path: Path) -> None:
-    paths = save_stl(tmp_path / "m", machine)
+    paths = save_stl(str(tmp_path / "m"), machine)
     assert sorted(path.name for path in (tmp_path / "m").iterdir()) == sorted(
         path.name for path in paths
     )
@@ -98,7 +98,7 @@ def poses(model: ET.Element) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 def test_sdf_closes_its_loops_and_weighs_what_the_mjcf_does(tmp_path: Path) -> None:
     machine = OWN
-    root = ET.parse(save_sdf(tmp_path, machine)).getroot()
+    root = ET.parse(save_sdf(str(tmp_path), machine)).getroot()
     for uri in root.iter("uri"):
         assert (tmp_path / str(uri.text)).is_file()
     freedom = {"fixed": 0, "revolute": 1, "universal": 2, "ball": 3}

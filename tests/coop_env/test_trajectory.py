@@ -213,3 +213,12 @@ def test_without_ruckig_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setitem(sys.modules, "ruckig", None)
     with pytest.raises(DependencyNotInstalled, match=r"\[trajectory\]"):
         lowered()
+
+
+def test_a_move_along_the_deltas_bound_is_free() -> None:
+    """Straight for the joints, the effector bows by half a millimetre out of its radius."""
+    start = walk(0, 0)[0]
+    start[:3] = DELTA.planar_limit, 0.0, -0.40
+    result = make_trajectory([start, start - 0.02 * np.eye(6)[2]])
+    assert result.blocked() == []
+    assert np.hypot(*result.configurations[:, :2].T).max() > DELTA.planar_limit + 1e-4

@@ -86,10 +86,19 @@ def test_a_start_without_workspace_is_an_error_not_a_flat_optimum() -> None:
     with pytest.raises(DesignError, match=r"objective 0 at heave 0.5 m.*start from a design"):
         design.optimize(DesignProblem(heaves=(0.5,)))
     with pytest.raises(DesignError, match="objective 0"):
-        design.optimize_globally(DesignProblem(threshold=5.0))
+        design.optimize_globally(DesignProblem(threshold=5.0), population=2, generations=1)
 
 
-@pytest.mark.parametrize("start", [(2.5, 1.0), (1.0, 0.5), (1.5, -0.2), (math.nan, 1.0)])
+def test_the_global_search_needs_no_workspace_of_the_initial_design() -> None:
+    problem = DesignProblem(eta=0.2, distal_length=0.36, heaves=(0.46,), cells=30)
+    with pytest.raises(DesignError, match="objective 0"):
+        design.optimize(problem)
+    assert design.optimize_globally(problem, population=8, generations=3).value > 0.5
+
+
+@pytest.mark.parametrize(
+    "start", [(2.5, 1.0), (1.0, 0.5), (1.0, 2.0), (1.5, -0.2), (math.nan, 1.0)]
+)
 def test_a_start_outside_the_constraints_is_named(start: tuple[float, float]) -> None:
     with pytest.raises(GeometryError, match="lambda"):
         design.optimize(start=start)

@@ -7,6 +7,7 @@ import pickle
 from collections.abc import Callable
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 from gymnasium.error import NoAsyncCallError, ResetNeeded
@@ -21,7 +22,7 @@ from coop_env import (
     CoopInsertionVecEnv,
     CoopInsertionVectorEnv,
 )
-from coop_env.errors import ArgumentError, ResetOptionError
+from coop_env.errors import ArgumentError, ResetOptionError, StateError
 
 NOISY: dict[str, Any] = {
     "sim_to_real": "randomized",
@@ -274,3 +275,36 @@ def test_a_reset_that_is_refused_starts_no_environment() -> None:
     with pytest.raises(ResetOptionError, match="target"):
         env.reset()
     assert env.get_attr("state") == before
+
+
+def test_the_masks_of_infos_are_arrays_of_their_own() -> None:
+    env = gymnasium.make_vec("CoopInsertion-v0", num_envs=2)
+    _, infos = env.reset(seed=0)
+    infos["_success"][:] = False
+    assert infos["_distance"].all()
+
+
+@pytest.mark.parametrize("task", ["CoopInsertion-v0", "CoopInsertionContact-v0"])
+def test_minus_one_is_gymnasiums_no_limit(task: str) -> None:
+    limits = []
+    for limit in (None, -1):
+        env: Any = gymnasium.make_vec(task, num_envs=1, max_episode_steps=limit)
+        own = env.unwrapped
+        limits.append(own.batch.max_steps if "Contact" in task else own.envs[0].params.task)
+    assert limits[0] == limits[1]
+
+
+@pytest.mark.parametrize(
+    ("key", "damage"),
+    [("seeds", [1]), ("options", None), ("options", [5, 5]), ("started", ["no"] * 2)],
+)
+def test_a_damaged_snapshot_leaves_the_batch_as_it_was(key: str, damage: Any) -> None:
+    env = CoopInsertionVecEnv(2, seed=0)
+    env.reset()
+    snapshot = env.get_state()
+    env.step(env.action_masks().argmax(axis=1))
+    before = env.get_state()
+    with pytest.raises(StateError, match=key[:4]):
+        env.set_state({**snapshot, key: damage})
+    assert env.get_state()["states"].tobytes() == before["states"].tobytes()
+    env.reset()

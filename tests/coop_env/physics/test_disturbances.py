@@ -266,3 +266,14 @@ def test_rewards_are_scaled_and_successes_named() -> None:
     for scale in (0.0, -1.0, "big"):
         with pytest.raises(ArgumentError, match="reward_scale"):
             CoopInsertionContactEnv(reward_scale=scale)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("env_class", [CoopInsertionContactEnv, CoopInsertionPhysicsEnv])
+def test_whatever_the_links_a_machine_stands_free_and_has_not_snapped(env_class: Any) -> None:
+    env = env_class(sim_to_real={"link_length_error": 0.05})
+    off = []
+    for seed in range(12):
+        env.reset(seed=seed)
+        off.append(env.batch.twin.platform_error(env.batch.twin.readings(), env.batch.command)[0])
+        assert env.step(np.zeros(6))[-1]["failure"] == ""
+    assert max(off) > env.task.snap_angle

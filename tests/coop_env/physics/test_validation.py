@@ -116,3 +116,13 @@ def test_a_push_does_its_work_on_all_that_moves() -> None:
     mujoco.mj_mulM(model, data, momentum, data.qvel)
     assert work > 0.01
     assert 0.5 * data.qvel @ momentum == pytest.approx(work, rel=0.02)
+
+
+def test_what_one_machine_is_told_is_no_other_ones() -> None:
+    alone, both = Twin(), Twin(n=2)
+    still = both.servo_targets(both.machine.home())
+    both.advance(np.stack([still, still + 0.05 * np.eye(6)[0]]), 1)
+    alone.advance(still[None], 1)
+    forces = [twin.inspect(0)[1].actuator_force.copy() for twin in (alone, both)]
+    np.testing.assert_array_equal(*forces)
+    assert not np.array_equal(both.inspect(1)[1].actuator_force, forces[0])

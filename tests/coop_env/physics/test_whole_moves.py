@@ -212,8 +212,8 @@ def test_it_is_drawn_as_it_is_from_the_start_of_each_episode() -> None:
 
 
 def test_after_close_there_is_no_step() -> None:
-    for name in ("CoopInsertionPhysics-v0", "CoopInsertionContact-v0"):
-        env = gym.make(name).unwrapped
+    for name in ("Physics-v0", "Contact-v0", "PhysicsDiscrete-v0"):
+        env: Any = gym.make(f"CoopInsertion{name}").unwrapped
         env.reset(seed=0)
         env.close()
         env.close()
@@ -221,3 +221,18 @@ def test_after_close_there_is_no_step() -> None:
             env.step(REST)
         with pytest.raises(ClosedEnvironmentError, match="anew"):
             env.reset(seed=0)
+
+
+def test_a_snap_is_no_collision() -> None:
+    env = CoopInsertionPhysicsDiscreteEnv(
+        touch=1e9,
+        level={"force_limit": 1e4, "position_error": 0.0, "tilt_error": 0.0},
+        servos={"rrs_stiffness": 2.0, "delta_stiffness": 400.0},
+    )
+    start = above(0, 0.03)
+    start["configuration"] = start["configuration"] + 0.02 * np.eye(6)[1]
+    env.reset(seed=0, options=start)
+    terminated = False
+    while not terminated:
+        *_, terminated, _, info = env.step(5)
+    assert (info["failure"], info["singular"], info["collision"]) == ("snap", True, False)

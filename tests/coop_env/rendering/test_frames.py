@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from PIL import Image
 
 from coop_env.env import CoopInsertionEnv
 from coop_env.rendering import CAMERAS, Camera, frame_view, render_frame
 from coop_env.rendering.bodies import COLOURS, bodies, hole_state
-from coop_env.rendering.frame import triangles
+from coop_env.rendering.frame import _Card, triangles
 from coop_env.rendering.rasterizer import cast_light, draw
 from coop_env.rendering.scene import Scene
 from coop_env.rendering.shapes import Mesh, arrow, bar, cylinder, plate, rod, sphere
@@ -178,3 +179,15 @@ def test_bodies_are_named_once_and_both_robots_are_whole() -> None:
     links = {"delta_base", "effector", "rrs_base", "platform", "target"}
     links |= {name.format(limb) for name in limbs for limb in range(3)}
     assert {name.split("/")[0] for name in names} == links
+
+
+def test_the_card_has_room_for_many_holes() -> None:
+    spans = []
+    for holes in (6, 20):
+        picture = Image.new("RGB", (300, 480))
+        card = _Card(picture, (0, 0, 300, 480))
+        card.dots([(255, 0, 0)] * holes)
+        red = (np.asarray(picture) == [255, 0, 0]).all(axis=2).any(axis=0)
+        spans.append(np.flatnonzero(red))
+    assert spans[1].min() >= spans[0].min() - 3
+    assert spans[1].max() <= card.right
