@@ -141,9 +141,9 @@ class RainbowPolicy(AsVector, BasePolicy):
         self._parameters_then = list(self.q_net.parameters())
 
     def update_optimizer(self) -> None:
-        """Give the optimizer the parameters that took the place of some of the network's.
+        """Swap replaced parameters of the network for their successors.
 
-        Parameters of others in it stay, and so does a user's choice of some of the network's.
+        Parameters from elsewhere stay; parameters of the network that the user left out stay out.
         """
         parameters = list(self.q_net.parameters())
         present = {id(p) for p in parameters}
@@ -197,7 +197,7 @@ class RainbowPolicy(AsVector, BasePolicy):
         action_masks: th.Tensor | None = None,
     ) -> th.Tensor:
         masks = {} if action_masks is None else {"action_masks": action_masks}
-        return self.q_net._predict(observation, deterministic, **masks)
+        return self.q_net._predict(observation, deterministic=deterministic, **masks)
 
     def predict(
         self,
@@ -210,10 +210,12 @@ class RainbowPolicy(AsVector, BasePolicy):
         """As ``Rainbow.predict``, without its epsilon."""
         self.set_training_mode(False)
         if isinstance(observation, tuple):
-            raise ValueError(
-                "predict() got a tuple: it is probably Gymnasium's `obs, info = env.reset()`; "
-                "pass the observation alone"
-            )
+            if len(observation) == 2 and isinstance(observation[1], dict):
+                raise ValueError(
+                    "predict() got a tuple: it is probably Gymnasium's `obs, info = env.reset()`; "
+                    "pass the observation alone"
+                )
+            observation = np.asarray(observation)
         obs_tensor, vectorized = self.obs_to_tensor(observation)
         rows = next(iter(obs_tensor.values())) if isinstance(obs_tensor, dict) else obs_tensor
         n_obs, masks = len(rows), None
@@ -230,8 +232,9 @@ class RainbowPolicy(AsVector, BasePolicy):
                 self.reset_noise(n_obs)
             # A subclass for envs without masks may have the signature of SB3's.
             masked = {} if masks is None else {"action_masks": masks}
-            actions = self._predict(obs_tensor, deterministic, **masked).cpu().numpy()
-        return (actions if vectorized else actions.squeeze(axis=0)), state
+            actions = self._predict(obs_tensor, deterministic=deterministic, **masked)
+        chosen = actions.cpu().numpy()
+        return (chosen if vectorized else chosen.squeeze(axis=0)), state
 
     def set_training_mode(self, mode: bool) -> None:
         """Training or evaluation mode of the online network, which the noisy layers ignore."""

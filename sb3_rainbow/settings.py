@@ -16,7 +16,7 @@ from sb3_rainbow.network.rainbow_network import head_of
 from sb3_rainbow.policies import RainbowPolicy
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.replay.parameters import check_counts, check_shares
-from sb3_rainbow.type_aliases import Distributional
+from sb3_rainbow.type_aliases import Distributional, UseMasking
 
 # Constructor arguments that Rainbow hands to its policy
 NETWORK_ARGUMENTS = frozenset(
@@ -61,9 +61,9 @@ class SettingsMismatchError(ValueError, RuntimeError):
 def served_by(
     buffer_class: type[ReplayBuffer] | None, prioritized: bool | None, n_steps: int | None
 ) -> tuple[bool, int]:
-    """``prioritized`` and ``n_steps`` as a class of replay buffers can serve them.
+    """``prioritized`` and ``n_steps`` for a class of replay buffers.
 
-    None is the default; what the buffer cannot do of that is off, with a warning.
+    None means the default, or off with a warning if the class cannot do it.
 
     Args:
         buffer_class: None for :class:`PrioritizedReplayBuffer`.
@@ -97,6 +97,17 @@ def served_by(
         n_steps = 3 if sums else 1
     check_counts(n_steps=n_steps)
     return prioritizes if prioritized is None else prioritized, n_steps
+
+
+def as_use_masking(value: Any) -> UseMasking:
+    """The setting ``use_masking``, with 0, 1 and numpy's booleans as booleans.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    if value not in ("auto", True, False):
+        raise ValueError(f"use_masking must be 'auto', True or False, got {value!r}")
+    return value if isinstance(value, str) else bool(value)  # type: ignore[return-value]
 
 
 def default_tau(target_update_interval: int | None) -> float:
@@ -133,10 +144,13 @@ def support_of(
 
 
 def support_in_file(path: str | Path | io.BufferedIOBase) -> tuple[float, ...] | None:
-    """The :func:`support_of` a saved model."""
+    """The :func:`support_of` a saved model; None of what is none, which SB3 refuses."""
     file = open_path(path, "r", suffix="zip")
-    with nullcontext() if file is path else file, zipfile.ZipFile(file) as archive:
-        data = json.loads(archive.read("data")) if "data" in archive.namelist() else {}
+    with nullcontext() if file is path else file:
+        if not zipfile.is_zipfile(file):
+            return None
+        with zipfile.ZipFile(file) as archive:
+            data = json.loads(archive.read("data")) if "data" in archive.namelist() else {}
     support = data.get("_support")
     return None if support is None else tuple(support)
 
@@ -181,8 +195,6 @@ def check_settings(model: Any) -> None:
     )
     if not 0.0 <= model.sigma0 < math.inf:
         raise ValueError(f"sigma0 must be finite and not negative, got {model.sigma0}")
-    if model.use_masking not in ("auto", True, False):
-        raise ValueError(f"use_masking must be 'auto', True or False, got {model.use_masking!r}")
     if not issubclass(model.policy_class, RainbowPolicy):
         raise ValueError(
             f"Rainbow needs a policy derived from RainbowPolicy, got {model.policy_class}; was "

@@ -137,12 +137,12 @@ def _hooks(modules: Iterable[nn.Module]) -> list[dict[Any, Any]]:
 
 
 def _are_hooked(parameters: Iterable[nn.Parameter]) -> bool:
-    """Whether someone waits for the gradient of a parameter."""
+    """Whether a parameter has gradient hooks."""
     return any(chain.from_iterable(map(_HOOKS_OF_PARAMETER, parameters)))
 
 
 def inherits(thing: Any, kind: type, *methods: str) -> bool:
-    """Whether an object of a subclass of ``kind`` has these methods of it as they are there."""
+    """Whether an object uses ``kind``'s own version of each method."""
     own = all(getattr(type(thing), name) is getattr(kind, name) for name in methods)
     return own and vars(thing).keys().isdisjoint(methods)
 

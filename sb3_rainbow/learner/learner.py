@@ -107,12 +107,10 @@ class Learner:
             return
         online, target = self.policy.q_net, self.policy.q_net_target
         th._foreach_lerp_(list(target.parameters()), list(online.parameters()), tau)
-        # what torch compiled is a module around the network
-        nets = (getattr(net, "_orig_mod", net).modules() for net in (online, target))
-        for ours, theirs in zip(*nets, strict=True):
-            for name, statistic in ours._buffers.items():
-                if name.startswith("running_"):
-                    theirs._buffers[name].copy_(statistic)
+        # as SB3: by "running_" anywhere in the name, and copied
+        for (name, ours), theirs in zip(online.named_buffers(), target.buffers(), strict=True):
+            if "running_" in name:
+                theirs.copy_(ours)
 
     @th.no_grad()
     def diagnostics(self, batch: Batch, priorities: th.Tensor) -> dict[str, float]:
@@ -143,7 +141,7 @@ class Learner:
 
 
 def as_batch(samples: Any, gamma: float, masking: bool) -> Batch:
-    """A sample of ours or of one of SB3's buffers as ours.
+    """Convert a sample of any replay buffer to a batch.
 
     Args:
         samples: sample of the buffer.

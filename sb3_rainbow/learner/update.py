@@ -34,7 +34,7 @@ def td_target(
     batch: Batch,
     double_q: bool,
 ) -> Target:
-    """n-step target (Hessel et al. 2018, equation 3), or its scalar form; without gradients.
+    """n-step target (Hessel et al. 2018, section "The Integrated Agent"), without gradients.
 
     The action at t + k is the best allowed there by that state's own mask, in the eyes of the
     online network with double Q-learning and of the target network without; its value is always
@@ -59,7 +59,7 @@ def td_losses(
     """Losses and priorities of the batch, before importance weights.
 
     Categorical: the cross-entropy, and the Kullback-Leibler divergence (Hessel et al. 2018,
-    section "Multi-step learning"), whose gradients are the same. They differ by the target's
+    section "The Integrated Agent"), whose gradients are the same. They differ by the target's
     entropy, which says how uncertain the return is and not what is left to learn: as priorities,
     cross-entropies are all but uniform. Quantiles: their Huber loss, and, for the same reason, the
     absolute error of their mean. Scalar: the Huber loss, and the absolute error.

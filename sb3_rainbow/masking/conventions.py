@@ -76,7 +76,7 @@ def capture_terminal_masks(env: VecEnv) -> None:
 def as_action_masks(masks: ArrayLike, n_envs: int, n_actions: int) -> NDArray[np.bool_]:
     """Check masks and return them as booleans, ``(n_envs, n_actions)``.
 
-    As sb3-contrib, of an env that gives its mask as one row, ``(1, n_actions)``, too.
+    A mask of shape ``(1, n_actions)`` for each env is accepted, as in sb3-contrib.
 
     Raises:
         ActionMaskError: for another shape, for entries other than False and True (0 and 1), or for
@@ -123,12 +123,10 @@ def with_terminal_observations(
             continue
         if normalizer is not None:
             terminal = normalizer.unnormalize_obs(terminal)
-        if isinstance(result, dict):
-            for key, part in result.items():
-                part[env] = terminal[key]
-        else:
-            whole = result.dtype.kind in "iu"  # a normalizer's way there and back rounds
-            result[env] = np.rint(np.asarray(terminal)) if whole else terminal
+        for key, part in result.items() if isinstance(result, dict) else [(None, result)]:
+            value = terminal if key is None else terminal[key]
+            whole = part.dtype.kind in "iu"  # a normalizer's way there and back rounds
+            part[env] = np.rint(np.asarray(value)) if whole else value
     return result
 
 

@@ -65,10 +65,10 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
     def collect_rollouts(
         self, env: VecEnv, callback: BaseCallback, *args: Any, **kwargs: Any
     ) -> RolloutReturn:
-        """As SB3's; the step at which a callback stops the training is stored like any other.
+        """As SB3's, but also stores the step at which a callback stops the training.
 
-        SB3 drops it, although the env has moved: going on (``reset_num_timesteps=False``), the next
-        transition would lead from the observation before it to the one after the next.
+        SB3 drops it, although the env has moved: a training that goes on
+        (``reset_num_timesteps=False``) would store a transition that skips a step.
         """
         rollout = super().collect_rollouts(env, callback, *args, **kwargs)
         if not rollout.continue_training:
@@ -118,7 +118,7 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
         """Exploring actions of a subclass's policy, ``(n_envs,)``."""
         # A subclass for envs without masks may have the signature of SB3's.
         masks: dict[str, Any] = {} if action_masks is None else {"action_masks": action_masks}
-        actions, _ = self.predict(obs, **masks)
+        actions, _ = self.predict(obs, deterministic=False, **masks)
         return actions
 
     def _store_transition(

@@ -155,7 +155,8 @@ class RainbowNetwork(AsVector, BasePolicy):
 
     def preprocess(self, obs: PyTorchObs) -> PyTorchObs:
         """Scale observations or make them one-hot; large images get their channels last."""
-        if gains_by_channels_last(self.features_extractor):
+        images = isinstance(obs, th.Tensor) and obs.ndim == 4
+        if images and gains_by_channels_last(self.features_extractor):
             assert isinstance(obs, th.Tensor)
             obs = obs.contiguous(memory_format=th.channels_last)
         return preprocess_obs(obs, self.observation_space, normalize_images=self.normalize_images)

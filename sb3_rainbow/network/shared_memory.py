@@ -26,7 +26,7 @@ def parts(vector: th.Tensor, tensors: Sequence[th.Tensor]) -> list[th.Tensor]:
 
 @th.no_grad()
 def join(tensors: Sequence[th.Tensor], like: Sequence[th.Tensor]) -> th.Tensor:
-    """A vector whose :func:`parts`, laid out like some tensors, have the values of others."""
+    """Copy tensors into one vector, each with the layout of its counterpart in ``like``."""
     vector = tensors[0].new_empty(sum(t.numel() for t in tensors))
     for part, tensor in zip(parts(vector, like), tensors, strict=True):
         part.copy_(tensor)
@@ -46,14 +46,19 @@ def share(tensors: Sequence[th.Tensor], vector: th.Tensor) -> list[int]:
 
 @th.no_grad()
 def separate(tensors: Iterable[th.Tensor]) -> None:
-    """Give each tensor that is a part of a larger memory one of its own."""
+    """Give each tensor that is a part of a larger memory one of its own.
+
+    A tensor that other processes share on the CPU stays where they look for it.
+    """
     for tensor in tensors:
+        if tensor.device.type == "cpu" and tensor.is_shared():
+            continue
         if tensor.untyped_storage().nbytes() > tensor.numel() * tensor.element_size():
             tensor.data = tensor.detach().clone()
 
 
 class AsVector(BaseModel):
-    """What SB3 does for weights that are in order in memory, for any."""
+    """``parameters_to_vector`` for weights of any memory format."""
 
     def parameters_to_vector(self) -> NDArray[np.float32]:
         """All parameters, one after another."""

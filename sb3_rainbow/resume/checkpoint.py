@@ -70,6 +70,7 @@ def _state_of(env: VecEnv) -> list[str]:
 
 
 def restore_wrappers(env: VecEnv, states: list[dict[str, Any]]) -> None:
+    """Put the state of the wrappers back, outermost first."""
     for state in states:
         if not isinstance(env, VecEnvWrapper) or not set(state) <= set(_state_of(env)):
             raise ValueError(
@@ -78,6 +79,13 @@ def restore_wrappers(env: VecEnv, states: list[dict[str, Any]]) -> None:
             )
         for name, value in state.items():
             setattr(env, name, value)
+        env = env.venv
+    while isinstance(env, VecEnvWrapper):
+        if _state_of(env):
+            raise ValueError(
+                f"The checkpoint holds nothing of {type(env).__name__}, which was not there when "
+                "it was saved: wrap the env as at saving time"
+            )
         env = env.venv
 
 

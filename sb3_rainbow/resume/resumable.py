@@ -30,7 +30,7 @@ from sb3_rainbow.settings import SettingsMismatchError
 SelfResumable = TypeVar("SelfResumable", bound="ResumableAlgorithm")
 
 # In which a loaded replay buffer must agree with the model
-_BUFFER_SETTINGS = ("observation_space", "action_space", "n_envs", "n_steps", "gamma", "alpha")
+_BUFFER_SETTINGS = ("observation_space", "action_space", "n_envs", "n_steps", "alpha")
 
 
 class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
@@ -85,7 +85,13 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         force_reset: bool = True,
         **kwargs: Any,
     ) -> SelfResumable:
-        """As SB3's ``load``; a ``seed`` in ``kwargs`` wins over the saved random generators."""
+        """As SB3's ``load``; a ``seed`` in ``kwargs`` wins over the saved random generators.
+
+        Raises:
+            ValueError: for a file of :meth:`save_checkpoint`.
+        """
+        if isinstance(path, str | pathlib.Path) and is_checkpoint(path):
+            raise ValueError(f"{path} is a checkpoint: use load_checkpoint()")
         model = super().load(
             path, env, device, custom_objects, print_system_info, force_reset, **kwargs
         )
@@ -121,8 +127,9 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
                 expected, given = getattr(present, name), getattr(loaded, name, None)
                 if expected != given:
                     self.replay_buffer = present
+                    where = path if isinstance(path, str | pathlib.Path) else "the checkpoint"
                     raise SettingsMismatchError(
-                        f"The replay buffer in {path} was filled with {name}={given}, "
+                        f"The replay buffer in {where} was filled with {name}={given}, "
                         f"the model has {name}={expected}"
                     )
 

@@ -38,7 +38,7 @@ class MaskedTrialEvalCallback(TrialEvalCallback, MaskedEvalCallback):
 
 
 class SaveCheckpoint(BaseCallback):
-    """Save all of a run from time to time, each time over the last.
+    """Write a checkpoint every ``save_freq`` calls, over the previous one.
 
     Args:
         save_freq: calls of ``env.step()`` in between.

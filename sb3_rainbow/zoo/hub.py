@@ -31,8 +31,6 @@ Rainbow DQN on [Stable-Baselines3](https://github.com/DLR-RM/stable-baselines3),
 |---|---|---|---|---|---|
 | {env_id} | {episodes} | {mean:.2f} | {std:.2f} | {actions} | {masks} |
 
-{about}
-
 ## Use
 
 ```python
@@ -79,7 +77,6 @@ def package(
     command: str,
     n_eval_episodes: int = 10,
     deterministic: bool = True,
-    about: str = "",
 ) -> pathlib.Path:
     """Evaluate a model and write the folder of its repository, for ``HfApi.upload_folder``.
 
@@ -96,7 +93,6 @@ def package(
         command: command that trained the model.
         n_eval_episodes: episodes of the evaluation.
         deterministic: evaluate the greedy policy.
-        about: Markdown, for the card, below the results.
 
     Returns:
         the model's file.
@@ -148,7 +144,6 @@ def package(
         std=std,
         actions="greedy" if deterministic else "exploring",
         masks="yes" if masked else "none",
-        about=about,
         statistics=_STATISTICS.format(name=name) if normalizer is not None else "",
         command=command,
         sb3_rainbow=versions["sb3_rainbow"],

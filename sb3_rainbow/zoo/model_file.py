@@ -59,6 +59,7 @@ _OF_THE_MACHINE = {
     *("cpu_kernels", "_init_setup_model"),
 }
 _MOST_STEPS = 1_000
+_INTEGERS = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 _COUNTERS: dict[str, type] = {
     "num_timesteps": int,
     "_n_updates": int,
@@ -329,8 +330,10 @@ def _write_space(space: spaces.Space[Any], name: str, arrays: Arrays) -> dict[st
         arrays |= {f"{name}.low": space.low, f"{name}.high": space.high}  # type: ignore[attr-defined]
     elif kind is spaces.Discrete:
         written |= {"n": int(space.n), "start": int(space.start)}  # type: ignore[attr-defined]
+        written["dtype"] = str(space.dtype)
     elif kind is spaces.MultiDiscrete:
         written |= {"nvec": space.nvec.tolist(), "start": space.start.tolist()}  # type: ignore[attr-defined]
+        written["dtype"] = str(space.dtype)
     elif kind is spaces.MultiBinary:
         written["n"] = space.n  # type: ignore[attr-defined]
     elif kind is spaces.Dict:
@@ -344,14 +347,17 @@ def _write_space(space: spaces.Space[Any], name: str, arrays: Arrays) -> dict[st
 
 
 def _read_space(written: dict[str, Any], name: str, arrays: Arrays) -> spaces.Space[Any]:
+    dtype = written.get("dtype", "int64")
+    if dtype not in _INTEGERS:
+        raise ValueError(f"{name} cannot have dtype {dtype!r}")
     match written:
         case {"type": "Box"}:
             low, high = arrays.pop(f"{name}.low"), arrays.pop(f"{name}.high")
             return spaces.Box(low.copy(), high.copy(), dtype=low.dtype.type)
         case {"type": "Discrete", "n": int(n), "start": int(start)}:
-            return spaces.Discrete(n, start=start)
+            return spaces.Discrete(n, start=start, dtype=dtype)
         case {"type": "MultiDiscrete", "nvec": list(nvec), "start": list(start)}:
-            return spaces.MultiDiscrete(nvec, start=start)
+            return spaces.MultiDiscrete(nvec, dtype=dtype, start=start)
         case {"type": "MultiBinary", "n": int(n) | list(n)}:
             return spaces.MultiBinary(n)
         case {"type": "Dict", "spaces": dict(parts)}:

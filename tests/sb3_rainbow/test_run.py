@@ -373,3 +373,11 @@ def test_bad_environments() -> None:
 
     with pytest.raises(ValueError, match="start at 0, got start=5"):
         Rainbow("MlpPolicy", FromFive(gym.make("CartPole-v1")))
+
+
+def test_predict_takes_a_tuple_of_numbers_and_names_what_reset_returns() -> None:
+    env = gym.make("CartPole-v1")
+    model = Rainbow("MlpPolicy", env, **FAST)
+    assert model.predict((0.0, 0.0, 0.0, 0.0), deterministic=True)[0].shape == ()  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="got a tuple"):
+        model.predict(env.reset())  # type: ignore[arg-type]

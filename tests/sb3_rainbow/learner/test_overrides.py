@@ -193,3 +193,26 @@ def test_settings_of_the_update_may_change_after_the_model_was_made(
     changed = learned({}, {name: value})
     np.testing.assert_array_equal(changed, learned({name: value}, {}))
     assert not np.array_equal(changed, learned({}, {}))
+
+
+def test_training_explores_whatever_a_subclass_predicts_by_default() -> None:
+    asked = set()
+
+    class Greedy(Rainbow):
+        def predict(
+            self, observation: Any, state: Any = None, episode_start: Any = None,
+            deterministic: bool = True, action_masks: Any = None,
+        ) -> Any:  # fmt: skip
+            asked.add(deterministic)
+            return super().predict(observation, state, episode_start, deterministic, action_masks)
+
+    Greedy("MlpPolicy", "CartPole-v1", **FAST).learn(40)
+    assert asked == {False}
+
+
+def test_a_policy_may_take_deterministic_by_name_alone() -> None:
+    class Named(MlpPolicy):
+        def _predict(self, observation: Any, *, deterministic: bool = True) -> th.Tensor:  # type: ignore[override]
+            return super()._predict(observation, deterministic=deterministic)
+
+    assert Rainbow(Named, "CartPole-v1", **FAST).learn(40)._n_updates > 0

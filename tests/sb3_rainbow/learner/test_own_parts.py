@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from typing import Any
 
 import pytest
@@ -271,3 +272,33 @@ def test_parts_with_the_signatures_of_sb3_serve_envs_without_masks() -> None:
             return super().predict(observation, state, episode_start, deterministic)
 
     assert Algorithm(Policy, "CartPole-v1", learning_starts=10, device="cpu").learn(20)._n_updates
+
+
+class Running(BaseFeaturesExtractor):
+    """Its buffer is of another name; that of the module around it says that it runs."""
+
+    def __init__(self, space: spaces.Space) -> None:
+        super().__init__(space, 4)
+        self.running_norm: Any = nn.Module()
+        self.running_norm.register_buffer("mean", th.zeros(4))
+
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        if self.training:
+            self.running_norm.mean.lerp_(observations.mean(0), 0.1)
+        return observations - self.running_norm.mean
+
+
+def test_running_statistics_reach_the_target_as_in_sb3() -> None:
+    model: Any = make(policy_kwargs={"features_extractor_class": Running}, tau=0.01).learn(40)
+    online, target = (
+        net.features_extractor.running_norm.mean for net in (model.q_net, model.q_net_target)
+    )
+    assert online.norm() > 0.0
+    assert th.equal(online, target)
+
+
+def test_saving_leaves_shared_memory_shared() -> None:
+    model = make().learn(40)
+    model.policy.share_memory()
+    model.save(io.BytesIO())
+    assert all(p.is_shared() for p in model.policy.parameters())

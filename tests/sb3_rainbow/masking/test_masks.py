@@ -248,6 +248,16 @@ def test_use_masking() -> None:
         small_model(ClockEnv(), use_masking="yes")
 
 
+@pytest.mark.parametrize("off", [0, np.False_])
+def test_what_is_false_switches_masks_off(off: Any) -> None:
+    model = Rainbow("MlpPolicy", ClockEnv(), use_masking=off, learning_starts=500, device="cpu")
+    assert model.use_masking is False
+    with pytest.raises(AssertionError, match="is forbidden"):
+        model.learn(50)
+    with pytest.raises(ValueError, match="use_masking must be"):
+        model.learn(50, use_masking="no")  # type: ignore[arg-type]
+
+
 def test_masks_left_out_of_a_prediction_are_told_once(tmp_path: Any) -> None:
     model = small_model(DummyVecEnv([ClockEnv])).learn(60)
     model.save(tmp_path / "m")

@@ -79,20 +79,31 @@ class Sevens(gym.Env):
         return self._seen(), 0.0, False, self.count == 35, {}
 
     def _seen(self) -> Any:
+        if isinstance(self.observation_space, spaces.Dict):
+            return {"count": np.array([self.count])}
         return np.full(self.observation_space.shape, self.count, np.int64)
 
 
 @pytest.mark.parametrize(
-    ("space", "norm_obs"), [(spaces.Box(0, 99, (1,), np.int64), True), (spaces.Discrete(99), False)]
+    ("space", "norm_obs"),
+    [
+        (spaces.Box(0, 99, (1,), np.int64), True),
+        (spaces.Dict(count=spaces.Box(0, 99, (1,), np.int64)), True),
+        (spaces.Discrete(99), False),
+    ],
 )
 def test_truncated_episodes_of_integers_end_where_they_ended(
     space: spaces.Space, norm_obs: bool
 ) -> None:
     """SB3's own way casts what is normalized to the integers of the environment."""
     env = VecNormalize(DummyVecEnv([lambda: Sevens(space)]), norm_obs=norm_obs)
-    buffer: Any = Rainbow("MlpPolicy", env, n_steps=1, **FAST).learn(60).replay_buffer
+    policy = "MultiInputPolicy" if isinstance(space, spaces.Dict) else "MlpPolicy"
+    buffer: Any = Rainbow(policy, env, n_steps=1, **FAST).learn(60).replay_buffer
     samples = buffer.samples_at(np.arange(59))
-    steps = samples.next_observations.double() - samples.observations.double()
+    before, after = samples.observations, samples.next_observations
+    if isinstance(space, spaces.Dict):
+        before, after = before["count"], after["count"]
+    steps = after.double() - before.double()
     assert set(steps.ravel().tolist()) == {7.0}
 
 

@@ -184,3 +184,17 @@ def test_files_that_are_no_checkpoint(tmp_path: Any) -> None:
     model.save_checkpoint(tmp_path / "c")
     with pytest.raises(ValueError, match="no set_state"):
         Rainbow.load_checkpoint(tmp_path / "c", make_vec_env("CartPole-v1"))
+
+
+def test_a_checkpoint_refuses_a_new_normalization_but_not_a_new_gamma(tmp_path: Any) -> None:
+    path = tmp_path / "run.ckpt"
+    model = Rainbow("MlpPolicy", make_vec_env("CartPole-v1"), **FAST).learn(60)
+    model.save_checkpoint(path)
+    with pytest.raises(ValueError, match=r"nothing of VecNormalize.*wrap the env as"):
+        Rainbow.load_checkpoint(path, VecNormalize(make_vec_env("CartPole-v1")))
+    with pytest.raises(ValueError, match="buffer in the checkpoint was filled with n_steps=3"):
+        Rainbow.load_checkpoint(path, make_vec_env("CartPole-v1"), n_steps=2)
+    other: Any = Rainbow.load_checkpoint(path, make_vec_env("CartPole-v1"), gamma=0.9)
+    assert other.learn(20, reset_num_timesteps=False).replay_buffer.gamma == 0.9
+    with pytest.raises(ValueError, match=r"run\.ckpt is a checkpoint: use load_checkpoint"):
+        Rainbow.load(path)

@@ -75,7 +75,6 @@ def test_a_model_of_other_settings(tmp_path: Any, other: dict[str, Any], message
     ("other", "message"),
     [
         ({"n_steps": 2}, "filled with n_steps=3, the model has n_steps=2"),
-        ({"gamma": 0.9}, "gamma=0.99"),
         ({"alpha": 0.5}, "alpha=0.6"),
         ({"prioritized": False}, "alpha"),
     ],
@@ -205,3 +204,18 @@ def test_parameters_are_read_without_running_what_is_stored_beside_them(
     with path.open("rb") as file:
         model.set_parameters(file)
     assert not Path("called").exists()
+
+
+def test_a_buffer_of_more_steps_is_as_large_as_they_need(tmp_path: Any) -> None:
+    Rainbow("MlpPolicy", "CartPole-v1", replay_buffer_kwargs={"n_steps": 5}, **FAST).save(
+        tmp_path / "m"
+    )
+    loaded = Rainbow.load(tmp_path / "m", buffer_size=1)
+    assert loaded.replay_buffer is not None
+    assert loaded.replay_buffer.buffer_size == 6
+
+
+def test_what_is_no_zip_is_the_error_of_sb3(tmp_path: Any) -> None:
+    (tmp_path / "text.zip").write_text("no model")
+    with pytest.raises(ValueError, match="wasn't a zip-file"):
+        Rainbow("MlpPolicy", "CartPole-v1", **FAST).set_parameters(str(tmp_path / "text.zip"))

@@ -14,6 +14,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch as th
+from gymnasium import spaces
 from safetensors.numpy import load, save
 from stable_baselines3 import DQN
 from stable_baselines3.common.env_util import make_vec_env
@@ -57,6 +58,20 @@ def small_images() -> FakeImageEnv:
     return FakeImageEnv(discrete=True, screen_height=36, screen_width=36, n_channels=1)
 
 
+class Counts(gym.Env[Any, Any]):
+    """Its spaces are of 32 bits."""
+
+    observation_space = spaces.MultiDiscrete([3, 4], dtype=np.int32)
+    action_space = spaces.Discrete(2, dtype=np.int32)
+
+    def reset(self, **given: Any) -> tuple[Any, dict[str, Any]]:
+        super().reset(**given)
+        return self.observation_space.sample(), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        return self.observation_space.sample(), 1.0, self.np_random.random() < 0.1, False, {}
+
+
 def same_actions(a: Rainbow, b: Rainbow) -> bool:
     a.observation_space.seed(0)
     observations = [a.observation_space.sample() for _ in range(50)]
@@ -96,6 +111,7 @@ def test_a_package_holds_model_card_and_results() -> None:
         ("FrozenLake-v1", {"policy_kwargs": {"net_arch": {"shared": [8], "streams": [4]}}}),
         (small_images, {"policy": "CnnPolicy", "policy_kwargs": {"net_arch": {"streams": [8]}}}),
         (SimpleMultiObsEnv, {"policy": "MultiInputPolicy"}),
+        (Counts, {}),
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*of the returns lie outside of the support")
@@ -107,7 +123,9 @@ def test_a_packaged_model_is_the_model(
     path = package(model)
     loaded = hub.load(path, env=vec_env, seed=1)
     assert same_actions(model, loaded)
-    assert loaded.observation_space == model.observation_space
+    for name in ("observation_space", "action_space"):
+        own, read = getattr(model, name), getattr(loaded, name)
+        assert (own, own.dtype) == (read, read.dtype)
     assert type(loaded.policy) is type(model.policy)
     for name, weights in model.policy.state_dict().items():
         th.testing.assert_close(loaded.policy.state_dict()[name], weights, rtol=0, atol=0)
