@@ -51,6 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"error: {error.strerror}: {where}; {mend}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
+        print("Interrupted; the same command goes on from what is stored", file=sys.stderr)
         return 130
 
 
@@ -76,8 +77,11 @@ def _check_device(given: Given) -> None:
     """Refuse a GPU that no run could use, before each of them fails for itself."""
     from benchmarks.runs.cell import check_gpu
 
-    if given.device == "cuda" and catalogue.experiment(given.preset).place:
-        raise BenchmarkError("--device cuda: public tasks run on the CPU; leave out the option")
+    wanted = given.device or ("cuda" if getattr(given, "gpus_per_run", 0.0) else "cpu")
+    if wanted == "cuda" and catalogue.experiment(given.preset).place:
+        raise BenchmarkError(
+            "cuda: public tasks run on the CPU; leave out --device, --gpus-per-run"
+        )
     if getattr(given, "backend", "") != "ray":
         check_gpu(given.device)
 
@@ -203,7 +207,10 @@ def studies(given: Given) -> None:
         print(f"{name:15} {text}")
 
 
-RESULTS: Final = (("--results",), {"type": Path, "default": Path("results"), "help": "folder"})
+RESULTS: Final = (
+    ("--results",),
+    {"type": Path, "default": Path("results"), "help": "results folder"},
+)
 PRESET: Final = (
     ("--preset",),
     {"default": DEFAULT_PRESET, "help": f"{', '.join(preset_names())}, one of the public tasks', "
@@ -229,22 +236,23 @@ ENTRY: Final = (
     (("--model",), {"type": Path, "nargs": "+", "metavar": "FILE", "default": [],
      "help": ".zip of any SB3 or sb3-contrib algorithm: one, or one per seed"}),
     (("--planner",), {"default": "", "metavar": "NAME",
-     "help": "rrt_connect, rrt_lattice, optimum, or module:function of your own"}),
+     "help": "optimum, or module:function of your own"}),
     (("--name",), {"help": "name on the leaderboard (default: the file's)"}),
     (("--algorithm", "--algo"), {"help": "class of the model (default: the file's)"}),
     TRUST,
-    (("--mask-singularities",), {"action": "store_true", "help": "as the model was trained"}),
+    (("--mask-singularities",),
+     {"action": "store_true", "help": "mask collisions and singular moves"}),
     (("--mask-visited",),
-     {"type": at_least(0), "default": 0, "metavar": "N", "help": "as it was trained"}),
-    (("--replace",), {"action": "store_true", "help": "another entry of this name gives way"}),
+     {"type": at_least(0), "default": 0, "metavar": "N", "help": "mask the last N configurations"}),
+    (("--replace",), {"action": "store_true", "help": "overwrite the stored entry of this name"}),
     (("--episodes",), {"type": at_least(1), "metavar": "N",
      "help": "test episodes per seed, for a look: nothing joins the leaderboard"}),
     (("--starts",), {"type": at_least(0), "metavar": "NUMBER",
-     "help": "of stored policies: other starts than the test episodes', 20 episodes per seed"}),
+     "help": "number of a set of new starts for stored policies, 20 episodes per seed"}),
 )  # fmt: skip
 WATCH: Final = (
     (("--geometry",), {"choices": ("initial", "optimized"),
-     "help": "of the 3-RRS (default: the model's)"}),
+     "help": "geometry of the 3-RRS (default: the model's)"}),
     (("--model",), {"type": Path, "help": "a trained model instead of the optimum"}),
     TRUST,
     (("--twin",), {"action": "store_true", "help": "masses, servos and contact (MuJoCo)"}),

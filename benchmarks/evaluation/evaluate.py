@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from sb3_contrib import QRDQN
 from stable_baselines3 import DQN
 from stable_baselines3.common.utils import set_random_seed
 
@@ -259,8 +260,8 @@ def model_policy(model: Any, deterministic: bool = True) -> Policy:
         rows = [act(observations[i : i + 1], masks[i : i + 1]) for i in range(len(observations))]
         return np.concatenate(rows)
 
-    # SB3's DQN tosses one coin for a whole batch: episodes are to explore each for itself
-    shares_a_coin = isinstance(model, DQN) and not deterministic
+    # these toss one coin for a whole batch: episodes are to explore each for itself
+    shares_a_coin = isinstance(model, DQN | QRDQN) and not deterministic
     return act_one_by_one if shares_a_coin else act
 
 

@@ -8,7 +8,8 @@ is one cell of its own. On public tasks a cell's track is the task, and it has n
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Any, Final
@@ -40,6 +41,7 @@ SCRIPTED: Final = (
 # bytes of a transition in a checkpointed replay buffer: of the insertion task; two images of
 # 10 x 10 x 7; a stack of frames
 TRANSITION_BYTES: Final = (200, 1_600, 60_000)
+_FOLDER: Final = re.compile(r"[\w.+-]+")
 # roughly the seconds of an environment step relative to others, for progress bars alone
 ATARI_COST: Final = 10.0
 CONTROL_COST: Final = 20.0  # of an episode that is tested
@@ -116,6 +118,7 @@ def expand(preset: Preset | SuitePreset) -> list[Cell]:
     """
     if isinstance(preset, SuitePreset):  # so that an early stop leaves whole rows
         suite = _of_suite(preset)
+        check_ids(preset.name, suite)
         return sorted(suite, key=lambda c: (c.seed, -units_of(settings(preset, c))))
     cells: dict[Cell, None] = {}
     for group in preset.runs:
@@ -130,8 +133,10 @@ def expand(preset: Preset | SuitePreset) -> list[Cell]:
         cells[Cell(DESIGN, "full", "optimized", "", 0)] = None
     if not cells:
         raise BenchmarkError(
-            f"preset '{preset.name}' holds no run: runs and design are empty, or a group's methods"
+            f"preset '{preset.name}' holds no run: runs and design are empty, or a group lists no "
+            "methods"
         )
+    check_ids(preset.name, cells)
     return sorted(cells, key=lambda cell: (-units_of(settings(preset, cell)), cell.seed))
 
 
@@ -143,6 +148,23 @@ def _of_suite(preset: SuitePreset) -> list[Cell]:
         for seed in preset.seeds if task.seeds is None else task.seeds:
             cells += [of_task(method, key, seed) for method in [*methods, *controls]]
     return cells
+
+
+def check_ids(preset: str, cells: Iterable[Cell]) -> None:
+    """Refuse names that make no folder, or the same one for two cells.
+
+    Raises:
+        BenchmarkError: naming the cell.
+    """
+    seen: dict[str, Cell] = {}
+    for cell in cells:
+        other = seen.setdefault(cell.id, cell)
+        if other != cell or not _FOLDER.fullmatch(cell.id):
+            raise BenchmarkError(
+                f"preset '{preset}': cell '{cell.id}' "
+                + ("stands for two" if other != cell else "is no name of a folder")
+                + ": name tracks, tasks and geometries by letters, digits and . _ +"
+            )
 
 
 def units_of(config: dict[str, Any]) -> int:

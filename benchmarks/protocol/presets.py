@@ -2,8 +2,8 @@
 
 Those with ``tracks`` are of the insertion task, those with ``tasks`` of public ones.
 ``presets/_tracks.yaml`` and ``presets/_tasks.yaml`` hold both in full; a preset names those it uses
-and overrides what it must, usually only ``timesteps``. An entry says with ``base`` which of the
-library's it varies; without, one of a name that the library has varies that.
+and overrides what it must, usually only ``timesteps``. ``base`` names the library's entry to
+change; without it, the entry of the same name.
 """
 
 from __future__ import annotations

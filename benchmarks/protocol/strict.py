@@ -61,11 +61,11 @@ def _numbers(value: Any) -> Any:
 def differ(values: list[Any]) -> list[Any]:
     """The values, if there are some and no two are equal."""
     if not values or len(set(values)) != len(values):
-        raise ValueError("must be some, and differ")
+        raise ValueError("needs one value or more, no two equal")
     return values
 
 
-Number = Annotated[float, BeforeValidator(_from_text)]
+Number = Annotated[float, BeforeValidator(_from_text), Field(allow_inf_nan=False)]
 Positive = Annotated[Number, Field(gt=0.0)]
 AtLeast0 = Annotated[Number, Field(ge=0.0)]
 Share = Annotated[Number, Field(ge=0.0, le=1.0)]

@@ -122,7 +122,7 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
     said += f", the best script in {_rate(script.theirs)}." if script else "."
     for rival in rivals:
         if not ground(rival.theirs) and (as_good := as_well(rival)):
-            said += f" {rival.theirs.title} is {as_good}."
+            said += f" {rival.theirs.title} is {as_good}{_but_greedily(rival, compared)}."
     if there := on_track(results, "terminal"):
         said += f" Where a collision ends the episode, {there}."
     said += under_noise(results, greedy)
@@ -146,6 +146,15 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
     else:
         (holds, verdict), so_far = _on_success(ours, script), _so_far(ours)
     return Verdict(holds, _paragraphs(f"**{verdict}{so_far}.** {said}", details))
+
+
+def _but_greedily(rival: Comparison, compared: list[Comparison]) -> str:
+    """How far apart two that do as well as trained are greedily; empty where they are not."""
+    for c in compared:
+        learners = c.theirs.method == rival.theirs.method and c.theirs.ablation == "full"
+        if c.question == MASKED and learners and outcome(c) != outcome(rival):
+            return f" as trained; greedily, Rainbow is {_above(c)} it"
+    return ""
 
 
 def under_noise(results: Results, greedy: Group) -> str:
@@ -200,6 +209,7 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
     if not together and len(singles) < wanted:
         return Verdict("", "")
     costs = [c for c in singles if outcome(c) == WORSE]
+    alone = [c for c in singles if c.difference.high < 0.0 and c not in costs]
     said = ""
     if together:
         said = (
@@ -211,7 +221,7 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
             f"Of {wanted} removals of one component, each on {fewest} seeds or more, these cost "
             f"success beyond chance: {_listed(costs)}."
         )
-        if alone := [c for c in singles if c.difference.high < 0.0 and c not in costs]:
+        if alone:
             details += (
                 f" Before the correction for {wanted} tests, these do as well: {_listed(alone)}."
             )
@@ -232,11 +242,13 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
         verdict = f"**Together, Rainbow's six components {'help' if pays else 'do not help'}.**"
     elif pays and len(costs) == wanted:
         holds, verdict = YES, "**The ablation of the six components reproduces.**"
-    elif pays or costs:
+    elif costs or (pays and alone):
         holds, verdict = IN_PART, "**The ablation of the six components reproduces in part.**"
+    elif pays:
+        holds, verdict = NO, "**Rainbow's six components help together, none is shown to alone.**"
     else:
         holds, verdict = NO, "**The ablation of the six components does not reproduce.**"
-    return Verdict(holds, _paragraphs(f"{verdict}{said}", [details]))
+    return Verdict(holds, f"{verdict}{said} {details}")
 
 
 def _listed(removals: list[Comparison]) -> str:

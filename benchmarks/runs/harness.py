@@ -203,7 +203,7 @@ class Harness:
             self._outcome.failed[folder.id] = log
             how = f"failed with exit code {code}"
             if code is not None and code < 0:
-                how = f"was killed by signal {-code}, for want of memory perhaps"
+                how = f"was killed by signal {-code}, perhaps out of memory"
             self._say(f"{folder.id}: {how}, see {log}\n{_tail(log)}", "red")
             return
         self._outcome.trained.append(folder.id)

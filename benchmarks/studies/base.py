@@ -28,6 +28,7 @@ from benchmarks.reporting.verify import check_file
 from benchmarks.runs.harness import bar
 from benchmarks.runs.machine import describe
 from benchmarks.runs.store import write_text
+from coop_env.geometry import RRSGeometry
 
 Tick = Callable[[float], None]  # hears which share is done
 Part = Callable[[Tick], Any]
@@ -160,7 +161,8 @@ class OfOneFile(Study):
 class Measured(OfOneFile):
     """A study whose parts lie in one JSON file, each stored as it is done.
 
-    What was asked for decides the file: other settings, or another commit, begin anew.
+    What was asked for decides the file: other settings, or another commit, begin a new one, and
+    the old one is kept beside it.
     """
 
     def __init__(self, given: argparse.Namespace) -> None:
@@ -169,11 +171,12 @@ class Measured(OfOneFile):
             raise BenchmarkError(f"{type(self).__name__} needs file: its JSON's below the results")
         self.path = self.results / self.file
         self.folder = self.path.parent
-        self.result: dict[str, Any] = {"asked": self.asked(), "parts": {}}
-        if self.path.is_file():
+        self.result: dict[str, Any] = {"asked": json.loads(_as_json(self.asked())), "parts": {}}
+        self._others = self.path.is_file()  # what the file holds is of other settings
+        if self._others:
             stored = read_stored(self.path)
             if stored.get("asked") == self.result["asked"]:
-                self.result = stored
+                self.result, self._others = stored, False
         self.result |= {"command": given.command, "machine": describe()}
 
     def asked(self) -> dict[str, Any]:
@@ -191,7 +194,12 @@ class Measured(OfOneFile):
 
     def keep(self, name: str, result: Any) -> None:
         self.result["parts"][name] = result
-        write_text(self.path, json.dumps(self.result, indent=1) + "\n")
+        text = _as_json(self.result) + "\n"
+        if self._others:
+            kept, self._others = self.path.with_suffix(".before.json"), False
+            self.path.replace(kept)
+            print(f"{self.path} was measured with other settings or at another commit: see {kept}")
+        write_text(self.path, text)
 
     @classmethod
     def problems(cls, results: Path) -> list[str]:
@@ -199,6 +207,12 @@ class Measured(OfOneFile):
             return super().problems(results)
         except KeyError as missing:
             return [f"{results / cls.file} has no {missing}: the command of the study goes on"]
+
+
+def _as_json(value: Any) -> str:
+    """JSON, with numpy's numbers as numbers and paths as text."""
+    plain = lambda each: each.item() if hasattr(each, "item") else str(each)  # noqa: E731
+    return json.dumps(value, indent=1, default=plain)
 
 
 def read_stored(path: Path) -> Any:
@@ -246,7 +260,7 @@ def greedy(model: Any) -> Act:
 
 
 #: what of a track decides a policy's view of the nominal task
-SEEN: Final = ("observation", "mask_singularities", "mask_visited", "mask_refused")
+SEEN: Final = ("observation", "mask_singularities", "mask_visited", "mask_refused", "task")
 
 
 def stored_player(path: Path, trust: bool = False) -> tuple[dict[str, Any], Act]:
@@ -263,10 +277,12 @@ def stored_player(path: Path, trust: bool = False) -> tuple[dict[str, Any], Act]
 
     model = load_model(path, trust=trust)
     arguments: dict[str, Any] = {"observation": fitting_observation(model, path)}
-    if (config := path.with_name("config.yaml")).is_file():
+    config = path.with_name("config.yaml")
+    if path.name == "policy.zip" and config.is_file():  # a run's, which load_model has checked
         result = read_yaml(config)
         arguments |= {name: result["track"][name] for name in SEEN if name in result["track"]}
-        arguments["geometry"] = result["cell"]["geometry"]
+        own = result.get("dimensions")
+        arguments["geometry"] = RRSGeometry(**own) if own else result["cell"]["geometry"]
     return arguments, greedy(model)
 
 

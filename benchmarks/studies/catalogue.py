@@ -146,9 +146,10 @@ def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]
         what = f"{folder}: tables of {len(runs)} runs, {policies} policies"
         checks.append((what, folder, partial(_of_store, one, results)))
     for name in () if presets else STUDIES:
-        of, path = study(name), results / name
-        file = results / of.file if issubclass(of, OfOneFile) else path
-        checks.append((f"{path}: what is told of it", file, partial(of.problems, results)))
+        of = study(name)
+        file = results / (of.file if issubclass(of, OfOneFile) else name)
+        what = f"Study {name}: its text against its data"
+        checks.append((what, file, partial(of.problems, results)))
     for what, path, check in checks:
         try:
             problems = check()
@@ -163,5 +164,7 @@ def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]
     }
     for folder in () if presets else sorted(own - {*there.values()}):
         yield f"{folder}: not looked at; --preset FILE says what is in it", []
-    if not found and not presets:  # or the same once more
+    if found and not presets:
+        yield "Pages: not looked at until these differences are mended", []
+    elif not presets:
         yield from blocks.check(results, all_blocks(results))

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 import pandas as pd
 
-from benchmarks.errors import BenchmarkError
+from benchmarks.errors import BenchmarkError, known
 from benchmarks.evaluation.evaluate import begin_episodes
 from benchmarks.evaluation.model_files import load_stored
 from benchmarks.methods.episodes import env_arguments
@@ -106,6 +106,10 @@ class Failures(Study):
         self.store = Store.open(self.results, self.preset.name)
         self.folder = self.store.folder / "failures"
         self.track = given.track or next(iter(self.preset.tracks))
+        if self.track not in self.preset.tracks:
+            raise BenchmarkError(
+                f"unknown track '{self.track}'; known: {known(self.preset.tracks)}"
+            )
         wanted = Cell(given.method, "full", "optimized", self.track, 0)
         alike = (cell for cell in expand(self.preset) if replace(cell, seed=0) == wanted)
         self.cells = sorted(cell for cell in alike if self.store.run(cell.id).has_policy())

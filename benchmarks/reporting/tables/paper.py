@@ -254,13 +254,15 @@ def seeds_notes(groups: Iterable[Group], names: Iterable[str] | None = None) -> 
     lengths = sorted({len(run.test()) for group in groups for run in group.runs})
     if not seeds:
         return ["None of these runs is complete."]
-    episodes = "/".join(str(n) for n in lengths)
+    streams = {run.config["evaluation"].get("stream") for group in groups for run in group.runs}
+    kind = "validation" if streams == {"validate"} else "test"  # which chose the scripts' weights
+    episodes = f"{'/'.join(str(n) for n in lengths)} {kind} episodes"
     if seeds == [1]:
-        first = f"Ours: 1 seed x {episodes} test episodes, so no spread can be given."
+        first = f"Ours: 1 seed x {episodes}, so no spread can be given."
     else:
         *others, last = map(str, seeds)
         counts = f"{', '.join(others)} or {last}" if others else last
-        first = f"Ours: mean ± std over {counts} seeds x {episodes} test episodes."
+        first = f"Ours: mean ± std over {counts} seeds x {episodes}."
     partial = [
         f"{name} {group.n} of {group.planned} seeds"
         for name, group in by_name.items()

@@ -111,7 +111,7 @@ class Design(Study):
     def problems(cls, results: Path) -> list[str]:
         store = DesignStore(results)
         if not store.is_complete():
-            return []
+            return [f"{store.path} is not complete: the command of the study goes on"]
         rows = {row["metric"]: row for row in store.rows("table").to_dict("records")}
         runs, result = store.rows("runs"), []
         for end, column in (("initial", "a_w_initial"), ("optimized", "a_w")):

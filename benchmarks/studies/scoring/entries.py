@@ -30,7 +30,7 @@ from benchmarks.evaluation.model_files import detect_algorithm, fitting_observat
 from benchmarks.methods.base import Plan
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.protocol import labels
-from benchmarks.protocol.plan import DESIGN, METHODS, PERFECT_PLANNERS, Cell
+from benchmarks.protocol.plan import DESIGN, METHODS, Cell
 from benchmarks.protocol.presets import Preset
 from benchmarks.reporting.results import Results
 from benchmarks.reporting.tables.beyond import build_tables
@@ -41,6 +41,7 @@ from benchmarks.studies.scoring.scores import in_words
 
 Given = argparse.Namespace
 GEOMETRY: Final = "optimized"
+OPTIMUM: Final = "optimum"  # OMPL's planners take one seed a process, so that no entry resumes
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,60}")
 Run = Callable[[evaluate.OnProgress], evaluate.Rows]
 #: a seed's settings, and what plays its test episodes
@@ -160,6 +161,11 @@ def _check(preset: Preset, given: Given) -> None:
             f"name '{given.name}': letters, digits and . _ + - only, 61 at most; say another with "
             "--name"
         )
+    if varied := [name for name, track in preset.tracks.items() if track.task]:
+        raise BenchmarkError(
+            f"preset '{preset.name}' has no leaderboard, as its tracks vary the task "
+            f"('{varied[0]}'): take another --preset"
+        )
     taken = {*METHODS, DESIGN, *labels.METHODS.values()}
     if given.name in taken:
         raise BenchmarkError(f"name '{given.name}' is one of the harness's own: {known(taken)}")
@@ -173,12 +179,12 @@ def _check(preset: Preset, given: Given) -> None:
 
 
 def _planner(preset: Preset, planner: str, seed: int) -> Callable[[Episode], None]:
-    if planner in PERFECT_PLANNERS:
+    if planner == OPTIMUM:
         return evaluate.planner_runner(preset, Cell(planner, "full", GEOMETRY, "", seed))
     if ":" not in planner:
         raise BenchmarkError(
-            f"unknown planner '{planner}'; known: {known(PERFECT_PLANNERS)}, or "
-            "module:function of your own"
+            f"unknown planner '{planner}'; known: {OPTIMUM}, or module:function of your own; a "
+            "preset has the others as methods"
         )
     function = resolve(planner, "planner")
     if not callable(function):

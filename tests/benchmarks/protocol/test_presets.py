@@ -72,7 +72,11 @@ def test_the_paper_preset_has_the_papers_protocol_and_hyperparameters() -> None:
         ({"seeds": "0"}, "seeds: Input should be a valid array, found '0'"),
         ({"evaluation": {"episodes": True}}, "episodes: .* valid integer, found True"),
         ({"evaluation": {"episodes": 1, "noise": [0.1]}}, "noise"),
-        ({"evaluation": {"episodes": 1, "noise": [0.0, 0.0]}}, "noise: must be some, and differ"),
+        ({"evaluation": {"episodes": 1, "noise": [0.0, 0.0]}}, "noise: needs one value or more"),
+        (
+            {"evaluation": {"episodes": 1, "noise": [0.0, float("nan")]}},
+            "noise.* finite number, found",
+        ),
         ({"planner": {"time_limit": -1}}, "time_limit: .* greater than 0, found -1"),
         ({"checkpoint_seconds": "soon"}, "checkpoint_seconds"),
         ({"checkpoint_seconds": -1}, "seconds: .* greater than or equal to 0, found -1"),
@@ -141,6 +145,21 @@ def test_an_impossible_cell_is_refused(
 def test_a_preset_without_a_run_is_an_error() -> None:
     with pytest.raises(BenchmarkError, match="preset 'empty' holds no run"):
         expand(smoke_preset("empty", runs=[]))
+
+
+def test_names_that_make_no_folder_or_one_for_two_are_refused() -> None:
+    sizes = {"base_radius": 0.18, "proximal_length": 0.1, "platform_radius": 0.11}
+    for tracks, geometries, words in (
+        (["a/b"], ["optimized"], "cell 'greedy-optimized-a/b-s0' is no name of a folder"),
+        (["z", "y-z"], ["x", "x-y"], "cell 'greedy-x-y-z-s0' stands for two"),
+    ):
+        preset = smoke_preset(
+            tracks={name: {"base": "safe"} for name in tracks},
+            geometries=dict.fromkeys(geometries, sizes),
+            runs=[{"methods": ["greedy"], "tracks": tracks, "geometries": geometries}],
+        )
+        with pytest.raises(BenchmarkError, match=words):
+            expand(preset)
 
 
 def test_a_geometry_of_ones_own_reaches_the_runs_settings() -> None:

@@ -172,6 +172,7 @@ def test_the_tables_of_tasks_have_a_row_for_each(tmp_path: Path) -> None:
     )
     (picture,) = pictures(Results(store))
     assert picture.write(tmp_path).stat().st_size > 10_000
+    assert any("x 10 validation episodes" in note for note in table.notes)
     rows = {row[0]: row[1:] for row in table.texts()}
     # scripts solve one episode more with random moves; no row of a geometry that was not asked for
     assert rows["tolerance 5 mm"] == ["100.0", "100.0", "50.0", "80.0", "90.0", "100.0"]

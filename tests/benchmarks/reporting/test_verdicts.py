@@ -185,6 +185,7 @@ def _removed(**changed: list[int]) -> dict[str, list[int]]:
         (_removed(noisy=EQUAL), f"{SIX_OFF} reproduces in part.**"),
         (_removed(noisy=EQUAL) | {MASKED: EQUAL}, f"{SIX_OFF} reproduces in part.**"),
         (_removed(**dict.fromkeys(SIX, EQUAL)) | {MASKED: EQUAL}, f"{SIX_OFF} does not reproduce"),
+        (_removed(**dict.fromkeys(SIX, EQUAL)), "Rainbow's six components help together, none"),
         (LEARNED, "Together, Rainbow's six components help.**"),
         ({**LEARNED, MASKED: EQUAL}, "Together, Rainbow's six components do not help.**"),
         ({**LEARNED, MASKED: [70, 71, 69]}, "Together, Rainbow's six components help.**"),

@@ -134,6 +134,9 @@ def test_the_designs_table_must_follow_from_its_runs(copy: Path) -> None:
     (problem,) = Design.problems(copy / "results")
     wanted = runs["a_w"].mean() + 0.01
     assert f"as the optimized workspace, the mean of runs.csv is {wanted:.7g}" in problem
+    (path.parent / "meta.json").unlink()
+    (problem,) = Design.problems(copy / "results")
+    assert "design is not complete" in problem
 
 
 def test_an_episode_that_changed_makes_the_tables_disagree(store: Store) -> None:
@@ -250,7 +253,8 @@ def test_a_damaged_file_is_a_line_and_the_rest_is_checked(
     out, err = capsys.readouterr()
     for path in (run.path, *(results / name for name in files)):
         assert len([line for line in err.splitlines() if line.startswith(str(path))]) == 1, err
-    assert f"{results / 'transfer'}: what is told of it" in out
+    assert "Study transfer: its text against its data" in out
+    assert "Pages: not looked at until these differences are mended" in out
 
 
 def test_a_store_of_a_preset_of_ones_own_is_named(

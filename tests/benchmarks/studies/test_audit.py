@@ -81,6 +81,8 @@ def test_both_commands_write_what_they_say(
     assert not (tmp_path / "audit" / "learned.csv").exists()
     assert main(["study", "failures", *words]) == 2
     assert "no stored policy of rainbow, track safe" in capsys.readouterr().err
+    assert main(["study", "failures", *words, "--track", "nosuch"]) == 2
+    assert "unknown track 'nosuch'; known: safe" in capsys.readouterr().err
     assert run_cell(Insertion(preset), Insertion(preset).find("rainbow-optimized-safe-s0"), store)
     assert main(["study", "failures", *words]) == 0
     folder = store.folder / "failures"

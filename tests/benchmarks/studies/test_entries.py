@@ -129,6 +129,18 @@ def test_masks_go_to_who_knows_them(train: Callable[..., Path]) -> None:
     assert act(observations, only).tolist() == free.tolist()
 
 
+@pytest.mark.parametrize("name", ["dqn", "qrdqn"])
+def test_episodes_explore_each_for_itself(name: str, train: Callable[..., Path]) -> None:
+    model = CLASSES[name].load(train(name), device="cpu")
+    model.exploration_rate = 0.5
+    masks = np.ones((100, 12), dtype=np.bool_)
+    observations = np.full((100, 12), 0.5, dtype=np.float32)
+    (greedy,) = set(model_policy(model)(observations, masks).tolist())
+    for _ in range(3):
+        acted = model_policy(model, deterministic=False)(observations, masks)
+        assert 20 < np.sum(acted != greedy) < 75
+
+
 @pytest.mark.parametrize("name", sorted(SETTINGS))
 def test_the_algorithm_is_read_from_the_file(name: str, train: Callable[..., Path]) -> None:
     assert detect_algorithm(train(name)) == name
@@ -327,6 +339,8 @@ def test_wrong_files_are_one_error(
     assert "letters, digits" in error_of(good, "--name", "a/b")
     assert "one of the harness's own" in error_of(good, "--name", "rainbow")
     assert "either --model or --planner" in error_of(good, "--planner", "optimum")
+    words = ("--preset", "difficulty", "--model", str(good), "--results", str(tmp_path / "results"))
+    assert "preset 'difficulty' has no leaderboard" in refused("evaluate", *words)
 
 
 def test_an_entry_leaves_the_presets_own_tables_alone(

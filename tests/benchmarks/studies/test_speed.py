@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from stable_baselines3 import DQN
 from stable_baselines3.common.env_util import make_vec_env
@@ -85,3 +87,33 @@ def test_a_study_says_before_it_measures_what_it_lacks(tmp_path: Path) -> None:
     kind = type("Nameless", (Nameless,), {"to_markdown": staticmethod(str)})
     with pytest.raises(BenchmarkError, match="Nameless needs file"):
         kind(given)
+
+
+class Counted(Measured):
+    """Two parts, of which a run may make the first alone."""
+
+    name, file = "counted", "counted/counted.json"
+
+    @staticmethod
+    def to_markdown(result: Any) -> str:
+        return str(result)
+
+    def measures(self) -> dict[str, Any]:
+        return {name: lambda _: np.int64(self.given.starts) for name in ("a", "b")}
+
+
+def test_other_settings_leave_what_was_measured(tmp_path: Path) -> None:
+    def begun(starts: int) -> Counted:
+        study = Counted(
+            argparse.Namespace(results=tmp_path, command="", starts=starts, to=tmp_path)
+        )
+        name, part = next(iter(study.parts().items()))
+        study.keep(name, part(lambda _: None))
+        return study
+
+    assert list(begun(1).parts()) == ["b"]
+    assert list(begun(1).parts()) == []
+    assert list(begun(2).parts()) == ["b"]
+    stored, kept = (tmp_path / f"counted/counted{end}" for end in (".json", ".before.json"))
+    assert json.loads(stored.read_text("utf-8"))["parts"] == {"a": 2}
+    assert json.loads(kept.read_text("utf-8"))["parts"] == {"a": 1, "b": 1}
