@@ -81,25 +81,8 @@ def make_world(
     return CoopInsertionPhysicsDiscreteEnv(level=level, finish=finish, **arguments)
 
 
-def by_plans(plan: Callable[[Any], Any]) -> Play:
-    """Hole after hole by plans run open loop, up to one that does not bring it to its hole."""
-
-    def play(episode: Episode) -> None:
-        while not episode.over:
-            target, answer = int(episode.env.state["target"]), plan(episode.env)
-            if answer.moves is None:
-                return
-            for move in answer.moves[: episode.moves_left]:
-                if episode.move(int(move))["target"] != target or episode.over:
-                    break
-            else:
-                return
-
-    return play
-
-
 def by_acting(begin: Callable[[Sequence[Episode]], Chooser]) -> Play:
-    """Moves of who sees what a policy sees, to the end of the episode."""
+    """Plays a script or policy to the end of the episode."""
     return lambda episode: play_together(begin([episode]), [episode], 0.0, 0)
 
 
@@ -111,13 +94,13 @@ def player(name: str, preset: Preset, results: Path, seed: int) -> tuple[Play, d
     """
     limits, (method, track) = preset.planner, PLAYERS[name]
     if not track:
-        from benchmarks.methods.rrt_connect import RRTConnect  # needs OMPL
+        from benchmarks.methods.rrt_connect import RRTConnect, execute  # needs OMPL
 
         number = 1 + derive("planner", seed) % 2**30
         planner: Any = LatticeOracle(limits.node_limit)
         if method == "rrt":
             planner = RRTConnect(limits.time_limit, limits.max_iterations, number)
-        return by_plans(planner.plan), {"reward": "progress"}
+        return lambda episode: execute(episode, planner.plan), {"reward": "progress"}
     cell = Cell(method, "full", "optimized", track, seed)
     arguments = env_arguments(preset, cell, preset.tracks[track])
     del arguments["sim_to_real"]  # the machine of this study's worlds, not the track's

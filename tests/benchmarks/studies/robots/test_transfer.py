@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from benchmarks.errors import BenchmarkError
 from benchmarks.methods.base import Plan
 from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.methods.rrt_connect import execute
 from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import derive
 from benchmarks.studies.robots import transfer
@@ -26,7 +28,7 @@ RESULTS = Path("results")
 def _optimum(world: str, seed: int) -> dict[str, Any]:
     """An episode of the exact optimum."""
     env = transfer.make_world(world, RESULTS, {"reward": "progress"})
-    play = transfer.by_plans(LatticeOracle().plan)
+    play = partial(execute, plan=LatticeOracle().plan)
     return transfer.play_one(env, play, 0, derive("validate", 31, seed))
 
 
@@ -75,7 +77,7 @@ def test_a_push_finds_no_hole_that_is_too_far_off() -> None:
 def test_a_plan_that_leads_elsewhere_ends_it() -> None:
     env = transfer.make_world("kinematics", RESULTS, {})
     plans = iter([Plan("solved", np.array([4]), 0.0), Plan("infeasible", None, 0.0)])
-    play = transfer.by_plans(lambda _: next(plans))  # who asks once more finds none
+    play = partial(execute, plan=lambda _: next(plans))  # who asks once more finds none
     assert transfer.play_one(env, play, 0, 1)["holes"] == 0
     assert transfer.play_one(env, play, 0, 1)["holes"] == 0
     assert not list(plans)
