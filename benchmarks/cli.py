@@ -111,12 +111,14 @@ def plan(given: Given) -> None:
 def train(given: Given) -> int:
     """One cell in this process; for a debugger, or a scheduler of one's own."""
     from benchmarks.runs.cell import run_here
+    from benchmarks.runs.harness import shown
 
     one = catalogue.experiment(given.preset)
-    one.find(given.cell)  # before anything is written
+    cell = one.find(given.cell)  # before anything is written
     _check_device(given)
     store = one.open_store(given.results, create=True)
-    return run_here(one, store, given.cell, given.parent, given.wait, given.device or "cpu")
+    with shown(store.run(cell.id), Console(soft_wrap=True)):
+        return run_here(one, store, cell.id, given.parent, given.wait, given.device or "cpu")
 
 
 def cell(given: Given) -> int:

@@ -41,6 +41,18 @@ PRESETS = Path(__file__).parent / "presets"
 DEFAULT_PRESET = "quick"
 # libyaml's where it is there: `verify` reads thousands of settings
 SAFE_LOADER: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class _OnceLoader(SAFE_LOADER):  # type: ignore[misc, valid-type]
+    """Refuses a key that is given twice, of which YAML takes the last."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        keys = [key.value for key, _ in node.value if isinstance(key.value, str)]
+        if twice := sorted({key for key in keys if keys.count(key) > 1} - {"<<"}):
+            raise yaml.YAMLError(f"key '{twice[0]}' is given twice")
+        return super().construct_mapping(node, deep)
+
+
 CONTACT: Final = "coop_env:CoopInsertionContact-v0"
 #: what plays public tasks without learning
 SUITE_CONTROLS: Final = {"random": "Random", "held": "One action", "script": "Script"}
@@ -414,7 +426,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         BenchmarkError: the file is no YAML, or no mapping.
     """
     try:
-        data = yaml.load(path.read_text(encoding="utf-8"), SAFE_LOADER)
+        data = yaml.load(path.read_text(encoding="utf-8"), _OnceLoader)
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         reason = " ".join(str(error).split())
         raise BenchmarkError(f"{path.name}: not valid YAML: {reason}") from error

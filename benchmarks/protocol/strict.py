@@ -89,6 +89,9 @@ def build(cls: type[T], data: object, where: str) -> T:
     try:
         # as JSON: of Python's own objects pydantic's strict mode takes no mapping for a dataclass
         text = json.dumps(data, default=str)
+    except (ValueError, RecursionError) as error:  # an anchor that holds itself
+        raise BenchmarkError(f"{where}: {error}") from None
+    try:
         return TypeAdapter(cls).validate_json(text)
     except ValidationError as error:
         raise BenchmarkError(f"{where}{_in_words(error.errors()[0])}") from None

@@ -4,8 +4,9 @@
     <!-- shield:end -->
 
 A block is a function from what its first marker says beside the name to its text; the words of the
-marker up to the bracket are its arguments. Pages are the README and ``docs/`` beside the results
-folder. `report` and every study fill their blocks, `verify` compares.
+marker up to the bracket are its arguments. Pages are the README and ``docs/`` beside the folder
+``results``; a folder of another name has none. `report` and every study fill their blocks, `verify`
+compares.
 """
 
 from __future__ import annotations
@@ -47,8 +48,10 @@ def render(page: str, blocks: Blocks) -> str:
 
 
 def pages_of(results: Path) -> list[Path]:
-    """The README and the pages of ``docs/`` beside a results folder."""
+    """The README and the pages of ``docs/`` beside a folder ``results``, of which they tell."""
     root = results.resolve().parent
+    if results.resolve().name != "results":
+        return []
     return [p for p in (root / "README.md", *sorted((root / "docs").glob("*.md"))) if p.is_file()]
 
 

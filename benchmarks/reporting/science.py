@@ -16,7 +16,7 @@ SHORT: Final = ("in_short", "performance", "components", "geometry", "printed") 
 # of the page of science: heading, sentences, tables, figures with what they show
 SECTIONS: Final[tuple[tuple[str, tuple[str, ...], tuple[str, ...], dict[str, str]], ...]] = (
     ("Performance", ("performance",), ("performance", "controls"),
-     {"performance_profile": "Share of test episodes above a score"}),
+     {"performance_profile": "Share of test episodes above a score, all acting greedily"}),
     ("Ablation", ("components",), ("ablation",),
      {"ablation_comparison": "Success with one component removed"}),
     ("Geometry", ("geometry",), ("geometry", "design"), {}),

@@ -15,7 +15,6 @@ from typing import Final, NamedTuple
 from benchmarks.protocol import labels
 from benchmarks.protocol.paper_values import ABLATION as PRINTED_ABLATION
 from benchmarks.protocol.paper_values import GEOMETRY_ABLATION, PERFORMANCE, TRAINING_STEPS
-from benchmarks.protocol.plan import CONTROLS
 from benchmarks.reporting.compared import (
     ABLATION,
     CONTROL,
@@ -25,9 +24,9 @@ from benchmarks.reporting.compared import (
     comparisons,
     find,
 )
-from benchmarks.reporting.results import SEEDS, Group, Level, Results, best, tail_mean
-from benchmarks.reporting.stats import Value, over_seeds
-from benchmarks.reporting.tables.paper import NOISY, noise_levels
+from benchmarks.reporting.results import SEEDS, Group, Results, tail_mean
+from benchmarks.reporting.stats import Value, measured, over_seeds
+from benchmarks.reporting.tables.paper import best_under_noise
 
 # Thresholds. A test for each fails when it moves.
 SIGNIFICANCE: Final = 0.05  # of a difference over seeds, after Holm: the field's custom
@@ -135,6 +134,14 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
         details.append(f"Greedily, Rainbow reaches {_rate(greedy)}.")
     if others:
         details.append(f"{'As trained, ' if way else ''}{_joined(others)}.")
+    if all(curves := [row.curves() for row in (ours, *(row for _, row in others))]):
+        late = [over_seeds([100.0 * tail_mean(c, "success") for c in each]) for each in curves]
+        names = ["Rainbow", *(name for name, _ in others)]
+        parts = [f"{name} {_show(value)} %" for name, value in zip(names, late, strict=True)]
+        details.append(
+            "In the last tenth of training, in which the weights go on changing, these are "
+            f"{', '.join(parts)}."
+        )
     if (planner := results.group("rrt_lattice")).n:
         details.append(f"{planner.name}, which needs a model too, reaches {_rate(planner)}.")
     why = ground(ours) or (
@@ -161,16 +168,13 @@ def under_noise(results: Results, greedy: Group) -> str:
     """Ours and the best script where noise on the observation, in place of random moves, helps it
     most; empty where nothing was tested so.
     """
-    scripts = [results.group(name, greedy.track) for name in NOISY if name in CONTROLS]
-    levels = [Level(noise) for noise in noise_levels(results) if noise]
-    tested = [row.at(level) for level in levels for row in scripts if row.n]
-    chosen = best(row for row in tested if row.success().n)
+    chosen = best_under_noise(results, greedy.track)
     if chosen is None:
         return ""
     ours = greedy.at(chosen.level)
     return (
-        f" With noise of {chosen.level.noise:g} on what it observes, the best script reaches "
-        f"{_rate(chosen)}, Rainbow {_rate(ours)}."
+        f" With noise of {chosen.level.noise:g} on what it observes, the best script "
+        f"({chosen.title}) reaches {_rate(chosen)}, Rainbow {_rate(ours)}."
     )
 
 
@@ -215,16 +219,18 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
         said = (
             f" Rainbow's success rate is {_above(together)} that of masked DQN, which lacks them."
         )
+        if points := _in_training(together):
+            said += f" In training, in which the weights go on changing, it is {points} above."
     if len(singles) == wanted:
         fewest = min(c.difference.n for c in singles)
-        details = (
-            f"Of {wanted} removals of one component, each on {fewest} seeds or more, these cost "
-            f"success beyond chance: {_listed(costs)}."
-        )
+        several = f"Of {wanted} removals of one component, each on {fewest} seeds or more"
+        corrected = f"beyond chance after the correction for {wanted} tests"
+        if costs:
+            details = f"{several}, these cost success {corrected}: {_listed(costs)}."
+        else:
+            details = f"{several}, none costs success {corrected}."
         if alone:
-            details += (
-                f" Before the correction for {wanted} tests, these do as well: {_listed(alone)}."
-            )
+            details += f" Uncorrected, these do{' as well' if costs else ''}: {_listed(alone)}."
     else:
         details = (
             f"Of {wanted} removals of one component, {len(singles)} have {SEEDS} seeds so far."
@@ -249,6 +255,18 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
     else:
         holds, verdict = NO, "**The ablation of the six components does not reproduce.**"
     return Verdict(holds, f"{verdict}{said} {details}")
+
+
+def _in_training(comparison: Comparison) -> str:
+    """The difference in the last tenth of training, seed by seed; empty without curves."""
+    ends = [
+        {run.seed: 100.0 * tail_mean(run.folder.rows("curve"), "success") for run in row.runs
+         if run.folder.has_rows("curve")}
+        for row in (comparison.ours, comparison.theirs)
+    ]  # fmt: skip
+    points = [value - ends[1][seed] for seed, value in ends[0].items() if seed in ends[1]]
+    value = measured(points, lambda: (math.nan, math.nan))
+    return value.signed(" points").removeprefix("+") if len(points) >= SEEDS else ""
 
 
 def _listed(removals: list[Comparison]) -> str:

@@ -6,16 +6,11 @@ import json
 import os
 import pkgutil
 import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-from rich.console import Console
-from rich.progress import TextColumn
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import Cell
@@ -119,6 +114,7 @@ def run_once(
         if record is None:
             return False
         spent = _spent(record["training"], *began)
+        folder.begin(config)  # anew, where somebody has deleted the folder meanwhile
         folder.write_meta({
             **{"cell": folder.id, "preset": name}, **spent, **record, **made_by
         })  # fmt: skip
@@ -157,29 +153,6 @@ def check_gpu(device: str | None) -> None:
             raise BenchmarkError("--device cuda: PyTorch finds no GPU here; use --device cpu")
 
 
-@contextmanager
-def _shown(folder: RunFolder) -> Iterator[None]:
-    """A bar of a run in this process, which the harness would show."""
-    from benchmarks.runs.harness import POLL_SECONDS, bar
-
-    over = threading.Event()
-    with bar(Console(soft_wrap=True), TextColumn("{task.fields[note]}")) as progress:
-        task = progress.add_task(folder.id, total=1.0, note="")
-
-        def look() -> None:
-            while not over.wait(POLL_SECONDS):
-                done, note = folder.progress()
-                progress.update(task, completed=done, note=note)
-
-        watcher = threading.Thread(target=look, daemon=True)
-        watcher.start()
-        try:
-            yield
-        finally:
-            over.set()
-            watcher.join()
-
-
 def run_here(
     experiment: Experiment, store: Store, cell_id: str, parent: int | None, wait: float,
     device: str,
@@ -190,9 +163,7 @@ def run_here(
     cell = experiment.find(cell_id)
     check_gpu(device)
     folder = store.run(cell.id).path
-    with _shown(store.run(cell.id)) if parent is None else nullcontext():
-        complete = run_cell(experiment, cell, store, flag, wait, device)
-    if not complete:
+    if not run_cell(experiment, cell, store, flag, wait, device):
         print(f"{cell.id}: stopped, {folder} keeps what was saved; the same command resumes")
         return 130
     print(f"{cell.id}: complete, see {folder}")

@@ -74,11 +74,17 @@ class Experiment(ABC, Generic[P]):
     def build(self, cell: Cell) -> Any:
         """The untrained learner of a cell, in its environments."""
 
+    def try_script(self, cell: Cell) -> None:
+        """Build the environment in which a script or planner plays."""
+
     def check(self, todo: Sequence[Cell]) -> None:
-        """Build each kind of learner once, so that what is impossible fails at once."""
-        for cell in {replace(cell, seed=0): cell for cell in todo if cell.learns}.values():
+        """Build each kind of cell once, so that what is impossible fails at once."""
+        for cell in {replace(cell, seed=0): cell for cell in todo}.values():
             try:
-                self.build(cell).get_env().close()
+                if cell.learns:
+                    self.build(cell).get_env().close()
+                else:
+                    self.try_script(cell)
             except BenchmarkError:
                 raise
             except Exception as error:  # whatever a constructor makes of what it was given

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import signal
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -22,7 +23,7 @@ from benchmarks.runs import cell as cells
 from benchmarks.runs.backends import GRACE_SECONDS, Backend, Job
 from benchmarks.runs.costs import duration
 from benchmarks.runs.experiment import Experiment
-from benchmarks.runs.store import Store
+from benchmarks.runs.store import RunFolder, Store
 
 POLL_SECONDS: Final = 0.3
 
@@ -206,10 +207,17 @@ class Harness:
                 how = f"was killed by signal {-code}, perhaps out of memory"
             self._say(f"{folder.id}: {how}, see {log}\n{_tail(log)}", "red")
             return
-        self._outcome.trained.append(folder.id)
         seconds = 0.0 if child.started is None else time.perf_counter() - child.started
-        self._say(f"{folder.id}: done in {duration(seconds)}{self.experiment.verdict(folder)}")
-        for name in folder.meta()["training"].get("set_aside", []):
+        try:
+            verdict = self.experiment.verdict(folder)
+            set_aside = folder.meta()["training"].get("set_aside", [])
+        except (BenchmarkError, KeyError) as error:  # deleted or damaged: the others go on
+            self._outcome.failed[folder.id] = log
+            self._say(f"{folder.id}: {error}", "red")
+            return
+        self._outcome.trained.append(folder.id)
+        self._say(f"{folder.id}: done in {duration(seconds)}{verdict}")
+        for name in set_aside:
             kept = folder.checkpoint / name
             self._say(
                 f"{folder.id}: a checkpoint could not be read and is kept as {kept}", "yellow"
@@ -241,6 +249,27 @@ def bar(console: Console, *more: ProgressColumn) -> Progress:
     """The progress bar of all that runs; ``more`` columns stand at its end."""
     columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
     return Progress(*columns, Remaining(), *more, console=console, refresh_per_second=2)
+
+
+@contextmanager
+def shown(folder: RunFolder, console: Console) -> Iterator[None]:
+    """A bar of a run in this process."""
+    over = threading.Event()
+    with bar(console, TextColumn("{task.fields[note]}")) as progress:
+        task = progress.add_task(folder.id, total=1.0, note="")
+
+        def look() -> None:
+            while not over.wait(POLL_SECONDS):
+                done, note = folder.progress()
+                progress.update(task, completed=done, note=note)
+
+        watcher = threading.Thread(target=look, daemon=True)
+        watcher.start()
+        try:
+            yield
+        finally:
+            over.set()
+            watcher.join()
 
 
 def _tail(log: Path, lines: int = 8) -> str:

@@ -156,8 +156,8 @@ def _searched(result: SearchResult) -> Table:
         "Skipped designs have no score: their lengths break the paper's constraints, they cannot "
         "take their home pose, or have too little workspace for a start state.",
         "Front: success against mean ticks over the starts that were solved, of designs that "
-        f"solve at least {result.summary['floor']:.1f} %, the least of the designs that were "
-        "there before; one that solves few reaches the nearest targets alone, and looks quick.",
+        f"solve at least {result.summary['floor']:.1f} %, what the worse of the two given designs "
+        "solves. A design that solves few starts solves the near ones, and so looks quick.",
         "Proxy: Spearman's rank correlation of A_w and the optimum's success over designs; 95 % "
         f"interval by resampling designs. Good from {GOOD:g}, rough from {FAIR:g}.",
     ]

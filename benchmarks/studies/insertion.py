@@ -43,6 +43,14 @@ class Insertion(Experiment[Preset]):
 
         return build_small(self.preset, cell)
 
+    def try_script(self, cell: Cell) -> None:
+        from benchmarks.methods.episodes import env_arguments
+        from benchmarks.methods.team.env import make_env
+
+        if cell.method != DESIGN:
+            track = self.preset.tracks[cell.track] if cell.track else None
+            make_env(**env_arguments(self.preset, cell, track)).close()
+
     def kind(self, config: dict[str, Any]) -> tuple[str, ...]:
         cell, track = config["cell"], config.get("track", {})
         h = track.get("hyperparameters", {})

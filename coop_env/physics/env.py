@@ -237,7 +237,7 @@ class CoopInsertionPhysicsEnv(PhysicsEnv):
 
     The start states and holes of ``CoopInsertion-v0`` on the twin of
     :class:`~coop_env.physics.env.CoopInsertionContactEnv`: the same seed gives both the
-    same start. ``docs/physics.md`` says more.
+    same start. ``docs/physics_task.md`` says more.
 
     **Action Space**
 

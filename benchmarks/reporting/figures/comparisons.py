@@ -67,11 +67,13 @@ def _by_task(results: Results) -> Figure:
             mean, arms = _arms([value for _, value in places])
             axes.errorbar(
                 mean, [y + 0.1 * (i - 2.5) for y, _ in places], xerr=arms, fmt="o", markersize=4,
-                capsize=2, color=PALETTE[i], label=label,
+                capsize=2, color=METHOD_COLOURS.get(method, PALETTE[0]), label=label,
+                markerfacecolor="white" if geometry == "initial" else None,
             )  # fmt: skip
     axes.set_yticks(range(len(tracks)), [track.replace("_", " ") for track in tracks])
     axes.invert_yaxis()
-    finish(axes, "", "Success rate (%)")
+    axes.set_xlim(-2.0, 102.0)  # an interval of few seeds reaches beyond what is possible
+    finish(axes, "", "Success rate (%), 95 % interval")
     legend_below(figure, [axes], 3)
     return figure
 
@@ -109,7 +111,7 @@ def _profiles(results: Results, drawn: list[Group]) -> Figure:
     figure, panels = canvas(1, 2, (9.0, 5.2))
     optimum = results.group("optimum")
     for axes, label, scores_of in (
-        (panels[0], "Holes filled (of six)", _holes),
+        (panels[0], "Share of the six holes filled", _holes),
         (panels[1], "Optimum's moves over own, first insertion",
          partial(_speeds, optimum=optimum)),
     ):  # fmt: skip
@@ -156,7 +158,7 @@ def _robustness(results: Results, noisy: list[Group]) -> Figure:
     printed = _printed([*paper_values.ROBUSTNESS.values()])
     axes.errorbar(
         list(paper_values.ROBUSTNESS), printed["mean"], yerr=printed["spread"],
-        fmt="kD--", markersize=4, capsize=3, linewidth=0.9, label="Rainbow DQN, paper",
+        fmt="kD--", markersize=4, capsize=3, linewidth=0.9, label="Rainbow DQN, paper: ± std",
     )  # fmt: skip
     optimum = results.group("optimum").success()
     if optimum.n:
@@ -189,14 +191,14 @@ def _components(rows: Sequence[Group], references: Sequence[Group]) -> Figure:
     arms[:, [value.n == 1 for value in values]] = np.nan  # its interval would be over episodes
     axes.errorbar(
         mean, places + 0.14, xerr=arms, fmt="o", markersize=4, capsize=2, color="C0",
-        label=f"ours, {labels.track(rows[0].track)}",
+        label=f"ours, {labels.track(rows[0].track)}: 95 % interval",
     )  # fmt: skip
     papers = {i: paper_values.ABLATION.get(row.ablation, "") for i, row in enumerate(rows)}
     papers = {i: paper for i, paper in papers.items() if paper}
     printed = _printed([*papers.values()])
     axes.errorbar(
         printed["mean"], list(papers), xerr=printed["spread"],
-        fmt="kD", markersize=4, capsize=2, label="paper",
+        fmt="kD", markersize=4, capsize=2, label="paper: ± std",
     )  # fmt: skip
     for i, row in enumerate(references):
         axes.axvline(row.success().mean, color="0.4", linestyle=("--", ":")[i],

@@ -281,7 +281,7 @@ def draw(
 ) -> None:  # fmt: skip
     """Mean over seeds, and with ``raw`` the unsmoothed mean faintly behind.
 
-    The band is the middle 95 % of means of seeds drawn again, which for few seeds is too narrow.
+    The band is Student's 95 % interval, which of few seeds is wide: the axes follow the means.
     """
     grid, values = _seed_curves(frames, column, window)
     if not len(grid):
@@ -292,7 +292,9 @@ def draw(
     mean, low, high = mean_band(values)
     axes.plot(grid, mean, style, color=colour, label=label, linewidth=1.4)
     if band:
+        seen = axes.dataLim.frozen()
         axes.fill_between(grid, low, high, color=colour, alpha=0.2, linewidth=0)
+        axes.dataLim.set(seen)
 
 
 def _draw_stages(axes: Axes, frames: Sequence[pd.DataFrame], label: str, colour: str) -> None:
@@ -314,5 +316,6 @@ def _draw_stages(axes: Axes, frames: Sequence[pd.DataFrame], label: str, colour:
             continue
         name, mean = f"{label}, stage {stage}", own.mean(axis=0)
         axes.plot(grid, mean, style, color=colour, label=name, linewidth=1.4)
-        whole = own.count(axis=0) == len(values)
+        whole, seen = own.count(axis=0) == len(values), axes.dataLim.frozen()
         axes.fill_between(grid, low, high, where=whole, color=colour, alpha=0.2, linewidth=0)
+        axes.dataLim.set(seen)

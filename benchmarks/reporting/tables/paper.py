@@ -15,8 +15,9 @@ import pandas as pd
 from benchmarks.protocol import labels, paper_values
 from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import EXTRA_METRICS, JOINTS_TIME, METRICS, PAPER_METRICS
+from benchmarks.protocol.plan import CONTROLS
 from benchmarks.reporting.compared import ABLATION, comparisons, find
-from benchmarks.reporting.results import MAIN, Group, Level, Results, complete
+from benchmarks.reporting.results import MAIN, Group, Level, Results, best, complete
 from benchmarks.reporting.stats import Value, t_interval
 from benchmarks.reporting.tables.table import FLAG_NOTE, MISSING, Number, Table, TableCell, p_text
 
@@ -47,7 +48,9 @@ def performance(results: Results) -> Table:
             made.append([JOINTS_TIME.label, *_in_pairs(["-"] * 3, seconds)])
     if any(row.level != MAIN for row in result):
         made.append([GREEDILY, *_in_pairs(["-"] * 3, [row.tested(MAIN) for row in result])])
-    notes = [*_how(result), *seeds_notes(result), *failure_notes(results), FLAG_NOTE]
+    notes = [*_how(result), *seeds_notes(result)]
+    notes += [*stage_notes(result, [row.name for row in result])]
+    notes += [*failure_notes(results), FLAG_NOTE]
     return Table("performance", f"Performance, {labels.track(track)}", header, made, notes)
 
 
@@ -71,7 +74,7 @@ def controls(results: Results) -> Table:
         results.group("optimum"),
     ]
     names = [f"Best script: {row.name}" if row is script else row.title for row in result]
-    metrics = [*PAPER_METRICS, *EXTRA_METRICS[:2]]
+    metrics = [*PAPER_METRICS, *EXTRA_METRICS]
     if timed(result):
         metrics.insert(1 + metrics.index(METRICS["time_first"]), JOINTS_TIME)
     made: list[list[TableCell]] = [
@@ -117,7 +120,7 @@ def ablation(results: Results) -> Table:
             str(row.n),
         ])  # fmt: skip
     names = [title.removeprefix("- ") for title in shown]
-    notes = [*seeds_notes(shown.values(), names), FLAG_NOTE]
+    notes = [*seeds_notes(shown.values(), names), *stage_notes(shown.values(), names), FLAG_NOTE]
     title = f"Rainbow with one component removed, {labels.track(track)}"
     return Table("ablation", title, header, made, notes)
 
@@ -168,6 +171,9 @@ def geometry(results: Results) -> Table:
     ]
     names = [f"Rainbow on the {end} geometry" for end in ENDS]
     notes = [*_how([both["optimized"]]), *seeds_notes(both.values(), names), FLAG_NOTE]
+    trained = [run.meta["training"] for group in both.values() for run in group.runs]
+    if trained and all(t.get("steps_to_75") == t.get("curriculum_switch") for t in trained):
+        notes.append("Steps to 75 % are of episodes with four holes: there the curriculum goes on.")
     title = f"Effect of the design stage on Rainbow, {labels.track(track)}"
     return Table("geometry", title, header, made, notes)
 
@@ -208,10 +214,19 @@ def _design_cell(row: dict[Hashable, Any], end: str, runs: int, paper: str) -> T
     return replace(number, differs=replace(number, paper=first).flagged or last.flagged)
 
 
+def best_under_noise(results: Results, track: str) -> Group | None:
+    """The script that does best with noise on what it observes, at the level that helps it most."""
+    scripts = [results.group(name, track) for name in NOISY if name in CONTROLS]
+    levels = [Level(noise) for noise in noise_levels(results) if noise]
+    tested = [row.at(level) for level in levels for row in scripts if row.n]
+    return best(row for row in tested if row.success().n)
+
+
 def robustness(results: Results) -> Table:
     """Section "Robustness": greedy success under Gaussian noise on the normalized observation."""
     track, paper = results.scored, paper_values.ROBUSTNESS
-    methods = ("dqn", "maskable_ppo", "lookahead_observed")
+    script = best_under_noise(results, track)
+    methods = ("dqn", "maskable_ppo", *([script.method] if script else []))
     result = complete(
         [
             results.group("rainbow", track),
@@ -269,6 +284,19 @@ def seeds_notes(groups: Iterable[Group], names: Iterable[str] | None = None) -> 
         if 0 < group.n < group.planned  # "missing" says the rest
     ]
     return [first, *([f"Not complete: {'; '.join(partial)}."] if partial else [])]
+
+
+def stage_notes(groups: Iterable[Group], names: Iterable[str]) -> list[str]:
+    """Which groups' seeds never went on to six holes, with which they are tested."""
+    stayed = []
+    for name, group in zip(names, groups, strict=True):
+        never = sum(
+            run.meta["training"].get("curriculum_switch", 0) is None
+            for run in group.runs
+            if run.config.get("track", {}).get("curriculum", {}).get("enabled")
+        )
+        stayed += [f"{name} {never} of {group.n} seeds"] if never else []
+    return [f"Trained with four holes to the end: {'; '.join(stayed)}."] if stayed else []
 
 
 def failure_notes(results: Results) -> list[str]:

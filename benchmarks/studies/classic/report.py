@@ -37,6 +37,7 @@ from benchmarks.studies.robots.contact_report import draw as draw_contact
 
 # tables of the page, each with its figure
 SHOWN: Final = {"scores": "curves", "controls": "", "together": "", "contact": "contact"}
+_CURVES = "Return of greedy evaluations during training, with Student's 95 % interval over seeds"
 _INTERVAL = "Student's 95 % interval, of three seeds or more"
 _MASKS = (
     "The masked identity task: only Rainbow reads masks; to DQN and QR-DQN an action that is not "
@@ -79,7 +80,8 @@ def page(store: Store) -> str:
         if name in tables:
             parts.append(tables[name].markdown().rstrip())
             if figure and not results.preset.search:
-                parts.append(f"![{tables[name].title}]({root}/figures/{figure}.png)")
+                shows = _CURVES if figure == "curves" else tables[name].title
+                parts.append(f"![{shows}]({root}/figures/{figure}.png)")
     if others := [f"[{name}]({root}/tables/{name}.md)" for name in tables if name not in SHOWN]:
         parts.append("More: " + ", ".join(others) + ".")
     return "\n\n".join(parts)
@@ -236,7 +238,7 @@ def _curves(results: SuiteResults) -> Figure:
         if task.goal is not None:
             axes.axhline(task.goal, color="0.5", linestyle=":", linewidth=1.0)
         axes.set_title(task.title)
-    for axes in grid[-columns:]:
+    for axes in grid[max(0, len(tasks) - columns) : len(tasks)]:
         axes.set_xlabel("environment steps (1000)")
     for axes in grid[::columns]:
         axes.set_ylabel("return")

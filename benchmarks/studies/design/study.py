@@ -111,7 +111,8 @@ class Design(Study):
     def problems(cls, results: Path) -> list[str]:
         store = DesignStore(results)
         if not store.is_complete():
-            return [f"{store.path} is not complete: the command of the study goes on"]
+            begun = store.path.is_dir()
+            return [f"{store.path} is not complete: run `study design` again"] if begun else []
         rows = {row["metric"]: row for row in store.rows("table").to_dict("records")}
         runs, result = store.rows("runs"), []
         for end, column in (("initial", "a_w_initial"), ("optimized", "a_w")):

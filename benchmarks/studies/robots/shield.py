@@ -348,7 +348,8 @@ class Shield(Measured):
 
         names = {"full": "one start's, in full", "sampled": f"{asked['phases']:,} starts', sampled"}
         digits = {"success": 1, "holes": 2, "time": 1, "harm": 2, "interventions": 1}
-        margin = ", ".join(f"{name} {value:.3g}" for name, value in asked["margin"].items())
+        units = {"joint": " rad", "clearance": " m"}
+        margin = ", ".join(f"{k} {v:.3g}{units.get(k, '')}" for k, v in asked["margin"].items())
         title = "Certificate: moves that the shield allows, on the nominal machine"
         head = "lattice | configurations | moves | harmful | dead ends"
         rows = [
@@ -379,6 +380,6 @@ class Shield(Measured):
         tables.append(plain(title, "errors | configurations | harmed", rows))
         note = (
             "Mean ± std over seeds, of means an episode; a harmful move collides, or ends the "
-            f"episode by a singularity. Margins (rad, m): {margin}. {source(result)}"
+            f"episode by a singularity. Margins: {margin}. {source(result)}"
         )
         return "\n\n".join([*tables, note])

@@ -218,8 +218,9 @@ class Transfer(Measured):
             [[name, *(_shares(parts[f"{name}: {w}"]) for w in WORLDS)] for name in PLAYERS],
         )
         note = (
-            f"{n} episodes a cell, on the same test starts for all (all of them successful: "
-            f"{low:.0f} to {high:.0f} %, 95 % interval); success: at least one hole. Without a "
+            f"{n} episodes a cell (of learners in the second table, of each of {SEEDS} policies), "
+            f"on the same test starts for all (all of {n} successful: {low:.0f} to {high:.0f} %, "
+            "95 % interval); success: at least one hole. Without a "
             "script (+) a hole counts as in the kinematic task, within its tolerance; with one "
             f"when the peg is 10 mm deep in the bore. {source(result)}"
         )

@@ -187,6 +187,20 @@ def test_the_test_starts_are_the_paper_presets_alone() -> None:
     assert min(load_preset("grid").seeds) > max(load_preset("cut").seeds)
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("seeds: [0]\nseeds: [1]\n", "key 'seeds' is given twice"),
+        ("runs: &a [*a]\nseeds: [0]\nevaluation: {episodes: 1}\ndescription: x\n", "mine.yaml: "),
+    ],
+)
+def test_yaml_that_means_two_things_is_one_line(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(BenchmarkError, match=words):
+        load_preset(str(path))
+
+
 def test_bytes_that_are_no_text_are_one_line(tmp_path: Path) -> None:
     path = tmp_path / "bin.yaml"
     for content in (b"\xff\xfe\x00", b"seeds: [0\nruns"):

@@ -121,8 +121,8 @@ def test_a_script_that_noise_helps_is_named_beside_ours(
         sentences(Results(store))["performance"]
         .partition("\n\n")[0]
         .endswith(
-            " With noise of 0.02 on what it observes, the best script reaches 90.0 ± 0.0 %, "
-            "Rainbow 96.0 ± 0.0 %."
+            " With noise of 0.02 on what it observes, the best script (Two-move lookahead, from "
+            "the observation) reaches 90.0 ± 0.0 %, Rainbow 96.0 ± 0.0 %."
         )
     )
 
@@ -234,10 +234,13 @@ def test_the_components_are_named_with_their_cost(report_of: Reports) -> None:
     assert "Rainbow's success rate is 25.0 points" in report
     assert "dueling head (-14.7 points" in report
     assert "noisynets" not in report
-    assert "Before the correction" not in report
+    assert "Uncorrected" not in report
     # p is 0.04, and 0.2 after the correction
     report = report_of(_removed(**{name: [85, 90, 81] for name in SIX}))["components"]
-    assert "beyond chance: none. Before the correction for 6 tests, these do as well: " in report
+    assert (
+        "none costs success beyond chance after the correction for 6 tests. Uncorrected, these "
+        in report
+    )
     assert report.count(" (-9.7 points [-18.4, -0.9])") == len(SIX)
 
 

@@ -110,10 +110,13 @@ def test_an_orphan_knows_that_it_should_stop() -> None:
         ({"observation": "papers"}, "papers"),
     ],
 )
+@pytest.mark.parametrize("method", ["rainbow", "greedy"])
 def test_an_impossible_cell_is_refused_before_the_start(
-    track: dict[str, Any], message: str, tmp_path: Path, refused: Refused
+    method: str, track: dict[str, Any], message: str, tmp_path: Path, refused: Refused
 ) -> None:
-    runs = [{"methods": ["rainbow"], "tracks": ["safe"]}]
+    if method == "greedy" and "hyperparameters" in track:
+        pytest.skip("no learner has them")
+    runs = [{"methods": [method], "tracks": ["safe"]}]
     path = smoke_file(tmp_path, "odd", track=track, runs=runs)
     words = ["--preset", str(path), "--results", str(tmp_path / "results")]
     assert message in refused("run", *words)
@@ -121,7 +124,7 @@ def test_an_impossible_cell_is_refused_before_the_start(
 
 
 class FakeJob(Job):
-    """A run whose progress the test writes."""
+    """A run whose progress the test writes; its note "deleted" leaves no folder of it."""
 
     def __init__(self, folder: RunFolder, script: Iterator[tuple[float, str]]) -> None:
         self.log, self.folder, self.script = folder.log, folder, script
@@ -139,6 +142,8 @@ class FakeJob(Job):
             self.code = int(share)
         elif share == 1.0:
             self.folder.write_meta({"training": {"set_aside": ["broken-step-7"]}})
+            if note == "deleted":
+                (self.folder.path / "meta.json").write_text("{", encoding="utf-8")
             self.code = 0
         else:
             self.folder.write_progress(share, note)
@@ -209,6 +214,15 @@ def test_each_run_has_a_line_and_all_have_one_together(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("quick_polls")
+@pytest.mark.usefixtures("quick_polls")
+def test_a_run_that_was_damaged_ends_no_other(tmp_path: Path) -> None:
+    scripts = {cell: [(0.5, ""), (1.0, "deleted" if cell == CELLS[0] else "")] for cell in CELLS}
+    outcome, _, text = fake_run(tmp_path, 1, scripts)
+    assert list(outcome.failed) == [CELLS[0]]
+    assert sorted(outcome.trained) == sorted(CELLS[1:])
+    assert "meta.json" in text
+
+
 def test_what_earlier_calls_have_done_counts_as_done(tmp_path: Path) -> None:
     store = Store.open(tmp_path, "fake", create=True)
     for cell in CELLS[:2]:

@@ -198,7 +198,7 @@ def test_other_starts_are_starts_of_their_own(
         (["run", "--preset", "smoke", "--device", "cuda"], "PyTorch finds no GPU here"),
         (
             ["evaluate", "--preset", "smoke", "--planner", "astar"],
-            "known: optimum, rrt_connect, rrt_lattice, or module:function",
+            "known: optimum, or module:function",
         ),
     ],
 )
