@@ -22,7 +22,7 @@ from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy, RainbowPolicy
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.replay.parameters import check_buffer_size, smallest_buffer
-from sb3_rainbow.resume.resumable import ResumableAlgorithm
+from sb3_rainbow.resume.resumable import ResumableAlgorithm, refuse_checkpoint
 from sb3_rainbow.settings import (
     NETWORK_ARGUMENTS,
     SettingsMismatchError,
@@ -287,6 +287,7 @@ class Rainbow(ResumableAlgorithm):
         if issubclass(buffer_class, PrioritizedReplayBuffer | NStepReplayBuffer):
             kwargs |= {"n_steps": self.n_steps, "gamma": self.gamma}
         if issubclass(buffer_class, PrioritizedReplayBuffer):
+            self.optimize_memory_usage = False  # or SB3 would warn of what its own buffer does
             kwargs["alpha"] = self.alpha if self.prioritized else 0.0
         kwargs |= self.replay_buffer_kwargs
         if issubclass(buffer_class, PrioritizedReplayBuffer):
@@ -490,6 +491,7 @@ class Rainbow(ResumableAlgorithm):
                 another support.
         """
         if not isinstance(load_path_or_dict, dict):
+            refuse_checkpoint(load_path_or_dict)
             check_support_of_file(support_in_file(load_path_or_dict), self._support)
         try:
             super().set_parameters(load_path_or_dict, exact_match, device)

@@ -68,9 +68,9 @@ def capture_terminal_masks(env: VecEnv) -> None:
     inner = env.unwrapped
     if not isinstance(inner, DummyVecEnv) or not is_masking_supported(inner):
         return
-    for i, wrapped in enumerate(inner.env_is_wrapped(TerminalActionMask)):
-        if not wrapped:
-            inner.envs[i] = TerminalActionMask(inner.envs[i])
+    for i, env_of_row in enumerate(inner.envs):
+        if type(env_of_row) is not TerminalActionMask:  # one further in has not all masks' say
+            inner.envs[i] = TerminalActionMask(env_of_row)
 
 
 def as_action_masks(masks: ArrayLike, n_envs: int, n_actions: int) -> NDArray[np.bool_]:
@@ -125,7 +125,7 @@ def with_terminal_observations(
             terminal = normalizer.unnormalize_obs(terminal)
         for key, part in result.items() if isinstance(result, dict) else [(None, result)]:
             value = terminal if key is None else terminal[key]
-            whole = part.dtype.kind in "iu"  # a normalizer's way there and back rounds
+            whole = part.dtype.kind in "biu"  # a normalizer's way there and back rounds
             part[env] = np.rint(np.asarray(value)) if whole else value
     return result
 

@@ -29,7 +29,8 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
     """SB3's off-policy loop for discrete actions, some of which an env may forbid.
 
     Masks are asked for once a step, after it, and serve the target of that step and the choice of
-    the next action. A subclass sets ``use_masking`` and defines ``predict(action_masks=)``.
+    the next action; before the first action of a rollout once more, as a callback may have changed
+    the env. A subclass sets ``use_masking`` and defines ``predict(action_masks=)``.
     """
 
     action_space: spaces.Discrete
@@ -37,6 +38,7 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
     _masking: bool = False
     _warned_of_lost_mask: bool = False
     _last_action_masks: NDArray[np.bool_] | None = None
+    _may_have_changed: bool = False  # the masks, as callbacks were called since
 
     def _setup_learn(self, *args: Any, **kwargs: Any) -> tuple[int, BaseCallback]:
         before = self._last_obs
@@ -70,6 +72,7 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
         SB3 drops it, although the env has moved: a training that goes on
         (``reset_num_timesteps=False``) would store a transition that skips a step.
         """
+        self._may_have_changed = self._masking
         rollout = super().collect_rollouts(env, callback, *args, **kwargs)
         if not rollout.continue_training:
             buffer, step = self.replay_buffer, callback.locals
@@ -90,6 +93,8 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
     def _sample_action(
         self, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
     ) -> tuple[NDArray, NDArray]:
+        if self._may_have_changed:
+            self._may_have_changed, self._last_action_masks = False, self._current_masks()
         if self.num_timesteps < learning_starts:
             actions = self._random_actions(n_envs, self._last_action_masks)
         else:

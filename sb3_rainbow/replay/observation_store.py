@@ -109,9 +109,10 @@ class ObservationStore:
         """Keep the env's newest observation as what the step in ``row`` led to."""
         if not self._free_slots:
             n_slots = len(next(iter(self._boundary.values())))
+            more = min(n_slots, (self.n_rows + 1) * self.n_envs - n_slots)
             for key, values in self._boundary.items():
-                self._boundary[key] = np.concatenate([values, np.zeros_like(values)])
-            self._free_slots = list(range(n_slots, 2 * n_slots))
+                self._boundary[key] = np.concatenate([values, np.zeros_like(values[:more])])
+            self._free_slots = list(range(n_slots, n_slots + more))
         slot = self._free_slots.pop()
         for values in self._boundary.values():
             values[slot] = values[env]

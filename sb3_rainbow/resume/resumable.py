@@ -33,6 +33,14 @@ SelfResumable = TypeVar("SelfResumable", bound="ResumableAlgorithm")
 _BUFFER_SETTINGS = ("observation_space", "action_space", "n_envs", "n_steps", "alpha")
 
 
+def refuse_checkpoint(path: Any) -> None:
+    """Raise ``ValueError`` for a checkpoint where the file of a model is meant."""
+    if isinstance(path, str | pathlib.Path):
+        for name in (path, f"{path}.zip"):  # SB3 adds the ending
+            if is_checkpoint(name):
+                raise ValueError(f"{name} is a checkpoint: use load_checkpoint()")
+
+
 class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
     """SB3's saving with the random generators, checks of what is loaded, and checkpoints."""
 
@@ -90,8 +98,7 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
         Raises:
             ValueError: for a file of :meth:`save_checkpoint`.
         """
-        if isinstance(path, str | pathlib.Path) and is_checkpoint(path):
-            raise ValueError(f"{path} is a checkpoint: use load_checkpoint()")
+        refuse_checkpoint(path)
         model = super().load(
             path, env, device, custom_objects, print_system_info, force_reset, **kwargs
         )

@@ -15,8 +15,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from sb3_rainbow.masking.conventions import ActionMaskError
 from sb3_rainbow.rainbow import Rainbow
 from sb3_rainbow.resume.checkpoint import is_checkpoint
-from sb3_rainbow.zoo.files import ALGO, ZooError, is_model_file, loading
-from sb3_rainbow.zoo.model_file import read_model
+from sb3_rainbow.zoo.files import ALGO, VEC_NORMALIZE, ZooError, is_model_file, loading
+from sb3_rainbow.zoo.model_file import read_model, take_statistics
 from sb3_rainbow.zoo.playing import masks_apply
 
 CHECKPOINT = "checkpoint.zip"
@@ -128,6 +128,7 @@ class RainbowExperimentManager(ExperimentManager):
             if is_model_file(path):
                 given = {k: v for k, v in hyperparams.items() if not k.startswith("policy")}
                 given |= {"seed": self.seed, "verbose": self.verbose, "device": self.device}
+                take_statistics(path.with_name(VEC_NORMALIZE), env)
                 return read_model(path, env=env, tensorboard_log=self.tensorboard_log, **given)
             with loading(path):
                 if not is_checkpoint(path) and not replay.exists():

@@ -11,6 +11,7 @@ from sb3_rainbow.resume.checkpoint import members
 
 ALGO = "rainbow"  # its name in the zoo, and in the names of files
 SETTINGS = "settings.json"  # in a file that holds no pickle
+VEC_NORMALIZE = "vec_normalize.zip"  # the statistics beside a packaged model
 
 
 class ZooError(ValueError):

@@ -14,11 +14,10 @@ from stable_baselines3.common.utils import get_system_info
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize, unwrap_vec_normalize
 
 from sb3_rainbow.rainbow import Rainbow
-from sb3_rainbow.zoo.files import ALGO, ZooError, is_model_file, loading
+from sb3_rainbow.zoo.files import ALGO, VEC_NORMALIZE, ZooError, is_model_file, loading
 from sb3_rainbow.zoo.model_file import read_model, read_statistics, write_model, write_statistics
 from sb3_rainbow.zoo.playing import masks_apply
 
-VEC_NORMALIZE = "vec_normalize.zip"
 _CARD = """\
 # **Rainbow** playing **{env_id}**
 

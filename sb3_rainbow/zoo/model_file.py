@@ -9,6 +9,7 @@ of the network that the settings describe before memory is asked for.
 import inspect
 import json
 import os
+import pathlib
 import types
 import zipfile
 from collections.abc import Callable
@@ -25,7 +26,7 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.torch_layers import CombinedExtractor, FlattenExtractor, NatureCNN
 from stable_baselines3.common.type_aliases import GymEnv, TrainFreq
 from stable_baselines3.common.utils import ConstantSchedule, FloatSchedule, LinearSchedule
-from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize, unwrap_vec_normalize
 from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
 from torch import nn
 
@@ -58,7 +59,7 @@ _OF_THE_MACHINE = {
     *("self", "env", "tensorboard_log", "verbose", "seed", "device"),
     *("cpu_kernels", "_init_setup_model"),
 }
-_MOST_STEPS = 1_000
+_MOST_STEPS, _MOST_ROOM = 1_000, 1_000_000
 _INTEGERS = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 _COUNTERS: dict[str, type] = {
     "num_timesteps": int,
@@ -131,8 +132,8 @@ def read_model(
         kind: class of the model.
         env: environment to go on learning in.
         device: torch device.
-        changed: arguments of the constructor that differ from those in the file. Without a
-            ``buffer_size`` it is the smallest.
+        changed: arguments of the constructor that differ from those in the file. Without an ``env``
+            the ``buffer_size`` is the smallest, with one the file's, a million at most.
 
     Raises:
         ZooError: if the file is of another form, damaged, or does not fit together.
@@ -140,8 +141,11 @@ def read_model(
     with loading(path):
         settings, arrays = _read(path, _MODEL)
         arguments = _checked(settings.pop("arguments"), _HINTS)
-        if arguments.get("n_steps", 1) > _MOST_STEPS:  # the smallest buffer holds one return
-            raise ValueError(f"n_steps cannot be {arguments['n_steps']}: at most {_MOST_STEPS}")
+        for given in (arguments, arguments.get("replay_buffer_kwargs") or {}):
+            n_steps = given.get("n_steps", 1)  # the smallest buffer holds one return
+            if not isinstance(n_steps, int) or n_steps > _MOST_STEPS:
+                raise ValueError(f"n_steps cannot be {n_steps!r}: at most {_MOST_STEPS}")
+        room = 1 if env is None else min(arguments.get("buffer_size", _MOST_ROOM), _MOST_ROOM)
         policy_kwargs = _checked(settings.pop("policy_kwargs"), _POLICY_HINTS)
         counters = _checked(settings.pop("counters"), _COUNTERS)
         own_spaces = {name: _read_space(value, name, arrays) for name, value in settings.items()}
@@ -153,7 +157,7 @@ def read_model(
             device=device,
             policy_kwargs=policy_kwargs,
             _init_setup_model=False,
-            **{**arguments, "buffer_size": 1, **changed},
+            **{**arguments, "buffer_size": room, **changed},
         )
         model.observation_space = own_spaces["observation_space"]
         model.action_space = own_spaces["action_space"]  # type: ignore[assignment]
@@ -179,7 +183,9 @@ def write_statistics(normalizer: VecNormalize, path: str | os.PathLike[str]) -> 
         for name, statistics in _statistics(normalizer).items()
         for part in ("mean", "var", "count")
     }
-    settings = {name: getattr(normalizer, name) for name in _NORMALIZER_HINTS}
+    settings = {name: _plain(name, getattr(normalizer, name)) for name in _NORMALIZER_HINTS}
+    for name in ("clip_obs", "clip_reward"):  # JSON knows no infinity
+        settings[name] = min(settings[name], float(np.finfo(np.float32).max))
     _write(path, {"format": _STATISTICS, "arguments": settings}, arrays)
 
 
@@ -203,6 +209,24 @@ def read_statistics(path: str | os.PathLike[str], venv: VecEnv) -> VecNormalize:
         return normalizer
 
 
+def take_statistics(path: pathlib.Path, env: VecEnv) -> None:
+    """Give the ``VecNormalize`` of an env the statistics of a packaged model, if it has some.
+
+    Raises:
+        ZooError: if the env normalizes nothing.
+    """
+    if not path.is_file():
+        return
+    normalizer = unwrap_vec_normalize(env)
+    if normalizer is None:
+        raise ZooError(
+            f"{path}: the model acts on normalized observations, this env does not normalize: add "
+            "--hyperparams normalize:True"
+        )
+    stored = read_statistics(path, normalizer.venv)
+    normalizer.obs_rms, normalizer.ret_rms = stored.obs_rms, stored.ret_rms
+
+
 def _statistics(normalizer: VecNormalize) -> dict[str, RunningMeanStd]:
     statistics = {"returns": normalizer.ret_rms}
     if normalizer.norm_obs:
@@ -214,8 +238,9 @@ def _statistics(normalizer: VecNormalize) -> dict[str, RunningMeanStd]:
 
 
 def _write(path: str | os.PathLike[str], settings: dict[str, Any], arrays: Arrays) -> None:
+    text = json.dumps(settings, indent=1, allow_nan=False) + "\n"
     with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr(SETTINGS, json.dumps(settings, indent=1, allow_nan=False) + "\n")
+        archive.writestr(SETTINGS, text)
         archive.writestr(_ARRAYS, save_arrays(arrays))
 
 

@@ -11,7 +11,11 @@ import torch as th
 from gymnasium import spaces
 from sb3_contrib.common.wrappers import ActionMasker
 from stable_baselines3.common.buffers import ReplayBuffer
-from stable_baselines3.common.callbacks import CallbackList, StopTrainingOnMaxEpisodes
+from stable_baselines3.common.callbacks import (
+    BaseCallback,
+    CallbackList,
+    StopTrainingOnMaxEpisodes,
+)
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecNormalize
@@ -317,3 +321,47 @@ def test_it_serves_sb3s_buffer_normalization_and_lists_of_callbacks() -> None:
     goes_on = buffer.dones[stored, 0] == 0
     after = buffer.observations[1 : buffer.pos]
     np.testing.assert_array_equal(buffer.next_observations[stored][goes_on], after[goes_on])
+
+
+class Switched(gym.Env):
+    """One of two actions is allowed; a callback says which."""
+
+    observation_space = spaces.Box(0.0, 1.0, (1,))
+    action_space = spaces.Discrete(2)
+    allowed = 0
+
+    def reset(self, **_: Any) -> Any:
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action: int) -> Any:
+        assert action == self.allowed
+        return np.zeros(1, np.float32), 0.0, False, False, {}
+
+    def action_masks(self) -> np.ndarray:
+        return np.arange(2) == self.allowed
+
+
+def test_masks_follow_what_a_callback_does_between_rollouts() -> None:
+    class Switch(BaseCallback):
+        def _on_rollout_start(self) -> None:
+            (env,) = self.training_env.envs  # type: ignore[attr-defined]
+            env.unwrapped.allowed = 1 - env.unwrapped.allowed
+
+        def _on_step(self) -> bool:
+            return True
+
+    Rainbow("MlpPolicy", Switched(), learning_starts=10, device="cpu").learn(40, Switch())
+
+
+def test_the_outermost_masks_are_those_of_a_truncated_state() -> None:
+    masks = np.arange(N_ACTIONS) == 2
+
+    class Free(ClockEnv):
+        def action_masks(self) -> np.ndarray:
+            return np.ones(N_ACTIONS, bool)
+
+    env = ActionMasker(TerminalActionMask(Free()), lambda _: masks)
+    model = Rainbow("MlpPolicy", env, n_steps=1, learning_starts=10, device="cpu").learn(40)
+    buffer: Any = model.replay_buffer
+    stored = buffer.samples_at(np.arange(39)).next_action_masks.numpy()
+    assert (stored == masks).all()

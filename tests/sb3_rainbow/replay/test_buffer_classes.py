@@ -1,5 +1,6 @@
 """Rainbow with SB3's replay buffers, and ours where SB3's would stand."""
 
+import warnings
 from typing import Any
 
 import gymnasium as gym
@@ -81,6 +82,8 @@ class Sevens(gym.Env):
     def _seen(self) -> Any:
         if isinstance(self.observation_space, spaces.Dict):
             return {"count": np.array([self.count])}
+        if self.observation_space.dtype == bool:
+            return np.array([self.count == 7, False])
         return np.full(self.observation_space.shape, self.count, np.int64)
 
 
@@ -143,11 +146,31 @@ def test_sb3s_n_step_buffer_lacks_only_the_priorities() -> None:
     assert (model.prioritized, model.n_steps) == (False, 3)
 
 
+def test_a_state_of_flags_ends_as_it_ended() -> None:
+    space = spaces.Box(0, 1, (2,), np.bool_)  # type: ignore[arg-type]
+    env = VecNormalize(DummyVecEnv([lambda: Sevens(space)]))
+    buffer: Any = Rainbow("MlpPolicy", env, n_steps=1, **FAST).learn(60).replay_buffer
+    samples = buffer.samples_at(np.arange(59))
+    ends = samples.next_observations[4::5]  # truncated at 35
+    assert not ends.any()
+
+
+def test_what_outlives_its_row_needs_no_more_room_than_rows() -> None:
+    space = spaces.Box(0, 99, (64,), np.float32)
+    buffer = PrioritizedReplayBuffer(1100, space, spaces.Discrete(2), device="cpu", n_steps=1)
+    one = np.ones((1, 64), np.float32)
+    for step in range(2500):  # episodes of one step: each row leads to an observation of its own
+        done = np.array([True])
+        buffer.add(step * one, -step * one, np.zeros((1, 1)), np.zeros(1), done, [{}])
+    (boundary,) = buffer._store._boundary.values()
+    assert len(boundary) <= 1101
+
+
 def test_optimize_memory_usage_is_accepted() -> None:
     model = Rainbow("MlpPolicy", "CartPole-v1", optimize_memory_usage=True, **FAST)
     model.learn(40).learn(40, reset_num_timesteps=False)
-    # The env is reset in the middle of an episode, of which SB3 warns.
-    with pytest.warns(UserWarning, match="The last trajectory in the replay buffer"):
+    with warnings.catch_warnings():  # SB3 would warn of what its own buffer does at a reset
+        warnings.simplefilter("error")
         model.learn(40)
     buffer = model.replay_buffer
     assert isinstance(buffer, PrioritizedReplayBuffer)

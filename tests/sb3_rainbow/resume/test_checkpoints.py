@@ -198,3 +198,5 @@ def test_a_checkpoint_refuses_a_new_normalization_but_not_a_new_gamma(tmp_path: 
     assert other.learn(20, reset_num_timesteps=False).replay_buffer.gamma == 0.9
     with pytest.raises(ValueError, match=r"run\.ckpt is a checkpoint: use load_checkpoint"):
         Rainbow.load(path)
+    with pytest.raises(ValueError, match="is a checkpoint"):
+        model.set_parameters(str(path), exact_match=False)

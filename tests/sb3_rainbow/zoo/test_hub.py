@@ -98,6 +98,8 @@ def test_a_package_holds_model_card_and_results() -> None:
         assert part in card.text
     loaded = hub.load(path, buffer_size=1)
     assert same_actions(model, loaded)
+    goes_on: Any = hub.load(path, env=env)
+    assert goes_on.replay_buffer.buffer_size == 1000  # of 2 envs each
     assert zipfile.ZipFile(path).namelist() == ["settings.json", "arrays.safetensors"]
 
 
@@ -223,6 +225,7 @@ def forged(path: Path, where: str, name: str, value: Any) -> Path:
         ("arguments", "predict", 1, "unknown setting predict"),
         ("arguments", "gamma", "0.9", "gamma cannot be '0.9'"),
         ("arguments", "n_steps", 10**9, "n_steps cannot be 1000000000: at most 1000"),
+        ("arguments", "replay_buffer_kwargs", {"n_steps": 10**8}, "n_steps cannot be 100000000"),
         ("arguments", "gamma", float("nan"), "NaN is no number"),
         ("arguments", "gamma", 1.5, r"gamma must lie in \[0, 1\]"),
         ("arguments", "policy", "os.mkdir", "policy cannot be 'os.mkdir'; known: RainbowPolicy"),
@@ -257,7 +260,7 @@ def test_arrays_are_held_against_the_network() -> None:
 
 
 def test_statistics_travel_along() -> None:
-    env = VecNormalize(make_vec_env("CartPole-v1"), clip_obs=5.0)
+    env = VecNormalize(make_vec_env("CartPole-v1"), clip_obs=np.inf, clip_reward=np.float32(9.0))  # type: ignore[arg-type]
     model = model_of(env)
     package(model)
     loaded = hub.load_vec_normalize("out/vec_normalize.zip", make_vec_env("CartPole-v1"))

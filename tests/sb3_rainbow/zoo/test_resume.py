@@ -7,7 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import VecNormalize
 
+from sb3_rainbow import Rainbow
+from sb3_rainbow.zoo import hub
 from tests.sb3_rainbow.zoo.runs import train, trained, workplace
 
 __all__ = ["workplace"]
@@ -84,3 +88,15 @@ def test_a_checkpoint_of_other_settings_is_named() -> None:
     for file in ("checkpoint.zip", "CartPole-v1.zip"):
         with pytest.raises(SystemExit, match=f"{file} cannot be loaded as Rainbow: .*n_steps=2"):
             train(f"-i {RUN}/{file} --hyperparams n_steps:4")
+
+
+def test_a_packaged_model_goes_on_by_the_statistics_beside_it() -> None:
+    env = VecNormalize(make_vec_env("CartPole-v1"))
+    model = Rainbow("MlpPolicy", env, learning_starts=10, buffer_size=500, device="cpu").learn(300)
+    path = hub.package(model, "CartPole-v1", "out", eval_env=env, command="", n_eval_episodes=1)
+    train(f"-i {path} -n 50 --env CartPole-v1 --hyperparams normalize:True")
+    saved = Path("logs/rainbow/CartPole-v1_1/CartPole-v1/vecnormalize.pkl")
+    went_on: Any = VecNormalize.load(str(saved), make_vec_env("CartPole-v1"))
+    assert went_on.obs_rms.count > 300
+    with pytest.raises(SystemExit, match="normalize:True"):
+        train(f"-i {path} -n 50 --env CartPole-v1")
