@@ -103,7 +103,9 @@ def _variants(results: Results, track: str) -> list[Picture]:
     ):
         shown = [group for group in groups.values() if group.curves()]
         if len(shown) > 1 and not {group.ablation for group in shown} <= elsewhere:
-            curves = partial(draws, groups, bounds=results.references(track))
+            # what bounds the two geometries differs
+            bounds = results.references(track) if name == "ablation" else ()
+            curves = partial(draws, groups, bounds=bounds)
             result.append(Picture(f"{track}_{name}", curves))
     return result
 
@@ -161,7 +163,7 @@ def _coloured(groups: Groups) -> list[tuple[str, Group, str]]:
     titles = {**labels.METHODS, "masked_dqn": labels.MASKED_DQN}
     methods = {title: METHOD_COLOURS.get(key) for key, title in titles.items()}
     return [
-        (name, group, methods.get(name) or f"C{i}")
+        (name, group, methods.get(name) or ("C7" if group.ablation == "none" else f"C{i}"))
         for i, (name, group) in enumerate(groups.items())
     ]
 
