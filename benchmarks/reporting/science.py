@@ -31,7 +31,9 @@ def short(results: Results) -> str:
     report = sentences(results)
     parts = [report[topic].partition("\n\n")[0] for topic in SHORT if topic in report]
     done = len(results.all())
-    count = f"So far {done} of {max(done, planned(results))} runs are complete."
+    whole = max(done, planned(results))
+    count = f"All {done} runs" if done == whole else f"So far {done} of {whole} runs"
+    count += " are complete."
     parts += [six(results).markdown(), count]
     return "\n\n".join(part.strip() for part in parts)
 

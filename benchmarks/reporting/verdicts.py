@@ -223,7 +223,8 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
             said += f" In training, in which the weights go on changing, it is {points} above."
     if len(singles) == wanted:
         fewest = min(c.difference.n for c in singles)
-        several = f"Of {wanted} removals of one component, each on {fewest} seeds or more"
+        more = "" if all(c.difference.n == fewest for c in singles) else " or more"
+        several = f"Of {wanted} removals of one component, each on {fewest} seeds{more}"
         corrected = f"beyond chance after the correction for {wanted} tests"
         if costs:
             details = f"{several}, these cost success {corrected}: {_listed(costs)}."
