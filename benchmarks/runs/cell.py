@@ -104,6 +104,7 @@ def run_once(
         if folder.is_complete():  # by the process that was waited for
             return True
         folder.begin(config)
+        begun = folder.config()  # of which a learner's constructor changes nothing
         made_by = machine.describe()  # now: the sources may change while the run is on
         began = time.perf_counter(), time.process_time()
         try:
@@ -114,7 +115,7 @@ def run_once(
         if record is None:
             return False
         spent = _spent(record["training"], *began)
-        folder.begin(config)  # anew, where somebody has deleted the folder meanwhile
+        folder.begin(begun)  # anew, where somebody has deleted the folder meanwhile
         folder.write_meta({
             **{"cell": folder.id, "preset": name}, **spent, **record, **made_by
         })  # fmt: skip

@@ -182,7 +182,7 @@ def test_a_run_is_stored_planned_and_reported(
     ("change", "message"),
     [
         ({"methods": ["a2c"]}, "unknown method 'a2c'; known: "),
-        ({"methods": ["dqn", "dqn"]}, "methods: must be some, and differ"),
+        ({"methods": ["dqn", "dqn"]}, "methods: needs one value or more"),
         ({"tasks": {"cartpol": {}}}, "tasks: cartpol: unknown base 'cartpol'; known: "),
         ({"controls": ["held"], "search": True}, "controls: a search compares settings"),
         ({"controls": ["oracle"]}, "controls: unknown 'oracle'; known: held, random, script"),
