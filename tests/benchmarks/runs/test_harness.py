@@ -101,21 +101,18 @@ def test_an_orphan_knows_that_it_should_stop() -> None:
 
 
 @pytest.mark.parametrize(
-    ("track", "message"),
+    ("method", "track", "message"),
     [
-        ({"hyperparameters": {"v_min": 30.0}}, "v_min"),
-        ({"hyperparameters": {"gamma": 1.5}}, "gamma"),
-        ({"hyperparameters": {"n_atoms": 1}}, "n_atoms"),
-        ({"reward_kwargs": {"step_costs": 0.1}}, "step_costs"),
-        ({"observation": "papers"}, "papers"),
+        ("rainbow", {"hyperparameters": {"v_min": 30.0}}, "v_min"),
+        ("rainbow", {"hyperparameters": {"gamma": 1.5}}, "gamma"),
+        ("rainbow", {"hyperparameters": {"n_atoms": 1}}, "n_atoms"),
+        *((m, {"reward_kwargs": {"step_costs": 0.1}}, "step_costs") for m in ("rainbow", "greedy")),
+        *((m, {"observation": "papers"}, "papers") for m in ("rainbow", "greedy")),
     ],
 )
-@pytest.mark.parametrize("method", ["rainbow", "greedy"])
 def test_an_impossible_cell_is_refused_before_the_start(
     method: str, track: dict[str, Any], message: str, tmp_path: Path, refused: Refused
 ) -> None:
-    if method == "greedy" and "hyperparameters" in track:
-        pytest.skip("no learner has them")
     runs = [{"methods": [method], "tracks": ["safe"]}]
     path = smoke_file(tmp_path, "odd", track=track, runs=runs)
     words = ["--preset", str(path), "--results", str(tmp_path / "results")]
