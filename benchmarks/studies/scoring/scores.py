@@ -27,7 +27,7 @@ from benchmarks.evaluation.model_files import load_stored
 from benchmarks.protocol.metrics import EXTRA_METRICS, PAPER_METRICS
 from benchmarks.protocol.plan import DESIGN, Cell, own_error
 from benchmarks.protocol.presets import Preset, load_preset
-from benchmarks.reporting.results import Result
+from benchmarks.reporting.results import AS_TRAINED, MAIN, Result
 from benchmarks.reporting.tables.table import plain
 from benchmarks.runs.backends import Backend, default_jobs
 from benchmarks.runs.cell import ProgressReporter
@@ -126,19 +126,22 @@ class Replay(Insertion):
         return "; " + next(in_words(Result.read(folder, {}).test(), "now"))
 
     def compare(self, store: Store, console: Console) -> None:
-        """Success of each run, stored and now, and how many came out as stored to the episode."""
+        """Success of each run in both ways of acting, stored and now, and how many are alike."""
         rows, equal = [], 0
         for cell in self._cells:
             first, again = (Result.read(s.run(cell.id), {}) for s in (self.source, store))
             columns = first.episodes.columns.drop("plan_seconds")  # of runs that are older, fewer
             equal += first.episodes[columns].equals(again.episodes[columns])
-            tests = again.test()
-            stored = first.test()
-            if self.starts is None:  # the same episodes, where only some were played
-                stored = stored[stored["episode"].isin(tests["episode"])]
-            rates = [100.0 * one["success"].mean() for one in (stored, tests)]
-            rows.append([cell.id, *(f"{rate:.1f}" for rate in rates)])
-        text = plain("Success (%) of the played runs", "run | stored | now", rows)
+            row = [cell.id]
+            for level in (MAIN, AS_TRAINED):
+                stored, tests = first.test(level), again.test(level)
+                if self.starts is None:  # the same episodes, where only some were played
+                    stored = stored[stored["episode"].isin(tests["episode"])]
+                rates = [100.0 * one["success"].mean() for one in (stored, tests)]
+                row += [f"{rate:.1f}" if len(tests) else "-" for rate in rates]
+            rows.append(row)
+        head = "run | greedily: stored | now | as trained: stored | now"
+        text = plain("Success (%) of the played runs; scripts with 5 % random moves", head, rows)
         console.print(text, markup=False, highlight=False)
         if self.starts is None and self.episodes is None:
             console.print(f"Runs whose every episode came out as stored: {equal} of {len(rows)}")
