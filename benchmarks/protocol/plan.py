@@ -41,6 +41,7 @@ SCRIPTED: Final = (
 # bytes of a transition in a checkpointed replay buffer: of the insertion task; two images of
 # 10 x 10 x 7; a stack of frames
 TRANSITION_BYTES: Final = (200, 1_600, 60_000)
+#: what a cell's folder may be called
 _FOLDER: Final = re.compile(r"[\w.+-]+")
 # roughly the seconds of an environment step relative to others, for progress bars alone
 ATARI_COST: Final = 10.0
@@ -118,7 +119,7 @@ def expand(preset: Preset | SuitePreset) -> list[Cell]:
     """
     if isinstance(preset, SuitePreset):  # so that an early stop leaves whole rows
         suite = _of_suite(preset)
-        check_ids(preset.name, suite)
+        _check_ids(preset.name, suite)
         return sorted(suite, key=lambda c: (c.seed, -units_of(settings(preset, c))))
     cells: dict[Cell, None] = {}
     for group in preset.runs:
@@ -136,7 +137,7 @@ def expand(preset: Preset | SuitePreset) -> list[Cell]:
             f"preset '{preset.name}' holds no run: runs and design are empty, or a group lists no "
             "methods"
         )
-    check_ids(preset.name, cells)
+    _check_ids(preset.name, cells)
     return sorted(cells, key=lambda cell: (-units_of(settings(preset, cell)), cell.seed))
 
 
@@ -150,7 +151,7 @@ def _of_suite(preset: SuitePreset) -> list[Cell]:
     return cells
 
 
-def check_ids(preset: str, cells: Iterable[Cell]) -> None:
+def _check_ids(preset: str, cells: Iterable[Cell]) -> None:
     """Refuse names that make no folder, or the same one for two cells.
 
     Raises:

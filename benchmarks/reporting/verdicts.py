@@ -134,10 +134,9 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
         details.append(f"Greedily, Rainbow reaches {_rate(greedy)}.")
     if others:
         details.append(f"{'As trained, ' if way else ''}{_joined(others)}.")
-    if all(curves := [row.curves() for row in (ours, *(row for _, row in others))]):
-        late = [over_seeds([100.0 * tail_mean(c, "success") for c in each]) for each in curves]
-        names = ["Rainbow", *(name for name, _ in others)]
-        parts = [f"{name} {_show(value)} %" for name, value in zip(names, late, strict=True)]
+    learners = [("Rainbow", ours), *others]
+    if all(row.curves() for _, row in learners):
+        parts = [f"{name} {_show(_late(row, 'success', 100.0))} %" for name, row in learners]
         details.append(
             "In the last tenth of training, in which the weights go on changing, these are "
             f"{', '.join(parts)}."
@@ -158,8 +157,8 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
 def _but_greedily(rival: Comparison, compared: list[Comparison]) -> str:
     """How far apart two that do as well as trained are greedily; empty where they are not."""
     for c in compared:
-        learners = c.theirs.method == rival.theirs.method and c.theirs.ablation == "full"
-        if c.question == MASKED and learners and outcome(c) != outcome(rival):
+        same = (c.theirs.method, c.theirs.ablation) == (rival.theirs.method, rival.theirs.ablation)
+        if c.question == MASKED and same and outcome(c) != outcome(rival):
             return f" as trained; greedily, Rainbow is {_above(c)} it"
     return ""
 
@@ -219,8 +218,8 @@ def components(results: Results, compared: list[Comparison]) -> Verdict:
         said = (
             f" Rainbow's success rate is {_above(together)} that of masked DQN, which lacks them."
         )
-        if points := _in_training(together):
-            said += f" In training, in which the weights go on changing, it is {points} above."
+        if change := _in_training(together):
+            said += f" In training, in which the weights go on changing, it is {change}."
     if len(singles) == wanted:
         fewest = min(c.difference.n for c in singles)
         more = "" if all(c.difference.n == fewest for c in singles) else " or more"
@@ -267,7 +266,12 @@ def _in_training(comparison: Comparison) -> str:
     ]  # fmt: skip
     points = [value - ends[1][seed] for seed, value in ends[0].items() if seed in ends[1]]
     value = measured(points, lambda: (math.nan, math.nan))
-    return value.signed(" points").removeprefix("+") if len(points) >= SEEDS else ""
+    return _above(dataclasses.replace(comparison, difference=value)) if value.n >= SEEDS else ""
+
+
+def _late(row: Group, column: str, scale: float = 1.0) -> Value:
+    """A column of the training curves in the last tenth of training, over seeds."""
+    return over_seeds([scale * tail_mean(curve, column) for curve in row.curves()])
 
 
 def _listed(removals: list[Comparison]) -> str:
@@ -330,10 +334,7 @@ def printed(results: Results) -> str:
     else:
         learns = "teaches" if row.success().mean >= LEARNS else "does not teach"
         verdict = f"The reward as printed {learns} the task.**"
-    reward, holes = (
-        over_seeds([tail_mean(curve, column) for curve in row.curves()])
-        for column in ("episode_reward", "holes")
-    )
+    reward, holes = (_late(row, column) for column in ("episode_reward", "holes"))
     return _paragraphs(
         f"**{verdict} {on_track(results, 'printed')}.",
         [

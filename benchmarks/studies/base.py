@@ -211,7 +211,10 @@ class Measured(OfOneFile):
 
 def _as_json(value: Any) -> str:
     """JSON, with numpy's numbers as numbers and paths as text."""
-    plain = lambda each: each.item() if hasattr(each, "item") else str(each)  # noqa: E731
+
+    def plain(each: Any) -> Any:
+        return each.item() if hasattr(each, "item") else str(each)
+
     return json.dumps(value, indent=1, default=plain)
 
 

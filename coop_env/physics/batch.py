@@ -243,12 +243,13 @@ class PhysicsBatch(ABC):
         self._tare[row] = self.twin.place(row, start, base, self.friction[row]).wrench
         self.rngs[row] = rng
         self.command[row] = start
-        self._askew[row] = self.twin.platform_error(self.twin.readings(), self.command)[row]
+        now = self.twin.readings()
+        self._askew[row] = self.twin.platform_error(now, self.command)[row]
         self._action[row], self._wrench[row] = 0.0, 0.0
         self.steps[row], self.failure[row], self.peak[row], self.peak_force[row] = 0, 0, 0.0, 0.0
         self.success[row], self.taken[row] = False, True
         rows = slice(row, row + 1)
-        self.insertion[rows] = self._measure(self.twin.readings(), rows, self.hole)
+        self.insertion[rows] = self._measure(now, rows, self.hole)
 
     def _disturb(
         self, row: int, start: Floats, base: list[float], rng: np.random.Generator

@@ -9,7 +9,6 @@ import zipfile
 from collections.abc import Iterable
 from typing import Any, TypeVar
 
-import torch as th
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback
 
@@ -86,11 +85,7 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
     def load(
         cls: type[SelfResumable],
         path: str | pathlib.Path | io.BufferedIOBase,
-        env: GymEnv | None = None,
-        device: th.device | str = "auto",
-        custom_objects: dict[str, Any] | None = None,
-        print_system_info: bool = False,
-        force_reset: bool = True,
+        *args: Any,
         **kwargs: Any,
     ) -> SelfResumable:
         """As SB3's ``load``; a ``seed`` in ``kwargs`` wins over the saved random generators.
@@ -99,9 +94,7 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
             ValueError: for a file of :meth:`save_checkpoint`.
         """
         refuse_checkpoint(path)
-        model = super().load(
-            path, env, device, custom_objects, print_system_info, force_reset, **kwargs
-        )
+        model = super().load(path, *args, **kwargs)
         saved, model._rng_state = model._rng_state, None
         if kwargs.get("seed") is None:
             model._rng_to_resume = saved

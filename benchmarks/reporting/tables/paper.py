@@ -48,9 +48,8 @@ def performance(results: Results) -> Table:
             made.append([JOINTS_TIME.label, *_in_pairs(["-"] * 3, seconds)])
     if any(row.level != MAIN for row in result):
         made.append([GREEDILY, *_in_pairs(["-"] * 3, [row.tested(MAIN) for row in result])])
-    notes = [*_how(result), *seeds_notes(result)]
-    notes += [*stage_notes(result, [row.name for row in result])]
-    notes += [*failure_notes(results), FLAG_NOTE]
+    stages = stage_notes(result, [row.name for row in result])
+    notes = [*_how(result), *seeds_notes(result), *stages, *failure_notes(results), FLAG_NOTE]
     return Table("performance", f"Performance, {labels.track(track)}", header, made, notes)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -200,6 +201,17 @@ def test_what_the_components_are_worth(
     runs: dict[str, list[int]], verdict: str, report_of: Reports
 ) -> None:
     assert report_of(runs)["components"].startswith(f"**{verdict}")
+
+
+def test_the_difference_in_training_has_its_own_sign(results_of: Callable[..., Results]) -> None:
+    results = results_of(LEARNED)
+    for run in results.group("rainbow", "repaired").runs:
+        curve = run.folder.rows("curve")
+        curve.assign(success=0.0).to_csv(run.folder.path / "curve.csv", index=False)
+    store = Store.open(results.all()[0].folder.path.parents[2], "paper")
+    said = sentences(Results(store))["components"]
+    assert "Rainbow's success rate is 25.0 points [22.5, 27.5] above" in said
+    assert re.search(r"it is [1-9][\d.]* points \[[\d., ]*\] below\.", said)
 
 
 def test_a_removal_alone_says_nothing_of_all_components(report_of: Reports) -> None:
