@@ -30,22 +30,18 @@ if TYPE_CHECKING:
 
 # what compiles at a first call, and how long that takes
 _KERNELS = "kinematics, collisions, moves: up to a minute"
-_HOMES = {
-    "CoopInsertionEnv": "coop_env.env",
-    "CoopInsertionJointEnv": "coop_env.team.joint_env",
-    "CoopInsertionJointVecEnv": "coop_env.team.vec_env",
-    "CoopInsertionParallelEnv": "coop_env.team.parallel_env",
-    "CoopInsertionTeamVecEnv": "coop_env.team.vec_env",
-    "CoopInsertionVecEnv": "coop_env.vector.vec_env",
-    "CoopInsertionVectorEnv": "coop_env.vector.vector_env",
-    "DeltaGeometry": "coop_env.geometry",
-    "RRSGeometry": "coop_env.geometry",
-    "GEOMETRIES": "coop_env.geometry",
-    "INITIAL": "coop_env.geometry",
-    "OPTIMIZED": "coop_env.geometry",
-    "InsertionTask": "coop_env.simulation.insertion_task",
-    "SimToReal": "coop_env.simulation.sim_to_real",
+_NAMES = {
+    "env": ("CoopInsertionEnv",),
+    "geometry": ("GEOMETRIES", "INITIAL", "OPTIMIZED", "DeltaGeometry", "RRSGeometry"),
+    "simulation.insertion_task": ("InsertionTask",),
+    "simulation.sim_to_real": ("SimToReal",),
+    "team.joint_env": ("CoopInsertionJointEnv",),
+    "team.parallel_env": ("CoopInsertionParallelEnv",),
+    "team.vec_env": ("CoopInsertionJointVecEnv", "CoopInsertionTeamVecEnv"),
+    "vector.vec_env": ("CoopInsertionVecEnv",),
+    "vector.vector_env": ("CoopInsertionVectorEnv",),
 }
+_HOMES = {name: f"coop_env.{home}" for home, names in _NAMES.items() for name in names}
 
 __version__ = "0.1.0"
 
@@ -71,14 +67,10 @@ for _name, _steps, _home, _vector_home in (
 
 
 def parallel_env(sight: bool = False, **arguments: Any) -> CoopInsertionParallelEnv:
-    """The task for two agents at once, a PettingZoo ``ParallelEnv`` (extra ``team``).
-
-    Args:
-        sight: each agent sees the other's configuration.
-        arguments: as for :class:`~coop_env.team.joint_env.CoopInsertionJointEnv`.
+    """:class:`~coop_env.team.parallel_env.CoopInsertionParallelEnv`, as PettingZoo names it.
 
     Raises:
-        DependencyNotInstalled: PettingZoo is not installed.
+        DependencyNotInstalled: PettingZoo is not installed (extra ``team``).
         ArgumentError: an argument is wrong.
     """
     from coop_env.team.parallel_env import CoopInsertionParallelEnv

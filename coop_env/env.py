@@ -17,26 +17,15 @@ from coop_env.errors import (
     as_dataclass,
     check_flag,
     check_integer,
-)
-from coop_env.geometry import (
-    DeltaGeometry,
-    RRSGeometry,
-    resolve_delta,
-    resolve_rrs,
-)
+)  # fmt: skip
+from coop_env.geometry import DeltaGeometry, RRSGeometry, resolve_delta, resolve_rrs
 from coop_env.rendering.modes import Rendered
 from coop_env.rendering.scene import Scene, make_scene
 from coop_env.simulation import batch, rewards, start_states, state
 from coop_env.simulation.insertion_task import PAPER_TASK, InsertionTask
 from coop_env.simulation.observation import make_observation, observe_batch
 from coop_env.simulation.sim_to_real import SimToReal, resolve
-from coop_env.simulation.task import (
-    N_ACTIONS,
-    TRAIL,
-    EnvParams,
-    make_params,
-    pack,
-)
+from coop_env.simulation.task import N_ACTIONS, TRAIL, EnvParams, make_params, pack
 
 Observation = NDArray[np.float32]
 
@@ -185,7 +174,7 @@ class CoopInsertionEnv(Rendered):
     ) -> None:
         if collision not in ("refuse", "terminate"):
             raise ArgumentError(f"collision = {collision!r}: must be 'refuse' or 'terminate'")
-        self.set_stage(stage)
+        self.stage = stage
         self._task = as_dataclass("task", task, InsertionTask, {None: PAPER_TASK})
         self._set_render_mode(render_mode, self._task.dt)
         self._knobs = resolve(sim_to_real, self._task)
@@ -231,20 +220,20 @@ class CoopInsertionEnv(Rendered):
 
     @property
     def stage(self) -> int:
-        """The curriculum's stage from the next reset on; set it, or call :meth:`set_stage`."""
-        return self._stage
-
-    @stage.setter
-    def stage(self, stage: int) -> None:
-        self.set_stage(stage)
-
-    def set_stage(self, stage: int) -> None:
-        """Choose the active holes from the next reset on: 0 the four peripheral, 1 all six.
+        """The curriculum's stage from the next reset on: 0 the first holes, 1 all; set it.
 
         Raises:
             ArgumentError: it is not 0 or 1.
         """
+        return self._stage
+
+    @stage.setter
+    def stage(self, stage: int) -> None:
         self._stage = check_integer("stage", stage, 0, 1, hint=": the first holes, or all of them")
+
+    def set_stage(self, stage: int) -> None:
+        """Set :attr:`stage`, by ``env_method`` or ``call``."""
+        self.stage = stage
 
     @property
     def configuration(self) -> NDArray[np.float64]:
@@ -316,11 +305,7 @@ class CoopInsertionEnv(Rendered):
         return self._rows[0].copy(), batch.make_info(outcome)
 
     def check_options(self, options: Mapping[str, Any] | None) -> start_states.StartOptions:
-        """Reset options as :meth:`reset` takes them, checked against the present stage.
-
-        Raises:
-            ResetOptionError: an option is malformed, or names a state that cannot be taken.
-        """
+        """Options of :meth:`reset`, checked against the present stage; ResetOptionError."""
         active = self._task.active_holes(self._stage)
         return start_states.StartOptions(options, active, self._params)
 
@@ -387,7 +372,7 @@ class CoopInsertionEnv(Rendered):
         before = self._stage
         try:
             started = check_flag("started", snapshot["started"])
-            self.set_stage(snapshot["stage"])
+            self.stage = snapshot["stage"]
             self.np_random.bit_generator.state = snapshot["rng"]
         except (TypeError, ValueError, KeyError) as error:
             self._stage = before
@@ -400,22 +385,14 @@ class CoopInsertionEnv(Rendered):
 
 
 def check_action(action: Any, n_actions: int = N_ACTIONS, name: str = "action") -> int:
-    """The action as an int.
-
-    Raises:
-        ActionError: it is not an integer from 0 to ``n_actions - 1``.
-    """
+    """The action as an int from 0 to ``n_actions - 1``; ActionError."""
     if isinstance(action, np.ndarray) and action.ndim == 0:
         action = action[()]
     return check_integer(name, action, 0, n_actions - 1, error=ActionError)
 
 
 def check_snapshot(snapshot: Mapping[str, Any], own: Mapping[str, Any]) -> None:
-    """Compare a snapshot with one of the environment that is to take it.
-
-    Raises:
-        StateError: its keys, its shapes or its parameters differ.
-    """
+    """Raise StateError for a snapshot whose keys, shapes or parameters are not an environment's."""
     if not isinstance(snapshot, Mapping) or set(snapshot) != set(own):
         raise StateError(f"the snapshot must be a mapping with the keys {sorted(own)}")
     for key in ("states", "observations"):

@@ -48,11 +48,7 @@ def check_number(
     above: bool = False,
     error: type[ValueError] = ArgumentError,
 ) -> float:
-    """The value as a float within ``low`` to ``high``; ``above``: ``low`` itself is excluded.
-
-    Raises:
-        error: it is no number, not finite or out of the range.
-    """
+    """The value as a finite float within ``low`` to ``high``; ``above``: without ``low`` itself."""
     if isinstance(value, bool) or not isinstance(value, Real):
         raise error(f"{name} = {value!r}: must be a number")
     try:
@@ -68,6 +64,15 @@ def check_number(
     return number
 
 
+def keep_number(
+    owner: object, name: str, low: float = -math.inf, high: float = math.inf, **options: Any
+) -> None:
+    """Check a frozen dataclass's field as :func:`check_number` does, and keep it as a float."""
+    where = f"{type(owner).__name__}.{name}"
+    number = check_number(where, getattr(owner, name), low, high, **options)
+    object.__setattr__(owner, name, number)
+
+
 def check_integer(
     name: str,
     value: Any,
@@ -77,16 +82,9 @@ def check_integer(
     hint: str = "",
     error: type[ValueError] = ArgumentError,
 ) -> int:
-    """The value as an int within ``low`` to ``high``.
-
-    Raises:
-        error: it is no integer or out of the range; ``hint`` says what the numbers mean.
-    """
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, (int, np.integer))
-        or not low <= value <= high
-    ):
+    """The value as an int within ``low`` to ``high``; ``hint`` says what the numbers mean."""
+    number = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not (number and low <= value <= high):
         raise error(f"{name} = {value!r}: must be an integer from {low} to {high}{hint}")
     return int(value)
 
@@ -97,29 +95,14 @@ def is_list(value: Any) -> bool:
 
 
 def check_flag(name: str, value: Any) -> bool:
-    """The value, if it is True or False.
-
-    Raises:
-        ArgumentError: it is something else, 0 and 1 included.
-    """
+    """The value, if it is True or False; 0 and 1 are not."""
     if not isinstance(value, bool | np.bool_):
         raise ArgumentError(f"{name} = {value!r}: must be True or False")
     return bool(value)
 
 
 def as_dataclass(name: str, value: Any, kind: type[T], presets: Mapping[Any, T] = _NONE) -> T:
-    """The value, or a mapping of fields (from YAML, say) made into one of ``kind``.
-
-    Args:
-        name: of the argument.
-        value: given.
-        kind: a dataclass.
-        presets: what is meant by names, or by None.
-
-    Raises:
-        ArgumentError: it is none of these, or names a field that ``kind`` does not have, or misses
-            one.
-    """
+    """A dataclass of ``kind`` as it is, by its preset's name (or None), or from its fields."""
     if isinstance(value, kind):
         return value
     if isinstance(value, str | None) and value in presets:

@@ -1,8 +1,7 @@
 """The two robots' dimensions, as frozen dataclasses that cannot hold an impossible machine.
 
-The paper prints no dimensions. :data:`INITIAL` and :data:`OPTIMIZED` were found by a fit to its
-headline figures (workspace 0.82 to 1.16 rad^2), so they are no independent confirmation of them;
-``docs/fidelity.md`` says what does and does not come out.
+The paper prints no dimensions. :data:`INITIAL` and :data:`OPTIMIZED` were fitted to its headline
+figures (workspace 0.82 to 1.16 rad^2), so they do not confirm them; see ``docs/fidelity.md``.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
 
-from coop_env.errors import as_dataclass, check_number
+from coop_env.errors import as_dataclass, keep_number
 
 MAX_JOINT_VELOCITY: Final = 2.61
 """rad/s. The paper names no drives. These limits are published for joints 6 and 7 of the Franka
@@ -27,22 +26,14 @@ class GeometryError(ValueError):
     """A geometry that cannot be built or assembled; the message names the value and the mend."""
 
 
-def _check(owner: object, *names: str, positive: bool = True) -> None:
-    low = 0.0 if positive else -math.inf
-    for name in names:
-        where = f"{type(owner).__name__}.{name}"
-        number = check_number(where, getattr(owner, name), low, above=positive, error=GeometryError)
-        object.__setattr__(owner, name, number)  # numpy's and whole numbers, too, are floats here
-
-
 @dataclass(frozen=True, slots=True)
 class RRSGeometry:
     """Dimensions and limits of a 3-RRS with limbs at azimuths 0, 120 and 240 degrees.
 
-    Lengths in m, angles in rad. ``base_radius`` and ``platform_radius`` run from the centre to the
+    Lengths in m, angles in rad, joint limits in rad/s, rad/s^2 and rad/s^3 (see
+    :data:`MAX_JOINT_VELOCITY`). ``base_radius`` and ``platform_radius`` run from the centre to the
     revolute and to the spherical joints. The lengths obey the paper's equation (constraints):
-    ``platform_radius < base_radius < 2 eta``. Joint limits are in rad/s, rad/s^2 and
-    rad/s^3; :data:`MAX_JOINT_VELOCITY` says where the numbers come from.
+    ``platform_radius < base_radius < 2 eta``.
 
     Raises:
         GeometryError: a length or limit is not finite, out of order, or breaks the constraints.
@@ -63,9 +54,10 @@ class RRSGeometry:
     max_joint_jerk: float = MAX_JOINT_JERK
 
     def __post_init__(self) -> None:
-        signed = "joint_min", "joint_max", "max_tilt", "heave_max"
-        _check(self, *(name for name in self.__slots__ if name not in signed))
-        _check(self, *signed, positive=False)
+        for name in self.__slots__:
+            signed = name in ("joint_min", "joint_max", "max_tilt", "heave_max")
+            least = -math.inf if signed else 0.0
+            keep_number(self, name, least, above=not signed, error=GeometryError)
         for low, high in (("joint_min", "joint_max"), ("heave_min", "heave_max")):
             a, b = getattr(self, low), getattr(self, high)
             if not a < b:
@@ -152,7 +144,8 @@ class DeltaGeometry:
     max_joint_jerk: float = MAX_JOINT_JERK
 
     def __post_init__(self) -> None:
-        _check(self, *self.__slots__)
+        for name in self.__slots__:
+            keep_number(self, name, 0.0, above=True, error=GeometryError)
         if self.distal_length <= self.proximal_length:
             raise GeometryError(
                 f"distal_length = {self.distal_length:.4g} m must exceed "
@@ -190,20 +183,10 @@ GEOMETRIES: Final = MappingProxyType({"initial": INITIAL, "optimized": OPTIMIZED
 
 
 def resolve_rrs(value: Any) -> RRSGeometry:
-    """A 3-RRS from what a user gives: a name of :data:`GEOMETRIES`, a geometry, or its fields.
-
-    Raises:
-        ArgumentError: it is none of these.
-        GeometryError: the machine is impossible.
-    """
+    """A 3-RRS from a name of :data:`GEOMETRIES`, a geometry, or its fields."""
     return as_dataclass("geometry", value, RRSGeometry, GEOMETRIES)
 
 
 def resolve_delta(value: Any) -> DeltaGeometry:
-    """A Delta from what a user gives: None for the standard one, a geometry, or its fields.
-
-    Raises:
-        ArgumentError: it is none of these.
-        GeometryError: the machine is impossible.
-    """
+    """A Delta from None (the standard one), a geometry, or its fields."""
     return as_dataclass("delta", value, DeltaGeometry, {None: DELTA})

@@ -1,7 +1,7 @@
 """From configurations to trajectories of the six actuated joints that keep their limits.
 
-The profiles are ruckig's (extra ``trajectory``). A way between two configurations is checked where
-the trajectory is sampled: reach, collision and singularity by the environment's own kernel.
+The profiles are ruckig's (extra ``trajectory``). The environment's own kernel checks each sample
+for reach, collision and singularity.
 """
 
 from __future__ import annotations
@@ -93,22 +93,20 @@ class Trajectory:
 
         ``rosidl_runtime_py.set_message_fields(JointTrajectory(), ...)`` takes it.
         """
-        return {
-            "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
-            "joint_names": list(JOINTS),
-            "points": [
+        points = []
+        for i, time in enumerate(self.times.tolist()):
+            sec, nanosec = divmod(round(1e9 * time), 10**9)
+            points.append(
                 {
                     "positions": self.positions[i].tolist(),
                     "velocities": self.velocities[i].tolist(),
                     "accelerations": self.accelerations[i].tolist(),
                     "effort": [],
-                    "time_from_start": dict(
-                        zip(("sec", "nanosec"), divmod(round(1e9 * t), 10**9), strict=True)
-                    ),
+                    "time_from_start": {"sec": sec, "nanosec": nanosec},
                 }
-                for i, t in enumerate(self.times.tolist())
-            ],
-        }
+            )
+        header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+        return {"header": header, "joint_names": list(JOINTS), "points": points}
 
     def to_yaml(self, path: Path | str) -> None:
         """Write :meth:`to_joint_trajectory` as YAML.
@@ -188,7 +186,7 @@ def make_trajectory(
             move in its time.
     """
     rrs, robot = resolve_rrs(geometry), resolve_delta(delta)
-    bodies = PAPER_TASK if task is None else as_dataclass("task", task, InsertionTask)
+    bodies = as_dataclass("task", task, InsertionTask, {None: PAPER_TASK})
     try:
         points = np.array(configurations, np.float64)
     except (TypeError, ValueError) as error:
@@ -206,12 +204,9 @@ def make_trajectory(
         raise TrajectoryError(
             f"configuration {index} of {len(points)}, {points[index].tolist()}, is out of reach"
         )
-    limits = np.array(
-        [
-            [getattr(owner, f"max_joint_{kind}") for owner in (robot, rrs) for _ in range(3)]
-            for kind in ("velocity", "acceleration", "jerk")
-        ]
-    )
+    kinds = [f"max_joint_{kind}" for kind in ("velocity", "acceleration", "jerk")]
+    each = [[getattr(owner, kind) for owner in (robot, rrs)] for kind in kinds]
+    limits = np.repeat(each, 3, axis=1)
     rest = np.zeros_like(joints)
     moves = _profiles(joints, rest, limits, move_time)
     if blend:
@@ -247,16 +242,9 @@ def _profiles(
 ) -> list[Floats]:
     """Positions, velocities and accelerations (3, samples, 6) of each move, both ends included.
 
-    Args:
-        joints: (n, 6), rad.
-        velocities: at them (n, 6), rad/s.
-        limits: of velocity, acceleration and jerk, (3, 6).
-        move_time: as in :func:`make_trajectory`, in whole samples.
+    ``joints`` (n, 6) are met at ``velocities`` (n, 6); ``limits`` (3, 6) are of velocity,
+    acceleration and jerk.
     """
-    try:
-        import ruckig
-    except ImportError as error:
-        raise _missing(error) from error
     moves = []
     for k, way in enumerate(np.diff(joints, axis=0)):
         start, end = velocities[k : k + 2]
@@ -265,33 +253,29 @@ def _profiles(
             rest = 1 if move_time is None else round(move_time / TIMESTEP) + 1
             moves.append(np.zeros((3, rest, N_AXES)))
         elif start.any() or end.any():
-            moves.append(_fastest(ruckig, k, way, start, end, limits, move_time))
+            moves.append(_fastest(k, way, start, end, limits, move_time))
         else:  # one path for all, within the limits of each joint's share of it
             share = way / length
             slowest = np.divide(limits, abs(share), where=share != 0.0, out=np.full((3, 6), np.inf))
             path, still = np.array([length]), np.zeros(1)
             one = slowest.min(axis=1, keepdims=True)
-            moves.append(_fastest(ruckig, k, path, still, still, one, move_time) * share)
+            moves.append(_fastest(k, path, still, still, one, move_time) * share)
         moves[-1][0] += joints[k]
         moves[-1][0, -1] = joints[k + 1]
     return moves
 
 
 def _fastest(
-    ruckig: Any, k: int, way: Floats, start: Floats, end: Floats, limits: Floats,
-    move_time: float | None,
-) -> Floats:  # fmt: skip
-    """Positions from 0, velocities and accelerations (3, samples, n) of a move along a way (n,).
+    k: int, way: Floats, start: Floats, end: Floats, limits: Floats, move_time: float | None
+) -> Floats:
+    """Positions from 0, velocities and accelerations (3, samples, n) of move k along a way (n,).
 
-    Args:
-        ruckig: the module.
-        k: number of the move.
-        way: (n,), rad.
-        start: velocities (n,), rad/s.
-        end: likewise.
-        limits: of velocity, acceleration and jerk, (3, n).
-        move_time: as in :func:`_profiles`.
+    ``start`` and ``end`` are velocities (n,); the rest as in :func:`_profiles`.
     """
+    try:
+        import ruckig
+    except ImportError as error:
+        raise _missing(error) from error
     solver, profile = ruckig.Ruckig(len(way), TIMESTEP), ruckig.Trajectory(len(way))
     wanted = ruckig.InputParameter(len(way))
     wanted.max_velocity, wanted.max_acceleration, wanted.max_jerk = limits.tolist()
@@ -322,7 +306,7 @@ def _follow(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Configurations (n, 6) and status (n,) of joints (n, 6), followed from a configuration (6,).
 
-    Beyond a sample at which the links cannot close, nothing is known: all is out of reach.
+    Where the links cannot close, and from there on, they are NaN and INVALID.
     """
     p = unpack(packed)
     result = np.full_like(joints, np.nan)
@@ -337,8 +321,7 @@ def _follow(
         roll, pitch, heave = pose
         for k in range(3):
             result[i, k], result[i, 3 + k] = e[k], pose[k]
-        c = (e[0], e[1], e[2], roll, pitch, heave)
-        status[i] = state.configuration_status(c, p)
+        status[i] = state.configuration_status((e[0], e[1], e[2], roll, pitch, heave), p)
     return result, status
 
 

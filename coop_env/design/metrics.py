@@ -42,9 +42,7 @@ class DesignMetrics:
 
 
 def measure(
-    geometry: RRSGeometry,
-    problem: DesignProblem | None = None,
-    samples: Samples | None = None,
+    geometry: RRSGeometry, problem: DesignProblem | None = None, samples: Samples | None = None
 ) -> DesignMetrics:
     """The table's figures of a design; NaN where home itself is not in the workspace.
 
@@ -63,13 +61,13 @@ def measure(
     sigma_cone = float(result.sigma[cone].min()) if covered else nan
     if not result.inside.any():
         return DesignMetrics(0.0, sigma_cone, nan, nan, nan, nan, nan)
-    angles = np.abs(np.stack(samples, axis=-1)[result.inside])
     poses = np.stack([*samples, np.full_like(samples.roll, problem.home_heave)], axis=-1)
-    q = rrs.inverse(poses[result.inside], geometry, problem.pose_model).q
+    poses = poses[result.inside]
+    q = rrs.inverse(poses, geometry, problem.pose_model).q
     return DesignMetrics(
         result.area,
         sigma_cone,
-        float(angles.max()),
+        float(np.abs(poses[:, :2]).max()),
         _variation(result.kappa[result.inside]),
         _variation(result.kappa[cone]) if covered else nan,
         float(q.min()),

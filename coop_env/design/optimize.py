@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -32,9 +32,8 @@ FEASIBLE_BOX: Final = ((0.5, 2.0), (0.1, 3.4))
 class Optimum:
     """Where an optimizer ended.
 
-    ``converged`` says that it ended by its tolerance, before its limit; ``message`` why it ended.
-    ``path`` holds every design it evaluated ``(n, 3)``: lambda1, lambda2 and the objective, NaN
-    where a constraint is broken.
+    ``converged`` says that it ended by its tolerance, before its limit. ``path`` holds every design
+    it evaluated ``(n, 3)``: lambda1, lambda2 and the objective, NaN where a constraint is broken.
     """
 
     lambda1: float
@@ -53,30 +52,27 @@ class Optimum:
         return 4.0 - self.lambda1 - self.lambda2
 
 
+@dataclass
 class _Cost:
     """The negated objective with the constraints as a penalty, and a record of every call."""
 
-    def __init__(
-        self,
-        problem: DesignProblem,
-        objective: Objective,
-        samples: Samples,
-        constraints: Sequence[Constraint],
-    ) -> None:
-        self.problem, self.objective, self.samples = problem, objective, samples
-        self.constraints = constraints
-        self.path: list[tuple[float, float, float]] = []
+    problem: DesignProblem
+    objective: Objective
+    samples: Samples
+    constraints: Sequence[Constraint]
+    path: list[tuple[float, float, float]] = field(default_factory=list)
 
     def value(self, lambda1: float, lambda2: float) -> float:
         """The objective, or minus the amount by which the constraints are broken, as a penalty."""
-        broken = _violation(lambda1, lambda2)
+        lambda3 = 4.0 - lambda1 - lambda2
+        broken = _excess(-lambda2, -lambda3, lambda3 - lambda1, lambda1 - 2.0)
         if broken > 0.0:
             return -broken
         try:
             geometry = self.problem.geometry(lambda1, lambda2)
         except GeometryError:
             return -1e-9  # on a bound itself
-        broken = sum(max(0.0, -constraint(geometry)) for constraint in self.constraints)
+        broken = _excess(*(-constraint(geometry) for constraint in self.constraints))
         if broken > 0.0:
             return -broken
         value = self.objective(geometry, self.problem, self.samples)
@@ -95,11 +91,8 @@ class _Cost:
         return -value if value >= 0.0 else 1.0 - 10.0 * value
 
 
-def _violation(lambda1: float, lambda2: float) -> float:
-    """How far a design vector is outside the paper's constraints; zero inside."""
-    lambda3 = 4.0 - lambda1 - lambda2
-    over = (-lambda2, -lambda3, lambda3 - lambda1, lambda1 - 2.0)
-    return sum(max(0.0, amount) for amount in over)
+def _excess(*amounts: float) -> float:
+    return sum(max(0.0, amount) for amount in amounts)
 
 
 def _optimum(cost: _Cost, result: OptimizeResult, start_value: float) -> Optimum:
@@ -131,7 +124,7 @@ def optimize(
 
     Args:
         problem: scale, limits, heaves, threshold and grid; the paper's by default.
-        start: (lambda1, lambda2) of the first vertex; the initial design by default.
+        start: (lambda1, lambda2) of the first vertex.
         objective: ``objective(geometry, problem, samples)``, not negative; A_w by default.
         constraints: functions of a geometry, each satisfied where not negative; they and the
             paper's own act as a penalty.
@@ -198,9 +191,9 @@ def optimize_globally(
     Nelder-Mead with a small simplex. The cells' centres are sampled.
 
     Args:
-        problem: as in :func:`optimize`.
-        objective: as in :func:`optimize`.
-        constraints: as in :func:`optimize`.
+        problem: as in :func:`optimize`, like objective and constraints.
+        objective: likewise.
+        constraints: likewise.
         seed: of the search.
         population: half the designs of a generation.
         generations: at most so many follow the first.
@@ -272,11 +265,11 @@ def atlas(
     """The objective on a grid of designs, by default in steps of 0.04 over the feasible box.
 
     Args:
-        problem: as in :func:`optimize`.
+        problem: as in :func:`optimize`, like objective and constraints.
         lambda1: grid along the first axis.
         lambda2: grid along the second.
-        objective: as in :func:`optimize`.
-        constraints: as in :func:`optimize`.
+        objective: likewise.
+        constraints: likewise.
         progress: called with rows done and rows in all.
     """
     problem = problem or DesignProblem()
@@ -285,12 +278,11 @@ def atlas(
         for given, (low, high) in zip((lambda1, lambda2), FEASIBLE_BOX, strict=True)
     )
     cost = _Cost(problem, objective, sample_points(problem), constraints)
-    value = np.full((len(rows), len(columns)), np.nan)
+    value = np.empty((len(rows), len(columns)))
     for i, a in enumerate(rows):
         for j, b in enumerate(columns):
-            objective_value = cost.value(float(a), float(b))
-            if objective_value >= 0.0:
-                value[i, j] = objective_value
+            found = cost.value(float(a), float(b))
+            value[i, j] = found if found >= 0.0 else math.nan
         if progress is not None:
             progress(i + 1, len(rows))
     return Atlas(rows, columns, value)

@@ -5,8 +5,8 @@ its objective integrates over the orientations with ``sigma_min(J) >= 0.15``. Tw
 open are settled here. sigma_min carries the sign of det A, and only the connected component of home
 counts: beyond a parallel singularity sigma rises again, in an assembly mode that the platform
 cannot enter without crossing it. And a cell counts only if all limbs reach it within their joint
-limits. No tilt limit applies within the grid's +-60 degrees unless ``max_tilt`` sets one; on the
-paper's two designs the environment's 45 degrees would change nothing.
+limits. The tilt limit is the grid's +-60 degrees; on the paper's two designs the environment's 45
+degrees would change nothing.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
-from coop_env.design.kernels import survey
+from coop_env.compilation import njit
 from coop_env.errors import check_integer, check_number, is_list
 from coop_env.geometry import INITIAL, OPTIMIZED, RRSGeometry
-from coop_env.kinematics.rrs_kernels import RRSParams, make_params
+from coop_env.kinematics import rrs_kernels as rrs
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -71,11 +71,10 @@ class DesignProblem:
         if not is_list(self.heaves) or not len(self.heaves):
             raise DesignError(f"heaves = {self.heaves!r}: must be heights, the home heave first")
         object.__setattr__(self, "heaves", tuple(self.heaves))
-        positive = {f"heaves[{i}]": heave for i, heave in enumerate(self.heaves)}
+        for i, heave in enumerate(self.heaves):
+            check_number(f"heaves[{i}]", heave, 0.0, above=True, error=DesignError)
         for name in ("eta", "distal_length", "threshold", "extent", "max_tilt"):
-            positive[name] = getattr(self, name)
-        for name, value in positive.items():
-            check_number(name, value, 0.0, above=True, error=DesignError)
+            check_number(name, getattr(self, name), 0.0, above=True, error=DesignError)
         for name in ("joint_min", "joint_max"):
             check_number(name, getattr(self, name), error=DesignError)
         if not self.extent < math.pi / 2:
@@ -90,12 +89,7 @@ class DesignProblem:
 
     @classmethod
     def of(cls, geometry: RRSGeometry, **others: Any) -> DesignProblem:
-        """The problem of a machine's own scale, distal length, joint limits and home.
-
-        Args:
-            geometry: the machine.
-            others: any other field.
-        """
+        """The problem of a machine's own scale, distal length, joint limits and home."""
         alike = {n: getattr(geometry, n) for n in ("distal_length", "joint_min", "joint_max")}
         own = {"eta": geometry.characteristic_length, "heaves": (geometry.home_heave,), **alike}
         return cls(**own | others)
@@ -130,12 +124,10 @@ class DesignProblem:
             home_heave=self.home_heave,
         )
 
-    def params(self, geometry: RRSGeometry) -> RRSParams:
+    def params(self, geometry: RRSGeometry) -> rrs.RRSParams:
         """A machine as the kernels take it, under this problem's limits."""
-        p = make_params(geometry, self.pose_model)
-        return p._replace(
-            joint_min=self.joint_min, joint_max=self.joint_max, max_tilt=self.max_tilt
-        )
+        limits = {n: getattr(self, n) for n in ("joint_min", "joint_max", "max_tilt")}
+        return rrs.make_params(geometry, self.pose_model)._replace(**limits)
 
     def centres(self) -> Floats:
         """Cell centres along an axis ``(cells,)``, rad."""
@@ -179,9 +171,7 @@ def sample_points(problem: DesignProblem, rng: np.random.Generator | None = None
 
 
 def workspace_area(
-    geometry: RRSGeometry,
-    problem: DesignProblem | None = None,
-    samples: Samples | None = None,
+    geometry: RRSGeometry, problem: DesignProblem | None = None, samples: Samples | None = None
 ) -> float:
     """A_w in rad^2: area of the connected component of home; zero if home itself is not in it.
 
@@ -203,10 +193,7 @@ def workspace_map(
     samples: Samples | None = None,
     heave: float | None = None,
 ) -> WorkspaceMap:
-    """Signed sigma_min and condition number over the whole grid, and the component of home.
-
-    NaN where a limb cannot reach.
-    """
+    """Signed sigma_min and kappa over the whole grid, NaN out of reach, and the home component."""
     problem = problem or DesignProblem()
     samples = samples or sample_points(problem)
     height = problem.home_heave if heave is None else float(heave)
@@ -218,10 +205,32 @@ def _survey(
     geometry: RRSGeometry, problem: DesignProblem, samples: Samples, heave: float, whole: bool
 ) -> tuple[Floats, Floats, Bools]:
     """sigma, kappa, and the admitted cells that edges connect with those about the centre."""
-    shape, p = samples.roll.shape, problem.params(geometry)
-    sigma, kappa, admitted = np.empty(shape), np.empty(shape), np.empty(shape, bool)
-    survey(*samples, heave, problem.threshold, p, whole, sigma, kappa, admitted)
+    sigma, kappa = np.full_like(samples.roll, np.nan), np.full_like(samples.roll, np.nan)
+    admitted = np.zeros(sigma.shape, bool)
+    p = problem.params(geometry)
+    _survey_cells(*samples, heave, problem.threshold, p, whole, sigma, kappa, admitted)
     parts, _ = label(admitted)
     about = slice((problem.cells - 1) // 2, problem.cells // 2 + 1)
     home = parts[about, about]
     return sigma, kappa, np.isin(parts, home[home > 0])
+
+
+@njit(cache=True)
+def _survey_cells(
+    rolls: Any, pitches: Any, heave: float, threshold: float, p: rrs.RRSParams, whole: bool,
+    sigma: Any, kappa: Any, admitted: Any,
+) -> None:  # fmt: skip
+    """Write signed sigma_min, kappa, and which cells keep all limits and the threshold.
+
+    Left as they were: cells out of a limb's reach, and unless ``whole``, which takes longer, beyond
+    the limits.
+    """
+    for i in range(rolls.shape[0]):
+        for j in range(rolls.shape[1]):
+            pose = rrs.platform_pose(rolls[i, j], pitches[i, j], heave, p)
+            reachable, q = rrs.inverse(pose, p)
+            tilted = abs(rolls[i, j]) <= p.max_tilt and abs(pitches[i, j]) <= p.max_tilt
+            within = tilted and rrs.joints_within_limits(q, p)
+            if reachable and (whole or within):
+                _, _, sigma[i, j], kappa[i, j] = rrs.singular_state(pose, q, p)
+                admitted[i, j] = within and sigma[i, j] >= threshold

@@ -31,12 +31,8 @@ def over_heaves(
     """
     problem = problem or DesignProblem()
     samples = sample_points(problem)
-    return np.array(
-        [
-            workspace_area(geometry, replace(problem, heaves=(float(heave),)), samples)
-            for heave in heaves
-        ]
-    )
+    each = (replace(problem, heaves=(float(heave),)) for heave in heaves)
+    return np.array([workspace_area(geometry, at_heave, samples) for at_heave in each])
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,10 +90,7 @@ def slopes(
 
 
 def under_tolerances(
-    geometry: RRSGeometry,
-    tolerance: float,
-    draws: int = 100,
-    problem: DesignProblem | None = None,
+    geometry: RRSGeometry, tolerance: float, draws: int = 100, problem: DesignProblem | None = None
 ) -> Floats:
     """A_w ``(draws,)`` with every length off by an independent uniform error of +-``tolerance`` m.
 
@@ -112,12 +105,9 @@ def under_tolerances(
     areas = np.zeros(draws)
     for i in range(draws):
         errors = rng.uniform(-tolerance, tolerance, len(LENGTHS))
-        lengths = {
-            name: getattr(geometry, name) + float(error)
-            for name, error in zip(LENGTHS, errors, strict=True)
-        }
+        named = zip(LENGTHS, errors.tolist(), strict=True)
         try:
-            built = replace(geometry, **lengths)
+            built = replace(geometry, **{n: getattr(geometry, n) + error for n, error in named})
         except GeometryError:
             continue
         areas[i] = workspace_area(built, problem, samples)

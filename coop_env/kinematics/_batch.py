@@ -19,17 +19,11 @@ class ShapeError(ValueError):
 
 
 def as_points(name: str, value: ArrayLike, *components: str) -> Floats:
-    """``value`` as float64 whose last axis holds the named components.
-
-    Raises:
-        ShapeError: wrong last axis.
-        TypeError: not real numbers.
-    """
+    """``value`` as float64 with the named components along its last axis; ShapeError, TypeError."""
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "biuf":  # None and complex would turn into numbers
             raise TypeError
-        array = array.astype(np.float64)
     except (TypeError, ValueError):
         raise TypeError(
             f"{name} = {value!r}: must be real numbers in one array of shape "
@@ -40,15 +34,11 @@ def as_points(name: str, value: ArrayLike, *components: str) -> Floats:
             f"{name} has shape {array.shape}: must be (..., {len(components)}), "
             f"the last axis ({', '.join(components)})"
         )
-    return array
+    return array.astype(np.float64)
 
 
 def require_broadcast(name_a: str, a: Floats, name_b: str, b: Floats) -> None:
-    """Refuse two batches that do not broadcast.
-
-    Raises:
-        ShapeError: the leading axes disagree.
-    """
+    """Raise ShapeError for two batches that do not broadcast."""
     try:
         np.broadcast_shapes(a.shape, b.shape)
     except ValueError:
@@ -70,13 +60,12 @@ def over_rows(*kinds: str) -> Callable[[Callable[..., None]], Callable[..., list
         kernel, dtypes = njit(cache=True)(loop), [np.dtype(kind) for kind in kinds]
 
         def fill(params: Any, *inputs: Floats) -> list[Any]:
-            shapes = {array.shape for array in inputs}
-            shape = shapes.pop() if len(shapes) == 1 else np.broadcast_shapes(*shapes)
-            wide = [a if a.shape == shape else np.broadcast_to(a, shape) for a in inputs]
-            columns = [column for a in wide for column in np.array(a.reshape(-1, 3).T, order="C")]
-            rows = [np.empty(len(columns[0]), dtype) for dtype in dtypes]
+            wide = np.broadcast_arrays(*inputs)
+            columns = np.array([column for a in wide for column in a.reshape(-1, 3).T], order="C")
+            rows = [np.empty(columns.shape[1], dtype) for dtype in dtypes]
             kernel(params, *columns, *rows)
-            return [row.reshape(shape[:-1] + row.shape[1:])[()] for row in rows]
+            shape = wide[0].shape[:-1]
+            return [row.reshape(shape + row.shape[1:])[()] for row in rows]
 
         return fill
 

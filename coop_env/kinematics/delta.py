@@ -52,7 +52,6 @@ def _given(position: ArrayLike, geometry: DeltaGeometry) -> tuple[Any, Floats]:
 def _inverse(
     p: Any, x: Any, y: Any, z: Any, theta: Any, margin: Any, reachable: Any, valid: Any
 ) -> None:
-    """Actuated angles, 1 - |k| of each limb, whether real, whether also within the workspace."""
     for n in range(len(x)):
         reachable[n], angles = kernels.inverse(x[n], y[n], z[n], p)
         for i in range(3):
@@ -78,7 +77,6 @@ def inverse(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Inverse:
 
 @over_rows("3f8", "f8", "?")
 def _forward(p: Any, a: Any, b: Any, c: Any, position: Any, residual: Any, reachable: Any) -> None:
-    """Effector of three actuated angles, and the largest error of a distal length."""
     for n in range(len(a)):
         theta = (a[n], b[n], c[n])
         reachable[n], at = kernels.forward(theta, p)
@@ -118,7 +116,7 @@ def workspace_margin(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Fl
     >>> workspace_margin([[0.0, 0.0, -0.5], [0.0, 0.0, -0.2]]).round(6).tolist()
     [0.15, -0.05]
     """
-    x, y, z = np.moveaxis(_given(position, geometry)[1], -1, 0)
+    x, y, z = np.moveaxis(as_points("position", position, "x", "y", "z"), -1, 0)
     low = -(geometry.proximal_length + geometry.distal_length)
     high = -abs(geometry.proximal_length - geometry.distal_length)
     return np.minimum(np.minimum(z - low, high - z), geometry.planar_limit - np.hypot(x, y))
@@ -134,18 +132,15 @@ def limb_margin(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
     return _inverse(*_given(position, geometry))[1]
 
 
-@over_rows("(3,3)f8", "3f8", "f8", "f8")
-def _jacobian(
-    p: Any, x: Any, y: Any, z: Any, matrix: Any, values: Any, signed: Any, kappa: Any
-) -> None:
-    """J, its singular values, the least with its sign, kappa; NaN out of reach."""
-    matrix[:], values[:], signed[:], kappa[:] = math.nan, math.nan, math.nan, math.nan
+@over_rows("(3,3)f8", "f8", "f8")
+def _jacobian(p: Any, x: Any, y: Any, z: Any, matrix: Any, signed: Any, kappa: Any) -> None:
+    matrix[:], signed[:], kappa[:] = math.nan, math.nan, math.nan
     for n in range(len(x)):
         reachable, theta = kernels.inverse(x[n], y[n], z[n], p)
         if reachable:
             a, b = kernels.jacobian_parts(x[n], y[n], z[n], theta, p)
             # Hanging on the axis, the three distal links always make a negative determinant.
-            j, values[n], signed[n], kappa[n] = manipulability(a, b, -1.0)
+            j, _, signed[n], kappa[n] = manipulability(a, b, -1.0)
             matrix[n, 0], matrix[n, 1], matrix[n, 2] = j
 
 
@@ -162,22 +157,13 @@ def jacobian(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
     return _jacobian(*_given(position, geometry))[0]
 
 
-def singular_values(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
-    """Singular values of J ``(..., 3)``, descending; NaN out of reach.
-
-    >>> singular_values([0.0, 0.0, -0.5]).round(4)
-    array([1.4687, 0.6561, 0.6561])
-    """
-    return _jacobian(*_given(position, geometry))[1]
-
-
 def signed_sigma_min(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
     """Least singular value of J ``(...)``, negative beyond a parallel singularity.
 
     >>> float(signed_sigma_min([0.0, 0.0, -0.5]).round(4))
     0.6561
     """
-    return _jacobian(*_given(position, geometry))[2]
+    return _jacobian(*_given(position, geometry))[1]
 
 
 def condition_number(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Floats:
@@ -186,7 +172,7 @@ def condition_number(position: ArrayLike, geometry: DeltaGeometry = DELTA) -> Fl
     >>> float(condition_number([0.0, 0.0, -0.5]).round(4))
     2.2387
     """
-    return _jacobian(*_given(position, geometry))[3]
+    return _jacobian(*_given(position, geometry))[2]
 
 
 @over_rows("(3,3,3)f8")

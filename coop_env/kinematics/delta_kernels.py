@@ -30,7 +30,7 @@ class DeltaParams(NamedTuple):
 
 @njit(cache=True)
 def limb_triangle(x: float, y: float, z: float, limb: int, p: DeltaParams) -> tuple[float, float]:
-    """(radial, k): the effector's joint seen from the base joint, and the knee's cosine.
+    """(radial, k): the effector's joint seen from the base joint, and the cosine there.
 
     The limb reaches iff |k| <= 1, so 1 - |k| is its margin; NaN on the base joint itself.
     """
@@ -40,14 +40,9 @@ def limb_triangle(x: float, y: float, z: float, limb: int, p: DeltaParams) -> tu
     r = math.hypot(radial, z)
     if not r > 0.0:
         return radial, math.nan
-    k = (
-        radial * radial
-        + tangential * tangential
-        + z * z
-        + p.proximal_length * p.proximal_length
-        - p.distal_length * p.distal_length
-    ) / (2.0 * p.proximal_length * r)
-    return radial, k
+    crank, rod = p.proximal_length, p.distal_length
+    d2 = radial * radial + tangential * tangential + z * z
+    return radial, (d2 + crank * crank - rod * rod) / (2.0 * crank * r)
 
 
 @njit(cache=True)
@@ -110,8 +105,7 @@ def forward(theta: Row, p: DeltaParams) -> tuple[bool, Row]:
 def jacobian_parts(x: float, y: float, z: float, theta: Row, p: DeltaParams) -> tuple[Matrix3, Row]:
     """A by rows (the distal links' directions, l_a long) and the diagonal of B, both in m.
 
-    ``B thetadot = A v / l_a`` with v the effector's velocity. B = 0 on a limb is a type I (serial)
-    singularity, det A = 0 a type II (parallel) one.
+    ``B thetadot = A v / l_a`` with v the effector's velocity.
     """
     a0, b0 = _limb_row(x, y, z, theta[0], 0, p)
     a1, b1 = _limb_row(x, y, z, theta[1], 1, p)

@@ -30,7 +30,7 @@ from coop_env.kinematics.rotations import yaw_of
 
 
 class PlatformPose(NamedTuple):
-    """Where the platform is: centre ``(..., 3)`` in m and rotation matrix ``(..., 3, 3)``."""
+    """The platform's centre ``(..., 3)``, m, and rotation matrix ``(..., 3, 3)``."""
 
     position: Floats
     rotation: Floats
@@ -66,7 +66,6 @@ def _given(pose: ArrayLike, geometry: RRSGeometry, pose_model: str) -> tuple[Any
 def _poses(
     p: Any, roll: Any, pitch: Any, heave: Any, position: Any, rotation: Any, offset: Any
 ) -> None:
-    """Platform centre, rotation, and each spherical joint's distance from its limb plane."""
     for n in range(len(roll)):
         at = kernels.platform_pose(roll[n], pitch[n], heave[n], p)
         position[n] = (at.x, at.y, at.z)
@@ -120,7 +119,6 @@ def plane_offset(
 
     A revolute joint keeps the limb in its plane, so anything but zero cannot be built.
 
-    >>> import numpy as np
     >>> np.abs(plane_offset([0.3, 0.3, 0.22])).max() < 1e-16
     np.True_
     >>> (plane_offset([0.3, 0.3, 0.22], pose_model="paper") * 1e3).round(2)  # mm
@@ -133,7 +131,6 @@ def plane_offset(
 def _inverse(
     p: Any, roll: Any, pitch: Any, heave: Any, q: Any, margin: Any, reachable: Any, valid: Any
 ) -> None:
-    """Actuated angles, 1 - |c| of each limb, whether real, whether also within all limits."""
     for n in range(len(roll)):
         at = kernels.platform_pose(roll[n], pitch[n], heave[n], p)
         reachable[n], angles = kernels.inverse(at, p)
@@ -200,17 +197,16 @@ def limb_margin(
     return _inverse(*_given(pose, geometry, pose_model))[1]
 
 
-@over_rows("(3,3)f8", "3f8", "f8", "f8")
+@over_rows("(3,3)f8", "f8", "f8")
 def _jacobian(
-    p: Any, roll: Any, pitch: Any, heave: Any, matrix: Any, values: Any, signed: Any, kappa: Any
+    p: Any, roll: Any, pitch: Any, heave: Any, matrix: Any, signed: Any, kappa: Any
 ) -> None:
-    """J, its singular values, the least with its sign, kappa; NaN where unreachable."""
-    matrix[:], values[:], signed[:], kappa[:] = math.nan, math.nan, math.nan, math.nan
+    matrix[:], signed[:], kappa[:] = math.nan, math.nan, math.nan
     for n in range(len(roll)):
         at = kernels.platform_pose(roll[n], pitch[n], heave[n], p)
         reachable, q = kernels.inverse(at, p)
         if reachable:
-            j, values[n], signed[n], kappa[n] = kernels.singular_state(at, q, p)
+            j, _, signed[n], kappa[n] = kernels.singular_state(at, q, p)
             matrix[n, 0], matrix[n, 1], matrix[n, 2] = j
 
 
@@ -231,17 +227,6 @@ def jacobian(
     return _jacobian(*_given(pose, geometry, pose_model))[0]
 
 
-def singular_values(
-    pose: ArrayLike, geometry: RRSGeometry = OPTIMIZED, pose_model: str = "exact"
-) -> Floats:
-    """Singular values of J ``(..., 3)``, descending; NaN out of reach.
-
-    >>> singular_values([0.0, 0.0, 0.21]).round(4)
-    array([1.5593, 0.9946, 0.9946])
-    """
-    return _jacobian(*_given(pose, geometry, pose_model))[1]
-
-
 def signed_sigma_min(
     pose: ArrayLike, geometry: RRSGeometry = OPTIMIZED, pose_model: str = "exact"
 ) -> Floats:
@@ -254,7 +239,7 @@ def signed_sigma_min(
     >>> signed_sigma_min(np.stack([roll, 0 * roll, 0 * roll + 0.21], axis=-1)).round(3)
     array([ 0.995,  0.263,  0.03 , -0.318])
     """
-    return _jacobian(*_given(pose, geometry, pose_model))[2]
+    return _jacobian(*_given(pose, geometry, pose_model))[1]
 
 
 def condition_number(
@@ -265,7 +250,7 @@ def condition_number(
     >>> float(condition_number([0.0, 0.0, 0.21]).round(4))
     1.5678
     """
-    return _jacobian(*_given(pose, geometry, pose_model))[3]
+    return _jacobian(*_given(pose, geometry, pose_model))[2]
 
 
 @over_rows("(3,3)f8")
@@ -273,10 +258,9 @@ def _twist_matrix(p: Any, roll: Any, pitch: Any, heave: Any, matrix: Any) -> Non
     matrix[:] = 0.0
     for n in range(len(roll)):
         at = kernels.platform_pose(roll[n], pitch[n], heave[n], p)
-        rates = fk.angular_velocities(roll[n], pitch[n], at, p)
+        per_roll, per_pitch = fk.twists(roll[n], pitch[n], at, p)
         for i in range(2):
-            for k in range(2):
-                matrix[n, i, k] = rates[k][i]
+            matrix[n, i, 0], matrix[n, i, 1] = per_roll[2 + i], per_pitch[2 + i]
         matrix[n, 2, 2] = 1.0 / p.characteristic_length
 
 
@@ -319,28 +303,17 @@ def _forward(
 
 
 def forward(
-    q: ArrayLike,
-    previous: ArrayLike,
-    geometry: RRSGeometry = OPTIMIZED,
-    pose_model: str = "exact",
+    q: ArrayLike, previous: ArrayLike, geometry: RRSGeometry = OPTIMIZED, pose_model: str = "exact"
 ) -> Forward:
     """Poses of actuated angles, on the branch of the poses before them.
 
-    Up to 16 poses close the limbs for one q. This walks q in a straight line from the angles of
-    ``previous`` and tracks the pose by Newton's method, in steps short enough that it contracts,
-    with det A kept on its side. Where the branch ends on the way, in a parallel singularity, it
-    says ``converged=False`` and gives NaN. A long step can pass over a gap in which no pose of the
-    branch closes the limbs (6 of 3,748 random walks that converged): give waypoints.
-
-    Args:
-        q: actuated angles ``(..., 3)``, rad.
-        previous: the poses before ``(..., 3)``; they broadcast against q.
-        geometry: the machine.
-        pose_model: ``"exact"`` or ``"paper"``.
-
-    Returns:
-        poses, the residual (largest error of a distal link's closing, m; where it did not
-        converge, that left at the last pose on the branch) and whether it converged.
+    Up to 16 poses close the limbs for one q ``(..., 3)``. This walks q in a straight line from the
+    angles of ``previous`` ``(..., 3)`` and tracks the pose by Newton's method, in steps short
+    enough that it contracts, with det A kept on its side. Where the branch ends on the way, in a
+    parallel singularity, it says ``converged=False`` and gives NaN. A long step can pass over a gap
+    in which no pose of the branch closes the limbs (6 of 3,748 random walks that converged): give
+    waypoints. The residual is the largest error of a distal link's closing, m; where it did not
+    converge, at the last pose on the branch.
 
     >>> home = [0.0, 0.0, 0.21]
     >>> found = forward(inverse([0.2, -0.1, 0.23]).q, home)

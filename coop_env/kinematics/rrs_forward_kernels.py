@@ -14,6 +14,8 @@ from coop_env.compilation import njit
 from coop_env.kinematics import rrs_kernels as rrs
 from coop_env.kinematics.singularity import Matrix3, Row, determinant_3x3, solve_3x3
 
+Twist = tuple[float, float, float, float, float]  # vx, vy, wx, wy, wz
+
 _TOLERANCE: Final = 1e-14  # relative to eta; some 50 times the rounding of the residual
 _MAX_NEWTON: Final = 12
 _CONTRACTION: Final = 0.25  # Newton's corrections must shrink at least so fast, or the step halves
@@ -22,32 +24,32 @@ _MIN_FRACTION: Final = 1e-10  # of the way in q; below it the branch ends: a par
 
 
 @njit(cache=True)
-def angular_velocities(roll: float, pitch: float, pose: rrs.Pose, p: rrs.RRSParams) -> Matrix3:
-    """Rows: angular velocity per unit rate of roll and of pitch, base frame; third row is zero.
+def twists(roll: float, pitch: float, pose: rrs.Pose, p: rrs.RRSParams) -> tuple[Twist, Twist]:
+    """The platform's twist per unit rate of roll and of pitch, base frame.
 
-    In the exact model w turns the normal as asked, and its part along the normal follows from the
-    limb planes. In the paper's model it is that of ``Rx Ry``.
+    In the exact model w turns the normal as asked, and vx, vy and the part of w along the normal
+    follow from the limb planes. In the paper's model it is that of ``Rx Ry``.
     """
     cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
     if not p.exact:
-        return (1.0, 0.0, 0.0), (0.0, cr, sr), (0.0, 0.0, 0.0)
-    rate_x, rate_y = rrs.parasitic_rates(pose, p.platform_radius)
+        return (0.0, 0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 0.0, cr, sr)
+    per_x, per_y = rrs.parasitic_rates(pose, p.platform_radius)
     n = (pose.r02, pose.r12, pose.r22)
     return (
-        _turning(n, (0.0, -cr * cp, -sr * cp), rate_x[2], rate_y[2]),
-        _turning(n, (cp, sr * sp, -cr * sp), rate_x[2], rate_y[2]),
-        (0.0, 0.0, 0.0),
+        _turning(n, (0.0, -cr * cp, -sr * cp), per_x, per_y),
+        _turning(n, (cp, sr * sp, -cr * sp), per_x, per_y),
     )
 
 
 @njit(cache=True)
-def _turning(n: Row, rate: Row, yaw_x: float, yaw_y: float) -> Row:
-    """w with ``w x n = rate`` and ``wz = yaw_x wx + yaw_y wy``."""
+def _turning(n: Row, rate: Row, per_x: Row, per_y: Row) -> Twist:
+    """The twist with ``w x n = rate``; (vx, vy, wz) are ``per_x wx + per_y wy``."""
     mx = n[1] * rate[2] - n[2] * rate[1]
     my = n[2] * rate[0] - n[0] * rate[2]
     mz = n[0] * rate[1] - n[1] * rate[0]
-    along = (yaw_x * mx + yaw_y * my - mz) / (n[2] - yaw_x * n[0] - yaw_y * n[1])
-    return mx + along * n[0], my + along * n[1], mz + along * n[2]
+    along = (per_x[2] * mx + per_y[2] * my - mz) / (n[2] - per_x[2] * n[0] - per_y[2] * n[1])
+    wx, wy, wz = mx + along * n[0], my + along * n[1], mz + along * n[2]
+    return per_x[0] * wx + per_y[0] * wy, per_x[1] * wx + per_y[1] * wy, wx, wy, wz
 
 
 @njit(cache=True)
@@ -60,54 +62,36 @@ def closure(
     columns of the derivative are roll, pitch and heave / eta.
     """
     pose = rrs.platform_pose(roll, pitch, heave, p)
-    w_roll, w_pitch, _ = angular_velocities(roll, pitch, pose, p)
-    rate_x, rate_y = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    if p.exact:
-        rate_x, rate_y = rrs.parasitic_rates(pose, p.platform_radius)
-    f0, g0 = _limb_closure(pose, 0, q[0], w_roll, w_pitch, rate_x, rate_y, p)
-    f1, g1 = _limb_closure(pose, 1, q[1], w_roll, w_pitch, rate_x, rate_y, p)
-    f2, g2 = _limb_closure(pose, 2, q[2], w_roll, w_pitch, rate_x, rate_y, p)
+    per_roll, per_pitch = twists(roll, pitch, pose, p)
+    f0, g0 = _limb_closure(pose, 0, q[0], per_roll, per_pitch, p)
+    f1, g1 = _limb_closure(pose, 1, q[1], per_roll, per_pitch, p)
+    f2, g2 = _limb_closure(pose, 2, q[2], per_roll, per_pitch, p)
     return (f0, f1, f2), (g0, g1, g2)
 
 
 @njit(cache=True)
 def _limb_closure(
-    pose: rrs.Pose,
-    limb: int,
-    q: float,
-    w_roll: Row,
-    w_pitch: Row,
-    rate_x: Row,
-    rate_y: Row,
-    p: rrs.RRSParams,
+    pose: rrs.Pose, limb: int, q: float, per_roll: Twist, per_pitch: Twist, p: rrs.RRSParams
 ) -> tuple[float, Row]:
     radial, height, _ = rrs.limb_triangle(pose, limb, p)
     er = radial - p.proximal_length * math.cos(q)
     ez = height - p.proximal_length * math.sin(q)
     scale = 1.0 / (p.distal_length * p.characteristic_length)
     f = 0.5 * scale * (er * er + ez * ez - p.distal_length * p.distal_length)
-    roll = _joint_rate(pose, limb, er, ez, w_roll, rate_x, rate_y, p)
-    pitch = _joint_rate(pose, limb, er, ez, w_pitch, rate_x, rate_y, p)
+    r = rrs.joint_offset(pose, limb, p.platform_radius)
+    roll = _joint_rate(r, limb, er, ez, per_roll)
+    pitch = _joint_rate(r, limb, er, ez, per_pitch)
     return f, (scale * roll, scale * pitch, scale * ez * p.characteristic_length)
 
 
 @njit(cache=True)
-def _joint_rate(
-    pose: rrs.Pose,
-    limb: int,
-    er: float,
-    ez: float,
-    w: Row,
-    rate_x: Row,
-    rate_y: Row,
-    p: rrs.RRSParams,
-) -> float:
-    """Velocity of the spherical joint along (er, ez), for an angular velocity of the platform."""
-    r = rrs.joint_offset(pose, limb, p.platform_radius)
-    vx = rate_x[0] * w[0] + rate_y[0] * w[1] + w[1] * r[2] - w[2] * r[1]
-    vy = rate_x[1] * w[0] + rate_y[1] * w[1] + w[2] * r[0] - w[0] * r[2]
-    vz = w[0] * r[1] - w[1] * r[0]
-    return er * (rrs.LIMB_COS[limb] * vx + rrs.LIMB_SIN[limb] * vy) + ez * vz
+def _joint_rate(r: Row, limb: int, er: float, ez: float, twist: Twist) -> float:
+    """Velocity along (er, ez) of the spherical joint at r from the platform's centre."""
+    vx, vy, wx, wy, wz = twist
+    dx = vx + wy * r[2] - wz * r[1]
+    dy = vy + wz * r[0] - wx * r[2]
+    dz = wx * r[1] - wy * r[0]
+    return er * (rrs.LIMB_COS[limb] * dx + rrs.LIMB_SIN[limb] * dy) + ez * dz
 
 
 @njit(cache=True)
@@ -148,10 +132,9 @@ def _correct(x: Row, q: Row, side: float, p: rrs.RRSParams) -> tuple[bool, Row]:
 def forward(
     q: Row, roll: float, pitch: float, heave: float, p: rrs.RRSParams
 ) -> tuple[bool, Row, float]:
-    """Pose (roll, pitch, heave) of q by continuation from a previous pose.
+    """Whether q was reached by continuation from a pose, its pose (NaN if not), and the residual.
 
-    Returns whether it was reached, the pose (NaN if not) and the residual: the largest error in
-    m by which a distal link misses closing at the last pose on the branch.
+    The residual is the largest error of a distal link's closing at the last pose, m.
     """
     nan = (math.nan, math.nan, math.nan)
     eta = p.characteristic_length

@@ -1,8 +1,7 @@
 """Scalar kernels of the 3-RRS: pose, inverse kinematics, Jacobian, signed sigma_min.
 
-Every other piece of the package (batched library, step kernel, planners, design stage) calls these,
-so that each formula has one home. Frame: the 3-RRS's base, z up. Limb i has azimuth
-``alpha_i = 0, 120, 240`` degrees, radial u_i and tangential t_i.
+Library, step kernel, planners and design stage all call these. Frame: the 3-RRS's base, z up.
+Limb i has azimuth 0, 120 or 240 degrees, radial direction u_i and tangential t_i.
 """
 
 from __future__ import annotations
@@ -13,12 +12,7 @@ from typing import Final, NamedTuple
 from coop_env.compilation import njit
 from coop_env.errors import ArgumentError
 from coop_env.geometry import RRSGeometry
-from coop_env.kinematics.singularity import (
-    Matrix3,
-    Row,
-    manipulability,
-    solve_3x3,
-)
+from coop_env.kinematics.singularity import Matrix3, Row, manipulability, solve_3x3
 
 _H: Final = math.sqrt(3.0) / 2.0
 LIMB_COS: Final = (1.0, -0.5, -0.5)
@@ -65,9 +59,8 @@ class Pose(NamedTuple):
 def platform_pose(roll: float, pitch: float, heave: float, p: RRSParams) -> Pose:
     """Pose of the platform at (roll, pitch, heave).
 
-    With ``p.exact`` the mechanism's own pose: zero torsion, and the parasitic x, y that keep each
-    spherical joint in its limb's plane. Otherwise the paper's ``Rx Ry`` on the axis, which takes
-    the joints out of their planes.
+    With ``p.exact`` it has zero torsion and the parasitic x, y that keep each spherical joint in
+    its limb's plane. Otherwise it is the paper's ``Rx Ry`` on the axis.
     """
     cr, sr = math.cos(roll), math.sin(roll)
     cp, sp = math.cos(pitch), math.sin(pitch)
@@ -76,19 +69,11 @@ def platform_pose(roll: float, pitch: float, heave: float, p: RRSParams) -> Pose
         k = 1.0 / (1.0 + nz)
         half = 0.5 * p.platform_radius * k
         return Pose(
-            half * (ny * ny - nx * nx),
-            2.0 * half * nx * ny,
-            heave,
-            1.0 - k * nx * nx,
-            -k * nx * ny,
-            nx,
-            -k * nx * ny,
-            1.0 - k * ny * ny,
-            ny,
-            -nx,
-            -ny,
-            nz,
-        )
+            half * (ny * ny - nx * nx), 2.0 * half * nx * ny, heave,
+            1.0 - k * nx * nx, -k * nx * ny, nx,
+            -k * nx * ny, 1.0 - k * ny * ny, ny,
+            -nx, -ny, nz,
+        )  # fmt: skip
     return Pose(0.0, 0.0, heave, cp, 0.0, nx, sr * sp, cr, ny, -cr * sp, sr, nz)
 
 
@@ -107,8 +92,7 @@ def joint_offset(pose: Pose, limb: int, platform_radius: float) -> Row:
 def limb_triangle(pose: Pose, limb: int, p: RRSParams) -> Row:
     """(radial, height, c): a spherical joint seen from its base joint, and the crank's cosine.
 
-    c is the cosine of the angle at the base joint in the triangle base joint, elbow, spherical
-    joint. The limb reaches iff |c| <= 1, so 1 - |c| is its margin; NaN on the base joint itself.
+    The limb reaches iff |c| <= 1, so 1 - |c| is its margin; NaN on the base joint itself.
     """
     r = joint_offset(pose, limb, p.platform_radius)
     radial = LIMB_COS[limb] * (pose.x + r[0]) + LIMB_SIN[limb] * (pose.y + r[1]) - p.base_radius
@@ -124,10 +108,10 @@ def limb_triangle(pose: Pose, limb: int, p: RRSParams) -> Row:
 
 @njit(cache=True)
 def limb_ik(pose: Pose, limb: int, p: RRSParams) -> tuple[bool, float]:
-    """Actuated angle q of a limb (rad, elbow out), and whether it is real; NaN if it is not.
+    """Whether a limb's actuated angle q is real, and q (rad, elbow out; NaN if not), by cosines.
 
-    The law of cosines on base joint, elbow and spherical joint. Its |c| <= 1 also refuses joints
-    nearer than ``L2 - L1``, which the paper's ``|D - L1| <= L2`` lets pass.
+    |c| <= 1 also refuses joints nearer than ``L2 - L1``, which the paper's ``|D - L1| <= L2`` lets
+    pass.
     """
     radial, height, c = limb_triangle(pose, limb, p)
     if not abs(c) <= 1.0:
@@ -184,25 +168,23 @@ def is_valid(roll: float, pitch: float, heave: float, p: RRSParams) -> bool:
 
 
 @njit(cache=True)
+def _plane(pose: Pose, limb: int, platform_radius: float) -> tuple[Row, float, float]:
+    """Of a limb's plane the factors of (vx, vy, wz), and those of wx and wy, moved to the right."""
+    tx, ty = -LIMB_SIN[limb], LIMB_COS[limb]
+    r = joint_offset(pose, limb, platform_radius)
+    return (tx, ty, r[0] * ty - r[1] * tx), r[2] * ty, -r[2] * tx  # as t_z = 0
+
+
+@njit(cache=True)
 def parasitic_rates(pose: Pose, platform_radius: float) -> tuple[Row, Row]:
     """(vx, vy, wz) per unit wx and per unit wy, from the three limb-plane constraints.
 
     ``t_i . v + (r_i x t_i) . w = 0`` for i = 0, 1, 2, solved by Cramer's rule.
     """
-    m0 = m1 = m2 = (0.0, 0.0, 0.0)
-    rhs_x = rhs_y = (0.0, 0.0, 0.0)
-    for i in range(3):
-        tx, ty = -LIMB_SIN[i], LIMB_COS[i]
-        r = joint_offset(pose, i, platform_radius)
-        row = (tx, ty, r[0] * ty - r[1] * tx)
-        bx, by = r[2] * ty, -r[2] * tx  # -(r x t)_x and -(r x t)_y, as t_z = 0
-        if i == 0:
-            m0, rhs_x, rhs_y = row, (bx, 0.0, 0.0), (by, 0.0, 0.0)
-        elif i == 1:
-            m1, rhs_x, rhs_y = row, (rhs_x[0], bx, 0.0), (rhs_y[0], by, 0.0)
-        else:
-            m2, rhs_x, rhs_y = row, (rhs_x[0], rhs_x[1], bx), (rhs_y[0], rhs_y[1], by)
-    return solve_3x3((m0, m1, m2), rhs_x), solve_3x3((m0, m1, m2), rhs_y)
+    m0, x0, y0 = _plane(pose, 0, platform_radius)
+    m1, x1, y1 = _plane(pose, 1, platform_radius)
+    m2, x2, y2 = _plane(pose, 2, platform_radius)
+    return solve_3x3((m0, m1, m2), (x0, x1, x2)), solve_3x3((m0, m1, m2), (y0, y1, y2))
 
 
 @njit(cache=True)
@@ -249,8 +231,8 @@ def singular_state(pose: Pose, q: Row, p: RRSParams) -> tuple[Matrix3, Row, floa
 def signed_sigma_min(pose: Pose, q: Row, p: RRSParams) -> float:
     """Least singular value of J, with the sign of det A relative to home.
 
-    A zero crossing of it is a type II (parallel) singularity. Unsigned, sigma rises again beyond
-    it, in another assembly mode, and a coarse grid steps across without notice.
+    It is zero at a type II (parallel) singularity. Unsigned, sigma would rise again beyond it, and
+    a coarse grid would step across without notice.
     """
     return singular_state(pose, q, p)[2]
 
@@ -266,11 +248,7 @@ def sigma_at(roll: float, pitch: float, heave: float, p: RRSParams) -> float:
 
 
 def make_params(geometry: RRSGeometry, pose_model: str = "exact") -> RRSParams:
-    """A geometry and a pose model, ``"exact"`` or ``"paper"``, as the kernels take them.
-
-    Raises:
-        ArgumentError: ``pose_model`` is neither.
-    """
+    """A geometry and a pose model, ``"exact"`` or ``"paper"``, as the kernels take them."""
     if pose_model not in ("exact", "paper"):
         raise ArgumentError(f"pose_model = {pose_model!r}: must be 'exact' or 'paper'")
     own = [getattr(geometry, name) for name in RRSParams._fields[:-2]]

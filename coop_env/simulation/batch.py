@@ -1,4 +1,4 @@
-"""Stepping and observing a batch in one kernel call, and turning its outcomes into ``info``."""
+"""Moving a batch in one kernel call, and turning its outcomes into ``info``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from coop_env.compilation import njit
 from coop_env.simulation import dynamics, observation
 from coop_env.simulation.rewards import TERMS
-from coop_env.simulation.state import INFO_FIELDS, Record, configuration_status
+from coop_env.simulation.state import INFO_FIELDS, Record, configuration_status, open_holes
 from coop_env.simulation.task import unpack
 
 _KEYS = ("success", "is_success", *INFO_FIELDS[1:])  # the latter is Gymnasium's name of success
@@ -42,7 +42,7 @@ def write_reset_outcome(s: Record, out: Record) -> None:
     out.success = out.inserted = out.collision = out.violation = False
     out.duplicate = out.singular = out.terminated = out.truncated = False
     out.n_filled = s.filled.sum()
-    out.all_filled = np.all(s.active <= s.filled)
+    out.all_filled = open_holes(s) == 0
     out.inserted_hole = -1
     out.sigma_min, out.alignment_error, out.distance = s.sigma, s.angle, s.distance
     out.target = s.target
@@ -57,31 +57,17 @@ def status(configuration: np.ndarray, packed: np.ndarray) -> int:
     return configuration_status((c[0], c[1], c[2], c[3], c[4], c[5]), unpack(packed))
 
 
-def make_infos(outcomes: NDArray[np.void]) -> list[dict[str, Any]]:
-    """The ``info`` of each outcome (n,)."""
-    columns = (outcomes[name].tolist() for name in (*INFO_FIELDS, "terms"))
-    return [_info(row, row[-1]) for row in zip(*columns, strict=True)]
-
-
 def make_info(outcome: tuple[Any, ...]) -> dict[str, Any]:
-    """The ``info`` of one outcome, a tuple; for a batch of them :func:`make_infos` is faster."""
-    return _info(outcome, outcome[len(INFO_FIELDS)].tolist())
-
-
-def _info(values: tuple[Any, ...], terms: list[float]) -> dict[str, Any]:
-    """The ``info`` of an outcome's fields in their order, and of the reward's terms."""
-    info = dict(zip(_KEYS, (values[0], *values), strict=False))
-    info["reward_terms"] = dict(zip(TERMS, terms, strict=True))
+    """The ``info`` of an outcome, the tuple of its fields."""
+    info = dict(zip(_KEYS, (outcome[0], *outcome), strict=False))
+    info["reward_terms"] = dict(zip(TERMS, outcome[len(INFO_FIELDS)].tolist(), strict=True))
     return info
 
 
 def make_columns(
     outcomes: NDArray[np.void], present: NDArray[np.bool_] | None = None
 ) -> dict[str, Any]:
-    """The ``info`` of outcomes (n,) in Gymnasium's vector form: each key with a mask ``_key``.
-
-    ``present`` (n,) marks the rows that have an info; all of them by default.
-    """
+    """The ``info`` of outcomes (n,), of the rows ``present`` (n,) or all, as :func:`masked`."""
     there = np.ones(len(outcomes), bool) if present is None else present
     columns: dict[str, Any] = {name: outcomes[name] for name in INFO_FIELDS}
     columns["is_success"] = outcomes["success"]
@@ -90,7 +76,7 @@ def make_columns(
 
 
 def masked(columns: dict[str, Any], there: NDArray[np.bool_]) -> dict[str, Any]:
-    """Gymnasium's form: zeros (or None) in rows that have no info, and a mask ``_key`` each."""
+    """Gymnasium's vector form: zeros (or None) in rows without info, and a mask ``_key`` each."""
     result: dict[str, Any] = {}
     for name, part in columns.items():
         if isinstance(part, dict):

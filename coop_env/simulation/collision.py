@@ -1,8 +1,8 @@
-"""Analytic collision test of the two robots, one scalar kernel.
+"""Analytic collision test of the two robots, scalar kernels.
 
-Bodies of the Delta: peg and forearms as capsules, effector as a sphere. Bodies of the 3-RRS: dome
-as a sphere, platform as three spokes from its centre to the spherical joints, proximal and distal
-links as capsules. The peg may enter the dome through a hole's mouth, chamfer included.
+Of the Delta, peg and forearms are capsules, the effector is a sphere. Of the 3-RRS, the dome is a
+sphere; both links and three spokes from the platform's centre to its spherical joints are capsules.
+The peg may enter the dome through a hole's mouth, chamfer included.
 """
 
 from __future__ import annotations
@@ -79,13 +79,8 @@ def hole(pose: Pose, index: int, p: EnvParams) -> tuple[Row, Row]:
         pose.r10 * nx + pose.r11 * ny + pose.r12 * nz,
         pose.r20 * nx + pose.r21 * ny + pose.r22 * nz,
     )
-    radius = p.layout.dome_radius
-    mouth = (
-        pose.x + radius * normal[0],
-        pose.y + radius * normal[1],
-        pose.z + radius * normal[2],
-    )
-    return mouth, normal
+    r = p.layout.dome_radius
+    return (pose.x + r * normal[0], pose.y + r * normal[1], pose.z + r * normal[2]), normal
 
 
 @njit(cache=True)
@@ -155,10 +150,7 @@ def ceiling(heave: float, p: EnvParams) -> float:
 
 @njit(cache=True)
 def _lowest_arm(z: float, p: EnvParams) -> float:
-    """Height below which there is nothing of the Delta but the peg, m.
-
-    Forearms end at the effector and at the knees, which may hang lower.
-    """
+    """Height below which there is nothing of the Delta but the peg, m; knees may hang lowest."""
     height, forearm = p.delta.base_height, p.layout.forearm_radius
     effector = z + height - max(p.layout.effector_radius, forearm)
     return min(effector, height - p.delta.proximal_length - forearm)

@@ -1,7 +1,6 @@
 """The MDP's transition: one scalar kernel over one row of state.
 
-The single environment (a batch of one), the batched environment and the planners all call it, so a
-row of a batch is bit-identical to an environment of its own.
+Single environment, batch, team and planners all call it, so they agree to the last bit.
 """
 
 from __future__ import annotations
@@ -14,48 +13,26 @@ from coop_env.compilation import njit
 from coop_env.kinematics import delta_kernels, rrs_kernels
 from coop_env.kinematics.rrs_kernels import Pose
 from coop_env.kinematics.singularity import Row
-from coop_env.simulation import machine, rewards
+from coop_env.simulation import machine, rewards, state
 from coop_env.simulation.collision import below_ceiling, collides, peg_tip
-from coop_env.simulation.state import (
-    COLLISION,
-    HOLD,
-    INVALID,
-    SINGULAR,
-    VALID,
-    Configuration,
-    Record,
-    aim,
-    hole_angle,
-    hole_distance,
-    is_singular,
-    joint_angles,
-    leave,
-    nearest_open_hole,
-    neighbour,
-    open_holes,
-    place_delta,
-    place_rrs,
-    update_inside,
-    update_mask,
-)
+from coop_env.simulation.state import HOLD, VALID, Configuration, Record
 from coop_env.simulation.task import N_AXES, EnvParams
 
 
 @njit(cache=True)
 def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p: EnvParams) -> int:
-    """Start an episode at a configuration with the given holes; returns the configuration's status.
+    """Start an episode, but for the target; returns the configuration's status.
 
-    The target is left to :func:`coop_env.simulation.state.aim`. Nothing is written unless it is
-    VALID.
+    Nothing is written unless it is VALID.
     """
-    valid, theta, pose, q = joint_angles(c, p)
+    valid, theta, pose, q = state.joint_angles(c, p)
     if not valid:
-        return INVALID
+        return state.INVALID
     if collides(c[0], c[1], c[2], theta, pose, q, p):
-        return COLLISION
+        return state.COLLISION
     sigma = rrs_kernels.signed_sigma_min(pose, q, p.rrs)
-    if is_singular(sigma, p):
-        return SINGULAR
+    if state.is_singular(sigma, p):
+        return state.SINGULAR
     for k in range(N_AXES):
         s.start[k] = c[k]
         s.offset[k] = 0
@@ -74,21 +51,18 @@ def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p
 def stand(
     s: Record, c: Configuration, theta: Row, pose: Pose, q: Row, sigma: float, p: EnvParams
 ) -> None:
-    """Put the nominal machine at a configuration, and write all that follows from that."""
+    """Put the nominal machine at a configuration, and write all that follows from it."""
     s.refused[:] = 0
     s.sigma = sigma
-    place_delta(s, c, theta, peg_tip(c[0], c[1], c[2], p.delta))
-    place_rrs(s, c, pose, q, p)
-    update_inside(s, p.task.tolerance, p)
-    update_mask(s, True, True, p)
+    state.place_delta(s, c, theta, peg_tip(c[0], c[1], c[2], p.delta))
+    state.place_rrs(s, c, pose, q, p)
+    state.update_inside(s, p.task.tolerance, p)
+    state.update_mask(s, True, True, p)
 
 
 @njit(cache=True)
 def settle(s: Record, p: EnvParams) -> int:
-    """Let the imperfect machine in ``s`` take the pose of a state begun; returns its status.
-
-    The joints come to rest at what is commanded, without play.
-    """
+    """Put the imperfect machine at a state begun, joints as commanded; returns its status."""
     m = s.machine
     for k in range(3):
         m.joints[k], m.joints[3 + k] = s.theta[k], s.q[k]
@@ -102,28 +76,25 @@ def settle(s: Record, p: EnvParams) -> int:
 
 @njit(cache=True)
 def _move(s: Record, delta: int, rrs: int, p: EnvParams) -> tuple[int, int]:
-    """Try a move of the Delta (0 to 5), of the 3-RRS (6 to 11), or both at once; HOLD is no move.
+    """Try a move of the Delta, of the 3-RRS, or both; the status of each.
 
     A robot whose own limits forbid its move stays, and the other's is tried alone. If the robots
-    would touch where they arrive, neither moves.
-
-    Returns:
-        The status of the Delta's move and of the 3-RRS's: VALID and SINGULAR ones are executed.
+    would touch where they arrive, neither moves. VALID and SINGULAR moves are executed.
     """
-    c = neighbour(s, HOLD, p)
+    c = state.neighbour(s, HOLD, p)
     theta, q = (s.theta[0], s.theta[1], s.theta[2]), (s.q[0], s.q[1], s.q[2])
     delta_status, rrs_status = VALID, VALID
     if delta != HOLD:
-        to = neighbour(s, delta, p)
+        to = state.neighbour(s, delta, p)
         real, angles = False, theta
         if delta_kernels.within_limits(to[0], to[1], to[2], p.delta):
             real, angles = delta_kernels.inverse(to[0], to[1], to[2], p.delta)
         if real:
             c, theta = (to[0], to[1], to[2], c[3], c[4], c[5]), angles
         else:
-            delta, delta_status = HOLD, INVALID
+            delta, delta_status = HOLD, state.INVALID
     if rrs != HOLD:
-        to = neighbour(s, rrs, p)
+        to = state.neighbour(s, rrs, p)
         real, angles = False, q
         if rrs_kernels.within_limits(to[3], to[4], to[5], p.rrs):
             pose = rrs_kernels.platform_pose(to[3], to[4], to[5], p.rrs)
@@ -131,26 +102,26 @@ def _move(s: Record, delta: int, rrs: int, p: EnvParams) -> tuple[int, int]:
         if real and rrs_kernels.joints_within_limits(angles, p.rrs):
             c, q = (c[0], c[1], c[2], to[3], to[4], to[5]), angles
         else:
-            rrs, rrs_status = HOLD, INVALID
+            rrs, rrs_status = HOLD, state.INVALID
     if delta == HOLD and rrs == HOLD:
         return delta_status, rrs_status
     if below_ceiling(c, p):
         if rrs == HOLD:
             pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
         if collides(c[0], c[1], c[2], theta, pose, q, p):
-            delta_status = delta_status if delta == HOLD else COLLISION
-            return delta_status, rrs_status if rrs == HOLD else COLLISION
+            delta_status = delta_status if delta == HOLD else state.COLLISION
+            return delta_status, rrs_status if rrs == HOLD else state.COLLISION
     if delta != HOLD:
         for k in range(3):
             s.energy += abs(theta[k] - s.theta[k])
-        place_delta(s, c, theta, peg_tip(c[0], c[1], c[2], p.delta))
+        state.place_delta(s, c, theta, peg_tip(c[0], c[1], c[2], p.delta))
     if rrs != HOLD:
         for k in range(3):
             s.energy += abs(q[k] - s.q[k])
-        place_rrs(s, c, pose, q, p)
+        state.place_rrs(s, c, pose, q, p)
         s.sigma = rrs_kernels.signed_sigma_min(pose, q, p.rrs)
-        if is_singular(s.sigma, p):
-            rrs_status = SINGULAR
+        if state.is_singular(s.sigma, p):
+            rrs_status = state.SINGULAR
     return delta_status, rrs_status
 
 
@@ -160,69 +131,65 @@ def _follow(s: Record, c: Configuration, p: EnvParams) -> int:
 
     The state's configuration is the model's; angles, tip, mouths and sigma are the real ones.
     """
-    valid, theta, _, q = joint_angles(c, p)
+    valid, theta, _, q = state.joint_angles(c, p)
     if not valid:
-        return INVALID
+        return state.INVALID
     m = s.machine
     real = machine.real_params(m, p)
     joints = machine.answer(m, theta, q)
     closed, at, tilt = machine.forward(m, joints, real)
     if not closed:
-        return INVALID
+        return state.INVALID
     theta, q = (joints[0], joints[1], joints[2]), (joints[3], joints[4], joints[5])
     pose = rrs_kernels.platform_pose(tilt[0], tilt[1], tilt[2], real.rrs)
     met = machine.displaced(m, pose)
     if collides(at[0], at[1], at[2], theta, met, q, real):
-        return COLLISION
+        return state.COLLISION
     for k in range(3):
         s.energy += abs(theta[k] - s.theta[k]) + abs(q[k] - s.q[k])
         m.actual[k], m.actual[3 + k] = at[k], tilt[k]
     for k in range(6):
         m.joints[k] = joints[k]
-    place_delta(s, c, theta, peg_tip(at[0], at[1], at[2], real.delta))
-    place_rrs(s, c, met, q, p)
-    update_inside(s, m.tolerance, p)
+    state.place_delta(s, c, theta, peg_tip(at[0], at[1], at[2], real.delta))
+    state.place_rrs(s, c, met, q, p)
+    state.update_inside(s, m.tolerance, p)
     s.sigma = rrs_kernels.signed_sigma_min(pose, q, real.rrs)
-    return SINGULAR if is_singular(s.sigma, p) else VALID
+    return state.SINGULAR if state.is_singular(s.sigma, p) else VALID
 
 
 @njit(cache=True)
 def _attempt(s: Record, delta: int, rrs: int, p: EnvParams) -> tuple[int, int]:
-    """Try a move of one robot or of both, and write what follows from what was executed.
-
-    Returns:
-        The status of the Delta's move and of the 3-RRS's; VALID of one that holds.
-    """
+    """Try a move of one robot or of both, and write what follows; the status of each, 0 of HOLD."""
     if delta == HOLD and rrs == HOLD:
         return VALID, VALID
     if p.task.imperfect:  # one robot at a time
-        status = _follow(s, neighbour(s, max(delta, rrs), p), p)
+        status = _follow(s, state.neighbour(s, max(delta, rrs), p), p)
         delta_status, rrs_status = (VALID, status) if delta == HOLD else (status, VALID)
     else:
         delta_status, rrs_status = _move(s, delta, rrs, p)
-    delta_moved = delta != HOLD and delta_status in (VALID, SINGULAR)
-    rrs_moved = rrs != HOLD and rrs_status in (VALID, SINGULAR)
+    delta_moved = delta != HOLD and delta_status in (VALID, state.SINGULAR)
+    rrs_moved = rrs != HOLD and rrs_status in (VALID, state.SINGULAR)
     if not (delta_moved or rrs_moved):
         if p.task.refused:
             s.refused[max(delta, rrs)] = 1
-            update_mask(s, True, True, p)
+            state.update_mask(s, True, True, p)
         return delta_status, rrs_status
     s.refused[:] = 0
     if p.task.visited > 0:
-        leave(s)
+        state.leave(s)
     if delta_moved:
         s.offset[delta // 2] += 1 - 2 * (delta % 2)
     if rrs_moved:
         s.offset[rrs // 2] += 1 - 2 * (rrs % 2)
     if not p.task.imperfect:
-        update_inside(s, p.task.tolerance, p)
-    update_mask(s, delta_moved, rrs_moved, p)
+        state.update_inside(s, p.task.tolerance, p)
+    state.update_mask(s, delta_moved, rrs_moved, p)
     return delta_status, rrs_status
 
 
 @njit(cache=True)
 def _inserts(s: Record, p: EnvParams) -> bool:
-    """Whether the peg goes into the target: the criterion, and with a rough chamfer the luck."""
+    """Whether the peg goes into the target: the criterion, and an imperfect machine's luck."""
     if s.inside[s.target] == 0 or s.filled[s.target] == 1:
         return False
     return not p.task.imperfect or machine.uniform(s.machine) < s.machine.insertion_probability
@@ -240,10 +207,7 @@ def _in_filled_holes(s: Record) -> int:
 
 @njit(cache=True)
 def step(s: Record, action: int, p: EnvParams, out: Record) -> None:
-    """One move of one robot, while the other holds; see :func:`tick`.
-
-    With latency the last action is executed now, HOLD at first.
-    """
+    """One move of one robot; with latency the last action is executed now, HOLD at first."""
     due = action
     if p.task.imperfect and s.machine.latency:
         due = s.machine.pending
@@ -256,13 +220,13 @@ def tick(s: Record, delta: int, rrs: int, p: EnvParams, out: Record) -> None:
     """One time step, in which the Delta moves (0 to 5), the 3-RRS (6 to 11), both, or none (HOLD).
 
     Writes the next state to ``s`` and what happened to ``out``. A hole is filled by what was
-    executed, also where the other robot's own limits refused its move. With ``p.task.imperfect``
-    one of them must hold, and ``mask_refused`` is of single moves.
+    executed, also where the other robot's limits refused its move. With ``p.task.imperfect`` or
+    ``p.task.refused`` one robot must hold.
     """
     before = _in_filled_holes(s)
     delta_status, rrs_status = _attempt(s, delta, rrs, p)
-    singular = delta_status == SINGULAR or rrs_status == SINGULAR
-    collision = delta_status == COLLISION or rrs_status == COLLISION
+    singular = delta_status == state.SINGULAR or rrs_status == state.SINGULAR
+    collision = delta_status == state.COLLISION or rrs_status == state.COLLISION
     arrived = (delta != HOLD and delta_status == VALID) or (rrs != HOLD and rrs_status == VALID)
     arrived = arrived and not singular
     v, target = delta_status != VALID or rrs_status != VALID, s.target
@@ -270,10 +234,10 @@ def tick(s: Record, delta: int, rrs: int, p: EnvParams, out: Record) -> None:
     z = arrived and _inserts(s, p)
     if z:
         s.filled[target] = 1
-    n_open = open_holes(s)
+    n_open = state.open_holes(s)
     terminated = singular or n_open == 0 or (collision and p.task.fatal)
     if z and n_open > 0:
-        target = nearest_open_hole(s)
+        target = state.nearest_open_hole(s)
     out.collision, out.singular = collision, singular
     conclude(s, (v, z, u, terminated, terminated and n_open > 0), target, p, out)
 
@@ -282,26 +246,20 @@ def tick(s: Record, delta: int, rrs: int, p: EnvParams, out: Record) -> None:
 def conclude(
     s: Record, flags: tuple[bool, bool, bool, bool, bool], target: int, p: EnvParams, out: Record
 ) -> None:
-    """Count the move, aim at a target, and write to ``out`` what it has not got yet.
+    """Count the move, aim at the next target, and write to ``out`` what it has not got yet.
 
-    Args:
-        s: the state, with the holes that are filled and active after the move.
-        flags: a violation, an insertion, an entry to a filled hole, the episode's end, that it
-            ends in failure.
-        target: the next one.
-        p: the parameters.
-        out: the outcome.
+    ``flags``: a violation, an insertion, an entry to a filled hole, the episode's end, a failure.
     """
     v, z, u, terminated, _ = flags
     aimed, before = s.target, (s.distance, s.angle)
     s.moves += 1
     s.insertions += z
-    after = (hole_distance(s, aimed), hole_angle(s, aimed))
+    after = (state.hole_distance(s, aimed), state.hole_angle(s, aimed))
     out.distance, out.alignment_error = after
-    aim(s, target)
+    state.aim(s, target)
     if p.task.visited > 0 and target != aimed:  # the way to the next hole may lead back
         s.trailed = 0
-        update_mask(s, True, True, p)
+        state.update_mask(s, True, True, p)
     _reward(s, flags, before, after, p, out)
     out.violation, out.inserted, out.duplicate = v, z, u
     out.inserted_hole = aimed if z else -1
@@ -310,7 +268,7 @@ def conclude(
     s.over = out.terminated or out.truncated
     out.success = s.insertions > 0
     out.n_filled = s.filled.sum()
-    out.all_filled = np.all(s.active <= s.filled)
+    out.all_filled = state.open_holes(s) == 0
     out.sigma_min = s.sigma
     out.target = s.target
     out.time = s.moves * p.layout.dt
@@ -322,7 +280,7 @@ def _reward(
     s: Record, flags: tuple[bool, bool, bool, bool, bool],
     before: tuple[float, float], after: tuple[float, float], p: EnvParams, out: Record,
 ) -> None:  # fmt: skip
-    """Write the reward and its terms; distance and angle are to the hole that was aimed at."""
+    """Write the reward and its terms; ``before``, ``after``: distance and angle to one hole."""
     v, z, u, terminated, failed = flags
     n_filled, time = s.filled.sum(), s.moves * p.layout.dt
     if p.reward.paper:

@@ -7,18 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from coop_env.errors import ArgumentError, check_integer, check_number, is_list
+from coop_env.errors import ArgumentError, check_integer, check_number, is_list, keep_number
 
 MAX_HOLES: Final = 32
 
-_RING, _TOP = math.radians(30.0), math.radians(10.0)
-PAPER_HOLES: Final = (
-    (_RING, math.radians(45.0)),
-    (_RING, math.radians(135.0)),
-    (_RING, math.radians(225.0)),
-    (_RING, math.radians(315.0)),
-    (_TOP, math.radians(0.0)),
-    (_TOP, math.radians(180.0)),
+PAPER_HOLES: Final = tuple(
+    (math.radians(polar), math.radians(azimuth))
+    for polar, azimuth in ((30, 45), (30, 135), (30, 225), (30, 315), (10, 0), (10, 180))
 )
 """Four peripheral holes and two inner ones: polar angle and azimuth, rad."""
 
@@ -37,16 +32,18 @@ _MOST = {
     "forearm_radius": 0.1,
     "spoke_radius": 0.1,
     "limb_radius": 0.1,
+    "start_tilt": math.pi / 2,
+    "start_planar": 1.0,
+    "singular_margin": 1.0,
 }
-"""Largest values of what must be above zero."""
+_MAY_BE_ZERO = ("start_tilt", "start_planar", "singular_margin")
 
 
 @dataclass(frozen=True, slots=True)
 class InsertionTask:
     """Dome and holes, what counts as inserted, moves, start states, bodies. Lengths m, angles rad.
 
-    The defaults are the paper's task; ``docs/fidelity.md`` says which of them it leaves open. Six
-    axes with two moves each, and the order of the axes, are structure and no numbers.
+    The defaults are the paper's task; ``docs/fidelity.md`` says which of them it leaves open.
 
     Attributes:
         holes: (polar angle, azimuth) of each hole on the dome, 1 to 32 of them.
@@ -100,24 +97,16 @@ class InsertionTask:
 
     def __post_init__(self) -> None:
         for name, most in _MOST.items():
-            self._set(name, check_number(_of(name), getattr(self, name), 0.0, most, above=True))
-        for name, most in (
-            ("start_tilt", math.pi / 2), ("start_planar", 1.0), ("singular_margin", 1.0),
-        ):  # fmt: skip
-            self._set(name, check_number(_of(name), getattr(self, name), 0.0, most))
-        self._set(
-            "start_sigma",
-            check_number(_of("start_sigma"), self.start_sigma, self.singular_margin, 10.0),
-        )
-        self._set("holes", _holes(self.holes))
-        self._set("stage_0_holes", check_integer(_of("stage_0_holes"), self.stage_0_holes, 1))
-        low, high = _pair(_of("start_clearance"), self.start_clearance)
-        low = check_number(_of("start_clearance[0]"), low, 0.0, 1.0)
-        high = check_number(_of("start_clearance[1]"), high, low, 1.0)
-        self._set("start_clearance", (low, high))
-
-    def _set(self, name: str, value: Any) -> None:
-        object.__setattr__(self, name, value)
+            keep_number(self, name, 0.0, most, above=name not in _MAY_BE_ZERO)
+        keep_number(self, "start_sigma", self.singular_margin, 10.0)
+        object.__setattr__(self, "holes", _holes(self.holes))
+        first = check_integer("InsertionTask.stage_0_holes", self.stage_0_holes, 1)
+        object.__setattr__(self, "stage_0_holes", first)
+        name = "InsertionTask.start_clearance"
+        low, high = _pair(name, self.start_clearance)
+        low = check_number(f"{name}[0]", low, 0.0, 1.0)
+        high = check_number(f"{name}[1]", high, low, 1.0)
+        object.__setattr__(self, "start_clearance", (low, high))
 
     @property
     def steps(self) -> tuple[float, float, float, float, float, float]:
@@ -137,10 +126,6 @@ class InsertionTask:
         return (1,) * first + (0,) * (n - first)
 
 
-def _of(name: str) -> str:
-    return f"InsertionTask.{name}"
-
-
 def _pair(name: str, value: Any) -> tuple[Any, Any]:
     if not is_list(value) or len(both := list(value)) != 2:
         raise ArgumentError(f"{name} = {value!r}: must be two numbers")
@@ -148,24 +133,21 @@ def _pair(name: str, value: Any) -> tuple[Any, Any]:
 
 
 def _holes(value: Any) -> tuple[tuple[float, float], ...]:
+    name = "InsertionTask.holes"
     if not is_list(value):
-        raise ArgumentError(f"{_of('holes')} = {value!r}: must be pairs of polar angle and azimuth")
+        raise ArgumentError(f"{name} = {value!r}: must be pairs of polar angle and azimuth")
     result = []
     for i, pair in enumerate(value):
-        name = _of(f"holes[{i}]")
-        polar, azimuth = _pair(name, pair)
-        result.append(
-            (
-                check_number(f"{name} polar angle", polar, 0.0, math.pi / 2),
-                check_number(f"{name} azimuth", azimuth, -2.0 * math.pi, 2.0 * math.pi),
-            )
-        )
+        polar, azimuth = _pair(f"{name}[{i}]", pair)
+        polar = check_number(f"{name}[{i}] polar angle", polar, 0.0, math.pi / 2)
+        azimuth = check_number(f"{name}[{i}] azimuth", azimuth, -2.0 * math.pi, 2.0 * math.pi)
+        result.append((polar, azimuth))
     if not 1 <= len(result) <= MAX_HOLES:
-        raise ArgumentError(f"{_of('holes')} are {len(result)}: must be 1 to {MAX_HOLES}")
+        raise ArgumentError(f"{name} are {len(result)}: must be 1 to {MAX_HOLES}")
     for i, one in enumerate(result):  # by where they are: angles name the pole in many ways
         for j, other in enumerate(result[:i]):
             if math.dist(_normal(*one), _normal(*other)) < 1e-9:
-                raise ArgumentError(f"{_of('holes')}[{j}] = {other} and [{i}] = {one} are the same")
+                raise ArgumentError(f"{name}[{j}] = {other} and [{i}] = {one} are the same")
     return tuple(result)
 
 

@@ -12,17 +12,9 @@ import numpy as np
 
 from coop_env.compilation import njit
 from coop_env.kinematics import delta_kernels, rrs_kernels
-from coop_env.simulation import dynamics, observation
+from coop_env.simulation import dynamics, observation, state
 from coop_env.simulation.collision import below_ceiling, collides
-from coop_env.simulation.state import (
-    HOLD,
-    Record,
-    delta_valid,
-    is_safe,
-    is_singular,
-    neighbour,
-    rrs_valid,
-)
+from coop_env.simulation.state import HOLD, Record
 from coop_env.simulation.task import N_ACTIONS, EnvParams, unpack
 
 N_CHOICES: Final = 7
@@ -70,12 +62,12 @@ def step_batch(
 @njit(cache=True)
 def _own_limits(s: Record, move: int, p: EnvParams) -> bool:
     """Whether a robot can make a move, as far as it knows without sight of the other."""
-    c = neighbour(s, move, p)
+    c = state.neighbour(s, move, p)
     if move < 6:
-        return delta_valid(c, p)
-    if not rrs_valid(c, p):
+        return state.delta_valid(c, p)
+    if not state.rrs_valid(c, p):
         return False
-    return not p.task.mask_singularities or not is_singular(
+    return not p.task.mask_singularities or not state.is_singular(
         rrs_kernels.sigma_at(c[3], c[4], c[5], p.rrs), p
     )
 
@@ -97,7 +89,7 @@ def agent_masks(states: np.ndarray, packed: np.ndarray, sight: bool, masks: np.n
             if informed and (s.mask[move] == 1 or sight or not coupled):
                 allowed = s.mask[move] == 1
             elif sight and coupled:
-                allowed = is_safe(s, move, p)
+                allowed = state.is_safe(s, move, p)
             else:
                 allowed = _own_limits(s, move, p)
             masks[i, move // 6, move % 6] = allowed
@@ -130,17 +122,17 @@ def _forbid_collisions(s: Record, p: EnvParams, mask: np.ndarray) -> None:
     """Take joint actions out of ``mask (49,)`` in which both move and after which they touch."""
     thetas = np.empty((N_CHOICES, 3))  # found once for each move, not for each pair
     for delta in range(HOLD_CHOICE):
-        d = neighbour(s, move_of(DELTA, delta), p)
+        d = state.neighbour(s, move_of(DELTA, delta), p)
         _, theta = delta_kernels.inverse(d[0], d[1], d[2], p.delta)
         for k in range(3):
             thetas[delta, k] = theta[k]
     for rrs in range(HOLD_CHOICE):
-        r = neighbour(s, move_of(RRS, rrs), p)
+        r = state.neighbour(s, move_of(RRS, rrs), p)
         pose = rrs_kernels.platform_pose(r[3], r[4], r[5], p.rrs)
         _, q = rrs_kernels.inverse(pose, p.rrs)
         for delta in range(HOLD_CHOICE):
             action = N_CHOICES * delta + rrs
-            d = neighbour(s, move_of(DELTA, delta), p)
+            d = state.neighbour(s, move_of(DELTA, delta), p)
             if mask[action] and below_ceiling((d[0], d[1], d[2], r[3], r[4], r[5]), p):
                 theta = (thetas[delta, 0], thetas[delta, 1], thetas[delta, 2])
                 mask[action] = not collides(d[0], d[1], d[2], theta, pose, q, p)

@@ -1,9 +1,6 @@
 """Kernels of an imperfect machine: what it does with the joint angles that its model commands.
 
-A machine differs from its model in link lengths and base pose, its joints have backlash and a
-coarse resolution, commands may come late, and a chamfer may catch the peg. The knobs that draw such
-machines are in :mod:`coop_env.simulation.sim_to_real`; with none of them turned nothing here is
-run.
+:mod:`coop_env.simulation.sim_to_real` draws such machines. With no knob turned nothing here runs.
 """
 
 from __future__ import annotations
@@ -100,13 +97,9 @@ def _answer(m: Record, joint: int, command: float) -> float:
 def answer(m: Record, theta: Row, q: Row) -> Joints:
     """Where the six joints go when theta and q are commanded, rad."""
     return (
-        _answer(m, 0, theta[0]),
-        _answer(m, 1, theta[1]),
-        _answer(m, 2, theta[2]),
-        _answer(m, 3, q[0]),
-        _answer(m, 4, q[1]),
-        _answer(m, 5, q[2]),
-    )
+        _answer(m, 0, theta[0]), _answer(m, 1, theta[1]), _answer(m, 2, theta[2]),
+        _answer(m, 3, q[0]), _answer(m, 4, q[1]), _answer(m, 5, q[2]),
+    )  # fmt: skip
 
 
 @njit(cache=True)
@@ -125,17 +118,19 @@ def displaced(m: Record, pose: Pose) -> Pose:
     b = m.base
     cr, sr, cp, sp = math.cos(b[3]), math.sin(b[3]), math.cos(b[4]), math.sin(b[4])
     e0, e1, e2 = (cp, 0.0, sp), (sr * sp, cr, -sr * cp), (-cr * sp, sr, cr * cp)
+    r0 = (pose.r00, pose.r10, pose.r20)
+    r1 = (pose.r01, pose.r11, pose.r21)
+    r2 = (pose.r02, pose.r12, pose.r22)
     return Pose(
         b[0] + e0[0] * pose.x + e0[1] * pose.y + e0[2] * pose.z,
         b[1] + e1[0] * pose.x + e1[1] * pose.y + e1[2] * pose.z,
         b[2] + e2[0] * pose.x + e2[1] * pose.y + e2[2] * pose.z,
-        e0[0] * pose.r00 + e0[1] * pose.r10 + e0[2] * pose.r20,
-        e0[0] * pose.r01 + e0[1] * pose.r11 + e0[2] * pose.r21,
-        e0[0] * pose.r02 + e0[1] * pose.r12 + e0[2] * pose.r22,
-        e1[0] * pose.r00 + e1[1] * pose.r10 + e1[2] * pose.r20,
-        e1[0] * pose.r01 + e1[1] * pose.r11 + e1[2] * pose.r21,
-        e1[0] * pose.r02 + e1[1] * pose.r12 + e1[2] * pose.r22,
-        e2[0] * pose.r00 + e2[1] * pose.r10 + e2[2] * pose.r20,
-        e2[0] * pose.r01 + e2[1] * pose.r11 + e2[2] * pose.r21,
-        e2[0] * pose.r02 + e2[1] * pose.r12 + e2[2] * pose.r22,
-    )
+        _dot(e0, r0), _dot(e0, r1), _dot(e0, r2),
+        _dot(e1, r0), _dot(e1, r1), _dot(e1, r2),
+        _dot(e2, r0), _dot(e2, r1), _dot(e2, r2),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _dot(a: Row, b: Row) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

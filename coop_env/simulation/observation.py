@@ -42,11 +42,8 @@ def make_observation(
         observation: ``"paper"``, 12 fields, or ``"markov"``, which appends the filled holes and
             the time elapsed, both of which the reward depends on.
         normalize: fields scaled to [0, 1] and clipped, or plain SI units.
-        error_bound: half-width of the normalized hole - tip, m; the 10 mm of an insertion are a
-            thirtieth of the default's range.
-
-    Raises:
-        ArgumentError: ``observation`` is neither, or ``normalize`` is no bool.
+        p: the environment's parameters.
+        error_bound: half-width of the normalized hole - tip, m.
     """
     if observation not in ("paper", "markov"):
         raise ArgumentError(f"observation = {observation!r}: must be 'paper' or 'markov'")
@@ -81,27 +78,20 @@ def _largest_error(p: EnvParams) -> float:
 
 
 @njit(cache=True)
-def _observe_model(s: Record, p: EnvParams, row: np.ndarray) -> None:
-    """Overwrite e_rel and n_target by what the controller's model makes of the configuration."""
-    c = s.configuration
-    tip = peg_tip(c[0], c[1], c[2], p.delta)
-    mouth, normal = hole(rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs), s.target, p)
-    for k in range(3):
-        row[6 + k] = mouth[k] - tip[k]
-        row[9 + k] = normal[k]
-
-
-@njit(cache=True)
 def observe(s: Record, p: EnvParams, o: np.ndarray, row: np.ndarray) -> None:
     """Write the observation of one row of state to ``row (size,)``, float32; o is a Transform."""
-    target = s.target
+    c, target = s.configuration, s.target
     for k in range(6):
-        row[k] = s.configuration[k]
+        row[k] = c[k]
     for k in range(3):
         row[6 + k] = s.mouths[target, k] - s.tip[k]
         row[9 + k] = s.normals[target, k]
-    if p.task.imperfect:
-        _observe_model(s, p, row)
+    if p.task.imperfect:  # the controller sees what its model makes of the configuration
+        tip = peg_tip(c[0], c[1], c[2], p.delta)
+        mouth, normal = hole(rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs), target, p)
+        for k in range(3):
+            row[6 + k] = mouth[k] - tip[k]
+            row[9 + k] = normal[k]
     if row.shape[0] > 12:
         n_holes = len(s.filled)
         for i in range(n_holes):

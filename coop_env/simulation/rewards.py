@@ -1,10 +1,8 @@
 """The two rewards, as named terms: the paper's equation (reward), and its repair.
 
-``"paper"`` is the printed equation to the letter. It pays ``50 [dd]+`` for every second step of an
-oscillation and up to 6 a step for hovering within 3 cm of a hole, so a learner can farm it without
-ever inserting. ``"progress"`` pays the plain, two-sided progress in distance and in alignment
-angle towards one and the same hole, whose sum around any loop is nought, plus the insertion bonus
-and a step cost.
+``"paper"`` pays ``50 [dd]+`` for every second step of an oscillation and up to 6 a step for
+hovering within 3 cm of a hole, so a learner can farm it without ever inserting. ``"progress"`` pays
+the two-sided progress in distance and angle towards one hole, whose sum around any loop is nought.
 """
 
 from __future__ import annotations
@@ -19,15 +17,8 @@ from coop_env.errors import RewardError, check_number
 from coop_env.simulation.task import RewardParams
 
 TERMS: Final = (
-    "violation",
-    "insertion",
-    "duplicate",
-    "step",
-    "distance",
-    "progress",
-    "proximity",
-    "alignment",
-)
+    "violation", "insertion", "duplicate", "step", "distance", "progress", "proximity", "alignment",
+)  # fmt: skip
 """Names of the terms, in the order of the kernel's tuple; a reward is their sum."""
 
 Terms = tuple[float, float, float, float, float, float, float, float]
@@ -47,11 +38,7 @@ PROGRESS_DEFAULTS: Final[Mapping[str, float | None]] = MappingProxyType(
 
 
 def make_reward(kind: str, kwargs: Mapping[str, float | None] | None = None) -> RewardParams:
-    """A reward's name and scales as the kernel takes them.
-
-    Args:
-        kind: ``"paper"`` (takes no scales) or ``"progress"``.
-        kwargs: any of the keys of :data:`PROGRESS_DEFAULTS`; penalties and costs are magnitudes.
+    """A reward's name and scales (keys of :data:`PROGRESS_DEFAULTS`) as the kernel takes them.
 
     Raises:
         RewardError: an unknown name or key, or a scale that is negative, infinite or not a number.
@@ -87,7 +74,7 @@ def _scale(key: str, value: float | None) -> float:
 
 @njit(cache=True)
 def insertion_bonus(n_filled: int, time: float, p: RewardParams) -> float:
-    """Bonus of a new insertion: ``150 + 25 N_t + 80 (1 - t / T_task)``, or the constant given."""
+    """Of an insertion: ``150 + 25 N_t + 80 (1 - t / T_task)``, or the constant given."""
     if math.isnan(p.insertion_bonus):
         return 150.0 + 25.0 * n_filled + 80.0 * (1.0 - time / p.task_time)
     return p.insertion_bonus
@@ -99,11 +86,10 @@ def paper_terms(
     p: RewardParams,
 ) -> Terms:  # fmt: skip
     """Equation (reward): d(t-1) = ``before``, d(t) = ``after``, both to the same hole."""
-    insertion = insertion_bonus(n_filled, time, p) if z else 0.0
     nominal = 0.0 if v or z or u else 1.0
     return (
         -3.0 if v else 0.0,
-        insertion,
+        insertion_bonus(n_filled, time, p) if z else 0.0,
         -1.0 if u else 0.0,
         -0.01 * nominal,
         -after * nominal,
@@ -121,8 +107,7 @@ def progress_terms(
     """The repaired reward; ``distance`` and ``angle`` are (before, after).
 
     With ``p.gamma`` it is the shaping ``gamma Phi(s') - Phi(s)`` of the potential
-    ``Phi = -(distance_scale d + angle_scale angle)``; the caller then gives "after" as seen from
-    the next state: towards its own target, and zero at a termination, where Phi must vanish.
+    ``Phi = -(distance_scale d + angle_scale angle)``.
     """
     gamma = 1.0 if math.isnan(p.gamma) else p.gamma
     return (
@@ -141,8 +126,7 @@ def progress_terms(
 def failure_terms(terms: Terms, moves_left: int, p: RewardParams) -> Terms:
     """The repaired reward of a move that ends the episode in failure, so that ending it never pays.
 
-    It makes no progress, and costs the violation and a step for each of ``moves_left``, itself
-    included: what idling to the end of the episode would have cost, and the penalty.
+    It costs what idling to the end would have cost, itself included, and the penalty.
     """
     penalty, step = -p.violation_penalty, -p.step_cost * moves_left
     return penalty, terms[1], terms[2], step, 0.0, 0.0, 0.0, 0.0

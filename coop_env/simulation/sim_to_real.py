@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coop_env.errors import ArgumentError, as_dataclass, check_flag, check_integer, check_number
+from coop_env.errors import ArgumentError, as_dataclass, check_flag, check_integer, keep_number
 from coop_env.simulation.insertion_task import InsertionTask
 from coop_env.simulation.task import EnvParams
 
@@ -26,10 +26,9 @@ Floats = NDArray[np.float64]
 class SimToReal:
     """How far the real machine may be from its model. Errors are drawn uniformly within +-bound.
 
-    All environments take ``link_length_error``, ``backlash``, ``joint_resolution``, ``latency``
-    and ``randomize``. Only the kinematic ones take ``observation_noise``, ``base_position_error``,
-    ``base_tilt_error``, ``chamfer_error`` and ``insertion_probability``: those with contact have
-    their ``level`` instead. Only those with contact take the last five.
+    The environments with contact alone take the last five, and have their ``level`` in place of
+    ``observation_noise``, ``base_position_error``, ``base_tilt_error``, ``chamfer_error`` and
+    ``insertion_probability``.
 
     FORGE (Noseworthy et al. 2024, arXiv 2408.04587) has published ranges for the last five, in the
     file ``forge_env_cfg.py`` of Isaac Lab: gains times or divided by up to 1.41; a dead zone of up
@@ -86,8 +85,7 @@ class SimToReal:
             "servo_dead_zone": 10.0, "mass_error": 0.9, "friction_error": 4.0, "force_noise": 10.0,
         }  # fmt: skip
         for name, limit in limits.items():
-            number = check_number(f"SimToReal.{name}", getattr(self, name), 0.0, limit)
-            object.__setattr__(self, name, number)
+            keep_number(self, name, 0.0, limit)
         check_integer("SimToReal.latency", self.latency, 0, 1, hint=" step")
         check_flag("SimToReal.randomize", self.randomize)
 
@@ -150,16 +148,12 @@ def _knobs(value: Any, preset: SimToReal, others: frozenset[str], hint: str) -> 
 
 
 def resolve_contact(value: str | SimToReal | Mapping[str, Any] | None) -> SimToReal:
-    """The knobs of an environment with contact; ``"randomized"`` is ``FORGE``.
-
-    Raises:
-        ArgumentError: it is none of these, or a knob of the kinematic environments is turned.
-    """
+    """The knobs of an environment with contact; ``"randomized"`` is ``FORGE``."""
     return _knobs(value, FORGE, KINEMATIC_KNOBS, "the machine has contact here; see level")
 
 
 def resolve(value: str | SimToReal | Mapping[str, Any] | None, task: InsertionTask) -> SimToReal:
-    """The knobs of a constructor argument: None, ``"randomized"``, the knobs or their fields.
+    """The knobs of a kinematic environment: None, ``"randomized"``, the knobs or their fields.
 
     Raises:
         ArgumentError: it is none of these, a knob of the environments with contact is turned, or

@@ -75,8 +75,7 @@ class StartOptions:
         if options is not None and not isinstance(options, Mapping):
             raise ResetOptionError(f"reset options = {options!r}: must be a mapping or None")
         given = dict(options or {})
-        unknown = sorted(str(k) for k in set(given) - set(OPTIONS))
-        if unknown:
+        if unknown := sorted(str(key) for key in given if key not in OPTIONS):
             raise ResetOptionError(f"reset options {unknown} are unknown; known: {list(OPTIONS)}")
         self.active = np.array(active, np.uint8)
         self.filled = _filled(given.get("filled"), self.active)
@@ -113,7 +112,7 @@ def draw_start(
         )
     target = options.target
     if target is None:
-        open_holes = np.flatnonzero((options.active == 1) & (options.filled == 0))
+        open_holes = np.flatnonzero(options.active > options.filled)
         target = int(open_holes[rng.integers(open_holes.size)])
     state.aim(scratch[0], target)
     return scratch
@@ -145,7 +144,7 @@ def _filled(value: Any, active: NDArray[np.uint8]) -> NDArray[np.uint8]:
         raise ResetOptionError(f"filled = {value!r}: must be a collection of hole indices")
     for item in value:
         filled[_hole_index(item, "an entry of filled", active.size)] = 1
-    if not np.any((active == 1) & (filled == 0)):
+    if not (active > filled).any():
         raise ResetOptionError(
             f"filled = {np.flatnonzero(filled).tolist()}: leaves no active hole to fill"
         )
@@ -166,11 +165,7 @@ def _target(value: object, active: NDArray[np.uint8], filled: NDArray[np.uint8])
 
 
 def as_configuration(value: object) -> state.Configuration:
-    """Six floats (x, y, z, roll, pitch, heave).
-
-    Raises:
-        ResetOptionError: the value is not six numbers.
-    """
+    """The value as six floats (x, y, z, roll, pitch, heave); ResetOptionError."""
     try:
         array = np.asarray(value, np.float64)
     except (TypeError, ValueError) as error:

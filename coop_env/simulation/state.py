@@ -1,7 +1,7 @@
 """One row of state: its layout, what a configuration makes of it, and the action mask.
 
 A configuration is its start plus an integer number of moves along each axis, so a move and its
-reverse cancel to the last bit.
+reverse cancel exactly.
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ INVALID: Final = 1
 COLLISION: Final = 2
 SINGULAR: Final = 3
 
-HOLD: Final = -1
-"""In place of a robot's move: none."""
+HOLD: Final = -1  # in place of a robot's move: none
 
 Configuration = tuple[float, float, float, float, float, float]
 Record = Any  # a row of state or OUTCOME, whose fields numba reads as attributes
@@ -142,7 +141,7 @@ def joint_angles(c: Configuration, p: EnvParams) -> tuple[bool, Row, Pose, Row]:
 
 @njit(cache=True)
 def joints_of(configurations: np.ndarray, packed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Joint angles (n, 6) of configurations (n, 6), rad, and which can be taken (n,)."""
+    """Joint angles (n, 6) of configurations (n, 6), rad, and which of them are valid (n,)."""
     p = unpack(packed)
     joints = np.empty_like(configurations)
     reached = np.zeros(len(configurations), np.bool_)
@@ -263,8 +262,9 @@ def neighbour(s: Record, action: int, p: EnvParams) -> Configuration:
 
 @njit(cache=True)
 def is_safe(s: Record, action: int, p: EnvParams) -> bool:
-    """Whether a move leads to a configuration of status VALID; most are settled without a test."""
+    """Whether a move leads to a configuration of status VALID."""
     c = neighbour(s, action, p)
+    # settles most without a test
     if action < 6 and not p.task.imperfect and not below_ceiling(c, p):
         return delta_valid(c, p) and not is_singular(s.sigma, p)
     return configuration_status(c, p) == VALID
@@ -272,7 +272,7 @@ def is_safe(s: Record, action: int, p: EnvParams) -> bool:
 
 @njit(cache=True)
 def _key(s: Record, action: int) -> int:
-    """A number of its own for the lattice point that an action leads to; for -1, the present one.
+    """A number of its own for the lattice point that an action leads to; for HOLD, the present one.
 
     Ten bits for each axis: no workspace is KEY_SPAN steps wide.
     """
@@ -288,7 +288,7 @@ def _key(s: Record, action: int) -> int:
 @njit(cache=True)
 def leave(s: Record) -> None:
     """Remember the present configuration, which a move is about to leave."""
-    s.trail[s.trailed % TRAIL] = _key(s, -1)
+    s.trail[s.trailed % TRAIL] = _key(s, HOLD)
     s.trailed += 1
 
 
@@ -296,22 +296,17 @@ def leave(s: Record) -> None:
 def _forbid_visited(s: Record, visited: int) -> None:
     """Take out of the mask what leads back to the last ``visited`` configurations, unless all does.
 
-    A shortest path never returns to where it was, so that none is lost.
+    A shortest path never returns, so none is lost.
     """
-    free = s.mask.sum()
-    known = min(s.trailed, visited)
-    back = np.zeros(N_ACTIONS, np.uint8)
+    free = s.mask.copy()
     for action in range(N_ACTIONS):
-        if s.mask[action] == 1:
-            key = _key(s, action)
-            for i in range(known):
-                if s.trail[(s.trailed - 1 - i) % TRAIL] == key:
-                    back[action] = 1
-                    free -= 1
-                    break
-    if free > 0:
+        key = _key(s, action)
+        for i in range(min(s.trailed, visited)):
+            if s.trail[(s.trailed - 1 - i) % TRAIL] == key:
+                free[action] = 0
+    if free.sum() > 0:
         for action in range(N_ACTIONS):
-            s.mask[action] &= 1 - back[action]
+            s.mask[action] = free[action]
 
 
 @njit(cache=True)
@@ -327,11 +322,10 @@ def _forbid_refused(s: Record) -> None:
 
 @njit(cache=True)
 def update_mask(s: Record, delta: bool, rrs: bool, p: EnvParams) -> None:
-    """Recompute the action mask of the robots that moved: the halves do not depend on each other.
+    """Recompute the action mask of the robots that moved, and of both where they are coupled.
 
-    With ``mask_singularities`` collisions couple them, with ``visited`` and ``refused`` the past
-    does, and both are recomputed. If nothing is valid, everything is allowed. Of what is left when
-    refused moves are out, the way back is forbidden: a dead end is left rather than run into.
+    If nothing is valid, everything is allowed. Of what is left when refused moves are out, the way
+    back is forbidden: a dead end is left rather than run into.
     """
     couple = p.task.mask_singularities
     # a full mask may stand for "nothing valid"

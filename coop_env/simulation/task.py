@@ -27,33 +27,23 @@ N_AXES: Final = 6
 N_ACTIONS: Final = 12
 AXES: Final = ("x", "y", "z", "roll", "pitch", "heave")
 
-TRAIL: Final = 64
-"""Configurations that a state can remember for ``mask_visited``."""
-KEY_SPAN: Final = 1024
-"""Lattice points along an axis that such a memory tells apart."""
+TRAIL: Final = 64  # configurations that a state can remember for ``mask_visited``
+KEY_SPAN: Final = 1024  # lattice points along an axis that such a memory tells apart
 
 
 class TaskParams(NamedTuple):
-    """What decides a move, as numba takes it.
-
-    ``chamfer`` and ``tolerance`` (m) and ``angle_tolerance`` (rad) decide a contact and an
-    insertion; ``max_moves`` truncates; ``visited`` is the number of configurations back to which
-    masks forbid to go; ``imperfect`` says that a sim-to-real knob is turned, ``refused`` that masks
-    forbid to try a refused move again, ``fatal`` that a collision ends the episode. The rest is
-    where the 3-RRS's base of an imperfect machine really stands: position (m), and cosines and
-    sines of its roll and pitch.
-    """
+    """What decides a move, as numba takes it; m and rad."""
 
     chamfer: float
     tolerance: float
     angle_tolerance: float
     max_moves: int = 300
     mask_singularities: bool = False
-    visited: int = 0
-    imperfect: bool = False
-    refused: bool = False
-    fatal: bool = False
-    base_x: float = 0.0
+    visited: int = 0  # configurations back to which masks forbid to go
+    imperfect: bool = False  # a sim-to-real knob is turned
+    refused: bool = False  # masks forbid to try a refused move again
+    fatal: bool = False  # a collision ends the episode
+    base_x: float = 0.0  # where an imperfect machine's 3-RRS really stands
     base_y: float = 0.0
     base_z: float = 0.0
     cos_roll: float = 1.0
@@ -63,19 +53,16 @@ class TaskParams(NamedTuple):
 
 
 class RewardParams(NamedTuple):
-    """Scales of the reward as numba takes them; NaN in ``insertion_bonus`` means "as printed".
-
-    NaN in ``gamma`` means plain differences. See :mod:`coop_env.simulation.rewards`.
-    """
+    """Scales of the reward as numba takes them; see :mod:`coop_env.simulation.rewards`."""
 
     paper: bool
     step_cost: float
     distance_scale: float
     angle_scale: float
-    insertion_bonus: float
+    insertion_bonus: float  # NaN: as printed
     violation_penalty: float
     duplicate_penalty: float
-    gamma: float
+    gamma: float  # NaN: plain differences
     task_time: float = PAPER_TASK.task_time
 
 
@@ -109,8 +96,7 @@ LAYOUT: Final = np.dtype(
 """Lattice, dome, start ranges and bodies; see :class:`InsertionTask` for the fields."""
 
 
-def make_layout(task: InsertionTask) -> np.void:
-    """A task's numbers as a record of :data:`LAYOUT`."""
+def _make_layout(task: InsertionTask) -> np.void:
     record = np.zeros(1, LAYOUT)
     n_holes = len(task.holes)
     record["step"], record["n_holes"] = task.steps, n_holes
@@ -142,7 +128,7 @@ def make_params(
         delta_kernels.make_params(delta),
         TaskParams(task.chamfer, task.tolerance, task.angle_tolerance, **flags),
         reward._replace(task_time=task.task_time),
-        make_layout(task),
+        _make_layout(task),
     )
     if not rrs_kernels.is_valid(0.0, 0.0, rrs.home_heave, p.rrs):
         raise GeometryError(
@@ -175,13 +161,17 @@ def _check_memory(p: EnvParams, steps: Sequence[float]) -> None:
 
 
 def pack(p: EnvParams) -> NDArray[np.float64]:
-    """The parameters as one vector: numba takes an array ten times faster than nested tuples."""
+    """The parameters as a vector, which numba takes ten times faster than nested tuples."""
     numbers = np.array([*p.rrs, *p.delta, *p.task, *p.reward], np.float64)
     return np.concatenate([numbers, np.array([p.layout], LAYOUT).view(np.float64)])
 
 
 def _unpack(_: Any, vector: Any) -> Any:
-    parts = [_numba_type(kind) for kind in (RRSParams, DeltaParams, TaskParams, RewardParams)]
+    numbers = {float: types.float64, int: types.int64, bool: types.boolean}
+    parts = [
+        types.BaseTuple.from_types([numbers[h] for h in get_type_hints(kind).values()], kind)
+        for kind in (RRSParams, DeltaParams, TaskParams, RewardParams)
+    ]
     record = from_dtype(LAYOUT)
     whole = types.NamedTuple([*parts, record], EnvParams)
 
@@ -201,9 +191,3 @@ def _unpack(_: Any, vector: Any) -> Any:
 
 unpack: Callable[[NDArray[np.float64]], EnvParams] = intrinsic(_unpack)  # type: ignore[assignment]
 """The inverse of :func:`pack` within kernels, field by field; the layout stays where it is."""
-
-
-def _numba_type(kind: Any) -> Any:
-    """A named tuple of floats, ints and bools, as numba knows it."""
-    numbers = {float: types.float64, int: types.int64, bool: types.boolean}
-    return types.BaseTuple.from_types([numbers[h] for h in get_type_hints(kind).values()], kind)

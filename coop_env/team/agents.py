@@ -25,8 +25,6 @@ _HOLE: Final = {"delta": ("e_x", "e_y", "e_z"), "rrs": ("n_x", "n_y", "n_z")}
 class Team(CoopInsertionJointEnv):
     """A joint environment whose rows and masks are shared out to the agents ``delta``, ``rrs``.
 
-    The parallel form is one of these, and the batch a row of them.
-
     Args:
         sight: each agent sees the other's configuration, and its masks know of collisions with the
             other robot where it stands (with ``mask_singularities``).
@@ -54,7 +52,7 @@ class Team(CoopInsertionJointEnv):
         }
         self.columns = np.array([[names.index(f) for f in self.fields[a]] for a in AGENTS])
         low, high = self.observation_space.low, self.observation_space.high
-        self.agent_spaces: dict[str, spaces.Box] = {
+        self.agent_spaces = {
             agent: spaces.Box(low[columns], high[columns], dtype=np.float32)
             for agent, columns in zip(AGENTS, self.columns, strict=True)
         }

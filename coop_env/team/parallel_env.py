@@ -96,27 +96,15 @@ class CoopInsertionParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         return list(AGENTS) if self.team.running else []
 
     def observation_space(self, agent: str) -> spaces.Box:
-        """The agent's observation space.
-
-        Raises:
-            ArgumentError: there is no such agent.
-        """
+        """The agent's observation space; ArgumentError, if there is no such agent."""
         return self.observation_spaces[_check_agent(agent)]
 
     def action_space(self, agent: str) -> spaces.Discrete:
-        """The agent's action space.
-
-        Raises:
-            ArgumentError: there is no such agent.
-        """
+        """The agent's action space; likewise."""
         return self.action_spaces[_check_agent(agent)]
 
     def action_masks(self) -> dict[str, NDArray[np.bool_]]:
-        """(7,) of each agent: True where a choice is within what it knows of its limits.
-
-        Raises:
-            ResetNeeded: no episode was started.
-        """
+        """(7,) of each agent: True where a choice is within what it knows of its limits."""
         return dict(zip(AGENTS, self.team.action_masks(), strict=True))
 
     def reset(
@@ -131,8 +119,7 @@ class CoopInsertionParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
             ResetOptionError: an option is malformed, or names a state that cannot be taken.
         """
         if isinstance(options, Mapping):
-            foreign = sorted(str(key) for key in options if key not in OPTIONS)
-            if foreign:
+            if foreign := sorted(str(key) for key in options if key not in OPTIONS):
                 gym.logger.warn(f"reset options {foreign} are unknown; known: {list(OPTIONS)}")
             options = {key: options[key] for key in options if key in OPTIONS}
         row, info = self.team.reset(seed=seed, options=options)
@@ -171,11 +158,7 @@ class CoopInsertionParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         return {a: {**info, "action_mask": masks[i]} for i, a in enumerate(AGENTS)}
 
     def state(self) -> NDArray[np.float32]:
-        """The single agent's observation (size,), for training that is centralized.
-
-        Raises:
-            ResetNeeded: no episode was started.
-        """
+        """The single agent's observation (size,), for training that is centralized."""
         return self.team.observe()
 
     def render(self) -> Any:

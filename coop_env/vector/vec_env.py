@@ -8,24 +8,15 @@ from typing import Any, ClassVar
 import numpy as np
 from gymnasium import Wrapper, spaces
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env.base_vec_env import (
-    VecEnv,
-    VecEnvIndices,
-)
+from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices
 
 from coop_env.env import CoopInsertionEnv, check_snapshot
 from coop_env.errors import StateError, check_integer
 from coop_env.simulation import batch
-from coop_env.vector.vector_env import (
-    CoopInsertionVectorEnv,
-    check_seed,
-    seeds_of,
-    set_attributes,
-)
+from coop_env.vector import vector_env
 
-StepReturn = tuple[
-    NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]
-]
+Rows = NDArray[np.float32]
+Infos = list[dict[str, Any]]
 
 
 class CoopInsertionVecEnv(VecEnv):
@@ -53,7 +44,7 @@ class CoopInsertionVecEnv(VecEnv):
 
     def __init__(self, n_envs: int, seed: int | None = None, **kwargs: Any) -> None:
         n = check_integer("n_envs", n_envs, 1)
-        self._vector = CoopInsertionVectorEnv(n, env_class=self.env_class, **kwargs)
+        self._vector = vector_env.CoopInsertionVectorEnv(n, env_class=self.env_class, **kwargs)
         super().__init__(n * self.rows_each, *self._make_spaces())
         self.metadata = self.envs[0].metadata  # a recorder asks for the frames a second
         if seed is not None:
@@ -68,7 +59,7 @@ class CoopInsertionVecEnv(VecEnv):
         """The environments that work on the batch's rows."""
         return self._vector.envs
 
-    def _observed(self, rows: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _observed(self, rows: Rows) -> Rows:
         """What the agents see (n * rows_each, size) of environments' observations (n, fields)."""
         return rows.copy()
 
@@ -78,7 +69,7 @@ class CoopInsertionVecEnv(VecEnv):
         Raises:
             ArgumentError: the seed is no integer, or negative.
         """
-        seeds = list(super().seed(check_seed(seed)))
+        seeds = list(super().seed(vector_env.check_seed(seed)))
         self._seeds = self._spread(seeds[: len(self.envs)])
         return self._seeds
 
@@ -96,17 +87,17 @@ class CoopInsertionVecEnv(VecEnv):
         given = [own or {} for own in self._vector.check_options(options)]
         super().set_options(self._spread(given))
 
-    def reset(self) -> NDArray[np.float32]:
+    def reset(self) -> Rows:
         """Reset every environment, with the seeds and options set since the last reset."""
         self._vector.start(self._seeds[:: self.rows_each], self._options[:: self.rows_each])
-        self.reset_infos = self._spread_infos(batch.make_infos(self._vector.outcomes))
+        self.reset_infos = self._infos()
         self._reset_seeds()
         self._reset_options()
         return self._observed(self._vector.rows)
 
-    def _spread_infos(self, infos: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    def _infos(self) -> Infos:
         """A dictionary for each row: SB3's wrappers write into them."""
-        return infos if self.rows_each == 1 else [dict(info) for info in self._spread(infos)]
+        return [batch.make_info(out) for out in self._spread(self._vector.outcomes.tolist())]
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Take the actions (num_envs,) of the next :meth:`step_wait`.
@@ -117,7 +108,7 @@ class CoopInsertionVecEnv(VecEnv):
         """
         self._vector.take(actions)
 
-    def step_wait(self) -> StepReturn:
+    def step_wait(self) -> tuple[Rows, Rows, NDArray[np.bool_], Infos]:
         """Move all environments; those whose episode ends are reset.
 
         Raises:
@@ -127,25 +118,20 @@ class CoopInsertionVecEnv(VecEnv):
         ended = self._vector.move()
         outcomes, k = self._vector.outcomes, self.rows_each
         rewards = outcomes["reward"].astype(np.float32)
-        infos = self._spread_infos(batch.make_infos(outcomes))
+        infos = self._infos()
         dones = np.zeros(len(self.envs), bool)
         dones[ended] = True
         for i in ended.tolist():
-            self._restart(i, infos[k * i : k * (i + 1)], bool(outcomes["truncated"][i]))
-        if k > 1:
-            rewards, dones = rewards.repeat(k), dones.repeat(k)
-        return self._observed(self._vector.rows), rewards, dones, infos
-
-    def _restart(self, i: int, infos: list[dict[str, Any]], truncated: bool) -> None:
-        observations = self._observed(self._vector.rows[i : i + 1])
-        masks = self.envs[i].action_masks().reshape(self.rows_each, -1)
-        for k, info in enumerate(infos):
-            info["TimeLimit.truncated"] = truncated
-            info["terminal_observation"] = observations[k]
-            info["terminal_action_mask"] = masks[k]
-        first = self.envs[i].reset()[1]
-        n = self.rows_each
-        self.reset_infos[n * i : n * (i + 1)] = self._spread_infos([first])
+            rows = slice(k * i, k * (i + 1))
+            last = self._observed(self._vector.rows[i : i + 1])
+            masks = self.envs[i].action_masks().reshape(k, -1)
+            for info, observation, mask in zip(infos[rows], last, masks, strict=True):
+                info["TimeLimit.truncated"] = bool(outcomes["truncated"][i])
+                info["terminal_observation"] = observation
+                info["terminal_action_mask"] = mask
+            first = self.envs[i].reset()[1]
+            self.reset_infos[rows] = [dict(first) for _ in range(k)]
+        return self._observed(self._vector.rows), rewards.repeat(k), dones.repeat(k), infos
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Action masks of all rows, (num_envs, actions)."""
@@ -171,7 +157,7 @@ class CoopInsertionVecEnv(VecEnv):
             ArgumentError: the environments have no such attribute to set.
         """
         targets = self._targets(indices)
-        set_attributes(targets, attr_name, [value] * len(targets))
+        vector_env.set_attributes(targets, attr_name, [value] * len(targets))
 
     def _targets(self, indices: VecEnvIndices) -> list[Any]:
         return [self.envs[i // self.rows_each] for i in self._get_indices(indices)]
@@ -200,7 +186,7 @@ class CoopInsertionVecEnv(VecEnv):
             "options": list(self._options[::k]),
         }
 
-    def set_state(self, snapshot: Mapping[str, Any]) -> NDArray[np.float32]:
+    def set_state(self, snapshot: Mapping[str, Any]) -> Rows:
         """Return to a snapshot of :meth:`get_state`.
 
         Returns:
@@ -214,7 +200,7 @@ class CoopInsertionVecEnv(VecEnv):
         check_snapshot(snapshot, self.get_state())
         n, options = len(self.envs), snapshot["options"]
         try:
-            seeds = seeds_of(list(snapshot["seeds"]), n)
+            seeds = vector_env.seeds_of(list(snapshot["seeds"]), n)
         except (TypeError, ValueError) as error:
             raise StateError(f"the snapshot's seeds are damaged: {error}") from error
         fit = isinstance(options, list) and len(options) == n

@@ -1,8 +1,8 @@
 """Many environments moved by one kernel call, as Gymnasium's ``VectorEnv``.
 
 Each row of the batch belongs to a :class:`~coop_env.env.CoopInsertionEnv` that works on it in
-place; ``reset``, options, stages and attributes go through that object, so that there is no second
-copy of any rule. Only the moves are made all at once. :mod:`coop_env.vector.vec_env` is SB3's side.
+place: resets, options, stages and attributes go through that object, only moves are made all at
+once. :mod:`coop_env.vector.vec_env` is SB3's side.
 """
 
 from __future__ import annotations
@@ -25,14 +25,13 @@ from coop_env.errors import (
     StateError,
     check_flag,
     check_integer,
-)
+)  # fmt: skip
 from coop_env.simulation import batch
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Step = tuple[NDArray[np.float32], Floats, Bools, Bools, dict[str, Any]]
 
-LARGEST_SEED = 2**63 - 1
 _SHARED = ("packed", "transform", "states", "outcomes", "rows")
 
 
@@ -126,7 +125,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
             raise ResetNeeded("call reset() first: there are no running episodes")
 
     def check_options(self, options: Any) -> list[Any]:
-        """One reset option for each environment, from one for all or a list of them.
+        """Reset options, one for each environment, from one for all or a list of them.
 
         Raises:
             ResetOptionError: an option is malformed or does not fit its environment's stage, or the
@@ -144,14 +143,8 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         return list(options)
 
     def start(self, seeds: Sequence[int | None], options: Sequence[Any]) -> None:
-        """Start all episodes, one after another.
-
-        Raises:
-            ResetOptionError: an option is malformed, before anything is reset, or names a state
-                that cannot be taken: then those before it are reset, and no move is pending.
-        """
-        for env, own in zip(self.envs, options, strict=True):
-            env.check_options(own)
+        """Start all episodes; ResetOptionError, before any, if an option fits no more."""
+        self.check_options(options)
         self.pending = False
         for env, seed, own in zip(self.envs, seeds, options, strict=True):
             env.reset(seed=seed, options=own)
@@ -180,16 +173,13 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         return self.rows.copy(), batch.make_columns(self.outcomes)
 
     def take(self, actions: Any) -> None:
-        """Take the actions (num_envs,) of the next :meth:`move`.
-
-        Raises:
-            ResetNeeded: an environment was never reset.
-            ActionError: the shape is wrong, or an entry is no integer of the action space.
-        """
+        """Take the actions (num_envs,) of the next :meth:`move`; ResetNeeded, ActionError."""
         self._require_start()
-        n_actions = int(self.envs[0].action_space.n)
-        self.actions[:] = check_actions(actions, self.num_envs, n_actions)
+        self.actions[:] = self._checked(actions)
         self.pending = True
+
+    def _checked(self, actions: Any) -> NDArray[Any]:
+        return check_actions(actions, self.num_envs, int(self.envs[0].action_space.n))
 
     def move(self) -> NDArray[np.int64]:
         """Make the moves taken; the indices of the episodes that end with them.
@@ -230,7 +220,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         return self.rows.copy(), rewards, terminated, truncated, infos
 
     def _restart(self, ended: NDArray[np.int64]) -> dict[str, Any]:
-        """Start the next episodes of the environments given; what the last ones ended with."""
+        """Start the next episodes of some environments; what the last ones ended with."""
         these = np.zeros(self.num_envs, bool)
         these[ended] = True
         final = batch.make_columns(self.outcomes, these)
@@ -239,11 +229,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         for i in ended.tolist():
             observations[i] = self.rows[i].copy()
             self.envs[i].reset()
-        infos = {
-            "final_obs": observations,
-            "final_info": final,
-            "final_action_mask": masks,
-        }
+        infos = {"final_obs": observations, "final_info": final, "final_action_mask": masks}
         return infos | {f"_{key}": these.copy() for key in infos}
 
     def action_masks(self) -> Bools:
@@ -309,32 +295,21 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
             raise StateError(f"the snapshot cannot be taken: {error}") from error
 
     def _go_to(self, snapshot: Mapping[str, Any]) -> None:
-        n_actions = int(self.envs[0].action_space.n)
-        self.actions[:] = check_actions(snapshot["actions"], self.num_envs, n_actions)
+        self.actions[:] = self._checked(snapshot["actions"])
         self.pending = check_flag("pending", snapshot["pending"])
         self._started = False
         keys = ("started", "stages", "rngs")
         if any(len(snapshot[key]) != self.num_envs for key in keys):
             raise StateError(f"{', '.join(keys)} must have {self.num_envs} entries each")
-        for i, (started, stage, rng) in enumerate(zip(*(snapshot[k] for k in keys), strict=True)):
-            self.envs[i].set_state(
-                {
-                    "params": snapshot["params"],
-                    "states": snapshot["states"][i : i + 1],
-                    "observations": snapshot["observations"][i : i + 1],
-                    "started": started,
-                    "stage": stage,
-                    "rng": rng,
-                }
-            )
+        for i, env in enumerate(self.envs):
+            own = {"params": snapshot["params"], "started": snapshot["started"][i]}
+            own |= {"stage": snapshot["stages"][i], "rng": snapshot["rngs"][i]}
+            own |= {key: snapshot[key][i : i + 1] for key in ("states", "observations")}
+            env.set_state(own)
 
 
 def set_attributes(envs: Sequence[Any], name: str, values: Sequence[Any]) -> None:
-    """Set an attribute of environments that have it, a value each; of all of them or of none.
-
-    Raises:
-        ArgumentError: one has not, or it cannot be set.
-    """
+    """Set an attribute, a value for each environment, of all or of none; ArgumentError."""
     done: list[tuple[Any, Any]] = []
     try:
         before = [getattr(env, name) for env in envs]
@@ -350,11 +325,7 @@ def set_attributes(envs: Sequence[Any], name: str, values: Sequence[Any]) -> Non
 
 
 def lesser_limit(max_episode_steps: Any, name: str, own: Any) -> Any:
-    """The smaller of Gymnasium's limit (None and -1: none) and ``own``, if there is one.
-
-    Raises:
-        ArgumentError: one is no positive integer.
-    """
+    """The smaller of Gymnasium's limit (None and -1: none) and ``own``, if there is one."""
     if max_episode_steps is None or max_episode_steps == -1:
         return own
     most = check_integer("max_episode_steps", max_episode_steps, 1)
@@ -362,11 +333,7 @@ def lesser_limit(max_episode_steps: Any, name: str, own: Any) -> Any:
 
 
 def check_actions(actions: Any, n: int, n_actions: int) -> NDArray[Any]:
-    """The actions (n,) of a batch, integers from 0 to ``n_actions - 1``.
-
-    Raises:
-        ActionError: the shape is wrong, or an entry is something else.
-    """
+    """The actions of a batch as an array (n,) of integers from 0 to ``n_actions - 1``."""
     actions = np.asarray(actions)
     if actions.shape != (n,) or actions.dtype.kind not in "iu":
         raise ActionError(
@@ -378,20 +345,12 @@ def check_actions(actions: Any, n: int, n_actions: int) -> NDArray[Any]:
 
 
 def check_seed(seed: Any) -> int | None:
-    """A seed of numpy's generators, or None.
-
-    Raises:
-        ArgumentError: it is no integer, or negative.
-    """
-    return None if seed is None else check_integer("seed", seed, 0, LARGEST_SEED)
+    """A seed of numpy's generators, or None."""
+    return None if seed is None else check_integer("seed", seed, 0, 2**63 - 1)
 
 
 def seeds_of(seed: int | Sequence[int | None] | None, n: int) -> list[int | None]:
-    """The seeds of n environments: ``seed + i``, entry i of a list, or None.
-
-    Raises:
-        ArgumentError: a seed is no integer, is negative, or the list has another length.
-    """
+    """The seeds of n environments: ``seed + i``, entry i of a list, or None."""
     if isinstance(seed, Sequence):
         if len(seed) != n:
             raise ArgumentError(f"seed = {seed!r}: {len(seed)} seeds for {n} environments")
