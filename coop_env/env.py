@@ -17,7 +17,7 @@ from coop_env.errors import (
     as_dataclass,
     check_flag,
     check_integer,
-)  # fmt: skip
+)
 from coop_env.geometry import DeltaGeometry, RRSGeometry, resolve_delta, resolve_rrs
 from coop_env.rendering.modes import Rendered
 from coop_env.rendering.scene import Scene, make_scene
@@ -289,8 +289,7 @@ class CoopInsertionEnv(Rendered):
                 what is not given is drawn.
 
         Raises:
-            ResetOptionError: an option is malformed, or names a state that cannot be taken. The
-                episode goes on as it was.
+            ResetOptionError: an option is malformed or cannot be taken; nothing changes.
         """
         start = self.check_options(options)
         super().reset(seed=seed)
@@ -321,8 +320,7 @@ class CoopInsertionEnv(Rendered):
         """Make a move.
 
         Raises:
-            ActionError: ``action`` is not one of the action space. The environment is left as it
-                was.
+            ActionError: ``action`` is not one of the action space; nothing changes.
             ResetNeeded: the episode is over, or none was started.
         """
         if not self.running:

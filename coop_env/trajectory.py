@@ -109,11 +109,7 @@ class Trajectory:
         return {"header": header, "joint_names": list(JOINTS), "points": points}
 
     def to_yaml(self, path: Path | str) -> None:
-        """Write :meth:`to_joint_trajectory` as YAML.
-
-        Raises:
-            DependencyNotInstalled: PyYAML is missing; it names the extra.
-        """
+        """Write :meth:`to_joint_trajectory` as YAML; needs PyYAML (extra ``trajectory``)."""
         try:
             import yaml
         except ImportError as error:
@@ -124,10 +120,9 @@ class Trajectory:
         Path(path).write_text(text, encoding="utf-8")
 
     def plot(self) -> Figure:
-        """Positions, velocities and accelerations over time; a dotted line at each configuration.
+        """Positions, velocities and accelerations over time, a line at each configuration.
 
-        Raises:
-            DependencyNotInstalled: matplotlib is missing; it names the extra.
+        It needs matplotlib (extra ``trajectory``).
         """
         try:
             from matplotlib.figure import Figure
@@ -172,9 +167,8 @@ def make_trajectory(
 
     Args:
         configurations: (n, 6), at least two: x, y, z of the effector, roll, pitch, heave; m, rad.
-        geometry: the 3-RRS, as the environment takes it.
-        delta: the Delta, likewise.
-        task: whose bodies collide, likewise.
+        geometry: the 3-RRS, as the environment takes it, like the Delta and the task.
+        task: whose bodies collide.
         blend: whether moves are blended.
         move_time: s that each move takes; None, as long as the limits ask for.
 
@@ -195,8 +189,8 @@ def make_trajectory(
         raise ArgumentError(f"configurations of shape {points.shape}: must be (n, 6), n at least 2")
     check_flag("blend", blend)
     if move_time is not None:
-        move_time = max(1, round(check_number("move_time", move_time, 0.0, above=True) / TIMESTEP))
-        move_time *= TIMESTEP
+        seconds = check_number("move_time", move_time, 0.0, above=True)
+        move_time = max(1, round(seconds / TIMESTEP)) * TIMESTEP
     params = make_params(rrs, rewards.make_reward("progress"), delta=robot, task=bodies)
     joints, reached = state.joints_of(points, pack(params))
     if not reached.all():
@@ -215,13 +209,11 @@ def make_trajectory(
     stops = np.cumsum([0, *(move.shape[1] - 1 for move in moves)])
     parts = [moves[0][:, :1], *(move[:, 1:] for move in moves)]
     positions, velocities, accelerations = np.concatenate(parts, axis=1)
+    d, r = params.delta, params.rrs
+    low, high, tilt = r.heave_min - _BOW, r.heave_max + _BOW, r.max_tilt + _BOW
     bowed = params._replace(
-        delta=params.delta._replace(planar_limit=params.delta.planar_limit + _BOW),
-        rrs=params.rrs._replace(
-            heave_min=params.rrs.heave_min - _BOW,
-            heave_max=params.rrs.heave_max + _BOW,
-            max_tilt=params.rrs.max_tilt + _BOW,
-        ),
+        delta=d._replace(planar_limit=d.planar_limit + _BOW),
+        rrs=r._replace(heave_min=low, heave_max=high, max_tilt=tilt),
     )
     result, status = _follow(positions, points[0], pack(bowed))
     times = TIMESTEP * np.arange(len(positions), dtype=np.float64)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coop_env.design.problem import DesignProblem, Samples, sample_points, workspace_map
+from coop_env.design.problem import PAPER_PROBLEM, DesignProblem, Samples, workspace_map
 from coop_env.geometry import RRSGeometry
 from coop_env.kinematics import rrs
 from coop_env.kinematics.rotations import tilt_azimuth
@@ -42,7 +42,7 @@ class DesignMetrics:
 
 
 def measure(
-    geometry: RRSGeometry, problem: DesignProblem | None = None, samples: Samples | None = None
+    geometry: RRSGeometry, problem: DesignProblem = PAPER_PROBLEM, samples: Samples | None = None
 ) -> DesignMetrics:
     """The table's figures of a design; NaN where home itself is not in the workspace.
 
@@ -52,17 +52,15 @@ def measure(
     >>> round(measure(INITIAL).sigma_cone, 3)
     0.078
     """
-    problem = problem or DesignProblem()
-    samples = samples or sample_points(problem)
     result = workspace_map(geometry, problem, samples)
-    cone = tilt_azimuth(np.stack(samples, axis=-1))[..., 0] <= CONE
+    cone = tilt_azimuth(np.stack(result.samples, axis=-1))[..., 0] <= CONE
     covered = problem.extent >= CONE and bool(cone.any())
     nan = math.nan  # also where a pose of the cone is out of reach
     sigma_cone = float(result.sigma[cone].min()) if covered else nan
     if not result.inside.any():
         return DesignMetrics(0.0, sigma_cone, nan, nan, nan, nan, nan)
-    poses = np.stack([*samples, np.full_like(samples.roll, problem.home_heave)], axis=-1)
-    poses = poses[result.inside]
+    roll, pitch = (angle[result.inside] for angle in result.samples)
+    poses = np.stack([roll, pitch, np.full_like(roll, problem.home_heave)], axis=-1)
     q = rrs.inverse(poses, geometry, problem.pose_model).q
     return DesignMetrics(
         result.area,

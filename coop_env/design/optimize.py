@@ -11,6 +11,7 @@ import numpy as np
 from scipy.optimize import OptimizeResult, differential_evolution, minimize
 
 from coop_env.design.problem import (
+    PAPER_PROBLEM,
     DesignError,
     DesignProblem,
     Floats,
@@ -111,7 +112,7 @@ def _optimum(cost: _Cost, result: OptimizeResult, start_value: float) -> Optimum
 
 
 def optimize(
-    problem: DesignProblem | None = None,
+    problem: DesignProblem = PAPER_PROBLEM,
     start: tuple[float, float] = INITIAL.lambdas[:2],
     *,
     objective: Objective = workspace_area,
@@ -123,7 +124,7 @@ def optimize(
     """Maximize an objective over (lambda1, lambda2) by Nelder-Mead, as the paper does.
 
     Args:
-        problem: scale, limits, heaves, threshold and grid; the paper's by default.
+        problem: scale, limits, heaves, threshold and grid.
         start: (lambda1, lambda2) of the first vertex.
         objective: ``objective(geometry, problem, samples)``, not negative; A_w by default.
         constraints: functions of a geometry, each satisfied where not negative; they and the
@@ -146,7 +147,6 @@ def optimize(
     """
     check_number("simplex", simplex, 0.0, above=True, error=DesignError)
     check_integer("max_evaluations", max_evaluations, 1, error=DesignError)
-    problem = problem or DesignProblem()
     rng = None if seed is None else np.random.default_rng(seed)
     cost = _Cost(problem, objective, sample_points(problem, rng), constraints)
     problem.geometry(*start)  # says which constraint a start breaks
@@ -177,7 +177,7 @@ def optimize(
 
 
 def optimize_globally(
-    problem: DesignProblem | None = None,
+    problem: DesignProblem = PAPER_PROBLEM,
     *,
     objective: Objective = workspace_area,
     constraints: Sequence[Constraint] = (),
@@ -188,12 +188,10 @@ def optimize_globally(
     """Maximize over the feasible box by differential evolution: is Nelder-Mead's the best?
 
     The initial design joins the first generation if it has a workspace. The end is polished by
-    Nelder-Mead with a small simplex. The cells' centres are sampled.
+    Nelder-Mead with a small simplex. The cells' centres are sampled. Problem, objective and
+    constraints are as in :func:`optimize`.
 
     Args:
-        problem: as in :func:`optimize`, like objective and constraints.
-        objective: likewise.
-        constraints: likewise.
         seed: of the search.
         population: half the designs of a generation.
         generations: at most so many follow the first.
@@ -204,7 +202,6 @@ def optimize_globally(
     """
     for name, number in (("population", population), ("generations", generations)):
         check_integer(name, number, 1, error=DesignError)
-    problem = problem or DesignProblem()
     cost = _Cost(problem, objective, sample_points(problem), constraints)
     start = INITIAL.lambdas[:2]
     start_value = max(cost.value(*start), 0.0)
@@ -254,7 +251,7 @@ class Atlas:
 
 
 def atlas(
-    problem: DesignProblem | None = None,
+    problem: DesignProblem = PAPER_PROBLEM,
     lambda1: Sequence[float] | Floats | None = None,
     lambda2: Sequence[float] | Floats | None = None,
     *,
@@ -264,15 +261,9 @@ def atlas(
 ) -> Atlas:
     """The objective on a grid of designs, by default in steps of 0.04 over the feasible box.
 
-    Args:
-        problem: as in :func:`optimize`, like objective and constraints.
-        lambda1: grid along the first axis.
-        lambda2: grid along the second.
-        objective: likewise.
-        constraints: likewise.
-        progress: called with rows done and rows in all.
+    Problem, objective and constraints are as in :func:`optimize`; ``progress`` is called with the
+    rows done and the rows in all.
     """
-    problem = problem or DesignProblem()
     rows, columns = (
         np.arange(low, high, 0.04) if given is None else np.asarray(given, dtype=float)
         for given, (low, high) in zip((lambda1, lambda2), FEASIBLE_BOX, strict=True)

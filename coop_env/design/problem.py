@@ -135,6 +135,9 @@ class DesignProblem:
         return np.arange(0.5, self.cells) * step - self.extent
 
 
+PAPER_PROBLEM: Final = DesignProblem()
+
+
 class Samples(NamedTuple):
     """Where each cell is sampled: roll and pitch ``(cells, cells)``, rad."""
 
@@ -171,7 +174,7 @@ def sample_points(problem: DesignProblem, rng: np.random.Generator | None = None
 
 
 def workspace_area(
-    geometry: RRSGeometry, problem: DesignProblem | None = None, samples: Samples | None = None
+    geometry: RRSGeometry, problem: DesignProblem = PAPER_PROBLEM, samples: Samples | None = None
 ) -> float:
     """A_w in rad^2: area of the connected component of home; zero if home itself is not in it.
 
@@ -181,7 +184,6 @@ def workspace_area(
     >>> round(workspace_area(INITIAL), 2), round(workspace_area(OPTIMIZED), 2)
     (0.82, 1.16)
     """
-    problem = problem or DesignProblem()
     samples = samples or sample_points(problem)
     inside = (_survey(geometry, problem, samples, heave, False)[2] for heave in problem.heaves)
     return problem.cell_area * min(int(cells.sum()) for cells in inside)
@@ -189,12 +191,11 @@ def workspace_area(
 
 def workspace_map(
     geometry: RRSGeometry,
-    problem: DesignProblem | None = None,
+    problem: DesignProblem = PAPER_PROBLEM,
     samples: Samples | None = None,
     heave: float | None = None,
 ) -> WorkspaceMap:
     """Signed sigma_min and kappa over the whole grid, NaN out of reach, and the home component."""
-    problem = problem or DesignProblem()
     samples = samples or sample_points(problem)
     height = problem.home_heave if heave is None else float(heave)
     sigma, kappa, inside = _survey(geometry, problem, samples, height, True)
@@ -205,10 +206,8 @@ def _survey(
     geometry: RRSGeometry, problem: DesignProblem, samples: Samples, heave: float, whole: bool
 ) -> tuple[Floats, Floats, Bools]:
     """sigma, kappa, and the admitted cells that edges connect with those about the centre."""
-    sigma, kappa = np.full_like(samples.roll, np.nan), np.full_like(samples.roll, np.nan)
-    admitted = np.zeros(sigma.shape, bool)
     p = problem.params(geometry)
-    _survey_cells(*samples, heave, problem.threshold, p, whole, sigma, kappa, admitted)
+    sigma, kappa, admitted = _survey_cells(*samples, heave, problem.threshold, p, whole)
     parts, _ = label(admitted)
     about = slice((problem.cells - 1) // 2, problem.cells // 2 + 1)
     home = parts[about, about]
@@ -217,20 +216,21 @@ def _survey(
 
 @njit(cache=True)
 def _survey_cells(
-    rolls: Any, pitches: Any, heave: float, threshold: float, p: rrs.RRSParams, whole: bool,
-    sigma: Any, kappa: Any, admitted: Any,
-) -> None:  # fmt: skip
-    """Write signed sigma_min, kappa, and which cells keep all limits and the threshold.
+    roll: Any, pitch: Any, heave: float, threshold: float, p: rrs.RRSParams, whole: bool
+) -> tuple[Any, Any, Any]:
+    """Signed sigma_min and kappa of each cell, NaN out of reach, and the admitted cells.
 
-    Left as they were: cells out of a limb's reach, and unless ``whole``, which takes longer, beyond
-    the limits.
+    Unless ``whole``, which takes longer, they are NaN beyond the limits too.
     """
-    for i in range(rolls.shape[0]):
-        for j in range(rolls.shape[1]):
-            pose = rrs.platform_pose(rolls[i, j], pitches[i, j], heave, p)
+    sigma, kappa = np.full(roll.shape, np.nan), np.full(roll.shape, np.nan)
+    admitted = np.zeros(roll.shape, np.bool_)
+    for i in range(roll.shape[0]):
+        for j in range(roll.shape[1]):
+            pose = rrs.platform_pose(roll[i, j], pitch[i, j], heave, p)
             reachable, q = rrs.inverse(pose, p)
-            tilted = abs(rolls[i, j]) <= p.max_tilt and abs(pitches[i, j]) <= p.max_tilt
+            tilted = abs(roll[i, j]) <= p.max_tilt and abs(pitch[i, j]) <= p.max_tilt
             within = tilted and rrs.joints_within_limits(q, p)
             if reachable and (whole or within):
                 _, _, sigma[i, j], kappa[i, j] = rrs.singular_state(pose, q, p)
                 admitted[i, j] = within and sigma[i, j] >= threshold
+    return sigma, kappa, admitted

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from coop_env.design.optimize import optimize
 from coop_env.design.problem import (
+    PAPER_PROBLEM,
     DesignError,
     DesignProblem,
     Floats,
-    sample_points,
     workspace_area,
 )
 from coop_env.geometry import GeometryError, RRSGeometry
@@ -21,7 +22,7 @@ LENGTHS = ("base_radius", "proximal_length", "platform_radius", "distal_length")
 
 
 def over_heaves(
-    geometry: RRSGeometry, heaves: Sequence[float] | Floats, problem: DesignProblem | None = None
+    geometry: RRSGeometry, heaves: Sequence[float] | Floats, problem: DesignProblem = PAPER_PROBLEM
 ) -> Floats:
     """A_w ``(n,)`` in rad^2 at each heave; the sign of det A is still taken at the design's home.
 
@@ -29,10 +30,8 @@ def over_heaves(
     >>> over_heaves(OPTIMIZED, [0.20, 0.21]).round(2).tolist()  # the cliff below home
     [0.57, 1.16]
     """
-    problem = problem or DesignProblem()
-    samples = sample_points(problem)
     each = (replace(problem, heaves=(float(heave),)) for heave in heaves)
-    return np.array([workspace_area(geometry, at_heave, samples) for at_heave in each])
+    return np.array([workspace_area(geometry, at_heave) for at_heave in each])
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +49,13 @@ class ThresholdSweep:
 def over_thresholds(
     geometries: Sequence[RRSGeometry],
     thresholds: Sequence[float] | Floats,
-    problem: DesignProblem | None = None,
+    problem: DesignProblem = PAPER_PROBLEM,
 ) -> ThresholdSweep:
     """How the areas and the optimum itself move with the threshold on sigma_min.
 
     Raises:
         DesignError: the initial design has no workspace at one of the thresholds.
     """
-    problem = problem or DesignProblem()
     given, optimum, lambdas = [], [], []
     for threshold in thresholds:
         here = replace(problem, threshold=float(threshold))
@@ -71,26 +69,24 @@ def over_thresholds(
 
 
 def slopes(
-    geometry: RRSGeometry, problem: DesignProblem | None = None, step: float = 5e-4
+    geometry: RRSGeometry, problem: DesignProblem = PAPER_PROBLEM, step: float = 5e-4
 ) -> dict[str, float]:
     """Change of A_w, rad^2 per mm, by each length in turn (central difference of 0.5 mm)."""
     if not step > 0.0:
         raise DesignError(f"step = {step!r} m: must be above zero")
-    problem = problem or DesignProblem()
-    samples = sample_points(problem)
-    result = {}
-    for name in LENGTHS:
-        length = getattr(geometry, name)
-        high, low = (
-            workspace_area(replace(geometry, **{name: length + sign * step}), problem, samples)
-            for sign in (1.0, -1.0)
-        )
-        result[name] = (high - low) / (2e3 * step)
-    return result
+
+    def area(name: str, error: float) -> float:
+        longer: dict[str, Any] = {name: getattr(geometry, name) + error}
+        return workspace_area(replace(geometry, **longer), problem)
+
+    return {name: (area(name, step) - area(name, -step)) / (2e3 * step) for name in LENGTHS}
 
 
 def under_tolerances(
-    geometry: RRSGeometry, tolerance: float, draws: int = 100, problem: DesignProblem | None = None
+    geometry: RRSGeometry,
+    tolerance: float,
+    draws: int = 100,
+    problem: DesignProblem = PAPER_PROBLEM,
 ) -> Floats:
     """A_w ``(draws,)`` with every length off by an independent uniform error of +-``tolerance`` m.
 
@@ -99,8 +95,6 @@ def under_tolerances(
     """
     if not tolerance >= 0.0:
         raise DesignError(f"tolerance = {tolerance!r} m: must not be negative")
-    problem = problem or DesignProblem()
-    samples = sample_points(problem)
     rng = np.random.default_rng(0)
     areas = np.zeros(draws)
     for i in range(draws):
@@ -110,5 +104,5 @@ def under_tolerances(
             built = replace(geometry, **{n: getattr(geometry, n) + error for n, error in named})
         except GeometryError:
             continue
-        areas[i] = workspace_area(built, problem, samples)
+        areas[i] = workspace_area(built, problem)
     return areas

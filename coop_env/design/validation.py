@@ -88,11 +88,7 @@ def cone_trajectory(
 def validate(
     geometry: RRSGeometry, trajectory: PlatformTrajectory | None = None
 ) -> TrajectoryReport:
-    """Run a design along a trajectory.
-
-    Args:
-        geometry: the design.
-        trajectory: None, :func:`cone_trajectory` from the design's home heave 10 mm upwards.
+    """Run a design along a trajectory: by default the cone from its home heave 10 mm upwards.
 
     Unreachable poses make ``valid`` False and leave NaN in q and in the figures.
 

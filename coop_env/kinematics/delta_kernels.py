@@ -12,7 +12,7 @@ from typing import NamedTuple
 from coop_env.compilation import njit
 from coop_env.geometry import DeltaGeometry
 from coop_env.kinematics.rrs_kernels import LIMB_COS, LIMB_SIN, LIMIT_SLACK
-from coop_env.kinematics.singularity import Matrix3, Row
+from coop_env.kinematics.singularity import Matrix3, Row, cross, dot, minus
 
 
 class DeltaParams(NamedTuple):
@@ -79,22 +79,15 @@ def forward(theta: Row, p: DeltaParams) -> tuple[bool, Row]:
     """
     nan = (math.nan, math.nan, math.nan)
     a, b, c = knee(theta[0], 0, p), knee(theta[1], 1, p), knee(theta[2], 2, p)
-    e = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
-    f = (c[0] - a[0], c[1] - a[1], c[2] - a[2])
-    n = (e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0])
-    nn = n[0] * n[0] + n[1] * n[1] + n[2] * n[2]
-    ee = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
-    ff = f[0] * f[0] + f[1] * f[1] + f[2] * f[2]
+    e, f = minus(b, a), minus(c, a)
+    n = cross(e, f)
+    nn, ee, ff = dot(n, n), dot(e, e), dot(f, f)
     if not nn > 1e-12 * ee * ff:  # knees in a line: no plane to mirror in
         return False, nan
     # m: from knee a to the centre of the circle through the three knees
-    w = (ee * f[0] - ff * e[0], ee * f[1] - ff * e[1], ee * f[2] - ff * e[2])
-    m = (
-        (w[1] * n[2] - w[2] * n[1]) / (2.0 * nn),
-        (w[2] * n[0] - w[0] * n[2]) / (2.0 * nn),
-        (w[0] * n[1] - w[1] * n[0]) / (2.0 * nn),
-    )
-    h2 = p.distal_length * p.distal_length - (m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
+    w = cross((ee * f[0] - ff * e[0], ee * f[1] - ff * e[1], ee * f[2] - ff * e[2]), n)
+    m = (w[0] / (2.0 * nn), w[1] / (2.0 * nn), w[2] / (2.0 * nn))
+    h2 = p.distal_length * p.distal_length - dot(m, m)
     if not h2 >= 0.0:
         return False, nan
     h = -math.copysign(math.sqrt(h2 / nn), n[2])

@@ -12,7 +12,7 @@ from typing import Final
 
 from coop_env.compilation import njit
 from coop_env.kinematics import rrs_kernels as rrs
-from coop_env.kinematics.singularity import Matrix3, Row, determinant_3x3, solve_3x3
+from coop_env.kinematics.singularity import Matrix3, Row, cross, determinant_3x3, minus, solve_3x3
 
 Twist = tuple[float, float, float, float, float]  # vx, vy, wx, wy, wz
 
@@ -44,9 +44,7 @@ def twists(roll: float, pitch: float, pose: rrs.Pose, p: rrs.RRSParams) -> tuple
 @njit(cache=True)
 def _turning(n: Row, rate: Row, per_x: Row, per_y: Row) -> Twist:
     """The twist with ``w x n = rate``; (vx, vy, wz) are ``per_x wx + per_y wy``."""
-    mx = n[1] * rate[2] - n[2] * rate[1]
-    my = n[2] * rate[0] - n[0] * rate[2]
-    mz = n[0] * rate[1] - n[1] * rate[0]
+    mx, my, mz = cross(n, rate)
     along = (per_x[2] * mx + per_y[2] * my - mz) / (n[2] - per_x[2] * n[0] - per_y[2] * n[1])
     wx, wy, wz = mx + along * n[0], my + along * n[1], mz + along * n[2]
     return per_x[0] * wx + per_y[0] * wy, per_x[1] * wx + per_y[1] * wy, wx, wy, wz
@@ -121,8 +119,8 @@ def _correct(x: Row, q: Row, side: float, p: rrs.RRSParams) -> tuple[bool, Row]:
             return _norm(f) <= 100.0 * _TOLERANCE, y
         if not size <= max(_CONTRACTION * last, 1e-12):
             return False, x
-        y = (y[0] - d[0], y[1] - d[1], y[2] - d[2])
-        if _norm((y[0] - x[0], y[1] - x[1], y[2] - x[2])) > _MAX_MOVE:
+        y = minus(y, d)
+        if _norm(minus(y, x)) > _MAX_MOVE:
             return False, x
         last = size
     return False, x

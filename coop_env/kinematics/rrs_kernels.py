@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 from coop_env.compilation import njit
 from coop_env.errors import ArgumentError
 from coop_env.geometry import RRSGeometry
-from coop_env.kinematics.singularity import Matrix3, Row, manipulability, solve_3x3
+from coop_env.kinematics.singularity import Matrix3, Row, cross, manipulability, solve_3x3
 
 _H: Final = math.sqrt(3.0) / 2.0
 LIMB_COS: Final = (1.0, -0.5, -0.5)
@@ -198,9 +198,7 @@ def _limb_rows(
     dx = (pose.x + r[0] - reach * u) / p.distal_length
     dy = (pose.y + r[1] - reach * w) / p.distal_length
     dz = (pose.z + r[2] - p.proximal_length * math.sin(q)) / p.distal_length
-    mx = r[1] * dz - r[2] * dy  # r x d
-    my = r[2] * dx - r[0] * dz
-    mz = r[0] * dy - r[1] * dx
+    mx, my, mz = cross(r, (dx, dy, dz))
     row = (
         mx + dx * rate_x[0] + dy * rate_x[1] + mz * rate_x[2],
         my + dx * rate_y[0] + dy * rate_y[1] + mz * rate_y[2],

@@ -1,4 +1,4 @@
-"""Linear algebra on 3 x 3 matrices as tuples, and what both robots' Jacobians say with it.
+"""Linear algebra on vectors and 3 x 3 matrices as tuples, and what both robots' Jacobians say.
 
 Singular values come from one-sided Jacobi rotations. The closed form through the
 characteristic polynomial of J^T J is faster by a little but loses half the digits at a repeated
@@ -20,11 +20,27 @@ _ORTHOGONAL = 1e-30  # squared cosine between columns
 
 
 @njit(cache=True)
+def minus(a: Row, b: Row) -> Row:
+    """a - b."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@njit(cache=True)
+def dot(a: Row, b: Row) -> float:
+    """a . b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True)
+def cross(a: Row, b: Row) -> Row:
+    """a x b."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True)
 def _rotate(a: Row, b: Row) -> tuple[Row, Row, bool]:
     """Rotate columns ``a`` and ``b`` within their plane until they are orthogonal."""
-    aa = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
-    bb = b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
-    ab = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    aa, bb, ab = dot(a, a), dot(b, b), dot(a, b)
     if ab * ab <= _ORTHOGONAL * (aa * bb):
         return a, b, False
     # tan of the angle from the Gram entries; this form has one root and one quotient to wait for
@@ -49,9 +65,7 @@ def singular_values_3x3(rows: Matrix3) -> Row:
         c1, c2, r12 = _rotate(c1, c2)
         if not (r01 or r02 or r12):
             break
-    s0 = math.sqrt(c0[0] * c0[0] + c0[1] * c0[1] + c0[2] * c0[2])
-    s1 = math.sqrt(c1[0] * c1[0] + c1[1] * c1[1] + c1[2] * c1[2])
-    s2 = math.sqrt(c2[0] * c2[0] + c2[1] * c2[1] + c2[2] * c2[2])
+    s0, s1, s2 = math.sqrt(dot(c0, c0)), math.sqrt(dot(c1, c1)), math.sqrt(dot(c2, c2))
     high, low = max(s0, s1, s2), min(s0, s1, s2)
     return high, s0 + s1 + s2 - high - low, low
 

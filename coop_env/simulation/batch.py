@@ -18,13 +18,9 @@ _KEYS = ("success", "is_success", *INFO_FIELDS[1:])  # the latter is Gymnasium's
 
 @njit(cache=True)
 def step_batch(
-    states: np.ndarray,
-    actions: np.ndarray,
-    packed: np.ndarray,
-    o: np.ndarray,
-    outcomes: np.ndarray,
-    rows: np.ndarray,
-) -> None:
+    states: np.ndarray, actions: np.ndarray, packed: np.ndarray, o: np.ndarray,
+    outcomes: np.ndarray, rows: np.ndarray,
+) -> None:  # fmt: skip
     """Move ``actions (n,)`` on ``states (n,)``; writes ``outcomes (n,)`` and ``rows (n, size)``.
 
     ``packed`` holds the parameters as :func:`coop_env.simulation.task.pack` gives them, ``o`` the

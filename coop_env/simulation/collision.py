@@ -13,7 +13,7 @@ from coop_env.compilation import njit
 from coop_env.kinematics import rrs_kernels
 from coop_env.kinematics.delta_kernels import DeltaParams
 from coop_env.kinematics.rrs_kernels import LIMB_COS, LIMB_SIN, Pose
-from coop_env.kinematics.singularity import Row
+from coop_env.kinematics.singularity import Row, dot, minus
 from coop_env.simulation.task import EnvParams, TaskParams
 
 
@@ -25,31 +25,23 @@ def _clamp(value: float) -> float:
 @njit(cache=True)
 def point_segment_distance(point: Row, a: Row, b: Row) -> float:
     """Distance from a point to the segment a-b, m; a and b may coincide."""
-    abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    apx, apy, apz = point[0] - a[0], point[1] - a[1], point[2] - a[2]
-    length2 = abx * abx + aby * aby + abz * abz
-    t = 0.0
-    if length2 > 0.0:
-        t = _clamp((apx * abx + apy * aby + apz * abz) / length2)
-    dx, dy, dz = apx - t * abx, apy - t * aby, apz - t * abz
-    return math.sqrt(dx * dx + dy * dy + dz * dz)
+    along, to = minus(b, a), minus(point, a)
+    length2 = dot(along, along)
+    t = _clamp(dot(to, along) / length2) if length2 > 0.0 else 0.0
+    gap = (to[0] - t * along[0], to[1] - t * along[1], to[2] - t * along[2])
+    return math.sqrt(dot(gap, gap))
 
 
 @njit(cache=True)
 def segment_distance(a: Row, b: Row, c: Row, d: Row) -> float:
     """Least distance between the segments a-b and c-d, m (closest points, clamped in turn)."""
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = d[0] - c[0], d[1] - c[1], d[2] - c[2]
-    wx, wy, wz = a[0] - c[0], a[1] - c[1], a[2] - c[2]
-    uu = ux * ux + uy * uy + uz * uz
-    vv = vx * vx + vy * vy + vz * vz
+    u, v, w = minus(b, a), minus(d, c), minus(a, c)
+    uu, vv = dot(u, u), dot(v, v)
     if uu == 0.0:
         return point_segment_distance(a, c, d)
     if vv == 0.0:
         return point_segment_distance(c, a, b)
-    uv = ux * vx + uy * vy + uz * vz
-    uw = ux * wx + uy * wy + uz * wz
-    vw = vx * wx + vy * wy + vz * wz
+    uv, uw, vw = dot(u, v), dot(u, w), dot(v, w)
     det = uu * vv - uv * uv
     s = 0.0
     if det > 1e-14 * uu * vv:  # parallel otherwise: any s will do to start from
@@ -59,8 +51,12 @@ def segment_distance(a: Row, b: Row, c: Row, d: Row) -> float:
         t, s = 0.0, _clamp(-uw / uu)
     elif t > 1.0:
         t, s = 1.0, _clamp((uv - uw) / uu)
-    dx, dy, dz = wx + s * ux - t * vx, wy + s * uy - t * vy, wz + s * uz - t * vz
-    return math.sqrt(dx * dx + dy * dy + dz * dz)
+    gap = (
+        w[0] + s * u[0] - t * v[0],
+        w[1] + s * u[1] - t * v[1],
+        w[2] + s * u[2] - t * v[2],
+    )
+    return math.sqrt(dot(gap, gap))
 
 
 @njit(cache=True)
@@ -87,9 +83,8 @@ def hole(pose: Pose, index: int, p: EnvParams) -> tuple[Row, Row]:
 def in_opening(tip: Row, pose: Pose, radius: float, p: EnvParams) -> bool:
     """Whether the tip lies within a radius of any hole's mouth."""
     for i in range(p.layout.n_holes):
-        mouth, _ = hole(pose, i, p)
-        dx, dy, dz = tip[0] - mouth[0], tip[1] - mouth[1], tip[2] - mouth[2]
-        if math.sqrt(dx * dx + dy * dy + dz * dz) < radius:
+        to_mouth = minus(tip, hole(pose, i, p)[0])
+        if math.sqrt(dot(to_mouth, to_mouth)) < radius:
             return True
     return False
 

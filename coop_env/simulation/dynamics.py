@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from coop_env.compilation import njit
-from coop_env.kinematics import delta_kernels, rrs_kernels
+from coop_env.kinematics import rrs_kernels
 from coop_env.kinematics.rrs_kernels import Pose
 from coop_env.kinematics.singularity import Row
 from coop_env.simulation import machine, rewards, state
@@ -25,14 +25,10 @@ def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p
 
     Nothing is written unless it is VALID.
     """
-    valid, theta, pose, q = state.joint_angles(c, p)
-    if not valid:
-        return state.INVALID
-    if collides(c[0], c[1], c[2], theta, pose, q, p):
-        return state.COLLISION
-    sigma = rrs_kernels.signed_sigma_min(pose, q, p.rrs)
-    if state.is_singular(sigma, p):
-        return state.SINGULAR
+    status = state.configuration_status(c, p)
+    if status != VALID:
+        return status
+    _, theta, pose, q = state.joint_angles(c, p)
     for k in range(N_AXES):
         s.start[k] = c[k]
         s.offset[k] = 0
@@ -43,7 +39,7 @@ def begin(s: Record, c: Configuration, active: np.ndarray, filled: np.ndarray, p
     s.insertions = 0
     s.energy = 0.0
     s.over = False
-    stand(s, c, theta, pose, q, sigma, p)
+    stand(s, c, theta, pose, q, rrs_kernels.signed_sigma_min(pose, q, p.rrs), p)
     return VALID
 
 
@@ -86,20 +82,15 @@ def _move(s: Record, delta: int, rrs: int, p: EnvParams) -> tuple[int, int]:
     delta_status, rrs_status = VALID, VALID
     if delta != HOLD:
         to = state.neighbour(s, delta, p)
-        real, angles = False, theta
-        if delta_kernels.within_limits(to[0], to[1], to[2], p.delta):
-            real, angles = delta_kernels.inverse(to[0], to[1], to[2], p.delta)
-        if real:
+        valid, angles = state.delta_angles(to, p)
+        if valid:
             c, theta = (to[0], to[1], to[2], c[3], c[4], c[5]), angles
         else:
             delta, delta_status = HOLD, state.INVALID
     if rrs != HOLD:
         to = state.neighbour(s, rrs, p)
-        real, angles = False, q
-        if rrs_kernels.within_limits(to[3], to[4], to[5], p.rrs):
-            pose = rrs_kernels.platform_pose(to[3], to[4], to[5], p.rrs)
-            real, angles = rrs_kernels.inverse(pose, p.rrs)
-        if real and rrs_kernels.joints_within_limits(angles, p.rrs):
+        valid, pose, angles = state.rrs_angles(to, p)
+        if valid:
             c, q = (c[0], c[1], c[2], to[3], to[4], to[5]), angles
         else:
             rrs, rrs_status = HOLD, state.INVALID

@@ -14,7 +14,7 @@ from coop_env.compilation import njit
 from coop_env.kinematics import delta_kernels, rrs_forward_kernels
 from coop_env.kinematics.delta_kernels import DeltaParams
 from coop_env.kinematics.rrs_kernels import Pose, RRSParams
-from coop_env.kinematics.singularity import Row
+from coop_env.kinematics.singularity import Row, dot
 from coop_env.simulation.task import EnvParams, TaskParams
 
 MACHINE: Final = np.dtype(
@@ -125,12 +125,7 @@ def displaced(m: Record, pose: Pose) -> Pose:
         b[0] + e0[0] * pose.x + e0[1] * pose.y + e0[2] * pose.z,
         b[1] + e1[0] * pose.x + e1[1] * pose.y + e1[2] * pose.z,
         b[2] + e2[0] * pose.x + e2[1] * pose.y + e2[2] * pose.z,
-        _dot(e0, r0), _dot(e0, r1), _dot(e0, r2),
-        _dot(e1, r0), _dot(e1, r1), _dot(e1, r2),
-        _dot(e2, r0), _dot(e2, r1), _dot(e2, r2),
+        dot(e0, r0), dot(e0, r1), dot(e0, r2),
+        dot(e1, r0), dot(e1, r1), dot(e1, r2),
+        dot(e2, r0), dot(e2, r1), dot(e2, r2),
     )  # fmt: skip
-
-
-@njit(cache=True)
-def _dot(a: Row, b: Row) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -124,19 +124,27 @@ def rrs_valid(c: Configuration, p: EnvParams) -> bool:
 
 
 @njit(cache=True)
+def delta_angles(c: Configuration, p: EnvParams) -> tuple[bool, Row]:
+    """Validity of the Delta's half of a configuration, and theta."""
+    real, theta = delta_kernels.inverse(c[0], c[1], c[2], p.delta)
+    return real and delta_kernels.within_limits(c[0], c[1], c[2], p.delta), theta
+
+
+@njit(cache=True)
+def rrs_angles(c: Configuration, p: EnvParams) -> tuple[bool, Pose, Row]:
+    """Validity of the 3-RRS's half of a configuration, the platform's pose, and q."""
+    pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
+    real, q = rrs_kernels.inverse(pose, p.rrs)
+    within = rrs_kernels.within_limits(c[3], c[4], c[5], p.rrs)
+    return real and within and rrs_kernels.joints_within_limits(q, p.rrs), pose, q
+
+
+@njit(cache=True)
 def joint_angles(c: Configuration, p: EnvParams) -> tuple[bool, Row, Pose, Row]:
     """Validity of a configuration, theta, the platform's pose, and q."""
-    pose = rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs)
-    ok_delta, theta = delta_kernels.inverse(c[0], c[1], c[2], p.delta)
-    ok_rrs, q = rrs_kernels.inverse(pose, p.rrs)
-    valid = (
-        ok_delta
-        and ok_rrs
-        and delta_kernels.within_limits(c[0], c[1], c[2], p.delta)
-        and rrs_kernels.within_limits(c[3], c[4], c[5], p.rrs)
-        and rrs_kernels.joints_within_limits(q, p.rrs)
-    )
-    return valid, theta, pose, q
+    ok_delta, theta = delta_angles(c, p)
+    ok_rrs, pose, q = rrs_angles(c, p)
+    return ok_delta and ok_rrs, theta, pose, q
 
 
 @njit(cache=True)

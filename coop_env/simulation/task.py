@@ -7,7 +7,7 @@ base frame (m), then the platform's tilt (rad) and height (m).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import count
 from typing import Any, Final, NamedTuple, get_type_hints
 
@@ -135,8 +135,13 @@ def make_params(
             f"the 3-RRS cannot take its home pose at home_heave = {rrs.home_heave} m within "
             "its joint limits: choose other lengths, another height or wider limits"
         )
-    if p.task.visited > 0:
-        _check_memory(p, task.steps)
+    low, high = axis_bounds(p)  # a memory of KEY_SPAN points along an axis tells them apart
+    for least, step in zip((high - low) / (KEY_SPAN - 2), task.steps, strict=True):
+        if p.task.visited > 0 and step < least:
+            raise ArgumentError(
+                f"mask_visited needs steps of at least {least:.2g} here, not {step:.2g}: make them "
+                "larger or leave mask_visited at 0"
+            )
     return p
 
 
@@ -147,17 +152,6 @@ def axis_bounds(p: EnvParams) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     low = [-d.planar_limit, -d.planar_limit, -reach, -r.max_tilt, -r.max_tilt, r.heave_min]
     high = [d.planar_limit, d.planar_limit, -drop, r.max_tilt, r.max_tilt, r.heave_max]
     return np.array(low), np.array(high)
-
-
-def _check_memory(p: EnvParams, steps: Sequence[float]) -> None:
-    """``mask_visited`` tells lattice points apart if no axis is too many steps wide."""
-    low, high = axis_bounds(p)
-    for least, step in zip((high - low) / (KEY_SPAN - 2), steps, strict=True):
-        if step < least:
-            raise ArgumentError(
-                f"mask_visited needs steps of at least {least:.2g} here, not {step:.2g}: make them "
-                "larger or leave mask_visited at 0"
-            )
 
 
 def pack(p: EnvParams) -> NDArray[np.float64]:

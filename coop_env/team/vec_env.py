@@ -15,8 +15,6 @@ from coop_env.team.joint_env import CoopInsertionJointEnv
 from coop_env.vector.vec_env import CoopInsertionVecEnv
 from coop_env.vector.vector_env import check_actions
 
-_N: int = len(AGENTS)
-
 
 class CoopInsertionJointVecEnv(CoopInsertionVecEnv):
     """Many :class:`~coop_env.team.joint_env.CoopInsertionJointEnv` in one batch.
@@ -32,10 +30,9 @@ class CoopInsertionTeamVecEnv(CoopInsertionVecEnv):
 
     Row ``2 i`` is the Delta of team i and row ``2 i + 1`` its 3-RRS, as SuperSuit stacks them; what
     they observe and may do is :class:`~coop_env.team.parallel_env.CoopInsertionParallelEnv`'s, bit
-    for bit. Rewards and ends are the team's. An episode that ends is restarted at once, as in
-    :class:`~coop_env.vector.vec_env.CoopInsertionVecEnv`, and both its rows carry
-    ``terminal_observation``, ``terminal_action_mask`` and ``TimeLimit.truncated``. ``indices`` of
-    methods are of rows; ``envs`` are the teams.
+    for bit. Rewards and ends are the team's, and the last infos of
+    :class:`~coop_env.vector.vec_env.CoopInsertionVecEnv` are in both rows. ``indices`` of methods
+    are of rows; ``envs`` are the teams.
 
     Args:
         n_teams: number of teams; there are ``num_envs = 2 n_teams`` rows.
@@ -50,7 +47,7 @@ class CoopInsertionTeamVecEnv(CoopInsertionVecEnv):
     """
 
     env_class = Team
-    rows_each: ClassVar[int] = _N
+    rows_each: ClassVar[int] = len(AGENTS)
 
     def __init__(
         self,
@@ -60,8 +57,8 @@ class CoopInsertionTeamVecEnv(CoopInsertionVecEnv):
         indicator: bool = True,
         **kwargs: Any,
     ) -> None:
-        n = 1 if check_flag("indicator", indicator) else 0
-        self._indicator = np.eye(_N, dtype=np.float32)[:, : n * _N]
+        n = self.rows_each if check_flag("indicator", indicator) else 0
+        self._indicator = np.eye(self.rows_each, dtype=np.float32)[:, :n]
         super().__init__(check_integer("n_teams", n_teams, 1), seed, sight=sight, **kwargs)
 
     def _make_spaces(self) -> tuple[spaces.Box, spaces.Discrete]:
@@ -78,17 +75,10 @@ class CoopInsertionTeamVecEnv(CoopInsertionVecEnv):
 
     def _observed(self, rows: NDArray[np.float32]) -> NDArray[np.float32]:
         shared: NDArray[np.float32] = self.envs[0].share(rows)
-        if self._indicator.size:
-            tags = np.broadcast_to(self._indicator, (len(rows), _N, _N))
-            shared = np.concatenate([shared, tags], axis=2)
-        return shared.reshape(_N * len(rows), -1)
+        tags = np.broadcast_to(self._indicator, (len(rows), *self._indicator.shape))
+        return np.concatenate([shared, tags], axis=2).reshape(self.rows_each * len(rows), -1)
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Take the actions (2 n_teams,) of the next ``step_wait``.
-
-        Raises:
-            ResetNeeded: ``reset`` was never called.
-            ActionError: the shape is wrong, or an entry is no integer 0 to 6.
-        """
+        """Take the choices (2 n_teams,), 0 to 6, of the next ``step_wait``."""
         choices = check_actions(actions, self.num_envs, joint.N_CHOICES)
-        super().step_async(joint_actions(choices.reshape(-1, _N)))
+        super().step_async(joint_actions(choices.reshape(-1, self.rows_each)))

@@ -64,11 +64,7 @@ class CoopInsertionVecEnv(VecEnv):
         return rows.copy()
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seeds of the next reset: environment i gets ``seed + i``; None draws one.
-
-        Raises:
-            ArgumentError: the seed is no integer, or negative.
-        """
+        """Seeds of the next reset: environment i gets ``seed + i``; None draws one."""
         seeds = list(super().seed(vector_env.check_seed(seed)))
         self._seeds = self._spread(seeds[: len(self.envs)])
         return self._seeds
@@ -78,11 +74,10 @@ class CoopInsertionVecEnv(VecEnv):
         return [own for own in each for _ in range(self.rows_each)]
 
     def set_options(self, options: Any = None) -> None:
-        """Reset options of the next reset: a mapping for all, or a list, one for each environment.
+        """Options of the next reset: a mapping for all, or a list, one for each environment.
 
         Raises:
-            ResetOptionError: an option is malformed, or names a state that cannot be taken; the
-                options set before are kept.
+            ResetOptionError: one is malformed or cannot be taken; those set before are kept.
         """
         given = [own or {} for own in self._vector.check_options(options)]
         super().set_options(self._spread(given))
@@ -112,7 +107,6 @@ class CoopInsertionVecEnv(VecEnv):
         """Move all environments; those whose episode ends are reset.
 
         Raises:
-            ResetNeeded: :meth:`reset` was never called.
             NoAsyncCallError: there was no :meth:`step_async` since the last call.
         """
         ended = self._vector.move()
@@ -151,11 +145,7 @@ class CoopInsertionVecEnv(VecEnv):
         return [getattr(env, attr_name) for env in self._targets(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute (``stage``, say) of the rows' environments.
-
-        Raises:
-            ArgumentError: the environments have no such attribute to set.
-        """
+        """Set an attribute (``stage``, say) of the rows' environments; ArgumentError, if none."""
         targets = self._targets(indices)
         vector_env.set_attributes(targets, attr_name, [value] * len(targets))
 
@@ -166,7 +156,7 @@ class CoopInsertionVecEnv(VecEnv):
         self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
         """False for each: the environments of a batch bear no wrappers."""
-        return [False for _ in self._targets(indices)]
+        return [False] * len(self._targets(indices))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """A frame of each environment, None without ``render_mode="rgb_array"``."""
@@ -194,19 +184,18 @@ class CoopInsertionVecEnv(VecEnv):
             algorithm that is to go on from here must take them for its ``_last_obs``.
 
         Raises:
-            StateError: the snapshot is of another batch: other arguments, another ``n_envs``, or
-                it is damaged. The batch is left as it was.
+            StateError: the snapshot is of another batch, or damaged; the batch is left as it was.
         """
         check_snapshot(snapshot, self.get_state())
-        n, options = len(self.envs), snapshot["options"]
+        rest = dict(snapshot)
+        seeds, options, n = rest.pop("seeds"), rest.pop("options"), len(self.envs)
         try:
-            seeds = vector_env.seeds_of(list(snapshot["seeds"]), n)
+            seeds = vector_env.seeds_of(list(seeds), n)
         except (TypeError, ValueError) as error:
             raise StateError(f"the snapshot's seeds are damaged: {error}") from error
         fit = isinstance(options, list) and len(options) == n
         if not (fit and all(isinstance(own, Mapping) for own in options)):
             raise StateError(f"the snapshot's options = {options!r}: must be {n} mappings")
-        own = {key: snapshot[key] for key in snapshot if key not in ("seeds", "options")}
-        self._vector.set_state(own)
+        self._vector.set_state(rest)
         self._seeds, self._options = self._spread(seeds), self._spread(options)
         return self._observed(self._vector.rows)

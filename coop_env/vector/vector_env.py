@@ -25,7 +25,7 @@ from coop_env.errors import (
     StateError,
     check_flag,
     check_integer,
-)  # fmt: skip
+)
 from coop_env.simulation import batch
 
 Floats = NDArray[np.float64]
@@ -42,8 +42,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
     observation and ``info``, and ``infos`` has the last ones in ``final_obs`` and ``final_info``,
     and ``final_action_mask`` (num_envs, actions), each with its ``_`` mask of the rows that ended.
 
-    Pickled or copied it plays on as the original: states, observations, random generators, stages
-    and a move that is taken but not made.
+    Pickled or copied it plays on as the original, a move that is taken but not made included.
 
     Args:
         num_envs: number of environments.
@@ -107,7 +106,6 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
                 row = getattr(self, name)[i : i + 1]
                 row[:] = getattr(env, f"_{name}")
                 setattr(env, f"_{name}", row)
-        self._started = False
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in _SHARED}
@@ -120,8 +118,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         return copy.deepcopy(self)  # two batches cannot have the same environments' rows
 
     def _require_start(self) -> None:
-        self._started = self._started or all(env._started for env in self.envs)
-        if not self._started:
+        if not all(env._started for env in self.envs):
             raise ResetNeeded("call reset() first: there are no running episodes")
 
     def check_options(self, options: Any) -> list[Any]:
@@ -182,12 +179,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         return check_actions(actions, self.num_envs, int(self.envs[0].action_space.n))
 
     def move(self) -> NDArray[np.int64]:
-        """Make the moves taken; the indices of the episodes that end with them.
-
-        Raises:
-            ResetNeeded: an environment was never reset.
-            NoAsyncCallError: no actions were taken since the last move.
-        """
+        """Make the moves taken; the indices of the episodes that end. NoAsyncCallError, if none."""
         if not self.pending:
             self._require_start()
             raise NoAsyncCallError("step_wait() without step_async(): no actions", "step")
@@ -212,9 +204,8 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         """
         self.take(actions)
         ended = self.move()
-        rewards = self.outcomes["reward"].copy()
-        terminated = self.outcomes["terminated"].copy()
-        truncated = self.outcomes["truncated"].copy()
+        names = ("reward", "terminated", "truncated")
+        rewards, terminated, truncated = (self.outcomes[name].copy() for name in names)
         infos = self._restart(ended) if ended.size else {}
         infos.update(batch.make_columns(self.outcomes))
         return self.rows.copy(), rewards, terminated, truncated, infos
@@ -233,11 +224,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         return infos | {f"_{key}": these.copy() for key in infos}
 
     def action_masks(self) -> Bools:
-        """Action masks of all environments, (num_envs, actions).
-
-        Raises:
-            ResetNeeded: an environment was never reset.
-        """
+        """Action masks of all environments, (num_envs, actions)."""
         self._require_start()
         return self.envs[0]._masks_of(self.states)
 
@@ -251,11 +238,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         return self.call(name)
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Set an attribute (``stage``, say): one value for all, or a list with one for each.
-
-        Raises:
-            ArgumentError: the environments have no such attribute, or the list another length.
-        """
+        """Set an attribute (``stage``, say): one value for all, or a list with one for each."""
         if not isinstance(values, (list, tuple)):
             values = [values] * self.num_envs
         if len(values) != self.num_envs:
@@ -283,8 +266,7 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
         """Return to a snapshot of :meth:`get_state`.
 
         Raises:
-            StateError: the snapshot is of another batch: other arguments, another ``num_envs``, or
-                it is damaged. The batch is left as it was.
+            StateError: the snapshot is of another batch, or damaged; the batch is left as it was.
         """
         before = self.get_state()
         check_snapshot(snapshot, before)
@@ -297,7 +279,6 @@ class CoopInsertionVectorEnv(VectorEnv[Any, Any, Any]):
     def _go_to(self, snapshot: Mapping[str, Any]) -> None:
         self.actions[:] = self._checked(snapshot["actions"])
         self.pending = check_flag("pending", snapshot["pending"])
-        self._started = False
         keys = ("started", "stages", "rngs")
         if any(len(snapshot[key]) != self.num_envs for key in keys):
             raise StateError(f"{', '.join(keys)} must have {self.num_envs} entries each")
@@ -312,8 +293,8 @@ def set_attributes(envs: Sequence[Any], name: str, values: Sequence[Any]) -> Non
     """Set an attribute, a value for each environment, of all or of none; ArgumentError."""
     done: list[tuple[Any, Any]] = []
     try:
-        before = [getattr(env, name) for env in envs]
-        for env, old, value in zip(envs, before, values, strict=True):
+        for env, value in zip(envs, values, strict=True):
+            old = getattr(env, name)
             setattr(env, name, value)
             done.append((env, old))
     except Exception as error:

@@ -22,13 +22,7 @@ from coop_env import (
     DeltaGeometry,
     RRSGeometry,
 )
-from coop_env.errors import (
-    ActionError,
-    ArgumentError,
-    ResetOptionError,
-    RewardError,
-    StateError,
-)
+from coop_env.errors import ActionError, ArgumentError, ResetOptionError, RewardError, StateError
 from coop_env.geometry import GeometryError
 from coop_env.kinematics import rrs_kernels
 from coop_env.shield import ShieldedInsertionEnv
@@ -62,6 +56,19 @@ VALID = (0.0, 0.0, -0.33, 0.1, 0.1, 0.22)
         ({"sim_to_real": {"backlash": math.nan}}, ArgumentError, "backlash = nan"),
         ({"sim_to_real": {"latency": 2}}, ArgumentError, "latency = 2"),
         ({"sim_to_real": {"randomize": 1}}, ArgumentError, "randomize = 1"),
+        ({"delta": {"proximal": 0.2}}, ArgumentError, "delta has unknown keys.*proximal"),
+        ({"delta": {"proximal_length": "long"}}, GeometryError, "'long': must be a number"),
+        ({"delta": {"proximal_length": 0.5}}, GeometryError, "must exceed"),
+        ({"delta": 0.2}, ArgumentError, "must be None, a DeltaGeometry or a mapping"),
+        ({"geometry": {"base_radius": 0.2}}, ArgumentError, "proximal_length"),
+        ({"geometry": {**asdict(OPTIMIZED), "joint_min": "low"}}, GeometryError, "'low'"),
+        ({"geometry": {**asdict(OPTIMIZED), "distal_length": 0.08}}, GeometryError, "home"),
+        ({"mask_visited": 1, "task": {"linear_step": 1e-4}}, ArgumentError, "steps of at least"),
+        (
+            {"sim_to_real": {"chamfer_error": 0.004}, "task": {"tolerance": 0.003}},
+            ArgumentError,
+            "chamfer_error = 0.004: must be below",
+        ),
     ],
 )
 def test_arguments(kwargs: dict[str, Any], error: type[Exception], message: str) -> None:
@@ -70,8 +77,6 @@ def test_arguments(kwargs: dict[str, Any], error: type[Exception], message: str)
 
 
 def test_a_geometry_that_cannot_be_assembled() -> None:
-    with pytest.raises(GeometryError, match="home"):
-        CoopInsertionEnv(geometry=RRSGeometry(0.1778, 0.1024, 0.1114, distal_length=0.08))
     with pytest.raises(GeometryError, match="lambda"):
         RRSGeometry.from_lambdas(0.5, 1.0)
     with pytest.raises(
@@ -191,71 +196,56 @@ def test_batch_arguments() -> None:
         CoopInsertionVecEnv(2).set_attr("speed", 1)
 
 
-def test_snapshots_of_something_else() -> None:
-    env = CoopInsertionEnv()
-    env.reset(seed=0)
-    with pytest.raises(StateError, match="other arguments"):
-        env.set_state(CoopInsertionEnv(geometry="initial").get_state())
-    with pytest.raises(StateError, match="stage = 7"):
-        env.set_state({**env.get_state(), "stage": 7})
+def test_snapshots_of_another_environment() -> None:
+    """Other arguments, masks, moves, or another number of them."""
+    strict, joint = ShieldedInsertionEnv(shield={"sigma": 0.5}), CoopInsertionJointVecEnv(1)
+    pairs: list[tuple[Any, Any]] = [
+        (CoopInsertionEnv(), CoopInsertionEnv(geometry="initial")),
+        (CoopInsertionEnv(), CoopInsertionEnv(normalize=False)),
+        (CoopInsertionEnv(), CoopInsertionEnv(task={"stage_0_holes": 2})),
+        (CoopInsertionEnv(), CoopInsertionEnv(observation="markov")),
+        (ShieldedInsertionEnv(), strict),
+        (CoopInsertionEnv(), strict),
+        (CoopInsertionVecEnv(1), joint),
+        (CoopInsertionVecEnv(2), CoopInsertionVecEnv(3)),
+        (CoopInsertionTeamVecEnv(2), CoopInsertionTeamVecEnv(3)),
+    ]
+    for env, other in pairs:
+        with pytest.raises(StateError, match=r"other arguments|another layout"):
+            env.set_state(other.get_state())
     with pytest.raises(StateError, match="keys"):
-        env.set_state({})
-    before, whole = env.state, env.get_state()
-    for other in ({"observation": "markov"}, {"normalize": False}, {"task": {"stage_0_holes": 2}}):
-        with pytest.raises(StateError, match=r"other arguments|observations"):
-            env.set_state(CoopInsertionEnv(**other).get_state())
-    for key in ("rng", "states", "observations"):
-        with pytest.raises(StateError, match=key):
-            env.set_state({**whole, key: None})
-    assert env.state == before
-    for form in (CoopInsertionVecEnv, CoopInsertionTeamVecEnv):
-        batch: Any = form(2, seed=0)
-        batch.reset()
-        with pytest.raises(StateError, match="states"):
-            batch.set_state(form(3).get_state())
-
-
-def test_snapshots_of_another_kind() -> None:
-    """Other masks or moves."""
-    strict = ShieldedInsertionEnv(shield={"sigma": 0.5})
-    strict.reset(seed=0)
-    joint: Any = CoopInsertionJointVecEnv(1, seed=0)
-    joint.reset()
-    for env, snapshot in (
-        (ShieldedInsertionEnv(), strict.get_state()),
-        (CoopInsertionEnv(), strict.get_state()),
-        (CoopInsertionVecEnv(1), joint.get_state()),
-    ):
-        with pytest.raises(StateError, match="other arguments"):
-            env.set_state(snapshot)
+        CoopInsertionEnv().set_state({})
 
 
 def test_a_damaged_snapshot_changes_nothing() -> None:
     """Neither states and generators nor the move that a batch has taken."""
-    batch: Any = CoopInsertionVecEnv(2, seed=0)
+    batch, one = CoopInsertionVecEnv(2, seed=0), CoopInsertionEnv()
     batch.reset()
     old = batch.get_state()
     batch.reset()
     batch.step_async(np.array([0, 1]))
-    before = pickle.dumps(batch.get_state())
-    for name, wrong in (
-        ("rngs", [old["rngs"][0], "no"]),
-        ("rngs", old["rngs"][:1]),
-        ("stages", [1, 7]),
-        ("actions", np.array([0, 41])),
-        ("pending", None),
-    ):
-        with pytest.raises(StateError):
-            batch.set_state({**old, name: wrong})
-        assert pickle.dumps(batch.get_state()) == before
-    one = CoopInsertionEnv()
     one.reset(seed=0)
     snapshot, _ = one.get_state(), one.reset()
-    before = pickle.dumps(one.get_state())
-    for name, wrong in (("stage", 7), ("rng", "no")):
-        with pytest.raises(StateError, match=name):
-            one.set_state({**snapshot, name: wrong})
-        assert pickle.dumps(one.get_state()) == before
+    damages: list[tuple[Any, Any, str, Any, str]] = [
+        (batch, old, "rngs", [old["rngs"][0], "no"], "rng"),
+        (batch, old, "rngs", old["rngs"][:1], "rngs must have 2 entries"),
+        (batch, old, "stages", [1, 7], "stage = 7"),
+        (batch, old, "actions", np.array([0, 41]), "41"),
+        (batch, old, "pending", None, "pending = None"),
+        (batch, old, "seeds", [1], "seeds are damaged"),
+        (batch, old, "options", None, "options = None"),
+        (batch, old, "options", [5, 5], r"options = \[5, 5\]"),
+        (batch, old, "started", ["no"] * 2, "started = 'no'"),
+        *((one, snapshot, key, None, key) for key in ("rng", "states", "observations")),
+        (one, snapshot, "stage", 7, "stage = 7"),
+        (one, snapshot, "rng", "no", "rng"),
+    ]
+    for env, whole, name, wrong, message in damages:
+        before = pickle.dumps(env.get_state())
+        with pytest.raises(StateError, match=message):
+            env.set_state({**whole, name: wrong})
+        assert pickle.dumps(env.get_state()) == before
+    batch.reset()
 
 
 def test_a_batch_refuses_a_class_whose_step_it_would_pass_by() -> None:

@@ -22,7 +22,7 @@ from coop_env import (
     CoopInsertionVecEnv,
     CoopInsertionVectorEnv,
 )
-from coop_env.errors import ArgumentError, ResetOptionError, StateError
+from coop_env.errors import ArgumentError, ResetOptionError
 
 NOISY: dict[str, Any] = {
     "sim_to_real": "randomized",
@@ -292,19 +292,3 @@ def test_minus_one_is_gymnasiums_no_limit(task: str) -> None:
         own = env.unwrapped
         limits.append(own.batch.max_steps if "Contact" in task else own.envs[0].params.task)
     assert limits[0] == limits[1]
-
-
-@pytest.mark.parametrize(
-    ("key", "damage"),
-    [("seeds", [1]), ("options", None), ("options", [5, 5]), ("started", ["no"] * 2)],
-)
-def test_a_damaged_snapshot_leaves_the_batch_as_it_was(key: str, damage: Any) -> None:
-    env = CoopInsertionVecEnv(2, seed=0)
-    env.reset()
-    snapshot = env.get_state()
-    env.step(env.action_masks().argmax(axis=1))
-    before = env.get_state()
-    with pytest.raises(StateError, match=key[:4]):
-        env.set_state({**snapshot, key: damage})
-    assert env.get_state()["states"].tobytes() == before["states"].tobytes()
-    env.reset()

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from benchmarks.methods.oracle import LatticeOracle
 from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, DeltaGeometry, InsertionTask, SimToReal
 from coop_env.errors import ArgumentError
-from coop_env.geometry import OPTIMIZED, GeometryError
+from coop_env.geometry import OPTIMIZED
 from coop_env.simulation.state import state_dtype
 
 RING = [[0.4, 2.0 * math.pi * k / 9.0] for k in range(9)]
@@ -167,25 +167,3 @@ def test_a_wider_singular_margin_ends_episodes_sooner() -> None:
 def test_bad_numbers_of_a_task(task: Any, message: str) -> None:
     with pytest.raises(ArgumentError, match=message):
         CoopInsertionEnv(task=task)
-
-
-@pytest.mark.parametrize(
-    ("kwargs", "error", "message"),
-    [
-        ({"delta": {"proximal": 0.2}}, ArgumentError, "delta has unknown keys.*proximal"),
-        ({"delta": {"proximal_length": "long"}}, GeometryError, "'long': must be a number"),
-        ({"delta": {"proximal_length": 0.5}}, GeometryError, "must exceed"),
-        ({"delta": 0.2}, ArgumentError, "must be None, a DeltaGeometry or a mapping"),
-        ({"geometry": {"base_radius": 0.2}}, ArgumentError, "proximal_length"),
-        ({"geometry": {**asdict(OPTIMIZED), "joint_min": "low"}}, GeometryError, "'low'"),
-        ({"mask_visited": 1, "task": {"linear_step": 1e-4}}, ArgumentError, "steps of at least"),
-        (
-            {"sim_to_real": {"chamfer_error": 0.004}, "task": {"tolerance": 0.003}},
-            ArgumentError,
-            "chamfer_error = 0.004: must be below",
-        ),
-    ],
-)
-def test_bad_machines(kwargs: dict[str, Any], error: type[Exception], message: str) -> None:
-    with pytest.raises(error, match=message):
-        CoopInsertionEnv(**kwargs)
