@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import math
 import pickle
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
+from gymnasium.error import NoAsyncCallError, ResetNeeded
 
 from coop_env import (
     OPTIMIZED,
@@ -19,6 +20,7 @@ from coop_env import (
     CoopInsertionJointVecEnv,
     CoopInsertionTeamVecEnv,
     CoopInsertionVecEnv,
+    CoopInsertionVectorEnv,
     DeltaGeometry,
     RRSGeometry,
 )
@@ -165,8 +167,6 @@ def test_actions(kind: type[CoopInsertionEnv], action: Any) -> None:
 @pytest.mark.parametrize("form", [CoopInsertionVecEnv, CoopInsertionTeamVecEnv])
 def test_batch_actions(form: Any, actions: Any) -> None:
     batch = form(1 if form is CoopInsertionTeamVecEnv else 2, seed=0)
-    with pytest.raises(ResetNeeded):
-        batch.step(np.zeros(2, int))
     batch.reset()
     before = batch.get_state()["states"].tobytes()
     with pytest.raises(ActionError):
@@ -175,10 +175,19 @@ def test_batch_actions(form: Any, actions: Any) -> None:
 
 
 def test_use_out_of_turn() -> None:
-    env = CoopInsertionEnv(max_moves=1)
-    for use in (lambda: env.step(0), env.action_masks, lambda: env.configuration, env.scene):
-        with pytest.raises(ResetNeeded):
+    env, batch, two = CoopInsertionEnv(max_moves=1), CoopInsertionVecEnv(2), np.zeros(2, int)
+    uses: list[Callable[[], object]] = [
+        lambda: env.step(0), env.action_masks, lambda: env.configuration, env.scene,
+        lambda: batch.step(two), lambda: batch.step_async(two), batch.step_wait, batch.action_masks,
+        lambda: CoopInsertionVectorEnv(2).step(two), lambda: CoopInsertionTeamVecEnv(1).step(two),
+    ]  # fmt: skip
+    for use in uses:
+        with pytest.raises(ResetNeeded, match="reset"):
             use()
+    batch.reset()
+    batch.step(two)
+    with pytest.raises(NoAsyncCallError, match="no actions"):
+        batch.step_wait()
     env.reset(seed=0)
     assert env.step(0)[3]
     assert env.scene().status == "timeout"
@@ -186,14 +195,24 @@ def test_use_out_of_turn() -> None:
         env.step(0)
 
 
-def test_batch_arguments() -> None:
-    for n_envs in (0, -1, 2.0, True):
-        with pytest.raises(ArgumentError, match="n_envs"):
-            CoopInsertionVecEnv(n_envs)  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="geomtry"):
-        CoopInsertionVecEnv(2, geomtry="initial")
-    with pytest.raises(ArgumentError, match="speed"):
-        CoopInsertionVecEnv(2).set_attr("speed", 1)
+@pytest.mark.parametrize(
+    ("form", "kwargs", "error"),
+    [
+        *((CoopInsertionVecEnv, {"n_envs": n}, ArgumentError) for n in (0, -1, 2.0, True)),
+        (CoopInsertionVecEnv, {"n_envs": 2, "geomtry": "initial"}, TypeError),
+        (CoopInsertionTeamVecEnv, {"n_teams": 0}, ArgumentError),
+        (CoopInsertionTeamVecEnv, {"n_teams": 2, "sight": None}, ArgumentError),
+        (CoopInsertionTeamVecEnv, {"n_teams": 2, "indicator": 1}, ArgumentError),
+        (CoopInsertionTeamVecEnv, {"n_teams": 2, "colour": 1}, TypeError),
+        (CoopInsertionTeamVecEnv, {"n_teams": 2, "sim_to_real": "randomized"}, ArgumentError),
+        (CoopInsertionJointEnv, {"sim_to_real": "randomized"}, ArgumentError),
+        (CoopInsertionJointEnv, {"mask_visited": 2}, ArgumentError),
+        (CoopInsertionJointEnv, {"mask_refused": True}, ArgumentError),
+    ],
+)
+def test_arguments_of_batches_and_teams(form: Any, kwargs: dict[str, Any], error: Any) -> None:
+    with pytest.raises(error, match=list(kwargs)[-1]):
+        form(**kwargs)
 
 
 def test_snapshots_of_another_environment() -> None:

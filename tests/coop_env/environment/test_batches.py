@@ -10,7 +10,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.error import NoAsyncCallError, ResetNeeded
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
@@ -128,25 +127,6 @@ def test_a_copy_makes_the_move_that_was_taken(duplicate: Any) -> None:
     assert not np.array_equal(ours[0], env.reset())
     twin.reset()
     assert [s["target"] for s in twin.get_attr("state")] == [2, 2, 2]
-
-
-def test_a_batch_needs_a_reset_and_actions() -> None:
-    env = CoopInsertionVecEnv(2, seed=0)
-    uses: list[Callable[[], object]] = [
-        lambda: env.step(np.zeros(2, int)),
-        lambda: env.step_async(np.zeros(2, int)),
-        env.step_wait,
-        env.action_masks,
-    ]
-    for use in uses:
-        with pytest.raises(ResetNeeded, match="reset"):
-            use()
-    env.reset()
-    env.step(np.zeros(2, int))
-    with pytest.raises(NoAsyncCallError, match="no actions"):
-        env.step_wait()
-    with pytest.raises(ResetNeeded, match="reset"):
-        CoopInsertionVectorEnv(2).step(np.zeros(2, int))
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 
 from benchmarks.methods.oracle import LatticeOracle
 from coop_env import CoopInsertionEnv, CoopInsertionVecEnv, SimToReal
+from coop_env.errors import ArgumentError
 from coop_env.simulation.observation import PAPER_FIELDS, markov_fields
 
 CHOICES: dict[str, tuple[Any, ...]] = {
@@ -135,6 +136,8 @@ def test_sb3_tools_work_on_the_batch() -> None:
     batch.env_method("set_stage", 0)
     batch.set_attr("stage", 1, indices=[1])
     assert batch.get_attr("stage") == [0, 1, 0]
+    with pytest.raises(ArgumentError, match="speed"):
+        batch.set_attr("speed", 1)
 
 
 @pytest.mark.parametrize(("visited", "safe"), [(0, False), (1, True), (5, False), (64, True)])

@@ -9,7 +9,6 @@ import pytest
 from stable_baselines3.common.vec_env import VecMonitor
 
 from coop_env import CoopInsertionTeamVecEnv
-from coop_env.errors import ArgumentError
 from coop_env.team.agents import Team
 
 ARGUMENTS: list[dict[str, Any]] = [
@@ -78,17 +77,3 @@ def test_attributes_options_and_wrappers() -> None:
     assert batch.env_is_wrapped(VecMonitor) == [False] * 4  # type: ignore[arg-type]
     assert len(batch.get_images()) == 2
     batch.close()
-
-
-def test_wrong_arguments_are_named() -> None:
-    wrongs: list[dict[str, Any]] = [
-        {"n_teams": 0},
-        {"sight": None},
-        {"indicator": 1},
-        {"sim_to_real": "randomized"},
-    ]
-    for wrong in wrongs:
-        with pytest.raises(ArgumentError):
-            CoopInsertionTeamVecEnv(**{"n_teams": 2, **wrong})
-    with pytest.raises(TypeError, match="colour"):
-        CoopInsertionTeamVecEnv(2, colour=1)

@@ -11,7 +11,6 @@ import pytest
 
 from benchmarks.methods.oracle import LatticeOracle
 from coop_env import OPTIMIZED, CoopInsertionEnv, CoopInsertionJointEnv
-from coop_env.errors import ArgumentError
 from coop_env.simulation.insertion_task import PAPER_TASK
 from coop_env.simulation.state import COLLISION, INVALID, SINGULAR, VALID
 from coop_env.team.agents import Team
@@ -156,14 +155,6 @@ def test_when_both_hold_only_time_passes() -> None:
     changed = [n for n in before.dtype.names or () if before[n].tobytes() != env.state[n].tobytes()]
     assert changed == ["moves"]
     assert env.step(48)[3]
-
-
-@pytest.mark.parametrize(
-    "arguments", [{"mask_visited": 2}, {"mask_refused": True}, {"sim_to_real": "randomized"}]
-)
-def test_arguments_of_one_move_at_a_time_are_named(arguments: dict[str, Any]) -> None:
-    with pytest.raises(ArgumentError, match=next(iter(arguments))):
-        CoopInsertionJointEnv(**arguments)
 
 
 HIGH = (0.0, 0.0, -0.27)  # of the Delta, out of the 3-RRS's way

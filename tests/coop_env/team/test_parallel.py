@@ -135,8 +135,6 @@ def test_wrong_names_and_arguments() -> None:
             space("gripper")
     with pytest.raises(ArgumentError, match="sight = 1"):
         coop_env.parallel_env(sight=1)  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match="mask_visited"):
-        coop_env.parallel_env(mask_visited=3)
     with pytest.raises(TypeError, match="colour"):
         coop_env.parallel_env(colour="red")
     for options in ({"target": 9}, "home"):
