@@ -220,7 +220,7 @@ class CoopInsertionEnv(Rendered):
 
     @property
     def stage(self) -> int:
-        """The curriculum's stage from the next reset on: 0 the first holes, 1 all; set it.
+        """The curriculum's stage from the next reset on, 0 (the first holes) or 1 (all); set it.
 
         Raises:
             ArgumentError: it is not 0 or 1.
