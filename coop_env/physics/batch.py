@@ -21,11 +21,7 @@ from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
 from coop_env.physics import kernels
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Machine, Servos
-from coop_env.physics.task import (
-    Options,
-    askew,
-    resolve_task,
-)
+from coop_env.physics.task import Options, askew, resolve_task
 from coop_env.physics.twin import Readings, Twin, closed_at, last
 from coop_env.rendering.scene import RRS_JOINTS, Scene, posed
 from coop_env.simulation.insertion_task import PAPER_TASK, InsertionTask
@@ -38,6 +34,7 @@ Bools = NDArray[np.bool_]
 LIMIT: Final = 5.0
 """Observations are clipped to this much of their unit."""
 FAILURES: Final = np.array(["", "force", "snap", "diverged", "time", "not inserted"], object)
+FORCE, SNAP, DIVERGED, TIME, NOT_INSERTED = range(1, 6)
 """Causes by their number; ``"time"`` truncates."""
 TRIES: Final = 20
 """Machines drawn until one can take the start."""
@@ -65,7 +62,6 @@ PRIVILEGED: Final = MappingProxyType(
 PRIVILEGED_UNITS: Final[Floats] = np.repeat(
     [unit for _, unit in PRIVILEGED.values()], [size for size, _ in PRIVILEGED.values()]
 )
-FORCE, SNAP, DIVERGED, TIME, NOT_INSERTED = range(1, 6)
 
 
 class StepResult(NamedTuple):
@@ -105,30 +101,26 @@ class PhysicsBatch(ABC):
         self.knobs = resolve_contact(sim_to_real)
         self.reward_scale = check_number("reward_scale", reward_scale, 0.0, 1e6, above=True)
         self.is_dict = check_flag("privileged", privileged)
+        dome = as_dataclass("holes", holes, InsertionTask, {None: PAPER_TASK})
+        drives = as_dataclass("servos", servos, Servos, {None: Servos()})
         self.machine = machine = Machine(
-            resolve_rrs(geometry),
-            resolve_delta(delta),
-            as_dataclass("holes", holes, InsertionTask, {None: PAPER_TASK}),
-            as_dataclass("servos", servos, Servos, {None: Servos()}),
-            task.peg,
-            task.timestep,
-            task.contact_time,
-            task.effector_play,
-        )
+            resolve_rrs(geometry), resolve_delta(delta), dome, drives, task.peg, task.timestep,
+            task.contact_time, task.effector_play,
+        )  # fmt: skip
         self.n = n
         most = task.max_steps if max_steps is None else max_steps
         self.max_steps = check_integer("max_steps", most, 1)
         self.twin = Twin(machine, n, threads)
         self._packed = self.twin.packed
         self._noise = np.tile([task.force_noise] * 3 + [task.moment_noise] * 3, (n, 1))
-        self._mouth_radius = machine.delta.peg_radius + machine.peg.clearance + machine.peg.chamfer
+        self._mouth_radius = machine.bore.radius + machine.bore.chamfer
         self.rngs: list[Any] = [None] * n  # generators, once an episode was started
         self.steps, self.hole, self.failure = (np.zeros(n, np.int64) for _ in range(3))
         self.success, self.taken = np.zeros(n, bool), np.ones(n, bool)
         self.command, self._targets, self._action, self._wrench, self._tare = (
             np.zeros((n, N_AXES)) for _ in range(5)
         )
-        self._first, self._first_joints = (np.zeros((n, N_AXES)) for _ in range(2))
+        self._first, self._first_joints = np.zeros((n, N_AXES)), np.zeros((n, N_AXES))
         self.error, self.friction = np.zeros((n, 4)), np.zeros(n)
         self.peak, self.peak_force = np.zeros(n), np.zeros(n)  # of the last step, of the episode, N
         self.disturbances = [UNDISTURBED] * n

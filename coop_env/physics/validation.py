@@ -1,8 +1,7 @@
 """The twin held against the analytic kinematics: drive it to poses and see where it comes to rest.
 
-Poses are start states of the kinematic task: valid, free of collision, off every singularity. The
-servos are led there from home in a straight line of configurations, so the twin has to find each
-pose by closing its loops, not by being put there.
+Poses are start states of the kinematic task. The servos are led there from home in a straight line
+of configurations, so the twin has to find each pose by closing its loops.
 """
 
 from __future__ import annotations
@@ -22,19 +21,14 @@ RAMP_STEPS = 250
 
 
 class Validation(NamedTuple):
-    """Errors of each pose (n,): what is measured on the twin minus what the kinematics say.
+    """Errors of each pose (n,): what is measured on the twin minus what the kinematics say."""
 
-    ``tip`` and ``loop`` (the farthest that a tied joint is apart) in m; ``platform`` (angle of the
-    rotation between both) and ``joints`` (the worst of six actuated angles) in rad; ``centre``, the
-    platform's, in m. ``steps`` is the number of timesteps simulated, for all poses together.
-    """
-
-    tip: Floats
-    centre: Floats
-    platform: Floats
-    joints: Floats
-    loop: Floats
-    steps: int
+    tip: Floats  # m
+    centre: Floats  # of the platform, m
+    platform: Floats  # angle of the rotation between both, rad
+    joints: Floats  # the worst of six actuated angles, rad
+    loop: Floats  # the farthest that a tied joint is apart, m
+    steps: int  # timesteps simulated, for all poses together
 
 
 def draw_poses(twin: Twin, n: int, seed: int) -> Floats:
@@ -81,15 +75,12 @@ def _errors(twin: Twin, readings: Readings, goals: Floats) -> Floats:
     delta = twin.machine.kernel_params().delta
     tips = np.array([peg_tip(*goal[:3].tolist(), delta) for goal in goals])
     pose = rrs.platform_pose(goals[:, 3:], twin.machine.rrs)
-    return np.array(
-        [
-            np.linalg.norm(readings.tip - tips, axis=1),
-            np.linalg.norm(readings.platform - pose.position, axis=1),
-            rotation_angle(readings.rotation, pose.rotation),
-            np.abs(readings.joints - twin.servo_targets(goals)).max(axis=1),
-            [loop_residual(twin, row) for row in range(twin.n)],
-        ]
-    )
+    tip = np.linalg.norm(readings.tip - tips, axis=1)
+    centre = np.linalg.norm(readings.platform - pose.position, axis=1)
+    platform = rotation_angle(readings.rotation, pose.rotation)
+    joints = np.abs(readings.joints - twin.servo_targets(goals)).max(axis=1)
+    loop = [loop_residual(twin, row) for row in range(twin.n)]
+    return np.array([tip, centre, platform, joints, loop])
 
 
 def loop_residual(twin: Twin, row: int) -> float:

@@ -140,7 +140,7 @@ def test_missing_viser_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_every_body_stands_in_the_browser_where_the_scene_has_it(view: Viewer) -> None:
     for _ in range(2):
-        shown = view._stage._shown
+        shown = view._shown
         wanted = {body.name: body for body in bodies(view.env.scene())}
         assert set(shown) == set(wanted)
         for name, body in wanted.items():
