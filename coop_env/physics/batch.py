@@ -126,6 +126,9 @@ class PhysicsBatch(ABC):
         self.disturbances = [UNDISTURBED] * n
         self._machine_errors = np.zeros((n, np.hstack(UNDISTURBED).size))
         self._hole_normals = np.array(machine.task.hole_normals)
+        holes_each = (n, len(self._hole_normals))
+        self.active, self.filled, self._wanted = (np.zeros(holes_each, bool) for _ in range(3))
+        """Holes that can be filled, are filled, and were to be filled at first, (n, holes)."""
         self._late = np.zeros((n, task.substeps, N_AXES))  # joint commands not yet carried out
         self._geared = np.zeros((n, N_AXES))  # joint commands behind the play
         self._askew = np.zeros(n)  # by link errors the platform is off its command from the start
@@ -168,19 +171,13 @@ class PhysicsBatch(ABC):
         fields = np.concatenate(parts, axis=1) / PRIVILEGED_UNITS
         return np.clip(fields, -LIMIT, LIMIT).astype(np.float32)
 
-    def all_filled(self) -> Bools:
-        """Whether every hole of the task is filled (n,)."""
-        return self.success.copy()
-
     def status(self, row: int) -> str:
         """``"running"``, ``"success"``, or the cause of an episode's failure."""
-        return "success" if self.success[row] else FAILURES[self.failure[row]] or "running"
+        won = self.success[row] and not np.any(self.active[row] & ~self.filled[row])
+        return "success" if won else FAILURES[self.failure[row]] or "running"
 
     def scene(self, row: int, trace: Sequence[Floats]) -> Scene:
-        """Every body of an episode's scene, where it really is; world frame.
-
-        Links are as the measured joints close them, on the real base; platform, dome, holes and tip
-        are the simulation's own.
+        """Every body of an episode's scene, where it really is; links as the measured joints close.
 
         Raises:
             ResetNeeded: there was no reset yet.
@@ -194,27 +191,24 @@ class PhysicsBatch(ABC):
         turn = roll_pitch_yaw_matrix([*base[3:], 0.0])
         for name in RRS_JOINTS:
             fields[name] = fields[name] @ turn.T + base[:3]
-        rotation, centre, tip = (
-            part[row].copy() for part in (readings.rotation, readings.platform, readings.tip)
-        )
+        rotation, centre = readings.rotation[row].copy(), readings.platform[row]
         normals = self._hole_normals @ rotation.T
         mouths = centre + machine.task.dome_radius * normals
-        hole, status = int(self.hole[row]), self.status(row)
-        target = np.arange(len(normals)) == hole
+        hole = int(self.hole[row])
         fields |= {"platform_centre": centre, "platform_rotation": rotation}
         return Scene(
             **fields,
-            tip=tip,
+            tip=readings.tip[row],
             hole_mouths=mouths,
             hole_normals=normals,
-            active=target,
-            filled=target & (status == "success"),
+            active=self.active[row].copy(),
+            filled=self.filled[row].copy(),
             target=hole,
-            distance=float(np.linalg.norm(mouths[hole] - tip)),
+            distance=float(np.linalg.norm(mouths[hole] - readings.tip[row])),
             alignment_error=float(np.arccos(np.clip(normals[hole, 2], -1.0, 1.0))),
             sigma_min=float(rrs.signed_sigma_min(configuration[3:], machine.rrs)),
             time=float(self.steps[row]) * self.task.dt,
-            status=status,
+            status=self.status(row),
         )
 
     def _place(
@@ -372,7 +366,7 @@ class PhysicsBatch(ABC):
         return {
             "success": self.success.copy(),
             "is_success": self.success.copy(),
-            "all_filled": self.all_filled(),
+            "all_filled": np.all(self._wanted <= self.filled, axis=1),
             "failure": FAILURES[self.failure],
             "depth": depth.copy(),
             "lateral_error": lateral.copy(),

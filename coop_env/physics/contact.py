@@ -58,8 +58,10 @@ class ContactBatch(PhysicsBatch):
     def reset(self, row: int, options: Any, rng: np.random.Generator) -> dict[str, Any]:
         error = draw_error(self.task, rng)  # drawn whether or not an option sets it
         hole, friction = int(rng.choice(self._open)), float(rng.uniform(*self.task.friction))
-        self.hole[row] = options.get("hole", hole)
-        start = self.starts[self.hole[row]]
+        self.hole[row] = hole = options.get("hole", hole)
+        self.active[row] = self._wanted[row] = np.arange(len(self.starts)) == hole
+        self.filled[row] = False
+        start = self.starts[hole]
         mouth = start[:3] + self._to_tip - [0.0, 0.0, self.task.start_height]
         self._place(row, start, mouth, options, (error, friction), rng)
         self._first[row] = self._believed[row] = start
@@ -77,6 +79,7 @@ class ContactBatch(PhysicsBatch):
         self._advance(self.command + actions * self.increments)
         depth = self.insertion[:, 0]
         self.success = (depth >= task.insertion_depth) & (self.failure == 0)
+        self.filled = self.active & self.success[:, None]
         paid = np.minimum(depth, task.insertion_depth)
         terms = self._terms("depth", task.depth_scale * (paid - self._paid), self.success)
         self._paid = paid

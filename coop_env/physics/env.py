@@ -159,18 +159,10 @@ class CoopInsertionContactEnv(PhysicsEnv):
 
     **Rewards**
 
-    =============  ======================================================
-    Term           Reward
-    =============  ======================================================
-    ``depth``      1 per mm that the tip gains along the real hole's axis
-    ``step``       -0.05
-    ``force``      -0.1 per 5 N of the step's peak force above 5 N
-    ``insertion``  20
-    ``failure``    -5 at the end by force, snap or diverging
-    =============  ======================================================
-
-    Depth beyond the required 10 mm pays nothing. At a failure ``step`` is charged for all steps
-    that were left, and ``depth`` is zero: ending it never pays.
+    ``depth``, 1 per mm that the tip gains along the real hole's axis, up to 10 mm; ``step``, -0.05;
+    ``force``, -0.1 per 5 N of the step's peak force above 5 N; ``insertion``, 20; ``failure``, -5.
+    At a failure ``step`` is charged for all steps that were left, and ``depth`` is zero: ending it
+    never pays.
 
     **Starting State**
 
@@ -183,8 +175,7 @@ class CoopInsertionContactEnv(PhysicsEnv):
 
     1. Termination, success: the tip is 10 mm deep in the bore.
     2. Termination, ``info["failure"]``: ``"force"`` (peak above 40 N), ``"snap"`` (the platform
-       more than 5 degrees off its command: another assembly mode) or ``"diverged"`` (the
-       simulation).
+       more than 5 degrees off its command: another assembly mode), ``"diverged"``.
     3. Truncation, ``"time"``: 80 control steps.
 
     Args:
@@ -238,20 +229,9 @@ class CoopInsertionPhysicsEnv(PhysicsEnv):
 
     **Observation Space**
 
-    ``Box(-5, 5, (30 + holes,), float32)``, everything in the units of the last column:
-
-    =======  ===================================================================  ===============
-    Field    Meaning                                                              One is
-    =======  ===================================================================  ===============
-    0 - 2    tip - target's mouth, by measured joints and the nominal model       0.1 m
-    3, 4     x, y of the target's normal, likewise                                1
-    5 - 10   joint angles theta, q, from those at home                            1 rad
-    11 - 13  mean force on the peg over the control step, with noise, world       10 N
-    14 - 16  mean moment on it about its tip, with noise                          0.05 N m
-    17 - 22  command, from home (x, y, z, roll, pitch, heave)                     0.1 m, 0.5 rad
-    23 - 28  last action                                                          1
-    29 -     hole filled, one field a hole; then the share of the time gone       1
-    =======  ===================================================================  ===============
+    ``Box(-5, 5, (30 + holes,), float32)``: the contact task's 29 fields, joint angles and command
+    from those at home; then for each hole whether it is filled; then the share of the time gone.
+    One is 0.1 m; 1 of a normal; 1 rad of a joint, 0.5 rad of a tilt; 10 N; 0.05 N m.
 
     **Rewards**
 
