@@ -47,12 +47,8 @@ def test_ansi_tells_time_target_and_holes() -> None:
     env = gym.make(ID, render_mode="ansi")
     env.reset(seed=0, options={"target": 1, "filled": [0]})
     _step(env, 3)
-    text = env.render()
-    assert isinstance(text, str)
-    assert "0.6 s" in text
-    assert "target 1" in text
-    assert "0#" in text
-    assert "sigma_min" in text
+    text: Any = env.render()
+    assert all(word in text for word in ("0.6 s", "target 1", "0#", "sigma_min"))
     assert max(len(line) for line in text.splitlines()) <= 100
 
 
