@@ -33,6 +33,8 @@ Bools = NDArray[np.bool_]
 
 LIMIT: Final = 5.0
 """Observations are clipped to this much of their unit."""
+OBSERVED: Final = (3, 2, 6, 3, 3, 3, 2, 1, 6)
+"""Fields that both tasks observe: tip, normal, joints, force, moment, command (3), last action."""
 FAILURES: Final = np.array(["", "force", "snap", "diverged", "time", "not inserted"], object)
 FORCE, SNAP, DIVERGED, TIME, NOT_INSERTED = range(1, 6)
 """Causes by their number; ``"time"`` truncates."""

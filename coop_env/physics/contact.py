@@ -8,17 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.errors import ResetOptionError
-from coop_env.physics.batch import LIMIT, PhysicsBatch, StepResult, row_of
+from coop_env.physics.batch import LIMIT, OBSERVED, PhysicsBatch, StepResult, row_of
 from coop_env.physics.joints import Floats
 from coop_env.physics.task import OWN_OPTIONS, draw_error, split_options, start_configurations
 from coop_env.simulation.collision import peg_tip
 from coop_env.simulation.task import N_AXES
 
-_LENGTH, _ANGLE, _FORCE, _MOMENT = 0.01, 0.05, 10.0, 0.05  # units of the contact task's observation
-UNITS: Final[Floats] = np.array(
-    [*[_LENGTH] * 3, *[_ANGLE] * 2, *[_ANGLE] * 6, *[_FORCE] * 3, *[_MOMENT] * 3,
-     *[_LENGTH] * 3, *[_ANGLE] * 2, _LENGTH, *[1.0] * 6]
-)  # fmt: skip
+UNITS: Final = np.repeat([0.01, 0.05, 0.05, 10.0, 0.05, 0.01, 0.05, 0.01, 1.0], OBSERVED)
 """What 1 means in each of the contact task's 29 fields: m, rad, N, N m."""
 
 

@@ -264,7 +264,18 @@ class Twin:
     def platform_error(self, readings: Readings, configurations: Floats) -> Floats:
         """Angle (n,) between the platform and what configurations (n, 6) command of it, rad."""
         pose = rrs.platform_pose(configurations[:, 3:], self.machine.rrs)
-        return rotation_angle(readings.rotation, self._turns @ pose.rotation)
+        off = readings.rotation - self._turns @ pose.rotation
+        chord = np.linalg.norm(off, axis=(-2, -1))  # sqrt(8) sin(angle / 2): exact also near zero
+        return 2.0 * np.arcsin(np.minimum(chord / np.sqrt(8.0), 1.0))
+
+    def errors(self, readings: Readings, configurations: Floats) -> tuple[Floats, Floats, Floats]:
+        """How far the tip and the platform's centre, m, and the platform, rad, are off (n,)."""
+        params = self.machine.kernel_params().delta
+        tips = np.array([peg_tip(*c[:3].tolist(), params) for c in configurations])
+        centres = rrs.platform_pose(configurations[:, 3:], self.machine.rrs).position
+        tip = np.linalg.norm(readings.tip - tips, axis=1)
+        centre = np.linalg.norm(readings.platform - centres, axis=1)
+        return tip, centre, self.platform_error(readings, configurations)
 
     def require_open(self) -> None:
         """Raise ``ClosedEnvironmentError`` after :meth:`close`."""
@@ -279,14 +290,9 @@ class Twin:
 
     def _check_hold(self, home: Floats) -> None:
         """Whether the servos hold home within what the task calls inserted."""
-        machine, start, homes = self.machine, self.states.copy(), np.tile(home, (self.n, 1))
-        result = last(self.advance(self._home_angles, round(_SETTLING / machine.timestep)))
-        tip = peg_tip(*home[:3].tolist(), machine.kernel_params().delta)
-        platform = rrs.platform_pose(home[3:], machine.rrs).position
-        sag = float(np.linalg.norm(result.tip[0] - tip))
-        sunk = float(np.linalg.norm(result.platform[0] - platform))
-        lean = float(self.platform_error(result, homes)[0])
-        task = machine.task
+        task, start = self.machine.task, self.states.copy()
+        result = last(self.advance(self._home_angles, round(_SETTLING / self.machine.timestep)))
+        sag, sunk, lean = (off[0] for off in self.errors(result, np.tile(home, (self.n, 1))))
         held = max(sag, sunk) < task.tolerance and lean < task.angle_tolerance
         if self.diverged[0] or not held:
             raise ArgumentError(
@@ -321,18 +327,11 @@ def _resized(machine: Machine, factors: Floats) -> Machine:
     if (factors == 1.0).all():
         return machine
 
-    def scaled(robot: Any, names: tuple[str, ...], sizes: list[float]) -> Any:
-        pairs = zip(names, sizes, strict=True)
+    def scaled(robot: Any, names: tuple[str, ...], sizes: Floats) -> Any:
+        pairs = zip(names[:4], sizes.tolist(), strict=True)
         return replace(robot, **{name: getattr(robot, name) * size for name, size in pairs})
 
-    sizes = factors.tolist()
-    robot = scaled(machine.rrs, RRSParams._fields[:4], sizes[:4])
+    robot = scaled(machine.rrs, RRSParams._fields, factors[:4])
     return replace(
-        machine, rrs=robot, delta=scaled(machine.delta, DeltaParams._fields[:4], sizes[4:])
+        machine, rrs=robot, delta=scaled(machine.delta, DeltaParams._fields, factors[4:])
     )
-
-
-def rotation_angle(a: Floats, b: Floats) -> Floats:
-    """Angle (...) of the rotation between matrices (..., 3, 3), exact also near zero; rad."""
-    chord = np.linalg.norm(a - b, axis=(-2, -1))  # sqrt(8) sin(angle / 2)
-    return 2.0 * np.arcsin(np.minimum(chord / np.sqrt(8.0), 1.0))

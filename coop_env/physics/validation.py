@@ -11,10 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from coop_env.env import CoopInsertionEnv
-from coop_env.kinematics import rrs
 from coop_env.physics.joints import Floats
-from coop_env.physics.twin import Readings, Twin, last, rotation_angle
-from coop_env.simulation.collision import peg_tip
+from coop_env.physics.twin import Twin, last
 
 RAMP_STEPS = 250
 """Timesteps of the way from home, 0.5 s, and as many again to come to rest."""
@@ -64,23 +62,11 @@ def validate(twin: Twin, poses: Floats) -> Validation:
             twin.place(row, home)
         way = home + fraction * (goals[:, None] - home)
         readings = last(twin.advance(twin.servo_targets(way), len(fraction)))
-        errors = _errors(twin, readings, goals)
+        joints = np.abs(readings.joints - twin.servo_targets(goals)).max(axis=1)
+        loops = [loop_residual(twin, row) for row in range(twin.n)]
+        errors = np.array([*twin.errors(readings, goals), joints, loops])
         result.append(np.where(twin.diverged, np.inf, errors)[:, : len(batch)])
-    tip, centre, platform, joints, loop = np.concatenate(result, axis=1)
-    return Validation(tip, centre, platform, joints, loop, len(fraction) * len(poses))
-
-
-def _errors(twin: Twin, readings: Readings, goals: Floats) -> Floats:
-    """The fields of :class:`Validation` but the last, (5, n)."""
-    delta = twin.machine.kernel_params().delta
-    tips = np.array([peg_tip(*goal[:3].tolist(), delta) for goal in goals])
-    pose = rrs.platform_pose(goals[:, 3:], twin.machine.rrs)
-    tip = np.linalg.norm(readings.tip - tips, axis=1)
-    centre = np.linalg.norm(readings.platform - pose.position, axis=1)
-    platform = rotation_angle(readings.rotation, pose.rotation)
-    joints = np.abs(readings.joints - twin.servo_targets(goals)).max(axis=1)
-    loop = [loop_residual(twin, row) for row in range(twin.n)]
-    return np.array([tip, centre, platform, joints, loop])
+    return Validation(*np.concatenate(result, axis=1), len(fraction) * len(poses))
 
 
 def loop_residual(twin: Twin, row: int) -> float:

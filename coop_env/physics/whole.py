@@ -10,16 +10,21 @@ from numpy.typing import NDArray
 from coop_env.env import CoopInsertionEnv
 from coop_env.errors import check_integer
 from coop_env.physics import kernels
-from coop_env.physics.batch import LIMIT, NOT_INSERTED, Bools, PhysicsBatch, StepResult, row_of
+from coop_env.physics.batch import (
+    LIMIT,
+    NOT_INSERTED,
+    OBSERVED,
+    Bools,
+    PhysicsBatch,
+    StepResult,
+    row_of,
+)
 from coop_env.physics.joints import Floats
 from coop_env.physics.task import Options, draw_error, split_options
 
 MAX_STEPS: Final = 2400
 """120 s in control steps, twice the kinematic task's time, as contact takes some."""
-_UNITS: Final[Floats] = np.array(
-    [*[0.1] * 3, *[1.0] * 2, *[1.0] * 6, *[10.0] * 3, *[0.05] * 3, *[0.1] * 3, *[0.5] * 2, 0.1,
-     *[1.0] * 6]
-)  # fmt: skip
+_UNITS: Final = np.repeat([0.1, 1.0, 1.0, 10.0, 0.05, 0.1, 0.5, 0.1, 1.0], OBSERVED)
 _ANGLE_SCALE: Final = 150.0
 
 
@@ -33,17 +38,15 @@ class WholeBatch(PhysicsBatch):
     ) -> None:
         limit = check_integer("max_steps", max_steps, 1)
         super().__init__(*arguments, max_steps=limit, **more)
-        machine, n = self.machine, self.n
-        self._starts = CoopInsertionEnv(
-            machine.rrs, delta=machine.delta, task=machine.task, stage=stage
-        )
-        self.increments = np.array(machine.task.steps) * min(1.0, self.task.dt / machine.task.dt)
+        machine, task, n = self.machine, self.machine.task, self.n
+        self._starts = CoopInsertionEnv(machine.rrs, delta=machine.delta, task=task, stage=stage)
+        self.increments = np.array(task.steps) * min(1.0, self.task.dt / task.dt)
         stiffness, damping = machine.servos.gains
         self._lag = damping / stiffness  # s
         self._first[:] = machine.home()
         self._first_joints[:] = self.twin.servo_targets(self._first)
-        self._pivot = np.array([0.0, 0.0, machine.rrs.home_heave + machine.task.dome_radius])
-        self.n_observed = 30 + len(machine.task.holes)
+        self._pivot = np.array([0.0, 0.0, machine.rrs.home_heave + task.dome_radius])
+        self.n_observed = 30 + len(task.holes)
         self.given_up: list[list[int]] = [[] for _ in range(n)]
         self.inserted = np.full(n, -1)
         self.distance, self.aimed = np.zeros(n), np.zeros((n, 2))
@@ -127,11 +130,8 @@ class WholeBatch(PhysicsBatch):
         open_holes = np.flatnonzero(self.active[row] & ~self.filled[row])
         if len(open_holes) == 0:
             return
-        rows = slice(row, row + 1)
-        joints, command = (
-            np.repeat(part, len(open_holes), axis=0)
-            for part in (self._joints(rows), self.command[rows])
-        )
+        joints = np.tile(self.twin.readings().joints[row], (len(open_holes), 1))
+        command = np.tile(self.command[row], (len(open_holes), 1))
         views = kernels.perceive(joints, command, open_holes, self._packed)
         self.hole[row] = open_holes[np.argmin(np.linalg.norm(views[:, :3], axis=1))]
 
