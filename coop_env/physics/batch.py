@@ -319,7 +319,7 @@ class PhysicsBatch(ABC):
     def _joints(self, rows: slice) -> Floats:
         return np.ascontiguousarray(self.twin.readings().joints[rows])
 
-    def perceived(self, rows: slice = slice(0, 1)) -> tuple[Floats, Floats, Floats]:
+    def perceived(self, rows: slice) -> tuple[Floats, Floats, Floats]:
         """What a controller has to go by, with the sensors' noise, which is drawn now.
 
         Returns:

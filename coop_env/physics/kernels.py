@@ -125,12 +125,9 @@ def refuse(states: np.ndarray, action: int, packed: np.ndarray) -> None:
 
 @njit(cache=True)
 def conclude(
-    states: np.ndarray,
-    flags: tuple[bool, bool, bool, bool, bool],
-    target: int,
-    packed: np.ndarray,
-    outcomes: np.ndarray,
-) -> None:
+    states: np.ndarray, flags: tuple[bool, bool, bool, bool, bool], target: int,
+    packed: np.ndarray, outcomes: np.ndarray,
+) -> None:  # fmt: skip
     """:func:`coop_env.simulation.dynamics.conclude` of ``states (1,)``, ``outcomes (1,)``."""
     outcomes[0].collision = outcomes[0].singular = False
     dynamics.conclude(states[0], flags, target, unpack(packed), outcomes[0])

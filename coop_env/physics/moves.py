@@ -22,7 +22,6 @@ from coop_env.physics.whole import WholeBatch
 from coop_env.rendering.scene import Scene
 from coop_env.simulation import batch, start_states
 from coop_env.simulation.observation import observe_batch
-from coop_env.simulation.task import N_AXES
 
 SETTLING: Final = 4
 """Control steps that each leg of the way to a hole takes at least, and rest above it."""
@@ -102,16 +101,15 @@ class Lead(WholeBatch):
         return result
 
     def _feel(self, policy: Any) -> None:
-        hole = self.target
+        """Play a policy of the contact task, which begins here."""
+        hole, rows = self.target, slice(0, 1)
         getattr(policy, "reset", lambda: None)()
-        first, action = self.configuration, np.zeros(N_AXES)
-        joints = self.perceived()[1]
+        self._first[0], self._action[0] = self.command[0], 0.0
+        self._first_joints = self.perceived(rows)[1]
         for _ in range(self.task.max_steps):
-            view, angles, wrench = self.perceived()
-            felt = [view[0], angles[0] - joints[0], wrench[0], self.configuration - first, action]
-            seen = in_units(np.concatenate(felt)[None])[0]
-            action = np.clip(np.asarray(policy(seen), np.float64), -1.0, 1.0)
-            self.advance((self.configuration + action * self.task.increments)[None])
+            seen = in_units(self._felt(rows))[0]
+            self._action = np.clip(np.asarray(policy(seen), np.float64), -1.0, 1.0)[None]
+            self.advance(self.command + self._action * self.task.increments)
             if self.failed or self.filled[0, hole]:
                 return
 
@@ -219,12 +217,9 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         row = self._states[0]
         inside = row["inside"].astype(bool) & filled & ~before[0]["inside"].astype(bool)
         row["filled"], row["active"] = body.filled[0], body.active[0]
-        kernels.conclude(
-            self._states,
-            (violation, bool(new.any()), not violation and bool(inside.any()),
-             bool(body.over[0]), body.failed),
-            body.target, self._packed, self._outcomes,
-        )  # fmt: skip
+        duplicate = not violation and bool(inside.any())
+        flags = (violation, bool(new.any()), duplicate, bool(body.over[0]), body.failed)
+        kernels.conclude(self._states, flags, body.target, self._packed, self._outcomes)
         observe_batch(self._states, self._packed, self._observation, self._rows)
         outcome: Any = self._outcomes.item(0)
         reward, terminated, truncated = outcome[-3:]

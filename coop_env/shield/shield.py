@@ -81,6 +81,7 @@ class ShieldMargin:
         )
 
 
+Margin = ShieldMargin | Mapping[str, Any] | None
 _CHANGING = gym.ActionWrapper, getattr(gym.wrappers, "RepeatAction", gym.ActionWrapper)
 """Wrappers that change actions or make one several times; the second is not in Gymnasium 1.1."""
 
@@ -99,9 +100,7 @@ class KinematicShield:
         ArgumentError: ``env`` is none of these, its moves come late, or the margins leave nothing.
     """
 
-    def __init__(
-        self, env: gym.Env[Any, Any], margin: ShieldMargin | Mapping[str, Any] | None = None
-    ) -> None:
+    def __init__(self, env: gym.Env[Any, Any], margin: Margin = None) -> None:
         self.margin = as_dataclass("margin", margin, ShieldMargin, {None: ShieldMargin()})
         inner: Any = getattr(env, "unwrapped", env)
         if not (hasattr(inner, "params") and hasattr(inner, "task")):
@@ -183,9 +182,7 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
             repeats them.
     """
 
-    def __init__(
-        self, env: gym.Env[Any, Any], margin: ShieldMargin | Mapping[str, Any] | None = None
-    ) -> None:
+    def __init__(self, env: gym.Env[Any, Any], margin: Margin = None) -> None:
         super().__init__(env)
         layer = env
         while isinstance(layer, gym.Wrapper):
@@ -261,9 +258,7 @@ class ShieldedInsertionEnv(CoopInsertionEnv):
         ArgumentError: an argument is wrong, or the margins leave nothing.
     """
 
-    def __init__(
-        self, shield: ShieldMargin | Mapping[str, Any] | None = None, **kwargs: Any
-    ) -> None:
+    def __init__(self, shield: Margin = None, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.shield = KinematicShield(self, shield)
 
