@@ -183,11 +183,11 @@ class CoopInsertionContactEnv(PhysicsEnv):
             :class:`~coop_env.physics.task.ContactTask`.
         geometry: ``"optimized"``, ``"initial"`` or an :class:`~coop_env.geometry.RRSGeometry`.
         delta: None, the standard robot, or a :class:`~coop_env.geometry.DeltaGeometry`.
-        holes: None, the paper's dome, or an :class:`~coop_env.InsertionTask`.
+        holes: None, the paper's dome, or a ``coop_env.InsertionTask``.
         servos: None, or :class:`~coop_env.physics.model.Servos`. Each of these five may be a plain
             mapping of fields.
         sim_to_real: None, ``"randomized"`` (``sim_to_real.FORGE``) or a
-            :class:`~coop_env.SimToReal`: each episode has another machine.
+            ``coop_env.SimToReal``: each episode has another machine.
         reward_scale: what all rewards are multiplied by.
         privileged: observations are dictionaries of ``observation`` and ``privileged``, which is
             ``info["privileged"]``: ``coop_env.physics.batch.PRIVILEGED``.

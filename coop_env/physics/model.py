@@ -40,7 +40,7 @@ TIMESTEP: Final = 0.002
 CONTACT_TIME: Final = 0.005
 """Time constant of a contact, a critically damped spring, s. It sets the forces."""
 DELTA_RANGE: Final = (-0.75 * math.pi, 0.75 * math.pi)
-"""Of the Delta's actuated angles, rad: wider than its workspace, short of the arm's own base."""
+"""Range of the Delta's actuated angles, wider than its workspace; rad."""
 LOOP_TIME: Final = 0.004
 """Time constant of the ties that close loops, s; the stiffest that TIMESTEP can have."""
 _PLAY_DAMPING: Final = 0.005  # of the effector's tilt within its play, N m s/rad
@@ -147,7 +147,6 @@ class Machine:
 
     @property
     def bore(self) -> Bore:
-        """Cross-section of the holes."""
         radius = self.delta.peg_radius + self.peg.clearance
         return Bore(radius, self.peg.chamfer, self.peg.depth)
 

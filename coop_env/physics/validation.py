@@ -19,14 +19,18 @@ RAMP_STEPS = 250
 
 
 class Validation(NamedTuple):
-    """Errors of each pose (n,): what is measured on the twin minus what the kinematics say."""
+    """Errors of each pose (n,): what is measured on the twin minus what the kinematics say.
 
-    tip: Floats  # m
-    centre: Floats  # of the platform, m
-    platform: Floats  # angle of the rotation between both, rad
-    joints: Floats  # the worst of six actuated angles, rad
-    loop: Floats  # the farthest that a tied joint is apart, m
-    steps: int  # timesteps simulated, for all poses together
+    ``tip``, ``centre`` (the platform's) and ``loop`` (the farthest that a tied joint is apart) in
+    m; ``platform`` (its angle) and ``joints`` (the worst of six) in rad; ``steps`` are timesteps.
+    """
+
+    tip: Floats
+    centre: Floats
+    platform: Floats
+    joints: Floats
+    loop: Floats
+    steps: int
 
 
 def draw_poses(twin: Twin, n: int, seed: int) -> Floats:

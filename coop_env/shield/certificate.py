@@ -20,12 +20,16 @@ CHUNK = 64  # 3-RRS points between two reports of progress
 
 
 class Certificate(NamedTuple):
-    """What was looked at and what was found; harm is a collision, a singularity, a limit left."""
+    """Certified configurations, certified moves there and back, harmful moves, dead ends.
 
-    points: int  # certified configurations
-    moves: int  # certified moves between them, there and back
-    harmful: int  # of these, on the way or at the end, on the nominal machine
-    dead_ends: int  # certified configurations without a certified move
+    On a harmful one's way, or at its end, the nominal machine collides, is singular, or leaves its
+    limits; a dead end is a certified configuration without a certified move.
+    """
+
+    points: int
+    moves: int
+    harmful: int
+    dead_ends: int
 
     def __add__(self, other: object) -> Certificate:
         if not isinstance(other, Certificate):

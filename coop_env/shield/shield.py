@@ -81,7 +81,6 @@ class ShieldMargin:
         )
 
 
-Margin = ShieldMargin | Mapping[str, Any] | None
 _CHANGING = gym.ActionWrapper, getattr(gym.wrappers, "RepeatAction", gym.ActionWrapper)
 """Wrappers that change actions or make one several times; the second is not in Gymnasium 1.1."""
 
@@ -100,7 +99,9 @@ class KinematicShield:
         ArgumentError: ``env`` is none of these, its moves come late, or the margins leave nothing.
     """
 
-    def __init__(self, env: gym.Env[Any, Any], margin: Margin = None) -> None:
+    def __init__(
+        self, env: gym.Env[Any, Any], margin: ShieldMargin | Mapping[str, Any] | None = None
+    ) -> None:
         self.margin = as_dataclass("margin", margin, ShieldMargin, {None: ShieldMargin()})
         inner: Any = getattr(env, "unwrapped", env)
         if not (hasattr(inner, "params") and hasattr(inner, "task")):
@@ -182,7 +183,9 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
             repeats them.
     """
 
-    def __init__(self, env: gym.Env[Any, Any], margin: Margin = None) -> None:
+    def __init__(
+        self, env: gym.Env[Any, Any], margin: ShieldMargin | Mapping[str, Any] | None = None
+    ) -> None:
         super().__init__(env)
         layer = env
         while isinstance(layer, gym.Wrapper):
@@ -258,7 +261,9 @@ class ShieldedInsertionEnv(CoopInsertionEnv):
         ArgumentError: an argument is wrong, or the margins leave nothing.
     """
 
-    def __init__(self, shield: Margin = None, **kwargs: Any) -> None:
+    def __init__(
+        self, shield: ShieldMargin | Mapping[str, Any] | None = None, **kwargs: Any
+    ) -> None:
         super().__init__(**kwargs)
         self.shield = KinematicShield(self, shield)
 
