@@ -77,14 +77,10 @@ class StepResult(NamedTuple):
 
 
 class PhysicsBatch(ABC):
-    """Episodes of a task on the twin; the tasks are subclasses.
+    """``n`` episodes of a task on the twin; the tasks are subclasses.
 
-    Args:
-        n: how many.
-        threads: of the simulation.
-        max_steps: control steps until truncation; None takes the task's.
-
-    The others, and what they raise, are :class:`~coop_env.physics.env.CoopInsertionContactEnv`'s.
+    Arguments are :class:`~coop_env.physics.env.CoopInsertionContactEnv`'s; ``max_steps`` are
+    control steps until truncation, None for the task's.
     """
 
     n_observed: int
@@ -139,11 +135,7 @@ class PhysicsBatch(ABC):
 
     @abstractmethod
     def check_options(self, options: Any) -> Any:
-        """Reset options as :meth:`reset` takes them.
-
-        Raises:
-            ResetOptionError: one is unknown, malformed or out of range.
-        """
+        """Reset options as :meth:`reset` takes them, or a ``ResetOptionError``."""
 
     @abstractmethod
     def reset(self, row: int, options: Any, rng: np.random.Generator) -> dict[str, Any]:
@@ -179,11 +171,7 @@ class PhysicsBatch(ABC):
         return "success" if won else FAILURES[self.failure[row]] or "running"
 
     def scene(self, row: int, trace: Sequence[Floats]) -> Scene:
-        """Every body of an episode's scene, where it really is; links as the measured joints close.
-
-        Raises:
-            ResetNeeded: there was no reset yet.
-        """
+        """Every body of a scene, where it really is; links as the measured joints close them."""
         if self.rngs[row] is None:
             raise ResetNeeded("call reset() first: there is no state yet")
         machine, readings, base = self.machine, self.twin.readings(), self.twin.base[row]
@@ -322,9 +310,8 @@ class PhysicsBatch(ABC):
     def perceived(self, rows: slice) -> tuple[Floats, Floats, Floats]:
         """What a controller has to go by, with the sensors' noise, which is drawn now.
 
-        Returns:
-            The target (n, 5), tip - mouth, m, and x, y of its normal; joint angles (n, 6), rad;
-            wrench on the peg (n, 6), N, N m.
+        The target (n, 5): tip - mouth, m, and x, y of its normal; joint angles (n, 6), rad; wrench
+        on the peg (n, 6), N, N m.
         """
         joints, near = self._joints(rows), self._near(rows)
         view = kernels.perceive(joints, near, self.hole[rows], self._packed)

@@ -65,8 +65,7 @@ def dome_solids(task: InsertionTask, bore: Bore) -> Iterator[tuple[str, Vertices
     """Names and vertices (n, 3) of all convex solids, in the platform's frame, m.
 
     Raises:
-        ArgumentError: the holes stand too near to each other or to the dome's rim for their spot
-            faces, or the shell is too thick for them or for the dome.
+        ArgumentError: the holes, their spot faces or the shell do not fit the dome.
     """
     radius, normals = task.dome_radius, np.array(task.hole_normals)
     if bore.depth >= radius:

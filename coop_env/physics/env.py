@@ -208,8 +208,7 @@ class CoopInsertionContactDiscreteEnv(CoopInsertionContactEnv):
     """The contact task in twelve moves, for Rainbow and DQN.
 
     ``Discrete(12)``: action ``2 k`` is one whole increment along axis ``k`` of x, y, z, roll,
-    pitch, heave, ``2 k + 1`` takes it away; all else is
-    :class:`CoopInsertionContactEnv`'s.
+    pitch, heave, ``2 k + 1`` takes it away.
     """
 
     discrete = True

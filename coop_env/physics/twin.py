@@ -76,12 +76,9 @@ def make_model(machine: Machine) -> Any:
 
 
 class Twin:
-    """n machines of one kind, each with its own state, base and friction.
+    """``n`` machines of one kind, each with its own state, base and friction.
 
-    Args:
-        machine: what they are.
-        n: how many.
-        threads: of MuJoCo's pool; 1 steps in the caller's thread.
+    ``threads`` of MuJoCo's pool step them, 1 the caller's thread.
 
     Raises:
         GeometryError: a robot cannot be assembled at home.

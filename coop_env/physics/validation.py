@@ -70,7 +70,8 @@ def validate(twin: Twin, poses: Floats) -> Validation:
         loops = [loop_residual(twin, row) for row in range(twin.n)]
         errors = np.array([*twin.errors(readings, goals), joints, loops])
         result.append(np.where(twin.diverged, np.inf, errors)[:, : len(batch)])
-    return Validation(*np.concatenate(result, axis=1), len(fraction) * len(poses))
+    tip, centre, platform, joints, loop = np.concatenate(result, axis=1)
+    return Validation(tip, centre, platform, joints, loop, len(fraction) * len(poses))
 
 
 def loop_residual(twin: Twin, row: int) -> float:

@@ -162,8 +162,7 @@ class Viewer:
     def place(self, axis: int, value: float) -> bool:
         """Put one degree of freedom at ``value`` (m or degrees) and begin an episode from there.
 
-        Target and filled holes stay, unless all are filled. What cannot be is refused with a
-        message.
+        Target and filled holes stay, unless all are filled.
         """
         with self._lock:
             self.stop()

@@ -170,13 +170,8 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
 
     An increment is cut to what :meth:`KinematicShield.certify` leaves of it. A move that
     :meth:`action_masks` forbids is replaced by the allowed one with the largest signed sigma_min.
-
     ``info["shielded"]`` says whether this step's action was changed, ``info["interventions"]`` how
-    many of the episode's were.
-
-    Args:
-        env: as :class:`KinematicShield` takes it.
-        margin: likewise.
+    many of the episode's were. Arguments are :class:`KinematicShield`'s.
 
     Raises:
         ArgumentError: ``env`` is none of these, has other actions, or a wrapper that changes or
