@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from coop_env.env import CoopInsertionEnv
 from coop_env.errors import ArgumentError
-from coop_env.physics.engine import mujoco
-from coop_env.physics.model import Machine, build_mjcf, to_xml
+from coop_env.physics.model import Machine
+from coop_env.physics.twin import make_model
 from coop_env.rendering.bodies import ROD_SPACING, SIDES, Body, bodies, pixels
 
 try:
+    import mujoco
     import trimesh
 except ImportError as error:
     raise DependencyNotInstalled(
@@ -28,7 +29,6 @@ except ImportError as error:
     ) from error
 
 Floats = NDArray[np.float64]
-
 UNITS: Final = {"m": 1.0, "mm": 1000.0}
 
 
@@ -36,16 +36,13 @@ UNITS: Final = {"m": 1.0, "mm": 1000.0}
 class Link:
     """A rigid body: world point at home = rotation @ vertex + position; m.
 
-    Attributes:
-        name: as in the MJCF, whose one rod of a forearm is two here.
-        rotation: (3, 3).
-        position: (3,).
-        mesh: all of its parts, in its own frame.
+    ``name`` is the MJCF's, whose one rod of a forearm is two here; ``mesh`` has all of its parts,
+    in its own frame.
     """
 
     name: str
-    rotation: Floats
-    position: Floats
+    rotation: Floats  # (3, 3)
+    position: Floats  # (3,)
     mesh: Any
 
 
@@ -63,7 +60,7 @@ def links(machine: Machine | None = None) -> list[Link]:
     for part in bodies(env.scene()):
         if not part.shines:  # the arrow at the target
             parts.setdefault(part.name.split("/")[0], []).append(part)
-    model = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(m)))
+    model = make_model(m)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     result = []
@@ -72,28 +69,19 @@ def links(machine: Machine | None = None) -> list[Link]:
         rotation = np.round(data.body(body).xmat.reshape(3, 3), 12)
         aside = ROD_SPACING * SIDES.get(side, 0.0) * rotation[:, 1]
         position = np.round(data.body(body).xpos + aside, 12)
-        result.append(Link(name, rotation, position, _joined(parts[name], rotation, position)))
+        meshes = []
+        for part in parts[name]:
+            world = part.mesh.vertices @ part.rotation.T + part.position
+            mesh = trimesh.Trimesh((world - position) @ rotation, part.mesh.faces)
+            colour = [*pixels(part.colour), 255]
+            mesh.visual = trimesh.visual.ColorVisuals(mesh, face_colors=colour)
+            meshes.append(mesh)
+        result.append(Link(name, rotation, position, trimesh.util.concatenate(meshes)))
     return result
 
 
-def _joined(parts: list[Body], rotation: Floats, position: Floats) -> Any:
-    meshes = []
-    for part in parts:
-        world = part.mesh.vertices @ part.rotation.T + part.position
-        mesh = trimesh.Trimesh((world - position) @ rotation, part.mesh.faces)
-        colour = [*pixels(part.colour), 255]
-        mesh.visual = trimesh.visual.ColorVisuals(mesh, face_colors=colour)
-        meshes.append(mesh)
-    return trimesh.util.concatenate(meshes)
-
-
 def save_stl(folder: str | Path, machine: Machine | None = None, unit: str = "m") -> list[Path]:
-    """Write a binary STL of each link, in its own frame; returns the paths.
-
-    Args:
-        folder: made if it is missing.
-        machine: None, the standard one.
-        unit: of the numbers in the files, ``"m"`` or ``"mm"``.
+    """Write a binary STL of each link, in its own frame, in ``"m"`` or ``"mm"``; returns the paths.
 
     Raises:
         ArgumentError: the unit is neither.
@@ -109,20 +97,16 @@ def save_stl(folder: str | Path, machine: Machine | None = None, unit: str = "m"
     return paths
 
 
-Y_UP: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-
-
 def save_glb(path: str | Path, machine: Machine | None = None) -> None:
     """Write the machine at home as binary glTF, a node with its colours for each link.
 
     As in all glTF, lengths are in m and the y axis points up, so that the machine's (x, y, z) are
     the file's (x, z, -y).
     """
+    y_up = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     scene = trimesh.Scene()
     for link in links(machine):
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = link.rotation, link.position
-        scene.add_geometry(
-            link.mesh, node_name=link.name, geom_name=link.name, transform=Y_UP @ pose
-        )
+        scene.add_geometry(link.mesh, link.name, link.name, transform=y_up @ pose)
     scene.export(path, file_type="glb")

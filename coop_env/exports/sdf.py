@@ -12,21 +12,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from coop_env.exports.meshes import Link, links, save_stl
-from coop_env.geometry import DeltaGeometry, RRSGeometry
-from coop_env.physics.engine import mujoco
 from coop_env.physics.joints import tree_angles
-from coop_env.physics.model import DELTA_RANGE, Machine, build_mjcf, to_xml
+from coop_env.physics.model import DELTA_RANGE, Machine, to_xml
+from coop_env.physics.twin import make_model
 from coop_env.rendering.bodies import SIDES
 
 Floats = NDArray[np.float64]
-VERSION: Final = "1.9"
-FILE: Final = "coop_insertion.sdf"
 MESHES: Final = "meshes"
+"""The folder of the meshes, beside the file."""
 
 
 def save_sdf(folder: str | Path, machine: Machine | None = None) -> Path:
@@ -36,12 +35,9 @@ def save_sdf(folder: str | Path, machine: Machine | None = None) -> Path:
         GeometryError: a robot cannot be assembled.
     """
     m = Machine() if machine is None else machine
-    folder = Path(folder)
-    save_stl(folder / MESHES, m)
-    root = build_sdf(m)
-    ET.indent(root)
-    path = folder / FILE
-    path.write_text(ET.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
+    save_stl(Path(folder) / MESHES, m)
+    path = Path(folder) / "coop_insertion.sdf"
+    path.write_text(to_xml(build_sdf(m)), encoding="utf-8")
     return path
 
 
@@ -51,10 +47,9 @@ def build_sdf(machine: Machine) -> ET.Element:
     Raises:
         GeometryError: a robot cannot be assembled.
     """
-    root = ET.Element("sdf", version=VERSION)
+    root = ET.Element("sdf", version="1.9")
     world = ET.SubElement(root, "world", name="coop_insertion")
-    model = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(machine)))
-    result = links(machine)
+    model, result = make_model(machine), links(machine)
     for robot, tip in (("delta", "effector"), ("rrs", "platform")):
         body = ET.SubElement(world, "model", name=robot)
         _joint(body, f"{robot}_mount", "fixed", "world", f"{robot}_base")
@@ -89,23 +84,19 @@ def _add_link(body: ET.Element, link: Link, model: Any) -> None:
 
 def _inertia(link: str, model: Any) -> tuple[float, Floats, Floats]:
     """Mass, centre (3,) and inertia (3, 3) about it, of the MJCF's bodies that make up a link."""
-    rod = link.startswith("delta_rod")
-    names = [link.split("_left")[0].split("_right")[0], *(["peg"] if link == "effector" else [])]
-    masses, centres, tensors = [], [], []
-    for b in (model.body(name).id for name in names):
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, model.body_iquat[b])
-        axes = turn.reshape(3, 3)
-        masses.append(float(model.body_mass[b]))
-        centres.append(np.array(model.body_ipos[b]))
-        tensors.append(axes @ np.diag(model.body_inertia[b]) @ axes.T)
-    mass = sum(masses)
-    centre = np.average(centres, axis=0, weights=masses)
+    names = ["effector", "peg"] if link == "effector" else [link.removesuffix("_left")]
+    parts = [model.body(name.removesuffix("_right")) for name in names]
+    masses = [float(part.mass[0]) for part in parts]
+    mass, centre = sum(masses), np.average([part.ipos for part in parts], axis=0, weights=masses)
     inertia = np.zeros((3, 3))
-    for part, at, tensor in zip(masses, centres, tensors, strict=True):
-        d = at - centre
-        inertia += tensor + part * (d @ d * np.eye(3) - np.outer(d, d))
-    return (0.5 * mass, centre, 0.5 * inertia) if rod else (mass, centre, inertia)
+    for part in parts:
+        turn, d = np.zeros(9), part.ipos - centre
+        mujoco.mju_quat2Mat(turn, part.iquat)
+        axes = turn.reshape(3, 3)
+        own = axes @ np.diag(part.inertia) @ axes.T
+        inertia += own + part.mass[0] * (d @ d * np.eye(3) - np.outer(d, d))
+    share = 0.5 if link.startswith("delta_rod") else 1.0  # a forearm's, of its two rods
+    return share * mass, centre, share * inertia
 
 
 def _joint(body: ET.Element, name: str, kind: str, parent: str, child: str) -> ET.Element:
@@ -115,14 +106,12 @@ def _joint(body: ET.Element, name: str, kind: str, parent: str, child: str) -> E
     return element
 
 
-def _turning(
-    joint: ET.Element, tag: str, xyz: Sequence[float], limits: dict[str, float] | None = None
-) -> None:
+def _turning(joint: ET.Element, tag: str, xyz: Sequence[float], **limits: float) -> None:
     """An axis in the child's frame; without limits nothing drives it."""
     axis = ET.SubElement(joint, tag)
     _text(axis, "xyz", xyz)
     element = ET.SubElement(axis, "limit")
-    for name, value in ({"effort": 0.0} if limits is None else limits).items():
+    for name, value in (limits or {"effort": 0.0}).items():
         _text(element, name, value)
 
 
@@ -133,16 +122,18 @@ def _ball(body: ET.Element, name: str, link: str, at: float, child: str) -> None
 
 
 def _add_joints(body: ET.Element, robot: str, m: Machine) -> None:
-    geometry: DeltaGeometry | RRSGeometry = m.delta if robot == "delta" else m.rrs
-    angles = tree_angles(m.home(), m.rrs, m.delta)
-    home = angles.theta if robot == "delta" else angles.q
-    low, high = DELTA_RANGE if robot == "delta" else (m.rrs.joint_min, m.rrs.joint_max)
-    drive = {"effort": m.servos.torque_limit, "velocity": geometry.max_joint_velocity}
-    axis = (0, 1, 0) if robot == "delta" else (0, -1, 0)
+    angles, effort = tree_angles(m.home(), m.rrs, m.delta), m.servos.torque_limit
+    if robot == "delta":
+        axis, home, (low, high) = (0, 1, 0), angles.theta, DELTA_RANGE
+        velocity = m.delta.max_joint_velocity
+    else:
+        axis, home, (low, high) = (0, -1, 0), angles.q, (m.rrs.joint_min, m.rrs.joint_max)
+        velocity = m.rrs.max_joint_velocity
     for i in range(3):
         link = f"{robot}_proximal{i}"
         motor = _joint(body, f"{robot}_joint{i}", "revolute", f"{robot}_base", link)
-        _turning(motor, "axis", axis, {"lower": low - home[i], "upper": high - home[i], **drive})
+        limits = {"lower": low - home[i], "upper": high - home[i]}
+        _turning(motor, "axis", axis, **limits, effort=effort, velocity=velocity)
         if robot == "rrs":
             elbow = _joint(body, f"rrs_elbow{i}", "revolute", link, f"rrs_distal{i}")
             _turning(elbow, "axis", axis)

@@ -21,11 +21,7 @@ from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
 from coop_env.physics import kernels
 from coop_env.physics.joints import Floats
 from coop_env.physics.model import Machine, Servos
-from coop_env.physics.task import (
-    Options,
-    askew,
-    resolve_task,
-)
+from coop_env.physics.task import Options, askew, resolve_task
 from coop_env.physics.twin import Readings, Twin, closed_at, last
 from coop_env.rendering.scene import RRS_JOINTS, Scene, posed
 from coop_env.simulation.insertion_task import PAPER_TASK, InsertionTask
@@ -37,7 +33,10 @@ Bools = NDArray[np.bool_]
 
 LIMIT: Final = 5.0
 """Observations are clipped to this much of their unit."""
+OBSERVED: Final = (3, 2, 6, 3, 3, 3, 2, 1, 6)
+"""Fields that both tasks observe: tip, normal, joints, force, moment, command (3), last action."""
 FAILURES: Final = np.array(["", "force", "snap", "diverged", "time", "not inserted"], object)
+FORCE, SNAP, DIVERGED, TIME, NOT_INSERTED = range(1, 6)
 """Causes by their number; ``"time"`` truncates."""
 TRIES: Final = 20
 """Machines drawn until one can take the start."""
@@ -65,7 +64,6 @@ PRIVILEGED: Final = MappingProxyType(
 PRIVILEGED_UNITS: Final[Floats] = np.repeat(
     [unit for _, unit in PRIVILEGED.values()], [size for size, _ in PRIVILEGED.values()]
 )
-FORCE, SNAP, DIVERGED, TIME, NOT_INSERTED = range(1, 6)
 
 
 class StepResult(NamedTuple):
@@ -79,14 +77,10 @@ class StepResult(NamedTuple):
 
 
 class PhysicsBatch(ABC):
-    """Episodes of a task on the twin; the tasks are subclasses.
+    """``n`` episodes of a task on the twin; the tasks are subclasses.
 
-    Args:
-        n: how many.
-        threads: of the simulation.
-        max_steps: control steps until truncation; None takes the task's.
-
-    The others, and what they raise, are :class:`~coop_env.physics.env.CoopInsertionContactEnv`'s.
+    Arguments are :class:`~coop_env.physics.env.CoopInsertionContactEnv`'s; ``max_steps`` are
+    control steps until truncation, None for the task's.
     """
 
     n_observed: int
@@ -105,35 +99,34 @@ class PhysicsBatch(ABC):
         self.knobs = resolve_contact(sim_to_real)
         self.reward_scale = check_number("reward_scale", reward_scale, 0.0, 1e6, above=True)
         self.is_dict = check_flag("privileged", privileged)
+        dome = as_dataclass("holes", holes, InsertionTask, {None: PAPER_TASK})
+        drives = as_dataclass("servos", servos, Servos, {None: Servos()})
         self.machine = machine = Machine(
-            resolve_rrs(geometry),
-            resolve_delta(delta),
-            as_dataclass("holes", holes, InsertionTask, {None: PAPER_TASK}),
-            as_dataclass("servos", servos, Servos, {None: Servos()}),
-            task.peg,
-            task.timestep,
-            task.contact_time,
-            task.effector_play,
-        )
+            resolve_rrs(geometry), resolve_delta(delta), dome, drives, task.peg, task.timestep,
+            task.contact_time, task.effector_play,
+        )  # fmt: skip
         self.n = n
         most = task.max_steps if max_steps is None else max_steps
         self.max_steps = check_integer("max_steps", most, 1)
         self.twin = Twin(machine, n, threads)
         self._packed = self.twin.packed
         self._noise = np.tile([task.force_noise] * 3 + [task.moment_noise] * 3, (n, 1))
-        self._mouth_radius = machine.delta.peg_radius + machine.peg.clearance + machine.peg.chamfer
+        self._mouth_radius = machine.bore.radius + machine.bore.chamfer
         self.rngs: list[Any] = [None] * n  # generators, once an episode was started
         self.steps, self.hole, self.failure = (np.zeros(n, np.int64) for _ in range(3))
         self.success, self.taken = np.zeros(n, bool), np.ones(n, bool)
         self.command, self._targets, self._action, self._wrench, self._tare = (
             np.zeros((n, N_AXES)) for _ in range(5)
         )
-        self._first, self._first_joints = (np.zeros((n, N_AXES)) for _ in range(2))
+        self._first, self._first_joints = np.zeros((n, N_AXES)), np.zeros((n, N_AXES))
         self.error, self.friction = np.zeros((n, 4)), np.zeros(n)
         self.peak, self.peak_force = np.zeros(n), np.zeros(n)  # of the last step, of the episode, N
         self.disturbances = [UNDISTURBED] * n
         self._machine_errors = np.zeros((n, np.hstack(UNDISTURBED).size))
         self._hole_normals = np.array(machine.task.hole_normals)
+        holes_each = (n, len(self._hole_normals))
+        self.active, self.filled, self._wanted = (np.zeros(holes_each, bool) for _ in range(3))
+        """Holes that can be filled, are filled, and were to be filled at first, (n, holes)."""
         self._late = np.zeros((n, task.substeps, N_AXES))  # joint commands not yet carried out
         self._geared = np.zeros((n, N_AXES))  # joint commands behind the play
         self._askew = np.zeros(n)  # by link errors the platform is off its command from the start
@@ -142,11 +135,7 @@ class PhysicsBatch(ABC):
 
     @abstractmethod
     def check_options(self, options: Any) -> Any:
-        """Reset options as :meth:`reset` takes them.
-
-        Raises:
-            ResetOptionError: one is unknown, malformed or out of range.
-        """
+        """Reset options as :meth:`reset` takes them, or a ``ResetOptionError``."""
 
     @abstractmethod
     def reset(self, row: int, options: Any, rng: np.random.Generator) -> dict[str, Any]:
@@ -176,23 +165,13 @@ class PhysicsBatch(ABC):
         fields = np.concatenate(parts, axis=1) / PRIVILEGED_UNITS
         return np.clip(fields, -LIMIT, LIMIT).astype(np.float32)
 
-    def all_filled(self) -> Bools:
-        """Whether every hole of the task is filled (n,)."""
-        return self.success.copy()
-
     def status(self, row: int) -> str:
         """``"running"``, ``"success"``, or the cause of an episode's failure."""
-        return "success" if self.success[row] else FAILURES[self.failure[row]] or "running"
+        won = self.success[row] and not np.any(self.active[row] & ~self.filled[row])
+        return "success" if won else FAILURES[self.failure[row]] or "running"
 
     def scene(self, row: int, trace: Sequence[Floats]) -> Scene:
-        """Every body of an episode's scene, where it really is; world frame.
-
-        Links are as the measured joints close them, on the real base; platform, dome, holes and tip
-        are the simulation's own.
-
-        Raises:
-            ResetNeeded: there was no reset yet.
-        """
+        """Every body of a scene, where it really is; links as the measured joints close them."""
         if self.rngs[row] is None:
             raise ResetNeeded("call reset() first: there is no state yet")
         machine, readings, base = self.machine, self.twin.readings(), self.twin.base[row]
@@ -202,27 +181,24 @@ class PhysicsBatch(ABC):
         turn = roll_pitch_yaw_matrix([*base[3:], 0.0])
         for name in RRS_JOINTS:
             fields[name] = fields[name] @ turn.T + base[:3]
-        rotation, centre, tip = (
-            part[row].copy() for part in (readings.rotation, readings.platform, readings.tip)
-        )
+        rotation, centre = readings.rotation[row].copy(), readings.platform[row]
         normals = self._hole_normals @ rotation.T
         mouths = centre + machine.task.dome_radius * normals
-        hole, status = int(self.hole[row]), self.status(row)
-        target = np.arange(len(normals)) == hole
+        hole = int(self.hole[row])
         fields |= {"platform_centre": centre, "platform_rotation": rotation}
         return Scene(
             **fields,
-            tip=tip,
+            tip=readings.tip[row],
             hole_mouths=mouths,
             hole_normals=normals,
-            active=target,
-            filled=target & (status == "success"),
+            active=self.active[row].copy(),
+            filled=self.filled[row].copy(),
             target=hole,
-            distance=float(np.linalg.norm(mouths[hole] - tip)),
+            distance=float(np.linalg.norm(mouths[hole] - readings.tip[row])),
             alignment_error=float(np.arccos(np.clip(normals[hole, 2], -1.0, 1.0))),
             sigma_min=float(rrs.signed_sigma_min(configuration[3:], machine.rrs)),
             time=float(self.steps[row]) * self.task.dt,
-            status=status,
+            status=self.status(row),
         )
 
     def _place(
@@ -331,12 +307,11 @@ class PhysicsBatch(ABC):
     def _joints(self, rows: slice) -> Floats:
         return np.ascontiguousarray(self.twin.readings().joints[rows])
 
-    def perceived(self, rows: slice = slice(0, 1)) -> tuple[Floats, Floats, Floats]:
+    def perceived(self, rows: slice) -> tuple[Floats, Floats, Floats]:
         """What a controller has to go by, with the sensors' noise, which is drawn now.
 
-        Returns:
-            The target (n, 5), tip - mouth, m, and x, y of its normal; joint angles (n, 6), rad;
-            wrench on the peg (n, 6), N, N m.
+        The target (n, 5): tip - mouth, m, and x, y of its normal; joint angles (n, 6), rad; wrench
+        on the peg (n, 6), N, N m.
         """
         joints, near = self._joints(rows), self._near(rows)
         view = kernels.perceive(joints, near, self.hole[rows], self._packed)
@@ -380,7 +355,7 @@ class PhysicsBatch(ABC):
         return {
             "success": self.success.copy(),
             "is_success": self.success.copy(),
-            "all_filled": self.all_filled(),
+            "all_filled": np.all(self._wanted <= self.filled, axis=1),
             "failure": FAILURES[self.failure],
             "depth": depth.copy(),
             "lateral_error": lateral.copy(),

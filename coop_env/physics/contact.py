@@ -8,17 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.errors import ResetOptionError
-from coop_env.physics.batch import LIMIT, PhysicsBatch, StepResult, row_of
+from coop_env.physics.batch import LIMIT, OBSERVED, PhysicsBatch, StepResult, row_of
 from coop_env.physics.joints import Floats
 from coop_env.physics.task import OWN_OPTIONS, draw_error, split_options, start_configurations
 from coop_env.simulation.collision import peg_tip
 from coop_env.simulation.task import N_AXES
 
-_LENGTH, _ANGLE, _FORCE, _MOMENT = 0.01, 0.05, 10.0, 0.05  # units of the contact task's observation
-UNITS: Final[Floats] = np.array(
-    [*[_LENGTH] * 3, *[_ANGLE] * 2, *[_ANGLE] * 6, *[_FORCE] * 3, *[_MOMENT] * 3,
-     *[_LENGTH] * 3, *[_ANGLE] * 2, _LENGTH, *[1.0] * 6]
-)  # fmt: skip
+UNITS: Final = np.repeat([0.01, 0.05, 0.05, 10.0, 0.05, 0.01, 0.05, 0.01, 1.0], OBSERVED)
 """What 1 means in each of the contact task's 29 fields: m, rad, N, N m."""
 
 
@@ -58,8 +54,10 @@ class ContactBatch(PhysicsBatch):
     def reset(self, row: int, options: Any, rng: np.random.Generator) -> dict[str, Any]:
         error = draw_error(self.task, rng)  # drawn whether or not an option sets it
         hole, friction = int(rng.choice(self._open)), float(rng.uniform(*self.task.friction))
-        self.hole[row] = options.get("hole", hole)
-        start = self.starts[self.hole[row]]
+        self.hole[row] = hole = options.get("hole", hole)
+        self.active[row] = self._wanted[row] = np.arange(len(self.starts)) == hole
+        self.filled[row] = False
+        start = self.starts[hole]
         mouth = start[:3] + self._to_tip - [0.0, 0.0, self.task.start_height]
         self._place(row, start, mouth, options, (error, friction), rng)
         self._first[row] = self._believed[row] = start
@@ -77,6 +75,7 @@ class ContactBatch(PhysicsBatch):
         self._advance(self.command + actions * self.increments)
         depth = self.insertion[:, 0]
         self.success = (depth >= task.insertion_depth) & (self.failure == 0)
+        self.filled = self.active & self.success[:, None]
         paid = np.minimum(depth, task.insertion_depth)
         terms = self._terms("depth", task.depth_scale * (paid - self._paid), self.success)
         self._paid = paid

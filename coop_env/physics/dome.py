@@ -1,9 +1,9 @@
 """The dome as convex solids: eight staves around each bore, triangular prisms everywhere else.
 
 A physics engine takes a mesh for its convex hull, so a solid with holes has to be given in convex
-parts. Staves are cut from the bore's octagon with the chamfer on them; prisms are the triangles
-between spot faces (a Delaunay triangulation on the sphere), drawn inwards by the shell's thickness.
-Neighbours share whole faces or overlap, so that nothing can pass between them.
+parts. Staves surround the bore's octagon, the chamfer on them; prisms are the triangles between
+spot faces (a Delaunay triangulation on the sphere), drawn inwards by the shell's thickness.
+Neighbours share whole faces or overlap.
 """
 
 from __future__ import annotations
@@ -32,15 +32,11 @@ _EQUATOR_POINTS: Final = 16
 
 @dataclass(frozen=True, slots=True)
 class Bore:
-    """A hole's cross-section: an octagon with flats ``radius`` from its axis. Lengths in m.
-
-    ``chamfer`` is the width and the depth of the lead-in at 45 degrees, ``depth`` the thickness of
-    the dome's shell, through which the bore goes.
-    """
+    """A hole's cross-section: an octagon with flats ``radius`` from its axis. Lengths in m."""
 
     radius: float
-    chamfer: float
-    depth: float
+    chamfer: float  # width and depth of the lead-in at 45 degrees
+    depth: float  # the thickness of the dome's shell
 
     @property
     def spot_radius(self) -> float:
@@ -60,19 +56,16 @@ def staves(bore: Bore) -> list[Vertices]:
         (bore.spot_radius, -bore.depth),
     ]
     stave = np.array([(x, side * x * tan, z) for x, z in profile for side in (-1.0, 1.0)])
-    result = []
-    for angle in 2.0 * math.pi * np.arange(STAVES) / STAVES:
-        c, s = math.cos(angle), math.sin(angle)
-        result.append(stave @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
-    return result
+    angles = 2.0 * math.pi * np.arange(STAVES) / STAVES
+    turns = [(math.cos(angle), math.sin(angle)) for angle in angles]
+    return [stave @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) for c, s in turns]
 
 
 def dome_solids(task: InsertionTask, bore: Bore) -> Iterator[tuple[str, Vertices]]:
     """Names and vertices (n, 3) of all convex solids, in the platform's frame, m.
 
     Raises:
-        ArgumentError: the holes stand too near to each other or to the dome's rim for their spot
-            faces, or the shell is too thick for them or for the dome.
+        ArgumentError: the holes, their spot faces or the shell do not fit the dome.
     """
     radius, normals = task.dome_radius, np.array(task.hole_normals)
     if bore.depth >= radius:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import queue
 import threading
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, wait
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
@@ -43,13 +43,7 @@ class Driver(Protocol):
 
 
 class TwinDriver:
-    """The simulated machine as a :class:`Driver`.
-
-    Servos are led by positions, and by velocities as far as they damp these.
-
-    Args:
-        machine: what is simulated; None, the standard one.
-        configuration: where it stands at first (6,); None, at home.
+    """The simulated machine as a :class:`Driver`, at first at home or at a configuration (6,).
 
     Raises:
         ArgumentError: the configuration is out of reach.
@@ -60,9 +54,8 @@ class TwinDriver:
     ) -> None:
         self.twin = Twin(machine)
         self._kp, self._kv = self.twin.machine.servos.gains
-        self._weight: Floats
+        self._weight = self._force = np.zeros(3)
         self.place(self.twin.machine.home() if configuration is None else configuration)
-        self._force: Floats = np.zeros(3)
         self.errors: Floats = np.zeros((0, N_AXES))
         """Measured minus commanded angles (samples, 6) of the last trajectory, rad."""
         self.torques: Floats = np.zeros((0, N_AXES))
@@ -84,6 +77,7 @@ class TwinDriver:
         """
         dt = self.twin.machine.timestep
         times = np.arange(0.0, trajectory.duration + SETTLING, dt)
+        # led by velocity too, as far as the servos damp it
         led = trajectory.positions + self._kv / self._kp * trajectory.velocities
         led, wanted = (
             np.column_stack([np.interp(times, trajectory.times, column) for column in values.T])
@@ -142,8 +136,8 @@ def replay(
 ) -> Replayed:
     """Let a policy of the kinematic task drive a machine, move by move, by what it reports.
 
-    Before each move the measured joints give the configuration, and that observation and masks. A
-    move is commanded only if it is valid and the whole way of its trajectory is free.
+    The measured joints give the configuration, and that observation and masks. A move is commanded
+    only if it is valid and its whole way is free.
 
     Args:
         policy: from observation and action masks to an action.
@@ -156,7 +150,7 @@ def replay(
         error_limit: rad by which a joint may miss the end of a move.
         patience: s that an answer may take, and a command more than its trajectory.
         arguments: of :class:`~coop_env.env.CoopInsertionEnv`, as the policy was trained, but the
-            dimensions and what needs a memory: moves made, or the time.
+            dimensions and what needs a memory.
 
     Raises:
         DriverError: no answer came in time, or none of six finite angles or three finite forces.
@@ -195,14 +189,13 @@ def replay(
         way = make_trajectory([where, env.configuration], m.rrs, m.delta, m.task)
         if blocked := way.blocked():
             return end(f"on the way there is {blocked[0][1]}")
-        measured = _numbers(driver.joints, N_AXES, patience)
-        if (off := float(np.abs(way.positions[0] - measured).max())) > error_limit:
+        if (off := _off(driver, way.positions[0], patience)) > error_limit:
             return end(f"the way begins {off:.3g} rad from where the joints are")
         _ask(driver.command, way, seconds=way.duration + patience)
         moves, seconds = moves + 1, seconds + way.duration
         felt = float(np.linalg.norm(_numbers(driver.force, 3, patience)))
         where = _stand(driver, m, env.configuration, patience)
-        off = float(np.abs(_numbers(driver.joints, N_AXES, patience) - way.positions[-1]).max())
+        off = _off(driver, way.positions[-1], patience)
         force, error = max(force, felt), max(error, off)
         if felt > force_limit:
             return end(f"a force of {felt:.3g} N")
@@ -223,6 +216,11 @@ def _stand(driver: Driver, m: Machine, near: Sequence[float] | Floats, patience:
     return result
 
 
+def _off(driver: Driver, joints: Floats, patience: float) -> float:
+    """By how much the worst measured joint is off, rad."""
+    return float(np.abs(_numbers(driver.joints, N_AXES, patience) - joints).max())
+
+
 def _numbers(call: Callable[[], Any], n: int, seconds: float) -> Floats:
     result = np.asarray(_ask(call, seconds=seconds), np.float64)
     if result.shape != (n,) or not np.isfinite(result).all():
@@ -232,22 +230,18 @@ def _numbers(call: Callable[[], Any], n: int, seconds: float) -> Floats:
 
 def _ask(call: Callable[..., Any], *arguments: Any, seconds: float) -> Any:
     """What a call returns or raises, waited for so long in a thread of its own."""
-    answers: queue.SimpleQueue[tuple[bool, Any]] = queue.SimpleQueue()
+    answer: Future[Any] = Future()
 
     def work() -> None:
         try:
-            answers.put((True, call(*arguments)))
+            answer.set_result(call(*arguments))
         except Exception as error:
-            answers.put((False, error))
+            answer.set_exception(error)
 
     threading.Thread(target=work, daemon=True).start()
-    try:
-        fine, answer = answers.get(timeout=seconds)
-    except queue.Empty:
+    if not wait([answer], seconds).done:
         raise DriverError(
             f"the machine did not answer {call.__name__} within {seconds:.3g} s; its last command "
             "holds"
-        ) from None
-    if not fine:
-        raise answer
-    return answer
+        )
+    return answer.result()

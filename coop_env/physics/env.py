@@ -80,7 +80,7 @@ class PhysicsEnv(Rendered):
         """Start an episode; the class says which ``options`` there are.
 
         Raises:
-            ResetOptionError: an option is malformed. The environment is left as it was.
+            ResetOptionError: an option is malformed; nothing has changed.
             ClosedEnvironmentError: :meth:`close` was called.
         """
         checked = self.batch.check_options(options)
@@ -97,26 +97,20 @@ class PhysicsEnv(Rendered):
         """Make one control step.
 
         Raises:
-            ActionError: the action is not in the action space. The environment is left as it was.
+            ActionError: the action is not in the action space; nothing has changed.
             ResetNeeded: the episode is over, or none was started.
         """
         if not self._running:
             raise ResetNeeded("call reset() first: there is no running episode")
         outcome = self.batch.step(self.increments_of(action)[None])
-        terminated, truncated = bool(outcome.terminated[0]), bool(outcome.truncated[0])
+        seen, reward, terminated, truncated, info = (row_of(part, 0) for part in outcome)
         self._running = not (terminated or truncated)
         if self.render_mode is not None:
             self._follow(self.batch.twin.readings().tip[0])
-        info = row_of(outcome.info, 0)
-        seen = row_of(outcome.observation, 0)
-        return seen, float(outcome.reward[0]), terminated, truncated, info
+        return seen, reward, terminated, truncated, info
 
     def scene(self) -> Scene:
-        """Every body of the scene at this instant, where it really is; world frame.
-
-        Raises:
-            ResetNeeded: there was no reset yet.
-        """
+        """Every body of the scene at this instant, where it really is; world frame."""
         return self.batch.scene(0, self._trace)
 
     def close(self) -> None:
@@ -138,14 +132,14 @@ class CoopInsertionContactEnv(PhysicsEnv):
     """A peg stands over a hole that is not quite where the machine believes; put it in, by feel.
 
     Both robots are simulated with their masses, servos and contact (MuJoCo). ``docs/contact.md``
-    says all of this at length.
+    says more.
 
     **Action Space**
 
-    ``Box(-1, 1, (6,))``: increments of the commanded configuration, from which inverse kinematics
-    make joint commands, held for one control step of 0.05 s. One is 0.5, 0.5, 1 mm of x, y, z of
-    the effector; 2, 2 mrad of roll, pitch and 0.5 mm of heave of the platform. A command beyond the
-    robots' limits is not taken (``info["violation"]``).
+    ``Box(-1, 1, (6,))``: increments of the commanded configuration, held for one control step of
+    0.05 s. One is 0.5, 0.5, 1 mm of x, y, z of the effector; 2, 2 mrad of roll, pitch and 0.5 mm of
+    heave of the platform. A command beyond the robots' limits is not taken
+    (``info["violation"]``).
 
     **Observation Space**
 
@@ -165,33 +159,23 @@ class CoopInsertionContactEnv(PhysicsEnv):
 
     **Rewards**
 
-    =============  ======================================================
-    Term           Reward
-    =============  ======================================================
-    ``depth``      1 per mm that the tip gains along the real hole's axis
-    ``step``       -0.05
-    ``force``      -0.1 per 5 N of the step's peak force above 5 N
-    ``insertion``  20
-    ``failure``    -5 at the end by force, snap or diverging
-    =============  ======================================================
-
-    Depth beyond the required 10 mm pays nothing. At a failure ``step`` is charged for all steps
-    that were left, and ``depth`` is zero: ending it never pays.
+    ``depth``, 1 per mm that the tip gains along the real hole's axis, up to 10 mm; ``step``, -0.05;
+    ``force``, -0.1 per 5 N of the step's peak force above 5 N; ``insertion``, 20; ``failure``, -5.
+    At a failure ``step`` is charged for all steps that were left, and ``depth`` is zero: ending it
+    never pays.
 
     **Starting State**
 
-    A hole is drawn among those that the 3-RRS can turn upright; the tip stands 10 mm above where
-    its mouth is believed to be, aligned. Really it stands up to 3 mm to the side (uniform over the
-    disc) and is tilted up to 1 degree about its mouth, because the 3-RRS's base stands askew.
-    Friction is drawn in 0.1 to 0.4. Options of ``reset``: ``hole``; ``error``, the displacement
-    along x, y (m) and tilt about x, y (rad); ``friction``.
+    A hole is drawn among those that the 3-RRS can turn upright. The tip stands 10 mm above where
+    its mouth is believed to be; really the hole is up to 3 mm to the side (uniform over the disc)
+    and tilted up to 1 degree about its mouth. Friction is 0.1 to 0.4. Options of ``reset``:
+    ``hole``; ``error``, displacement along x, y (m) and tilt about x, y (rad); ``friction``.
 
     **Episode End**
 
     1. Termination, success: the tip is 10 mm deep in the bore.
     2. Termination, ``info["failure"]``: ``"force"`` (peak above 40 N), ``"snap"`` (the platform
-       more than 5 degrees off its command: another assembly mode) or ``"diverged"`` (the
-       simulation).
+       more than 5 degrees off its command: another assembly mode), ``"diverged"``.
     3. Truncation, ``"time"``: 80 control steps.
 
     Args:
@@ -199,12 +183,11 @@ class CoopInsertionContactEnv(PhysicsEnv):
             :class:`~coop_env.physics.task.ContactTask`.
         geometry: ``"optimized"``, ``"initial"`` or an :class:`~coop_env.geometry.RRSGeometry`.
         delta: None, the standard robot, or a :class:`~coop_env.geometry.DeltaGeometry`.
-        holes: None, the paper's dome, or a
-            :class:`~coop_env.simulation.insertion_task.InsertionTask`.
+        holes: None, the paper's dome, or a ``coop_env.InsertionTask``.
         servos: None, or :class:`~coop_env.physics.model.Servos`. Each of these five may be a plain
             mapping of fields.
         sim_to_real: None, ``"randomized"`` (``sim_to_real.FORGE``) or a
-            :class:`~coop_env.simulation.sim_to_real.SimToReal`: each episode has another machine.
+            ``coop_env.SimToReal``: each episode has another machine.
         reward_scale: what all rewards are multiplied by.
         privileged: observations are dictionaries of ``observation`` and ``privileged``, which is
             ``info["privileged"]``: ``coop_env.physics.batch.PRIVILEGED``.
@@ -225,8 +208,7 @@ class CoopInsertionContactDiscreteEnv(CoopInsertionContactEnv):
     """The contact task in twelve moves, for Rainbow and DQN.
 
     ``Discrete(12)``: action ``2 k`` is one whole increment along axis ``k`` of x, y, z, roll,
-    pitch, heave, ``2 k + 1`` takes it away; all else is
-    :class:`CoopInsertionContactEnv`'s.
+    pitch, heave, ``2 k + 1`` takes it away.
     """
 
     discrete = True
@@ -235,33 +217,20 @@ class CoopInsertionContactDiscreteEnv(CoopInsertionContactEnv):
 class CoopInsertionPhysicsEnv(PhysicsEnv):
     """Bring the peg from far away to six holes one after another and push it in, by feel.
 
-    The start states and holes of ``CoopInsertion-v0`` on the twin of
-    :class:`~coop_env.physics.env.CoopInsertionContactEnv`: the same seed gives both the
-    same start. ``docs/physics_task.md`` says more.
+    The start states and holes are ``CoopInsertion-v0``'s: the same seed gives both the same start.
+    ``docs/physics_task.md`` says more.
 
     **Action Space**
 
-    ``Box(-1, 1, (6,))``: increments of the commanded configuration, over which joint commands are
-    led within a control step of 0.05 s. One is a quarter of a move of the kinematic task: 5 mm of
-    x, y, z, 7.5 mrad of roll, pitch, 5 mm of heave. A command beyond the robots' limits is not
-    taken (``info["violation"]``).
+    ``Box(-1, 1, (6,))``: increments of the commanded configuration, led along within a control step
+    of 0.05 s. One is a quarter of a move of the kinematic task: 5 mm of x, y, z, 7.5 mrad of roll,
+    pitch, 5 mm of heave. A command beyond the robots' limits is not taken (``info["violation"]``).
 
     **Observation Space**
 
-    ``Box(-5, 5, (30 + holes,), float32)``, everything in the units of the last column:
-
-    =======  ===================================================================  ===============
-    Field    Meaning                                                              One is
-    =======  ===================================================================  ===============
-    0 - 2    tip - target's mouth, by measured joints and the nominal model       0.1 m
-    3, 4     x, y of the target's normal, likewise                                1
-    5 - 10   joint angles theta, q, from those at home                            1 rad
-    11 - 13  mean force on the peg over the control step, with noise, world       10 N
-    14 - 16  mean moment on it about its tip, with noise                          0.05 N m
-    17 - 22  command, from home (x, y, z, roll, pitch, heave)                     0.1 m, 0.5 rad
-    23 - 28  last action                                                          1
-    29 -     hole filled, one field a hole; then the share of the time gone       1
-    =======  ===================================================================  ===============
+    ``Box(-5, 5, (30 + holes,), float32)``: the contact task's 29 fields, joint angles and command
+    from those at home; then for each hole whether it is filled; then the share of the time gone.
+    One is 0.1 m; 1 of a normal; 1 rad of a joint, 0.5 rad of a tilt; 10 N; 0.05 N m.
 
     **Rewards**
 
@@ -278,19 +247,16 @@ class CoopInsertionPhysicsEnv(PhysicsEnv):
 
     **Episode End**
 
-    1. Termination: the peg was 10 mm deep in every active hole; the nearest open one is always the
-       next target.
-    2. Termination, ``info["failure"]``: ``"force"``, ``"snap"`` or ``"diverged"``, as in the
-       contact task.
+    1. Termination: the peg was 10 mm deep in every active hole; the nearest open one is next.
+    2. Termination, ``info["failure"]``: ``"force"``, ``"snap"``, ``"diverged"``, as in contact.
     3. Truncation, ``"time"``: ``max_steps`` control steps.
 
     Args:
-        level: ``"easy"``, ``"standard"``, ``"hard"`` or a
-            :class:`~coop_env.physics.task.ContactTask`, whose errors, peg, friction, noise,
-            control period and limits hold; ``{"position_error": 0, "tilt_error": 0}`` has no error.
+        level: as for :class:`CoopInsertionContactEnv`, whose errors, peg, friction, noise, control
+            period and limits hold; ``{"position_error": 0, "tilt_error": 0}`` has no error.
         stage: 0, the four peripheral holes, or 1, all.
         max_steps: control steps until truncation.
-        arguments: the others of :class:`CoopInsertionContactEnv`, whose errors it raises.
+        arguments: the others of that class, whose errors it raises.
 
     **Version History**
 
@@ -308,10 +274,8 @@ def with_privileged(own: spaces.Space[Any]) -> spaces.Dict:
 
 def make_spaces(batch: PhysicsBatch, discrete: bool) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
     """Observation and action space of one environment, its own: a space has a generator."""
-    observations: spaces.Space[Any]
-    observations = spaces.Box(-LIMIT, LIMIT, (batch.n_observed,), np.float32)
-    if batch.is_dict:
-        observations = with_privileged(observations)
+    own = spaces.Box(-LIMIT, LIMIT, (batch.n_observed,), np.float32)
+    observations = with_privileged(own) if batch.is_dict else own
     if discrete:
         return observations, spaces.Discrete(N_ACTIONS)
     return observations, spaces.Box(-1.0, 1.0, (N_AXES,), np.float32)

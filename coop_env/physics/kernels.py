@@ -1,10 +1,7 @@
 """Compiled functions that run on each row between two calls of the engine.
 
-``take`` and what follows it are the kinematic model's side of a move that the twin has made: no
-collision stops it there.
-
-The formulas are the kinematic kernels'; ``packed`` holds the machine as
-:func:`coop_env.simulation.task.pack` gives it.
+``take`` and what follows it are the kinematic model's side of a move that the twin has made; no
+collision stops it there. ``packed`` is :func:`coop_env.simulation.task.pack` of the machine.
 """
 
 from __future__ import annotations
@@ -35,8 +32,8 @@ def perceive(
 ) -> np.ndarray:
     """(n, 5): tip - mouth, m, and x, y of the hole's normal, as measured joints (n, 6) have them.
 
-    ``believed`` (n, 6) are configurations near by, from which the 3-RRS's branch is followed, and
-    those now. A machine that has snapped may have no pose on its old branch: it keeps the last.
+    ``believed`` (n, 6), from which the 3-RRS's branch is followed, become the configurations now. A
+    machine that has snapped may have no pose on its old branch: it keeps the last.
     """
     p = unpack(packed)
     result = np.empty((joints.shape[0], 5))
@@ -59,28 +56,19 @@ def perceive(
 
 @njit(cache=True)
 def insertion(
-    tip: np.ndarray,
-    platform: np.ndarray,
-    rotation: np.ndarray,
-    holes: np.ndarray,
-    mouth_radius: float,
-    packed: np.ndarray,
-) -> np.ndarray:
+    tip: np.ndarray, platform: np.ndarray, rotation: np.ndarray, holes: np.ndarray,
+    mouth_radius: float, packed: np.ndarray,
+) -> np.ndarray:  # fmt: skip
     """(n, 4): depth of the tip below the real mouth, distance from the axis, m; misalignment, rad.
 
-    Beside the mouth, ``mouth_radius`` wide to the chamfer's flats, depth stops at zero, however far
-    down the dome's side the tip may be; the last column is how far, m. ``tip`` (n, 3), the
-    ``platform``'s centre (n, 3) and its ``rotation`` (n, 3, 3) are where they really are, world
-    frame.
+    Beside the mouth, ``mouth_radius`` wide, depth stops at zero; the last column does not, m.
+    ``tip`` (n, 3), ``platform`` (its centre, n, 3) and ``rotation`` (n, 3, 3): world frame.
     """
     p = unpack(packed)
     result = np.empty((tip.shape[0], 4))
     for i in range(tip.shape[0]):
-        c, r = platform[i], rotation[i]
-        pose = Pose(
-            c[0], c[1], c[2], r[0, 0], r[0, 1], r[0, 2], r[1, 0], r[1, 1], r[1, 2],
-            r[2, 0], r[2, 1], r[2, 2],
-        )  # fmt: skip
+        c, (x, y, z) = platform[i], rotation[i]
+        pose = Pose(c[0], c[1], c[2], x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2])
         mouth, n = hole(pose, holes[i], p)
         x, y, z = tip[i, 0] - mouth[0], tip[i, 1] - mouth[1], tip[i, 2] - mouth[2]
         depth = -(x * n[0] + y * n[1] + z * n[2])
@@ -137,12 +125,9 @@ def refuse(states: np.ndarray, action: int, packed: np.ndarray) -> None:
 
 @njit(cache=True)
 def conclude(
-    states: np.ndarray,
-    flags: tuple[bool, bool, bool, bool, bool],
-    target: int,
-    packed: np.ndarray,
-    outcomes: np.ndarray,
-) -> None:
+    states: np.ndarray, flags: tuple[bool, bool, bool, bool, bool], target: int,
+    packed: np.ndarray, outcomes: np.ndarray,
+) -> None:  # fmt: skip
     """:func:`coop_env.simulation.dynamics.conclude` of ``states (1,)``, ``outcomes (1,)``."""
     outcomes[0].collision = outcomes[0].singular = False
     dynamics.conclude(states[0], flags, target, unpack(packed), outcomes[0])

@@ -2,15 +2,16 @@
 
 World frame: where the 3-RRS's base is believed to stand, z up. Every hinge has the analytic angle
 as its coordinate, because the bodies are drawn at home and ``ref`` says which angle that is.
-Numbers without another source are assumptions, of a machine that holds still and can be built;
-:mod:`~coop_env.physics.model_folder` writes them, with their origin, beside the file.
+:mod:`~coop_env.physics.model_folder` says where each number comes from.
 """
 
 from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -37,10 +38,9 @@ TIP_SHAPES: Final = ("flat", "capsule")
 TIMESTEP: Final = 0.002
 """s, unless the task asks for another."""
 CONTACT_TIME: Final = 0.005
-"""Time constant of a contact, s. It sets the forces and is no property of the integration. The dome
-gives way like a critically damped spring that takes so long (``docs/physics.md``)."""
+"""Time constant of a contact, a critically damped spring, s. It sets the forces."""
 DELTA_RANGE: Final = (-0.75 * math.pi, 0.75 * math.pi)
-"""Of the Delta's actuated angles, rad, beyond a pose's own limits, short of the arm's own base."""
+"""Range of the Delta's actuated angles, wider than its workspace; rad."""
 LOOP_TIME: Final = 0.004
 """Time constant of the ties that close loops, s; the stiffest that TIMESTEP can have."""
 _PLAY_DAMPING: Final = 0.005  # of the effector's tilt within its play, N m s/rad
@@ -53,10 +53,9 @@ class Servos:
     """Position servos and masses; SI units.
 
     Attributes:
-        rrs_stiffness: kp of the 3-RRS's three servos, N m/rad. A soft 3-RRS jumps its assembly
-            mode near singular poses.
-        delta_stiffness: kp of the Delta's three, N m/rad: it is the compliant one.
-        damping_time: kv = 2 sqrt(damping_time kp), kg m^2: the inertia that is critically damped.
+        rrs_stiffness: kp of the 3-RRS, N m/rad; a soft one jumps its assembly mode.
+        delta_stiffness: kp of the Delta, the compliant one, N m/rad.
+        damping_time: kv = 2 sqrt(damping_time kp), kg m^2.
         torque_limit: of each servo, N m.
         armature: rotor inertia at each actuated joint, kg m^2.
         gravity_compensation: whether the links' weight is carried for the servos.
@@ -77,30 +76,26 @@ class Servos:
     delta_masses: tuple[float, float, float, float] = (0.15, 0.08, 0.2, 0.03)
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            name, value = f"Servos.{field.name}", getattr(self, field.name)
-            if field.name == "gravity_compensation":
-                check_flag(name, value)
-            elif isinstance(field.default, tuple):
-                if not isinstance(value, (tuple, list)) or len(value) != len(field.default):
-                    raise ArgumentError(f"{name} = {value!r}: must be {len(field.default)} masses")
-                masses = (
-                    check_number(f"{name}[{i}]", mass, 0.0, 1e3, above=True)
-                    for i, mass in enumerate(value)
-                )
-                object.__setattr__(self, field.name, tuple(masses))
-            else:
-                check_number(name, value, 0.0, 1e6, above=True)
+        check_flag("Servos.gravity_compensation", self.gravity_compensation)
+        positive = ("rrs_stiffness", "delta_stiffness", "damping_time", "torque_limit", "armature")
+        for name in positive:
+            check_number(f"Servos.{name}", getattr(self, name), 0.0, 1e6, above=True)
+        for name, n in (("rrs_masses", 3), ("delta_masses", 4)):
+            value = getattr(self, name)
+            if not isinstance(value, (tuple, list)) or len(value) != n:
+                raise ArgumentError(f"Servos.{name} = {value!r}: must be {n} masses")
+            masses = (
+                check_number(f"Servos.{name}[{i}]", mass, 0.0, 1e3, above=True)
+                for i, mass in enumerate(value)
+            )
+            object.__setattr__(self, name, tuple(masses))
 
     @property
     def gains(self) -> tuple[Floats, Floats]:
         """kp, N m/rad, and kv, N m s/rad, of the six servos (6,), the Delta's first."""
         stiffness = np.repeat([self.delta_stiffness, self.rrs_stiffness], 3)
-        return stiffness, np.array([self.damping(kp) for kp in stiffness.tolist()])
-
-    def damping(self, stiffness: float) -> float:
-        """kv of a servo with such a kp, N m s/rad."""
-        return 2.0 * (self.damping_time * stiffness) ** 0.5
+        damping = [2.0 * (self.damping_time * kp) ** 0.5 for kp in stiffness.tolist()]
+        return stiffness, np.array(damping)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,10 +106,8 @@ class Peg:
         clearance: radius of a bore, to its flats, minus the peg's.
         chamfer: width and depth of a bore's lead-in.
         depth: of a bore, the thickness of the dome's shell.
-        tip: ``"flat"``, a cylinder's end, or ``"capsule"``, the kinematic task's round one, which
-            finds a hole by itself.
-        friction: Coulomb coefficient of the peg on the dome, used where no friction is given;
-            episodes of the environments draw theirs from the task's range.
+        tip: ``"flat"``, or ``"capsule"``, the kinematic task's round one.
+        friction: Coulomb coefficient of the peg on the dome; episodes draw theirs.
 
     Raises:
         ArgumentError: a value is out of its range.
@@ -139,9 +132,8 @@ class Peg:
 class Machine:
     """All that the model is written from.
 
-    ``timestep`` and ``contact_time`` in s; ``effector_play``, rad, is by how much the Delta's
-    effector may tilt about x and about y, to both sides, before its rods stop it. Zero keeps it
-    upright.
+    ``timestep`` and ``contact_time`` in s; the Delta's effector may tilt about x and y by
+    ``effector_play``, rad, to both sides.
     """
 
     rrs: RRSGeometry = OPTIMIZED
@@ -152,6 +144,11 @@ class Machine:
     timestep: float = TIMESTEP
     contact_time: float = CONTACT_TIME
     effector_play: float = 0.0
+
+    @property
+    def bore(self) -> Bore:
+        radius = self.delta.peg_radius + self.peg.clearance
+        return Bore(radius, self.peg.chamfer, self.peg.depth)
 
     def kernel_params(self) -> EnvParams:
         """The same machine as the kinematic kernels take it.
@@ -220,37 +217,34 @@ def build_mjcf(machine: Machine) -> ET.Element:
     _add(world, "light", pos=[0.5, -0.8, 1.6], dir=[-0.3, 0.5, -1.0])
     _add_rrs(world, asset, machine, angles)
     _add_delta(world, machine, angles, home)
-    equality, actuator = _add(root, "equality"), _add(root, "actuator")
-    for robot, n in (("rrs", 2), ("delta", 3)):
-        for i in range(3 - n, 3):
-            _add(equality, "connect", site1=f"{robot}_end{i}", site2=f"{robot}_socket{i}")
-    servos = machine.servos
-    for robot, kp, at_home, (low, high) in (
-        ("delta", servos.delta_stiffness, angles.theta, DELTA_RANGE),
-        ("rrs", servos.rrs_stiffness, angles.q, (machine.rrs.joint_min, machine.rrs.joint_max)),
-    ):
-        for i in range(3):
-            # a position servo whose command counts from home: a model that is opened, with all its
-            # commands at zero, stands still
-            _add(
-                actuator, "general", name=f"{robot}_servo{i}", joint=f"{robot}_joint{i}",
-                gainprm=kp, biastype="affine",
-                biasprm=[kp * at_home[i], -kp, -servos.damping(kp)],
-                ctrlrange=[low - at_home[i], high - at_home[i]],
-                forcerange=[-servos.torque_limit, servos.torque_limit],
-            )  # fmt: skip
+    equality = _add(root, "equality")
+    for tie in ("rrs_{}1", "rrs_{}2", "delta_{}0", "delta_{}1", "delta_{}2"):
+        _add(equality, "connect", site1=tie.format("end"), site2=tie.format("socket"))
+    _add_servos(root, machine, [*angles.theta, *angles.q])
     _add_sensors(root)
     _add(_add(root, "keyframe"), "key", name="home")
     return root
+
+
+def _add_servos(root: ET.Element, m: Machine, at_home: list[float]) -> None:
+    """Commands count from home, so that an opened model, with all of them at zero, stands still."""
+    actuator, limit = _add(root, "actuator"), m.servos.torque_limit
+    kp, kv = m.servos.gains
+    for k, (robot, i) in enumerate(product(("delta", "rrs"), range(3))):
+        low, high = DELTA_RANGE if robot == "delta" else (m.rrs.joint_min, m.rrs.joint_max)
+        _add(
+            actuator, "general", name=f"{robot}_servo{i}", joint=f"{robot}_joint{i}",
+            gainprm=kp[k], biastype="affine", biasprm=[kp[k] * at_home[k], -kp[k], -kv[k]],
+            ctrlrange=[low - at_home[k], high - at_home[k]], forcerange=[-limit, limit],
+        )  # fmt: skip
 
 
 def _add_sensors(root: ET.Element) -> None:
     sensor = _add(root, "sensor")
     _add(sensor, "force", name="force", site="tip")
     _add(sensor, "torque", name="moment", site="tip")
-    for robot in ("delta", "rrs"):
-        for i in range(3):
-            _add(sensor, "jointpos", name=f"{robot}_angle{i}", joint=f"{robot}_joint{i}")
+    for robot, i in product(("delta", "rrs"), range(3)):
+        _add(sensor, "jointpos", name=f"{robot}_angle{i}", joint=f"{robot}_joint{i}")
     for name, kind in (("tip", "site"), ("platform", "xbody")):
         _add(sensor, "framepos", name=f"{name}_position", objtype=kind, objname=name)
     body = {"objtype": "xbody", "objname": "platform"}
@@ -269,10 +263,8 @@ def _link(body: ET.Element, length: float, radius: float, mass: float, **bits: o
          mass=mass, **bits)  # fmt: skip
 
 
-def _hinge(
-    body: ET.Element, name: str, axis: tuple[int, int, int], at_home: float, **more: object
-) -> None:
-    _add(body, "joint", name=name, type="hinge", axis=axis, ref=at_home, **more)
+def _hinge(body: ET.Element, name: str, axis: Sequence[int], ref: float, **more: object) -> None:
+    _add(body, "joint", name=name, type="hinge", axis=axis, ref=ref, **more)
 
 
 def _crank(
@@ -286,8 +278,8 @@ def _crank(
         base, f"{robot}_proximal{limb}", m, pos=radius * RADIAL[limb],
         xyaxes=[*x, *TANGENTIAL[limb]],
     )  # fmt: skip
-    _hinge(link, f"{robot}_joint{limb}", (0, -up, 0), angle, armature=m.servos.armature,
-           range=limits)  # fmt: skip
+    more = {"armature": m.servos.armature, "range": limits}
+    _hinge(link, f"{robot}_joint{limb}", (0, -up, 0), angle, **more)
     return link
 
 
@@ -326,8 +318,7 @@ def _add_platform(
     _add(body, "joint", name="platform_ball", type="ball", pos=ball)
     for i in range(1, 3):
         _add(body, "site", name=f"rrs_socket{i}", pos=g.platform_radius * RADIAL[i])
-    bore = Bore(m.delta.peg_radius + m.peg.clearance, m.peg.chamfer, m.peg.depth)
-    solids = dict(dome_solids(m.task, bore))
+    solids = dict(dome_solids(m.task, m.bore))
     volumes = {name: float(ConvexHull(vertices).volume) for name, vertices in solids.items()}
     disc = math.pi * g.platform_radius**2 * 2.0 * m.task.spoke_radius
     density = mass / (disc + sum(volumes.values()))  # plate and dome are of one material
@@ -379,6 +370,6 @@ def _add_peg(effector: ET.Element, m: Machine, mass: float) -> None:
 
 
 def to_xml(root: ET.Element) -> str:
-    """The model as text."""
+    """XML with its indents, as text."""
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"

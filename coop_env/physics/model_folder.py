@@ -70,8 +70,7 @@ def rows(m: Machine) -> Iterator[Row]:
         yield name, f"{getattr(m.task, name):g} m", "`coop_env.InsertionTask`: collision bodies"
     holes = ", ".join(f"({polar:.4g}, {azimuth:.4g})" for polar, azimuth in m.task.holes)
     yield "holes: polar angle, azimuth", f"{holes} rad", "`coop_env.InsertionTask`"
-    flats = m.delta.peg_radius + m.peg.clearance
-    yield "bore: flats from the axis", f"{flats:g} m", "peg radius and clearance"
+    yield "bore: flats from the axis", f"{m.bore.radius:g} m", "peg radius and clearance"
     yield "bore: chamfer, depth", f"{m.peg.chamfer:g}, {m.peg.depth:g} m", ASSUMED
     yield "bore: width of the spot face", f"{SPOT_WIDTH:g} m", "a flat peg that misses slides on it"
     yield "peg: tip, friction", f"{m.peg.tip}, {m.peg.friction:g}", ASSUMED

@@ -22,16 +22,15 @@ from coop_env.physics.whole import WholeBatch
 from coop_env.rendering.scene import Scene
 from coop_env.simulation import batch, start_states
 from coop_env.simulation.observation import observe_batch
-from coop_env.simulation.task import N_AXES
 
 SETTLING: Final = 4
 """Control steps that each leg of the way to a hole takes at least, and rest above it."""
 ROOM: Final = 0.005
 """By which the tip passes above where the contact task begins, m."""
+TOUCH: Final = 10.0
+"""A mean force beyond this stops a move, N; at weak holes 15 N may push the 3-RRS over."""
 Policy = Callable[[Any], Any]
 """From the contact task's observation (29,) to its increments (6,); a ``reset`` is called first."""
-TOUCH: Final = 10.0
-"""A mean force beyond this stops a move, N; of 15 N some push the 3-RRS over, at weak holes."""
 
 
 class Lead(WholeBatch):
@@ -64,15 +63,10 @@ class Lead(WholeBatch):
         return bool(self.distance[0] < task.tolerance and angle < task.angle_tolerance)
 
     def lead(self, to: Floats, steps: int = 1, touch: float = math.inf) -> bool:
-        """Lead the machine straight to a configuration (6,), in increments of at most 1.
+        """Lead the machine straight to a configuration (6,), in at least so many control steps.
 
-        Args:
-            to: where.
-            steps: at least so many control steps.
-            touch: a mean force beyond this is a contact that stops it, N.
-
-        Returns:
-            Whether it arrived, and no contact, failure or command that was not taken stopped it.
+        Returns whether it arrived: a mean force beyond ``touch`` (N), a failure or a command that
+        was not taken stop it.
         """
         way, start = to - self.command[0], self.configuration
         n = max(steps, math.ceil(float(np.max(np.abs(way) / self.increments)) - 1e-9))
@@ -86,10 +80,8 @@ class Lead(WholeBatch):
     def insert(self) -> bool:
         """Go to where the contact task begins, play the policy of that task, and withdraw.
 
-        A hole that the machine cannot present upright is not tried.
-
-        Returns:
-            Whether the peg was 10 mm deep in the target; it is out again, unless the episode ended.
+        Returns whether the peg was 10 mm deep in the target. A hole that the machine cannot present
+        upright is not tried.
         """
         start, hole = self._above[self.target], self.target
         if not np.isfinite(start).all():
@@ -109,16 +101,15 @@ class Lead(WholeBatch):
         return result
 
     def _feel(self, policy: Any) -> None:
-        hole = self.target
+        """Play a policy of the contact task, which begins here."""
+        hole, rows = self.target, slice(0, 1)
         getattr(policy, "reset", lambda: None)()
-        first, action = self.configuration, np.zeros(N_AXES)
-        joints = self.perceived()[1]
+        self._first[0], self._action[0] = self.command[0], 0.0
+        self._first_joints = self.perceived(rows)[1]
         for _ in range(self.task.max_steps):
-            view, angles, wrench = self.perceived()
-            felt = [view[0], angles[0] - joints[0], wrench[0], self.configuration - first, action]
-            seen = in_units(np.concatenate(felt)[None])[0]
-            action = np.clip(np.asarray(policy(seen), np.float64), -1.0, 1.0)
-            self.advance((self.configuration + action * self.task.increments)[None])
+            seen = in_units(self._felt(rows))[0]
+            self._action = np.clip(np.asarray(policy(seen), np.float64), -1.0, 1.0)[None]
+            self.advance(self.command + self._action * self.task.increments)
             if self.failed or self.filled[0, hole]:
                 return
 
@@ -127,35 +118,31 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
     """``CoopInsertion-v0`` on the twin: a move leads the servos of the simulated machine.
 
     Spaces, masks, observation, rewards, start states and ``info`` are those of
-    :class:`~coop_env.env.CoopInsertionEnv`, which is the nominal model here: masks, observation and
-    rewards go by where the machine was commanded to be. What happens is the twin's:
+    :class:`~coop_env.env.CoopInsertionEnv`, by the nominal model: by where the machine was
+    commanded to be. What happens is the twin's (``docs/physics_task.md``):
 
     * a move takes 0.2 s, in which joint commands are led along it;
-    * one that meets a force above ``touch`` stops; it is taken back and counts as a collision,
-      unless the target is reached there;
+    * one that meets a force above ``touch`` is taken back and counts as a collision, unless the
+      target is reached there;
     * without ``finish`` a hole is filled by the kinematic task's criterion, met by the real tip
       and the real hole at the end of a move;
-    * with ``finish`` a move whose end meets that criterion by the nominal model is not made;
-      instead the machine goes to where the contact task begins, 10 mm above the mouth and aligned,
-      and the policy inserts until the peg is 10 mm deep in the bore or 80 control steps are over.
-      Then the peg is withdrawn, and the lattice of moves begins anew where it stands, 15 mm above
-      the mouth. A hole that was not filled is given up: it is no target any more.
+    * with ``finish`` a move whose end meets that criterion by the nominal model is not made: the
+      machine goes to where the contact task begins and the policy inserts, for 80 control steps at
+      most. Then the peg is withdrawn, and the lattice of moves begins anew where it stands, 15 mm
+      above the mouth. A hole that was not filled is given up: it is no target any more.
 
     ``info`` also has ``failure`` (``"force"``, ``"snap"``, ``"diverged"`` end the episode, as does
     ``"not inserted"``, where every hole was given up and none filled; ``"time"``), ``given_up``
-    (holes), ``depth``, ``lateral_error``, ``force``, ``moment``,
-    ``peak_force``, ``friction`` and ``error``; ``distance``, ``alignment_error`` and ``time`` are
-    the simulation's, and ``singular`` is a snap. :meth:`reset` also takes ``error`` and
-    ``friction``.
+    (holes), ``depth``, ``lateral_error``, ``force``, ``moment``, ``peak_force``, ``friction`` and
+    ``error``; ``distance``, ``alignment_error`` and ``time`` are the simulation's, and ``singular``
+    is a snap. :meth:`reset` also takes ``error`` and ``friction``.
 
     Args:
         finish: a policy of the contact task, from its observation (29,) to increments (6,), or
             None.
         touch: mean force that stops a move, N.
-        level: as for :class:`~coop_env.physics.env.CoopInsertionPhysicsEnv`.
-        servos: likewise.
-        sim_to_real: likewise.
-        privileged: likewise.
+        level: as for :class:`~coop_env.physics.env.CoopInsertionPhysicsEnv`, as are ``servos``,
+            ``sim_to_real`` and ``privileged``.
         arguments: as for :class:`~coop_env.env.CoopInsertionEnv`, without ``pose_model`` and
             ``collision``.
 
@@ -187,11 +174,11 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         if finish is not None and not callable(finish):
             raise ArgumentError(f"finish = {finish!r}: must be None, or a callable")
         self.touch = check_number("touch", touch, 0.0, above=True)
-        shared: dict[str, Any] = {
-            name: arguments[name] for name in ("geometry", "delta") if name in arguments
-        }
-        shared |= {"sim_to_real": sim_to_real, "privileged": privileged}
-        self.physics = Lead(finish, level, holes=self.task, servos=servos, **shared)
+        robots: Any = {name: arguments[name] for name in ("geometry", "delta") if name in arguments}
+        self.physics = Lead(
+            finish, level, holes=self.task, servos=servos, sim_to_real=sim_to_real,
+            privileged=privileged, **robots,
+        )  # fmt: skip
         self._knobs = self.physics.knobs
         if privileged:
             self.observation_space: Any = with_privileged(self.observation_space)
@@ -230,12 +217,9 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
         row = self._states[0]
         inside = row["inside"].astype(bool) & filled & ~before[0]["inside"].astype(bool)
         row["filled"], row["active"] = body.filled[0], body.active[0]
-        kernels.conclude(
-            self._states,
-            (violation, bool(new.any()), not violation and bool(inside.any()),
-             bool(body.over[0]), body.failed),
-            body.target, self._packed, self._outcomes,
-        )  # fmt: skip
+        duplicate = not violation and bool(inside.any())
+        flags = (violation, bool(new.any()), duplicate, bool(body.over[0]), body.failed)
+        kernels.conclude(self._states, flags, body.target, self._packed, self._outcomes)
         observe_batch(self._states, self._packed, self._observation, self._rows)
         outcome: Any = self._outcomes.item(0)
         reward, terminated, truncated = outcome[-3:]
@@ -280,14 +264,13 @@ class CoopInsertionPhysicsDiscreteEnv(CoopInsertionEnv):
 
     def _merge(self, info: dict[str, Any]) -> dict[str, Any]:
         """The kinematic task's ``info`` and the simulation's; where things are is the latter's."""
-        body = self.physics
-        real = row_of(body.columns(), 0)
+        real = row_of(self.physics.columns(), 0)
         if info["inserted"]:  # by now the next hole is the target
-            real["distance"], real["alignment_error"] = body.aimed[0].tolist()
+            real["distance"], real["alignment_error"] = self.physics.aimed[0].tolist()
         own = ("distance", "alignment_error", "time", "all_filled")
         measured = {name: real[name] for name in own}
-        singular = real["failure"] == "snap"
-        return {**real, **info, **measured, "singular": singular, "given_up": [*body.given_up[0]]}
+        singular, given_up = real["failure"] == "snap", [*self.physics.given_up[0]]
+        return {**real, **info, **measured, "singular": singular, "given_up": given_up}
 
     def scene(self) -> Scene:
         return self.physics.scene(0, self._trace)

@@ -29,9 +29,9 @@ STANDARD_PEG: Final = Peg()
 HEAVE_ROOM: Final = 0.005
 """By which heave can go up and down from every start, m."""
 _LARGEST: Final = {"position_error": 0.02, "tilt_error": 0.1, "effector_play": 0.1}  # m, rad
+_LARGEST_ERROR: Final = (0.02, 0.02, 0.1, 0.1)  # of the option, m and rad
 OWN_OPTIONS: Final = ("error", "friction")
 """Reset options that both tasks have."""
-_LARGEST_ERROR: Final = (*(_LARGEST["position_error"],) * 2, *(_LARGEST["tilt_error"],) * 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +46,7 @@ class ContactTask:
         force_noise: standard deviation of each observed force, N, after averaging.
         moment_noise: the same of each moment, N m.
         start_height: of the tip above the mouth where it is believed to be, m.
-        insertion_depth: of the tip below the real mouth, inside the bore, that is a success, m;
-            what is deeper pays nothing.
+        insertion_depth: of the tip below the real mouth, a success, m; more pays nothing.
         linear_step: one increment along x and y, m.
         depth_step: one increment along z, m.
         angular_step: one increment of roll or pitch, rad.
@@ -55,8 +54,7 @@ class ContactTask:
         dt: control period, s; whole timesteps of the simulation.
         timestep: of the simulation, s.
         contact_time: time constant of a contact, s, which sets the forces; two timesteps at least.
-        effector_play: tilt of the effector about x and about y that the play of its rods allows,
-            to both sides, rad.
+        effector_play: tilt of the effector about x and y that its rods' play allows, rad.
         max_steps: control steps until truncation.
         force_limit: a force beyond this in any timestep ends the episode as a failure, N.
         free_force: a peak force up to this costs nothing, N.
@@ -65,8 +63,7 @@ class ContactTask:
         depth_scale: reward per m of depth gained.
         force_cost: per N of each control step's peak force above ``free_force``.
         insertion_bonus: reward of a success.
-        failure_cost: of an episode that ends by force, by a snap or by diverging, besides the
-            steps that were left; its last step gains nothing.
+        failure_cost: of a failure, besides the steps left; its last step gains nothing.
 
     Raises:
         ArgumentError: a value is of the wrong kind, not finite or out of range.
@@ -180,9 +177,8 @@ def askew(error: Floats, pivot: Floats) -> list[float]:
 def start_configurations(machine: Machine, height: float) -> Floats:
     """For each hole the configuration (holes, 6) with the tip ``height`` above its mouth, aligned.
 
-    Heave is where sigma_min is largest, so where the platform gives way least, among heights that
-    leave :data:`HEAVE_ROOM` to both sides. NaN for a hole that this machine cannot present with
-    sigma_min of at least ``start_sigma``, as at the starts of the kinematic task.
+    Heave is where sigma_min is largest, so where the platform gives way least. NaN for a hole that
+    this machine cannot present with sigma_min of at least ``start_sigma``.
 
     Raises:
         GeometryError: it can present none.
@@ -191,11 +187,8 @@ def start_configurations(machine: Machine, height: float) -> Floats:
     # the third row of a 3-RRS's rotation is (-nx, -ny, nz), so R h = z has n = (-hx, -hy, hz)
     tilts = roll_pitch(np.array(machine.task.hole_normals) * [-1.0, -1.0, 1.0])
     low, high = g.heave_min + HEAVE_ROOM, g.heave_max - HEAVE_ROOM
-    heaves = np.linspace(low, max(low, high), 7)[:, None, None]
-    shape = (*heaves.shape[:1], *tilts.shape)
-    poses = np.concatenate(
-        [np.broadcast_to(tilts, shape), np.broadcast_to(heaves, (*shape[:2], 1))], axis=-1
-    )
+    heaves = np.linspace(low, max(low, high), 7)
+    poses = np.array([np.column_stack([tilts, np.full(len(tilts), heave)]) for heave in heaves])
     effector = rrs.platform_pose(poses, g).position.copy()
     effector[..., 2] += machine.task.dome_radius + height + robot.peg_length - robot.base_height
     valid = delta.is_valid(effector, robot)
@@ -214,26 +207,24 @@ def start_configurations(machine: Machine, height: float) -> Floats:
 
 
 def split_options(options: Any) -> tuple[Options, Options]:
-    """Reset options of the simulation, checked, and those that are the kinematic task's.
+    """Reset options of the simulation, checked, and all others.
 
     Raises:
         ResetOptionError: an error or a friction is malformed or out of range.
     """
     if options is not None and not isinstance(options, Mapping):
         raise ResetOptionError(f"options = {options!r}: must be a mapping")
+    own: Options = {}
     rest = dict(options or {})
-    given = {name: rest.pop(name, None) for name in OWN_OPTIONS}
-    own: Options = {name: value for name, value in given.items() if value is not None}
-    if "friction" in own:
-        own["friction"] = check_number(
-            "friction", own["friction"], 0.0, 2.0, above=True, error=ResetOptionError
-        )
-    if "error" in own:
-        numbers = list(own["error"]) if is_list(own["error"]) else []
-        if len(numbers) != 4:
-            raise ResetOptionError(f"error = {own['error']!r}: must be x, y, m, and two tilts, rad")
+    error, friction = (rest.pop(name, None) for name in OWN_OPTIONS)
+    if friction is not None:
+        friction = check_number("friction", friction, 0.0, 2.0, above=True, error=ResetOptionError)
+        own["friction"] = friction
+    if error is not None:
+        if not is_list(error) or len(error) != 4:
+            raise ResetOptionError(f"error = {error!r}: must be x, y, m, and two tilts, rad")
         own["error"] = [
             check_number(f"error[{i}]", number, -most, most, error=ResetOptionError)
-            for i, (number, most) in enumerate(zip(numbers, _LARGEST_ERROR, strict=True))
+            for i, (number, most) in enumerate(zip(error, _LARGEST_ERROR, strict=True))
         ]
     return own, rest

@@ -7,13 +7,11 @@ and come to the same last bit.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from gymnasium.error import ClosedEnvironmentError
+from gymnasium.error import ClosedEnvironmentError, DependencyNotInstalled
 from numpy.typing import ArrayLike, NDArray
 
 from coop_env.errors import ArgumentError, check_integer
@@ -21,12 +19,19 @@ from coop_env.kinematics import delta, rrs
 from coop_env.kinematics.delta_kernels import DeltaParams
 from coop_env.kinematics.rotations import roll_pitch_yaw_matrix
 from coop_env.kinematics.rrs_kernels import RRSParams
-from coop_env.physics.engine import mujoco
 from coop_env.physics.joints import Floats, platform_mount, tree_angles
 from coop_env.physics.model import LOOP_TIME, Machine, build_mjcf, to_xml
 from coop_env.simulation.collision import peg_tip
 from coop_env.simulation.sim_to_real import MASSES, Disturbance
 from coop_env.simulation.task import N_AXES, pack
+
+try:
+    import mujoco
+    import mujoco.rollout
+except ImportError as error:
+    raise DependencyNotInstalled(
+        f"the physics twin needs pip install 'sb3-rainbow-coop[physics]': {error}"
+    ) from error
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _SETTLING = 1.0  # s in which servos have to show that they hold home
@@ -35,10 +40,9 @@ _SETTLING = 1.0  # s in which servos have to show that they hold home
 class Readings(NamedTuple):
     """What the sensors say, with any leading axes; N, N m, rad, m, world frame.
 
-    ``wrench`` is what the peg does to the effector, force and moment about the tip: contact and
-    the peg's own weight. It is in the peg's frame, which only ``effector_play`` tilts against the
-    world's. ``joints`` are theta and q. ``tip``, ``platform`` (its centre) and
-    ``rotation`` are where things really are. A reading is of the beginning of its timestep.
+    ``wrench`` is what the peg does to the effector, force and moment about the tip, by contact and
+    its own weight, in the peg's frame. ``joints`` are theta and q. ``tip``, ``platform`` (its
+    centre) and ``rotation`` are where things really are, at the beginning of a timestep.
     """
 
     wrench: Floats  # (..., 6)
@@ -61,24 +65,20 @@ def last(readings: Readings) -> Readings:
     return Readings(*(part[:, -1] for part in readings))
 
 
-@contextmanager
-def _unlogged() -> Iterator[None]:
-    """MuJoCo writes its warnings to a file in the working directory; here they are looked for."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
+def make_model(machine: Machine) -> Any:
+    """MuJoCo's model of a machine, compiled.
+
+    Raises:
+        GeometryError: a robot cannot be assembled at home.
+        ArgumentError: the holes do not fit the dome.
+    """
+    return mujoco.MjModel.from_xml_string(to_xml(build_mjcf(machine)))
 
 
 class Twin:
-    """n machines of one kind, each with its own state, base and friction.
+    """``n`` machines of one kind, each with its own state, base and friction.
 
-    Args:
-        machine: what they are.
-        n: how many.
-        threads: of MuJoCo's pool; 1 steps in the caller's thread.
+    ``threads`` of MuJoCo's pool step them, 1 the caller's thread.
 
     Raises:
         GeometryError: a robot cannot be assembled at home.
@@ -89,7 +89,7 @@ class Twin:
         self.machine = Machine() if machine is None else machine
         self.n = check_integer("n", n, 1)
         self.packed = pack(self.machine.kernel_params())
-        self._nominal = first = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(self.machine)))
+        self._nominal = first = make_model(self.machine)
         self.models: list[Any] = [copy.copy(first) for _ in range(n)]
         self.machines = [self.machine] * n
         """What each really is; ``machine`` is what all are believed to be."""
@@ -127,10 +127,7 @@ class Twin:
             GeometryError: links of such lengths cannot be assembled at home.
         """
         real = self.machines[row] = _resized(self.machine, errors.lengths)
-        if real is self.machine:
-            model = copy.copy(self._nominal)
-        else:
-            model = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(real)))
+        model = copy.copy(self._nominal) if real is self.machine else make_model(real)
         self.models[row], self._home_angles[row] = model, joint_targets(real.home(), real)
         model.actuator_gainprm[:, 0] *= errors.gains
         model.actuator_biasprm[:, :2] *= errors.gains[:, None]
@@ -147,11 +144,7 @@ class Twin:
         mujoco.mj_setConst(model, self._data[0])
 
     def joint_positions(self, configuration: ArrayLike, machine: Machine | None = None) -> Floats:
-        """Generalized coordinates (nq,) at (x, y, z, roll, pitch, heave), from the kinematics.
-
-        Args:
-            configuration: (6,).
-            machine: whose kinematics; None, the nominal one's.
+        """Generalized coordinates (nq,) at a configuration (6,), by a machine's kinematics.
 
         Raises:
             ArgumentError: it is not six numbers that both robots can reach.
@@ -182,7 +175,7 @@ class Twin:
 
         Args:
             row: which machine.
-            configuration: (6,), as the robots believe it, by the nominal model's joints.
+            configuration: (6,), by the nominal model's joints.
             base: where the 3-RRS's base really stands (5,): x, y, z, m; roll, pitch, rad.
             friction: of the peg; None leaves it.
 
@@ -232,7 +225,7 @@ class Twin:
 
         Args:
             targets: joint commands (n, 6), held, or (n, steps, 6), rad.
-            steps: timesteps of the machine's ``timestep``.
+            steps: how many timesteps.
 
         Returns:
             The readings, with leading axes (n, steps).
@@ -246,11 +239,15 @@ class Twin:
         controls = np.ascontiguousarray(np.broadcast_to(held, (self.n, steps, N_AXES)))
         states = np.empty((self.n, steps, self.states.shape[1]))
         sensors = np.empty((self.n, steps, self._sensors.shape[1]))
-        with _unlogged():
+        log = mujoco.get_mju_user_warning()  # its file in the working directory: not here
+        mujoco.set_mju_user_warning(lambda _: None)
+        try:
             self._pool.rollout(
                 self.models, self._data, self.states, controls, nstep=steps, state=states,
                 sensordata=sensors, skip_checks=True,
             )  # fmt: skip
+        finally:
+            mujoco.set_mju_user_warning(log)
         # A rollout that meets a warning of the engine's stands still from there on.
         elapsed = states[:, -1, 0] - self.states[:, 0]
         whole = np.isfinite(states[:, -1]).all(axis=1) & np.isfinite(sensors).all(axis=(1, 2))
@@ -262,15 +259,23 @@ class Twin:
         return _readings(sensors)
 
     def platform_error(self, readings: Readings, configurations: Floats) -> Floats:
-        """Angle (n,) between the platform and what (n, 6) command of it, rad.
-
-        Beyond a few degrees it hangs in another assembly mode: see ``ContactTask.snap_angle``.
-        """
+        """Angle (n,) between the platform and what configurations (n, 6) command of it, rad."""
         pose = rrs.platform_pose(configurations[:, 3:], self.machine.rrs)
-        return rotation_angle(readings.rotation, self._turns @ pose.rotation)
+        off = readings.rotation - self._turns @ pose.rotation
+        chord = np.linalg.norm(off, axis=(-2, -1))  # sqrt(8) sin(angle / 2): exact also near zero
+        return 2.0 * np.arcsin(np.minimum(chord / np.sqrt(8.0), 1.0))
+
+    def errors(self, readings: Readings, configurations: Floats) -> tuple[Floats, Floats, Floats]:
+        """How far the tip and the platform's centre, m, and the platform, rad, are off (n,)."""
+        params = self.machine.kernel_params().delta
+        tips = np.array([peg_tip(*c[:3].tolist(), params) for c in configurations])
+        centres = rrs.platform_pose(configurations[:, 3:], self.machine.rrs).position
+        tip = np.linalg.norm(readings.tip - tips, axis=1)
+        centre = np.linalg.norm(readings.platform - centres, axis=1)
+        return tip, centre, self.platform_error(readings, configurations)
 
     def require_open(self) -> None:
-        """Raise ``ClosedEnvironmentError`` if :meth:`close` was called."""
+        """Raise ``ClosedEnvironmentError`` after :meth:`close`."""
         if self._pool is None:
             raise ClosedEnvironmentError("the simulation was closed: make the environment anew")
 
@@ -282,15 +287,9 @@ class Twin:
 
     def _check_hold(self, home: Floats) -> None:
         """Whether the servos hold home within what the task calls inserted."""
-        targets = np.broadcast_to(self.servo_targets(home), (self.n, N_AXES))
-        start = self.states.copy()
-        result = last(self.advance(targets, round(_SETTLING / self.machine.timestep)))
-        tip = peg_tip(*home[:3].tolist(), self.machine.kernel_params().delta)
-        platform = rrs.platform_pose(home[3:], self.machine.rrs).position
-        sag = float(np.linalg.norm(result.tip[0] - tip))
-        sunk = float(np.linalg.norm(result.platform[0] - platform))
-        lean = float(self.platform_error(result, np.broadcast_to(home, (self.n, N_AXES)))[0])
-        task = self.machine.task
+        task, start = self.machine.task, self.states.copy()
+        result = last(self.advance(self._home_angles, round(_SETTLING / self.machine.timestep)))
+        sag, sunk, lean = (off[0] for off in self.errors(result, np.tile(home, (self.n, 1))))
         held = max(sag, sunk) < task.tolerance and lean < task.angle_tolerance
         if self.diverged[0] or not held:
             raise ArgumentError(
@@ -310,12 +309,9 @@ def joint_targets(configurations: ArrayLike, machine: Machine) -> Floats:
 
 
 def closed_at(joints: ArrayLike, previous: ArrayLike, machine: Machine) -> Floats:
-    """Configurations (..., 6) of measured joints, NaN where the links cannot close.
+    """Configurations (..., 6) of joints theta and q (..., 6), NaN where the links cannot close.
 
-    Args:
-        joints: theta and q (..., 6), rad.
-        previous: configurations (..., 6) from which the 3-RRS's branch is followed.
-        machine: whose kinematics.
+    The 3-RRS's branch is followed from the configurations ``previous`` (..., 6).
     """
     angles, before = np.asarray(joints, np.float64), np.asarray(previous, np.float64)
     position = delta.forward(angles[..., :3], machine.delta).position
@@ -327,17 +323,12 @@ def _resized(machine: Machine, factors: Floats) -> Machine:
     """The machine with its lengths times (8,), in the order of ``machine.MACHINE``."""
     if (factors == 1.0).all():
         return machine
-    robots: list[Any] = []
-    for of, names, sizes in (
-        (machine.rrs, RRSParams._fields, factors[:4]),
-        (machine.delta, DeltaParams._fields, factors[4:]),
-    ):
-        pairs = zip(names, sizes.tolist(), strict=False)
-        robots.append(replace(of, **{name: getattr(of, name) * factor for name, factor in pairs}))
-    return replace(machine, rrs=robots[0], delta=robots[1])
 
+    def scaled(robot: Any, names: tuple[str, ...], sizes: Floats) -> Any:
+        pairs = zip(names[:4], sizes.tolist(), strict=True)
+        return replace(robot, **{name: getattr(robot, name) * size for name, size in pairs})
 
-def rotation_angle(a: Floats, b: Floats) -> Floats:
-    """Angle (...) of the rotation between matrices (..., 3, 3), exact also near zero; rad."""
-    chord = np.linalg.norm(a - b, axis=(-2, -1))  # sqrt(8) sin(angle / 2)
-    return 2.0 * np.arcsin(np.minimum(chord / np.sqrt(8.0), 1.0))
+    robot = scaled(machine.rrs, RRSParams._fields, factors[:4])
+    return replace(
+        machine, rrs=robot, delta=scaled(machine.delta, DeltaParams._fields, factors[4:])
+    )

@@ -1,8 +1,7 @@
 """The twin held against the analytic kinematics: drive it to poses and see where it comes to rest.
 
-Poses are start states of the kinematic task: valid, free of collision, off every singularity. The
-servos are led there from home in a straight line of configurations, so the twin has to find each
-pose by closing its loops, not by being put there.
+Poses are start states of the kinematic task. The servos are led there from home in a straight line
+of configurations, so the twin has to find each pose by closing its loops.
 """
 
 from __future__ import annotations
@@ -12,10 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from coop_env.env import CoopInsertionEnv
-from coop_env.kinematics import rrs
 from coop_env.physics.joints import Floats
-from coop_env.physics.twin import Readings, Twin, last, rotation_angle
-from coop_env.simulation.collision import peg_tip
+from coop_env.physics.twin import Twin, last
 
 RAMP_STEPS = 250
 """Timesteps of the way from home, 0.5 s, and as many again to come to rest."""
@@ -24,9 +21,8 @@ RAMP_STEPS = 250
 class Validation(NamedTuple):
     """Errors of each pose (n,): what is measured on the twin minus what the kinematics say.
 
-    ``tip`` and ``loop`` (the farthest that a tied joint is apart) in m; ``platform`` (angle of the
-    rotation between both) and ``joints`` (the worst of six actuated angles) in rad; ``centre``, the
-    platform's, in m. ``steps`` is the number of timesteps simulated, for all poses together.
+    ``tip``, ``centre`` (the platform's) and ``loop`` (the farthest that a tied joint is apart) in
+    m; ``platform`` (its angle) and ``joints`` (the worst of six) in rad; ``steps`` are timesteps.
     """
 
     tip: Floats
@@ -70,26 +66,12 @@ def validate(twin: Twin, poses: Floats) -> Validation:
             twin.place(row, home)
         way = home + fraction * (goals[:, None] - home)
         readings = last(twin.advance(twin.servo_targets(way), len(fraction)))
-        errors = _errors(twin, readings, goals)
+        joints = np.abs(readings.joints - twin.servo_targets(goals)).max(axis=1)
+        loops = [loop_residual(twin, row) for row in range(twin.n)]
+        errors = np.array([*twin.errors(readings, goals), joints, loops])
         result.append(np.where(twin.diverged, np.inf, errors)[:, : len(batch)])
     tip, centre, platform, joints, loop = np.concatenate(result, axis=1)
     return Validation(tip, centre, platform, joints, loop, len(fraction) * len(poses))
-
-
-def _errors(twin: Twin, readings: Readings, goals: Floats) -> Floats:
-    """The fields of :class:`Validation` but the last, (5, n)."""
-    delta = twin.machine.kernel_params().delta
-    tips = np.array([peg_tip(*goal[:3].tolist(), delta) for goal in goals])
-    pose = rrs.platform_pose(goals[:, 3:], twin.machine.rrs)
-    return np.array(
-        [
-            np.linalg.norm(readings.tip - tips, axis=1),
-            np.linalg.norm(readings.platform - pose.position, axis=1),
-            rotation_angle(readings.rotation, pose.rotation),
-            np.abs(readings.joints - twin.servo_targets(goals)).max(axis=1),
-            [loop_residual(twin, row) for row in range(twin.n)],
-        ]
-    )
 
 
 def loop_residual(twin: Twin, row: int) -> float:

@@ -28,16 +28,14 @@ Step = tuple[Any, NDArray[np.float64], Bools, Bools, dict[str, Any]]
 class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
     """``num_envs`` episodes stepped by MuJoCo's threads, each bit-identical to a single one.
 
-    The engine's work, nine tenths of a step, runs in ``threads`` of them; what is around it is done
-    for all episodes at once. Autoreset is ``SAME_STEP``: the step that ends an episode returns the
-    next one's first observation and info, and ``infos`` has ``final_obs`` and ``final_info`` of the
-    last. There is no rendering.
+    Autoreset is ``SAME_STEP``: the step that ends an episode returns the next one's first
+    observation and info, and ``infos`` has ``final_obs`` and ``final_info`` of the last. There is
+    no rendering.
 
     Args:
         num_envs: number of environments.
         threads: of the simulation, at most as many as there are cores.
-        max_episode_steps: Gymnasium's limit, which ``make_vec`` gives; the smaller of it and the
-            task's ``max_steps`` holds.
+        max_episode_steps: from ``make_vec``; the smaller of it and the task's limit holds.
         arguments: of the single environment, without ``render_mode``.
 
     Raises:
@@ -54,30 +52,23 @@ class PhysicsVectorEnv(VectorEnv[Any, Any, Any]):
     discrete = False
 
     def __init__(
-        self,
-        num_envs: int = 1,
-        threads: int = 1,
-        max_episode_steps: int | None = None,
+        self, num_envs: int = 1, threads: int = 1, max_episode_steps: int | None = None,
         **arguments: Any,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.num_envs = check_integer("num_envs", num_envs, 1)
         self.batch = self.batch_class(n=num_envs, threads=threads, **arguments)
         self.task = self.batch.task
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / self.task.dt))}
         limit = lesser_limit(max_episode_steps, "max_steps", self.batch.max_steps)
         self.batch.max_steps = limit
-        self.single_observation_space, self.single_action_space = make_spaces(
-            self.batch, self.discrete
-        )
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        single = make_spaces(self.batch, self.discrete)
+        self.single_observation_space, self.single_action_space = single
+        self.observation_space, self.action_space = (batch_space(s, num_envs) for s in single)
 
     def reset(
-        self,
-        *,
-        seed: int | Sequence[int | None] | None = None,
+        self, *, seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
-    ) -> tuple[Any, dict[str, Any]]:
+    ) -> tuple[Any, dict[str, Any]]:  # fmt: skip
         """Start all episodes.
 
         Args:

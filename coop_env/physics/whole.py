@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -13,9 +11,9 @@ from coop_env.env import CoopInsertionEnv
 from coop_env.errors import check_integer
 from coop_env.physics import kernels
 from coop_env.physics.batch import (
-    FAILURES,
     LIMIT,
     NOT_INSERTED,
+    OBSERVED,
     Bools,
     PhysicsBatch,
     StepResult,
@@ -23,22 +21,15 @@ from coop_env.physics.batch import (
 )
 from coop_env.physics.joints import Floats
 from coop_env.physics.task import Options, draw_error, split_options
-from coop_env.rendering.scene import Scene
 
 MAX_STEPS: Final = 2400
 """120 s in control steps, twice the kinematic task's time, as contact takes some."""
-_UNITS: Final[Floats] = np.array(
-    [*[0.1] * 3, *[1.0] * 2, *[1.0] * 6, *[10.0] * 3, *[0.05] * 3, *[0.1] * 3, *[0.5] * 2, 0.1,
-     *[1.0] * 6]
-)  # fmt: skip
+_UNITS: Final = np.repeat([0.1, 1.0, 1.0, 10.0, 0.05, 0.1, 0.5, 0.1, 1.0], OBSERVED)
 _ANGLE_SCALE: Final = 150.0
 
 
 class WholeBatch(PhysicsBatch):
-    """Episodes of the whole task.
-
-    Args as for :class:`~coop_env.physics.batch.PhysicsBatch`, and ``stage``.
-    """
+    """Episodes of the whole task, at a ``stage`` of the kinematic task's."""
 
     length_unit = 0.1
 
@@ -47,19 +38,15 @@ class WholeBatch(PhysicsBatch):
     ) -> None:
         limit = check_integer("max_steps", max_steps, 1)
         super().__init__(*arguments, max_steps=limit, **more)
-        machine, n = self.machine, self.n
-        self._starts = CoopInsertionEnv(
-            machine.rrs, delta=machine.delta, task=machine.task, stage=stage
-        )
-        self.increments = np.array(machine.task.steps) * min(1.0, self.task.dt / machine.task.dt)
+        machine, task, n = self.machine, self.machine.task, self.n
+        self._starts = CoopInsertionEnv(machine.rrs, delta=machine.delta, task=task, stage=stage)
+        self.increments = np.array(task.steps) * min(1.0, self.task.dt / task.dt)
         stiffness, damping = machine.servos.gains
         self._lag = damping / stiffness  # s
         self._first[:] = machine.home()
         self._first_joints[:] = self.twin.servo_targets(self._first)
-        self._pivot = np.array([0.0, 0.0, machine.rrs.home_heave + machine.task.dome_radius])
-        holes = len(machine.task.holes)
-        self.n_observed = 30 + holes
-        self.active, self.filled, self._wanted = (np.zeros((n, holes), bool) for _ in range(3))
+        self._pivot = np.array([0.0, 0.0, machine.rrs.home_heave + task.dome_radius])
+        self.n_observed = 30 + len(task.holes)
         self.given_up: list[list[int]] = [[] for _ in range(n)]
         self.inserted = np.full(n, -1)
         self.distance, self.aimed = np.zeros(n), np.zeros((n, 2))
@@ -78,10 +65,7 @@ class WholeBatch(PhysicsBatch):
         return {**row_of(self.columns(), row), "reward_terms": {}}
 
     def begin(self, row: int, state: np.void, own: Options, rng: np.random.Generator) -> None:
-        """Set a machine down at a state of the kinematic task, with the error and friction given.
-
-        ``rng`` draws what of these is not in ``own``.
-        """
+        """Set a machine down at a state of the kinematic task; ``rng`` draws what ``own`` lacks."""
         drawn = draw_error(self.task, rng), float(rng.uniform(*self.task.friction))
         start = np.array(state["configuration"])
         self.hole[row] = state["target"]
@@ -126,17 +110,6 @@ class WholeBatch(PhysicsBatch):
         """Whether every active hole is filled, or the episode has failed."""
         return (self.failure > 0) | ~np.any(self.active & ~self.filled, axis=1)
 
-    def all_filled(self) -> Bools:
-        return np.all(self._wanted <= self.filled, axis=1)
-
-    def status(self, row: int) -> str:
-        won = self.success[row] and not np.any(self.active[row] & ~self.filled[row])
-        return "success" if won else FAILURES[self.failure[row]] or "running"
-
-    def scene(self, row: int, trace: Sequence[Floats]) -> Scene:
-        scene = super().scene(row, trace)
-        return replace(scene, active=self.active[row].copy(), filled=self.filled[row].copy())
-
     def fill(self, row: int) -> None:
         """Count a machine's target as filled, and aim at the next."""
         self.inserted[row] = self.hole[row]
@@ -157,11 +130,8 @@ class WholeBatch(PhysicsBatch):
         open_holes = np.flatnonzero(self.active[row] & ~self.filled[row])
         if len(open_holes) == 0:
             return
-        rows = slice(row, row + 1)
-        joints, command = (
-            np.repeat(part, len(open_holes), axis=0)
-            for part in (self._joints(rows), self.command[rows])
-        )
+        joints = np.tile(self.twin.readings().joints[row], (len(open_holes), 1))
+        command = np.tile(self.command[row], (len(open_holes), 1))
         views = kernels.perceive(joints, command, open_holes, self._packed)
         self.hole[row] = open_holes[np.argmin(np.linalg.norm(views[:, :3], axis=1))]
 

@@ -1,10 +1,8 @@
 """The solids of a scene: every visible part of both robots as a mesh with a pose and a colour.
 
-The picture and the browser view draw the same list. Meshes come out of a cache, so from one move
-to the next only poses and the holes' colours change. Sizes that the kinematics do not give
-(thicknesses, plates, housings) are for the eye; contact is decided by
-``coop_env.simulation.collision``, whose forearm, for one, is a single capsule along the middle of
-the two rods drawn here.
+Pictures, the browser view and exports draw the same list. Meshes come out of a cache, so from one
+move to the next only poses and the holes' colours change. Sizes that the kinematics do not give
+(thicknesses, plates, housings) are for the eye; ``coop_env.simulation.collision`` has its own.
 """
 
 from __future__ import annotations
@@ -24,6 +22,7 @@ from coop_env.rendering.scene import Scene
 from coop_env.rendering.shapes import FloatArray, Mesh
 
 Colour = tuple[float, float, float]
+_UPRIGHT: Final = np.eye(3)
 
 
 def _rgb(code: str) -> Colour:
@@ -54,8 +53,7 @@ COLOURS: Final = MappingProxyType(
 )
 """Display colours (sRGB, 0 to 1) by what they mark."""
 
-SIDES: Final = MappingProxyType({"left": -1.0, "right": 1.0})
-"""The two rods of a forearm, by the side of the limb's plane that they lie on."""
+SIDES: Final = MappingProxyType({"left": -1.0, "right": 1.0})  # of the limb's plane, of the rods
 ROD_SPACING: Final = 0.017  # half the distance between a forearm's two rods, m
 _BORE: Final = 0.0055  # radius of a hole as drawn; the peg's is 0.004 m
 _RING: Final = 0.003  # least width of the ring about it, m
@@ -72,8 +70,8 @@ def pixels(colour: Colour) -> tuple[int, int, int]:
 class Body:
     """A mesh placed in the world: point = rotation @ vertex + position.
 
-    ``name`` is that of the rigid link, a slash, and the part's own: unique within a scene, and the
-    same from one scene to the next. A part that ``shines`` is drawn without shading.
+    ``name`` is the rigid link's, a slash, and the part's own: the same from scene to scene. A part
+    that ``shines`` is drawn without shading.
     """
 
     name: str
@@ -115,11 +113,9 @@ def _bar(
 def delta_bodies(scene: Scene) -> Iterator[Body]:
     """The Delta: base plate with motors, proximal arms, parallelogram forearms, effector, peg."""
     radius = float(np.linalg.norm(scene.delta_base_joints[0, :2]))
-    base = scene.delta_base_joints[0, 2]
-    eye = np.eye(3)
     slab = shapes.plate(0.78 * radius, 0.052, 0.014)
-    above = np.array([0.0, 0.0, base + 0.030])
-    yield Body("delta_base/plate", slab, eye, above, COLOURS["delta_base"], 0.1)
+    above = np.array([0.0, 0.0, scene.delta_base_joints[0, 2] + 0.030])
+    yield Body("delta_base/plate", slab, _UPRIGHT, above, COLOURS["delta_base"], 0.1)
     for limb in range(3):
         u, t = RADIAL[limb], TANGENTIAL[limb]
         joint, knee = scene.delta_base_joints[limb], scene.knees[limb]
@@ -136,33 +132,25 @@ def delta_bodies(scene: Scene) -> Iterator[Body]:
             yield _rod(f"{rod}/rod", knee + shift, end + shift, 0.0042, "forearm")
             ball = shapes.sphere(0.0072)
             for at, part in ((knee, "ball"), (end, "socket")):
-                yield Body(f"{rod}/{part}", ball, eye, at + shift, COLOURS["steel"], 0.4)
+                yield Body(f"{rod}/{part}", ball, _UPRIGHT, at + shift, COLOURS["steel"], 0.4)
     joint_radius = float(np.linalg.norm((scene.effector_joints[0] - scene.effector)[:2]))
     disc = shapes.plate(joint_radius - 0.008, 0.016, 0.012)
-    yield Body("effector/plate", disc, eye, scene.effector, COLOURS["delta"], 0.25)
-    yield from _peg_bodies(scene)
-
-
-def _peg_bodies(scene: Scene) -> Iterator[Body]:
-    length = float(np.linalg.norm(scene.effector - scene.tip))
-    r = scene.peg_radius
-    eye = np.eye(3)
-    chuck = shapes.revolve(
-        ((0.0, -0.022), (0.007, -0.022), (0.013, -0.006), (0.013, 0.014), (0.0, 0.014))
+    yield Body("effector/plate", disc, _UPRIGHT, scene.effector, COLOURS["delta"], 0.25)
+    profile = ((0.0, -0.022), (0.007, -0.022), (0.013, -0.006), (0.013, 0.014), (0.0, 0.014))
+    chuck = shapes.revolve(profile)
+    yield Body("effector/chuck", chuck, _UPRIGHT, scene.effector, COLOURS["housing"], 0.3)
+    r, length = scene.peg_radius, float(np.linalg.norm(scene.effector - scene.tip))
+    profile = ((0.0, 0.0), (0.55 * r, 0.0), (r, 0.8 * r), (r, length), (0.0, length))
+    yield Body(
+        "effector/peg", shapes.revolve(profile, 20), _UPRIGHT, scene.tip, COLOURS["peg"], 0.4
     )
-    yield Body("effector/chuck", chuck, eye, scene.effector, COLOURS["housing"], 0.3)
-    peg = shapes.revolve(
-        ((0.0, 0.0), (0.55 * r, 0.0), (r, 0.8 * r), (r, length), (0.0, length)), 20
-    )
-    yield Body("effector/peg", peg, eye, scene.tip, COLOURS["peg"], 0.4)
 
 
 def rrs_bodies(scene: Scene) -> Iterator[Body]:
     """The 3-RRS: base plate, proximal and distal links with their joints, platform, dome."""
     radius = float(np.linalg.norm(scene.rrs_base_joints[0, :2]))
-    eye = np.eye(3)
     ground = shapes.cylinder(radius + 0.032, -0.024, -0.012, 72, chamfer=0.002)
-    yield Body("rrs_base/plate", ground, eye, np.zeros(3), COLOURS["rrs_base"], 0.1)
+    yield Body("rrs_base/plate", ground, _UPRIGHT, np.zeros(3), COLOURS["rrs_base"], 0.1)
     for limb in range(3):
         u, t = RADIAL[limb], TANGENTIAL[limb]
         base, elbow = scene.rrs_base_joints[limb], scene.elbows[limb]
@@ -174,7 +162,7 @@ def rrs_bodies(scene: Scene) -> Iterator[Body]:
         yield _bar(f"{near}/bar", base, elbow, t, (0.013, 0.0095), "rrs")
         yield _pin(f"{near}/elbow", elbow, t, 0.0065, 0.015, "steel")
         yield _rod(f"{far}/rod", elbow, joint, 0.0062, "distal")
-        yield Body(f"{far}/ball", shapes.sphere(0.0105, 20), eye, joint, COLOURS["steel"], 0.5)
+        yield Body(f"{far}/ball", shapes.sphere(0.0105, 20), _UPRIGHT, joint, COLOURS["steel"], 0.5)
     reach = float(np.linalg.norm(scene.platform_joints[0] - scene.platform_centre))
     turn, centre = scene.platform_rotation, scene.platform_centre
     disc = shapes.cylinder(reach - 0.004, -0.005, 0.004, 72, chamfer=0.001)
@@ -218,10 +206,10 @@ def hole_bodies(scene: Scene) -> Iterator[Body]:
 
 
 def trace_bodies(scene: Scene) -> Iterator[Body]:
-    """The way of the tip as a thin tube; nothing for fewer than two points."""
+    """The way of the tip as a thin tube."""
     for i, (a, b) in enumerate(pairwise(scene.trace)):
-        if float(np.linalg.norm(b - a)) > 1e-6:
-            mesh = shapes.rod(0.0013, float(np.linalg.norm(b - a)), 6)
+        if (length := float(np.linalg.norm(b - a))) > 1e-6:
+            mesh = shapes.rod(0.0013, length, 6)
             yield Body(f"trace/{i}", mesh, frame(b - a), a, COLOURS["trace"], 0.0, shines=True)
 
 

@@ -42,11 +42,7 @@ CAMERAS: Final = MappingProxyType(
 
 
 def resolve(camera: str | Camera) -> Camera:
-    """A camera by name, or as it is.
-
-    Raises:
-        ValueError: unknown name.
-    """
+    """A camera by name, or as it is."""
     if isinstance(camera, Camera):
         return camera
     if not isinstance(camera, str) or camera not in CAMERAS:
@@ -78,8 +74,7 @@ def make_view(
 ) -> View:
     """Set a camera up for a picture of ``size`` (width, height).
 
-    ``focus`` is what a following camera aims at; ``free`` are the columns between which the scene
-    is centred, the rest being the text panel's.
+    A following camera aims at ``focus``; the scene is centred between the columns ``free``.
     """
     e, a = math.radians(camera.elevation), math.radians(camera.azimuth)
     back = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
@@ -88,6 +83,5 @@ def make_view(
     axes = np.stack([right, np.cross(right, back), -back])
     width, height = free[1] - free[0], float(size[1])
     focal = 0.5 * min(height, 1.25 * width) / math.tan(math.radians(camera.field_of_view) / 2.0)
-    return View(
-        target + camera.distance * back, axes, focal, ((free[0] + free[1]) / 2.0, height / 2.0)
-    )
+    centre = ((free[0] + free[1]) / 2.0, height / 2.0)
+    return View(target + camera.distance * back, axes, focal, centre)

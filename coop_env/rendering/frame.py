@@ -1,7 +1,4 @@
-"""One scene to one picture, and the card beside it.
-
-The card has time, holes, distance, and how far the 3-RRS is from a singularity.
-"""
+"""One scene to one picture, and beside it a card with its numbers and a close view of the dome."""
 
 from __future__ import annotations
 
@@ -87,9 +84,8 @@ class _Card:
 
     def title(self, text: str, colour: Ink, note: str) -> None:
         self.brush.text((self.left, self.y), text, INK, _font(self.px(9.6), True))
-        self.brush.text(
-            (self.right, self.y + self.px(2.2)), note, colour, _font(self.px(7.0), True), "ra"
-        )
+        at, font = (self.right, self.y + self.px(2.2)), _font(self.px(7.0), True)
+        self.brush.text(at, note, colour, font, "ra")
         self.y += self.px(16.0)
 
     def row(self, label: str, value: str, colour: Ink = INK, swatch: Ink | None = None) -> None:
@@ -105,17 +101,14 @@ class _Card:
 
     def dots(self, colours: list[Ink]) -> None:
         """The holes in their order, one disc each."""
-        diameter, gap = self.px(7.4), self.px(3.2)
+        diameter, pitch = self.px(7.4), self.px(7.4) + self.px(3.2)
         if len(colours) > 6:  # smaller, as the label needs its room
             pitch = self.px(60.4) // len(colours)
             diameter = max(1, round(0.7 * pitch))
-            gap = pitch - diameter
-        discs = [_disc(diameter, colour) for colour in colours]
-        x = self.right - sum(d.width for d in discs) - gap * (len(discs) - 1)
         self.brush.text((self.left, self.y), "holes", MUTED, _font(self.px(7.0)))
-        for disc in discs:
-            self.picture.paste(disc, (x, self.y + self.px(0.6)))
-            x += disc.width + gap
+        x = self.right - pitch * len(colours) + (pitch - diameter)
+        for k, colour in enumerate(colours):
+            self.picture.paste(_disc(diameter, colour), (x + k * pitch, self.y + self.px(0.6)))
         self.y += self.px(11.8)
 
     def bar(self, value: float, full: float, limit: float, colour: Ink) -> None:
@@ -181,12 +174,9 @@ def _check_size(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def frame_view(
-    scene: Scene,
-    *,
-    size: tuple[int, int] = (640, 480),
-    camera: str | Camera = "iso",
+    scene: Scene, *, size: tuple[int, int] = (640, 480), camera: str | Camera = "iso",
     panel: bool = True,
-) -> View:
+) -> View:  # fmt: skip
     """The projection that :func:`render_frame` uses: where a world point lands in the picture."""
     card = _card_box(size) if panel else None
     left = 0 if card is None else card[2]
@@ -194,21 +184,16 @@ def frame_view(
 
 
 def render_frame(
-    scene: Scene,
-    *,
-    size: tuple[int, int] = (640, 480),
-    camera: str | Camera = "iso",
-    panel: bool = True,
-    samples: int = 2,
-) -> Image8:
+    scene: Scene, *, size: tuple[int, int] = (640, 480), camera: str | Camera = "iso",
+    panel: bool = True, samples: int = 2,
+) -> Image8:  # fmt: skip
     """A picture of the scene, uint8 (height, width, 3); needs no display and no OpenGL.
 
     Args:
         scene: what to show, from ``env.unwrapped.scene()``.
         size: (width, height) in pixels.
         camera: a name of ``CAMERAS`` or a ``Camera``.
-        panel: draw the card with the numbers and the close view of the dome (pictures narrower
-            than 400 or lower than 240 pixels have no room for it).
+        panel: draw the card, unless the picture is narrower than 400 or lower than 240 pixels.
         samples: rays per pixel and axis at edges; 2 is smooth, 1 fast, 4 for print.
 
     Raises:

@@ -19,8 +19,7 @@ from coop_env.simulation.insertion_task import PAPER_TASK
 class Rendered(gym.Env[Any, Any], ABC):
     """An environment with the modes ``"rgb_array"`` and ``"ansi"``.
 
-    ``gymnasium.make(..., render_mode="human")`` shows the pictures of the former in a window, by
-    Gymnasium's :class:`~gymnasium.wrappers.HumanRendering` (pygame).
+    ``gymnasium.make(..., render_mode="human")`` shows the former in a window (pygame).
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own form

@@ -1,7 +1,6 @@
 """A small software rasterizer: triangles to pixels with depth, smooth shading and one shadow.
 
-No OpenGL is needed, and unlike a painter's algorithm a depth buffer shows links that pass behind
-the dome correctly. Two passes of one triangle loop (from the light, from the eye) fill depth
+No OpenGL is needed. Two passes of one triangle loop (from the light, from the eye) fill depth
 buffers; a third pass shades each pixel and the floor with its grid. Colours are linear light until
 the last step, which looks display values up in a table.
 """
@@ -53,13 +52,10 @@ class Triangles(NamedTuple):
 
 
 class Light(NamedTuple):
-    """The key light: its right, down and forward, and of each texel how near the surface is.
-
-    Nearness is minus the depth, m.
-    """
+    """The key light: its right, down and forward, and how near the surface is in each texel."""
 
     axes: Matrix3
-    nearness: npt.NDArray[np.float32]
+    nearness: npt.NDArray[np.float32]  # minus the depth, m
 
 
 def to_linear(srgb: npt.ArrayLike) -> FloatArray:
@@ -91,14 +87,29 @@ class Shot(NamedTuple):
     light: Light
 
 
+@njit(cache=True)
+def _dot(a: Row, b: Row) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True)
+def _mix(a: Row, b: Row, share: float) -> Row:
+    """From colour ``a`` a share of the way to ``b``."""
+    return (
+        a[0] + share * (b[0] - a[0]),
+        a[1] + share * (b[1] - a[1]),
+        a[2] + share * (b[2] - a[2]),
+    )
+
+
 @njit(cache=True, inline="always")
 def _lit(x: float, y: float, z: float, key: Light) -> float:
     """Share of the key light that reaches a point: 3 x 3 texels, blended."""
-    scale, light = 0.5 * SHADOW_SIZE / SHADOW_REACH, key.axes
-    dx, dy, dz = x - SHADOW_CENTRE[0], y - SHADOW_CENTRE[1], z - SHADOW_CENTRE[2]
-    u = (dx * light[0][0] + dy * light[0][1] + dz * light[0][2]) * scale + 0.5 * SHADOW_SIZE - 0.5
-    v = (dx * light[1][0] + dy * light[1][1] + dz * light[1][2]) * scale + 0.5 * SHADOW_SIZE - 0.5
-    near = -(dx * light[2][0] + dy * light[2][1] + dz * light[2][2]) + SHADOW_BIAS
+    scale = 0.5 * SHADOW_SIZE / SHADOW_REACH
+    d = (x - SHADOW_CENTRE[0], y - SHADOW_CENTRE[1], z - SHADOW_CENTRE[2])
+    u = _dot(d, key.axes[0]) * scale + 0.5 * SHADOW_SIZE - 0.5
+    v = _dot(d, key.axes[1]) * scale + 0.5 * SHADOW_SIZE - 0.5
+    near = -_dot(d, key.axes[2]) + SHADOW_BIAS
     i, j = math.floor(u), math.floor(v)
     if i < 1 or j < 1 or i >= SHADOW_SIZE - 2 or j >= SHADOW_SIZE - 2:
         return 1.0
@@ -116,8 +127,7 @@ def _lit(x: float, y: float, z: float, key: Light) -> float:
 @njit(cache=True)
 def _grid_line(position: float, blur: float) -> float:
     """How much of a grid line a pixel of half-width ``blur`` (m) sees at a coordinate."""
-    offset = abs(position - GRID * math.floor(position / GRID + 0.5))
-    half = 0.0009
+    offset, half = abs(position - GRID * math.floor(position / GRID + 0.5)), 0.0009
     covered = min(offset + blur, half) - max(offset - blur, -half)
     return max(covered, 0.0) / (2.0 * blur)
 
@@ -125,28 +135,22 @@ def _grid_line(position: float, blur: float) -> float:
 @njit(cache=True)
 def _floor(ray: Row, pixel: float, shot: Shot) -> Row:
     """Colour where a ray meets no body: floor with grid and shadow, fading into the backdrop."""
-    up = ray[2] / math.sqrt(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2])
-    t = min(max(0.5 + 1.3 * up, 0.0), 1.0)
-    r = HORIZON[0] + t * (SKY[0] - HORIZON[0])
-    g = HORIZON[1] + t * (SKY[1] - HORIZON[1])
-    b = HORIZON[2] + t * (SKY[2] - HORIZON[2])
+    up = ray[2] / math.sqrt(_dot(ray, ray))
+    backdrop = _mix(HORIZON, SKY, min(max(0.5 + 1.3 * up, 0.0), 1.0))
     if ray[2] >= -1e-6:
-        return r, g, b
-    eye = shot.eye
-    s = (FLOOR_HEIGHT - eye[2]) / ray[2]
-    x, y = eye[0] + s * ray[0], eye[1] + s * ray[1]
+        return backdrop
+    s = (FLOOR_HEIGHT - shot.eye[2]) / ray[2]
+    x, y = shot.eye[0] + s * ray[0], shot.eye[1] + s * ray[1]
     rho = math.sqrt(x * x + y * y)
     if rho >= FLOOR_FADE[1] or s < 0.0:
-        return r, g, b
+        return backdrop
     share = min((FLOOR_FADE[1] - rho) / (FLOOR_FADE[1] - FLOOR_FADE[0]), 1.0)
     share = share * share * (3.0 - 2.0 * share)
     blur = 0.5 * pixel * s
     line = max(_grid_line(x, blur), _grid_line(y, min(blur / abs(up), 0.5 * GRID)))
     dim = 1.0 - SHADE * (1.0 - _lit(x, y, FLOOR_HEIGHT, shot.light))
-    fr = (FLOOR[0] + line * (LINE[0] - FLOOR[0])) * dim
-    fg = (FLOOR[1] + line * (LINE[1] - FLOOR[1])) * dim
-    fb = (FLOOR[2] + line * (LINE[2] - FLOOR[2])) * dim
-    return r + share * (fr - r), g + share * (fg - g), b + share * (fb - b)
+    r, g, b = _mix(FLOOR, LINE, line)
+    return _mix(backdrop, (r * dim, g * dim, b * dim), share)
 
 
 @njit(cache=True)
@@ -154,23 +158,16 @@ def _surface(
     normal: Row, ray: Row, colour: np.ndarray, gloss: float, lit: float, light: Matrix3
 ) -> Row:
     """Lambert's law under one shadowed key light, a fill light at the eye and a sky, with gloss."""
-    lx, ly, lz = -light[2][0], -light[2][1], -light[2][2]
-    length = math.sqrt(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2])
-    vx, vy, vz = -ray[0] / length, -ray[1] / length, -ray[2] / length
-    facing = normal[0] * vx + normal[1] * vy + normal[2] * vz
-    key = lit * max(normal[0] * lx + normal[1] * ly + normal[2] * lz, 0.0)
+    length = math.sqrt(_dot(ray, ray))
+    eye = (-ray[0] / length, -ray[1] / length, -ray[2] / length)
+    lamp = (-light[2][0], -light[2][1], -light[2][2])
+    key = lit * max(_dot(normal, lamp), 0.0)
     sky = AMBIENT_DOWN + (AMBIENT_UP - AMBIENT_DOWN) * 0.5 * (1.0 + normal[2])
-    diffuse = KEY * key + sky + FILL * max(facing, 0.0)
-    hx, hy, hz = lx + vx, ly + vy, lz + vz
-    half = math.sqrt(hx * hx + hy * hy + hz * hz)
-    shine = max((normal[0] * hx + normal[1] * hy + normal[2] * hz) / half, 0.0)
-    shine = shine**8
+    diffuse = KEY * key + sky + FILL * max(_dot(normal, eye), 0.0)
+    half = (lamp[0] + eye[0], lamp[1] + eye[1], lamp[2] + eye[2])
+    shine = max(_dot(normal, half) / math.sqrt(_dot(half, half)), 0.0) ** 8
     shine = lit * gloss * shine * shine * shine * shine
-    return (
-        colour[0] * diffuse + shine,
-        colour[1] * diffuse + shine,
-        colour[2] * diffuse + shine,
-    )
+    return colour[0] * diffuse + shine, colour[1] * diffuse + shine, colour[2] * diffuse + shine
 
 
 @njit(cache=True, inline="always")
@@ -205,8 +202,7 @@ def shade(
 ) -> None:
     """Colour of each pixel of ``image`` (uint8), the mean of samples x samples rays.
 
-    A pixel that one face (or the floor) fills takes one ray: only edges need more, because normals,
-    shadows and grid lines are smooth by themselves.
+    A pixel that one face (or the floor) fills takes one ray: only edges need more.
     """
     for row in range(image.shape[0]):
         for column in range(image.shape[1]):
@@ -256,9 +252,8 @@ def _fill_depth(
 ) -> None:
     """Draw triangles into a buffer of nearness (larger is closer) and of face numbers.
 
-    ``screen`` (n, 3) holds column, row and nearness; nearness must be linear over the screen, as
-    1 / depth is in perspective and -depth in parallel projection. Faces that look away are left
-    out, as are those in ``skip``.
+    ``screen`` (n, 3) holds column, row and nearness, which is linear over the screen: 1 / depth in
+    perspective, -depth in parallel projection. Faces that look away are left out, as is ``skip``.
     """
     height, width = nearness.shape
     for f in range(faces.shape[0]):
@@ -301,12 +296,8 @@ def _rows(m: FloatArray) -> Matrix3:
 
 
 def cast_light(triangles: Triangles, azimuth: float) -> Light:
-    """The key light: above and to the left of a camera at ``azimuth`` (degrees).
-
-    Views from one azimuth share it, and so its shadow.
-    """
-    azimuth = math.radians(azimuth - 48.0)
-    elevation = math.radians(56.0)
+    """The key light, above and to the left of a camera at ``azimuth`` (degrees), and its shadow."""
+    azimuth, elevation = math.radians(azimuth - 48.0), math.radians(56.0)
     c = math.cos(elevation)
     towards = np.array([c * math.cos(azimuth), c * math.sin(azimuth), math.sin(elevation)])
     right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])

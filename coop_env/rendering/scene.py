@@ -22,8 +22,8 @@ class Scene:
     """One instant. World frame (the 3-RRS's base), m, rad, s; limbs at 0, 120 and 240 degrees.
 
     ``status`` is ``"running"``, ``"success"`` (all active holes filled), ``"singular"``,
-    ``"collision"`` (where one ends the episode) or ``"timeout"``. With sim-to-real knobs tip and
-    holes are the real ones, links the model's.
+    ``"collision"``, ``"timeout"`` or a failure of the twin's. With sim-to-real knobs tip and holes
+    are the real ones, links the model's.
     """
 
     delta_base_joints: Points  # (3, 3)

@@ -1,8 +1,7 @@
 """Triangle meshes of the few solids that the two robots are made of.
 
-Two constructions suffice: a profile turned about the z axis, and a convex polygon extruded along
-it. Lengths in m; faces wind counter-clockwise seen from outside. Meshes are cached, so that a part
-that only moves is built once.
+A profile turned about the z axis, and a convex polygon extruded along it. Lengths in m; faces wind
+counter-clockwise seen from outside. Meshes are cached.
 """
 
 from __future__ import annotations
@@ -32,10 +31,9 @@ class Mesh:
 
 @lru_cache(maxsize=256)
 def revolve(profile: Profile, sides: int = 24) -> Mesh:
-    """Surface of revolution about z of a profile of (radius, z) points.
+    """Surface of revolution about z of a profile of (radius, z) points, the outside to its right.
 
-    Outside is to the right of the profile's direction: a cylinder's wall runs upwards. Neighbouring
-    segments that bend by less than 40 degrees are shaded as one smooth surface.
+    Neighbouring segments that bend by less than 40 degrees are shaded as one smooth surface.
     """
     points = np.asarray(profile, dtype=np.float64)
     steps = np.diff(points, axis=0)
@@ -54,9 +52,8 @@ def revolve(profile: Profile, sides: int = 24) -> Mesh:
         height = np.repeat(rz[:, 1:], sides, axis=1)
         return np.stack([rz[:, :1] * cos, rz[:, :1] * sin, height], axis=-1).reshape(-1, 3)
 
-    i = np.arange(sides)
+    i, faces = np.arange(sides), []
     j = (i + 1) % sides
-    faces = []
     for n in range(len(steps)):
         low, high = 2 * n * sides, (2 * n + 1) * sides
         if points[n, 0] > 0.0:
@@ -147,9 +144,8 @@ def bar(length: float, start: float, end: float, thickness: float) -> Mesh:
     if abs(start - end) >= length:  # the wider end is all there is
         x, radius = max((0.0, start), (length, end), key=lambda each: each[1])
         turn = np.linspace(-math.pi, math.pi, 20, endpoint=False)
-        return prism(
-            tuple((x + radius * math.cos(a), radius * math.sin(a)) for a in turn), thickness
-        )
+        rim = tuple((x + radius * math.cos(a), radius * math.sin(a)) for a in turn)
+        return prism(rim, thickness)
     lean = math.asin((start - end) / length)
     tail = np.linspace(math.pi / 2 - lean, 3 * math.pi / 2 + lean, 10)
     head = np.linspace(-math.pi / 2 + lean, math.pi / 2 - lean, 10)

@@ -1,7 +1,4 @@
-"""Both robots in the browser: sliders, the twelve moves, and a policy or planner at play (viser).
-
-:func:`view` shows an environment of the caller's and lets a callable act in it.
-"""
+"""Both robots in the browser (viser): sliders, the twelve moves, a policy or planner at play."""
 
 from __future__ import annotations
 
@@ -27,8 +24,7 @@ if TYPE_CHECKING:
     import viser
 
 Act = Callable[[Any, npt.NDArray[np.bool_]], int]
-_ANGLES: Final = (3, 4)
-"""Axes that the view shows in degrees."""
+_ANGLES: Final = (3, 4)  # axes that the view shows in degrees
 
 
 class ViewerError(RuntimeError):
@@ -36,11 +32,7 @@ class ViewerError(RuntimeError):
 
 
 def _open_server(host: str, port: int) -> viser.ViserServer:
-    """A server that listens on exactly this address.
-
-    Raises:
-        ViewerError: viser is not installed, or the port cannot be used.
-    """
+    """A server that listens on exactly this address."""
     try:
         import viser
     except ImportError as error:
@@ -59,43 +51,11 @@ def _open_server(host: str, port: int) -> viser.ViserServer:
 
 
 def _weld(body: Body) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]:
-    """Vertices and faces in which corners of one smooth surface are shared.
-
-    The browser computes normals by itself: where vertices are shared, it shades smoothly.
-    """
+    """Vertices and faces, corners of one smooth surface shared: only these the browser smooths."""
     mesh = body.mesh
     both = np.round(np.hstack([mesh.vertices, mesh.normals]), 7)
     unique, inverse = np.unique(both, axis=0, return_inverse=True)
     return unique[:, :3].astype(np.float32), inverse.reshape(-1)[mesh.faces].astype(np.uint32)
-
-
-class _Stage:
-    """Keeps the browser's meshes in step with the bodies of a scene."""
-
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._server = server
-        self._shown: dict[str, tuple[Body, Any]] = {}
-
-    def show(self, scene: Scene) -> None:
-        """Move what moved, add what is new or looks different, remove what is gone."""
-        from viser.transforms import SO3
-
-        present = {body.name: body for body in bodies(scene)}
-        with self._server.atomic():
-            for name, (old, handle) in list(self._shown.items()):
-                new = present.get(name)
-                if new is None or new.mesh is not old.mesh or new.colour != old.colour:
-                    self._shown.pop(name)
-                    handle.remove()
-            for name, body in present.items():
-                if name in self._shown:
-                    handle = self._shown[name][1]
-                else:
-                    colour, mesh = pixels(body.colour), _weld(body)
-                    handle = self._server.scene.add_mesh_simple(f"/{name}", *mesh, color=colour)
-                handle.position = body.position
-                handle.wxyz = SO3.from_matrix(body.rotation).wxyz
-                self._shown[name] = (body, handle)
 
 
 def _summary(scene: Scene) -> str:
@@ -122,7 +82,7 @@ class Viewer:
     Args:
         env: what to show; it is reset first.
         act: chooses a move from (observation, action masks) for the play button; None has none.
-        host: address to listen on; the default is reachable from this machine alone.
+        host: address to listen on, by default for this machine alone.
         port: 1 to 65535, free.
 
     Raises:
@@ -130,13 +90,9 @@ class Viewer:
     """
 
     def __init__(
-        self,
-        env: CoopInsertionEnv,
-        act: Act | None = None,
-        *,
-        host: str = "127.0.0.1",
+        self, env: CoopInsertionEnv, act: Act | None = None, *, host: str = "127.0.0.1",
         port: int = 8080,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.env = env
         self._observation, _ = env.reset()
         bodies(env.scene())  # what compiles for it has compiled before anyone can look
@@ -146,7 +102,7 @@ class Viewer:
         self._lock = threading.RLock()  # the browser's events come on threads of their own
         self._playing = threading.Event()
         self._closed = threading.Event()
-        self._stage = _Stage(self._server)
+        self._shown: dict[str, tuple[Body, Any]] = {}  # bodies by name, and their handles
         self._set_scene()
         self._build_panel()
         self._show("")
@@ -206,8 +162,7 @@ class Viewer:
     def place(self, axis: int, value: float) -> bool:
         """Put one degree of freedom at ``value`` (m or degrees) and begin an episode from there.
 
-        Target and filled holes stay, unless all are filled. A pose that cannot be taken is refused
-        with a message, and the slider goes back.
+        Target and filled holes stay, unless all are filled.
         """
         with self._lock:
             self.stop()
@@ -293,7 +248,7 @@ class Viewer:
     def _show(self, message: str) -> None:
         """Bring the browser up to date with the environment."""
         scene = self.env.scene()
-        self._stage.show(scene)
+        self._place_bodies(scene)
         self.message.content = message
         self.status.content = _summary(scene)
         self._margin.value = 100.0 * min(max(scene.sigma_min, 0.0), 1.0)
@@ -304,6 +259,27 @@ class Viewer:
         masks = self.env.action_masks() & (scene.status == "running")
         for button, possible in zip(self.buttons, masks, strict=True):
             button.disabled = not possible
+
+    def _place_bodies(self, scene: Scene) -> None:
+        """Move what moved, add what is new or looks different, remove what is gone."""
+        from viser.transforms import SO3
+
+        present = {body.name: body for body in bodies(scene)}
+        with self._server.atomic():
+            for name, (old, handle) in list(self._shown.items()):
+                new = present.get(name)
+                if new is None or new.mesh is not old.mesh or new.colour != old.colour:
+                    self._shown.pop(name)
+                    handle.remove()
+            for name, body in present.items():
+                if name in self._shown:
+                    handle = self._shown[name][1]
+                else:
+                    colour, mesh = pixels(body.colour), _weld(body)
+                    handle = self._server.scene.add_mesh_simple(f"/{name}", *mesh, color=colour)
+                handle.position = body.position
+                handle.wxyz = SO3.from_matrix(body.rotation).wxyz
+                self._shown[name] = (body, handle)
 
     def close(self) -> None:
         """Stop the server and the player; harmless when done twice."""

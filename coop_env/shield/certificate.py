@@ -20,14 +20,10 @@ CHUNK = 64  # 3-RRS points between two reports of progress
 
 
 class Certificate(NamedTuple):
-    """What was looked at and what was found.
+    """Certified configurations, certified moves there and back, harmful moves, dead ends.
 
-    Attributes:
-        points: certified configurations.
-        moves: certified moves between them, there and back.
-        harmful: certified moves on whose way, or at whose end, the nominal machine collides, is
-            singular, or leaves its limits.
-        dead_ends: certified configurations without a certified move.
+    On a harmful one's way, or at its end, the nominal machine collides, is singular, or leaves its
+    limits; a dead end is a certified configuration without a certified move.
     """
 
     points: int
@@ -85,14 +81,10 @@ def _check(
 def check_product(
     shield: KinematicShield, params: EnvParams, delta: Floats, rrs: Floats, looks: int = 7
 ) -> Certificate:
-    """Look at all moves from each pair of a Delta's and a 3-RRS's point.
+    """Look at all moves from each pair of a Delta's point (n, 3) and a 3-RRS's (m, 3).
 
-    Args:
-        shield: what certifies.
-        params: the nominal task, which decides what is harmful.
-        delta: (n, 3), effector positions, m.
-        rrs: (m, 3), roll, pitch, rad, and heave, m.
-        looks: in how many pieces each way is looked at; best no divisor of the shield's own.
+    ``params`` is the nominal task, which decides what is harmful. Each way is looked at in
+    ``looks`` pieces, best no divisor of the shield's own number.
     """
     result = np.zeros(4, np.int64)
     keeps = (*shield.keeps, result)
@@ -103,13 +95,12 @@ def check_product(
 def lattice(params: EnvParams, origin: Floats) -> tuple[Floats, Floats]:
     """The Delta's points (n, 3) and the 3-RRS's (m, 3) of the lattice through a configuration."""
     low, high = axis_bounds(params)
-    steps, axes = params.layout["step"], []
-    for k in range(N_AXES):
-        first = np.ceil((low[k] - origin[k]) / steps[k] - 1e-9)
-        last = np.floor((high[k] - origin[k]) / steps[k] + 1e-9)
-        axes.append(origin[k] + steps[k] * np.arange(first, last + 1))
-    grids = [np.stack(np.meshgrid(*part, indexing="ij"), -1) for part in (axes[:3], axes[3:])]
-    return grids[0].reshape(-1, 3), grids[1].reshape(-1, 3)
+    steps = params.layout["step"]
+    first = np.ceil((low - origin) / steps - 1e-9)
+    last = np.floor((high - origin) / steps + 1e-9)
+    axes = [origin[k] + steps[k] * np.arange(first[k], last[k] + 1) for k in range(N_AXES)]
+    delta, rrs = (np.meshgrid(*part, indexing="ij") for part in (axes[:3], axes[3:]))
+    return np.stack(delta, -1).reshape(-1, 3), np.stack(rrs, -1).reshape(-1, 3)
 
 
 def near_points(shield: KinematicShield, params: EnvParams, delta: Floats) -> NDArray[np.bool_]:

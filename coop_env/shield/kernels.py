@@ -19,8 +19,8 @@ from coop_env.simulation.collision import (
 from coop_env.simulation.state import Configuration, is_singular, joint_angles
 from coop_env.simulation.task import N_ACTIONS, N_AXES, EnvParams, unpack
 
-# A way is looked at no further apart than this, m and rad: between two looks no part of a robot
-# comes nearer to the other by more than about a millimetre.
+# Between two looks at a way, m and rad, no part of a robot comes nearer to the other by more than
+# about a millimetre.
 LINEAR_SPACING: Final = 0.002
 ANGULAR_SPACING: Final = 0.004
 BISECTIONS: Final = 8
@@ -57,13 +57,9 @@ def is_certified(c: Configuration, p: EnvParams, reach: float, clearance: float)
 def way_point(c: np.ndarray, a: np.ndarray, t: float) -> Configuration:
     """The configuration at a share of the way from ``c`` along ``a``."""
     return (
-        c[0] + t * a[0],
-        c[1] + t * a[1],
-        c[2] + t * a[2],
-        c[3] + t * a[3],
-        c[4] + t * a[4],
-        c[5] + t * a[5],
-    )
+        c[0] + t * a[0], c[1] + t * a[1], c[2] + t * a[2],
+        c[3] + t * a[3], c[4] + t * a[4], c[5] + t * a[5],
+    )  # fmt: skip
 
 
 @njit(cache=True)

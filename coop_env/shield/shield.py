@@ -34,9 +34,8 @@ class ShieldMargin:
         sigma: least signed sigma_min, dimensionless; the task's own margin where that is larger.
         joint: of the 3-RRS's actuated angles from their limits, rad.
         reach: least ``1 - |cosine|`` of each limb's triangle: 0 is a stretched or folded limb.
-        clearance: between any part of the Delta and any of the 3-RRS, m. Holes are entered only
-            where their lead-in is as much wider. Below a millimetre or so it no longer covers
-            what lies between two looks at a way.
+        clearance: between any part of the Delta and any of the 3-RRS, m. Less than a millimetre
+            no longer covers what lies between two looks at a way.
 
     Raises:
         ArgumentError: a value is of the wrong kind or out of range.
@@ -53,9 +52,7 @@ class ShieldMargin:
             object.__setattr__(self, name, number)
 
     def tighten(self, p: EnvParams) -> EnvParams:
-        """The task's parameters with limits moved inwards and the Delta's bodies grown.
-
-        A body grown by the clearance touches where the true one is nearer than that.
+        """The task's parameters with limits moved inwards and bodies grown by the clearance.
 
         Raises:
             ArgumentError: nothing would be left of the lead-in, or of the joints' range.
@@ -66,7 +63,8 @@ class ShieldMargin:
                 f"ShieldMargin.clearance = {self.clearance!r} closes the holes, whose lead-in is "
                 f"{opening:g} m wide: choose less"
             )
-        if not p.rrs.joint_min + self.joint < p.rrs.joint_max - self.joint:
+        joint_min, joint_max = p.rrs.joint_min + self.joint, p.rrs.joint_max - self.joint
+        if not joint_min < joint_max:
             raise ArgumentError(
                 f"ShieldMargin.joint = {self.joint!r} leaves nothing of the joints' range of "
                 f"{p.rrs.joint_max - p.rrs.joint_min:.3g} rad: choose less"
@@ -75,14 +73,10 @@ class ShieldMargin:
         layout["singular_margin"] = max(self.sigma, float(p.layout["singular_margin"]))
         layout["effector_radius"] += self.clearance
         layout["forearm_radius"] += self.clearance
+        length, radius = p.delta.peg_length + self.clearance, p.delta.peg_radius + self.clearance
         return p._replace(
-            rrs=p.rrs._replace(
-                joint_min=p.rrs.joint_min + self.joint, joint_max=p.rrs.joint_max - self.joint
-            ),
-            delta=p.delta._replace(
-                peg_length=p.delta.peg_length + self.clearance,
-                peg_radius=p.delta.peg_radius + self.clearance,
-            ),
+            rrs=p.rrs._replace(joint_min=joint_min, joint_max=joint_max),
+            delta=p.delta._replace(peg_length=length, peg_radius=radius),
             layout=layout,
         )
 
@@ -94,13 +88,11 @@ _CHANGING = gym.ActionWrapper, getattr(gym.wrappers, "RepeatAction", gym.ActionW
 class KinematicShield:
     """Keeps both robots' distance from singularities, limits, the end of reach, and each other.
 
-    It knows the nominal kinematics alone; the margins are there for what these do not know. An
-    increment is certified if the straight way of configurations along it keeps them all.
+    An increment is certified if the straight way along it keeps all margins of the nominal machine.
 
     Args:
         env: a ``CoopInsertion-v0``, ``CoopInsertionContact-v0`` or ``CoopInsertionPhysics-v0``,
-            wrapped or not, whose robots and dome are taken. With contact touching is the task: the
-            shield then keeps all but the clearance.
+            wrapped or not. With contact touching is the task: all but the clearance is kept.
         margin: None, the default :class:`ShieldMargin`, one, or a mapping of its fields.
 
     Raises:
@@ -138,8 +130,7 @@ class KinematicShield:
 
         Returns:
             The increment to take (6,), each component between 0 and what was asked for, and
-            whether it differs from that. From a configuration that keeps its margins it leads to
-            one that does. From another it is what leads back on the straight way, or zero.
+            whether it differs from that. From within the margins it leads to within them.
 
         Raises:
             ArgumentError: ``state`` is not six finite numbers.
@@ -151,10 +142,7 @@ class KinematicShield:
         return result, bool(changed)
 
     def allowed_moves(self, state: ArrayLike) -> NDArray[np.bool_]:
-        """(12,): which of the environment's moves keep all margins, on the way too.
-
-        Where a move with all margins led, at least the one back does.
-        """
+        """(12,): which of the environment's moves keep all margins, on the way too."""
         mask = np.empty(N_ACTIONS, np.bool_)
         c = _six("state", state)
         kernels.allowed_moves(c, self.steps, self.packed, *self.keeps, mask)
@@ -180,18 +168,10 @@ class KinematicShield:
 class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
     """Only certified actions reach the environment.
 
-    An increment is cut to what :meth:`KinematicShield.certify` leaves of it. Of the twelve moves
-    :meth:`action_masks` allows those that keep all margins, among those that the environment
-    itself allows; another is replaced by the allowed one with the largest signed sigma_min. Where
-    nothing is allowed, as at a start nearer to a limit than the margin, the environment's own masks
-    hold until something is.
-
+    An increment is cut to what :meth:`KinematicShield.certify` leaves of it. A move that
+    :meth:`action_masks` forbids is replaced by the allowed one with the largest signed sigma_min.
     ``info["shielded"]`` says whether this step's action was changed, ``info["interventions"]`` how
-    many of the episode's were.
-
-    Args:
-        env: as :class:`KinematicShield` takes it.
-        margin: likewise.
+    many of the episode's were. Arguments are :class:`KinematicShield`'s.
 
     Raises:
         ArgumentError: ``env`` is none of these, has other actions, or a wrapper that changes or
@@ -218,7 +198,10 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
         self.interventions = 0
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """(12,): True where a move keeps all margins and the environment allows it."""
+        """(12,): True where a move keeps all margins and the environment allows it.
+
+        At a start nearer to a limit than the margin the environment's own hold.
+        """
         inner = self.shield.allowed_moves(self._configuration())
         return self.shield.masks(self._own_masks(), inner)
 
@@ -229,11 +212,7 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
         return observation, {**info, "shielded": False, "interventions": 0}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """As the environment's, with a certified action.
-
-        Raises:
-            ActionError: as the environment.
-        """
+        """As the environment's, with a certified action."""
         taken, changed = self._discretely(action) if self._discrete else self._certify(action)
         observation, reward, terminated, truncated, info = self.env.step(taken)
         self.interventions += changed
@@ -267,10 +246,7 @@ class ShieldWrapper(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class ShieldedInsertionEnv(CoopInsertionEnv):
-    """A ``CoopInsertion-v0`` whose masks are the ones that :class:`ShieldWrapper` gives it.
-
-    What an agent does against its masks is the environment's own business here, and no
-    intervention.
+    """A ``CoopInsertion-v0`` with the masks of :class:`ShieldWrapper`, which does not intervene.
 
     Args:
         shield: None, the default :class:`ShieldMargin`, one, or a mapping of its fields.
@@ -303,11 +279,6 @@ class ShieldedInsertionVecEnv(CoopInsertionVecEnv):
 
 
 def _six(name: str, value: ArrayLike, error: type[ValueError] = ArgumentError) -> Floats:
-    """Six finite numbers.
-
-    Raises:
-        error: they are not.
-    """
     try:
         result = np.array(as_configuration(value))
     except ResetOptionError:

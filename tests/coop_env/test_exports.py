@@ -12,7 +12,6 @@ import pytest
 pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra physics)")
 pytest.importorskip("trimesh", reason="trimesh is not installed (extra trajectory)")
 
-import mujoco
 import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -22,7 +21,8 @@ from coop_env.errors import ArgumentError
 from coop_env.exports import links, save_glb, save_sdf, save_stl
 from coop_env.geometry import DeltaGeometry
 from coop_env.kinematics import delta, rrs
-from coop_env.physics.model import Machine, build_mjcf, to_xml
+from coop_env.physics.model import Machine
+from coop_env.physics.twin import make_model
 from coop_env.rendering.bodies import ROD_SPACING, bodies
 
 OWN = Machine(delta=DeltaGeometry(proximal_length=0.22, distal_length=0.48, base_height=0.9))
@@ -39,16 +39,12 @@ def drawn(machine: Machine) -> np.ndarray:
 @pytest.mark.parametrize("machine", [Machine(), OWN])
 def test_stl_of_all_links_put_together_is_the_picture(machine: Machine, tmp_path: Path) -> None:
     paths = save_stl(str(tmp_path / "m"), machine)
-    assert sorted(path.name for path in (tmp_path / "m").iterdir()) == sorted(
-        path.name for path in paths
-    )
+    assert sorted((tmp_path / "m").iterdir()) == sorted(paths)
     corners = []
     for link in links(machine):
         mesh = trimesh.load_mesh(tmp_path / "m" / f"{link.name}.stl")
         corners.append(mesh.vertices @ link.rotation.T + link.position)
     placed, wanted = np.concatenate(corners), drawn(machine)
-    assert placed.min(axis=0) == pytest.approx(wanted.min(axis=0), abs=1e-6)
-    assert placed.max(axis=0) == pytest.approx(wanted.max(axis=0), abs=1e-6)
     for some, others in ((placed, wanted), (wanted, placed)):  # the same corners, in any order
         assert np.max(cKDTree(others).query(some)[0]) < 1e-6
 
@@ -60,8 +56,7 @@ def test_millimetres_are_a_thousand_times_as_many(tmp_path: Path) -> None:
     )
     for name in ("platform", "delta_rod0_left"):
         assert large[name].extents == pytest.approx(1000.0 * small[name].extents, rel=1e-5)
-    rod = large["delta_rod0_left"]
-    balls = 2 * 7.2
+    rod, balls = large["delta_rod0_left"], 2 * 7.2
     assert rod.extents[0] == pytest.approx(1000.0 * Machine().delta.distal_length + balls, abs=0.2)
     assert rod.is_watertight
     with pytest.raises(ArgumentError, match="unit = 'inch'"):
@@ -71,17 +66,15 @@ def test_millimetres_are_a_thousand_times_as_many(tmp_path: Path) -> None:
 
 def test_glb_is_the_machine_at_home(tmp_path: Path) -> None:
     save_glb(tmp_path / "a.glb")
-    scene, wanted = trimesh.load_scene(tmp_path / "a.glb"), drawn(Machine())
-    wanted = wanted[:, [0, 2, 1]] * [1, 1, -1]  # glTF's y points up
-    assert scene.bounds[0] == pytest.approx(wanted.min(axis=0), abs=1e-6)
-    assert scene.bounds[1] == pytest.approx(wanted.max(axis=0), abs=1e-6)
-    result = links()
+    scene, result = trimesh.load_scene(tmp_path / "a.glb"), links()
+    upright = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # glTF's y points up
+    wanted = drawn(Machine()) @ upright.T
+    bounds = np.array([wanted.min(axis=0), wanted.max(axis=0)])
+    assert scene.bounds == pytest.approx(bounds, abs=1e-6)
     assert set(scene.geometry) == {link.name for link in result}
     for link in result:
         pose, _ = scene.graph[link.name]
-        upright = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
-        position = upright @ link.position
-        assert pose[:3, 3] == pytest.approx(position, abs=1e-6)
+        assert pose[:3, 3] == pytest.approx(upright @ link.position, abs=1e-6)
         assert pose[:3, :3] == pytest.approx(upright @ link.rotation, abs=1e-6)
 
 
@@ -89,22 +82,19 @@ def poses(model: ET.Element) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     result = {}
     for link in model.iter("link"):
         numbers = np.array(str(link.findtext("pose")).split(), float)
-        result[link.attrib["name"]] = (
-            Rotation.from_euler("xyz", numbers[3:]).as_matrix(),
-            numbers[:3],
-        )
+        rotation = Rotation.from_euler("xyz", numbers[3:]).as_matrix()
+        result[link.attrib["name"]] = rotation, numbers[:3]
     return result
 
 
 def test_sdf_closes_its_loops_and_weighs_what_the_mjcf_does(tmp_path: Path) -> None:
     machine = OWN
     root = ET.parse(save_sdf(str(tmp_path), machine)).getroot()
-    for uri in root.iter("uri"):
-        assert (tmp_path / str(uri.text)).is_file()
+    assert all((tmp_path / str(uri.text)).is_file() for uri in root.iter("uri"))
     freedom = {"fixed": 0, "revolute": 1, "universal": 2, "ball": 3}
     home = machine.home()
-    pose = rrs.limb_points(home[3:], machine.rrs)[:, 2]
-    wrists = delta.limb_points(home[:3], machine.delta)[:, 2]
+    balls = rrs.limb_points(home[3:], machine.rrs)[:, 2]
+    wrists = delta.limb_points(home[:3], machine.delta)[:, 2] + [0, 0, machine.delta.base_height]
     for model in root.iter("model"):
         places = poses(model)
         joints = list(model.iter("joint"))
@@ -113,24 +103,20 @@ def test_sdf_closes_its_loops_and_weighs_what_the_mjcf_does(tmp_path: Path) -> N
         assert Counter(joint.attrib["name"] for joint in joints).most_common(1)[0][1] == 1
         for joint in joints:
             parent, child = str(joint.findtext("parent")), str(joint.findtext("child"))
-            assert parent in {*places, "world"}
             assert child in places
+            assert parent in {*places, "world"}
             if joint.attrib["type"] != "ball":
                 continue
             rotation, position = places[parent]
             end = position + rotation[:, 0] * float(str(joint.findtext("pose")).split()[0])
             limb = int(joint.attrib["name"].split("_")[1][-1])
-            if child == "platform":
-                assert end == pytest.approx(pose[limb], abs=1e-9)
-            else:
-                sideways = ROD_SPACING * (-1.0 if "left" in joint.attrib["name"] else 1.0)
-                wanted = wrists[limb] + sideways * rotation[:, 1]
-                assert end - [0.0, 0.0, machine.delta.base_height] == pytest.approx(
-                    wanted, abs=1e-9
-                )
-    mjcf = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(machine)))
+            wanted = balls[limb]
+            if child == "effector":
+                side = -1.0 if "left" in joint.attrib["name"] else 1.0
+                wanted = wrists[limb] + side * ROD_SPACING * rotation[:, 1]
+            assert end == pytest.approx(wanted, abs=1e-9)
     masses = [float(str(mass.text)) for mass in root.iter("mass")]
-    assert sum(masses) == pytest.approx(mjcf.body_mass.sum())
+    assert sum(masses) == pytest.approx(make_model(machine).body_mass.sum())
     for tensor in root.iter("inertia"):
         i = {part.tag: float(str(part.text)) for part in tensor}
         matrix = [[i["ixx"], i["ixy"], i["ixz"]], [i["ixy"], i["iyy"], i["iyz"]],

@@ -24,6 +24,12 @@ def above(hole: int, height: float = 0.01) -> dict[str, Any]:
     return {"configuration": start_configurations(Machine(), height)[hole], "target": hole}
 
 
+def beside(hole: int, height: float, aside: float = 0.02) -> dict[str, Any]:
+    """The same, so far to the side along y."""
+    start = above(hole, height)
+    return {**start, "configuration": start["configuration"] + aside * np.eye(6)[1]}
+
+
 def steps(env: Any, action: Any, seed: int = 0, **options: Any) -> Iterator[dict[str, Any]]:
     """Repeat an action, or ask for it, to the end of an episode; each step's info and its ends."""
     seen, _ = env.reset(seed=seed, options=options)

@@ -41,12 +41,10 @@ def test_every_knob_is_of_one_kind_or_of_both() -> None:
 
 def test_knobs_at_zero_are_no_knobs() -> None:
     """Bit for bit, and a disturbed episode leaves nothing behind where its knobs end."""
-    plain, zero = make(), CoopInsertionContactEnv(sim_to_real=SimToReal(randomize=True))
-    zero.reset(seed=3)
+    plain, zero = make(), make(randomize=True)
     for _ in range(10):
         mine, theirs = plain.step(ASIDE), zero.step(ASIDE)
-        assert mine[0].tobytes() == theirs[0].tobytes()
-        assert mine[1] == theirs[1]
+        assert (mine[0].tobytes(), mine[1]) == (theirs[0].tobytes(), theirs[1])
     noisy = make(force_noise=0.5)  # the draws are the same, so is where things are
     noisy.step(ASIDE)
     plain.reset(seed=3)
@@ -60,14 +58,10 @@ def test_knobs_at_zero_are_no_knobs() -> None:
 )
 def test_a_seed_gives_the_same_machine(env_class: Any) -> None:
     env = env_class(sim_to_real="randomized")
-    seen = []
-    for seed in (1, 1, 2):
-        _, info = env.reset(seed=seed)
-        seen.append(info["privileged"])
+    seen = [env.reset(seed=seed)[1]["privileged"] for seed in (1, 1, 2, None)]
     assert np.array_equal(seen[0], seen[1])
-    assert not np.array_equal(seen[0][17:], seen[2][17:])
-    _, info = env.reset()
-    assert not np.array_equal(seen[2][17:], info["privileged"][17:])  # each episode another
+    for one, other in ((0, 2), (2, 3)):  # each episode another
+        assert not np.array_equal(seen[one][17:], seen[other][17:])
 
 
 def test_machines_are_drawn_within_the_bounds() -> None:
@@ -92,11 +86,10 @@ def test_machines_are_drawn_within_the_bounds() -> None:
 
 
 def test_bodies_weigh_what_was_drawn_and_are_carried_as_if_nominal() -> None:
-    (plain, nominal), (twin, model) = (
-        (env.batch, env.batch.twin.models[0]) for env in (make(), make(mass_error=0.2))
-    )
-    assert twin.command.tolist() == plain.command.tolist()  # the same draws otherwise
-    factors = dict(zip(MASSES, twin.disturbances[0].masses, strict=True))
+    plain, heavy = make().batch, make(mass_error=0.2).batch
+    nominal, model = plain.twin.models[0], heavy.twin.models[0]
+    assert heavy.command.tolist() == plain.command.tolist()  # the same draws otherwise
+    factors = dict(zip(MASSES, heavy.disturbances[0].masses, strict=True))
     assert np.ptp(list(factors.values())) > 0.1
     for i in range(1, model.nbody):
         name = next((n for n in MASSES if model.body(i).name.startswith(n)), "")
@@ -119,7 +112,7 @@ def test_links_of_other_lengths_stand_where_their_kinematics_say() -> None:
     env.step(REST)
     pose = rrs.forward(readings.joints[0, 3:], command[3:], real.rrs).pose
     centre = rrs.platform_pose(pose, real.rrs).position
-    still = CoopInsertionContactEnv(sim_to_real={"link_length_error": 0.01})
+    still = make(link_length_error=0.01)
     still.reset(seed=3, options={"error": [0.0] * 4})
     assert still.batch.twin.readings().platform[0] == pytest.approx(centre, abs=1e-9)
 
@@ -146,10 +139,9 @@ def rest(env: CoopInsertionContactEnv, *actions: np.ndarray) -> np.ndarray:
 
 
 def test_play_is_left_where_a_joint_turns_round() -> None:
-    play = 0.0005
-    off = rest(make(backlash=play), *[ASIDE] * 3, -ASIDE)
-    before = rest(make(), *[ASIDE] * 3, -ASIDE)
-    assert np.abs(before).max() < 2e-5
+    play, way = 0.0005, [*[ASIDE] * 3, -ASIDE]
+    assert np.abs(rest(make(), *way)).max() < 2e-5
+    off = rest(make(backlash=play), *way)
     assert np.abs(off) == pytest.approx(np.full(6, play / 2.0), abs=2e-5)
 
 
@@ -172,7 +164,7 @@ def test_dry_friction_takes_up_small_torques() -> None:
 
 def test_torques_are_those_of_the_servos_own_stiffness() -> None:
     """Pressed on the rim, at rest: what each servo holds against is its gain times its error."""
-    env = CoopInsertionContactEnv(sim_to_real={"servo_gain_error": 1.0})
+    env = make(servo_gain_error=1.0)
     env.reset(seed=3, options=RIM)
     off = rest(env, *[0.5 * PUSH] * 25)
     gains = env.batch.disturbances[0].gains
@@ -195,8 +187,7 @@ def test_forces_are_as_noisy_as_asked_for() -> None:
 
 
 def test_friction_that_an_option_sets_has_no_error() -> None:
-    env = CoopInsertionContactEnv(sim_to_real={"friction_error": 1.0})
-    _, info = env.reset(seed=0, options={"friction": 0.25})
+    _, info = make(friction_error=1.0).reset(options={"friction": 0.25})
     assert info["friction"] == 0.25
 
 
@@ -211,9 +202,8 @@ def test_a_critic_sees_what_is_so() -> None:
     report = dict(zip(PRIVILEGED, np.split(seen["privileged"].astype(float), ends), strict=True))
     tip, normal = 0.01 * report["tip - mouth"], report["normal"]
     assert -tip @ normal == pytest.approx(info["depth"], abs=1e-6)
-    assert np.linalg.norm(tip - (tip @ normal) * normal) == pytest.approx(
-        info["lateral_error"], abs=1e-6
-    )
+    lateral = np.linalg.norm(tip - (tip @ normal) * normal)
+    assert lateral == pytest.approx(info["lateral_error"], abs=1e-6)
     assert 10.0 * report["force"] == pytest.approx(info["force"], abs=1e-5)
     assert report["friction"] == pytest.approx(info["friction"])
     assert 0.05 * report["base"] == pytest.approx(info["error"], abs=1e-8)
@@ -249,9 +239,8 @@ def test_the_kinematic_task_has_no_knobs_of_contact(knob: str) -> None:
 def test_links_that_never_close_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """A Delta that hardly reaches down to the dome; it may draw one machine only."""
     monkeypatch.setattr("coop_env.physics.batch.TRIES", 1)
-    env = CoopInsertionContactEnv(
-        delta={"base_height": 1.04}, sim_to_real={"link_length_error": 0.05}
-    )
+    knobs = {"link_length_error": 0.05}
+    env = CoopInsertionContactEnv(delta={"base_height": 1.04}, sim_to_real=knobs)
     with pytest.raises(GeometryError, match=r"link_length_error = 0\.05: none of 1 machines"):
         _ = [env.reset(seed=seed) for seed in range(40)]
 

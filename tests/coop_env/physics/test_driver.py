@@ -26,17 +26,22 @@ ERROR_BOUND = 0.02
 """rad by which the twin may be off on its way, as docs/trajectory.md says."""
 
 
-class Obedient:
-    """A machine that is at once where it was commanded to."""
+def joints_at(configuration: np.ndarray) -> np.ndarray:
+    return make_trajectory([configuration] * 2).positions[0]
 
-    def __init__(self) -> None:
-        self.at = make_trajectory([MACHINE.home()] * 2).positions[0]
+
+class Obedient:
+    """A machine that is at once where it was commanded to, but for a lag (6,), rad."""
+
+    def __init__(self, lag: Any = 0.0) -> None:
+        self.at = joints_at(MACHINE.home())
+        self.lag = lag
         self.felt: Any = np.zeros(3)
         self.commands: list[Trajectory] = []
 
     def command(self, trajectory: Trajectory) -> None:
         self.commands.append(trajectory)
-        self.at = trajectory.positions[-1]
+        self.at = trajectory.positions[-1] + self.lag
 
     def joints(self) -> np.ndarray:
         return self.at
@@ -85,25 +90,18 @@ def test_a_policy_fills_a_hole_of_the_twin() -> None:
 
 def test_the_policy_sees_what_the_machine_reports() -> None:
     """A machine that lags: the next move begins, and is seen, where it stands."""
-    seen, driver = [], Obedient()
-    honest = driver.command
+    seen, driver = [], Obedient(LAG)
 
-    def lag(trajectory: Trajectory) -> None:
-        honest(trajectory)
-        driver.at = driver.at + LAG
+    def policy(observation: Any, masks: Any) -> int:
+        seen.append(observation)
+        return DOWN
 
-    driver.command = lag  # type: ignore[method-assign]
-    result = replay(
-        lambda observation, masks: seen.append(observation) or DOWN,  # type: ignore[func-returns-value]
-        driver, MACHINE, target=0, holes=1, max_moves=2, normalize=False,
-    )  # fmt: skip
+    result = replay(policy, driver, MACHINE, target=0, holes=1, max_moves=2, normalize=False)
     assert result.moves == 2
     assert result.error == pytest.approx(0.004)
-    step = seen[0][2] - seen[1][2]
-    assert step > 0.02 + 0.0005  # deeper than the move
-    assert driver.commands[1].positions[0] == pytest.approx(
-        driver.commands[0].positions[-1] + LAG, abs=1e-9
-    )
+    assert seen[0][2] - seen[1][2] > 0.02 + 0.0005  # deeper than the move
+    first, second = driver.commands
+    assert second.positions[0] == pytest.approx(first.positions[-1] + LAG, abs=1e-9)
 
 
 def test_it_stops_at_limits() -> None:
@@ -111,9 +109,8 @@ def test_it_stops_at_limits() -> None:
     driver.felt = np.array([0.0, 0.0, 50.0])
     result = drive(driver)
     assert (result.stopped, result.moves) == ("a force of 50 N", 1)
-    driver = Obedient()
-    driver.command = lambda trajectory: driver.commands.append(trajectory)  # type: ignore[method-assign]
-    assert drive(driver, error_limit=0.01).stopped.startswith("a joint is 0.0")
+    driver = Obedient(4.0 * LAG)
+    assert drive(driver, error_limit=0.01).stopped == "a joint is 0.016 rad off its command"
     assert len(driver.commands) == 1
     assert drive(Obedient(), max_moves=1).stopped == "no moves are left"
 
@@ -127,7 +124,7 @@ def test_moves_that_are_not_free_are_not_commanded() -> None:
     beside = MACHINE.home()
     beside[[0, 2]] = -0.14, MACHINE.rrs.home_heave + 0.09
     beside[2] += MACHINE.delta.peg_length - MACHINE.delta.base_height
-    driver.at = make_trajectory([beside, beside]).positions[0]
+    driver.at = joints_at(beside)
     result = drive(driver, wide, action=0)
     assert (result.stopped, driver.commands) == ("on the way there is a collision", [])
 
@@ -163,8 +160,7 @@ def test_an_error_of_the_driver_is_its_own() -> None:
 
 def test_a_machine_that_stands_where_it_must_not() -> None:
     driver = Obedient()
-    low = MACHINE.home() - [0.0, 0.0, 0.12, 0.0, 0.0, 0.0]
-    driver.at = make_trajectory([low, low]).positions[0]
+    driver.at = joints_at(MACHINE.home() - [0.0, 0.0, 0.12, 0.0, 0.0, 0.0])
     assert drive(driver).stopped.startswith("the machine stands where it must not")
 
 
@@ -191,9 +187,11 @@ def test_all_active_holes_are_all() -> None:
 
 
 def test_a_way_that_begins_elsewhere_is_not_commanded() -> None:
-    """Angles of another branch, or an encoder that is a turn off."""
-    for turned in (np.array([2 * np.pi, 0, 0, 0, 0, 0]), np.zeros(6)):
+    """An encoder that is a turn off, or angles of another branch."""
+    turned = joints_at(MACHINE.home())
+    turned[0] += 2 * np.pi
+    for joints in (turned, np.array([3, -3, 3, 0.3, 0.3, 0.3])):
         driver = Obedient()
-        driver.at = driver.at + turned if turned.any() else np.array([3, -3, 3, 0.3, 0.3, 0.3])
+        driver.at = joints
         assert "begins" in drive(driver).stopped
         assert driver.commands == []

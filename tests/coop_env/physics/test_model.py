@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,33 +15,35 @@ from coop_env import InsertionTask
 from coop_env.errors import ArgumentError
 from coop_env.geometry import DeltaGeometry, GeometryError, RRSGeometry
 from coop_env.physics.dome import Bore, dome_solids, staves
-from coop_env.physics.model import Machine, Peg, Servos, build_mjcf, to_xml
+from coop_env.physics.model import Machine, Peg, Servos
 from coop_env.physics.model_folder import MODEL, README, rows, save_model
-from coop_env.physics.twin import Twin
+from coop_env.physics.twin import Twin, make_model
 from coop_env.simulation.insertion_task import PAPER_TASK
 
 BORE = Bore(radius=0.0045, chamfer=0.001, depth=0.02)
 
 
-def test_the_folder_opens_assembled_at_home(tmp_path: Path) -> None:
-    machine = Machine()
-    save_model(machine, tmp_path / "model")
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "model" / MODEL))
-    assert (model.nv, model.nu, model.neq) == (21, 6, 5)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    assert np.abs(data.efc_pos[: data.ne]).max() < 1e-9
-    assert data.qpos == pytest.approx(Twin(machine).joint_positions(machine.home()), abs=1e-9)
-    text = (tmp_path / "model" / README).read_text("utf-8")
-    for name, value, origin in rows(machine):
-        assert f"| {name} | {value} | {origin} |" in text
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    result = tmp_path_factory.mktemp("new") / "model"
+    save_model(Machine(), result)
+    return result
 
 
 @pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory) -> mujoco.MjModel:
-    folder = tmp_path_factory.mktemp("model")
-    save_model(Machine(), folder)
+def opened(folder: Path) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_path(str(folder / MODEL))
+
+
+def test_the_folder_opens_assembled_at_home(folder: Path, opened: mujoco.MjModel) -> None:
+    machine, data = Machine(), mujoco.MjData(opened)
+    assert (opened.nv, opened.nu, opened.neq) == (21, 6, 5)
+    mujoco.mj_forward(opened, data)
+    assert np.abs(data.efc_pos[: data.ne]).max() < 1e-9
+    assert data.qpos == pytest.approx(Twin(machine).joint_positions(machine.home()), abs=1e-9)
+    text = (folder / README).read_text("utf-8")
+    for name, value, origin in rows(machine):
+        assert f"| {name} | {value} | {origin} |" in text
 
 
 def test_opened_in_a_viewer_it_stands_still(opened: mujoco.MjModel) -> None:
@@ -73,8 +74,7 @@ def test_servos_and_their_joints_have_ranges_around_home(opened: mujoco.MjModel)
 def test_the_peg_meets_the_platforms_disc(opened: mujoco.MjModel) -> None:
     data = mujoco.MjData(opened)
     disc, peg = opened.geom("platform_disc").id, opened.geom("peg").id
-    x = opened.joint("effector_x").qposadr[0]
-    z = opened.joint("effector_z").qposadr[0]
+    x, z = (opened.joint(f"effector_{axis}").qposadr[0] for axis in "xz")
     mujoco.mj_forward(opened, data)
     data.qpos[z] += data.body("platform").xpos[2] - data.site("tip").xpos[2]
     data.qpos[x] += 0.107  # beside the dome
@@ -96,7 +96,7 @@ def test_the_platforms_weight_is_plates_and_domes(opened: mujoco.MjModel) -> Non
 @pytest.mark.parametrize("play", [0.0, 0.01])
 def test_the_effector_tilts_by_its_play(play: float) -> None:
     """Pushed at its tip, to the side and hard."""
-    model = mujoco.MjModel.from_xml_string(to_xml(build_mjcf(Machine(effector_play=play))))
+    model = make_model(Machine(effector_play=play))
     data = mujoco.MjData(model)
     for _ in range(500):
         mujoco.mj_forward(model, data)
@@ -144,8 +144,8 @@ def twin(**parts: Any) -> Twin:
     return Twin(Machine(**parts))
 
 
-def solids(depth: float = BORE.depth, **task: Any) -> list[Any]:
-    return list(dome_solids(InsertionTask(**task), replace(BORE, depth=depth)))
+def solids(**task: Any) -> list[Any]:
+    return list(dome_solids(InsertionTask(**task), BORE))
 
 
 WEAK: dict[str, Any] = {"gravity_compensation": False}

@@ -31,11 +31,9 @@ def test_it_comes_to_rest_where_the_kinematics_say(machine: Machine) -> None:
 def test_a_placed_machine_is_assembled_and_its_forward_kinematics_agree() -> None:
     twin = Twin()
     for pose in draw_poses(twin, 10, seed=1):
-        readings = twin.place(0, pose)
+        joints = twin.place(0, pose).joints
         assert loop_residual(twin, 0) < 1e-9
-        assert closed_at(readings.joints, twin.machine.home(), twin.machine) == pytest.approx(
-            pose, abs=1e-9
-        )
+        assert closed_at(joints, twin.machine.home(), twin.machine) == pytest.approx(pose, abs=1e-9)
 
 
 def test_under_its_own_weight_it_sags_along_its_kinematics() -> None:
@@ -51,31 +49,25 @@ def test_under_its_own_weight_it_sags_along_its_kinematics() -> None:
     assert np.linalg.norm(readings.platform[0] - pose.position) < 5e-5
 
 
-def potential_energy(twin: Twin, configuration: np.ndarray) -> float:
-    twin.place(0, configuration)
-    model, data = twin.inspect(0)
-    return float(9.81 * np.sum(model.body_mass * data.xipos[:, 2]))
-
-
 def test_servo_torques_are_the_gradient_of_the_potential_energy() -> None:
     """Virtual work, from energies at neighbouring poses of the kinematics alone."""
     twin = Twin(Machine(servos=Servos(gravity_compensation=False, delta_stiffness=500.0)))
+
+    def potential_energy(configuration: np.ndarray) -> float:
+        twin.place(0, configuration)
+        model, data = twin.inspect(0)
+        return float(9.81 * np.sum(model.body_mass * data.xipos[:, 2]))
+
     pose = np.array([0.03, -0.02, -0.38, 0.2, -0.1, 0.22])
     twin.place(0, pose)
     readings = last(twin.advance(twin.servo_targets(pose)[None], 1500))
     held = twin.inspect(0)[1].actuator_force.copy()
     rest = closed_at(readings.joints, pose[None], twin.machine)[0]
-    slope = np.empty(6)
-    for axis in range(6):
-        step = np.zeros(6)
-        step[axis] = 1e-5
-        ends = [potential_energy(twin, rest + sign * step) for sign in (1.0, -1.0)]
-        slope[axis] = (ends[0] - ends[1]) / 2e-5
+    steps = 1e-5 * np.eye(6)
+    slope = [(potential_energy(rest + s) - potential_energy(rest - s)) / 2e-5 for s in steps]
     moved = rrs.jacobian(rest[3:]) @ rrs.twist_matrix(rest[3:])  # qdot per (roll, pitch, heave)dot
     turned = delta.jacobian(rest[:3]) / twin.machine.delta.proximal_length
-    expected = np.concatenate(
-        [np.linalg.solve(turned.T, slope[:3]), np.linalg.solve(moved.T, slope[3:])]
-    )
+    expected = [*np.linalg.solve(turned.T, slope[:3]), *np.linalg.solve(moved.T, slope[3:])]
     assert held == pytest.approx(expected, rel=2e-3, abs=2e-3)
 
 

@@ -21,7 +21,7 @@ from coop_env.physics.vector_env import (
     CoopInsertionContactDiscreteVectorEnv,
     CoopInsertionContactVectorEnv,
 )
-from tests.coop_env.physics.episodes import NO_ERROR, PUSH, REST, RIM, above, steps
+from tests.coop_env.physics.episodes import NO_ERROR, PUSH, REST, RIM, beside, steps
 
 ID = "CoopInsertionContact-v0"
 
@@ -113,12 +113,11 @@ def test_bad_input() -> None:
     moves.reset(seed=0)
     with pytest.raises(ActionError, match="actions"):
         moves.step(np.array([0, 12]))
-    with pytest.raises(ArgumentError, match="num_envs"):
-        CoopInsertionContactVectorEnv(0)
     with pytest.raises(TypeError, match="render_mode"):
         CoopInsertionContactVectorEnv(2, render_mode="rgb_array")
-    with pytest.raises(ArgumentError, match="threads"):
-        CoopInsertionContactVectorEnv(2, threads=0)
+    for name in ("num_envs", "threads"):
+        with pytest.raises(ArgumentError, match=name):
+            CoopInsertionContactVectorEnv(**{name: 0})
     for name in ("n", "threads", "max_steps"):
         with pytest.raises(ArgumentError, match=name):
             CoopInsertionContactEnv(**{name: -1})  # type: ignore[arg-type]
@@ -127,23 +126,17 @@ def test_bad_input() -> None:
 BROKEN: dict[str, Any] = {**RIM, "friction": 0.2}
 
 
-def beside(height: float) -> dict[str, Any]:
-    """Reset options of the whole task: so high beside a hole."""
-    start = above(4, height)
-    return {**start, "configuration": start["configuration"] + 0.02 * np.eye(6)[1]}
-
-
 @pytest.mark.parametrize(
     ("make", "start", "breaking", "idling"),
     [
         (CoopInsertionContactEnv, BROKEN, PUSH, [REST]),
         (lambda: CoopInsertionContactEnv({"max_steps": 600}), BROKEN, PUSH, [REST]),
-        (lambda: CoopInsertionPhysicsEnv(NO_ERROR, max_steps=600), beside(0.01), PUSH, [REST]),
+        (lambda: CoopInsertionPhysicsEnv(NO_ERROR, max_steps=600), beside(4, 0.01), PUSH, [REST]),
         (
             lambda: CoopInsertionPhysicsDiscreteEnv(
                 touch=1e3, level={**NO_ERROR, "force_limit": 15.0}, reward="progress", max_moves=40
             ),
-            *(beside(0.03), 5, [4, 5]),
+            *(beside(4, 0.03), 5, [4, 5]),
         ),
     ],
     ids=["contact", "a long episode", "whole task", "moves"],

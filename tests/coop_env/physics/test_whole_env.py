@@ -55,14 +55,10 @@ def test_holes_are_filled_one_after_another() -> None:
             lead(env, above(4)["configuration"], 4)
             lead(env, above(5)["configuration"], 6)
     first, last = inserted
-    assert first["inserted_hole"] == 4
-    assert first["success"]
-    assert first["target"] == 5
-    assert not first["terminated"]
-    assert last["inserted_hole"] == 5
-    assert last["terminated"]
-    assert last["failure"] == ""
-    assert last["n_filled"] == 6
+    assert (first["inserted_hole"], first["target"]) == (4, 5)
+    assert (first["success"], first["terminated"]) == (True, False)
+    assert (last["inserted_hole"], last["n_filled"]) == (5, 6)
+    assert (last["terminated"], last["failure"]) == (True, "")
     assert last["peak_force"] < 3.0
     with pytest.raises(ResetNeeded):
         env.step(REST)

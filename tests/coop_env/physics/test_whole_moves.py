@@ -8,12 +8,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
-from gymnasium.utils.env_checker import check_env
 
 from coop_env.env import CoopInsertionEnv
 from coop_env.errors import ActionError, StateError
 from coop_env.physics.moves import CoopInsertionPhysicsDiscreteEnv
-from tests.coop_env.physics.episodes import NO_ERROR, REST, above
+from tests.coop_env.physics.episodes import NO_ERROR, REST, above, beside
 
 DOWN = 5
 
@@ -25,19 +24,15 @@ def push(seen: np.ndarray) -> np.ndarray:
     return np.clip([0.3 * fx, 0.3 * fy, down, 0.0, 0.0, 0.0], -1.0, 1.0)
 
 
-def test_spaces_are_the_kinematic_tasks() -> None:
-    env = gym.make("CoopInsertionPhysicsDiscrete-v0", observation="markov")
-    check_env(env.unwrapped, skip_render_check=True)
-    kinematic = CoopInsertionEnv(observation="markov")
-    assert env.observation_space == kinematic.observation_space
-    assert env.action_space == kinematic.action_space
-
-
 def test_moves_end_where_the_kinematic_task_has_them() -> None:
     """Without errors and contact: tip within 0.05 mm, platform within 0.05 degrees."""
-    arguments: dict[str, Any] = {"reward": "progress", "mask_singularities": True}
+    arguments: dict[str, Any] = {
+        "reward": "progress", "mask_singularities": True, "observation": "markov",
+    }  # fmt: skip
     env = CoopInsertionPhysicsDiscreteEnv(level=NO_ERROR, **arguments)
     kinematic = CoopInsertionEnv(**arguments)
+    assert env.observation_space == kinematic.observation_space
+    assert env.action_space == kinematic.action_space
     rng = np.random.default_rng(0)
     for seed in range(3):
         seen, info = env.reset(seed=seed)
@@ -70,8 +65,7 @@ def test_the_kinematic_criterion_fills_a_hole_without_a_finish() -> None:
     env = CoopInsertionPhysicsDiscreteEnv(level=NO_ERROR)
     env.reset(seed=0, options=above(2, 0.025))
     *_, info = env.step(DOWN)
-    assert info["inserted"]
-    assert info["inserted_hole"] == 2
+    assert (info["inserted"], info["inserted_hole"]) == (True, 2)
     assert info["distance"] == pytest.approx(0.005, abs=1e-3)
     assert info["target"] != 2
     assert env.state["filled"][2] == 1
@@ -91,14 +85,10 @@ def test_an_error_of_the_machine_is_not_seen_but_counts() -> None:
 
 def test_a_move_into_the_dome_is_taken_back() -> None:
     env = CoopInsertionPhysicsDiscreteEnv(level=NO_ERROR, mask_refused=True)
-    options = above(4, 0.012)
-    options["configuration"] = options["configuration"] + [0.0, 0.022, 0.0, 0.0, 0.0, 0.0]
-    env.reset(seed=0, options=options)
+    env.reset(seed=0, options=beside(4, 0.012, 0.022))
     before = env.configuration
     *_, info = env.step(DOWN)
-    assert info["collision"]
-    assert info["violation"]
-    assert info["failure"] == ""
+    assert (info["collision"], info["violation"], info["failure"]) == (True, True, "")
     np.testing.assert_array_equal(env.configuration, before)
     np.testing.assert_allclose(env.physics.configuration, before, atol=1e-12)
     assert not env.action_masks()[DOWN]
@@ -108,8 +98,7 @@ def test_a_finish_inserts_and_leaves_the_peg_above_the_hole() -> None:
     env = CoopInsertionPhysicsDiscreteEnv(finish=push)
     env.reset(seed=0, options={**above(3, 0.025), "error": [0.0005, 0.0, 0.01, 0.0]})
     *_, info = env.step(DOWN)
-    assert info["inserted_hole"] == 3
-    assert info["given_up"] == []
+    assert (info["inserted_hole"], info["given_up"]) == (3, [])
     assert env.physics.filled[0, 3]
     assert info["peak_force"] < 10.0
     np.testing.assert_allclose(env.configuration, env.physics.configuration)
@@ -126,8 +115,7 @@ def test_a_hole_that_is_not_filled_is_given_up_and_the_last_one_ends_the_episode
         aside = {"error": [0.003, 0.0, 0.0, 0.0], "filled": filled}
         env.reset(seed=0, options={**above(3, 0.025), **aside})
         _, _, terminated, _, info = env.step(DOWN)
-        assert not info["inserted"]
-        assert info["given_up"] == [3]
+        assert (info["inserted"], info["given_up"]) == (False, [3])
         assert (info["target"] == 3) == terminated == bool(filled)
         assert info["failure"] == ("not inserted" if filled else "")
     assert env.scene().status == "not inserted"
@@ -136,15 +124,15 @@ def test_a_hole_that_is_not_filled_is_given_up_and_the_last_one_ends_the_episode
 
 def fly(env: CoopInsertionPhysicsDiscreteEnv, hole: int) -> np.ndarray:
     """Up, upright, and over to another hole, 50 mm higher than now; where its insertion begins."""
-    body, there = env.physics, above(hole)["configuration"]
+    body = env.physics
+    there: np.ndarray = above(hole)["configuration"]
     away, over = body.configuration, there.copy()
     away[2] += 0.05
     upright = np.array([0.0, 0.0, away[2], 0.0, 0.0, away[5]])
     over[2] = away[2]
     for to in (away, upright, over):
         body.lead(to, 4)
-    result: np.ndarray = there
-    return result
+    return there
 
 
 def test_after_a_hole_the_view_and_the_next_target_are_those_of_where_it_stands() -> None:
@@ -224,14 +212,12 @@ def test_after_close_there_is_no_step() -> None:
 
 
 def test_a_snap_is_no_collision() -> None:
-    env = CoopInsertionPhysicsDiscreteEnv(
-        touch=1e9,
-        level={"force_limit": 1e4, "position_error": 0.0, "tilt_error": 0.0},
-        servos={"rrs_stiffness": 2.0, "delta_stiffness": 400.0},
+    level, servos = (
+        {**NO_ERROR, "force_limit": 1e4},
+        {"rrs_stiffness": 2.0, "delta_stiffness": 400.0},
     )
-    start = above(0, 0.03)
-    start["configuration"] = start["configuration"] + 0.02 * np.eye(6)[1]
-    env.reset(seed=0, options=start)
+    env = CoopInsertionPhysicsDiscreteEnv(touch=1e9, level=level, servos=servos)
+    env.reset(seed=0, options=beside(0, 0.03))
     terminated = False
     while not terminated:
         *_, terminated, _, info = env.step(5)

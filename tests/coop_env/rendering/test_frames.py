@@ -124,9 +124,7 @@ def test_card_is_left_out_of_small_pictures_and_on_request() -> None:
     later = dataclasses.replace(scene, time=12.0)
     cases: tuple[dict[str, Any], ...] = ({"size": (160, 120)}, {"panel": False})
     for arguments in cases:
-        first = render_frame(scene, **arguments)
-        second = render_frame(later, **arguments)
-        assert np.array_equal(first, second)
+        assert np.array_equal(render_frame(scene, **arguments), render_frame(later, **arguments))
     assert not np.array_equal(render_frame(scene), render_frame(later))
 
 

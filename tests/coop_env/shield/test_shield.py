@@ -12,12 +12,7 @@ from coop_env import CoopInsertionEnv, SimToReal
 from coop_env.errors import ActionError, ArgumentError
 from coop_env.geometry import OPTIMIZED
 from coop_env.kinematics import rrs
-from coop_env.shield import (
-    KinematicShield,
-    ShieldedInsertionVecEnv,
-    ShieldMargin,
-    ShieldWrapper,
-)
+from coop_env.shield import KinematicShield, ShieldedInsertionVecEnv, ShieldMargin, ShieldWrapper
 
 COLLISION = 2
 
@@ -55,19 +50,16 @@ def test_another_body_a_clearance_away_touches_nothing(
 ) -> None:
     """The Delta moved by less than the clearance in any direction is still free."""
     rng = np.random.default_rng(2)
-    touched_without = 0
-    bold = KinematicShield(env, ShieldMargin(clearance=0.0))
-    for c in near:
+
+    def touches(c: np.ndarray) -> bool:
         to = rng.normal(size=3)
-        shift = np.append(0.999 * shield.margin.clearance * to / np.linalg.norm(to), np.zeros(3))
-        assert env.configuration_status(c + shift) != COLLISION
-    low, high = near.min(axis=0), near.max(axis=0)
-    for c in rng.uniform(low, high, (20_000, 6)):
-        if bold.is_certified(c):
-            to = rng.normal(size=3)
-            shift = np.append(shield.margin.clearance * to / np.linalg.norm(to), np.zeros(3))
-            touched_without += env.configuration_status(c + shift) == COLLISION
-    assert touched_without > 0  # so that the first half could fail
+        shift = 0.999 * shield.margin.clearance * to / np.linalg.norm(to)
+        return env.configuration_status(c + np.append(shift, np.zeros(3))) == COLLISION
+
+    assert not any(touches(c) for c in near)
+    bold = KinematicShield(env, ShieldMargin(clearance=0.0))
+    drawn = rng.uniform(near.min(axis=0), near.max(axis=0), (20_000, 6))
+    assert any(touches(c) for c in drawn if bold.is_certified(c))  # so that the first could fail
 
 
 def test_increments_keep_to_the_way_and_to_the_margins(
@@ -110,9 +102,8 @@ def test_moves_are_increments_that_need_no_change(
 def test_no_random_agent_does_harm_and_the_way_back_stays_open() -> None:
     wrapped = ShieldWrapper(make_env())
     rng = np.random.default_rng(4)
-    interventions = 0
-    _, info = wrapped.reset(seed=1000)
-    inside = False
+    wrapped.reset(seed=1000)
+    interventions, inside = 0, False
     for _ in range(1500):
         inside |= wrapped.shield.is_certified(wrapped._configuration())
         assert not inside or wrapped.shield.allowed_moves(wrapped._configuration()).any()
@@ -152,9 +143,8 @@ def test_masks_are_those_of_the_environment_and_of_the_shield() -> None:
         wrapped.action_masks(), own & wrapped.shield.allowed_moves(wrapped._configuration())
     )
     assert not wrapped.action_masks()[5]  # back to where it came from
-    _, _, _, _, info = wrapped.step(5)
-    assert info["shielded"]
-    assert info["interventions"] == 1
+    *_, info = wrapped.step(5)
+    assert (info["shielded"], info["interventions"]) == (True, 1)
 
 
 def test_a_start_nearer_to_a_limit_than_the_margin_is_left_by_the_environments_own_masks() -> None:
@@ -217,11 +207,9 @@ class TestContact:
     def test_what_changes_actions_belongs_around_it(self) -> None:
         low, high = np.float32(-0.1), np.float32(0.1)
         inner = gym.wrappers.RescaleAction(gym.make("CoopInsertionContact-v0"), low, high)
-        with pytest.raises(ArgumentError, match="RescaleAction changes"):
-            ShieldWrapper(inner)
-        twice = gym.wrappers.RepeatAction(gym.make("CoopInsertion-v0"), 2)
-        with pytest.raises(ArgumentError, match="RepeatAction changes"):
-            ShieldWrapper(twice)
+        for env in (inner, gym.wrappers.RepeatAction(gym.make("CoopInsertion-v0"), 2)):
+            with pytest.raises(ArgumentError, match=f"{type(env).__name__} changes"):
+                ShieldWrapper(env)
 
 
 @pytest.mark.parametrize(
@@ -275,6 +263,5 @@ def test_masks_are_the_wrappers_on_the_way() -> None:
         if dones.any():
             break
         for env, action in zip(alone, actions, strict=True):
-            _, _, _, _, info = env.step(action)
-            assert not info["shielded"]
+            assert not env.step(action)[-1]["shielded"]
     assert tightened > 0
