@@ -38,6 +38,11 @@ class Plan:
     seconds: float
 
 
+def modelled(p: EnvParams) -> EnvParams:
+    """The parameters of the machine as its controller's model has it."""
+    return p._replace(task=p.task._replace(imperfect=False))
+
+
 def workspace(p: EnvParams) -> NDArray[np.float64]:
     """Lower and upper bounds (2, 6) of the configuration space, SI units."""
     d, r = p.delta, p.rrs

@@ -1,8 +1,7 @@
 """Planners on a machine that stands elsewhere than their model: plan, look, plan again; or search.
 
-Both plan exactly on the nominal model, by the lattice search of the optimum. What they learn on the
-way are the two things that a machine without sensors tells: a move was refused, so that the
-configuration it led to is barred; and the peg did not go in.
+Both plan exactly on the nominal model. What they learn on the way are the two things that a machine
+without sensors tells: a move was refused, so that where it led is barred; the peg did not go in.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.methods import lattice_search as search
-from benchmarks.methods.base import tip_distance
+from benchmarks.methods.base import modelled, tip_distance
 from benchmarks.methods.episodes import Episode
 from benchmarks.methods.lattice_search import Lattice, Paths
 from coop_env.compilation import njit
@@ -32,8 +31,8 @@ class Replanner:
 
     Args:
         searches: after a plan that did not insert, visit the configurations around the believed
-            solution, ring by ring: in each the nearest that was not visited yet. Otherwise go to
-            the nearest other configuration that the model takes for an insertion, visited or not.
+            solution, ring by ring. Otherwise go to the nearest other configuration that the model
+            takes for an insertion, visited or not.
         node_limit: of one search for a path.
     """
 
@@ -42,9 +41,8 @@ class Replanner:
 
     def play(self, episode: Episode) -> None:
         """Fill hole after hole until none is left, the time is up or there is nowhere to go."""
-        p = episode.env.params
-        model = p._replace(task=p.task._replace(imperfect=False))
-        lattice = search.make_lattice(np.array(episode.env.state["start"]), model)
+        model, start = modelled(episode.env.params), np.array(episode.env.state["start"])
+        lattice = search.make_lattice(start, model)
         paths = Paths(lattice, self.node_limit)
         while not episode.over:
             began = time.perf_counter()
@@ -73,7 +71,9 @@ class Replanner:
                 barred.clear()
                 tried[:] = False
                 continue
-            best = np.lexsort((_moves_between(lattice, points, here), rings, out))[0]
+            ends = np.append(points, here)[:, None] // lattice.strides % lattice.shape
+            distances = np.abs(ends[:-1] - ends[-1]).sum(axis=1)  # if nothing is in the way
+            best = np.lexsort((distances, rings, out))[0]
             length, _, moves = paths.between(here, points[[best]])
             if length <= 0:
                 tried[best] = True
@@ -100,13 +100,6 @@ def _follow(
         if info["inserted"] or episode.over:
             break
     return visited
-
-
-def _moves_between(lattice: Lattice, points: Points, here: int) -> Points:
-    """Least moves (n,) to points if nothing is in the way."""
-    ends = np.append(points, here)[:, None] // lattice.strides % lattice.shape
-    moves: Points = np.abs(ends[:-1] - ends[-1]).sum(axis=1)
-    return moves
 
 
 def solutions(lattice: Lattice, target: int, widest: float) -> tuple[Points, Points]:

@@ -30,12 +30,7 @@ class DecentralizedVecEnv(CoopInsertionVecEnv):
 
 
 class TeamNetwork(RainbowNetwork):
-    """Two networks in the place of one, each fed its columns of the observation.
-
-    Args:
-        columns: which columns each agent sees.
-        kwargs: as for :class:`~sb3_rainbow.network.rainbow_network.RainbowNetwork`.
-    """
+    """Two networks in the place of one, each fed the ``columns`` that its agent sees."""
 
     def __init__(self, columns: Sequence[Sequence[int]], **kwargs: Any) -> None:
         self.columns = [list(own) for own in columns]
