@@ -21,11 +21,7 @@ def known(names: Iterable[str]) -> str:
 
 
 def resolve(name: str, what: str) -> Any:
-    """What ``module:name`` names, from the current folder or what is installed.
-
-    Raises:
-        BenchmarkError: it cannot be imported.
-    """
+    """What ``module:name`` names, or BenchmarkError; the current folder is searched too."""
     if "" not in sys.path:
         sys.path.insert(0, "")  # a console script does not look into the current folder
     try:

@@ -14,9 +14,7 @@ import pytest
 import sb3_rainbow
 from coop_env import compilation
 from coop_env.compilation import njit
-from tests.process import python
-
-ROOT = Path(__file__).resolve().parent.parent
+from tests.process import ROOT, python
 
 # Says when numba compiles for the first time.
 BEGINS = """

@@ -22,10 +22,9 @@ from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
 from benchmarks.runs.backends import spawn
-from tests.process import python
+from tests.process import ROOT, python
 from tests.test_docs import python_blocks
 
-ROOT = Path(__file__).resolve().parent.parent
 SHIPPED = ("setup.cfg", "pyproject.toml", "README.md", "LICENSE")
 PACKAGES = ("sb3_rainbow", "coop_env", "benchmarks")
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -25,17 +25,11 @@ Chooser = Callable[[Observations, Masks, Sequence[int]], NDArray[Any]]
 
 @dataclass(frozen=True)
 class Plan:
-    """A planner's answer for the environment's current target; planning leaves it alone.
+    """A planner's answer for the environment's current target; planning leaves it alone."""
 
-    Attributes:
-        status: ``"solved"``, or why there is no plan.
-        moves: (n,) actions to execute in order, or None without a plan.
-        seconds: wall-clock time of the planning call.
-    """
-
-    status: str
-    moves: NDArray[np.int64] | None
-    seconds: float
+    status: str  # "solved", or why there is no plan
+    moves: NDArray[np.int64] | None  # (n,) actions to execute in order, or None without a plan
+    seconds: float  # wall-clock time of the planning call
 
 
 def modelled(p: EnvParams) -> EnvParams:

@@ -124,10 +124,7 @@ class Episode:
         }
 
     def seconds_first(self, arguments: Mapping[str, Any]) -> float:
-        """Seconds to the first insertion under the joints' limits, stop-and-go; NaN without one.
-
-        Moves that were refused take no time. ``arguments`` are the environment's.
-        """
+        """Seconds to the first insertion under the joints' limits, stop-and-go; NaN without one."""
         if not self.insertions or arguments.get("sim_to_real"):
             return math.nan
         geometry = arguments.get("geometry", "optimized")

@@ -35,11 +35,7 @@ class Guided(OffPolicyAlgorithm):
     _guide: Guide
 
     def follow(self, guide: Guide) -> None:
-        """Be guided.
-
-        Raises:
-            BenchmarkError: the script has no such gain.
-        """
+        """Be guided; BenchmarkError if the script has no such gain."""
         if unknown := guide.gains.keys() - Gains.__annotations__.keys():
             raise BenchmarkError(
                 f"guide: unknown gain '{min(unknown)}'; known: {known(Gains.__annotations__)}"

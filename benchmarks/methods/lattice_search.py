@@ -319,11 +319,7 @@ class Paths:
         self._came_by = np.zeros(lattice.delta_free.size * lattice.rrs_free.size, np.uint8)
 
     def between(self, here: int, ends: NDArray[np.int64]) -> tuple[int, int, NDArray[np.int64]]:
-        """A shortest path to the nearest of some points.
-
-        Returns:
-            Length (or INFEASIBLE or NODE_LIMIT), its lower bound (-1 if none is near), and moves.
-        """
+        """To the nearest of points (n,): length or INFEASIBLE or NODE_LIMIT, lower bound, moves."""
         lattice, came_by, barred = self.lattice, self._came_by, [*self.barred]
         n_rrs = lattice.rrs_free.size
         to_delta = self._distances(lattice.delta_free, lattice.strides[:3] // n_rrs, ends // n_rrs)

@@ -103,10 +103,7 @@ def _follow(
 
 
 def solutions(lattice: Lattice, target: int, widest: float) -> tuple[Points, Points]:
-    """Points (n,) within so many tolerances of the target's criterion, and the ring of each.
-
-    Ring 0 is what the model takes for an insertion.
-    """
+    """Points (n,) within so many tolerances of the target, and their rings, 0 for an insertion."""
     task = lattice.p.task
     wide = task._replace(
         tolerance=widest * task.tolerance, angle_tolerance=widest * task.angle_tolerance

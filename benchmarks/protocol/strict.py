@@ -76,12 +76,7 @@ Seeds = Annotated[list[Annotated[int, Field(ge=0)]], AfterValidator(differ)]
 
 
 def build(cls: type[T], data: object, where: str) -> T:
-    """Build the dataclass ``cls`` from ``data``, checking every key and every value.
-
-    Args:
-        cls: a dataclass; nested dataclasses, ``dict[str, dataclass]`` and lists of them are built.
-        data: what YAML gave.
-        where: the place in words (the file) that an error names.
+    """Build the dataclass ``cls``, and those in it, from what YAML gave; errors name ``where``.
 
     Raises:
         BenchmarkError: a key is unknown or missing, or a value has the wrong type or range.

@@ -24,10 +24,7 @@ class Stopped(Exception):
 
 
 class StopFlag:
-    """True once the process was asked to end (SIGTERM or Ctrl-C), or its ``parent`` is gone.
-
-    The parent is the harness that started it; a run then saves and stops.
-    """
+    """True once the process was asked to end, or its ``parent``, the harness, is gone."""
 
     def __init__(self, parent: int | None = None) -> None:
         self.parent, self.requested = parent, False

@@ -57,11 +57,7 @@ class Cost:
 
 
 def costs(experiment: Experiment, store: Store, others: Sequence[Store] = ()) -> list[Cost]:
-    """Each cell's state and cost; ``others`` are asked where the store has no run of the kind yet.
-
-    Raises:
-        BenchmarkError: a stored run was made with other settings.
-    """
+    """Each cell's state and cost; ``others`` are asked where the store has no run of the kind."""
     own = measure(experiment, [store])
     result = []
     elsewhere: Measured | None = None
