@@ -3,26 +3,22 @@
 Exit codes: 0 done, 1 a run failed or a check found a difference, 2 bad input, 130 interrupted.
 """
 
-from __future__ import annotations
-
 import argparse
 import errno
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from rich.console import Console
 
 from benchmarks.errors import TRUSTED, BenchmarkError, at_least
 from benchmarks.protocol.presets import DEFAULT_PRESET, load_preset, preset_names
 from benchmarks.runs.backends import BACKENDS, Backend
+from benchmarks.runs.experiment import Experiment
+from benchmarks.runs.store import Store
 from benchmarks.studies import catalogue
-
-if TYPE_CHECKING:
-    from benchmarks.runs.experiment import Experiment
-    from benchmarks.runs.store import Store
 
 Given = argparse.Namespace
 Options = Mapping[str, Mapping[str, Any]]
@@ -208,30 +204,32 @@ def studies(given: Given) -> None:
 
 
 # keyword arguments of add_argument by name, as a study has them
-RESULTS: Final = {"--results": {"type": Path, "default": Path("results"), "help": "results folder"}}
-PRESET: Final = {
+RESULTS: Options = {
+    "--results": {"type": Path, "default": Path("results"), "help": "results folder"}
+}
+PRESET: Options = {
     "--preset": {"default": DEFAULT_PRESET, "help": f"{', '.join(preset_names())}, one of the "
                  f"public tasks', or the path of a .yaml file (default: {DEFAULT_PRESET})"},
 }  # fmt: skip
-OF_ONE: Final = {"--preset": {"help": "one preset (default: all with results, and all pages)"}}
-DEVICE: Final = {
+OF_ONE: Options = {"--preset": {"help": "one preset (default: all with results, and all pages)"}}
+DEVICE: Options = {
     "--device": {"choices": ("cpu", "cuda"),
                  "help": "place of the networks (default: cpu, with GPUs cuda)"},
 }  # fmt: skip
-JOBS: Final = {"--jobs": {"type": at_least(1), "help": "number of processes (default: cores)"}}
-CELL: Final = {
+JOBS: Options = {"--jobs": {"type": at_least(1), "help": "number of processes (default: cores)"}}
+CELL: Options = {
     "--cell": {"required": True, "help": "id of the cell, as `plan` lists it"},
     "--parent": {"type": int, "help": argparse.SUPPRESS},  # the harness
     "--wait": {"type": float, "default": 0.0, "help": "s to wait for another process"},
 }
-OPENED: Final[Options] = {"experiment": {}, "recipe": {}, "store": {"type": Path}}
-CLUSTER: Final = {
+OPENED: Options = {"experiment": {}, "recipe": {}, "store": {"type": Path}}
+CLUSTER: Options = {
     "--backend": {"choices": BACKENDS, "default": BACKENDS[0], "help": "place of processes"},
     "--address": {"help": "address of the Ray cluster, 'auto' for the one at hand"},
     "--gpus-per-run": {"type": float, "default": 0.0, "help": "GPUs of a run (Ray)"},
 }
-TRUST: Final = {"--trust": {"action": "store_true", "help": TRUSTED}}
-ENTRY: Final = {
+TRUST: Options = {"--trust": {"action": "store_true", "help": TRUSTED}}
+ENTRY: Options = {
     "--model": {"type": Path, "nargs": "+", "metavar": "FILE", "default": [],
                 "help": ".zip of any SB3 or sb3-contrib algorithm: one, or one per seed"},
     "--planner": {"default": "", "metavar": "NAME",
@@ -248,7 +246,7 @@ ENTRY: Final = {
     "--starts": {"type": at_least(0), "metavar": "NUMBER",
                  "help": "number of a set of new starts for stored policies, 20 episodes per seed"},
 }  # fmt: skip
-WATCH: Final = {
+WATCH: Options = {
     "--geometry": {"choices": ("initial", "optimized"),
                    "help": "geometry of the 3-RRS (default: the model's)"},
     "--model": {"type": Path, "help": "a trained model instead of the optimum"},

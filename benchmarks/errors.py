@@ -1,7 +1,5 @@
 """The one exception that a user's mistake raises; the command line turns it into exit code 2."""
 
-from __future__ import annotations
-
 import argparse
 import pkgutil
 import sys

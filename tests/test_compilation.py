@@ -1,7 +1,5 @@
 """Both packages right after an install, and where nothing can be written."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from concurrent.futures import ThreadPoolExecutor

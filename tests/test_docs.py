@@ -1,7 +1,5 @@
 """The site builds without a warning and without the network; every Python block of a page runs."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Each example runs in its short form, in an empty folder, and does what it says."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The house's rules, read from the sources: who may import whom, no paths."""
 
-from __future__ import annotations
-
 import ast
 import configparser
 import re

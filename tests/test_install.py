@@ -1,7 +1,5 @@
 """What an install brings: the wheel alone, what it declares to need, and the README's examples."""
 
-from __future__ import annotations
-
 import configparser
 import email
 import importlib.metadata as metadata

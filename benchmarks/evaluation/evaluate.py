@@ -4,8 +4,6 @@ A cell's episodes are played at each of its levels (:func:`levels`): of observat
 error of an uncertain machine, and once as the learner was trained, or with random moves.
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 from collections.abc import Callable, Sequence

@@ -5,8 +5,6 @@ loading these runs nothing. Any other file of SB3's holds pickles, and is loaded
 author is trusted.
 """
 
-from __future__ import annotations
-
 import json
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What methods share: how they act, a planner's answer, the box it searches, the peg's miss."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ an increment per newton, and presses until the force along the hole is what they
 observation alone, and of it the force, the moment, and the command.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -46,7 +44,7 @@ class Gains:
 class StiffPush:
     """Straight down, whatever is in the way."""
 
-    def __init__(self, env: CoopInsertionContactEnv, gains: Gains) -> None:
+    def __init__(self, env: "CoopInsertionContactEnv", gains: Gains) -> None:
         self.gains, self.task = gains, env.task
 
     def reset(self) -> None:

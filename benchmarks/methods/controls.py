@@ -15,8 +15,6 @@ least. Of two agents each makes the move after which it would be least if the ot
 in sight of the other of the whole potential, else the Delta of d and the 3-RRS of a.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, Final

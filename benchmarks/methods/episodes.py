@@ -1,7 +1,5 @@
 """One test episode: moves an environment and keeps what the metrics need. No torch here."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections import defaultdict

@@ -4,8 +4,6 @@ Exploring at random, a peg seldom comes down to the hole at all; the script's st
 buffer with ways that do. They count as steps of the training.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

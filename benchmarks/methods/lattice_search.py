@@ -5,8 +5,6 @@ Delta's three axes and the 3-RRS's three; only collisions couple the two. Shorte
 sub-lattice alone are therefore a lower bound that no collision-free path can beat, and a tight one.
 """
 
-from __future__ import annotations
-
 import heapq
 from typing import Any, Final, NamedTuple
 

@@ -1,7 +1,5 @@
 """Learners and their environments, built as presets set them."""
 
-from __future__ import annotations
-
 import copy
 import inspect
 import pkgutil

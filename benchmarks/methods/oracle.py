@@ -1,7 +1,5 @@
 """The exact optimum on the lattice of moves: ceiling of success, floor of time for every method."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

@@ -4,8 +4,6 @@ Both plan exactly on the nominal model. What they learn on the way are the two t
 without sensors tells: a move was refused, so that where it led is barred; the peg did not go in.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Final
 

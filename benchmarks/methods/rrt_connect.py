@@ -5,8 +5,6 @@ the six-dimensional configuration space scaled so that one move is one unit alon
 the environment's own test of validity and collision; the axes of the robot that waits are held.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Scripted ways to earn a reward: doing the task, farming the reward, moves at random."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Final
 

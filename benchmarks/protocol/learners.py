@@ -1,7 +1,5 @@
 """The learners of all presets, of the insertion task, its teams and the public tasks: one table."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

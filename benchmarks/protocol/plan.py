@@ -5,8 +5,6 @@ have none, but on an imperfect machine, and see the same test episodes. The geom
 is one cell of its own. On public tasks a cell's track is the task, and it has no geometry.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping

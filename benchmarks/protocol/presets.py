@@ -6,32 +6,18 @@ and overrides what it must, usually only ``timesteps``. ``base`` names the libra
 change; without it, the entry of the same name.
 """
 
-from __future__ import annotations
-
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import yaml
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.learners import LEARNERS, algorithm_of
-from benchmarks.protocol.strict import (
-    Arguments,
-    AtLeast0,
-    Count,
-    Names,
-    Number,
-    Positive,
-    Seeds,
-    Share,
-    Strict,
-    build,
-    differ,
-    merge,
-)
+from benchmarks.protocol.strict import Strict, build, merge
 from coop_env.geometry import RRSGeometry
 from coop_env.simulation.insertion_task import InsertionTask
 from coop_env.simulation.sim_to_real import SimToReal
@@ -58,10 +44,43 @@ CONTACT: Final = "coop_env:CoopInsertionContact-v0"
 SUITE_CONTROLS: Final = {"random": "Random", "held": "One action", "script": "Script"}
 
 
+def _from_text(value: object) -> object:
+    """YAML 1.1 reads 1e-4 as text, and a scientist means a number."""
+    if isinstance(value, str):
+        with suppress(ValueError):
+            return float(value)
+    return value
+
+
+def _numbers(value: Any) -> Any:
+    """As :data:`Number`, of each value in mappings and lists."""
+    if isinstance(value, dict):
+        return {key: _numbers(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_numbers(each) for each in value]
+    return _from_text(value)
+
+
+def _differ(values: list[Any]) -> list[Any]:
+    if not values or len(set(values)) != len(values):
+        raise ValueError("needs one value or more, no two equal")
+    return values
+
+
+Number = Annotated[float, BeforeValidator(_from_text), Field(allow_inf_nan=False)]
+Positive = Annotated[Number, Field(gt=0.0)]
+AtLeast0 = Annotated[Number, Field(ge=0.0)]
+Share = Annotated[Number, Field(ge=0.0, le=1.0)]
+Arguments = Annotated[dict[str, Any], AfterValidator(_numbers)]  # of a constructor
+Count = Annotated[int, Field(gt=0)]
+Names = Annotated[list[str], AfterValidator(_differ)]
+Seeds = Annotated[list[Annotated[int, Field(ge=0)]], AfterValidator(_differ)]
+
+
 def _levels(noise: list[float]) -> list[float]:
     if 0.0 not in noise or min(noise) < 0.0:
         raise ValueError("must hold 0.0 and no negative level")
-    return differ(noise)
+    return _differ(noise)
 
 
 def _arguments_of(kind: type[Any]) -> AfterValidator:
@@ -210,7 +229,7 @@ class Evaluation(Strict):
     noise: Annotated[list[Number], AfterValidator(_levels)] = field(
         default_factory=lambda: [0.0, 0.01]
     )
-    errors: Annotated[list[AtLeast0], AfterValidator(differ)] = field(
+    errors: Annotated[list[AtLeast0], AfterValidator(_differ)] = field(
         default_factory=lambda: [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0]
     )
     stream: Literal["final", "test", "validate"] = "validate"

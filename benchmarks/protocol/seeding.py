@@ -4,8 +4,6 @@ One root per purpose, so that no test episode can coincide with a training or va
 test episode's initial state depends on (seed, episode) alone: it is the same for every method.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

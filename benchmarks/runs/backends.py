@@ -4,8 +4,6 @@ A backend starts ``python -m benchmarks <argv>``; what the process does is the s
 it speaks to the harness through the run's folder alone.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

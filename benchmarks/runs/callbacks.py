@@ -1,7 +1,5 @@
 """What watches a training run: curriculum, the paper's curves, and the progress others see."""
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from collections import deque
@@ -12,6 +10,7 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
 from benchmarks.protocol.presets import Curriculum, Track
+from benchmarks.runs.checkpoint import Stateful
 
 ROWS: Final = 400  # rows of curve.csv at most, so that it can be committed
 REFERENCE_THRESHOLD: Final = 0.75  # the paper's "environment steps to 75 % success" ...
@@ -58,7 +57,7 @@ class CurriculumCallback(BaseCallback):
         self.stage, self.switched_at = state["stage"], state["switched_at"]
 
 
-class Recorder(BaseCallback):
+class Recorder(BaseCallback, Stateful):
     """Keeps the rows of a run's curve, and goes on from a checkpoint.
 
     ``note`` is a word on how the training goes, ``finish`` adds the last row, of the trained model,
@@ -77,12 +76,6 @@ class Recorder(BaseCallback):
 
     @abstractmethod
     def summary(self) -> dict[str, Any]: ...
-
-    @abstractmethod
-    def get_state(self) -> Any: ...
-
-    @abstractmethod
-    def set_state(self, state: Any, /) -> None: ...
 
 
 class CurveRecorder(Recorder):

@@ -1,7 +1,5 @@
 """One cell of an experiment from start to end. Runs in a process of its own, or in this one."""
 
-from __future__ import annotations
-
 import json
 import os
 import pkgutil

@@ -1,7 +1,5 @@
 """Checkpoints of a training run: exact, atomic, and set aside when they cannot be read."""
 
-from __future__ import annotations
-
 import errno
 import os
 import pickle

@@ -1,7 +1,5 @@
 """What runs cost: seconds per unit of work, as measured in the stored runs, and what is left."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ One cell is one independent run with a folder of its own. The harness starts eac
 (``benchmarks.runs.harness``), which opens the experiment again by its recipe.
 """
 
-from __future__ import annotations
-
 import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Runs what an experiment lacks: a process for each cell, one progress line per run."""
 
-from __future__ import annotations
-
 import shutil
 import signal
 import threading

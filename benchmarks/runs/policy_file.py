@@ -5,8 +5,6 @@ rest is rounded to half precision before it is tested, so that the file *is* wha
 digest of the weights as trained is kept in meta.json: two runs can be compared to the bit by it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import zipfile

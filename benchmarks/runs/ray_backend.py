@@ -4,8 +4,6 @@ Ray only places processes. A run whose worker or node is lost is placed again an
 last checkpoint; progress and results travel through the run's folder, as on one machine.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

@@ -12,8 +12,6 @@ Every file is written beside its place and renamed into it, so a reader sees the
 new one. A run is complete when its meta.json is there: it is written last.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -23,7 +21,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import pandas as pd
 import yaml
@@ -235,7 +233,7 @@ class Store:
         self.figures = self.folder / "figures"
 
     @classmethod
-    def open(cls, root: Path | str, preset: str, create: bool = False) -> Store:
+    def open(cls, root: Path | str, preset: str, create: bool = False) -> Self:
         """Open a store, or ``create`` it; BenchmarkError if it is missing or of another schema."""
         store = cls(Path(root), preset)
         marker = store.folder / "store.json"

@@ -4,8 +4,6 @@ A run is checkpointed between two rounds of collection, where model, replay buff
 callbacks agree with one another, so that a resumed run goes on as if it had never stopped.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Fixtures of the harness's tests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from multiprocessing import get_all_start_methods
 

@@ -1,7 +1,5 @@
 """Both robots at once in one environment, commanded centrally or by two agents. No torch here."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -3,8 +3,6 @@
 Only what is computed differs: replay, targets, loss and exploration are Rainbow's own.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar

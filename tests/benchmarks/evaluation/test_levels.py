@@ -1,7 +1,5 @@
 """The levels of a cell: noise, errors of an uncertain machine, and ways of acting."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Models from files: what is stored here runs nothing, what a stranger saved asks for trust."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Test episodes: what each metric counts, common initial states, noise that repeats."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

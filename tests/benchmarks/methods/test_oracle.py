@@ -1,7 +1,5 @@
 """The exact optimum, in turn and at once: its plans succeed, none shorter does."""
 
-from __future__ import annotations
-
 import itertools
 from collections import deque
 from typing import Any

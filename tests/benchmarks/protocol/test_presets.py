@@ -1,7 +1,5 @@
 """Presets are strict: whatever a file gets wrong is named, with the file and what is known."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

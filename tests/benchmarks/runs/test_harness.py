@@ -1,7 +1,5 @@
 """The scheduler: Ctrl-C and a killed harness lose nothing, failures are told, room is checked."""
 
-from __future__ import annotations
-
 import io
 import os
 import re
@@ -39,10 +37,10 @@ def long_preset(tmp_path: Path) -> Path:
     return smoke_file(tmp_path, "long", track={"timesteps": 10_000_000}, runs=runs)
 
 
-def wait_for(path: Path, seconds: float = 120.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not path.exists():
-        assert time.monotonic() < deadline, f"{path} did not appear"
+def wait_for(condition: Callable[[], Any], log: Path) -> None:
+    deadline = time.monotonic() + 120.0
+    while not condition():
+        assert time.monotonic() < deadline, log.read_text(encoding="utf-8")
         time.sleep(0.1)
 
 
@@ -54,13 +52,10 @@ def test_an_ended_harness_leaves_a_checkpoint_to_resume_from(
     words = ["run", "--preset", str(long_preset), "--results", str(tmp_path / "results")]
     process = warm.start(tmp_path / "out.txt", *words)
     run = Store(tmp_path / "results", "long").run("dqn-optimized-safe-s0")
-    wait_for(run.checkpoint / "progress.json")
+    wait_for((run.checkpoint / "progress.json").exists, tmp_path / "out.txt")
     process.send_signal(number)
     code = process.wait(100)
-    deadline = time.monotonic() + 60
-    while not checkpoints(run.checkpoint):
-        assert time.monotonic() < deadline, (run.checkpoint / "log.txt").read_text()
-        time.sleep(0.1)
+    wait_for(lambda: checkpoints(run.checkpoint), run.log)
     assert not run.is_complete()
     if number == signal.SIGINT:
         assert code == 130

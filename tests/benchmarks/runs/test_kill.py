@@ -4,8 +4,6 @@ Weights are compared bit by bit, curves and episodes byte by byte. The kills are
 process that trains; a warm server forks it, so that its imports are paid once.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import shutil

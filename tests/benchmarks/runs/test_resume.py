@@ -1,7 +1,5 @@
 """A run that was cut off ends as an uninterrupted one; damaged checkpoints are set aside."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The whole chain through the ``smoke`` preset: five methods, tables, skipping, bad input."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import importlib

@@ -3,8 +3,6 @@
 They are forks of one that has imported and compiled everything.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
