@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.compilation import njit
+from coop_env.kinematics.rrs_kernels import platform_pose
 from coop_env.kinematics.singularity import Row
-from coop_env.simulation.collision import peg_tip
+from coop_env.simulation.collision import hole, peg_tip
+from coop_env.simulation.state import Configuration, alignment_angle
 from coop_env.simulation.task import EnvParams
 
 Observations = NDArray[np.float32]
@@ -50,3 +52,11 @@ def tip_distance(effector: Row, mouth: Row, p: EnvParams) -> float:
     tip = peg_tip(effector[0], effector[1], effector[2], p.delta)
     dx, dy, dz = mouth[0] - tip[0], mouth[1] - tip[1], mouth[2] - tip[2]
     return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@njit(cache=True)
+def misses(c: Configuration, target: int, p: EnvParams) -> tuple[float, float]:
+    """Distance and angle of the peg from the target at a configuration, as the model has it."""
+    mouth, n = hole(platform_pose(c[3], c[4], c[5], p.rrs), target, p)
+    distance = tip_distance((c[0], c[1], c[2]), mouth, p)
+    return distance, alignment_angle(n[0], n[1], n[2])

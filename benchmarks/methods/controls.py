@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.methods.base import Chooser, Masks, Observations, tip_distance
+from benchmarks.methods.base import Chooser, Masks, Observations, misses
 from benchmarks.methods.episodes import Episode
 from benchmarks.protocol.presets import Controls
 from benchmarks.protocol.seeding import derive
@@ -80,14 +80,6 @@ def _scripted(method: str, episodes: Sequence[Episode], weight: float) -> Choose
         return choices(states, weight, method.startswith("lookahead"), packed)
 
     return choose
-
-
-@njit(cache=True)
-def misses(c: Configuration, target: int, p: EnvParams) -> tuple[float, float]:
-    """Distance and angle of the peg from the target at a configuration, as the model has it."""
-    mouth, n = hole(rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs), target, p)
-    distance = tip_distance((c[0], c[1], c[2]), mouth, p)
-    return distance, state.alignment_angle(n[0], n[1], n[2])
 
 
 @njit(cache=True)

@@ -31,13 +31,9 @@ def env_arguments(preset: Preset, cell: Cell, track: Track | None = None) -> dic
     given = {name: getattr(track, name) for name in names}
     given |= {"collision": track.collision} if track.collision != "refuse" else {}
     given |= {"reward_kwargs": dict(track.reward_kwargs) or None, "sim_to_real": track.sim_to_real}
-    if track.task is not None:
-        given |= {"task": dict(track.task)}
-    if track.shield is not None:
-        given |= {"shield": track.shield}
-    if track.team is not None:
-        given |= {"team": track.team}
-        given |= {} if track.team == "central" else {"sight": track.sight}
+    asked = {name: getattr(track, name) for name in ("task", "shield", "team")}
+    given |= {name: value for name, value in asked.items() if value is not None}
+    given |= {"sight": track.sight} if track.team not in (None, "central") else {}
     return {"geometry": geometry, **given}
 
 

@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.methods import lattice_search as search
-from benchmarks.methods.base import modelled, tip_distance
+from benchmarks.methods.base import misses, modelled
 from benchmarks.methods.episodes import Episode
 from benchmarks.methods.lattice_search import Lattice, Paths
 from coop_env.compilation import njit
-from coop_env.simulation import state
-from coop_env.simulation.collision import hole
 
 WIDEST: Final = 2.0  # tolerances within which a configuration is worth a visit
 RING: Final = 0.25  # tolerances between two rings, of which the inner is searched first
@@ -107,19 +105,16 @@ def solutions(lattice: Lattice, target: int, widest: float) -> tuple[Points, Poi
         tolerance=widest * task.tolerance, angle_tolerance=widest * task.angle_tolerance
     )
     points = search.goals(lattice._replace(p=lattice.p._replace(task=wide)), target)
-    misses = _misses(lattice, points, target)
-    return points, np.ceil(np.maximum(misses - 1.0, 0.0) / RING).astype(np.int64)
+    beyond = np.maximum(_tolerances(lattice, points, target) - 1.0, 0.0)
+    return points, np.ceil(beyond / RING).astype(np.int64)
 
 
 @njit(cache=True)
-def _misses(lattice: Lattice, points: np.ndarray, target: int) -> np.ndarray:
+def _tolerances(lattice: Lattice, points: np.ndarray, target: int) -> np.ndarray:
     """How many tolerances points (n,) miss the target's mouth or axis by, the larger of both."""
     p = lattice.p
     out = np.empty(len(points))
     for i in range(len(points)):
-        _, at, _, pose, _ = search.placed(lattice, search.configuration_at(lattice, points[i]))
-        mouth, n = hole(pose, target, p)
-        angle = state.alignment_angle(n[0], n[1], n[2])
-        distance = tip_distance(at, mouth, p)
+        distance, angle = misses(search.configuration_at(lattice, points[i]), target, p)
         out[i] = max(distance / p.task.tolerance, angle / p.task.angle_tolerance)
     return out

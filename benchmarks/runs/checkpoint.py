@@ -1,7 +1,6 @@
 """Checkpoints of a training run: exact, atomic, and set aside when they cannot be read."""
 
 import errno
-import os
 import pickle
 import shutil
 import time
@@ -19,7 +18,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.seeding import derive
 from benchmarks.runs import machine
-from benchmarks.runs.store import BROKEN, RunFolder
+from benchmarks.runs.store import BROKEN, RunFolder, sync
 from sb3_rainbow.resume.rng import get_rng_state, set_rng_state
 
 Model = TypeVar("Model", bound=BaseAlgorithm)
@@ -131,15 +130,6 @@ def _version() -> dict[str, Any]:
     """The code that this process runs."""
     made_with = machine.describe()
     return {"commit": made_with["commit"], "dirty": made_with["dirty"]}
-
-
-def sync(path: Path) -> None:
-    """Have a file or a folder's list of names on the disk, whatever befalls the machine next."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def checkpoints(root: Path) -> list[Path]:

@@ -36,6 +36,15 @@ PROGRESS_SECONDS: Final = 0.5  # between two reports of a run
 BROKEN: Final = "broken-"  # before the name of a checkpoint that could not be read
 
 
+def sync(path: Path) -> None:
+    """Have a file or a folder's list of names on the disk, whatever befalls the machine next."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
 def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` fill a temporary file beside ``path``, flush it, and rename it into place."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -44,8 +53,7 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
     temporary = Path(name)
     try:
         write(temporary)
-        with temporary.open("rb") as stream:
-            os.fsync(stream.fileno())
+        sync(temporary)
         temporary.chmod(0o644)
         temporary.replace(path)
     finally:
