@@ -55,7 +55,7 @@ def dome_frame(env: CoopInsertionEnv) -> Point:
 
 
 class Episode:
-    """An episode under test, from ``reset`` to its row of the results; of a seed's, a number."""
+    """Episode ``number`` of a seed under test, from ``reset`` to its row of the results."""
 
     def __init__(self, env: CoopInsertionEnv, number: int, reset_seed: int) -> None:
         self.env, self.number, self.reset_seed = env, number, reset_seed

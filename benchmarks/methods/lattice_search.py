@@ -317,7 +317,10 @@ class Paths:
         self._came_by = np.zeros(lattice.delta_free.size * lattice.rrs_free.size, np.uint8)
 
     def between(self, here: int, ends: NDArray[np.int64]) -> tuple[int, int, NDArray[np.int64]]:
-        """To the nearest of points (n,): length or INFEASIBLE or NODE_LIMIT, lower bound, moves."""
+        """A shortest path to the nearest of some points: its length, lower bound and moves.
+
+        The length may be INFEASIBLE or NODE_LIMIT, the bound -1 if none is near.
+        """
         lattice, came_by, barred = self.lattice, self._came_by, [*self.barred]
         n_rrs = lattice.rrs_free.size
         to_delta = self._distances(lattice.delta_free, lattice.strides[:3] // n_rrs, ends // n_rrs)

@@ -22,8 +22,9 @@ class LatticeOracle:
 
     Args:
         node_limit: pairs of lattice nodes to expand before giving up with ``"node_limit"``.
-        real: with sim-to-real knobs, plan on the real machine, which nobody else knows. Exact where
-            the base is displaced and the joints are coarse, without backlash, latency and luck.
+        real: with sim-to-real knobs, plan on the real machine, which nobody else knows, not on its
+            model. Exact where the base is displaced and the joints are coarse, without backlash,
+            latency and luck.
         at_once: both robots move in each tick, as in ``CoopInsertionJoint-v0``: the fewest ticks,
             and a plan of joint actions.
     """

@@ -33,7 +33,7 @@ PASSING: Final = (
 
 
 class Stateful(Protocol):
-    """A part of a run beside its model. A state of None: its episodes cannot be kept, begin new."""
+    """A part of a run beside its model; a state of None says that its episodes begin anew."""
 
     def get_state(self) -> Any: ...
 

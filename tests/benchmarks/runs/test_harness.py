@@ -24,7 +24,7 @@ from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.harness import Harness, Outcome, check_disk
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.insertion import Insertion
-from tests.benchmarks.runs.warm import Server
+from tests.benchmarks.runs.warm import Forked
 from tests.benchmarks.smoke import smoke_file, smoke_preset
 
 Refused = Callable[..., str]
@@ -44,13 +44,14 @@ def wait_for(condition: Callable[[], Any], log: Path) -> None:
         time.sleep(0.1)
 
 
+@pytest.mark.usefixtures("warm")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_ended_harness_leaves_a_checkpoint_to_resume_from(
-    number: signal.Signals, long_preset: Path, tmp_path: Path, warm: Server
+    number: signal.Signals, long_preset: Path, tmp_path: Path
 ) -> None:
     """Its run is a process of its own."""
     words = ["run", "--preset", str(long_preset), "--results", str(tmp_path / "results")]
-    process = warm.start(tmp_path / "out.txt", *words)
+    process = Forked(tmp_path / "out.txt", words)
     run = Store(tmp_path / "results", "long").run("dqn-optimized-safe-s0")
     wait_for((run.checkpoint / "progress.json").exists, tmp_path / "out.txt")
     process.send_signal(number)

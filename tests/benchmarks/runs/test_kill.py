@@ -21,13 +21,15 @@ from benchmarks.protocol.plan import expand
 from benchmarks.protocol.presets import load_preset
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.store import RunFolder, Store
-from tests.benchmarks.runs.warm import Forked, Server
+from tests.benchmarks.runs.warm import Forked
 from tests.benchmarks.smoke import smoke_file
 
 KILLS = 24  # by the clock; the task asks for 20
 INSIDE = 12  # of these, surely inside training
 CRASHES = 10  # at file operations, half of them among the last
 GIVE_UP = 200  # attempts
+
+pytestmark = pytest.mark.usefixtures("warm")
 
 
 def left_by(run: RunFolder) -> dict[str, Any]:
@@ -79,22 +81,22 @@ def cells(preset: Path) -> list[str]:
     return [cell.id for cell in expand(load_preset(str(preset)))]
 
 
-def train(warm: Server, preset: Path, cell: str, results: Path, crash: int | None = None) -> Forked:
+def train(preset: Path, cell: str, results: Path, crash: int | None = None) -> Forked:
     results.mkdir(parents=True, exist_ok=True)
     words = ["train", "--preset", str(preset), "--results", str(results), "--cell", cell]
-    return warm.start(results / "log.txt", *words, crash=crash)
+    return Forked(results / "log.txt", words, crash)
 
 
 @pytest.fixture(scope="module")
 def uninterrupted(
-    warm: Server, preset: Path, cells: list[str], tmp_path_factory: pytest.TempPathFactory
+    preset: Path, cells: list[str], tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, tuple[dict[str, Any], float]]:
     """Each cell's result and its duration in seconds."""
     ended = {}
     for cell in cells:
         results = tmp_path_factory.mktemp("uninterrupted")
         began = time.monotonic()
-        assert train(warm, preset, cell, results).wait() == 0, (results / "log.txt").read_text()
+        assert train(preset, cell, results).wait() == 0, (results / "log.txt").read_text()
         ended[cell] = left_by(Store(results, "kill").run(cell)), time.monotonic() - began
     return ended
 
@@ -105,7 +107,6 @@ def newest(run: RunFolder) -> int:
 
 
 def test_kills_at_random_moments_change_nothing(
-    warm: Server,
     preset: Path,
     cells: list[str],
     uninterrupted: dict[str, tuple[dict[str, Any], float]],
@@ -121,7 +122,7 @@ def test_kills_at_random_moments_change_nothing(
         results = scratch / str(completed)
         run = Store(results, "kill").run(cell)
         before = newest(run)
-        process = train(warm, preset, cell, results)
+        process = train(preset, cell, results)
         time.sleep(rng.uniform(0.0, 0.4 * seconds))
         # every sixth time the run is asked to stop, as Ctrl-C does
         number = signal.SIGKILL if attempt % 6 else rng.choice([signal.SIGTERM, signal.SIGINT])
@@ -143,7 +144,6 @@ def test_kills_at_random_moments_change_nothing(
 
 
 def test_a_kill_at_any_file_operation_changes_nothing(
-    warm: Server,
     preset: Path,
     cells: list[str],
     uninterrupted: dict[str, tuple[dict[str, Any], float]],
@@ -151,7 +151,7 @@ def test_a_kill_at_any_file_operation_changes_nothing(
 ) -> None:
     cell = cells[0]
     expected, _ = uninterrupted[cell]
-    assert train(warm, preset, cell, scratch / "count", crash=-1).wait() == 0
+    assert train(preset, cell, scratch / "count", crash=-1).wait() == 0
     operations = int((scratch / "count" / "log.txt.count").read_text(encoding="utf-8"))
     assert operations > 40
     rng = random.Random(1)
@@ -160,10 +160,10 @@ def test_a_kill_at_any_file_operation_changes_nothing(
     points = rng.sample(range(last.start), CRASHES // 2) + rng.sample(last, CRASHES // 2)
     for point in points:
         results = scratch / str(point)
-        code = train(warm, preset, cell, results, crash=point).wait()
+        code = train(preset, cell, results, crash=point).wait()
         # how many checkpoints there are depends on the clock, so the very last may not come
         assert code == -signal.SIGKILL or (code == 0 and point > operations / 2)
-        assert train(warm, preset, cell, results).wait() == 0, (results / "log.txt").read_text()
+        assert train(preset, cell, results).wait() == 0, (results / "log.txt").read_text()
         run = Store(results, "kill").run(cell)
         assert left_by(run) == expected
         assert not list(run.path.rglob("*.tmp*"))

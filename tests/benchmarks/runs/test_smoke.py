@@ -14,7 +14,7 @@ import pytest
 from benchmarks.cli import main
 from benchmarks.reporting.results import Results
 from benchmarks.runs.store import SCHEMA, Store
-from tests.benchmarks.runs.warm import Server
+from tests.benchmarks.runs.warm import children
 from tests.benchmarks.smoke import SMALL, preset_file, smoke_file
 
 Capture = pytest.CaptureFixture[str]
@@ -24,9 +24,9 @@ RUNS |= {f"{planner}-optimized-s0" for planner in ("rrt_connect", "optimum")}
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory, warm: Server) -> Path:
+def results(tmp_path_factory: pytest.TempPathFactory, warm: None) -> Path:
     folder, out = tmp_path_factory.mktemp("results"), io.StringIO()
-    with warm.children(), contextlib.redirect_stdout(out):
+    with children(), contextlib.redirect_stdout(out):
         assert main(["run", "--preset", "smoke", "--results", str(folder), "--jobs", "2"]) == 0
     for title in ("Performance, safe", "Tables (CSV, Markdown, LaTeX)"):
         assert title in out.getvalue()
