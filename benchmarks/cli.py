@@ -3,28 +3,25 @@
 Exit codes: 0 done, 1 a run failed or a check found a difference, 2 bad input, 130 interrupted.
 """
 
-from __future__ import annotations
-
 import argparse
 import errno
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from rich.console import Console
 
 from benchmarks.errors import TRUSTED, BenchmarkError, at_least
 from benchmarks.protocol.presets import DEFAULT_PRESET, load_preset, preset_names
 from benchmarks.runs.backends import BACKENDS, Backend
+from benchmarks.runs.experiment import Experiment
+from benchmarks.runs.store import Store
 from benchmarks.studies import catalogue
 
-if TYPE_CHECKING:
-    from benchmarks.runs.experiment import Experiment
-    from benchmarks.runs.store import Store
-
 Given = argparse.Namespace
+Options = Mapping[str, Mapping[str, Any]]
 MISPLACED: Final = (NotADirectoryError, FileExistsError, PermissionError)
 
 
@@ -64,8 +61,7 @@ def run(given: Given) -> int:
     """Everything: what is missing is run, then tables and figures are written."""
     from benchmarks.runs.harness import Harness
 
-    device = given.device or ("cuda" if given.gpus_per_run else "cpu")
-    _check_device(given)
+    device = _device(given, given.gpus_per_run)
     console, (one, store) = Console(soft_wrap=True), _open(given, create=True)
     with store.lock(), closing(_backend(given)) as backend:
         console.print(f"{backend.describe()}, networks on {device}", markup=False)
@@ -73,17 +69,18 @@ def run(given: Given) -> int:
         return outcome.close(store, console, lambda: one.report(store, console))
 
 
-def _check_device(given: Given) -> None:
-    """Refuse a GPU that no run could use, before each of them fails for itself."""
+def _device(given: Given, gpus_per_run: float = 0.0) -> str:
+    """Where networks live; a GPU that no run could use is refused before each fails for itself."""
     from benchmarks.runs.cell import check_gpu
 
-    wanted = given.device or ("cuda" if getattr(given, "gpus_per_run", 0.0) else "cpu")
-    if wanted == "cuda" and catalogue.experiment(given.preset).place:
+    device = given.device or ("cuda" if gpus_per_run else "cpu")
+    if device == "cuda" and catalogue.experiment(given.preset).place:
         raise BenchmarkError(
             "cuda: public tasks run on the CPU; leave out --device, --gpus-per-run"
         )
     if getattr(given, "backend", "") != "ray":
         check_gpu(given.device)
+    return device
 
 
 def _backend(given: Given) -> Backend:
@@ -100,12 +97,10 @@ def _backend(given: Given) -> Backend:
 
 def plan(given: Given) -> None:
     """The cells of a preset, whether they are complete, and what they cost."""
-    from benchmarks.runs.backends import default_jobs
     from benchmarks.runs.costs import print_plan
 
-    jobs = default_jobs() if given.jobs is None else given.jobs
     one = catalogue.experiment(given.preset)
-    print_plan(one, given.results, jobs, Console(soft_wrap=True))
+    print_plan(one, given.results, Backend(given.jobs).slots, Console(soft_wrap=True))
 
 
 def train(given: Given) -> int:
@@ -114,11 +109,10 @@ def train(given: Given) -> int:
     from benchmarks.runs.harness import shown
 
     one = catalogue.experiment(given.preset)
-    cell = one.find(given.cell)  # before anything is written
-    _check_device(given)
+    cell, device = one.find(given.cell), _device(given)  # before anything is written
     store = one.open_store(given.results, create=True)
     with shown(store.run(cell.id), Console(soft_wrap=True)):
-        return run_here(one, store, cell.id, given.parent, given.wait, given.device or "cpu")
+        return run_here(one, store, cell.id, given.parent, given.wait, device)
 
 
 def cell(given: Given) -> int:
@@ -131,6 +125,7 @@ def cell(given: Given) -> int:
 
 def evaluate(given: Given) -> int:
     """Score a model or planner of one's own for the leaderboard, or stored policies again."""
+    console = Console(soft_wrap=True)
     if given.model or given.planner:
         from benchmarks.studies.scoring.entries import glance, score
 
@@ -140,7 +135,7 @@ def evaluate(given: Given) -> int:
         source = given.model[0].stem if given.model else given.planner.partition(":")[2]
         given.name = given.name or source or given.planner
         if given.episodes is None:
-            score(preset, given, Console(soft_wrap=True))
+            score(preset, given, console)
             return 0
         for line in glance(preset, given):
             print(line)
@@ -153,8 +148,7 @@ def evaluate(given: Given) -> int:
         )
     from benchmarks.studies.scoring.scores import Replay, score_again
 
-    replay = Replay(given.preset, given.results, given.episodes, given.starts)
-    return score_again(replay, Console(soft_wrap=True))
+    return score_again(Replay(given.preset, given.results, given.episodes, given.starts), console)
 
 
 def _of_stored(method: str) -> Callable[[Given], None]:
@@ -209,75 +203,74 @@ def studies(given: Given) -> None:
         print(f"{name:15} {text}")
 
 
-RESULTS: Final = (
-    ("--results",),
-    {"type": Path, "default": Path("results"), "help": "results folder"},
-)
-PRESET: Final = (
-    ("--preset",),
-    {"default": DEFAULT_PRESET, "help": f"{', '.join(preset_names())}, one of the public tasks', "
-     f"or the path of a .yaml file (default: {DEFAULT_PRESET})"},
-)  # fmt: skip
-DEVICE: Final = (
-    ("--device",),
-    {"choices": ("cpu", "cuda"), "help": "place of the networks (default: cpu, with GPUs cuda)"},
-)
-JOBS: Final = (("--jobs",), {"type": at_least(1), "help": "number of processes (default: cores)"})
-CELL: Final = (
-    (("--cell",), {"required": True, "help": "id of the cell, as `plan` lists it"}),
-    (("--parent",), {"type": int, "help": argparse.SUPPRESS}),  # the harness
-    (("--wait",), {"type": float, "default": 0.0, "help": "s to wait for another process"}),
-)
-CLUSTER: Final = (
-    (("--backend",), {"choices": BACKENDS, "default": BACKENDS[0], "help": "place of processes"}),
-    (("--address",), {"help": "address of the Ray cluster, 'auto' for the one at hand"}),
-    (("--gpus-per-run",), {"type": float, "default": 0.0, "help": "GPUs of a run (Ray)"}),
-)
-TRUST: Final = (("--trust",), {"action": "store_true", "help": TRUSTED})
-ENTRY: Final = (
-    (("--model",), {"type": Path, "nargs": "+", "metavar": "FILE", "default": [],
-     "help": ".zip of any SB3 or sb3-contrib algorithm: one, or one per seed"}),
-    (("--planner",), {"default": "", "metavar": "NAME",
-     "help": "optimum, or module:function of your own"}),
-    (("--name",), {"help": "name on the leaderboard (default: the file's)"}),
-    (("--algorithm", "--algo"), {"help": "class of the model (default: the file's)"}),
-    TRUST,
-    (("--mask-singularities",),
-     {"action": "store_true", "help": "mask collisions and singular moves"}),
-    (("--mask-visited",),
-     {"type": at_least(0), "default": 0, "metavar": "N", "help": "mask the last N configurations"}),
-    (("--replace",), {"action": "store_true", "help": "overwrite the stored entry of this name"}),
-    (("--episodes",), {"type": at_least(1), "metavar": "N",
-     "help": "test episodes per seed, for a look: nothing joins the leaderboard"}),
-    (("--starts",), {"type": at_least(0), "metavar": "NUMBER",
-     "help": "number of a set of new starts for stored policies, 20 episodes per seed"}),
-)  # fmt: skip
-WATCH: Final = (
-    (("--geometry",), {"choices": ("initial", "optimized"),
-     "help": "geometry of the 3-RRS (default: the model's)"}),
-    (("--model",), {"type": Path, "help": "a trained model instead of the optimum"}),
-    TRUST,
-    (("--twin",), {"action": "store_true", "help": "masses, servos and contact (MuJoCo)"}),
-    (("--host",), {"default": "127.0.0.1", "help": "address to listen on"}),
-    (("--port",), {"type": int, "default": 8080, "help": "port to listen on"}),
-)  # fmt: skip
-OF_ONE: Final = (("--preset",), {"help": "one preset (default: all with results, and all pages)"})
-HIDDEN: Final[tuple[Any, ...]] = tuple(((name,), {}) for name in ("experiment", "recipe"))
-#: verb -> function, help, arguments
-VERBS: Final[dict[str, tuple[Callable[[Given], Any], str, tuple[Any, ...]]]] = {
+# keyword arguments of add_argument by name, as a study has them
+RESULTS: Options = {
+    "--results": {"type": Path, "default": Path("results"), "help": "results folder"}
+}
+PRESET: Options = {
+    "--preset": {"default": DEFAULT_PRESET, "help": f"{', '.join(preset_names())}, one of the "
+                 f"public tasks', or the path of a .yaml file (default: {DEFAULT_PRESET})"},
+}  # fmt: skip
+OF_ONE: Options = {"--preset": {"help": "one preset (default: all with results, and all pages)"}}
+DEVICE: Options = {
+    "--device": {"choices": ("cpu", "cuda"),
+                 "help": "place of the networks (default: cpu, with GPUs cuda)"},
+}  # fmt: skip
+JOBS: Options = {"--jobs": {"type": at_least(1), "help": "number of processes (default: cores)"}}
+CELL: Options = {
+    "--cell": {"required": True, "help": "id of the cell, as `plan` lists it"},
+    "--parent": {"type": int, "help": argparse.SUPPRESS},  # the harness
+    "--wait": {"type": float, "default": 0.0, "help": "s to wait for another process"},
+}
+OPENED: Options = {"experiment": {}, "recipe": {}, "store": {"type": Path}}
+CLUSTER: Options = {
+    "--backend": {"choices": BACKENDS, "default": BACKENDS[0], "help": "place of processes"},
+    "--address": {"help": "address of the Ray cluster, 'auto' for the one at hand"},
+    "--gpus-per-run": {"type": float, "default": 0.0, "help": "GPUs of a run (Ray)"},
+}
+TRUST: Options = {"--trust": {"action": "store_true", "help": TRUSTED}}
+ENTRY: Options = {
+    "--model": {"type": Path, "nargs": "+", "metavar": "FILE", "default": [],
+                "help": ".zip of any SB3 or sb3-contrib algorithm: one, or one per seed"},
+    "--planner": {"default": "", "metavar": "NAME",
+                  "help": "optimum, or module:function of your own"},
+    "--name": {"help": "name on the leaderboard (default: the file's)"},
+    "--algorithm": {"help": "class of the model (default: the file's)"},
+    **TRUST,
+    "--mask-singularities": {"action": "store_true", "help": "mask collisions and singular moves"},
+    "--mask-visited": {"type": at_least(0), "default": 0, "metavar": "N",
+                       "help": "mask the last N configurations"},
+    "--replace": {"action": "store_true", "help": "overwrite the stored entry of this name"},
+    "--episodes": {"type": at_least(1), "metavar": "N",
+                   "help": "test episodes per seed, for a look: nothing joins the leaderboard"},
+    "--starts": {"type": at_least(0), "metavar": "NUMBER",
+                 "help": "number of a set of new starts for stored policies, 20 episodes per seed"},
+}  # fmt: skip
+WATCH: Options = {
+    "--geometry": {"choices": ("initial", "optimized"),
+                   "help": "geometry of the 3-RRS (default: the model's)"},
+    "--model": {"type": Path, "help": "a trained model instead of the optimum"},
+    **TRUST,
+    "--twin": {"action": "store_true", "help": "masses, servos and contact (MuJoCo)"},
+    "--host": {"default": "127.0.0.1", "help": "address to listen on"},
+    "--port": {"type": int, "default": 8080, "help": "port to listen on"},
+}  # fmt: skip
+#: verb -> function, help, options
+VERBS: Final[dict[str, tuple[Callable[[Given], Any], str, Options]]] = {
     "run": (run, "missing runs, then tables and figures",
-            (PRESET, RESULTS, JOBS, DEVICE, *CLUSTER)),
-    "plan": (plan, "cells of a preset, their state and cost", (PRESET, RESULTS, JOBS)),
-    "train": (train, "one cell in this process", (PRESET, RESULTS, *CELL, DEVICE)),
+            {**PRESET, **RESULTS, **JOBS, **DEVICE, **CLUSTER}),
+    "plan": (plan, "cells of a preset, their state and cost", {**PRESET, **RESULTS, **JOBS}),
+    "train": (train, "one cell in this process", {**PRESET, **RESULTS, **CELL, **DEVICE}),
     "evaluate": (evaluate, "a --model or --planner of your own on the leaderboard, or stored "
-                 "policies again", (PRESET, RESULTS, *ENTRY)),
-    "tables": (_of_stored("write_tables"), "tables from stored runs", (PRESET, RESULTS)),
-    "figures": (_of_stored("write_figures"), "figures from stored runs", (PRESET, RESULTS)),
-    "report": (report, "tables, figures, README and docs from stored data", (OF_ONE, RESULTS)),
-    "verify": (verify, "comparison of tables, README and docs with stored data", (OF_ONE, RESULTS)),
-    "watch": (watch, "the optimum or a policy in the browser", (RESULTS, *WATCH)),
-    "study": (studies, "one of the studies: study NAME --help; alone, their names", ()),
-    "cell": (cell, "", (*HIDDEN, (("store",), {"type": Path}), *CELL, DEVICE)),
+                 "policies again", {**PRESET, **RESULTS, **ENTRY}),
+    "tables": (_of_stored("write_tables"), "tables from stored runs", {**PRESET, **RESULTS}),
+    "figures": (_of_stored("write_figures"), "figures from stored runs", {**PRESET, **RESULTS}),
+    "report": (report, "tables, figures, README and docs from stored data", {**OF_ONE, **RESULTS}),
+    "verify": (verify, "comparison of tables, README and docs with stored data",
+               {**OF_ONE, **RESULTS}),
+    "watch": (watch, "the optimum or a policy in the browser", {**RESULTS, **WATCH}),
+    "study": (studies, "one of the studies: study NAME --help; alone, their names", {}),
+    "cell": (cell, "", {**OPENED, **CELL, **DEVICE}),
 }  # fmt: skip
 
 
@@ -285,10 +278,10 @@ def parser() -> argparse.ArgumentParser:
     """The parser of all verbs."""
     result = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     verbs = result.add_subparsers(required=True, metavar="verb")
-    for name, (command, text, arguments) in VERBS.items():
+    for name, (command, text, options) in VERBS.items():
         texts: dict[str, Any] = {"help": text, "description": text} if text else {}
         verb = verbs.add_parser(name, **texts)
-        for flags, settings in arguments:
-            verb.add_argument(*flags, **settings)
+        for option, settings in options.items():
+            verb.add_argument(option, **settings)
         verb.set_defaults(command=command)
     return result

@@ -1,7 +1,5 @@
 """The one exception that a user's mistake raises; the command line turns it into exit code 2."""
 
-from __future__ import annotations
-
 import argparse
 import pkgutil
 import sys
@@ -21,11 +19,7 @@ def known(names: Iterable[str]) -> str:
 
 
 def resolve(name: str, what: str) -> Any:
-    """What ``module:name`` names, from the current folder or what is installed.
-
-    Raises:
-        BenchmarkError: it cannot be imported.
-    """
+    """What ``module:name`` names, or BenchmarkError; the current folder is searched too."""
     if "" not in sys.path:
         sys.path.insert(0, "")  # a console script does not look into the current folder
     try:

@@ -1,7 +1,5 @@
 """Processes that tests start, and the files that git tracks."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Both packages right after an install, and where nothing can be written."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from concurrent.futures import ThreadPoolExecutor
@@ -14,9 +12,7 @@ import pytest
 import sb3_rainbow
 from coop_env import compilation
 from coop_env.compilation import njit
-from tests.process import python
-
-ROOT = Path(__file__).resolve().parent.parent
+from tests.process import ROOT, python
 
 # Says when numba compiles for the first time.
 BEGINS = """

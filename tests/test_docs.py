@@ -1,7 +1,5 @@
 """The site builds without a warning and without the network; every Python block of a page runs."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path
@@ -10,9 +8,8 @@ from typing import Any
 import pytest
 
 from docs.screens import LONGEST, browser, measure
-from tests.process import python
+from tests.process import ROOT, python
 
-ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted((ROOT / "docs").glob("*.md"))
 WHOLE = "WHOLE" in os.environ  # as `make examples` runs them: trainings whole, scores compared
 if WHOLE:
@@ -83,10 +80,7 @@ def test_pages_are_short_and_fit_a_window_and_a_phone(site: Path) -> None:
     "page", [p for p in PAGES if "```python" in p.read_text("utf-8")], ids=lambda page: page.stem
 )
 def test_the_blocks_of_a_page_run(
-    page: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Each alone, as a script; those of the README, `test_install` runs."""
     if page.stem in ("contact", "physics_task"):

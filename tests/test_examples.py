@@ -1,7 +1,5 @@
 """Each example runs in its short form, in an empty folder, and does what it says."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -10,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from sb3_rainbow import Rainbow
-from tests.process import python
+from tests.process import ROOT, python
 
-ROOT = Path(__file__).resolve().parent.parent
 NOTEBOOK = ROOT / "examples" / "rainbow.ipynb"
 STEPS = 200  # of the notebook's trainings: past their first updates
 # the short form's number, what is printed, what is left behind

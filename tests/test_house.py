@@ -1,7 +1,5 @@
 """The house's rules, read from the sources: who may import whom, no paths."""
 
-from __future__ import annotations
-
 import ast
 import configparser
 import re
@@ -13,9 +11,8 @@ import yaml
 
 import coop_env
 import sb3_rainbow
-from tests.process import tracked
+from tests.process import ROOT, tracked
 
-ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("sb3_rainbow", "coop_env", "benchmarks")
 
 # Each floor may import from itself and from those before it, never from those after it.

@@ -1,7 +1,5 @@
 """What an install brings: the wheel alone, what it declares to need, and the README's examples."""
 
-from __future__ import annotations
-
 import configparser
 import email
 import importlib.metadata as metadata
@@ -22,10 +20,9 @@ from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
 from benchmarks.runs.backends import spawn
-from tests.process import python
+from tests.process import ROOT, python
 from tests.test_docs import python_blocks
 
-ROOT = Path(__file__).resolve().parent.parent
 SHIPPED = ("setup.cfg", "pyproject.toml", "README.md", "LICENSE")
 PACKAGES = ("sb3_rainbow", "coop_env", "benchmarks")
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -4,8 +4,6 @@ A cell's episodes are played at each of its levels (:func:`levels`): of observat
 error of an uncertain machine, and once as the learner was trained, or with random moves.
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 from collections.abc import Callable, Sequence
@@ -32,7 +30,6 @@ Rows = list[dict[str, object]]
 OnProgress = Callable[[float], None]  # hears which share is done
 #: plays all these episodes, which are under one condition
 Player = Callable[[Sequence[Episode], "Condition", OnProgress], None]
-SEES_THE_STATE = ("random", "greedy", "lookahead")
 
 
 def no_progress(share: float) -> None:
@@ -41,21 +38,14 @@ def no_progress(share: float) -> None:
 
 @dataclass(frozen=True)
 class Condition:
-    """One of the conditions under which a cell's test episodes are played.
+    """One of the conditions under which a cell's test episodes are played."""
 
-    Attributes:
-        arguments: of the environments.
-        noise: standard deviation of the noise on the normalized observations.
-        columns: what the rows of episodes.csv say of it beside the noise.
-    """
-
-    arguments: dict[str, Any]
-    noise: float = 0.0
-    columns: dict[str, object] = field(default_factory=dict)
+    arguments: dict[str, Any]  # of the environments
+    noise: float = 0.0  # standard deviation, of the normalized observations
+    columns: dict[str, object] = field(default_factory=dict)  # of episodes.csv, beside the noise
 
     @property
     def exploring(self) -> bool:
-        """Whether the method acts as it was trained, or with random moves."""
         return self.columns.get("acting") == EXPLORING
 
 
@@ -69,19 +59,18 @@ def levels(preset: Preset, cell: Cell) -> list[Condition]:
     tests, track = preset.evaluation, preset.tracks[cell.track] if cell.track else None
     arguments = env_arguments(preset, cell, track)
     if track is not None and track.sim_to_real is not None:
-        machine = SimToReal(**track.sim_to_real)
+        machine, own = SimToReal(**track.sim_to_real), own_error(track.sim_to_real)
         result = [
             Condition(
                 {**arguments, "sim_to_real": displaced(machine, error)}, 0.0, {"error": error}
             )
             for error in tests.errors
         ]
-        main = next(
-            each for each in result if each.columns["error"] == own_error(track.sim_to_real)
-        )
+        main = next(each for each in result if each.columns["error"] == own)
     else:
-        sees = cell.plans or cell.method in SEES_THE_STATE
-        result = [Condition(arguments, noise) for noise in ([0.0] if sees else tests.noise)]
+        sees_the_state = cell.plans or cell.method in ("random", "greedy", "lookahead")
+        levels_of_noise = [0.0] if sees_the_state else tests.noise
+        result = [Condition(arguments, noise) for noise in levels_of_noise]
         main = result[0]
     if tests.exploring and explores(cell.method):
         return [*result, replace(main, noise=0.0, columns={**main.columns, "acting": EXPLORING})]
@@ -106,7 +95,6 @@ def evaluate_cell(
     """Rows of all test episodes of a cell, at each of its levels.
 
     Args:
-        progress: hears which share is done.
         starts: the episodes begin where that number says, not at the preset's starts.
         model: the trained model of a learner.
     """
@@ -163,9 +151,8 @@ def _player(preset: Preset, cell: Cell, model: Any) -> Player:
             if at.exploring:  # all that the model then draws follows from the cell's seed
                 set_random_seed(derive("explore", cell.seed))
                 model.action_space.seed(derive("explore", cell.seed))
-            policy = model_policy(model, not at.exploring)
+            policy, env = model_policy(model, not at.exploring), episodes[0].env
             if preset.tracks[cell.track].rows > 1:
-                env = episodes[0].env
                 assert isinstance(env, DecentralizedEnv)
                 policy = each_for_itself(policy, env)
             by_policy(policy, cell.seed)(episodes, at, progress)
@@ -184,13 +171,7 @@ def _player(preset: Preset, cell: Cell, model: Any) -> Player:
 def with_random_moves(
     choose: Chooser, generators: Sequence[np.random.Generator], share: float = RANDOM_MOVES
 ) -> Chooser:
-    """A script that makes a random allowed move in place of its own now and then.
-
-    Args:
-        choose: the script.
-        generators: of the random moves, one for each episode.
-        share: of moves that are random.
-    """
+    """A script of whose moves a share is random among the allowed; a generator for each episode."""
 
     def explore(observations: Observations, masks: Masks, running: Sequence[int]) -> NDArray[Any]:
         actions = np.array(choose(observations, masks, running))
@@ -223,13 +204,8 @@ def play_together(
 ) -> None:
     """Play all episodes side by side until each is over: a network is asked once per move.
 
-    Args:
-        choose: who acts.
-        episodes: fresh episodes.
-        noise: standard deviation of Gaussian noise on the normalized observations; clipped to
-            [0, 1] like the observations themselves.
-        noise_seed: of the noise, drawn per episode so that it is the same for every method.
-        progress: hears before each move which share of the episodes is over.
+    Gaussian ``noise`` (standard deviation) is added to the normalized observations, which are
+    clipped to [0, 1]. It is drawn per episode, so that it is the same for every method.
     """
     generators = [np.random.default_rng((noise_seed, episode.number)) for episode in episodes]
     while running := [i for i, episode in enumerate(episodes) if not episode.over]:
@@ -245,10 +221,7 @@ def play_together(
 
 
 def model_policy(model: Any, deterministic: bool = True) -> Policy:
-    """Actions of an SB3 model, greedy or as in training.
-
-    Masks go to models whose ``predict`` takes them.
-    """
+    """Actions of an SB3 model, greedy or as in training, with masks if its ``predict`` has them."""
     takes_masks = "action_masks" in inspect.signature(model.predict).parameters
 
     def act(observations: Observations, masks: Masks) -> NDArray[Any]:

@@ -5,8 +5,6 @@ loading these runs nothing. Any other file of SB3's holds pickles, and is loaded
 author is trusted.
 """
 
-from __future__ import annotations
-
 import json
 import zipfile
 from pathlib import Path
@@ -36,7 +34,6 @@ _POLICIES: Final = {
     "sb3_contrib.ars.": "ars",
     "stable_baselines3.dqn.": "dqn",
 }
-OBSERVATIONS: Final = ("paper", "markov")
 
 
 def algorithms() -> dict[str, Any]:
@@ -51,12 +48,7 @@ def algorithms() -> dict[str, Any]:
 
 
 def detect_algorithm(path: Path) -> str:
-    """The algorithm whose ``save`` wrote the file.
-
-    Raises:
-        BenchmarkError: the file is no model of SB3, or of an algorithm that is not known here or
-            cannot be told.
-    """
+    """The algorithm whose ``save`` wrote the file; BenchmarkError if that cannot be told."""
     if is_model_file(path):
         return "rainbow"
     try:
@@ -87,18 +79,13 @@ def detect_algorithm(path: Path) -> str:
 def _plain_settings(path: Path) -> dict[str, Any]:
     """Settings of a model that SB3 saved; those that are no JSON stay the text of their pickle."""
     with zipfile.ZipFile(path) as archive:
-        result: dict[str, Any] = json.loads(archive.read("data"))
-    return result
+        return dict(json.loads(archive.read("data")))
 
 
 def load_stored(path: Path) -> Any:
-    """The policy of a run, on the CPU, built anew from the run's config.yaml.
+    """The policy of a run's policy.zip, on the CPU, built anew from the config.yaml beside it.
 
-    Of the file only the policy's arrays are read, by torch's ``weights_only=True``, and how much it
-    explores: its pickles stay closed.
-
-    Args:
-        path: the run's policy.zip.
+    Only the policy's arrays are read, by torch's ``weights_only=True``, and how much it explores.
 
     Raises:
         BenchmarkError: the settings are no learner's, or the policy is not theirs.
@@ -138,8 +125,7 @@ def load_model(path: Path, algorithm: str | None = None, trust: bool = False) ->
         trust: whether to load what SB3 saved, which **runs its author's code**.
 
     Raises:
-        BenchmarkError: the algorithm is unknown, or the file is missing, not its model, or of an
-            author who has to be trusted.
+        BenchmarkError: there is no such algorithm or file, or it will not do, or needs trust.
     """
     choices = algorithms()
     if algorithm is not None and algorithm not in choices:
@@ -165,20 +151,13 @@ def load_model(path: Path, algorithm: str | None = None, trust: bool = False) ->
         )
     try:
         return choices[name].load(path, device="cpu")
-    except (
-        AttributeError, ImportError, KeyError, RuntimeError, TypeError, ValueError,
-        zipfile.BadZipFile,
-    ) as error:  # fmt: skip
+    except Exception as error:  # whatever a class makes of another's file
         raise BenchmarkError(f"{path} is no model of '{name}': {error}") from error
 
 
 def fitting_observation(model: Any, path: Path) -> str:
-    """Which of the environment's observations a model was trained on.
-
-    Raises:
-        BenchmarkError: its observations or its actions are not those of the task.
-    """
-    envs = {name: CoopInsertionEnv(observation=name) for name in OBSERVATIONS}
+    """Which of the task's observations a model was trained on; BenchmarkError if none of them."""
+    envs = {name: CoopInsertionEnv(observation=name) for name in ("paper", "markov")}
     actions = envs["paper"].action_space
     if model.action_space != actions:
         raise BenchmarkError(

@@ -1,7 +1,5 @@
 """What methods share: how they act, a planner's answer, the box it searches, the peg's miss."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coop_env.compilation import njit
+from coop_env.kinematics.rrs_kernels import platform_pose
 from coop_env.kinematics.singularity import Row
-from coop_env.simulation.collision import peg_tip
+from coop_env.simulation.collision import hole, peg_tip
+from coop_env.simulation.state import Configuration, alignment_angle
 from coop_env.simulation.task import EnvParams
 
 Observations = NDArray[np.float32]
@@ -25,17 +25,16 @@ Chooser = Callable[[Observations, Masks, Sequence[int]], NDArray[Any]]
 
 @dataclass(frozen=True)
 class Plan:
-    """A planner's answer for the environment's current target; planning leaves it alone.
+    """A planner's answer for the environment's current target; planning leaves it alone."""
 
-    Attributes:
-        status: ``"solved"``, or why there is no plan.
-        moves: (n,) actions to execute in order, or None without a plan.
-        seconds: wall-clock time of the planning call.
-    """
+    status: str  # "solved", or why there is no plan
+    moves: NDArray[np.int64] | None  # (n,) actions to execute in order, or None without a plan
+    seconds: float  # wall-clock time of the planning call
 
-    status: str
-    moves: NDArray[np.int64] | None
-    seconds: float
+
+def modelled(p: EnvParams) -> EnvParams:
+    """The parameters of the machine as its controller's model has it."""
+    return p._replace(task=p.task._replace(imperfect=False))
 
 
 def workspace(p: EnvParams) -> NDArray[np.float64]:
@@ -53,3 +52,11 @@ def tip_distance(effector: Row, mouth: Row, p: EnvParams) -> float:
     tip = peg_tip(effector[0], effector[1], effector[2], p.delta)
     dx, dy, dz = mouth[0] - tip[0], mouth[1] - tip[1], mouth[2] - tip[2]
     return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@njit(cache=True)
+def misses(c: Configuration, target: int, p: EnvParams) -> tuple[float, float]:
+    """Distance and angle of the peg from the target at a configuration, as the model has it."""
+    mouth, n = hole(platform_pose(c[3], c[4], c[5], p.rrs), target, p)
+    distance = tip_distance((c[0], c[1], c[2]), mouth, p)
+    return distance, alignment_angle(n[0], n[1], n[2])

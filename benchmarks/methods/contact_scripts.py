@@ -5,8 +5,6 @@ an increment per newton, and presses until the force along the hole is what they
 observation alone, and of it the force, the moment, and the command.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -30,35 +28,23 @@ NEWTON_METRES: Final = 0.05
 
 @dataclass(frozen=True)
 class Gains:
-    """What decides how a script moves; each uses what it needs.
+    """What decides how a script moves; each uses what it needs."""
 
-    Attributes:
-        hold: force along the hole at which the command stands still, N.
-        give: increments of depth per N beside that.
-        yielding: increments to the side per N across the peg.
-        touch: a force along the hole beyond this is contact, N.
-        guide: increments per mm by which the contact lies beside the tip.
-        pitch: between two turns of the spiral, m.
-        pace: of the spiral, increments per step.
-        drop: so much below where it first touched the tip is in the hole, m.
-        rise: by which the platform comes up to meet the peg, m; more meets it at full speed.
-    """
-
-    hold: float = 3.0
-    give: float = 0.1
-    yielding: float = 0.15
-    touch: float = 2.0
-    guide: float = 0.5
-    pitch: float = 0.002
-    pace: float = 1.3
-    drop: float = 0.001
-    rise: float = 0.003
+    hold: float = 3.0  # force along the hole at which the command stands still, N
+    give: float = 0.1  # increments of depth per N beside that
+    yielding: float = 0.15  # increments to the side per N across the peg
+    touch: float = 2.0  # a force along the hole beyond this is contact, N
+    guide: float = 0.5  # increments per mm by which the contact lies beside the tip
+    pitch: float = 0.002  # between two turns of the spiral, m
+    pace: float = 1.3  # of the spiral, increments per step
+    drop: float = 0.001  # so much below where it first touched the tip is in the hole, m
+    rise: float = 0.003  # by which the platform comes up, m; more meets the peg at full speed
 
 
 class StiffPush:
     """Straight down, whatever is in the way."""
 
-    def __init__(self, env: CoopInsertionContactEnv, gains: Gains) -> None:
+    def __init__(self, env: "CoopInsertionContactEnv", gains: Gains) -> None:
         self.gains, self.task = gains, env.task
 
     def reset(self) -> None:
@@ -141,10 +127,6 @@ GRIDS: Final[dict[str, dict[str, tuple[float, ...]]]] = {
     "stiff push": {},
     "compliant push": {"hold": (3.0, 6.0, 12.0), "yielding": (0.05, 0.15, 0.3)},
     "moment-guided search": {"hold": (3.0, 6.0), "guide": (0.25, 0.5, 1.0)},
-    "spiral search": {
-        "hold": (3.0, 6.0),
-        "pitch": (0.0016, 0.0022, 0.0028),
-        "pace": (0.9, 1.3),
-    },
+    "spiral search": {"hold": (3.0, 6.0), "pitch": (0.0016, 0.0022, 0.0028), "pace": (0.9, 1.3)},
 }
 """Gains to choose from, on validation episodes."""

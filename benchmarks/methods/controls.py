@@ -3,24 +3,17 @@
 *Random* draws from the allowed moves. *Greedy* makes the allowed move after which the potential
 ``500 d + w a`` is least, with the distance d (m) of the tip from the target's mouth, the angle a
 (rad) between the peg and its normal, and a weight w that is chosen on validation starts.
-*Lookahead* makes the first of the two allowed moves after which it is least; of equal pairs, such
-as the same two moves in either order, the one with the least potential in between. An insertion is
-the least there is, and none is put off.
+*Lookahead* makes the first of the two allowed moves after which it is least; of equal pairs, the
+one with the least potential in between. An insertion is the least there is, and none is put off.
+What is still equal goes to the lower action.
 
-The plain ones see the state, as far as the controller's model knows it: on an imperfect machine
-distance, angle and masks are the nominal model's. Those from the *observation* have its 12 numbers,
-noise included: they take the configuration as given, and the hole whose mouth and normal come
-nearest to what is observed for the target. Masks are a memory where their track's are. What is
-still equal goes to the lower action: nothing depends on chance but *random*, which draws per
-episode.
+The plain ones see the state as the controller's model knows it. Those from the *observation* have
+its 12 numbers, noise included: the target is the hole whose mouth and normal come nearest to them.
 
 Where both robots move at once, a central *greedy* makes the joint move after which the potential is
-least. Of two agents each makes its own move after which it would be least if the other held, or
-holds if none makes it less: in sight of the other of the whole potential, else of what it sees of
-it, the Delta of the distance and the 3-RRS of the angle.
+least. Of two agents each makes the move after which it would be least if the other held, or holds:
+in sight of the other of the whole potential, else the Delta of d and the 3-RRS of a.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
@@ -29,10 +22,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.errors import BenchmarkError, known
-from benchmarks.methods.base import Chooser, Masks, Observations, tip_distance
+from benchmarks.methods.base import Chooser, Masks, Observations, misses
 from benchmarks.methods.episodes import Episode
-from benchmarks.protocol.plan import CONTROLS
 from benchmarks.protocol.presets import Controls
 from benchmarks.protocol.seeding import derive
 from coop_env.compilation import njit
@@ -51,13 +42,7 @@ ROUNDING: Final = 1e-9  # what a move must win, or its robot holds
 
 
 def control(method: str, weights: Controls, seed: int) -> Callable[[Sequence[Episode]], Chooser]:
-    """What plays a control in episodes of one environment's arguments, which it is given.
-
-    Raises:
-        BenchmarkError: the method is no control.
-    """
-    if method not in CONTROLS:
-        raise BenchmarkError(f"unknown control '{method}'; known: {known(CONTROLS)}")
+    """What plays a control in episodes of one environment's arguments, which it is given."""
     if method == "random":
         return lambda episodes: _random(episodes, seed)
     weight = getattr(weights, f"{method}_angle")
@@ -95,14 +80,6 @@ def _scripted(method: str, episodes: Sequence[Episode], weight: float) -> Choose
         return choices(states, weight, method.startswith("lookahead"), packed)
 
     return choose
-
-
-@njit(cache=True)
-def misses(c: Configuration, target: int, p: EnvParams) -> tuple[float, float]:
-    """Distance and angle of the peg from the target at a configuration, as the model has it."""
-    mouth, n = hole(rrs_kernels.platform_pose(c[3], c[4], c[5], p.rrs), target, p)
-    distance = tip_distance((c[0], c[1], c[2]), mouth, p)
-    return distance, state.alignment_angle(n[0], n[1], n[2])
 
 
 @njit(cache=True)
@@ -151,8 +128,7 @@ def _look_ahead(
 ) -> int:
     """The first of the best two moves; ``after`` (12,) is the potential after one, inf if barred.
 
-    Masks cost most. So the first moves come in the order of what any second would make of them, up
-    to where none of those left can be as good as the best found.
+    Masks cost most, so the first moves come in the order of what any second would make of them.
     """
     pairs = np.full((N_ACTIONS, N_ACTIONS), math.inf)
     floor = np.full(N_ACTIONS, math.inf)
@@ -235,10 +211,7 @@ def own_choices(
 
 @njit(cache=True)
 def believe(states: np.ndarray, rows: np.ndarray, o: np.ndarray, packed: np.ndarray) -> None:
-    """Write to states (n,) what observations (n, 12) tell: the configuration and the target.
-
-    ``o`` is the observation's transform. The states know of nothing that was before.
-    """
+    """Write to states (n,) what observations (n, 12) of transform ``o`` tell."""
     p = task.unpack(packed)
     for i in range(states.shape[0]):
         s, si = states[i], rows[i] / o[1, :12] + o[0, :12]

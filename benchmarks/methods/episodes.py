@@ -1,7 +1,5 @@
 """One test episode: moves an environment and keeps what the metrics need. No torch here."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections import defaultdict
@@ -33,13 +31,9 @@ def env_arguments(preset: Preset, cell: Cell, track: Track | None = None) -> dic
     given = {name: getattr(track, name) for name in names}
     given |= {"collision": track.collision} if track.collision != "refuse" else {}
     given |= {"reward_kwargs": dict(track.reward_kwargs) or None, "sim_to_real": track.sim_to_real}
-    if track.task is not None:
-        given |= {"task": dict(track.task)}
-    if track.shield is not None:
-        given |= {"shield": track.shield}
-    if track.team is not None:
-        given |= {"team": track.team}
-        given |= {} if track.team == "central" else {"sight": track.sight}
+    asked = {name: getattr(track, name) for name in ("task", "shield", "team")}
+    given |= {name: value for name, value in asked.items() if value is not None}
+    given |= {"sight": track.sight} if track.team not in (None, "central") else {}
     return {"geometry": geometry, **given}
 
 
@@ -55,31 +49,21 @@ def distance_to_segment(points: Point, start: Point, end: Point) -> Point:
 def dome_frame(env: CoopInsertionEnv) -> Point:
     """The peg's tip (3,) in the dome's frame, m: fixed to the platform, origin at its centre."""
     state = env.state
-    roll, pitch, heave = (float(value) for value in state["configuration"][3:6])
-    pose = platform_pose(roll, pitch, heave, env.params.rrs)
+    pose = platform_pose(*state["configuration"][3:6].tolist(), env.params.rrs)
     rotation = np.array(pose[3:12]).reshape(3, 3)
     return np.asarray(rotation.T @ (state["tip"] - np.array(pose[0:3])), dtype=np.float64)
 
 
 class Episode:
-    """An episode under test, from ``reset`` to its row of the results.
-
-    Args:
-        env: a single environment; its action masks and observations are the method's business.
-        number: the episode's number within its seed.
-        reset_seed: decides the initial state, see ``benchmarks.protocol.seeding``.
-    """
+    """Episode ``number`` of a seed under test, from ``reset`` to its row of the results."""
 
     def __init__(self, env: CoopInsertionEnv, number: int, reset_seed: int) -> None:
-        self.env = env
-        self.number = number
-        self.reset_seed = reset_seed
+        self.env, self.number, self.reset_seed = env, number, reset_seed
         self.observation: Observation
         self.observation, info = env.reset(seed=reset_seed)
         self.over = False
-        self.moves = 0
         self.reward = 0.0
-        self.collisions = self.violations = self.duplicates = 0
+        self.moves = self.collisions = self.violations = self.duplicates = 0
         self.insertions: list[int] = []
         self.alignments: list[float] = []
         # a short digest of the initial state: equal for methods that began alike
@@ -134,18 +118,11 @@ class Episode:
         }
 
     def seconds_first(self, arguments: Mapping[str, Any]) -> float:
-        """Seconds to the first insertion under the joints' limits, stop-and-go; NaN without one.
-
-        Moves that were refused take no time.
-
-        Args:
-            arguments: of the episode's environment.
-        """
+        """Seconds to the first insertion under the joints' limits, stop-and-go; NaN without one."""
         if not self.insertions or arguments.get("sim_to_real"):
             return math.nan
         geometry = arguments.get("geometry", "optimized")
-        task = arguments.get("task")
-        return make_trajectory(np.array(self._way), geometry, task=task).duration
+        return make_trajectory(np.array(self._way), geometry, task=arguments.get("task")).duration
 
     def row(self, noise: float = 0.0) -> dict[str, object]:
         """The episode's row of episodes.csv; what needs an insertion is empty without one."""

@@ -1,7 +1,5 @@
 """The paper's table of design results, ours beside it: ten runs of Nelder-Mead, measured."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Exploring at random, a peg seldom comes down to the hole at all; the script's st
 buffer with ways that do. They count as steps of the training.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 
@@ -35,11 +33,7 @@ class Guided(OffPolicyAlgorithm):
     _guide: Guide
 
     def follow(self, guide: Guide) -> None:
-        """Be guided.
-
-        Raises:
-            BenchmarkError: the script has no such gain.
-        """
+        """Be guided; BenchmarkError if the script has no such gain."""
         if unknown := guide.gains.keys() - Gains.__annotations__.keys():
             raise BenchmarkError(
                 f"guide: unknown gain '{min(unknown)}'; known: {known(Gains.__annotations__)}"

@@ -5,8 +5,6 @@ Delta's three axes and the 3-RRS's three; only collisions couple the two. Shorte
 sub-lattice alone are therefore a lower bound that no collision-free path can beat, and a tight one.
 """
 
-from __future__ import annotations
-
 import heapq
 from typing import Any, Final, NamedTuple
 
@@ -41,9 +39,8 @@ class Lattice(NamedTuple):
     that a robot's own limits (and, of the 3-RRS, its singularities) allow. The outermost never are,
     so that one move from a free node leads to a node.
 
-    With ``p.task.imperfect`` it is the lattice of the commands of a real machine, a record of
-    :data:`coop_env.simulation.machine.MACHINE`; it is exact where what the machine does follows
-    from the configuration alone, without backlash, latency or luck.
+    With ``p.task.imperfect`` it is the lattice of the commands of a real ``machine``, a record of
+    :data:`coop_env.simulation.machine.MACHINE`.
     """
 
     start: NDArray[np.float64]
@@ -57,10 +54,7 @@ class Lattice(NamedTuple):
 
 
 def make_lattice(start: NDArray[np.float64], p: EnvParams, real: Any = None) -> Lattice:
-    """The lattice of an episode that starts at a configuration (6,).
-
-    ``real`` is the machine's record where the parameters say that it is imperfect.
-    """
+    """The lattice of an episode from a configuration (6,), of a ``real`` machine if imperfect."""
     record = np.void(np.zeros(1, machine.MACHINE)[0] if real is None else real)
     low, high = (workspace(p) - start) / p.layout["step"]
     # Rounding may let the kernels accept a node on the limit, so one more is beyond it for certain.
@@ -127,7 +121,7 @@ def real_sigma(lattice: Lattice, c: Configuration) -> float:
 
 @njit(cache=True)
 def placed(lattice: Lattice, c: Configuration) -> tuple[bool, Row, Row, Pose, Row]:
-    """Where the robots are at a configuration: whether they close, effector, theta, pose and q.
+    """Whether the robots close at a configuration, effector, theta, pose and q.
 
     Of an imperfect machine, the real ones, the platform's as the Delta meets it.
     """
@@ -323,10 +317,9 @@ class Paths:
         self._came_by = np.zeros(lattice.delta_free.size * lattice.rrs_free.size, np.uint8)
 
     def between(self, here: int, ends: NDArray[np.int64]) -> tuple[int, int, NDArray[np.int64]]:
-        """A shortest path to the nearest of some points.
+        """A shortest path to the nearest of some points: its length, lower bound and moves.
 
-        Returns:
-            Length (or INFEASIBLE or NODE_LIMIT), its lower bound (-1 if none is near), and moves.
+        The length may be INFEASIBLE or NODE_LIMIT, the bound -1 if none is near.
         """
         lattice, came_by, barred = self.lattice, self._came_by, [*self.barred]
         n_rrs = lattice.rrs_free.size

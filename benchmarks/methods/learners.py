@@ -1,7 +1,5 @@
 """Learners and their environments, built as presets set them."""
 
-from __future__ import annotations
-
 import copy
 import inspect
 import pkgutil
@@ -57,20 +55,15 @@ VEC_ENVS: Final[dict[str | None, Callable[..., VecEnv]]] = {
     "shield": ShieldedInsertionVecEnv,
     "central": CoopInsertionJointVecEnv,
     "vdn": DecentralizedVecEnv,
-    "shared": CoopInsertionTeamVecEnv,
-    "independent": CoopInsertionTeamVecEnv,
+    **dict.fromkeys(("shared", "independent"), CoopInsertionTeamVecEnv),
 }
 POLICIES: Final[dict[str | None, type[RainbowPolicy]]] = {
-    "vdn": SumPolicy,
-    "independent": IndependentPolicy,
-}
+    "vdn": SumPolicy, "independent": IndependentPolicy
+}  # fmt: skip
 
 
 def make_training_env(preset: Preset, cell: Cell) -> VecMonitor:
-    """The batched training environment, at the curriculum's first stage.
-
-    Its machines are drawn anew each episode within the track's ``sim_to_real``.
-    """
+    """The batched training environment, at the curriculum's first stage."""
     track = preset.tracks[cell.track]
     if track.train_nominal:
         track = replace(track, sim_to_real=None)
@@ -92,11 +85,7 @@ def class_of(method: str) -> type[BaseAlgorithm]:
 
 
 def class_on(task: Task, method: str) -> type[BaseAlgorithm]:
-    """The algorithm of a method on a public task, which a script may guide.
-
-    Raises:
-        BenchmarkError: it learns from a script alone, and the task has none.
-    """
+    """The algorithm of a method on a public task, which a script may guide, if it has one."""
     from benchmarks.methods.guided import Guided, guided
 
     algorithm = class_of(method)
@@ -138,8 +127,7 @@ def _of_track(track: Track, algorithm: type[BaseAlgorithm]) -> dict[str, Any]:
             "exploration_fraction": min(1.0, h.epsilon_steps / track.timesteps),
         }
         if not issubclass(algorithm, Rainbow):
-            # SB3 moves the target once per round of collection, not once per update: tau is
-            # compounded
+            # SB3 moves the target once per round of collection, not once per update
             given["tau"] = 1.0 - (1.0 - h.tau) ** h.gradient_steps
             given["target_update_interval"] = h.n_envs
     else:
@@ -167,20 +155,18 @@ def build_on(
 ) -> BaseAlgorithm:
     """The learner of a public task, untrained, in its environments.
 
-    Args:
-        network: what the policy's arguments hold where the task's settings say nothing.
+    ``network`` is what ``policy_kwargs`` hold where the task's settings say nothing.
 
     Raises:
         BenchmarkError: a setting is unknown to the method's constructor.
     """
     given = copy.deepcopy(task.arguments_of(method))  # SB3 writes into policy_kwargs
-    where = f"{task.title}: {method}"
-    guide = task.guide
+    where, guide = f"{task.title}: {method}", task.guide
     if guide is not None and (own := given.pop("guide", {})):
         guide = build(Guide, {**asdict(guide), **own}, f"{where}: guide")
     algorithm = class_on(task, method)
     if issubclass(algorithm, Rainbow) and not task.bare:
-        given = spelled_out(given)
+        given = _spelled_out(given)
     arguments = _checked(algorithm, given, env, where)
     if network:
         arguments["policy_kwargs"] = {**network, **given.get("policy_kwargs", {})}
@@ -193,11 +179,7 @@ def build_on(
 def _checked(
     algorithm: type[BaseAlgorithm], given: Mapping[str, Any], env: VecEnv, where: str
 ) -> dict[str, Any]:
-    """Constructor arguments of a preset as the algorithm takes them.
-
-    Raises:
-        BenchmarkError: one is unknown, or the learning rate is no number.
-    """
+    """Constructor arguments of a preset as the algorithm takes them."""
     accepted, arguments = _accepted(algorithm), dict(given)
     for name in arguments:
         if name not in accepted:
@@ -213,17 +195,13 @@ def _checked(
     if arguments.get("replay_buffer_class") == "HerReplayBuffer":
         arguments["replay_buffer_class"] = HerReplayBuffer
     if (noise := arguments.get("action_noise")) is not None:
-        size = env.action_space.shape
-        assert size is not None
-        arguments["action_noise"] = NormalActionNoise(np.zeros(size), np.full(size, noise))
+        mean = np.zeros(env.action_space.shape or ())
+        arguments["action_noise"] = NormalActionNoise(mean, np.full_like(mean, noise))
     return arguments
 
 
-def spelled_out(arguments: dict[str, Any]) -> dict[str, Any]:
-    """Rainbow's arguments with its :data:`FORMER_DEFAULTS` where they say nothing.
-
-    Then there was no epsilon beside the noise unless one of its three arguments was given.
-    """
+def _spelled_out(arguments: dict[str, Any]) -> dict[str, Any]:
+    """Rainbow's arguments with its :data:`FORMER_DEFAULTS` where they say nothing."""
     former = dict(FORMER_DEFAULTS)
     if not arguments.get("noisy", True) or any("exploration" in name for name in arguments):
         del former["exploration_initial_eps"], former["exploration_final_eps"]
@@ -237,6 +215,5 @@ def build_small(preset: Preset, cell: Cell) -> BaseAlgorithm:
     track = preset.tracks[cell.track]
     small = min(track.hyperparameters.buffer_size, CHECKED_BUFFER)
     h = replace(track.hyperparameters, buffer_size=small)
-    tracks = {**preset.tracks, cell.track: replace(track, hyperparameters=h)}
-    mine = replace(preset, tracks=tracks)
+    mine = replace(preset, tracks={cell.track: replace(track, hyperparameters=h)})
     return build_model(mine, cell, make_training_env(mine, cell))

@@ -1,7 +1,5 @@
 """The exact optimum on the lattice of moves: ceiling of success, floor of time for every method."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 
@@ -9,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.methods import lattice_search as search
-from benchmarks.methods.base import Plan
+from benchmarks.methods.base import Plan, modelled
 from benchmarks.methods.lattice_search import Paths
 from coop_env.simulation import dynamics, joint
 from coop_env.simulation.state import OUTCOME, VALID, aim
@@ -19,18 +17,16 @@ from coop_env.simulation.task import N_ACTIONS, EnvParams
 class LatticeOracle:
     """Shortest feasible move sequence to an insertion in the current target.
 
-    Workspaces, joint limits, collisions and singularities are the environment's own kernels', so a
-    plan's moves succeed in it, and no sequence of fewer does. Every plan is run through the
-    environment's step kernel on a copy of the state before it is returned.
+    Limits, collisions and singularities are the environment's own kernels', so a plan's moves
+    succeed in it, and no sequence of fewer does. Each plan is tried on a copy of the state.
 
     Args:
         node_limit: pairs of lattice nodes to expand before giving up with ``"node_limit"``.
-        real: with sim-to-real knobs, plan on the real machine, which nobody else knows, and not on
-            its model. Exact where the base is displaced and the joints are coarse, without
-            backlash, latency and luck.
-        at_once: both robots move in each tick, as in ``CoopInsertionJoint-v0``: the fewest ticks
-            instead of the fewest moves, and a plan of joint actions. Never longer than the
-            sequence of single moves, which is one of the plans that it has to choose from.
+        real: with sim-to-real knobs, plan on the real machine, which nobody else knows, not on its
+            model. Exact where the base is displaced and the joints are coarse, without backlash,
+            latency and luck.
+        at_once: both robots move in each tick, as in ``CoopInsertionJoint-v0``: the fewest ticks,
+            and a plan of joint actions.
     """
 
     def __init__(
@@ -44,18 +40,14 @@ class LatticeOracle:
 
         Returns:
             ``"solved"`` with the moves, ``"infeasible"`` if no sequence of moves inserts, or
-            ``"node_limit"``; ``"inexact"`` if a real machine does not do as planned. With
-            sim-to-real knobs the plan is the nominal model's, as any planner's would be, unless
-            the oracle is of the real one.
+            ``"node_limit"``; ``"inexact"`` if a real machine does not do as planned.
         """
         return self._plan(*self._known(env))
 
     def plan_episode(self, env: Any) -> list[Plan]:
-        """One plan per hole, each from where the last one ends, until the holes or moves run out.
+        """One plan per hole, each from where the last one ends, without changing ``env``.
 
-        Optimal hole by hole, as the environment itself chooses the next target; ``env`` is not
-        changed. The last plan has no moves if it failed: ``"timeout"`` if it is too long for the
-        moves left.
+        The last has no moves if it failed: ``"timeout"`` if it is too long for the moves left.
         """
         state, p = self._known(env)
         plans: list[Plan] = []
@@ -109,20 +101,15 @@ class LatticeOracle:
 
     def _there_and_back(self, state: Any, p: EnvParams) -> tuple[NDArray[np.int64], int]:
         for action in range(N_ACTIONS):
-            there, back = action, action ^ 1
+            moves = np.array([action, action ^ 1])
             if self.at_once:
-                there, back = joint.as_joint(there), joint.as_joint(back)
-            moves = np.array([there, back])
+                moves = np.array([joint.as_joint(int(move)) for move in moves])
             if self._execute(state.copy(), moves, p):
                 return moves, 2
         return moves, search.INFEASIBLE
 
     def _execute(self, state: Any, moves: NDArray[np.int64], p: EnvParams) -> bool:
-        """Run moves through the step kernel on ``state``; True if exactly the last one inserts.
-
-        The kernel does not look at ``over``, so a plan longer than the moves left is run to its
-        end.
-        """
+        """Make moves on ``state``, however few are left; True if exactly the last one inserts."""
         step = joint.step if self.at_once else dynamics.step
         outcome = np.zeros(1, OUTCOME)
         inserted = False
@@ -140,11 +127,11 @@ def _nominal(state: Any, p: EnvParams) -> tuple[Any, EnvParams]:
     """The state and parameters as the controller's model has them."""
     if not p.task.imperfect:
         return state, p
-    p = p._replace(task=p.task._replace(imperfect=False))
+    p = modelled(p)
     twin = np.zeros(1, state.dtype)[0]
     at = tuple(state["configuration"].tolist())
-    status = dynamics.begin(twin, at, state["active"], state["filled"], p)
-    if status != VALID:  # only the real machine can stand here
+    if dynamics.begin(twin, at, state["active"], state["filled"], p) != VALID:
+        # only the real machine can stand here
         raise ValueError("the model takes this state for a collision or singular: reset first")
     aim(twin, int(state["target"]))
     twin["moves"] = state["moves"]

@@ -1,11 +1,8 @@
 """Planners on a machine that stands elsewhere than their model: plan, look, plan again; or search.
 
-Both plan exactly on the nominal model, by the lattice search of the optimum. What they learn on the
-way are the two things that a machine without sensors tells: a move was refused, so that the
-configuration it led to is barred; and the peg did not go in.
+Both plan exactly on the nominal model. What they learn on the way are the two things that a machine
+without sensors tells: a move was refused, so that where it led is barred; the peg did not go in.
 """
-
-from __future__ import annotations
 
 import time
 from typing import Final
@@ -14,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.methods import lattice_search as search
-from benchmarks.methods.base import tip_distance
+from benchmarks.methods.base import misses, modelled
 from benchmarks.methods.episodes import Episode
 from benchmarks.methods.lattice_search import Lattice, Paths
 from coop_env.compilation import njit
-from coop_env.simulation import state
-from coop_env.simulation.collision import hole
 
 WIDEST: Final = 2.0  # tolerances within which a configuration is worth a visit
 RING: Final = 0.25  # tolerances between two rings, of which the inner is searched first
@@ -32,8 +27,8 @@ class Replanner:
 
     Args:
         searches: after a plan that did not insert, visit the configurations around the believed
-            solution, ring by ring: in each the nearest that was not visited yet. Otherwise go to
-            the nearest other configuration that the model takes for an insertion, visited or not.
+            solution, ring by ring. Otherwise go to the nearest other configuration that the model
+            takes for an insertion, visited or not.
         node_limit: of one search for a path.
     """
 
@@ -42,9 +37,8 @@ class Replanner:
 
     def play(self, episode: Episode) -> None:
         """Fill hole after hole until none is left, the time is up or there is nowhere to go."""
-        p = episode.env.params
-        model = p._replace(task=p.task._replace(imperfect=False))
-        lattice = search.make_lattice(np.array(episode.env.state["start"]), model)
+        model, start = modelled(episode.env.params), np.array(episode.env.state["start"])
+        lattice = search.make_lattice(start, model)
         paths = Paths(lattice, self.node_limit)
         while not episode.over:
             began = time.perf_counter()
@@ -73,7 +67,9 @@ class Replanner:
                 barred.clear()
                 tried[:] = False
                 continue
-            best = np.lexsort((_moves_between(lattice, points, here), rings, out))[0]
+            ends = np.append(points, here)[:, None] // lattice.strides % lattice.shape
+            distances = np.abs(ends[:-1] - ends[-1]).sum(axis=1)  # if nothing is in the way
+            best = np.lexsort((distances, rings, out))[0]
             length, _, moves = paths.between(here, points[[best]])
             if length <= 0:
                 tried[best] = True
@@ -102,36 +98,23 @@ def _follow(
     return visited
 
 
-def _moves_between(lattice: Lattice, points: Points, here: int) -> Points:
-    """Least moves (n,) to points if nothing is in the way."""
-    ends = np.append(points, here)[:, None] // lattice.strides % lattice.shape
-    moves: Points = np.abs(ends[:-1] - ends[-1]).sum(axis=1)
-    return moves
-
-
 def solutions(lattice: Lattice, target: int, widest: float) -> tuple[Points, Points]:
-    """Points (n,) within so many tolerances of the target's criterion, and the ring of each.
-
-    Ring 0 is what the model takes for an insertion.
-    """
+    """Points (n,) within so many tolerances of the target, and their rings, 0 for an insertion."""
     task = lattice.p.task
     wide = task._replace(
         tolerance=widest * task.tolerance, angle_tolerance=widest * task.angle_tolerance
     )
     points = search.goals(lattice._replace(p=lattice.p._replace(task=wide)), target)
-    misses = _misses(lattice, points, target)
-    return points, np.ceil(np.maximum(misses - 1.0, 0.0) / RING).astype(np.int64)
+    beyond = np.maximum(_tolerances(lattice, points, target) - 1.0, 0.0)
+    return points, np.ceil(beyond / RING).astype(np.int64)
 
 
 @njit(cache=True)
-def _misses(lattice: Lattice, points: np.ndarray, target: int) -> np.ndarray:
+def _tolerances(lattice: Lattice, points: np.ndarray, target: int) -> np.ndarray:
     """How many tolerances points (n,) miss the target's mouth or axis by, the larger of both."""
     p = lattice.p
     out = np.empty(len(points))
     for i in range(len(points)):
-        _, at, _, pose, _ = search.placed(lattice, search.configuration_at(lattice, points[i]))
-        mouth, n = hole(pose, target, p)
-        angle = state.alignment_angle(n[0], n[1], n[2])
-        distance = tip_distance(at, mouth, p)
+        distance, angle = misses(search.configuration_at(lattice, points[i]), target, p)
         out[i] = max(distance / p.task.tolerance, angle / p.task.angle_tolerance)
     return out

@@ -5,8 +5,6 @@ the six-dimensional configuration space scaled so that one move is one unit alon
 the environment's own test of validity and collision; the axes of the robot that waits are held.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -40,17 +38,16 @@ class RRTConnect:
 
     Args:
         time_limit: seconds for each of the two planning calls (the paper: 5 s).
-        max_iterations: termination checks for each call. The clock alone would make results
-            depend on the machine's load; this limit binds first on any machine.
-        seed: of OMPL's global generator, 1 or above: it ignores 0. OMPL takes it once per process,
-            before the first sampler is made: plans repeat from process to process, not within one.
+        max_iterations: termination checks for each call. This limit binds before the clock does, so
+            that results do not depend on the machine's load.
+        seed: of OMPL's global generator, 1 or above. OMPL takes it once per process, before the
+            first sampler is made: plans repeat from process to process, not within one.
     """
 
     def __init__(
         self, time_limit: float = 5.0, max_iterations: int = 20_000, seed: int = 1
     ) -> None:
-        self.time_limit = time_limit
-        self.max_iterations = max_iterations
+        self.time_limit, self.max_iterations = time_limit, max_iterations
         ou.setLogLevel(ou.LOG_NONE)
         ou.RNG.setSeed(seed)
 
@@ -160,9 +157,8 @@ def retreat(env: CoopInsertionEnv) -> Moves:
 def alignment_pose(env: CoopInsertionEnv, now: Configuration, hole: int) -> Configuration | None:
     """The configuration ``now`` (6,) with the platform turned so that the hole's normal is upright.
 
-    The platform's minimal rotation that turns the hole's normal h upright has the normal
-    (-h_x, -h_y, h_z), from which roll and pitch follow. The heave is the present one, or else the
-    next lattice height at which the pose is valid. None if there is none.
+    The smallest rotation that turns the hole's normal h upright gives the platform the normal
+    (-h_x, -h_y, h_z). The heave is the nearest lattice height at which that is valid, None if none.
     """
     hx, hy, hz = env.task.hole_normals[hole]
     pitch, roll = math.asin(-hx), math.atan2(hy, hz)
@@ -185,10 +181,7 @@ def _above_hole(env: CoopInsertionEnv, configuration: Configuration, hole: int) 
 
 
 def round_path(path: Configuration) -> Moves:
-    """Moves that follow a dense path (n, 6), in moves from its start.
-
-    At each point, the axis that lags most moves until none lags more than half a move.
-    """
+    """Moves along a dense path (n, 6), in moves from its start: the axis moves that lags most."""
     at = np.zeros(N_AXES, dtype=np.int64)
     moves: Moves = []
     for point in path:
@@ -215,16 +208,13 @@ PlanFunction = Callable[[CoopInsertionEnv], Plan]
 def execute(
     episode: Episode, plan: PlanFunction, finish: PlanFunction | None = None, again: bool = False
 ) -> None:
-    """Fill hole after hole, each by one plan run open loop; stop at the first that fails.
+    """Fill hole after hole, each by one plan run open loop, until one fails; its cause is kept.
 
-    With ``again``, for a machine that is not as modelled, a plan is left where a move is refused,
-    and the next begins where one ended; without a plan it stops.
-
-    With ``finish`` the loop is closed: where the open-loop moves did not insert (or there was no
-    plan), this second planner starts from the state they led to, and only its failure counts.
-
-    The cause of a failure is kept: no plan, singularity, collision (a move was refused, so that
-    all later ones start from elsewhere), precision (too far from the mouth) or alignment.
+    Args:
+        episode: is played.
+        plan: the planner.
+        finish: a second planner, from where the first one's moves led without an insertion.
+        again: leave a plan where a move is refused, and plan again, until there is no plan.
     """
     while not episode.over:
         moves = episode.moves
@@ -240,10 +230,7 @@ def execute(
 
 
 def _attempt(episode: Episode, plan: PlanFunction, stop: bool = False) -> str:
-    """Plan once and run the moves; the cause of the failure, or nothing after an insertion.
-
-    With ``stop`` a refused move is the last.
-    """
+    """Plan once and make the moves; returns why it failed. ``stop`` ends it at a refused move."""
     answer = plan(episode.env)
     filled, refused = len(episode.insertions), 0
     if not filled:
@@ -266,7 +253,7 @@ def _cause(episode: Episode, info: dict[str, Any], refused: int) -> str:
         return "singularity"
     if episode.over:
         return "out of time"
-    if refused:
+    if refused:  # all later moves started from elsewhere
         return "collision"
     if not info or info["distance"] >= episode.env.task.tolerance:
         return "precision"

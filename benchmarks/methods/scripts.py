@@ -1,7 +1,5 @@
 """Scripted ways to earn a reward: doing the task, farming the reward, moves at random."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Final
 
@@ -19,11 +17,7 @@ DETOUR: Final = 2
 
 
 class Simulator:
-    """Moves copies of a state with the environment's own kernel.
-
-    Args:
-        env: decides geometry, reward and the episode's length.
-    """
+    """Moves copies of a state with the environment's own kernel, geometry and reward."""
 
     def __init__(self, env: CoopInsertionEnv) -> None:
         self._packed = task.pack(env.params)
@@ -53,10 +47,7 @@ class Simulator:
     def around(
         self, start: np.void, way: Moves, detour: int
     ) -> Iterator[tuple[Moves, NDArray[np.void]]]:
-        """States (1,) on a way and up to ``detour`` moves off it, each once, and how to get there.
-
-        Only by moves that are executed, insert nothing and end nothing.
-        """
+        """States (1,) up to ``detour`` moves off a way, each once, and the moves to get there."""
         front: list[tuple[Moves, NDArray[np.void]]] = [([], np.array([start]))]
         for move in way:
             moves, state = front[-1]

@@ -5,8 +5,6 @@ memory is any dependence of an action on what happened earlier in the episode, b
 the policy or the observation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 

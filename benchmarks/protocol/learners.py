@@ -1,7 +1,5 @@
 """The learners of all presets, of the insertion task, its teams and the public tasks: one table."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,28 +8,16 @@ from benchmarks.errors import BenchmarkError, known
 
 @dataclass(frozen=True)
 class Learner:
-    """A learning algorithm with Stable-Baselines3's interface.
+    """A learning algorithm with Stable-Baselines3's interface."""
 
-    Attributes:
-        title: its name in tables and figures.
-        where: its class, as ``module:Class``.
-        colour: its number in the palette of the figures.
-        masks: whether it reads action masks.
-        discrete: whether it chooses among actions, as on the insertion task; else it acts in
-            increments on the contact task.
-        on_policy: whether it takes a track's settings ``ppo`` and has no replay buffer.
-        teams: whether it can command both robots at once.
-        cost: time of an environment step with its updates, relative to Rainbow's.
-    """
-
-    title: str
-    where: str
-    colour: int
-    masks: bool = False
-    discrete: bool = True
-    on_policy: bool = False
-    teams: bool = False
-    cost: float = 1.0
+    title: str  # in tables and figures
+    where: str  # its class, as ``module:Class``
+    colour: int  # its number in the palette of the figures
+    masks: bool = False  # it reads action masks
+    discrete: bool = True  # it chooses among actions; else it acts in increments, in contact
+    on_policy: bool = False  # it takes a track's settings ``ppo`` and has no replay buffer
+    teams: bool = False  # it can command both robots at once
+    cost: float = 1.0  # time of an environment step with its updates, relative to Rainbow's
 
 
 LEARNERS: Final[dict[str, Learner]] = {
@@ -56,11 +42,7 @@ def learner_of(method: str) -> str | None:
 
 
 def algorithm_of(method: str) -> str:
-    """The learner of a method of the public tasks.
-
-    Raises:
-        BenchmarkError: there is none of this name.
-    """
+    """:func:`learner_of` a method; BenchmarkError if it does not learn."""
     if (learner := learner_of(method)) is None:
         raise BenchmarkError(
             f"methods: unknown method '{method}'; known: {known(LEARNERS)}, and <one>_<variant>"

@@ -1,7 +1,5 @@
 """The evaluation metrics: how each follows from the stored rows of test episodes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

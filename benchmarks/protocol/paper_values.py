@@ -1,7 +1,5 @@
 """The numbers the paper prints, table by table, to stand beside ours."""
 
-from __future__ import annotations
-
 from typing import Final
 
 TRAINING_STEPS: Final = 1_500_000

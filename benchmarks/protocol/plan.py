@@ -5,11 +5,9 @@ have none, but on an imperfect machine, and see the same test episodes. The geom
 is one cell of its own. On public tasks a cell's track is the task, and it has no geometry.
 """
 
-from __future__ import annotations
-
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Any, Final
@@ -67,10 +65,7 @@ ABLATIONS: Final[dict[str, dict[str, Any]]] = {
 
 @dataclass(frozen=True, order=True)
 class Cell:
-    """One run of the experiment; ``track`` is empty for planners of a perfect machine.
-
-    Of public tasks ``geometry`` is empty, and a method may be ``<learner>_<variant>``.
-    """
+    """One run; on public tasks a method may be ``<learner>_<variant>``."""
 
     method: str
     ablation: str
@@ -96,7 +91,6 @@ class Cell:
 
     @property
     def plans(self) -> bool:
-        """Whether the cell plays plans."""
         return self.method in PLANNERS
 
 
@@ -110,6 +104,26 @@ def of_task(method: str, task: str, seed: int) -> Cell:
     return Cell(method, "full", "", task, seed)
 
 
+def _of_suite(preset: SuitePreset) -> Iterator[Cell]:
+    for key, task in preset.tasks.items():
+        methods = [method for method in preset.methods if method not in task.skip]
+        controls = [c for c in preset.controls if c != "script" or task.env in SCRIPTED]
+        for seed in preset.seeds if task.seeds is None else task.seeds:
+            yield from (of_task(method, key, seed) for method in [*methods, *controls])
+
+
+def _of_groups(preset: Preset) -> Iterator[Cell]:
+    for group in preset.runs:
+        for problem in _problems(preset, group):
+            raise BenchmarkError(f"preset '{preset.name}': {problem}")
+        for seed in preset.seeds if group.seeds is None else group.seeds:
+            tracks = group.tracks or [""]
+            kinds = product(group.methods, group.ablations, group.geometries, tracks)
+            yield from (Cell(*kind, seed) for kind in kinds)
+    if preset.design is not None:
+        yield Cell(DESIGN, "full", "optimized", "", 0)
+
+
 def expand(preset: Preset | SuitePreset) -> list[Cell]:
     """All cells of ``preset``, each once, the longest runs first; of public tasks seed by seed.
 
@@ -117,61 +131,39 @@ def expand(preset: Preset | SuitePreset) -> list[Cell]:
         BenchmarkError: a method, ablation, geometry or track is unknown or cannot be combined, or
             there is no cell.
     """
-    if isinstance(preset, SuitePreset):  # so that an early stop leaves whole rows
-        suite = _of_suite(preset)
-        _check_ids(preset.name, suite)
-        return sorted(suite, key=lambda c: (c.seed, -units_of(settings(preset, c))))
-    cells: dict[Cell, None] = {}
-    for group in preset.runs:
-        for problem in _problems(preset, group):
-            raise BenchmarkError(f"preset '{preset.name}': {problem}")
-        seeds = preset.seeds if group.seeds is None else group.seeds
-        tracks = group.tracks or [""]
-        for seed in seeds:  # who stops early has some seeds of every kind
-            kinds = product(group.methods, group.ablations, group.geometries, tracks)
-            cells |= {Cell(*kind, seed): None for kind in kinds}
-    if preset.design is not None:
-        cells[Cell(DESIGN, "full", "optimized", "", 0)] = None
+    found = _of_suite(preset) if isinstance(preset, SuitePreset) else _of_groups(preset)
+    cells = dict.fromkeys(found)
     if not cells:
         raise BenchmarkError(
             f"preset '{preset.name}' holds no run: runs and design are empty, or a group lists no "
             "methods"
         )
-    _check_ids(preset.name, cells)
-    return sorted(cells, key=lambda cell: (-units_of(settings(preset, cell)), cell.seed))
-
-
-def _of_suite(preset: SuitePreset) -> list[Cell]:
-    cells = []
-    for key, task in preset.tasks.items():
-        methods = [method for method in preset.methods if method not in task.skip]
-        controls = [c for c in preset.controls if c != "script" or task.env in SCRIPTED]
-        for seed in preset.seeds if task.seeds is None else task.seeds:
-            cells += [of_task(method, key, seed) for method in [*methods, *controls]]
-    return cells
-
-
-def _check_ids(preset: str, cells: Iterable[Cell]) -> None:
-    """Refuse names that make no folder, or the same one for two cells.
-
-    Raises:
-        BenchmarkError: naming the cell.
-    """
     seen: dict[str, Cell] = {}
     for cell in cells:
         other = seen.setdefault(cell.id, cell)
         if other != cell or not _FOLDER.fullmatch(cell.id):
             raise BenchmarkError(
-                f"preset '{preset}': cell '{cell.id}' "
+                f"preset '{preset.name}': cell '{cell.id}' "
                 + ("stands for two" if other != cell else "is no name of a folder")
                 + ": name tracks, tasks and geometries by letters, digits and . _ +"
             )
+
+    def order(cell: Cell) -> tuple[int, int]:
+        units = -units_of(settings(preset, cell))
+        # an early stop leaves whole rows of a suite, or else some seeds of every kind
+        return (cell.seed, units) if isinstance(preset, SuitePreset) else (units, cell.seed)
+
+    return sorted(cells, key=order)
 
 
 def units_of(config: dict[str, Any]) -> int:
     """A rough cost of a run by its settings, in environment steps; decides the order of runs."""
     if "task" in config:
-        return _units_of_task(config)
+        cost = ATARI_COST if config["task"]["env"].startswith(ATARI) else 1.0
+        if "arguments" not in config:
+            return round(cost * CONTROL_COST * config["final_episodes"])
+        cost *= LEARNERS[algorithm_of(config["cell"]["method"])].cost
+        return max(1, round(config["task"]["timesteps"] * cost))
     track = config.get("track", {})
     if "timesteps" in track:
         return int(track["timesteps"])
@@ -179,14 +171,6 @@ def units_of(config: dict[str, Any]) -> int:
         return 1_500 * int(config["design"]["runs"])
     levels = len(config["evaluation"].get("errors", [0.0]))
     return 150 * levels * int(config["evaluation"]["episodes"])
-
-
-def _units_of_task(config: dict[str, Any]) -> int:
-    cost = ATARI_COST if config["task"]["env"].startswith(ATARI) else 1.0
-    if "arguments" not in config:
-        return round(cost * CONTROL_COST * config["final_episodes"])
-    cost *= LEARNERS[algorithm_of(config["cell"]["method"])].cost
-    return max(1, round(config["task"]["timesteps"] * cost))
 
 
 def checkpoint_bytes(preset: Preset | SuitePreset, cell: Cell) -> int:
@@ -204,8 +188,7 @@ def checkpoint_bytes(preset: Preset | SuitePreset, cell: Cell) -> int:
 def settings(preset: Preset | SuitePreset, cell: Cell) -> dict[str, Any]:
     """Everything that decides the cell's result, as plain YAML types: the run's config.yaml.
 
-    What has no bearing on it is left out, so that it can change without the run, and so are keys at
-    values that runs from before there were these keys had.
+    Left out is what has no bearing on it, and later keys at the value that they had before.
     """
     if isinstance(preset, SuitePreset):
         return _of_task(preset, cell)
@@ -229,16 +212,13 @@ def settings(preset: Preset | SuitePreset, cell: Cell) -> dict[str, Any]:
 
 def _of_task(preset: SuitePreset, cell: Cell) -> dict[str, Any]:
     task, kind = preset.tasks[cell.track], "learn" if cell.learns else "control"
-    keys = ["env", "env_kwargs", "eval_episodes"]
+    config, keys = asdict(task), ["env", "env_kwargs", "eval_episodes"]
     if cell.learns:
         keys = ["env", "timesteps", "eval_every", "eval_episodes", "env_kwargs", "policy", "n_envs"]
-        keys += [rare for rare in ("guide", "bare") if getattr(task, rare)]
-    given = {key: getattr(task, key) for key in keys}
-    if "guide" in given:
-        given["guide"] = asdict(given["guide"])
+        keys += [rare for rare in ("guide", "bare") if config[rare]]
     return {
         "cell": {"kind": kind, "task": cell.track, "method": cell.method, "number": cell.seed},
-        "task": given,
+        "task": {key: config[key] for key in keys},
         **({"arguments": task.arguments_of(cell.method)} if cell.learns else {}),
         "final_episodes": preset.final_episodes,
     }
@@ -248,25 +228,22 @@ def _evaluation(preset: Preset, track: Track | None) -> dict[str, Any]:
     config = asdict(preset.evaluation)
     if track is None or track.sim_to_real is None:
         del config["errors"]
-    if config["stream"] == "test":
-        del config["stream"]
-    if not config["exploring"]:
-        del config["exploring"]
-    return config
+    unsaid = (("stream", "test"), ("exploring", False))
+    return {key: value for key, value in config.items() if (key, value) not in unsaid}
 
 
 def _track(track: Track, method: str) -> dict[str, Any]:
     config = asdict(track)
     learner = LEARNERS.get(method)
+    config["methods"] = {key: given for key, given in track.methods.items() if key == method}
     unused = [] if learner and learner.on_policy else ["ppo"]
     unused += [] if method in CONTROLS else ["controls"]
-    config["methods"] = {key: given for key, given in track.methods.items() if key == method}
     if learner is None:
         unused += ["description", "timesteps", "hyperparameters", "curriculum", "train_nominal"]
     later = ("sim_to_real", "train_nominal", "mask_refused", "team", "sight", "task", "methods")
     unused += [key for key in later if not config[key]]
-    unused += ["shield"] if config["shield"] is None else []
-    unused += ["collision"] if config["collision"] == "refuse" else []
+    defaults = {"shield": None, "collision": "refuse"}
+    unused += [key for key, default in defaults.items() if config[key] == default]
     return {key: value for key, value in config.items() if key not in unused}
 
 
@@ -276,7 +253,6 @@ def own_error(machine: Mapping[str, Any]) -> float:
 
 
 def _problems(preset: Preset, group: RunGroup) -> Iterator[str]:
-    """What cannot be run of a group."""
     for kind, names, allowed in (
         ("method", group.methods, METHODS),
         ("ablation", group.ablations, tuple(ABLATIONS)),

@@ -6,32 +6,18 @@ and overrides what it must, usually only ``timesteps``. ``base`` names the libra
 change; without it, the entry of the same name.
 """
 
-from __future__ import annotations
-
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import yaml
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol.learners import LEARNERS, algorithm_of
-from benchmarks.protocol.strict import (
-    Arguments,
-    AtLeast0,
-    Count,
-    Names,
-    Number,
-    Positive,
-    Seeds,
-    Share,
-    Strict,
-    build,
-    differ,
-    merge,
-)
+from benchmarks.protocol.strict import Strict, build, merge
 from coop_env.geometry import RRSGeometry
 from coop_env.simulation.insertion_task import InsertionTask
 from coop_env.simulation.sim_to_real import SimToReal
@@ -58,10 +44,43 @@ CONTACT: Final = "coop_env:CoopInsertionContact-v0"
 SUITE_CONTROLS: Final = {"random": "Random", "held": "One action", "script": "Script"}
 
 
+def _from_text(value: object) -> object:
+    """YAML 1.1 reads 1e-4 as text, and a scientist means a number."""
+    if isinstance(value, str):
+        with suppress(ValueError):
+            return float(value)
+    return value
+
+
+def _numbers(value: Any) -> Any:
+    """As :data:`Number`, of each value in mappings and lists."""
+    if isinstance(value, dict):
+        return {key: _numbers(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_numbers(each) for each in value]
+    return _from_text(value)
+
+
+def _differ(values: list[Any]) -> list[Any]:
+    if not values or len(set(values)) != len(values):
+        raise ValueError("needs one value or more, no two equal")
+    return values
+
+
+Number = Annotated[float, BeforeValidator(_from_text), Field(allow_inf_nan=False)]
+Positive = Annotated[Number, Field(gt=0.0)]
+AtLeast0 = Annotated[Number, Field(ge=0.0)]
+Share = Annotated[Number, Field(ge=0.0, le=1.0)]
+Arguments = Annotated[dict[str, Any], AfterValidator(_numbers)]  # of a constructor
+Count = Annotated[int, Field(gt=0)]
+Names = Annotated[list[str], AfterValidator(_differ)]
+Seeds = Annotated[list[Annotated[int, Field(ge=0)]], AfterValidator(_differ)]
+
+
 def _levels(noise: list[float]) -> list[float]:
     if 0.0 not in noise or min(noise) < 0.0:
         raise ValueError("must hold 0.0 and no negative level")
-    return differ(noise)
+    return _differ(noise)
 
 
 def _arguments_of(kind: type[Any]) -> AfterValidator:
@@ -91,7 +110,7 @@ def _learners(methods: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Hyperparameters(Strict):
-    """The learner's settings (the paper's table of hyperparameters, and what it leaves out)."""
+    """The learner's settings: the paper's table of hyperparameters, and what it leaves out."""
 
     learning_rate: Positive
     learning_rate_end: AtLeast0  # linear decay over the run
@@ -161,10 +180,6 @@ class Curriculum(Strict):
 class Track(Strict):
     """A reward, the settings of the task and the hyperparameters that go together.
 
-    ``task`` has fields of :class:`coop_env.simulation.insertion_task.InsertionTask` and
-    ``sim_to_real`` of :class:`coop_env.SimToReal`; learners of a track with
-    ``train_nominal`` see the nominal machine in training, and the imperfect ones in tests alone.
-
     With ``team`` both robots move at once: commanded by one agent (central), by two whose values
     are learned as a sum (vdn), or by two of which each transition is a row of its own (shared: one
     network, independent: one for each).
@@ -183,7 +198,7 @@ class Track(Strict):
     sim_to_real: Annotated[
         dict[str, Any] | None, _arguments_of(SimToReal), AfterValidator(_machine)
     ] = None
-    train_nominal: bool = False
+    train_nominal: bool = False  # sim_to_real in tests alone
     task: Annotated[dict[str, Any] | None, _arguments_of(InsertionTask)] = None
     shield: dict[str, Number] | None = None  # fields of ShieldMargin: masks keep these margins
     team: Literal["central", "vdn", "shared", "independent"] | None = None
@@ -197,7 +212,6 @@ class Track(Strict):
 
     @property
     def rows(self) -> int:
-        """Transitions that one move, or one tick, makes."""
         return rows_of(self.team)
 
 
@@ -215,7 +229,7 @@ class Evaluation(Strict):
     noise: Annotated[list[Number], AfterValidator(_levels)] = field(
         default_factory=lambda: [0.0, 0.01]
     )
-    errors: Annotated[list[AtLeast0], AfterValidator(differ)] = field(
+    errors: Annotated[list[AtLeast0], AfterValidator(_differ)] = field(
         default_factory=lambda: [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0]
     )
     stream: Literal["final", "test", "validate"] = "validate"
@@ -337,17 +351,8 @@ def preset_names() -> list[str]:
     return sorted(p.stem for p in PRESETS.glob("*.yaml") if not p.stem.startswith("_"))
 
 
-def absolute(name: str) -> str:
-    """A preset's name, or the whole path of its file, which a process elsewhere finds too."""
-    return str(Path(name).resolve()) if name.endswith((".yaml", ".yml")) else name
-
-
 def load(name: str) -> Preset | SuitePreset:
-    """Load a preset by name, or by the path of a ``.yaml`` file of one's own.
-
-    Raises:
-        BenchmarkError: there is no such preset, or the file has an unknown or impossible key.
-    """
+    """A preset by name, or by the path of a ``.yaml`` file; BenchmarkError if it will not do."""
     path = Path(name) if name.endswith((".yaml", ".yml")) else PRESETS / f"{name}.yaml"
     if not path.is_file() or (path.parent == PRESETS and path.stem not in preset_names()):
         raise BenchmarkError(
@@ -358,11 +363,7 @@ def load(name: str) -> Preset | SuitePreset:
 
 
 def load_preset(name: str) -> Preset:
-    """:func:`load` a preset of the insertion task.
-
-    Raises:
-        BenchmarkError: as :func:`load`, or the preset is of other tasks.
-    """
+    """:func:`load` a preset of the insertion task."""
     preset = load(name)
     if not isinstance(preset, Preset):
         raise BenchmarkError(f"preset '{name}' is of public tasks: name one of the insertion task")
@@ -370,11 +371,7 @@ def load_preset(name: str) -> Preset:
 
 
 def load_suite(name: str) -> SuitePreset:
-    """:func:`load` a preset of public tasks.
-
-    Raises:
-        BenchmarkError: as :func:`load`, or the preset is of the insertion task.
-    """
+    """:func:`load` a preset of public tasks."""
     preset = load(name)
     if not isinstance(preset, SuitePreset):
         raise BenchmarkError(f"preset '{name}' is of the insertion task: name one of public tasks")
@@ -382,27 +379,25 @@ def load_suite(name: str) -> SuitePreset:
 
 
 def parse(data: dict[str, Any], name: str, where: str) -> Preset | SuitePreset:
-    """Check and build a preset from what its file holds; ``where`` is named in errors."""
-    kind: type[Preset | SuitePreset] = SuitePreset if "tasks" in data else Preset
-    key = "tasks" if "tasks" in data else "tracks"
-    return build(kind, {**data, "name": name, key: _entries(data, key, where)}, where)
+    """Check and build a preset from what its file holds; ``where`` is named in errors.
 
-
-def _entries(data: dict[str, Any], kind: str, where: str) -> dict[str, Any]:
-    """The tracks or tasks of a preset, each laid over what the library has of its name or base."""
+    Its tracks or tasks are laid over what the library has of their names or bases.
+    """
     if "name" in data:
         raise BenchmarkError(f"{where}: unknown key 'name'; the file's name is the preset's name")
+    kind = "tasks" if "tasks" in data else "tracks"
     library = read_yaml(PRESETS / f"_{kind}.yaml")
-    result = {}
-    for name, given in _mapping(data.get(kind), f"{where}: {kind}").items():
-        override = _mapping(given, f"{where}: {kind}: {name}")
-        base = override.pop("base", name)
-        if base not in library and (base != name or not override):
+    entries = {}
+    for key, given in _mapping(data.get(kind), f"{where}: {kind}").items():
+        own = _mapping(given, f"{where}: {kind}: {key}")
+        base = own.pop("base", key)
+        if base not in library and (base != key or not own):
             raise BenchmarkError(
-                f"{where}: {kind}: {name}: unknown base '{base}'; known: {known(library)}"
+                f"{where}: {kind}: {key}: unknown base '{base}'; known: {known(library)}"
             )
-        result[name] = merge(_from_library(library, base), override)
-    return result
+        entries[key] = merge(_from_library(library, base), own)
+    cls: type[Preset | SuitePreset] = SuitePreset if kind == "tasks" else Preset
+    return build(cls, {**data, "name": name, kind: entries}, where)
 
 
 def _mapping(value: object, where: str) -> dict[str, Any]:
@@ -420,11 +415,7 @@ def _from_library(library: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """The mapping that a YAML file holds, without keys ``x-...``, to which others refer.
-
-    Raises:
-        BenchmarkError: the file is no YAML, or no mapping.
-    """
+    """The mapping that a YAML file holds, without keys ``x-...``, to which others refer."""
     try:
         data = yaml.load(path.read_text(encoding="utf-8"), _OnceLoader)
     except (yaml.YAMLError, UnicodeDecodeError) as error:

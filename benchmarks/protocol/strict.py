@@ -1,26 +1,11 @@
-"""Mappings to frozen dataclasses, strictly, by pydantic: what a file gets wrong is one line.
-
-A dataclass to be read is a :class:`Strict`. Values are of their own type, with one
-exception: YAML 1.1 reads 1e-4 as text, and a scientist means a :data:`Number`.
-"""
-
-from __future__ import annotations
+"""Mappings to frozen dataclasses, strictly, by pydantic: what a file gets wrong is one line."""
 
 import dataclasses
 import json
 from collections.abc import Mapping
-from contextlib import suppress
-from typing import Annotated, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    TypeAdapter,
-    ValidationError,
-    model_validator,
-)
+from pydantic import ConfigDict, TypeAdapter, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from benchmarks.errors import BenchmarkError, known
@@ -42,46 +27,8 @@ class Strict:
         return data
 
 
-def _from_text(value: object) -> object:
-    if isinstance(value, str):
-        with suppress(ValueError):
-            return float(value)
-    return value
-
-
-def _numbers(value: Any) -> Any:
-    """As :data:`Number`, of each value in mappings and lists."""
-    if isinstance(value, dict):
-        return {key: _numbers(each) for key, each in value.items()}
-    if isinstance(value, list):
-        return [_numbers(each) for each in value]
-    return _from_text(value)
-
-
-def differ(values: list[Any]) -> list[Any]:
-    """The values, if there are some and no two are equal."""
-    if not values or len(set(values)) != len(values):
-        raise ValueError("needs one value or more, no two equal")
-    return values
-
-
-Number = Annotated[float, BeforeValidator(_from_text), Field(allow_inf_nan=False)]
-Positive = Annotated[Number, Field(gt=0.0)]
-AtLeast0 = Annotated[Number, Field(ge=0.0)]
-Share = Annotated[Number, Field(ge=0.0, le=1.0)]
-Arguments = Annotated[dict[str, Any], AfterValidator(_numbers)]  # of a constructor
-Count = Annotated[int, Field(gt=0)]
-Names = Annotated[list[str], AfterValidator(differ)]
-Seeds = Annotated[list[Annotated[int, Field(ge=0)]], AfterValidator(differ)]
-
-
 def build(cls: type[T], data: object, where: str) -> T:
-    """Build the dataclass ``cls`` from ``data``, checking every key and every value.
-
-    Args:
-        cls: a dataclass; nested dataclasses, ``dict[str, dataclass]`` and lists of them are built.
-        data: what YAML gave.
-        where: the place in words (the file) that an error names.
+    """Build the dataclass ``cls``, and those in it, from what YAML gave; errors name ``where``.
 
     Raises:
         BenchmarkError: a key is unknown or missing, or a value has the wrong type or range.

@@ -4,8 +4,6 @@ A backend starts ``python -m benchmarks <argv>``; what the process does is the s
 it speaks to the harness through the run's folder alone.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -52,7 +50,7 @@ class Job:
         self._process.send_signal(signal.SIGTERM)
 
     def wait(self, seconds: float) -> None:
-        """Wait for its end, and end it by force when the time is over."""
+        """Wait for its end, and kill it when the time is over."""
         end(self._process, seconds)
 
 
@@ -101,7 +99,5 @@ def end(process: subprocess.Popen[bytes], seconds: float) -> None:
 
 
 def default_jobs() -> int:
-    """One process per core that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return max(1, len(os.sched_getaffinity(0)))
-    return os.cpu_count() or 1
+    """The cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,7 +1,5 @@
 """What watches a training run: curriculum, the paper's curves, and the progress others see."""
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from collections import deque
@@ -12,6 +10,7 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
 from benchmarks.protocol.presets import Curriculum, Track
+from benchmarks.runs.checkpoint import Stateful
 
 ROWS: Final = 400  # rows of curve.csv at most, so that it can be committed
 REFERENCE_THRESHOLD: Final = 0.75  # the paper's "environment steps to 75 % success" ...
@@ -27,12 +26,8 @@ def ended(step: dict[str, Any], rows: int) -> list[dict[str, Any]]:
 class CurriculumCallback(BaseCallback):
     """Switches from four holes to six when the mean success of recent episodes is high enough.
 
-    It speaks to the environments through ``env_method``, so any VecEnv will do; each environment
-    takes the new stage at its next reset.
-
-    Args:
-        settings: when it switches.
-        rows: of the batch for each environment: one, or one for each agent.
+    Each environment takes the new stage at its next reset. ``rows`` of the batch are of each: one,
+    or one for each agent.
     """
 
     def __init__(self, settings: Curriculum, rows: int = 1) -> None:
@@ -62,39 +57,33 @@ class CurriculumCallback(BaseCallback):
         self.stage, self.switched_at = state["stage"], state["switched_at"]
 
 
-class Recorder(BaseCallback):
-    """Keeps the rows of a run's curve, and goes on from a checkpoint."""
+class Recorder(BaseCallback, Stateful):
+    """Keeps the rows of a run's curve, and goes on from a checkpoint.
+
+    ``note`` is a word on how the training goes, ``finish`` adds the last row, of the trained model,
+    and ``summary`` is what meta.json says of the training.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         self.rows: list[dict[str, Any]] = []
 
     @abstractmethod
-    def note(self) -> str:
-        """A word on how the training goes."""
+    def note(self) -> str: ...
 
     @abstractmethod
-    def finish(self) -> None:
-        """Add the last row, of the trained model."""
+    def finish(self) -> None: ...
 
     @abstractmethod
-    def summary(self) -> dict[str, Any]:
-        """What meta.json says of the training."""
-
-    @abstractmethod
-    def get_state(self) -> Any: ...
-
-    @abstractmethod
-    def set_state(self, state: Any, /) -> None: ...
+    def summary(self) -> dict[str, Any]: ...
 
 
 class CurveRecorder(Recorder):
     """Keeps the paper's seven training curves as rows and writes them to TensorBoard.
 
-    A row is the mean over an interval of environment steps: episode reward, holes, success and
-    duration over the episodes that ended in it, loss over its updates; learning rate, noise
-    magnitude (mean absolute sigma of the noisy layers, or epsilon) and mean max Q over the current
-    observations at its end (of an actor-critic its critic's value).
+    A row is the mean over an interval of environment steps: of the episodes that ended in it, of
+    the loss of its updates. Learning rate, noise (mean absolute sigma of the noisy layers, or
+    epsilon) and mean max Q (of an actor-critic its critic's value) are those at its end.
     """
 
     def __init__(self, track: Track, curriculum: CurriculumCallback) -> None:
@@ -118,21 +107,18 @@ class CurveRecorder(Recorder):
 
     def _on_step(self) -> bool:
         for info in ended(self.locals, self.curriculum.rows):
-            self._count(info)
+            success, holes = bool(info["success"]), int(info["n_filled"])
+            self.recent.append(success)
+            self.counts["episodes"] += 1
+            self.counts["successes"] += success
+            self.counts["singular"] += bool(info["singular"])
+            self.counts["holes"] += holes
+            reward = float(info["episode"]["r"])
+            self._ended.append((reward, float(holes), float(success), float(info["time"])))
         full = len(self.recent) == REFERENCE_WINDOW
         if self.steps_to_75 is None and full and np.mean(self.recent) > REFERENCE_THRESHOLD:
             self.steps_to_75 = self.num_timesteps
         return True
-
-    def _count(self, info: dict[str, Any]) -> None:
-        success = bool(info["success"])
-        self.recent.append(success)
-        self.counts["episodes"] += 1
-        self.counts["successes"] += success
-        self.counts["singular"] += bool(info["singular"])
-        self.counts["holes"] += int(info["n_filled"])
-        reward = float(info["episode"]["r"])
-        self._ended.append((reward, float(info["n_filled"]), float(success), float(info["time"])))
 
     def note(self) -> str:
         how = f"success {np.mean(self.recent):.0%}" if self.recent else "warming up"
@@ -140,17 +126,17 @@ class CurveRecorder(Recorder):
 
     def finish(self) -> None:
         """End the interval: one row, one point of each TensorBoard curve."""
-        ended = np.array(self._ended, dtype=np.float64).reshape(-1, 4)
-        mean = ended.mean(axis=0) if len(ended) else np.full(4, math.nan)
+        ended = np.array(self._ended or np.full((1, 4), math.nan), dtype=np.float64)
+        reward, holes, success, duration = ended.mean(axis=0).tolist()
         row: dict[str, float] = {
             "timesteps": self.num_timesteps,
             "episodes": self.counts["episodes"],
             "stage": self.curriculum.stage,
-            "episode_reward": float(mean[0]),
-            "holes": float(mean[1]),
-            "success": float(mean[2]),
+            "episode_reward": reward,
+            "holes": holes,
+            "success": success,
             "success_20": float(np.mean(self.recent)) if self.recent else math.nan,
-            "duration": float(mean[3]),
+            "duration": duration,
             "loss": float(np.mean(self._losses)) if self._losses else math.nan,
             "mean_max_q": self._mean_max_q(),
             "learning_rate": float(self.model.policy.optimizer.param_groups[0]["lr"]),

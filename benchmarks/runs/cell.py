@@ -1,7 +1,5 @@
 """One cell of an experiment from start to end. Runs in a process of its own, or in this one."""
 
-from __future__ import annotations
-
 import json
 import os
 import pkgutil
@@ -24,26 +22,17 @@ class Stopped(Exception):
 
 
 class StopFlag:
-    """True once the process was asked to end (SIGTERM or Ctrl-C); a run then saves and stops.
-
-    Of a process whose ``parent``, the harness that started it, is gone, killed without a word, that
-    counts as being asked.
-    """
+    """True once the process was asked to end, or its ``parent``, the harness, is gone."""
 
     def __init__(self, parent: int | None = None) -> None:
-        self.requested = False
-        self.parent = parent
+        self.parent, self.requested = parent, False
 
     def __call__(self) -> bool:
         orphaned = self.parent is not None and os.getppid() != self.parent
         return self.requested or orphaned
 
-    def listen(self) -> None:
-        """Let the signals set the flag."""
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, self._set)
-
-    def _set(self, number: int, frame: object) -> None:
+    def set(self, number: int, frame: object) -> None:
+        """Handle a signal."""
         self.requested = True
 
 
@@ -51,12 +40,12 @@ class ProgressReporter:
     """Tells the harness how far a cell is; raises :class:`Stopped` when asked to end."""
 
     def __init__(self, folder: RunFolder, stop_requested: StopRequested) -> None:
-        self._folder, self._stop_requested = folder, stop_requested
+        self.folder, self.stop_requested = folder, stop_requested
 
     def __call__(self, share: float, note: str = "") -> None:
-        if self._stop_requested():
+        if self.stop_requested():
             raise Stopped
-        self._folder.report(share, lambda: note)
+        self.folder.report(share, lambda: note)
 
 
 def run_cell(
@@ -69,16 +58,12 @@ def run_cell(
 ) -> bool:
     """Run a cell to its end, or until ``stop_requested``; a complete one is left as it is.
 
-    Args:
-        wait: seconds to wait for another process that works on the cell.
-        device: where a learner's network lives: cpu or cuda.
-
     Returns:
         Whether the cell is complete.
 
     Raises:
         BenchmarkError: the cell's folder holds a run with other settings, or another process
-            works on it.
+            works on it and did not end within ``wait`` seconds.
     """
     folder = store.run(cell.id)
     work = partial(experiment.run, cell, folder, stop_requested, device)
@@ -92,11 +77,7 @@ def run_once(
     work: Callable[[], dict[str, Any] | None],
     wait: float = 0.0,
 ) -> bool:
-    """Do a run's work under its lock unless it is complete, and write its meta.json.
-
-    ``work`` is as :meth:`Experiment.run`, ``name`` that of the preset or study; the rest, and
-    errors, as :func:`run_cell`.
-    """
+    """:func:`run_cell` for any ``work``, which is as :meth:`Experiment.run`, under a ``name``."""
     folder.check_config(config)
     if folder.is_complete():
         return True
@@ -114,22 +95,16 @@ def run_once(
             record = None
         if record is None:
             return False
-        spent = _spent(record["training"], *began)
+        wall, cpu = time.perf_counter() - began[0], time.process_time() - began[1]
+        training = record["training"]
+        if "wall_seconds" in training:  # of a resumed run, over all of its processes
+            wall = max(wall, training["wall_seconds"] + training.get("test_seconds", 0.0))
+            cpu = max(cpu, training["cpu_seconds"])
+        spent = {"wall_seconds": wall, "cpu_seconds": cpu}
         folder.begin(begun)  # anew, where somebody has deleted the folder meanwhile
-        folder.write_meta({
-            **{"cell": folder.id, "preset": name}, **spent, **record, **made_by
-        })  # fmt: skip
+        folder.write_meta({"cell": folder.id, "preset": name, **spent, **record, **made_by})
         folder.drop_checkpoint()
         return True
-
-
-def _spent(training: dict[str, Any], began: float, cpu_began: float) -> dict[str, float]:
-    """Wall and CPU seconds; a resumed run's are the sum over its processes."""
-    wall, cpu = time.perf_counter() - began, time.process_time() - cpu_began
-    if "wall_seconds" in training:
-        wall = max(wall, training["wall_seconds"] + training.get("test_seconds", 0.0))
-        cpu = max(cpu, training["cpu_seconds"])
-    return {"wall_seconds": wall, "cpu_seconds": cpu}
 
 
 def argv(experiment: Experiment, store: Store) -> list[str]:
@@ -160,7 +135,8 @@ def run_here(
 ) -> int:  # fmt: skip
     """Run one cell in this process and say how it ended; returns the command's exit code."""
     flag = StopFlag(parent)
-    flag.listen()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, flag.set)
     cell = experiment.find(cell_id)
     check_gpu(device)
     folder = store.run(cell.id).path

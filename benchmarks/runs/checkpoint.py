@@ -1,9 +1,6 @@
 """Checkpoints of a training run: exact, atomic, and set aside when they cannot be read."""
 
-from __future__ import annotations
-
 import errno
-import os
 import pickle
 import shutil
 import time
@@ -21,7 +18,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.seeding import derive
 from benchmarks.runs import machine
-from benchmarks.runs.store import BROKEN, RunFolder
+from benchmarks.runs.store import BROKEN, RunFolder, sync
 from sb3_rainbow.resume.rng import get_rng_state, set_rng_state
 
 Model = TypeVar("Model", bound=BaseAlgorithm)
@@ -36,10 +33,7 @@ PASSING: Final = (
 
 
 class Stateful(Protocol):
-    """A part of a run, beside its model, that goes on from a checkpoint.
-
-    A state of None says that the episodes under way could not be kept: new ones begin.
-    """
+    """A part of a run beside its model; a state of None says that its episodes begin anew."""
 
     def get_state(self) -> Any: ...
 
@@ -99,7 +93,7 @@ class RunCallback(BaseCallback):
     def _on_step(self) -> bool:
         return not self.stopped
 
-    def _history(self) -> dict[str, Any]:
+    def history(self) -> dict[str, Any]:
         """Wall and CPU seconds over all processes of the run, and how they followed each other."""
         return {
             **self._past,
@@ -108,25 +102,14 @@ class RunCallback(BaseCallback):
             "set_aside": self.set_aside,
         }
 
-    def summary(self, model: BaseAlgorithm) -> dict[str, Any]:
-        """What meta.json says of the training of a model."""
-        return {
-            **self._history(),
-            "device": str(model.device),
-            "timesteps": model.num_timesteps,
-        }
-
     def save(self) -> None:
         """Write a checkpoint of the run."""
         state = {name: part.get_state() for name, part in self.kept.items()}
-        state |= {"rng": get_rng_state(self.model.action_space), **self._history()}
+        state |= {"rng": get_rng_state(self.model.action_space), **self.history()}
         write_checkpoint(self.folder.checkpoint, self.model, state)
 
     def restore(self, state: dict[str, Any], model: BaseAlgorithm) -> None:
-        """Put everything but the model and its buffer back to a checkpoint.
-
-        A state that lacks something, or is of another environment, is refused before any change.
-        """
+        """Put back all but model and buffer; a state that lacks something changes nothing."""
         rng, parts = state["rng"], [(part, state[name]) for name, part in self.kept.items()]
         past, set_aside = {name: state[name] for name in self._past}, state["set_aside"]
         for part, saved in parts:
@@ -149,24 +132,13 @@ def _version() -> dict[str, Any]:
     return {"commit": made_with["commit"], "dirty": made_with["dirty"]}
 
 
-def sync(path: Path) -> None:
-    """Have a file or a folder's list of names on the disk, whatever befalls the machine next."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
 def checkpoints(root: Path) -> list[Path]:
     """Checkpoints under ``root``, oldest first."""
     return sorted(root.glob(f"{PREFIX}*"))
 
 
 def write_checkpoint(root: Path, model: BaseAlgorithm, state: dict[str, Any]) -> None:
-    """Write a checkpoint beside the last one, rename it into place, then drop the last one.
-
-    It holds the model, its replay buffer if it has one, and ``state``, pickled.
+    """Write model, replay buffer and ``state`` beside the last checkpoint, then drop that one.
 
     Raises:
         BenchmarkError: the disk is full; the last checkpoint stays.
@@ -219,9 +191,9 @@ def _is_passing(error: Exception) -> bool:
 def load_newest(
     callback: RunCallback, algorithm: type[Model], env: VecEnv, device: str
 ) -> Model | None:
-    """The model of the newest readable checkpoint, with what the callback keeps restored, or None.
+    """The model of the newest sound checkpoint, with what the callback keeps restored, or None.
 
-    A checkpoint that is damaged is named in a warning and kept aside as ``broken-...``.
+    A damaged one is named in a warning and kept aside as ``broken-...``.
 
     Raises:
         BenchmarkError: a checkpoint cannot be read now, for a reason that is not the file's.
@@ -235,6 +207,7 @@ def load_newest(
                 with (path / "buffer.pkl").open("rb") as stream:
                     model.load_replay_buffer(stream)
             callback.restore(state, model)
+            return model
         except Exception as error:
             if _is_passing(error):
                 raise BenchmarkError(
@@ -251,6 +224,4 @@ def load_newest(
                 f"{aside.name} and the run restarts",
                 stacklevel=2,
             )
-            continue
-        return model
     return None

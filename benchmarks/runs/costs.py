@@ -1,7 +1,5 @@
 """What runs cost: seconds per unit of work, as measured in the stored runs, and what is left."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -57,11 +55,7 @@ class Cost:
 
 
 def costs(experiment: Experiment, store: Store, others: Sequence[Store] = ()) -> list[Cost]:
-    """Each cell's state and cost; ``others`` are asked where the store has no run of the kind yet.
-
-    Raises:
-        BenchmarkError: a stored run was made with other settings.
-    """
+    """Each cell's state and cost; ``others`` are asked where the store has no run of the kind."""
     own = measure(experiment, [store])
     result = []
     elsewhere: Measured | None = None

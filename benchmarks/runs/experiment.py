@@ -4,8 +4,6 @@ One cell is one independent run with a folder of its own. The harness starts eac
 (``benchmarks.runs.harness``), which opens the experiment again by its recipe.
 """
 
-from __future__ import annotations
-
 import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -18,12 +16,10 @@ from rich.console import Console
 from benchmarks.errors import BenchmarkError, known
 from benchmarks.protocol import plan
 from benchmarks.protocol.plan import Cell
-from benchmarks.protocol.presets import Preset, SuitePreset, absolute, load
+from benchmarks.protocol.presets import Preset, SuitePreset, load
 from benchmarks.runs.store import RunFolder, Store
 
 StopRequested = Callable[[], bool]
-
-
 P = TypeVar("P", Preset, SuitePreset)
 
 
@@ -43,9 +39,11 @@ class Experiment(ABC, Generic[P]):
 
     def __init__(self, preset: P | str) -> None:
         self.preset: P = load(preset) if isinstance(preset, str) else preset  # type: ignore[assignment]
-        self.name = self.preset.name
-        name = preset if isinstance(preset, str) else self.name
-        self.recipe: dict[str, Any] = {"preset": absolute(name)}
+        name = self.name = self.preset.name
+        if isinstance(preset, str):
+            is_file = preset.endswith((".yaml", ".yml"))
+            name = str(Path(preset).resolve()) if is_file else preset
+        self.recipe: dict[str, Any] = {"preset": name}
         self._cells = plan.expand(self.preset)
 
     def cells(self) -> Sequence[Cell]:
@@ -53,11 +51,7 @@ class Experiment(ABC, Generic[P]):
         return self._cells
 
     def find(self, cell_id: str) -> Cell:
-        """The cell of that id.
-
-        Raises:
-            BenchmarkError: there is no such cell.
-        """
+        """The cell of that id; BenchmarkError if there is none."""
         by_id = {cell.id: cell for cell in self.cells()}
         if cell_id not in by_id:
             raise BenchmarkError(
@@ -109,13 +103,10 @@ class Experiment(ABC, Generic[P]):
     def run(
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
     ) -> dict[str, Any] | None:
-        """Do the cell's work and write its rows.
+        """Do the cell's work and write its rows into its folder, which was begun.
 
-        Args:
-            cell: a cell.
-            folder: its own, begun.
-            stop_requested: asked now and then; True saves what can be saved and ends the call.
-            device: where networks live: cpu or cuda.
+        ``stop_requested`` is asked now and then: True saves what can be saved and ends the call.
+        Networks live on ``device``, cpu or cuda.
 
         Returns:
             What meta.json says of the run, ``training`` at least; None if it was stopped.
@@ -156,5 +147,5 @@ class Experiment(ABC, Generic[P]):
         self.write_figures(store, console)
 
     def open_store(self, results: Path, create: bool = False) -> Store:
-        """The experiment's store; errors as those of :meth:`~benchmarks.runs.store.Store.open`."""
+        """The experiment's store, as :meth:`~benchmarks.runs.store.Store.open` opens it."""
         return Store.open(results / self.place, self.name, create)

@@ -1,7 +1,5 @@
 """Runs what an experiment lacks: a process for each cell, one progress line per run."""
 
-from __future__ import annotations
-
 import shutil
 import signal
 import threading
@@ -30,7 +28,7 @@ POLL_SECONDS: Final = 0.3
 
 @dataclass
 class _Child:
-    cell: Cell
+    folder: RunFolder
     job: Job
     task: TaskID
     started: float | None = None
@@ -46,11 +44,7 @@ class Outcome:
     interrupted: bool = False
 
     def close(self, store: Store, console: Console, write: Callable[[], object]) -> int:
-        """Say what came of it, and ``write`` tables and figures unless it was interrupted.
-
-        Returns:
-            The command's exit code.
-        """
+        """Say what came of it, ``write`` unless it was interrupted; returns the exit code."""
         if self.skipped:
             console.print(f"{len(self.skipped)} runs were complete already")
         if self.interrupted:
@@ -65,11 +59,7 @@ class Outcome:
 
 
 def check_disk(experiment: Experiment, store: Store, todo: Sequence[Cell], slots: int) -> None:
-    """Refuse to start what would fill the disk: results, and checkpoints of runs side by side.
-
-    Raises:
-        BenchmarkError: there is too little room.
-    """
+    """Refuse to start what would fill the disk: results, and checkpoints of runs side by side."""
     # a checkpoint is written beside the last one
     sizes = sorted((2 * experiment.checkpoint_bytes(cell) for cell in todo), reverse=True)
     needed = experiment.run_bytes * len(todo) + sum(sizes[:slots])
@@ -82,14 +72,9 @@ def check_disk(experiment: Experiment, store: Store, todo: Sequence[Cell], slots
 
 
 class Harness:
-    """Runs the cells of an experiment in processes.
+    """Runs the cells of an experiment in processes of a backend; the caller holds the store's lock.
 
-    Args:
-        experiment: what to run.
-        store: where results go; the caller holds its lock.
-        backend: where the processes live.
-        console: where progress goes.
-        device: of the networks: cpu or cuda.
+    Networks live on ``device``, cpu or cuda.
     """
 
     def __init__(
@@ -120,13 +105,16 @@ class Harness:
         with bar(self.console, *more) as progress:
             overall = progress.add_task("", note="")
             self._show(progress, overall)
+            # a batch system ends a job with SIGTERM
+            before = signal.signal(signal.SIGTERM, signal.default_int_handler)
             try:
-                with terminable():
-                    self._loop(progress, overall)
+                self._loop(progress, overall)
             except KeyboardInterrupt:
                 self.console.print("Stopping: the runs save their checkpoints")
                 self._stop()
                 self._outcome.interrupted = True
+            finally:
+                signal.signal(signal.SIGTERM, before)
         return self._outcome
 
     def _admit(self, cells: Sequence[Cell]) -> None:
@@ -161,23 +149,20 @@ class Harness:
             # the process of a harness that was killed may still be saving
             *("--wait", f"{GRACE_SECONDS:g}"),
         ]
-        job = self.backend.start(argv, self.store.run(cell.id))
-        task = progress.add_task(
-            f"  {cell.id}", total=1.0, note="starting", visible=False, start=False
-        )
-        progress.update(task, completed=self._shares[cell.id])
-        return _Child(cell, job, task)
+        folder = self.store.run(cell.id)
+        task = progress.add_task(f"  {cell.id}", start=False, total=1.0, visible=False, note="")
+        return _Child(folder, self.backend.start(argv, folder), task)
 
     def _look_after(self, child: _Child, progress: Progress) -> None:
-        name = child.cell.id
+        folder, name = child.folder, child.folder.id
         for sentence in child.job.news():
-            self.console.print(f"{name}: {sentence}", markup=False)
+            self._say(folder, sentence)
         place = child.job.place()
         if place is not None:
             if child.started is None:  # until now it waited for its turn
                 child.started = time.perf_counter()
                 progress.start_task(child.task)
-            share, note = self.store.run(name).progress()
+            share, note = folder.progress()
             self._shares[name] = share
             note = f"{note} on {place}" if place else note
             progress.update(child.task, completed=share, note=note, visible=True)
@@ -199,13 +184,13 @@ class Harness:
         )
 
     def _report(self, child: _Child) -> None:
-        folder, code, log = self.store.run(child.cell.id), child.job.poll(), child.job.log
+        folder, code, log = child.folder, child.job.poll(), child.job.log
         if code != 0 or not folder.is_complete():
             self._outcome.failed[folder.id] = log
             how = f"failed with exit code {code}"
             if code is not None and code < 0:
                 how = f"was killed by signal {-code}, perhaps out of memory"
-            self._say(f"{folder.id}: {how}, see {log}\n{_tail(log)}", "red")
+            self._say(folder, f"{how}, see {log}\n{_tail(log)}", "red")
             return
         seconds = 0.0 if child.started is None else time.perf_counter() - child.started
         try:
@@ -213,18 +198,16 @@ class Harness:
             set_aside = folder.meta()["training"].get("set_aside", [])
         except (BenchmarkError, KeyError) as error:  # deleted or damaged: the others go on
             self._outcome.failed[folder.id] = log
-            self._say(f"{folder.id}: {error}", "red")
+            self._say(folder, str(error), "red")
             return
         self._outcome.trained.append(folder.id)
-        self._say(f"{folder.id}: done in {duration(seconds)}{verdict}")
+        self._say(folder, f"done in {duration(seconds)}{verdict}")
         for name in set_aside:
             kept = folder.checkpoint / name
-            self._say(
-                f"{folder.id}: a checkpoint could not be read and is kept as {kept}", "yellow"
-            )
+            self._say(folder, f"a checkpoint could not be read and is kept as {kept}", "yellow")
 
-    def _say(self, text: str, style: str | None = None) -> None:
-        self.console.print(text, style=style, markup=False)
+    def _say(self, folder: RunFolder, text: str, style: str | None = None) -> None:
+        self.console.print(f"{folder.id}: {text}", style=style, markup=False)
 
     def _stop(self) -> None:
         for child in self._children:
@@ -233,16 +216,6 @@ class Harness:
         for child in self._children:
             child.job.wait(deadline - time.perf_counter())
         self._children.clear()
-
-
-@contextmanager
-def terminable() -> Iterator[None]:
-    """Take SIGTERM, with which a batch system ends a job, as Ctrl-C."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def bar(console: Console, *more: ProgressColumn) -> Progress:

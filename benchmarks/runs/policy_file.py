@@ -5,8 +5,6 @@ rest is rounded to half precision before it is tested, so that the file *is* wha
 digest of the weights as trained is kept in meta.json: two runs can be compared to the bit by it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import zipfile
@@ -18,13 +16,12 @@ import torch
 
 from benchmarks.runs.store import write_atomic
 
+# what acting never asks of Rainbow, DQN or an actor-critic, and what noisy layers draw anew
 _UNUSED: Final = (
     *("q_net_target.", "quantile_net_target.", "mlp_extractor.value_net.", "value_net."),
     *("critic.", "critic_target.", "actor_target."),
 )
-"""What the acting policy of Rainbow, DQN or an actor-critic never asks, by prefix."""
 _DRAWN: Final = (".epsilon_in", ".epsilon_out")
-"""What a noisy layer draws anew when it explores, by suffix."""
 
 
 def digest(model: Any) -> str:

@@ -4,8 +4,6 @@ Ray only places processes. A run whose worker or node is lost is placed again an
 last checkpoint; progress and results travel through the run's folder, as on one machine.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import os
@@ -30,11 +28,7 @@ WORKER: Final = "worker.json"  # from the worker: where it runs
 
 
 def run_remotely(argv: Sequence[str], folder: str, nonce: str) -> int:
-    """In a worker: run ``python -m benchmarks <argv>`` and return its exit code.
-
-    Raises:
-        BenchmarkError: the folder here is not the one where the harness wrote ``nonce``.
-    """
+    """In a worker: run ``python -m benchmarks <argv>`` and return its exit code."""
     run = RunFolder(Path(folder))
     if _read(run.checkpoint / TICKET).get("nonce") != nonce:
         raise BenchmarkError(
@@ -213,11 +207,7 @@ class RayJob(Job):
 
 
 def _reach(address: str | None) -> None:
-    """Try ``host:port`` for a moment; Ray itself would try for minutes.
-
-    Raises:
-        OSError: nothing answers.
-    """
+    """Try ``host:port`` for a moment, or raise OSError; Ray itself would try for minutes."""
     host, _, port = (address or "").rpartition(":")
     if host and "/" not in host and port.isdigit():
         socket.create_connection((host, int(port)), timeout=CONNECT_SECONDS).close()

@@ -12,8 +12,6 @@ Every file is written beside its place and renamed into it, so a reader sees the
 new one. A run is complete when its meta.json is there: it is written last.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -23,7 +21,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import pandas as pd
 import yaml
@@ -38,6 +36,15 @@ PROGRESS_SECONDS: Final = 0.5  # between two reports of a run
 BROKEN: Final = "broken-"  # before the name of a checkpoint that could not be read
 
 
+def sync(path: Path) -> None:
+    """Have a file or a folder's list of names on the disk, whatever befalls the machine next."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
 def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` fill a temporary file beside ``path``, flush it, and rename it into place."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -46,8 +53,7 @@ def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
     temporary = Path(name)
     try:
         write(temporary)
-        with temporary.open("rb") as stream:
-            os.fsync(stream.fileno())
+        sync(temporary)
         temporary.chmod(0o644)
         temporary.replace(path)
     finally:
@@ -91,19 +97,15 @@ def changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
 
 
 class RunFolder:
-    """The files of one cell."""
+    """The files of one cell; BenchmarkError where one that is read is missing or damaged."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path, self.id = path, path.name
         self.policy = path / "policy.zip"
         self.checkpoint = path / "checkpoint"
         self.tensorboard = path / "tensorboard"
         self.log = self.checkpoint / "log.txt"
         self._told = time.perf_counter()
-
-    @property
-    def id(self) -> str:
-        return self.path.name
 
     def is_complete(self) -> bool:
         """Whether the run has ended and its results are stored."""
@@ -118,11 +120,7 @@ class RunFolder:
         return hashlib.sha256(self.policy.read_bytes()).hexdigest()
 
     def begin(self, config: Mapping[str, Any]) -> None:
-        """Claim the folder for ``config``; a folder with other settings is left untouched.
-
-        Raises:
-            BenchmarkError: the folder holds a run with other settings.
-        """
+        """Claim the folder for ``config``; BenchmarkError if it is another's, which is left."""
         self.check_config(config)
         for left in self.path.glob(".*.tmp*"):  # of a process that was killed while it wrote
             left.unlink(missing_ok=True)
@@ -141,19 +139,11 @@ class RunFolder:
             )
 
     def config(self) -> dict[str, Any]:
-        """The run's settings.
-
-        Raises:
-            BenchmarkError: the file is missing or is none of this harness.
-        """
+        """The run's settings."""
         return self._read("config.yaml", lambda text: yaml.load(text, SAFE_LOADER))
 
     def meta(self) -> dict[str, Any]:
-        """What the run says of itself: commit, versions, machine, seeds, time, steps.
-
-        Raises:
-            BenchmarkError: the file is missing, damaged or of another schema.
-        """
+        """What the run says of itself: commit, versions, machine, seeds, time, steps."""
         meta = self._read("meta.json", json.loads)
         if meta.get("schema") != SCHEMA:
             raise BenchmarkError(
@@ -170,16 +160,19 @@ class RunFolder:
 
     def _read(self, name: str, parse: Callable[[str], Any]) -> dict[str, Any]:
         path = self.path / name
-        try:
-            data = parse(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError, yaml.YAMLError) as error:
-            raise BenchmarkError(f"{path} {self._unreadable(error)}") from error
-        if not isinstance(data, dict):
-            raise BenchmarkError(f"{path} {self._unreadable('no mapping')}")
+        with self._readable(path):
+            if not isinstance(data := parse(path.read_text(encoding="utf-8")), dict):
+                raise ValueError("no mapping")
         return data
 
-    def _unreadable(self, error: object) -> str:
-        return f"cannot be read ({error}); delete {self.path} and run the preset again"
+    @contextmanager
+    def _readable(self, path: Path) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, ValueError, yaml.YAMLError) as error:
+            raise BenchmarkError(
+                f"{path} cannot be read ({error}); delete {self.path} and run the preset again"
+            ) from error
 
     def write_meta(self, meta: Mapping[str, Any]) -> None:
         """Write meta.json, which makes the run complete."""
@@ -191,16 +184,10 @@ class RunFolder:
         write_csv(self.path / f"{name}.csv", rows)
 
     def rows(self, name: str) -> pd.DataFrame:
-        """Read ``<name>.csv``.
-
-        Raises:
-            BenchmarkError: the file is missing or damaged.
-        """
+        """Read ``<name>.csv``."""
         path = self.path / f"{name}.csv"
-        try:
+        with self._readable(path):
             return pd.read_csv(path)
-        except (OSError, ValueError) as error:
-            raise BenchmarkError(f"{path} {self._unreadable(error)}") from error
 
     def has_rows(self, name: str) -> bool:
         return (self.path / f"{name}.csv").is_file()
@@ -229,11 +216,7 @@ class RunFolder:
             return 0.0, ""
 
     def lock(self, wait: float = 0.0) -> AbstractContextManager[None]:
-        """Hold the run for one process; ``wait`` seconds for one that holds it, and saves and ends.
-
-        Raises:
-            BenchmarkError: another process holds it.
-        """
+        """Hold the run for one process; BenchmarkError if another one does for ``wait`` seconds."""
         refusal = f"another process is at work on {self.path}; wait for it or stop it"
         return _held(self.path / "run.lock", refusal, wait)
 
@@ -258,12 +241,8 @@ class Store:
         self.figures = self.folder / "figures"
 
     @classmethod
-    def open(cls, root: Path | str, preset: str, create: bool = False) -> Store:
-        """Open a store, and with ``create`` make it.
-
-        Raises:
-            BenchmarkError: the folder is missing, or of another schema version.
-        """
+    def open(cls, root: Path | str, preset: str, create: bool = False) -> Self:
+        """Open a store, or ``create`` it; BenchmarkError if it is missing or of another schema."""
         store = cls(Path(root), preset)
         marker = store.folder / "store.json"
         # Listed first: whoever makes this store beside us writes the marker, from a temporary file,
@@ -293,16 +272,9 @@ class Store:
         return store
 
     def lock(self) -> AbstractContextManager[None]:
-        """Hold the store for one harness.
-
-        Raises:
-            BenchmarkError: another harness holds it.
-        """
-        return _held(
-            self.folder / "store.lock",
-            f"another harness is at work in {self.folder}; wait for it, or use another --results "
-            "folder",
-        )
+        """Hold the store for one harness; BenchmarkError if another one holds it."""
+        refusal = f"another harness is at work in {self.folder}; wait for it, or use another "
+        return _held(self.folder / "store.lock", f"{refusal}--results folder")
 
     def run(self, cell_id: str) -> RunFolder:
         """The folder of one cell, present or not."""

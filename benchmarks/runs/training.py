@@ -4,8 +4,6 @@ A run is checkpointed between two rounds of collection, where model, replay buff
 callbacks agree with one another, so that a resumed run goes on as if it had never stopped.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -43,7 +41,7 @@ def learn(
 
     Args:
         folder: of the run.
-        algorithm: which loads a checkpoint, its network onto ``device``.
+        algorithm: loads a checkpoint.
         build: makes the untrained model.
         env: its training environments.
         kept: what else a checkpoint holds, by name, put back in this order; the recorder is last.
@@ -52,7 +50,7 @@ def learn(
         seconds: wall-clock time between two checkpoints.
         stop_requested: asked between two rounds of collection.
         callbacks: before the recorder.
-        device: cpu or cuda.
+        device: cpu or cuda, of a model that is loaded.
 
     Returns:
         The trained model and what meta.json says of the training, or None if it was stopped.
@@ -75,7 +73,8 @@ def learn(
     recorder.model, recorder.num_timesteps = model, model.num_timesteps  # if nothing was left to do
     recorder.finish()
     folder.write_rows("curve", recorder.rows)
-    return model, {**recorder.summary(), **callback.summary(model)}
+    about = {"device": str(model.device), "timesteps": model.num_timesteps}
+    return model, {**recorder.summary(), **callback.history(), **about}
 
 
 def train(

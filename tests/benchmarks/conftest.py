@@ -1,14 +1,12 @@
 """Fixtures of the harness's tests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from multiprocessing import get_all_start_methods
 
 import pytest
 
 from benchmarks.cli import main
-from tests.benchmarks.runs.warm import Server
+from tests.benchmarks.runs.warm import children, warm_up
 
 
 @pytest.fixture
@@ -27,14 +25,13 @@ def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
 
 
 @pytest.fixture(scope="session")
-def warm() -> Server:
-    """Its ``children()`` are the processes of a harness without the seconds of their imports."""
+def warm() -> None:
     if "forkserver" not in get_all_start_methods():
         pytest.skip("needs os.fork")
-    return Server()
+    warm_up()
 
 
 @pytest.fixture
-def forked(warm: Server) -> Iterator[None]:
-    with warm.children():
+def forked(warm: None) -> Iterator[None]:
+    with children():
         yield

@@ -1,7 +1,5 @@
 """A fabricated store whose numbers are known, for tests of tables, figures and the report."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path

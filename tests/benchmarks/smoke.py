@@ -1,7 +1,5 @@
 """The preset ``smoke`` with other settings: as data, built, or as a file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Both robots at once in one environment, commanded centrally or by two agents. No torch here."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -18,8 +16,7 @@ from coop_env.team.joint_env import CoopInsertionJointEnv
 class DecentralizedEnv(Team):
     """The joint environment for two agents that each choose for themselves.
 
-    A joint action is allowed where both agents' own masks allow their parts, which is all that they
-    can know together: what is best of a sum of their values is best for each.
+    A joint action is allowed where both agents' own masks allow their parts.
     """
 
     def _masks_of(self, states: NDArray[np.void]) -> NDArray[np.bool_]:

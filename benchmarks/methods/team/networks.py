@@ -3,8 +3,6 @@
 Only what is computed differs: replay, targets, loss and exploration are Rainbow's own.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -30,12 +28,7 @@ class DecentralizedVecEnv(CoopInsertionVecEnv):
 
 
 class TeamNetwork(RainbowNetwork):
-    """Two networks in the place of one, each fed its columns of the observation.
-
-    Args:
-        columns: which columns each agent sees.
-        kwargs: as for :class:`~sb3_rainbow.network.rainbow_network.RainbowNetwork`.
-    """
+    """Two networks in the place of one, each fed the ``columns`` that its agent sees."""
 
     def __init__(self, columns: Sequence[Sequence[int]], **kwargs: Any) -> None:
         self.columns = [list(own) for own in columns]

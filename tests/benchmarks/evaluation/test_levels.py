@@ -1,7 +1,5 @@
 """The levels of a cell: noise, errors of an uncertain machine, and ways of acting."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path
@@ -10,12 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.evaluation.evaluate import (
-    displaced,
-    evaluate_cell,
-    levels,
-    with_random_moves,
-)
+from benchmarks.evaluation.evaluate import displaced, evaluate_cell, levels, with_random_moves
 from benchmarks.methods.learners import build_model, make_training_env
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset, load_preset
@@ -64,15 +57,12 @@ def exploring(preset: Preset, **changes: Any) -> Preset:
 def test_who_sees_the_state_has_no_noise_and_who_has_two_ways_is_played_in_both(
     method: str, track: str, noise: list[float], explores: bool, preset: Preset
 ) -> None:
-    greedily: list[tuple[float, dict[str, object]]] = [(level, {}) for level in noise]
+    wanted: list[tuple[float, dict[str, object]]] = [(level, {}) for level in noise]
     more: list[tuple[float, dict[str, object]]] = [(0.0, {"acting": "exploring"})]
-    for asked, wanted in (
-        (preset, greedily),
-        (exploring(preset), greedily + more * explores),
-    ):
+    for asked, all_wanted in ((preset, wanted), (exploring(preset), wanted + more * explores)):
         result = levels(asked, cell(method, track))
-        assert [(level.noise, level.columns) for level in result] == wanted
-        assert [level.exploring for level in result] == ["acting" in each for _, each in wanted]
+        assert [(level.noise, level.columns) for level in result] == all_wanted
+        assert [level.exploring for level in result] == ["acting" in each for _, each in all_wanted]
 
 
 @pytest.mark.parametrize("method", ["rainbow", "dqn", "maskable_ppo", "greedy"])
@@ -167,14 +157,13 @@ def test_rows_say_under_which_error_they_were_played(method: str, preset: Preset
 def test_other_starts_are_played_as_the_headline_has_them(
     method: str, track: str, result: list[dict[str, object]], tmp_path: Path
 ) -> None:
-    cell = Cell(method, "full", "optimized", track, 0)
     Store.open(tmp_path, "cut", create=True)
-    fresh = Replay("cut", tmp_path, None, 7)
-    preset = fresh.shortened(cell)
+    fresh, mine = Replay("cut", tmp_path, None, 7), cell(method, track)
+    preset = fresh.shortened(mine)
     assert preset.evaluation.episodes == FRESH_EPISODES
-    mine = levels(preset, cell)
-    assert [level.columns for level in mine] == result
-    assert all(level.noise == 0.0 for level in mine)
+    played = levels(preset, mine)
+    assert [level.columns for level in played] == result
+    assert all(level.noise == 0.0 for level in played)
     # the same machine as in the stored episodes, to the bit
-    whole = [level.arguments for level in levels(fresh.preset, cell)]
-    assert all(level.arguments in whole for level in mine)
+    whole = [level.arguments for level in levels(fresh.preset, mine)]
+    assert all(level.arguments in whole for level in played)

@@ -1,7 +1,5 @@
 """Models from files: what is stored here runs nothing, what a stranger saved asks for trust."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any
@@ -18,9 +16,10 @@ from benchmarks.evaluation.model_files import load_model, load_stored
 from benchmarks.studies.robots.trials import inserter
 from coop_env.env import CoopInsertionEnv
 from sb3_rainbow import Rainbow
+from tests.process import ROOT
 from tests.sb3_rainbow.zoo.crafted import tampered
 
-RESULTS = Path(__file__).resolve().parents[3] / "results"
+RESULTS = ROOT / "results"
 POLICIES = sorted(RESULTS.glob("*/runs/rainbow-*-s0/policy.zip"))
 
 

@@ -1,7 +1,5 @@
 """Scripted controls: what they choose is the least potential, found here by trying every move."""
 
-from __future__ import annotations
-
 import copy
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Test episodes: what each metric counts, common initial states, noise that repeats."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -10,13 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.evaluation.evaluate import (
-    Condition,
-    Rows,
-    begin_episodes,
-    by_policy,
-    no_progress,
-)
+from benchmarks.evaluation.evaluate import Condition, Rows, begin_episodes, by_policy, no_progress
 from benchmarks.methods.base import Policy
 from benchmarks.methods.episodes import Episode, distance_to_segment, dome_frame
 from benchmarks.methods.oracle import LatticeOracle

@@ -1,7 +1,5 @@
 """The exact optimum, in turn and at once: its plans succeed, none shorter does."""
 
-from __future__ import annotations
-
 import itertools
 from collections import deque
 from typing import Any
@@ -115,13 +113,11 @@ def has_goal(env: CoopInsertionEnv) -> bool:
         nx, ny = np.sin(pitch), -np.sin(roll) * np.cos(pitch)
         nz = np.cos(roll) * np.cos(pitch)
         k = 1.0 / (1.0 + nz)
-        rotation = np.array(
-            [
-                [1 - k * nx * nx, -k * nx * ny, nx],
-                [-k * nx * ny, 1 - k * ny * ny, ny],
-                [-nx, -ny, nz],
-            ]
-        )
+        rotation = np.array([
+            [1 - k * nx * nx, -k * nx * ny, nx],
+            [-k * nx * ny, 1 - k * ny * ny, ny],
+            [-nx, -ny, nz],
+        ])  # fmt: skip
         normal = rotation @ PAPER_TASK.hole_normals[target]
         if np.arccos(normal[2]) >= np.radians(5.0):
             continue

@@ -1,7 +1,5 @@
 """Planners on a machine that stands elsewhere than their model."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from typing import Any

@@ -1,7 +1,5 @@
 """RRT-Connect: plans are valid in the environment, rounding stays near, failures have causes."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import Any

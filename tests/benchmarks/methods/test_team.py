@@ -1,7 +1,5 @@
 """Teams: who decides, with what in sight, and that each agent's own best is the best together."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,8 +1,5 @@
 """Presets are strict: whatever a file gets wrong is named, with the file and what is known."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +13,7 @@ from benchmarks.protocol.presets import Preset, load, load_preset, preset_names
 from benchmarks.studies.insertion import Insertion
 from tests.benchmarks.smoke import parsed, smoke, smoke_preset
 
+SIZES = {"base_radius": 0.18, "proximal_length": 0.1, "platform_radius": 0.11}
 SMALL_BASE = {"base_radius": 0.1, "proximal_length": 0.1, "platform_radius": 0.2}
 
 
@@ -39,10 +37,7 @@ def test_shipped_presets_expand_to_cells_with_unique_folders(name: str) -> None:
 
 
 def test_a_group_of_runs_may_have_seeds_of_its_own() -> None:
-    runs = [
-        {"methods": ["greedy"], "tracks": ["safe"], "seeds": [7]},
-        {"methods": ["optimum"]},
-    ]
+    runs = [{"methods": ["greedy"], "tracks": ["safe"], "seeds": [7]}, {"methods": ["optimum"]}]
     cells = expand(smoke_preset(seeds=[0, 1], runs=runs, design=None))
     assert {(c.method, c.seed) for c in cells} == {("greedy", 7), ("optimum", 0), ("optimum", 1)}
 
@@ -97,11 +92,8 @@ def test_an_impossible_value_is_refused(change: dict[str, Any], word: str) -> No
 
 
 def test_a_number_that_yaml_reads_as_text_is_one_among_arguments_too() -> None:
-    data: dict[str, Any] = {
-        "tracks": {"safe": {"methods": {"dqn": {"tau": "5e-3", "policy": "MlpPolicy"}}}}
-    }
-    dqn = smoke_preset(**data).tracks["safe"].methods["dqn"]
-    assert dqn == {"tau": 0.005, "policy": "MlpPolicy"}
+    preset = smoke_preset(**safe(methods={"dqn": {"tau": "5e-3", "policy": "MlpPolicy"}}))
+    assert preset.tracks["safe"].methods["dqn"] == {"tau": 0.005, "policy": "MlpPolicy"}
 
 
 @pytest.mark.parametrize(
@@ -142,41 +134,41 @@ def test_an_impossible_cell_is_refused(
         expand(preset)
 
 
-def test_a_preset_without_a_run_is_an_error() -> None:
-    with pytest.raises(BenchmarkError, match="preset 'empty' holds no run"):
-        expand(smoke_preset("empty", runs=[]))
-
-
-def test_names_that_make_no_folder_or_one_for_two_are_refused() -> None:
-    sizes = {"base_radius": 0.18, "proximal_length": 0.1, "platform_radius": 0.11}
-    for tracks, geometries, words in (
+@pytest.mark.parametrize(
+    ("tracks", "geometries", "words"),
+    [
         (["a/b"], ["optimized"], "cell 'greedy-optimized-a/b-s0' is no name of a folder"),
         (["z", "y-z"], ["x", "x-y"], "cell 'greedy-x-y-z-s0' stands for two"),
-    ):
-        preset = smoke_preset(
-            tracks={name: {"base": "safe"} for name in tracks},
-            geometries=dict.fromkeys(geometries, sizes),
-            runs=[{"methods": ["greedy"], "tracks": tracks, "geometries": geometries}],
-        )
-        with pytest.raises(BenchmarkError, match=words):
-            expand(preset)
+    ],
+)
+def test_names_that_make_no_folder_or_one_for_two_are_refused(
+    tracks: list[str], geometries: list[str], words: str
+) -> None:
+    preset = smoke_preset(
+        tracks={name: {"base": "safe"} for name in tracks},
+        geometries=dict.fromkeys(geometries, SIZES),
+        runs=[{"methods": ["greedy"], "tracks": tracks, "geometries": geometries}],
+    )
+    with pytest.raises(BenchmarkError, match=words):
+        expand(preset)
 
 
 def test_a_geometry_of_ones_own_reaches_the_runs_settings() -> None:
-    sizes = {"base_radius": 0.18, "proximal_length": 0.1, "platform_radius": 0.11}
     runs = [{"methods": ["optimum"], "geometries": ["mine"]}]
-    preset = smoke_preset(geometries={"mine": sizes}, runs=runs)
+    preset = smoke_preset(geometries={"mine": SIZES}, runs=runs)
     (cell,) = expand(preset)
-    assert settings(preset, cell)["dimensions"] == sizes
+    assert settings(preset, cell)["dimensions"] == SIZES
 
 
-def test_unknown_presets_and_cells_list_the_known_ones() -> None:
+def test_what_is_not_there_is_an_error_that_lists_what_is() -> None:
     with pytest.raises(BenchmarkError, match=r"grid, .*paper, .*shielded, smoke, support, team"):
         load_preset("fast")
     with pytest.raises(BenchmarkError, match="unknown preset '_tracks'"):
         load_preset("_tracks")
     with pytest.raises(BenchmarkError, match="rainbow-optimized-safe-s0"):
         Insertion(load_preset("smoke")).find("rainbow-s9")
+    with pytest.raises(BenchmarkError, match="preset 'empty' holds no run"):
+        expand(smoke_preset("empty", runs=[]))
 
 
 def test_the_test_starts_are_the_paper_presets_alone() -> None:
@@ -188,34 +180,22 @@ def test_the_test_starts_are_the_paper_presets_alone() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("content", "words"),
     [
-        ("seeds: [0]\nseeds: [1]\n", "key 'seeds' is given twice"),
-        ("runs: &a [*a]\nseeds: [0]\nevaluation: {episodes: 1}\ndescription: x\n", "mine.yaml: "),
+        (b"seeds: [0]\nseeds: [1]\n", "key 'seeds' is given twice"),
+        (b"runs: &a [*a]\nseeds: [0]\nevaluation: {episodes: 1}\ndescription: x\n", "mine.yaml: "),
+        (b"\xff\xfe\x00", "not valid YAML"),
+        (b"seeds: [0\nruns", "not valid YAML"),
     ],
 )
-def test_yaml_that_means_two_things_is_one_line(tmp_path: Path, text: str, words: str) -> None:
-    path = tmp_path / "mine.yaml"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(BenchmarkError, match=words):
-        load_preset(str(path))
-
-
-def test_bytes_that_are_no_text_are_one_line(tmp_path: Path) -> None:
-    path = tmp_path / "bin.yaml"
-    for content in (b"\xff\xfe\x00", b"seeds: [0\nruns"):
-        path.write_bytes(content)
-        with pytest.raises(BenchmarkError, match="not valid YAML") as caught:
-            load_preset(str(path))
-        assert "\n" not in str(caught.value)
-
-
-def test_a_file_in_the_place_of_the_results_is_one_line(
-    tmp_path: Path, refused: Callable[..., str]
+def test_a_file_that_means_two_things_or_nothing_is_one_line(
+    tmp_path: Path, content: bytes, words: str
 ) -> None:
-    (tmp_path / "file").write_text("")
-    words = ["run", "--preset", "smoke", "--results", str(tmp_path / "file")]
-    assert "name another place" in refused(*words)
+    path = tmp_path / "mine.yaml"
+    path.write_bytes(content)
+    with pytest.raises(BenchmarkError, match=words) as caught:
+        load_preset(str(path))
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("words", [["rainbow", "--steps", "-1"], ["env", "--starts", "0"]])

@@ -1,7 +1,5 @@
 """What ``plan`` says of cost: measured where something like it ran, and how long it takes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The scheduler: Ctrl-C and a killed harness lose nothing, failures are told, room is checked."""
 
-from __future__ import annotations
-
 import io
 import os
 import re
@@ -26,7 +24,7 @@ from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.harness import Harness, Outcome, check_disk
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.insertion import Insertion
-from tests.benchmarks.runs.warm import Server
+from tests.benchmarks.runs.warm import Forked
 from tests.benchmarks.smoke import smoke_file, smoke_preset
 
 Refused = Callable[..., str]
@@ -39,28 +37,26 @@ def long_preset(tmp_path: Path) -> Path:
     return smoke_file(tmp_path, "long", track={"timesteps": 10_000_000}, runs=runs)
 
 
-def wait_for(path: Path, seconds: float = 120.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not path.exists():
-        assert time.monotonic() < deadline, f"{path} did not appear"
+def wait_for(condition: Callable[[], Any], log: Path) -> None:
+    deadline = time.monotonic() + 120.0
+    while not condition():
+        assert time.monotonic() < deadline, log.read_text(encoding="utf-8")
         time.sleep(0.1)
 
 
+@pytest.mark.usefixtures("warm")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_ended_harness_leaves_a_checkpoint_to_resume_from(
-    number: signal.Signals, long_preset: Path, tmp_path: Path, warm: Server
+    number: signal.Signals, long_preset: Path, tmp_path: Path
 ) -> None:
     """Its run is a process of its own."""
     words = ["run", "--preset", str(long_preset), "--results", str(tmp_path / "results")]
-    process = warm.start(tmp_path / "out.txt", *words)
+    process = Forked(tmp_path / "out.txt", words)
     run = Store(tmp_path / "results", "long").run("dqn-optimized-safe-s0")
-    wait_for(run.checkpoint / "progress.json")
+    wait_for((run.checkpoint / "progress.json").exists, tmp_path / "out.txt")
     process.send_signal(number)
     code = process.wait(100)
-    deadline = time.monotonic() + 60
-    while not checkpoints(run.checkpoint):
-        assert time.monotonic() < deadline, (run.checkpoint / "log.txt").read_text()
-        time.sleep(0.1)
+    wait_for(lambda: checkpoints(run.checkpoint), run.log)
     assert not run.is_complete()
     if number == signal.SIGINT:
         assert code == 130
@@ -150,8 +146,11 @@ class FakeJob(Job):
         return None if self.waits else "far"
 
 
+Scripts = dict[str, list[tuple[float, str]]]  # of each run: how far it is and a note, poll by poll
+
+
 class FakeBackend(Backend):
-    def __init__(self, slots: int, scripts: dict[str, list[tuple[float, str]]]) -> None:
+    def __init__(self, slots: int, scripts: Scripts) -> None:
         self.slots, self.scripts = slots, scripts
         self.jobs: dict[str, FakeJob] = {}
         self.most = 0
@@ -163,9 +162,7 @@ class FakeBackend(Backend):
         return job
 
 
-def fake_run(
-    tmp_path: Path, slots: int, scripts: dict[str, list[tuple[float, str]]]
-) -> tuple[Outcome, FakeBackend, str]:
+def fake_run(tmp_path: Path, slots: int, scripts: Scripts) -> tuple[Outcome, FakeBackend, str]:
     """The smoke preset's planners run by a fake backend; returns what a terminal shows."""
     runs = [{"methods": ["rrt_connect", "optimum"], "geometries": ["optimized", "initial"]}]
     preset = smoke_preset("fake", runs=runs)
@@ -180,13 +177,6 @@ def fake_run(
 CELLS = [f"{m}-{g}-s0" for m in ("rrt_connect", "optimum") for g in ("optimized", "initial")]
 
 
-@pytest.fixture
-def quick_polls(monkeypatch: pytest.MonkeyPatch) -> None:
-    # rich draws twice a second
-    monkeypatch.setattr("benchmarks.runs.harness.POLL_SECONDS", 0.2)
-
-
-@pytest.mark.usefixtures("quick_polls")
 def test_each_run_has_a_line_and_all_have_one_together(tmp_path: Path) -> None:
     scripts = {
         CELLS[0]: [(0.0, "waits")] * 2 + [(0.25, "success 3 %")] * 6 + [(1.0, "")],
@@ -197,9 +187,8 @@ def test_each_run_has_a_line_and_all_have_one_together(tmp_path: Path) -> None:
     outcome, backend, text = fake_run(tmp_path, 2, scripts)
     assert backend.most == 2
     assert sorted(outcome.trained) == sorted([CELLS[0], CELLS[1], CELLS[3]])
-    assert outcome.failed == {
-        CELLS[2]: tmp_path / "fake" / "runs" / CELLS[2] / "checkpoint/log.txt"
-    }
+    log = tmp_path / "fake" / "runs" / CELLS[2] / "checkpoint/log.txt"
+    assert outcome.failed == {CELLS[2]: log}
     assert not outcome.interrupted
     assert re.search(rf"  {CELLS[0]} .* 25 % .*success 3 % on far", text)
     assert re.search(rf"  {CELLS[1]} .* 50 % .*success 9 % on far", text)
@@ -210,8 +199,6 @@ def test_each_run_has_a_line_and_all_have_one_together(tmp_path: Path) -> None:
     assert re.search(rf"{CELLS[3]}: a checkpoint could not be read and is kept as .*broken-", text)
 
 
-@pytest.mark.usefixtures("quick_polls")
-@pytest.mark.usefixtures("quick_polls")
 def test_a_run_that_was_damaged_ends_no_other(tmp_path: Path) -> None:
     scripts = {cell: [(0.5, ""), (1.0, "deleted" if cell == CELLS[0] else "")] for cell in CELLS}
     outcome, _, text = fake_run(tmp_path, 1, scripts)
@@ -239,9 +226,8 @@ def test_one_process_per_core_with_its_threads_pinned(
     Backend(1).start(["train", "--cell", "x"], RunFolder(tmp_path))
     for name in ("OMP", "MKL", "OPENBLAS", "NUMBA"):
         assert asked["env"][f"{name}_NUM_THREADS"] == "1"
-    assert asked["words"][1:] == [
-        *("-m", "benchmarks", "train", "--cell", "x", "--parent", str(os.getpid()))
-    ]
+    words = f"-m benchmarks train --cell x --parent {os.getpid()}"
+    assert asked["words"][1:] == words.split()
 
 
 def test_fewer_jobs_need_less_room(tmp_path: Path) -> None:

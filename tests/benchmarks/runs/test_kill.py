@@ -4,8 +4,6 @@ Weights are compared bit by bit, curves and episodes byte by byte. The kills are
 process that trains; a warm server forks it, so that its imports are paid once.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import shutil
@@ -13,19 +11,17 @@ import signal
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from benchmarks.protocol.plan import expand
 from benchmarks.protocol.presets import load_preset
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.store import RunFolder, Store
-from tests.benchmarks.runs.warm import Forked, Server
+from tests.benchmarks.runs.warm import Forked
 from tests.benchmarks.smoke import smoke_file
 
 KILLS = 24  # by the clock; the task asks for 20
@@ -33,35 +29,21 @@ INSIDE = 12  # of these, surely inside training
 CRASHES = 10  # at file operations, half of them among the last
 GIVE_UP = 200  # attempts
 
+pytestmark = pytest.mark.usefixtures("warm")
 
-@dataclass(frozen=True)
-class Ended:
+
+def left_by(run: RunFolder) -> dict[str, Any]:
     """What a complete run leaves, as far as it may not depend on interruptions."""
-
-    weights: dict[str, torch.Tensor]
-    curve: bytes
-    episodes: bytes
-    training: dict[str, Any]
-
-    @classmethod
-    def read(cls, run: RunFolder) -> Ended:
-        _, parameters, _ = load_from_zip_file(run.policy, device="cpu")
-        assert parameters is not None
-        weights: Any = parameters["policy"]
-        training = run.meta()["training"]
-        times = ("wall_seconds", "cpu_seconds", "test_seconds", "resumed_at", "made_with")
-        for name in (*times, "policy_sha256"):  # of a file that keeps times: its weights count
-            del training[name]
-        curve, episodes = ((run.path / f"{n}.csv").read_bytes() for n in ("curve", "episodes"))
-        return cls(weights, curve, episodes, training)
-
-    def assert_equals(self, other: Ended) -> None:
-        assert self.weights.keys() == other.weights.keys()
-        for name, value in self.weights.items():
-            assert torch.equal(value, other.weights[name]), name
-        assert self.curve == other.curve
-        assert self.episodes == other.episodes
-        assert self.training == other.training
+    _, parameters, _ = load_from_zip_file(run.policy, device="cpu")
+    assert parameters is not None
+    weights: Any = parameters["policy"]
+    times = ("wall_seconds", "cpu_seconds", "test_seconds", "resumed_at", "made_with")
+    unlike = {*times, "policy_sha256"}  # of a file that keeps times: its weights count
+    return {
+        **{name: value.numpy().tobytes() for name, value in weights.items()},
+        **{name: (run.path / name).read_bytes() for name in ("curve.csv", "episodes.csv")},
+        **{key: value for key, value in run.meta()["training"].items() if key not in unlike},
+    }
 
 
 @pytest.fixture(scope="module")
@@ -99,23 +81,23 @@ def cells(preset: Path) -> list[str]:
     return [cell.id for cell in expand(load_preset(str(preset)))]
 
 
-def train(warm: Server, preset: Path, cell: str, results: Path, crash: int | None = None) -> Forked:
+def train(preset: Path, cell: str, results: Path, crash: int | None = None) -> Forked:
     results.mkdir(parents=True, exist_ok=True)
     words = ["train", "--preset", str(preset), "--results", str(results), "--cell", cell]
-    return warm.start(results / "log.txt", *words, crash=crash)
+    return Forked(results / "log.txt", words, crash)
 
 
 @pytest.fixture(scope="module")
 def uninterrupted(
-    warm: Server, preset: Path, cells: list[str], tmp_path_factory: pytest.TempPathFactory
-) -> dict[str, tuple[Ended, float]]:
+    preset: Path, cells: list[str], tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, tuple[dict[str, Any], float]]:
     """Each cell's result and its duration in seconds."""
     ended = {}
     for cell in cells:
         results = tmp_path_factory.mktemp("uninterrupted")
         began = time.monotonic()
-        assert train(warm, preset, cell, results).wait() == 0, (results / "log.txt").read_text()
-        ended[cell] = Ended.read(Store(results, "kill").run(cell)), time.monotonic() - began
+        assert train(preset, cell, results).wait() == 0, (results / "log.txt").read_text()
+        ended[cell] = left_by(Store(results, "kill").run(cell)), time.monotonic() - began
     return ended
 
 
@@ -125,10 +107,9 @@ def newest(run: RunFolder) -> int:
 
 
 def test_kills_at_random_moments_change_nothing(
-    warm: Server,
     preset: Path,
     cells: list[str],
-    uninterrupted: dict[str, tuple[Ended, float]],
+    uninterrupted: dict[str, tuple[dict[str, Any], float]],
     scratch: Path,
 ) -> None:
     rng = random.Random(0)
@@ -141,7 +122,7 @@ def test_kills_at_random_moments_change_nothing(
         results = scratch / str(completed)
         run = Store(results, "kill").run(cell)
         before = newest(run)
-        process = train(warm, preset, cell, results)
+        process = train(preset, cell, results)
         time.sleep(rng.uniform(0.0, 0.4 * seconds))
         # every sixth time the run is asked to stop, as Ctrl-C does
         number = signal.SIGKILL if attempt % 6 else rng.choice([signal.SIGTERM, signal.SIGINT])
@@ -149,7 +130,7 @@ def test_kills_at_random_moments_change_nothing(
         code = process.wait()
         if code == 0:  # the run was faster than the signal
             assert not run.checkpoint.exists()
-            Ended.read(run).assert_equals(expected)
+            assert left_by(run) == expected
             shutil.rmtree(results)
             completed += 1
         elif number == signal.SIGKILL:
@@ -163,15 +144,14 @@ def test_kills_at_random_moments_change_nothing(
 
 
 def test_a_kill_at_any_file_operation_changes_nothing(
-    warm: Server,
     preset: Path,
     cells: list[str],
-    uninterrupted: dict[str, tuple[Ended, float]],
+    uninterrupted: dict[str, tuple[dict[str, Any], float]],
     scratch: Path,
 ) -> None:
     cell = cells[0]
     expected, _ = uninterrupted[cell]
-    assert train(warm, preset, cell, scratch / "count", crash=-1).wait() == 0
+    assert train(preset, cell, scratch / "count", crash=-1).wait() == 0
     operations = int((scratch / "count" / "log.txt.count").read_text(encoding="utf-8"))
     assert operations > 40
     rng = random.Random(1)
@@ -180,11 +160,11 @@ def test_a_kill_at_any_file_operation_changes_nothing(
     points = rng.sample(range(last.start), CRASHES // 2) + rng.sample(last, CRASHES // 2)
     for point in points:
         results = scratch / str(point)
-        code = train(warm, preset, cell, results, crash=point).wait()
+        code = train(preset, cell, results, crash=point).wait()
         # how many checkpoints there are depends on the clock, so the very last may not come
         assert code == -signal.SIGKILL or (code == 0 and point > operations / 2)
-        assert train(warm, preset, cell, results).wait() == 0, (results / "log.txt").read_text()
+        assert train(preset, cell, results).wait() == 0, (results / "log.txt").read_text()
         run = Store(results, "kill").run(cell)
-        Ended.read(run).assert_equals(expected)
+        assert left_by(run) == expected
         assert not list(run.path.rglob("*.tmp*"))
         shutil.rmtree(results)

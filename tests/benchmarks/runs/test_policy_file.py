@@ -1,7 +1,5 @@
 """The final policy's file: small, SB3's own form, and exactly what was tested."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

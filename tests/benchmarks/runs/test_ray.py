@@ -1,7 +1,5 @@
 """The same cells on a Ray cluster of two nodes, which lose a worker and then a node on the way."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """A run that was cut off ends as an uninterrupted one; damaged checkpoints are set aside."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil
@@ -18,12 +16,13 @@ from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import Preset
 from benchmarks.runs import machine
 from benchmarks.runs.checkpoint import checkpoints
+from benchmarks.runs.policy_file import digest
 from benchmarks.runs.store import RunFolder
 from benchmarks.runs.training import train
 from sb3_rainbow import Rainbow
 from tests.benchmarks.smoke import SMALL, smoke, smoke_preset, stop_after
 
-Whole = dict[str, tuple[dict[str, torch.Tensor], str]]  # weights and curve of each cell
+Whole = dict[str, tuple[str, str]]  # digest of the weights, and curve, of each cell
 TEAMS = ("vdn", "shared_sight", "independent")
 CELLS = [
     Cell("rainbow", "full", "optimized", "safe", 0),
@@ -41,13 +40,11 @@ def preset() -> Preset:
     return smoke_preset(tracks=tracks, evaluation={"episodes": 1, "noise": [0.0]})
 
 
-def weights(model: object) -> dict[str, torch.Tensor]:
-    state: dict[str, torch.Tensor] = model.policy.state_dict()  # type: ignore[attr-defined]
-    return {name: value.clone() for name, value in state.items()}
-
-
-def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
-    return a.keys() == b.keys() and all(torch.equal(a[name], b[name]) for name in a)
+def trained(preset: Preset, cell: Cell, folder: RunFolder) -> tuple[str, dict[str, Any]]:
+    """The digest of the run's weights at its end, and what it says of its training."""
+    result = train(preset, cell, folder)
+    assert result is not None
+    return digest(result[0]), result[1]
 
 
 @pytest.fixture(scope="module")
@@ -55,9 +52,8 @@ def uninterrupted(preset: Preset, tmp_path_factory: pytest.TempPathFactory) -> W
     runs = {}
     for cell in CELLS:
         folder = RunFolder(tmp_path_factory.mktemp(cell.id))
-        trained: Any = train(preset, cell, folder)
-        model, _ = trained
-        runs[cell.id] = weights(model), (folder.path / "curve.csv").read_text(encoding="utf-8")
+        weights, _ = trained(preset, cell, folder)
+        runs[cell.id] = weights, (folder.path / "curve.csv").read_text("utf-8")
     return runs
 
 
@@ -70,11 +66,8 @@ def test_stopping_twice_at_odd_moments_changes_nothing(
     assert train(preset, cell, folder, stop_after(40)) is None
     (kept,) = checkpoints(folder.checkpoint)
     assert kept.name == "step-0000000228"  # 17 rounds, then 40 more, of 4 environments
-    trained: Any = train(preset, cell, folder)
-    model, summary = trained
-    expected, curve = uninterrupted[cell.id]
-    assert same(weights(model), expected)
-    assert (folder.path / "curve.csv").read_text(encoding="utf-8") == curve
+    weights, summary = trained(preset, cell, folder)
+    assert (weights, (folder.path / "curve.csv").read_text("utf-8")) == uninterrupted[cell.id]
     assert len(summary["resumed_at"]) == 2
     assert summary["timesteps"] == 400
 
@@ -86,8 +79,7 @@ def test_a_run_says_which_commits_it_was_made_with(
     for commit in ("old", "old", "new"):
         monkeypatch.setattr(machine, "describe", lambda c=commit: {"commit": c, "dirty": False})
         train(preset, CELLS[2], folder, stop_after(10))
-    trained: Any = train(preset, CELLS[2], folder)
-    assert trained[1]["made_with"] == [
+    assert trained(preset, CELLS[2], folder)[1]["made_with"] == [
         {"from_step": 0, "commit": "old", "dirty": False},
         {"from_step": 80, "commit": "new", "dirty": False},
     ]
@@ -100,8 +92,7 @@ def test_stopping_at_the_very_start_changes_nothing(
     folder = RunFolder(tmp_path)
     assert train(preset, CELLS[0], folder, stop_after(rounds)) is None
     assert len(checkpoints(folder.checkpoint)) == rounds
-    trained: Any = train(preset, CELLS[0], folder)
-    assert same(weights(trained[0]), uninterrupted[CELLS[0].id][0])
+    assert trained(preset, CELLS[0], folder)[0] == uninterrupted[CELLS[0].id][0]
 
 
 def test_stopping_where_it_resumed_keeps_the_checkpoint_as_it_is(
@@ -135,9 +126,9 @@ def test_a_machine_in_trouble_damages_no_checkpoint(
         with pytest.raises(BenchmarkError, match="it is kept, the same command tries again"):
             train(preset, CELLS[0], folder)
     assert checkpoints(folder.checkpoint) == kept
-    trained: Any = train(preset, CELLS[0], folder)
-    assert trained[1]["set_aside"] == []
-    assert trained[1]["resumed_at"]
+    _, summary = trained(preset, CELLS[0], folder)
+    assert summary["set_aside"] == []
+    assert summary["resumed_at"]
 
 
 @pytest.mark.parametrize("name", ["state.pkl", "model.zip", "buffer.pkl"])
@@ -150,11 +141,9 @@ def test_a_damaged_checkpoint_is_named_and_kept_aside(
     damaged = kept / name
     damaged.write_bytes(damaged.read_bytes()[: damaged.stat().st_size // 2])
     with pytest.warns(UserWarning, match=f"{kept.name} cannot be read"):
-        trained = train(preset, CELLS[0], folder)
-    assert trained is not None
-    model, summary = trained
+        weights, summary = trained(preset, CELLS[0], folder)
     assert summary["set_aside"] == [f"broken-{kept.name}"]
-    assert same(weights(model), uninterrupted[CELLS[0].id][0])
+    assert weights == uninterrupted[CELLS[0].id][0]
     # it outlives the end of the run, which drops the other working files
     folder.drop_checkpoint()
     (aside,) = folder.checkpoint.iterdir()
@@ -188,5 +177,4 @@ def test_a_disk_that_fills_up_keeps_the_last_checkpoint(
     (kept,) = checkpoints(folder.checkpoint)
     assert kept.name == "step-0000000040"
     assert not (folder.checkpoint / "saving").exists()  # its room is free again
-    trained: Any = train(preset, CELLS[0], folder)
-    assert same(weights(trained[0]), uninterrupted[CELLS[0].id][0])
+    assert trained(preset, CELLS[0], folder)[0] == uninterrupted[CELLS[0].id][0]

@@ -1,7 +1,5 @@
 """The whole chain through the ``smoke`` preset: five methods, tables, skipping, bad input."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import importlib
@@ -14,9 +12,10 @@ import pandas as pd
 import pytest
 
 from benchmarks.cli import main
+from benchmarks.reporting.results import Results
 from benchmarks.runs.store import SCHEMA, Store
-from tests.benchmarks.runs.warm import Server
-from tests.benchmarks.smoke import smoke_file
+from tests.benchmarks.runs.warm import children
+from tests.benchmarks.smoke import SMALL, preset_file, smoke_file
 
 Capture = pytest.CaptureFixture[str]
 Refused = Callable[..., str]
@@ -25,9 +24,9 @@ RUNS |= {f"{planner}-optimized-s0" for planner in ("rrt_connect", "optimum")}
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory, warm: Server) -> Path:
+def results(tmp_path_factory: pytest.TempPathFactory, warm: None) -> Path:
     folder, out = tmp_path_factory.mktemp("results"), io.StringIO()
-    with warm.children(), contextlib.redirect_stdout(out):
+    with children(), contextlib.redirect_stdout(out):
         assert main(["run", "--preset", "smoke", "--results", str(folder), "--jobs", "2"]) == 0
     for title in ("Performance, safe", "Tables (CSV, Markdown, LaTeX)"):
         assert title in out.getvalue()
@@ -86,11 +85,8 @@ def test_a_second_call_trains_nothing_and_changes_no_result(results: Path, capsy
     assert {p: p.read_bytes() for p in Store.open(results, "smoke").tables.iterdir()} == tables
 
 
-def test_plan_verify_and_evaluate(results: Path, capsys: Capture) -> None:
+def test_verify_agrees_and_a_stored_policy_is_scored(results: Path, capsys: Capture) -> None:
     place = ["--preset", "smoke", "--results", str(results)]
-    assert main(["plan", *place]) == 0
-    out = capsys.readouterr().out
-    assert out.count("complete") == 5
     assert main(["verify", *place]) == 0
     capsys.readouterr()
     policy = results / "smoke" / "runs" / "dqn-optimized-safe-s0" / "policy.zip"
@@ -182,10 +178,6 @@ def test_other_starts_are_starts_of_their_own(
         (["study", "light"], "unknown study 'light'; known: audit, codesign"),
         (["evaluate", "--preset", "smoke", "--name", "x"], "--name belongs to a --model"),
         (["evaluate", "--preset", "smoke", "--model", "no.zip"], "no.zip is missing"),
-        (
-            ["evaluate", "--preset", "smoke", "--model", "x", "--algorithm", "sarsa"],
-            "unknown algorithm 'sarsa'",
-        ),
         (["tables", "--preset", "tiny"], "has no results; run: python -m benchmarks run --preset"),
         (["train", "--preset", "tiny", "--cell", "x"], "has no cell 'x'"),
         (["study", "media", "--model", "nowhere.zip"], "nowhere.zip is missing"),
@@ -196,10 +188,8 @@ def test_other_starts_are_starts_of_their_own(
         (["evaluate", "--preset", "control"], "'control' is of public tasks"),
         (["run", "--preset", "control", "--device", "cuda"], "public tasks run on the CPU"),
         (["run", "--preset", "smoke", "--device", "cuda"], "PyTorch finds no GPU here"),
-        (
-            ["evaluate", "--preset", "smoke", "--planner", "astar"],
-            "known: optimum, or module:function",
-        ),
+        (["run", "--preset", "smoke", "--results", __file__], "name another place"),
+        (["evaluate", "--planner", "astar"], "known: optimum, or module:function"),
     ],
 )
 def test_bad_input_is_one_error_and_writes_nothing(
@@ -214,6 +204,29 @@ def test_bad_input_is_one_error_and_writes_nothing(
     assert message in refused(*words)
     written = [path for path in tmp_path.rglob("*") if path.name != "store.json" and path.is_file()]
     assert written == []
+
+
+@pytest.mark.usefixtures("forked")
+def test_teams_begin_alike_and_verify_agrees(tmp_path: Path, capsys: Capture) -> None:
+    tracks = ["in_turn", "central", "vdn", "shared_sight", "independent"]
+    preset = {
+        "description": "teams in seconds",
+        "seeds": [0],
+        "evaluation": {"episodes": 2, "noise": [0.0]},
+        "tracks": {t: {"timesteps": 240, "hyperparameters": SMALL} for t in tracks},
+        "runs": [
+            {"methods": ["rainbow"], "tracks": tracks},
+            {"methods": ["rainbow"], "tracks": ["vdn"], "ablations": ["double_dueling"]},
+            {"methods": ["random", "greedy"], "tracks": ["central", "independent"]},
+            {"methods": ["optimum", "optimum_at_once"]},
+        ],
+    }
+    words = ["--preset", str(preset_file(tmp_path, preset, "tiny")), "--results", str(tmp_path)]
+    assert main(["run", *words, "--jobs", "1"]) == 0
+    runs = Results(Store.open(tmp_path, "tiny")).all()
+    assert len(runs) == 12
+    assert len({tuple(run.test()["start"]) for run in runs}) == 1
+    assert main(["verify", *words]) == 0, capsys.readouterr().err
 
 
 def test_a_run_made_with_other_settings_is_not_overwritten(

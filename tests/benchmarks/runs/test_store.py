@@ -1,7 +1,5 @@
 """The store: atomic files, one schema, one harness at a time, nothing overwritten."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time

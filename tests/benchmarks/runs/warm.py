@@ -3,8 +3,6 @@
 They are forks of one that has imported and compiled everything.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -73,9 +71,9 @@ def run(argv: Sequence[str], log: str, crash: int | None) -> None:
 
 
 class Forked:
-    """A fork, as far as a harness needs a ``Popen``."""
+    """The command with these words in a fork, as far as a harness needs a ``Popen``."""
 
-    def __init__(self, log: Path, words: Sequence[str], crash: int | None) -> None:
+    def __init__(self, log: Path, words: Sequence[str], crash: int | None = None) -> None:
         arguments = (words, str(log), crash)
         self.process = get_context("forkserver").Process(target=run, args=arguments, daemon=True)
         self.process.start()
@@ -97,30 +95,25 @@ class Forked:
         return code
 
 
-class Server:
-    """Starts such processes."""
+def warm_up() -> None:
+    """Start the process that is forked from now on."""
+    context = get_context("forkserver")
+    forkserver._forkserver._stop()  # type: ignore[attr-defined] # another's lacks our imports
+    context.set_forkserver_preload(["tests.benchmarks.runs.warmed"])
+    first = context.Process(target=int)  # once it has ended all is compiled
+    first.start()
+    first.join()
 
-    def __init__(self) -> None:
-        context = get_context("forkserver")
-        forkserver._forkserver._stop()  # type: ignore[attr-defined] # another's lacks our imports
-        context.set_forkserver_preload(["tests.benchmarks.runs.warmed"])
-        first = context.Process(target=int)  # once it has ended all is compiled
-        first.start()
-        first.join()
 
-    def start(self, log: Path, *words: str, crash: int | None = None) -> Forked:
-        """Start ``python -m benchmarks`` with these words."""
-        return Forked(log, words, crash)
+@contextmanager
+def children() -> Iterator[None]:
+    """Runs that a harness of this process starts are forked meanwhile."""
 
-    @contextmanager
-    def children(self) -> Iterator[None]:
-        """Runs that a harness of this process starts are forked meanwhile."""
+    def spawn(argv: Sequence[str], log: Path) -> Forked:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        return Forked(log, argv)
 
-        def spawn(argv: Sequence[str], log: Path) -> Forked:
-            log.parent.mkdir(parents=True, exist_ok=True)
-            return self.start(log, *argv)
-
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("benchmarks.runs.backends.spawn", spawn)
-            patch.setattr("benchmarks.runs.harness.POLL_SECONDS", 0.1)
-            yield
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("benchmarks.runs.backends.spawn", spawn)
+        patch.setattr("benchmarks.runs.harness.POLL_SECONDS", 0.1)
+        yield
