@@ -110,12 +110,10 @@ def mean_interval(values: ArrayLike) -> tuple[float, float]:
     return bootstrap([data[~np.isnan(data)]], np.mean)
 
 
-def measured(values: Sequence[float], alone: Callable[[], tuple[float, float]]) -> Value:
-    """One number per seed as their mean with Student's 95 % interval; of one seed ``alone``'s."""
+def measured(values: Sequence[float]) -> Value:
+    """One number per seed as their mean with Student's 95 % interval, NaN of one seed."""
     value = over_seeds(values)
-    if value.n == 0:
-        return value
-    low, high = t_interval(value.mean, value.std, value.n) if value.n > 1 else alone()
+    low, high = t_interval(value.mean, value.std, value.n)
     return replace(value, low=low, high=high)
 
 

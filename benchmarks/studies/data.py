@@ -1,13 +1,11 @@
 """Minari datasets of the insertion task, for learners that meet no environment.
 
-Four behaviours act in the environment of the track `safe`, under its masks: the exact *optimum*,
-hole by hole, which ends where no moves insert; the *expert*, two-move lookahead from the
-observation, the best script there without a memory; the *medium* one, which is the expert but for a
-share of its moves, drawn from the allowed ones; and *random* moves, drawn from the allowed ones.
+Four behaviours act on the track `safe`, under its masks: the exact *optimum*, which ends where no
+moves insert; the *expert*, two-move lookahead from the observation; *medium*, the expert with a
+share of its moves drawn from the allowed ones; and *random* moves, drawn from the allowed ones.
 Episode k begins at the same state for all, which is no state of a test, a validation or a training.
-A dataset is there when it is complete: what was cut off begins anew, the others are kept.
-With ``--contact`` the scripts of the contact task act in it, with their standard gains, and
-``infos`` hold its privileged state.
+What was cut off begins anew, complete datasets are kept. With ``--contact`` the scripts of the
+contact task act in it, and ``infos`` hold its privileged state.
 """
 
 from __future__ import annotations
@@ -174,10 +172,7 @@ def arguments_of_the_task() -> dict[str, Any]:
 
 
 def play(recipe: Recipe, progress: Callable[[int], None]) -> Sequence[Episode | Demonstration]:
-    """Whole episodes from the first on, until they have the recipe's steps together.
-
-    ``progress`` hears how many there are.
-    """
+    """Whole episodes from the first on, until they have the recipe's steps together."""
     together = _demonstrate(recipe) if recipe.behaviour in CONTACT else _move(recipe)
     kept: list[Any] = []
     done = 0
@@ -266,11 +261,7 @@ def minari_root(folder: str | os.PathLike[str]) -> AbstractContextManager[Any]:
 
 
 def read(root: Path, recipe: Recipe) -> dict[str, Any] | None:
-    """What is known of a dataset, None if it is not there.
-
-    Raises:
-        BenchmarkError: it is there, made by another recipe.
-    """
+    """What is known of a dataset, None if it is not there; BenchmarkError if another recipe's."""
     path = root / recipe.id / "data" / "metadata.json"
     if not path.is_file():
         return None
@@ -281,12 +272,8 @@ def read(root: Path, recipe: Recipe) -> dict[str, Any] | None:
             "delete it, or name another --results"
         )
     size = sum(part.stat().st_size for part in path.parent.iterdir())
-    return {
-        "id": recipe.id,
-        "behaviour": recipe.title,
-        "megabytes": size / 1e6,
-        **result["measured"],
-    }
+    about = {"id": recipe.id, "behaviour": recipe.title, "megabytes": size / 1e6}
+    return {**about, **result["measured"]}
 
 
 class Data(OfOneFile):
@@ -318,13 +305,20 @@ class Data(OfOneFile):
 
     @staticmethod
     def to_markdown(result: Sequence[Mapping[str, Any]]) -> str:
-        rows: list[list[TableCell]] = []
-        for record in result:
-            shares = [f"{100.0 * record[name]:.1f}" for name in ("success", "all_holes")]
-            earned = f"{record['return']:.1f} ± {record['return_std']:.1f}"
-            sizes = [f"{record['steps']:,}", f"{record['starts']:,}", shares[0]]
-            sizes += [f"{record['holes']:.2f}", shares[1], earned, f"{record['megabytes']:.1f}"]
-            rows.append([f"`{record['id']}`", record["behaviour"], *sizes])
+        rows: list[list[TableCell]] = [
+            [
+                f"`{record['id']}`",
+                record["behaviour"],
+                f"{record['steps']:,}",
+                f"{record['starts']:,}",
+                f"{100.0 * record['success']:.1f}",
+                f"{record['holes']:.2f}",
+                f"{100.0 * record['all_holes']:.1f}",
+                f"{record['return']:.1f} ± {record['return_std']:.1f}",
+                f"{record['megabytes']:.1f}",
+            ]
+            for record in result
+        ]
         notes = [
             "Success: episodes with an insertion, of all starts; return: mean ± std of the "
             "episodes.",

@@ -1,8 +1,5 @@
 """Episodes as joint trajectories: to files for a controller, and on the twin's servos.
 
-    python -m benchmarks study trajectory
-    python -m benchmarks study trajectory --export FOLDER [--model PATH] [--start 0] [--blend]
-
 Without --export, the optimum, RRT-Connect and a stored Rainbow play the same test starts. Their
 ways become trajectories, stop-and-go and blended, and the twin drives each to the first insertion.
 """
@@ -81,11 +78,7 @@ NOMINAL: Final[tuple[dict[str, Any], Play]] = ({"geometry": "optimized"}, optimu
 
 
 def stored(path: Path) -> tuple[dict[str, Any], Play]:
-    """The environment's arguments of a stored policy, and its greedy moves.
-
-    Raises:
-        BenchmarkError: the file is missing, is no model, or is not of the single-agent task.
-    """
+    """The environment's arguments of a stored policy, and its greedy moves."""
     arguments, act = stored_player(path)
     if arguments.get("geometry", "optimized") not in GEOMETRIES:
         raise BenchmarkError(f"{path}: give a policy on one of {sorted(GEOMETRIES)}")

@@ -32,11 +32,7 @@ def evaluate(
 ) -> list[tuple[float, int]]:
     """Return and length of a policy's episodes, one for each ``reset(seed=...)``.
 
-    Args:
-        act: actions for observations, and masks where the task has them.
-        task: what is played.
-        seeds: of the episodes.
-        discrete: whether actions are numbers, where the task could be played by both.
+    ``discrete`` says whether actions are numbers, where the task could be played by both.
     """
     if len(seeds) > PARALLEL:
         some = evaluate(act, task, seeds[:PARALLEL], discrete)
@@ -90,10 +86,8 @@ def run_control(
 ) -> dict[str, Any]:
     """Test what plays without learning on the episodes of a learner; writes ``episodes.csv``.
 
-    The one action that is held is the best on a learner's validation episodes.
-
-    Raises:
-        Stopped: it was asked to end.
+    The one action that is held is the best on a learner's validation episodes. Stopped is raised
+    where it was asked to end.
     """
     task, seed = preset.tasks[cell.track], cell.seed
     report = ProgressReporter(folder, stop_requested)

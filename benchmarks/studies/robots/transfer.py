@@ -1,16 +1,11 @@
 """Policies and planners of the kinematic task in the simulated machine: the sim-to-sim table.
 
-    python -m benchmarks study transfer
-
-The exact optimum, RRT-Connect, and under the same masks with the same memory the two-move lookahead
-and Rainbow's stored policies play the same test starts in the kinematic task, in the twin without
-errors of the machine, in the twin with them, and there with a script or a learner that inserts
-where they have arrived. Plans are made on the nominal model, run open loop, and made anew for each
-hole; a player stops where a plan does not bring it to its hole.
-The scripts have the gains that the study ``contact`` chose; what has learned to insert is of preset
-``contact``, a policy for each seed. Where the policies of preset ``contact_errors`` are
-there, too, scripts and policies trained with and without errors of the machine insert on machines
-within the errors trained on and outside of them.
+All play the same test starts in the kinematic task, in the twin without errors of the machine, in
+the twin with them, and there with a script or a learner that inserts where they have arrived. Plans
+are made on the nominal model, hole by hole, and run open loop; a player stops where a plan does not
+bring it to its hole. The scripts have the gains that the study ``contact`` chose, the learners are
+of preset ``contact``, a policy for each seed. Where the policies of ``contact_errors`` are there,
+too, all insert on machines within the errors trained on and outside of them.
 """
 
 from __future__ import annotations
@@ -18,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
@@ -87,11 +83,7 @@ def by_acting(begin: Callable[[Sequence[Episode]], Chooser]) -> Play:
 
 
 def player(name: str, preset: Preset, results: Path, seed: int) -> tuple[Play, dict[str, Any]]:
-    """Who plays the episodes of a seed, and the arguments of its environment.
-
-    Raises:
-        BenchmarkError: a policy is not among the results.
-    """
+    """Who plays the episodes of a seed, and the arguments of its environment."""
     limits, (method, track) = preset.planner, PLAYERS[name]
     if not track:
         from benchmarks.methods.rrt_connect import RRTConnect, execute  # needs OMPL
@@ -197,16 +189,14 @@ class Transfer(Measured):
 
     def measures(self) -> dict[str, Part]:
         place = (self.results, self.given.episodes)
-        errors: dict[str, Part] = {
-            f"machines: {name}": partial(on_machines, name, *place) for name in INSERTERS
-        }
-        there = (policy_of_run(self.results, name, s) for name in LEARNED for s in range(SEEDS))
-        trained = all(path.is_file() for path in there)  # git has not every one
-        return {
+        parts: dict[str, Part] = {
             f"{name}: {world}": partial(_cell, name, world, *place)
-            for name in PLAYERS
-            for world in WORLDS
-        } | (errors if trained else {})
+            for name, world in product(PLAYERS, WORLDS)
+        }
+        policies = (policy_of_run(self.results, *run) for run in product(LEARNED, range(SEEDS)))
+        if all(path.is_file() for path in policies):  # git has not every one
+            parts |= {f"machines: {name}": partial(on_machines, name, *place) for name in INSERTERS}
+        return parts
 
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:

@@ -83,10 +83,9 @@ def policy_of_run(results: Path, name: str, seed: int) -> Path:
 
 
 def inserter(results: Path, name: str, seed: int) -> Any:
-    """A script with the gains that were chosen for it, or a policy of :data:`LEARNED`.
+    """A script with the gains chosen for it, or a policy of :data:`LEARNED`.
 
-    Raises:
-        BenchmarkError: the gains or the policy are not among the results.
+    BenchmarkError if they are not among the results.
     """
     preset = LEARNED.get(name)
     path = policy_of_run(results, name, seed) if preset else results / "contact/scripts.json"

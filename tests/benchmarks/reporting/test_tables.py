@@ -27,7 +27,7 @@ from benchmarks.reporting.compared import comparisons
 from benchmarks.reporting.figures.learning import pictures
 from benchmarks.reporting.results import Level, Result, Results
 from benchmarks.reporting.stats import Value
-from benchmarks.reporting.tables.beyond import build_tables
+from benchmarks.reporting.tables.beyond import build_tables, team
 from benchmarks.reporting.tables.table import FLAG, Number, Table, printed_range
 from benchmarks.reporting.verify import check_tables
 from benchmarks.runs.store import RunFolder, Store
@@ -86,6 +86,7 @@ def test_a_row_says_what_the_runs_did(
 
 
 def test_tables_have_the_papers_rows_and_columns(full: Store, tables: dict[str, Table]) -> None:
+    assert "team" not in tables
     assert all(len(table.header) <= WIDEST for table in tables.values())
     performance, controls = tables["performance"], tables["controls"]
     assert performance.header == [
@@ -356,7 +357,7 @@ def test_a_level_has_the_rows_that_were_played_at_it(
     columns: list[str], track: dict[str, Any], level: Level, episodes: list[int]
 ) -> None:
     rows = ROWS[["episode", *columns]]
-    result = Result(0, {"track": track}, {}, RunFolder(Path("nowhere")), rows)
+    result = Result({"track": track}, RunFolder(Path("nowhere")), rows)
     assert result.test(level)["episode"].tolist() == episodes
 
 
@@ -366,6 +367,50 @@ def test_rows_of_older_runs_under_other_masks_are_left_out(tmp_path: Path) -> No
     ROWS.assign(masks=["own", np.nan, "paper", "own"]).to_csv(
         tmp_path / "episodes.csv", index=False
     )
-    result = Result.read(folder, {})
+    result = Result.read(folder)
     assert result.seed == 4
     assert result.episodes["episode"].tolist() == [0, 1, 3]
+
+
+OVER = "Ticks over the optimum at once (%)"
+
+
+@pytest.fixture(scope="module")
+def teams(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    return fabricated_store.make_store(tmp_path_factory.mktemp("results"), [0, 1], "team")
+
+
+@pytest.fixture(scope="module")
+def team_table(teams: Store) -> Table:
+    return team(Results(teams))[0]
+
+
+def test_a_row_for_each_form_with_its_ticks_over_the_optimum(team_table: Table) -> None:
+    rows = [dict(zip(team_table.header, row, strict=True)) for row in team_table.texts()]
+    heads = [tuple(row[name] for name in team_table.header[:4]) for row in rows]
+    assert len(set(heads)) == len(rows) == 2 * 4 + 2 + 2 * 4
+    assert [row["Robots move"] for row in rows].count("in turn") == 2 + 1 + 1
+    sights = {row["Decided by"] for row in rows if row["Method"].startswith("VDN")}
+    assert sights == {"each robot, in sight", "each robot, without sight"}
+    by_head = dict(zip(heads, rows, strict=True))
+    optimum = by_head["Exact optimum", "-", "in turn", "one for both"]
+    assert optimum[OVER] == "25.0 ± 0.0"  # 20 moves where 16 ticks do
+    central = by_head["Rainbow on 49 joint moves", "Full Rainbow", "at once", "one for both"]
+    assert central["Success (%)"] == "85.0 ± 7.1"
+    assert central[OVER].startswith("56.2")
+
+
+def test_what_decentralization_costs_is_answered_from_the_runs(team_table: Table) -> None:
+    (cost,) = (note for note in team_table.notes if note.startswith("Full Rainbow, what"))
+    assert "central Rainbow has 85.0 %" in cost
+    assert cost.count("changes that by +0.0 points [0.0, 0.0]") == 2
+
+
+def test_other_tables_are_of_robots_that_move_in_turn(teams: Store) -> None:
+    for built in build_tables(Results(teams)):
+        if built.name != "team":
+            assert len(built.header) <= WIDEST, built.name
+            assert "VDN" not in built.markdown(), built.name
+            assert "at once" not in built.markdown(), built.name
+    names = [picture.name for picture in pictures(Results(teams))]
+    assert names == ["team_success"]
