@@ -81,17 +81,16 @@ def _returns(env: CoopInsertionEnv, simulator: Simulator, moves: Moves, gamma: f
 def learned(results: Path, preset: str) -> str | None:
     """What learned.csv says of a preset's runs, empty of none; None where it has no store.
 
-    One row per stored learner: mean return and holes of the last tenth of its training, with
-    exploration on, as the learner saw it.
+    One row per stored learner: mean return and holes of the last tenth of its training.
     """
     if not (results / preset / "store.json").is_file():
         return None
     rows = []
     for run in Results(Store.open(results, preset)).all():
         if run.folder.has_rows("curve"):
-            cell, curve = run.config["cell"], run.folder.rows("curve")
-            earned, holes = tail_mean(curve, "episode_reward"), tail_mean(curve, "holes")
-            rows.append({**{key: cell[key] for key in CELL}, "return": earned, "holes": holes})
+            cell = {key: run.config["cell"][key] for key in CELL}
+            earned = tail_mean(run.curve, "episode_reward")
+            rows.append({**cell, "return": earned, "holes": tail_mean(run.curve, "holes")})
     return csv_text(rows) if rows else ""
 
 

@@ -73,11 +73,7 @@ def rounded(values: Mapping[str, float]) -> Values:
 
 
 def geometry_of(values: Mapping[str, float]) -> RRSGeometry:
-    """The optimized machine with some parameters changed; the range of heave moves with home.
-
-    Raises:
-        GeometryError: there is no such machine.
-    """
+    """The optimized machine with some parameters changed; the range of heave moves with home."""
     of = parameters(OPTIMIZED) | dict(values)
     rise = of["home_heave"] - OPTIMIZED.home_heave
     return RRSGeometry.from_lambdas(
@@ -179,9 +175,8 @@ def search(
 ) -> tuple[list[dict[str, Any]], dict[str, int]]:
     """NSGA-II until so many designs have a score: their rows, and how many had none, by reason.
 
-    The journal is on disk: a call that was killed goes on as if it had not been. The sampler holds
-    a design below ``floor``, %, for worse than any above it: one that only reaches the nearest
-    targets looks quick.
+    The journal is on disk: a call that was killed goes on as if it had not been. A design below
+    ``floor``, %, ranks below all others: one that only reaches the nearest targets looks quick.
     """
     import optuna
     from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock

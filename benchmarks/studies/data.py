@@ -20,8 +20,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import metadata
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 from unittest import mock
 
 import gymnasium
@@ -32,6 +31,7 @@ from benchmarks.evaluation.evaluate import follow, play_together, with_random_mo
 from benchmarks.methods.controls import control
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.protocol.metrics import N_HOLES
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import derive
@@ -84,45 +84,32 @@ class RecordingEnv(CoopInsertionEnv):
         return observation, reward, terminated, truncated, info
 
 
-class Demonstration:
-    """An episode of the contact task that a script plays to its end."""
+class Played(NamedTuple):
+    """An episode to its end; ``observations`` and ``infos`` begin before the first step."""
 
-    def __init__(self, env: Any, script: Any, number: int) -> None:
-        self.env, self.reset_seed = self, derive("data", number)
-        observation, info = env.reset(seed=self.reset_seed)
-        script.reset()
-        self.observations, self.infos = [observation], {"privileged": [info["privileged"]]}
-        self.steps: list[tuple[Any, float, bool, bool]] = []
-        over = False
-        while not over:
-            action = np.asarray(script(self.observations[-1]), np.float32)
-            observation, reward, terminated, truncated, info = env.step(action)
-            self.observations.append(observation)
-            self.infos["privileged"].append(info["privileged"])
-            self.steps.append((action, reward, terminated, truncated))
-            over = terminated or truncated
-        self.task = SimpleNamespace(holes=[info["hole"]])  # its one hole
-        self.moves = len(self.steps)
-        self.insertions = [self.moves] * info["success"]
-        self.reward = sum(step[1] for step in self.steps)
+    seed: int
+    observations: list[Any]
+    infos: dict[str, list[Any]]
+    steps: list[tuple[Any, float, bool, bool]]  # action, reward, terminated, truncated
+    filled: int
+    holes: int
 
+    def to_minari(self) -> Any:
+        """As Minari takes it; one that a behaviour gave up is truncated there."""
+        from minari.data_collector import EpisodeBuffer
 
-def make_buffer(record: Any, seed: int) -> Any:
-    """An episode as Minari takes it; one that a behaviour gave up is truncated there."""
-    from minari.data_collector import EpisodeBuffer
-
-    columns = (np.array(column) for column in zip(*record.steps, strict=True))
-    actions, rewards, terminated, truncated = columns
-    truncated[-1] |= not terminated[-1]
-    return EpisodeBuffer(
-        seed=seed,
-        observations=np.array(record.observations),
-        actions=actions,
-        rewards=rewards,
-        terminations=terminated,
-        truncations=truncated,
-        infos={name: np.array(values) for name, values in record.infos.items()},
-    )
+        columns = (np.array(column) for column in zip(*self.steps, strict=True))
+        actions, rewards, terminated, truncated = columns
+        truncated[-1] |= not terminated[-1]
+        return EpisodeBuffer(
+            seed=self.seed,
+            observations=np.array(self.observations),
+            actions=actions,
+            rewards=rewards,
+            terminations=terminated,
+            truncations=truncated,
+            infos={name: np.array(values) for name, values in self.infos.items()},
+        )
 
 
 @dataclass(frozen=True)
@@ -171,34 +158,51 @@ def arguments_of_the_task() -> dict[str, Any]:
     return {name: value for name, value in given.items() if value}
 
 
-def play(recipe: Recipe, progress: Callable[[int], None]) -> Sequence[Episode | Demonstration]:
+def play(recipe: Recipe, progress: Callable[[int], None]) -> list[Played]:
     """Whole episodes from the first on, until they have the recipe's steps together."""
     together = _demonstrate(recipe) if recipe.behaviour in CONTACT else _move(recipe)
-    kept: list[Any] = []
+    kept: list[Played] = []
     done = 0
     while done < recipe.steps:
         for episode in together(len(kept), recipe.steps - done):
             if done < recipe.steps:
                 kept.append(episode)
-                done += episode.moves
+                done += len(episode.steps)
         progress(done)
     return kept
 
 
-def _demonstrate(recipe: Recipe) -> Callable[[int, int], list[Demonstration]]:
+def _demonstrate(recipe: Recipe) -> Callable[[int, int], list[Played]]:
     env = recipe.environment().unwrapped
     script = script_of(recipe.title, env, {})
-    return lambda first, _: [Demonstration(env, script, first)]
+
+    def one(number: int, _: int) -> list[Played]:
+        seed, steps = derive("data", number), []
+        observation, info = env.reset(seed=seed)
+        script.reset()
+        observations, privileged, over = [observation], [info["privileged"]], False
+        while not over:
+            action = np.asarray(script(observation), np.float32)
+            observation, reward, terminated, truncated, info = env.step(action)
+            observations.append(observation)
+            privileged.append(info["privileged"])
+            steps.append((action, reward, terminated, truncated))
+            over = terminated or truncated
+        infos = {"privileged": privileged}
+        return [Played(seed, observations, infos, steps, int(info["success"]), 1)]
+
+    return one
 
 
-def _move(recipe: Recipe) -> Callable[[int, int], list[Episode]]:
+def _move(recipe: Recipe) -> Callable[[int, int], list[Played]]:
     arguments, oracle = arguments_of_the_task(), LatticeOracle()
     longest = CoopInsertionEnv(**arguments).params.task.max_moves
     script = control("lookahead_observed", load_preset("cut").tracks[TRACK].controls, 0)
 
-    def together(first: int, steps: int) -> list[Episode]:
+    def together(first: int, steps: int) -> list[Played]:
         numbers = range(first, first + min(TOGETHER, steps // longest + 1))
-        batch = [Episode(RecordingEnv(**arguments), n, derive("data", n)) for n in numbers]
+        envs = [RecordingEnv(**arguments) for _ in numbers]
+        batch = [Episode(env, n, derive("data", n)) for env, n in zip(envs, numbers, strict=True)]
         if recipe.behaviour == "optimum":
             for episode in batch:
                 follow(episode, oracle.plan)
@@ -206,33 +210,35 @@ def _move(recipe: Recipe) -> Callable[[int, int], list[Episode]]:
             generators = [np.random.default_rng(derive("data", e.number, 1)) for e in batch]
             expert, share = script(batch), RANDOM_SHARE[recipe.behaviour]
             play_together(with_random_moves(expert, generators, share), batch, 0.0, 0)
-        return batch
+        return [
+            Played(e.reset_seed, env.observations, env.infos, env.steps, len(e.insertions), N_HOLES)
+            for e, env in zip(batch, envs, strict=True)
+        ]
 
     return together
 
 
-def measure(episodes: Sequence[Episode | Demonstration]) -> dict[str, Any]:
+def measure(episodes: Sequence[Played]) -> dict[str, Any]:
     """What the metadata and the table say of a dataset; starts without a move count, too."""
-    rewards = np.array([episode.reward for episode in episodes])
-    holes = np.array([len(episode.insertions) for episode in episodes])
+    rewards = np.array([sum(reward for _, reward, *_ in e.steps) for e in episodes])
+    holes = np.array([episode.filled for episode in episodes])
     return {
-        "steps": sum(episode.moves for episode in episodes),
+        "steps": sum(len(episode.steps) for episode in episodes),
         "starts": len(episodes),
-        "episodes": sum(episode.moves > 0 for episode in episodes),
+        "episodes": sum(bool(episode.steps) for episode in episodes),
         "success": float((holes > 0).mean()),
-        "all_holes": float((holes == len(episodes[0].env.task.holes)).mean()),
+        "all_holes": float((holes == episodes[0].holes).mean()),
         "holes": float(holes.mean()),
         "return": float(rewards.mean()),
         "return_std": float(rewards.std()),
     }
 
 
-def write(root: Path, recipe: Recipe, episodes: Sequence[Episode | Demonstration]) -> None:
+def write(root: Path, recipe: Recipe, episodes: Sequence[Played]) -> None:
     """Make the dataset beside its place and rename it into it."""
     import minari
 
-    playing: list[Any] = [e for e in episodes if e.moves]
-    buffers = [make_buffer(e.env, e.reset_seed) for e in playing]
+    buffers = [episode.to_minari() for episode in episodes if episode.steps]
     root.mkdir(parents=True, exist_ok=True)
     root = root.resolve()  # Minari loses its way below a relative folder
     with tempfile.TemporaryDirectory(dir=root, prefix=".") as temporary, minari_root(temporary):

@@ -37,11 +37,8 @@ if TYPE_CHECKING:
 MODEL: Final = Path("paper/runs/rainbow-optimized-repaired-s0/policy.zip")
 FORCE_LIMIT: Final = 40.0  # N, as in the contact task
 
-MEASURED: Final = (
-    *("seconds_first", "seconds", "blocked_first", "error", "torque", "force", "inserted"),
-)
-"""Columns of a start with an insertion, which others leave empty."""
-
+#: columns of a start with an insertion, which others leave empty
+KEYS: Final = ("seconds_first", "seconds", "blocked_first", "error", "torque", "force", "inserted")
 OPTIMUM: Final = "optimum"
 PLANNER: Final = "RRT-Connect"
 
@@ -111,20 +108,21 @@ def rows_of(method: str, way: Way, number: int, driver: TwinDriver) -> Iterator[
     for kind, blend in (("stop-and-go", False), ("blended", True)):
         row: Row = {"method": method, "kind": kind, "start": number}
         row |= {"moves_first": way.first, "moves": len(way.configurations) - 1}
-        row |= dict.fromkeys(MEASURED, math.nan)
+        row |= dict.fromkeys(KEYS, math.nan)
         if way.first:
-            whole = make_trajectory(way.configurations, geometry, blend=blend)
             first = make_trajectory(way.configurations[: way.first + 1], geometry, blend=blend)
             driver.place(way.configurations[0])
             driver.command(first)
             distance, angle = driver.miss(way.target)
-            errors = 1e3 * np.abs(driver.errors)
-            measured = (
-                *(first.duration, whole.duration, len(first.blocked()), float(errors.max())),
-                *(float(np.abs(driver.torques).max()), float(np.linalg.norm(driver.force()))),
-                distance < PAPER_TASK.tolerance and angle < PAPER_TASK.angle_tolerance,
-            )
-            row |= zip(MEASURED, measured, strict=True)
+            row |= {
+                "seconds_first": first.duration,
+                "seconds": make_trajectory(way.configurations, geometry, blend=blend).duration,
+                "blocked_first": len(first.blocked()),
+                "error": 1e3 * float(np.abs(driver.errors).max()),
+                "torque": float(np.abs(driver.torques).max()),
+                "force": float(np.linalg.norm(driver.force())),
+                "inserted": distance < PAPER_TASK.tolerance and angle < PAPER_TASK.angle_tolerance,
+            }
         yield row
 
 

@@ -26,24 +26,22 @@ THRESHOLDS: Final = np.linspace(0.0, 1.0, 101)
 Scores = list[NDArray[np.float64]]  # of each seed's test episodes
 
 
-def episode_pictures(results: Results) -> list[style.Picture]:
+def of_episodes(results: Results) -> style.Drawings:
     """Figures of the test episodes, over all tracks: those that have something to compare."""
-    result = []
+    result: style.Drawings = {}
     if (drawn := _drawn(results)) and results.group("optimum").n:
-        result.append(style.Picture("performance_profile", partial(_profiles, results, drawn)))
+        result["performance_profile"] = partial(_profiles, results, drawn)
     noisy = complete(row for row in results.rows(NOISY) if row.track in ("", results.scored))
     if noisy and len(noise_levels(results)) > 1:
-        result.append(style.Picture("robustness", partial(_robustness, results, noisy)))
+        result["robustness"] = partial(_robustness, results, noisy)
     if error_levels(results):
-        result.append(style.Picture("errors", partial(_errors, results)))
+        result["errors"] = partial(_errors, results)
     components = complete(
         results.group("rainbow", results.scored, ablation=name) for name in labels.ABLATIONS
     )
     if any(row.ablation not in labels.ALL_OR_NONE for row in components):
         references = results.references(results.scored)
-        result.append(
-            style.Picture("ablation_comparison", partial(_components, components, references))
-        )
+        result["ablation_comparison"] = partial(_components, components, references)
     return result
 
 
@@ -64,8 +62,7 @@ def by_task(results: Results) -> Figure:
     axes.invert_yaxis()
     axes.set_xlim(-2.0, 102.0)  # an interval of few seeds reaches beyond what is possible
     style.finish(axes, "", "Success rate (%), 95 % interval")
-    style.legend_below(figure, [axes], 3)
-    return figure
+    return style.legend_below(figure, [axes], 3)
 
 
 def _look(group: Group) -> dict[str, Any]:
@@ -114,8 +111,7 @@ def _profiles(results: Results, drawn: list[Group]) -> Figure:
                                   alpha=0.15, linewidth=0)  # fmt: skip
         style.finish(axes, "Share of test episodes above", label)
         axes.set_ylim(-0.02, 1.02)
-    style.legend_below(figure, panels, 3)
-    return figure
+    return style.legend_below(figure, panels, 3)
 
 
 def _success_over(axes: Axes, group: Group, levels: dict[float, Level], **look: Any) -> None:
@@ -150,8 +146,7 @@ def _robustness(results: Results, noisy: list[Group]) -> Figure:
     if optimum.n:
         axes.axhline(optimum.mean, color="0.5", linewidth=0.9, label="Exact optimum (true state)")
     style.finish(axes, "Success rate (%)", "Observation noise (share of the normalized range)")
-    style.legend_below(figure, [axes], 2)
-    return figure
+    return style.legend_below(figure, [axes], 2)
 
 
 def _errors(results: Results) -> Figure:
@@ -165,8 +160,7 @@ def _errors(results: Results) -> Figure:
         _success_over(axes, group, {x: Level(error=x) for x in error_levels(results)}, **look)
     axes.set_ylim(-2, 102)
     style.finish(axes, "Success rate (%)", "Bound of the base's displacement (mm)")
-    style.legend_below(figure, [axes], 2)
-    return figure
+    return style.legend_below(figure, [axes], 2)
 
 
 def _components(rows: Sequence[Group], references: Sequence[Group]) -> Figure:
@@ -193,5 +187,4 @@ def _components(rows: Sequence[Group], references: Sequence[Group]) -> Figure:
     low, high = axes.get_xlim()  # an interval of few seeds reaches beyond what is possible
     axes.set_xlim(max(low, 0.0), min(high, 101.0))
     style.finish(axes, "", "Success rate (%)")
-    style.legend_below(figure, [axes], 2)
-    return figure
+    return style.legend_below(figure, [axes], 2)

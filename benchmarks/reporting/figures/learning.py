@@ -18,7 +18,7 @@ from benchmarks.protocol.metrics import HOLES, N_HOLES, SUCCESS, Metric
 from benchmarks.protocol.plan import ABLATIONS
 from benchmarks.protocol.presets import rows_of
 from benchmarks.reporting.figures import style
-from benchmarks.reporting.figures.comparisons import by_task, episode_pictures
+from benchmarks.reporting.figures.comparisons import by_task, of_episodes
 from benchmarks.reporting.results import Group, Results, complete
 from benchmarks.reporting.stats import mean_band, moving_average
 from benchmarks.reporting.tables.beyond import tasks
@@ -46,55 +46,59 @@ BOUNDED: Final = {"success": SUCCESS, "holes": HOLES}  # by the best control and
 
 
 def pictures(results: Results) -> list[style.Picture]:
-    """All figures of a store; of one with teams theirs alone."""
-    if result := _teams(results):
-        return result
+    """All figures of a store."""
+    return [style.Picture(name, draw) for name, draw in _drawings(results).items()]
+
+
+def _drawings(results: Results) -> style.Drawings:
+    if groups := _teams(results):  # a store with teams has no others
+        return {"team_success": partial(_over_ticks, groups)}
     if tasks(results):  # a preset about the task
-        return [style.Picture("difficulty", partial(by_task, results))]
+        return {"difficulty": partial(by_task, results)}
+    result: style.Drawings = {}
     for track in results.tracks():
-        result += _learning(results, track)
-        result += _variants(results, track)
+        result |= _learning(results, track) | _variants(results, track)
     if complete([*results.rows(), *results.rows(uncertain=True)]):
-        result += episode_pictures(results)
+        result |= of_episodes(results)
     return result
 
 
-def _learning(results: Results, track: str) -> list[style.Picture]:
+def _learning(results: Results, track: str) -> style.Drawings:
     """The paper's seven learning figures of the scored track; of another its success alone."""
     learners = [results.group(method, track) for method in LEARNERS]
     learners.append(results.group("rainbow", track, ablation="none"))
     groups = {group.title: group for group in learners if group.known}
     if not any(group.curves() for group in groups.values()):
-        return []
+        return {}
     bounds, scored = results.references(track), track == results.scored
-    result = [
-        style.Picture(f"{track}_{name}", partial(_curves, groups, column, label, bounds=bounds))
+    result: style.Drawings = {
+        f"{track}_{name}": partial(_curves, groups, column, label, bounds=bounds)
         for name, (column, label) in CURVES.items()
         if scored or name == "success"
-    ]
+    }
     if scored:
-        result.insert(1, style.Picture(f"{track}_exploration", partial(_exploration, groups)))
+        result[f"{track}_exploration"] = partial(_exploration, groups)
     return result
 
 
-def _variants(results: Results, track: str) -> list[style.Picture]:
+def _variants(results: Results, track: str) -> style.Drawings:
     """Success over training of the ablations and of both geometries."""
-    result = []
+    result: style.Drawings = {}
     ablations = {
         title: results.group("rainbow", track, ablation=key)
         for key, title in labels.ABLATIONS.items()
     }
     shown = [group.ablation for group in ablations.values() if group.curves()]
     if len(shown) > 1 and not labels.ALL_OR_NONE.issuperset(shown):  # which other figures have
-        draws = partial(_by_component, ablations, results.references(track))
-        result.append(style.Picture(f"{track}_ablation", draws))
+        bounds = results.references(track)
+        result[f"{track}_ablation"] = partial(_by_component, ablations, bounds)
     geometries = {
         f"{name} geometry": results.group("rainbow", track, name)
         for name in ("optimized", "initial")
     }
     if all(group.curves() for group in geometries.values()):  # each has bounds of its own
-        draws = partial(_curves, geometries, "success", "Success rate", window=WIDE)
-        result.append(style.Picture(f"{track}_geometry", draws))
+        over_steps = partial(_curves, geometries, "success", "Success rate", window=WIDE)
+        result[f"{track}_geometry"] = over_steps
     return result
 
 
@@ -111,22 +115,21 @@ def _by_component(groups: Groups, bounds: Sequence[Group]) -> Figure:
                 draw(axes, group.curves(), "success", name, colour, line, window=WIDE)
         _mark_bounds(axes, bounds, SUCCESS)
         style.finish(axes, "" if panel else "Success rate")
-    style.legend_below(figure, panels, 3)
-    return figure
+    return style.legend_below(figure, panels, 3)
 
 
-def _teams(results: Results) -> list[style.Picture]:
-    """Success of all teams over ticks, with the components that most of them were trained with."""
+def _teams(results: Results) -> list[Group]:
+    """Teams that were trained, with the components that most of them were trained with."""
     tracks = results.tracks(teams=True)
     by_ablation = (
         [results.group("rainbow", track, ablation=ablation) for track in tracks]
         for ablation in labels.ABLATIONS
     )
-    groups = max(([g for g in each if g.curves()] for each in by_ablation), key=len)
-    return [style.Picture("team_success", partial(_over_ticks, groups))] if groups else []
+    return max(([g for g in each if g.curves()] for each in by_ablation), key=len)
 
 
 def _over_ticks(groups: Sequence[Group]) -> Figure:
+    """Success of teams over ticks."""
     figure, (axes,) = style.canvas()
     forms: list[str] = []
     for group in groups:
@@ -169,11 +172,10 @@ def _curves(
     if column == "mean_max_q":
         _mark_support(axes, groups)
     _mark_switches(axes, groups)
-    style.finish(axes, label)
-    style.legend_below(figure, [axes], 2)
     if column == "loss" and axes.get_lines():
         axes.set_yscale("log")
-    return figure
+    style.finish(axes, label)
+    return style.legend_below(figure, [axes], 2)
 
 
 def _mark_bounds(axes: Axes, bounds: Sequence[Group], metric: Metric) -> None:
@@ -215,9 +217,8 @@ def _exploration(groups: Groups) -> Figure:
         style.finish(axes, label)
         if axes.get_lines():
             axes.set_yscale("log")
-    style.legend_below(figure, [above, below], 2)
     above.set_xlabel("")
-    return figure
+    return style.legend_below(figure, [above, below], 2)
 
 
 def _quantity(group: Group) -> str:

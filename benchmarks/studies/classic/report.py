@@ -236,5 +236,4 @@ def _curves(results: SuiteResults) -> Figure:
         axes.set_xlabel("environment steps (1000)")
     for axes in grid[::columns]:
         axes.set_ylabel("return")
-    style.legend_below(figure, grid)
-    return figure
+    return style.legend_below(figure, grid)

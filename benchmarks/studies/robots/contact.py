@@ -287,5 +287,4 @@ def draw_learners(results: SuiteResults) -> Figure:
         column[-1].set_xlabel("displacement of the hole (mm)")
     for each, what in zip(grid[:, 0], ("success (%)", "time (s)", "peak force (N)"), strict=True):
         each.set_ylabel(what)
-    style.legend_below(figure, axes)
-    return figure
+    return style.legend_below(figure, axes)

@@ -39,7 +39,6 @@ from coop_env.simulation.sim_to_real import FORGE, SimToReal
 
 PRESET: Final = "cut"
 SEEDS: Final = 5
-EPISODES: Final = 10  # of each seed
 PLAYERS: Final = {
     "exact optimum": ("optimum", ""),
     "RRT-Connect": ("rrt", ""),
@@ -143,16 +142,13 @@ def on_machines(name: str, results: Path, episodes: int, tick: Tick) -> Row:
     from coop_env.physics.env import CoopInsertionContactEnv
 
     rows: Row = {}
-    for done, (machine, errors) in enumerate(machines().items()):
+    for machine, errors in machines().items():
         env = CoopInsertionContactEnv(LEVEL, sim_to_real=errors)
-        kept: Row = {}
-        for seed in range(SEEDS if name in LEARNED else 1):
-            script = inserter(results, name, seed)
-            for key, values in play_contact(env, script, "test", SEEDS * episodes).items():
-                kept.setdefault(key, []).extend(values)
-        rows[machine] = [kept]
+        scripts = [inserter(results, name, s) for s in range(SEEDS if name in LEARNED else 1)]
+        played = [play_contact(env, script, "test", SEEDS * episodes) for script in scripts]
+        rows[machine] = [{key: [v for each in played for v in each[key]] for key in played[0]}]
         env.close()
-        tick((done + 1) / len(machines()))
+        tick(len(rows) / len(machines()))
     return rows
 
 
@@ -183,9 +179,7 @@ class Transfer(Measured):
     """Players of the kinematic task in the twin."""
 
     name, file, needs = "transfer", "transfer/transfer.json", ("mujoco", "ompl", "physics")
-    options = {  # noqa: RUF012
-        "--episodes": count(EPISODES, f"episodes of each of {SEEDS} seeds"),
-    }
+    options = {"--episodes": count(10, f"episodes of each of {SEEDS} seeds")}  # noqa: RUF012
 
     def measures(self) -> dict[str, Part]:
         place = (self.results, self.given.episodes)
