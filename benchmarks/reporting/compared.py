@@ -67,11 +67,7 @@ def find(compared: list[Comparison], question: str, ours: Group) -> Comparison |
 
 
 def differences(question: str, ours: Group, theirs: Group) -> list[float]:
-    """Ours minus theirs in points, for each seed that both have, on the starts they share.
-
-    Raises:
-        BenchmarkError: episodes of one seed and number began in different states.
-    """
+    """Ours minus theirs in points, for each seed that both have, on the starts they share."""
     result = []
     for run, other, both in ours.beside(theirs):
         unequal = both[both["start"].astype(str) != both["start_other"].astype(str)]

@@ -285,10 +285,7 @@ class Results:
         return self.groups.get(key) or Group(*key, settings=self._settings.get(track))
 
     def tracks(self, teams: bool = False) -> list[str]:
-        """Tracks that are planned or were run, the usual ones in their order first.
-
-        Of robots that move one at a time, or with ``teams`` at once.
-        """
+        """Tracks of robots that move in turn, or with ``teams`` at once; the usual ones first."""
         tracks = in_order({key[3] for key in self.groups if key[3]})
         return [t for t in tracks if bool((self.settings(t) or {}).get("team")) == teams]
 
@@ -307,10 +304,7 @@ class Results:
     def rows(
         self, among: Collection[str] = METHODS, uncertain: bool = False, geometry: str = "optimized"
     ) -> list[Group]:
-        """All methods that are planned or were run, track by track, then the planners of none.
-
-        Of robots that move one at a time: those that move at once have a table of their own.
-        """
+        """Methods of robots that move in turn, track by track, then the planners of none."""
         result = []
         for track in [t for t in self.tracks() if self.uncertain(t) == uncertain]:
             for method in among:
@@ -346,10 +340,7 @@ class Results:
         return best(self.rows(scripts, uncertain=True))
 
     def references(self, track: str) -> list[Group]:
-        """What bounds a track's learners: the best control that knows as much, and the optimum.
-
-        The control acts as learners do in training, with random moves, where it was tested so.
-        """
+        """What bounds a track's learners: the best control that knows as much, and the optimum."""
         control = self.control_of(self.group("rainbow", track).as_trained())
         optima = [self.group("optimum")]
         if self.uncertain(track):

@@ -143,8 +143,7 @@ def optimum(
 ) -> dict[str, float]:
     """What the exact optimum achieves, both robots at once, from a stream's starts of a seed.
 
-    A start is drawn, by its fixed seed, among the poses that this geometry can take; Unbuilt where
-    it finds none. What the search left undecided counts as not solved.
+    What the search left undecided counts as not solved. Unbuilt where a start finds no pose.
     """
     oracle = LatticeOracle(at_once=True)
     seeds = episode_seeds(seed, starts, stream)

@@ -228,8 +228,7 @@ def sbx_dqn() -> Any | None:
 def make_models(net_arch: Sequence[int] | None, capacity: int = CAPACITY) -> dict[str, Any]:
     """The methods by name, trained for a moment, so that kernels are compiled, buffers full.
 
-    Without layers they learn from images: all have DQN's own convolutions, and buffers of 2,000
-    frames that are not filled.
+    Without layers they learn from images, with DQN's own convolutions and buffers not filled.
     """
     images = net_arch is None
     net: dict[str, Any] = {} if net_arch is None else {"net_arch": list(net_arch)}
@@ -266,10 +265,7 @@ def make_models(net_arch: Sequence[int] | None, capacity: int = CAPACITY) -> dic
 def measure_updates(
     models: Mapping[str, Any], n_updates: int, rounds: int
 ) -> dict[str, dict[str, float]]:
-    """Updates per CPU second of ``learn``, and of ``train`` alone: medians over rounds in turns.
-
-    Models are of SB3's kind, with an update for each step of their envs.
-    """
+    """Updates per CPU second of ``learn``, and of ``train`` alone: medians over rounds in turns."""
 
     def learn(model: Any) -> None:
         model.learn(n_updates * model.n_envs, reset_num_timesteps=False)

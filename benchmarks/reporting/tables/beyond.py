@@ -138,10 +138,7 @@ def error_levels(results: Results) -> list[float]:
 
 
 def uncertain(results: Results) -> Table:
-    """Table "uncertain": each method at its track's own bound, then at the ends.
-
-    It is the ground of the paper's claim that a learned policy in closed loop beats a planner.
-    """
+    """Table "uncertain": each method at its track's own bound, then at the ends."""
     levels = error_levels(results)
     ends = [levels[0], levels[-1]] if levels else []
     header = ["Method", *KNOWS, "Success (%)", HOLES.label]
@@ -170,10 +167,7 @@ def tasks(results: Results) -> list[str]:
 
 
 def difficulty(results: Results) -> Table:
-    """Table "difficulty": success rate (%) by task, one row for each track that changes it.
-
-    Of a learner as trained, a script with 5 % of random moves, a planner's one way of acting.
-    """
+    """Table "difficulty": success rate (%) by task, one row for each track that changes it."""
     made: list[list[TableCell]] = []
     result: list[Group] = []
     for track in tasks(results):

@@ -248,10 +248,7 @@ def noise_levels(results: Results) -> list[float]:
 
 
 def seeds_notes(groups: Iterable[Group], names: Iterable[str] | None = None) -> list[str]:
-    """How many seeds and episodes are behind the numbers, and which groups are not complete.
-
-    ``names`` are what the groups are called there, by default their own.
-    """
+    """How many seeds and episodes are behind the numbers, and which groups are not complete."""
     groups = list(groups)
     called = [row.name for row in groups] if names is None else names
     seeds = sorted({group.n for group in groups if group.n})

@@ -46,11 +46,7 @@ class SuiteResults:
                 self.missing += 1
 
     def problems(self) -> list[str]:
-        """A sentence for each run that is another's, or has other test episodes than its seed's.
-
-        Raises:
-            BenchmarkError: a curve is missing or damaged.
-        """
+        """A sentence for each run that is another's, or has other test episodes than its seed's."""
         result = []
         for cell, run in self.all.items():
             problems = check_seeds(
@@ -58,7 +54,7 @@ class SuiteResults:
             )
             if (named := run.folder.meta()["cell"]) != cell.id:
                 problems.append(f"meta.json is of the run '{named}'")
-            if cell.learns:
+            if cell.learns:  # an error if it is missing
                 run.folder.rows("curve")
             result += [f"{run.folder.path}: {problem}" for problem in problems]
         return result

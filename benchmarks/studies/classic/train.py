@@ -239,8 +239,7 @@ def run_control(
 ) -> dict[str, Any]:
     """Test what plays without learning on the episodes of a learner; writes ``episodes.csv``.
 
-    The one action that is held is the best on a learner's validation episodes. Stopped is raised
-    where it was asked to end.
+    The one action that is held is the best on a learner's validation episodes.
     """
     task, seed = preset.tasks[cell.track], cell.seed
     report = ProgressReporter(folder, stop_requested)

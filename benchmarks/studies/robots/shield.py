@@ -160,10 +160,7 @@ def price_of(
 
 
 def prices(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dict[str, Any]]:
-    """Who plays, under which masks of its own, and what the shield changes, over seeds.
-
-    Learned policies that are not among the results are left out.
-    """
+    """Who plays, if its policies are there, under which masks, and what the shield changes."""
 
     def policy(runs: str, env: CoopInsertionEnv, seed: int) -> Act:
         return greedy(load_model(results / f"{runs}-s{seed}" / "policy.zip"))
@@ -183,10 +180,7 @@ def prices(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dict[st
 
 
 def draw_machine(rng: np.random.Generator) -> CoopInsertionEnv:
-    """A machine that can be built and started: links by up to 1.2 times, bodies by up to 4.
-
-    The peg is down to 20 times shorter or 1.5 times longer, steps are from half to twice as large.
-    """
+    """A machine that can be built and started, far from the paper's in links, bodies and steps."""
 
     def scaled(one: object, names: tuple[str, ...], factor: float) -> dict[str, float]:
         return {name: getattr(one, name) * factor ** rng.uniform(-1.0, 1.0) for name in names}

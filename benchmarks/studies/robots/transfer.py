@@ -125,7 +125,7 @@ def play_one(env: CoopInsertionEnv, play: Play, number: int, start: int) -> dict
 def machines() -> dict[str, SimToReal]:
     """Machines of the contact task, by how far off they are; those trained on are up to ``FORGE``.
 
-    At ``n`` times the bounds dead zone, play, latency and noise are that large in every episode.
+    At ``n`` times the bounds all errors are that large in every episode.
     """
     bounds = {name: getattr(FORGE, name) for name in FORGE.turned - {"latency"}}
     outside = {

@@ -56,10 +56,7 @@ class Replay(Insertion):
         self.source = self.open_store(self.results)
 
     def leave_out(self) -> tuple[int, int]:
-        """Keep the cells that can play; returns how many have not run, and lack their policy.
-
-        BenchmarkError if a run was made with other settings, or none has a policy.
-        """
+        """Keep the cells that can play; returns how many have not run, and lack their policy."""
         for cell in self._cells:
             self.source.run(cell.id).check_config(self.settings(cell))
         complete = [cell for cell in self._cells if self.source.run(cell.id).is_complete()]
