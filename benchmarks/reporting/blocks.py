@@ -14,6 +14,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from benchmarks.errors import BenchmarkError
@@ -35,24 +36,25 @@ def pattern(name: str) -> re.Pattern[str]:
 
 def render(page: str, blocks: Blocks) -> str:
     """A page with its blocks written afresh; those of which the data are missing stay."""
-
-    def write(match: re.Match[str], body: Block) -> str:
-        try:
-            return f"{match[1]}\n\n{body(match[2].partition('(')[0].strip()).strip()}\n\n{match[3]}"
-        except KeyError:
-            return match[0]
-
-    for name, body in blocks.items():
-        page = pattern(name).sub(lambda match, body=body: write(match, body), page)  # type: ignore[misc]
+    for name, block in blocks.items():
+        page = pattern(name).sub(partial(_written, block), page)
     return page
+
+
+def _written(block: Block, match: re.Match[str]) -> str:
+    try:
+        return f"{match[1]}\n\n{block(match[2].partition('(')[0].strip()).strip()}\n\n{match[3]}"
+    except KeyError:
+        return match[0]
 
 
 def pages_of(results: Path) -> list[Path]:
     """The README and the pages of ``docs/`` beside a folder ``results``, of which they tell."""
-    root = results.resolve().parent
-    if results.resolve().name != "results":
+    folder = results.resolve()
+    if folder.name != "results":
         return []
-    return [p for p in (root / "README.md", *sorted((root / "docs").glob("*.md"))) if p.is_file()]
+    pages = (folder.parent / "README.md", *sorted((folder.parent / "docs").glob("*.md")))
+    return [page for page in pages if page.is_file()]
 
 
 def rewrite(results: Path, blocks: Blocks) -> list[Path]:
@@ -108,9 +110,7 @@ def _as_markdown(table: re.Match[str]) -> str:
     """A simple table of reStructuredText."""
     starts = [column.start() for column in re.finditer("=+", table[1])]
     spans = [slice(*ends) for ends in zip(starts, [*starts[1:], None], strict=True)]
-    rows = [
-        [line[span].strip() for span in spans] for line in (table[2] + "\n" + table[3]).splitlines()
-    ]
+    rows = [[line[span].strip() for span in spans] for line in (table[2], *table[3].splitlines())]
     rows.insert(1, ["---"] * len(spans))
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -23,10 +22,9 @@ SCRIPT: Final = "Uncertain machine"
 
 @dataclass(frozen=True)
 class Comparison:
-    """Success rates of two methods: one difference per seed, so that it speaks of other trainings.
+    """Success rates of two methods: one difference per seed, in points, with Student's interval.
 
-    ``difference`` is in points, with Student's interval; ``p`` is two-sided, and ``p_holm``
-    corrected over the comparisons of the same question.
+    ``p`` is two-sided, and ``p_holm`` corrected over the comparisons of the same question.
     """
 
     question: str
@@ -56,7 +54,7 @@ def comparisons(results: Results) -> list[Comparison]:
     for question, pairs in asked.items():
         tests = [paired_p(points) for _, _, points in pairs]
         for (ours, theirs, points), p, p_holm in zip(pairs, tests, holm(tests), strict=True):
-            value = measured(points, lambda: (math.nan, math.nan))
+            value = measured(points)
             # Student's interval of a few seeds reaches beyond what is possible
             value = replace(value, low=max(value.low, -100.0), high=min(value.high, 100.0))
             result.append(Comparison(question, ours, theirs, value, p, p_holm))
@@ -69,11 +67,7 @@ def find(compared: list[Comparison], question: str, ours: Group) -> Comparison |
 
 
 def differences(question: str, ours: Group, theirs: Group) -> list[float]:
-    """Ours minus theirs in points, for each seed that both have, on the starts they share.
-
-    Raises:
-        BenchmarkError: episodes of one seed and number began in different states.
-    """
+    """Ours minus theirs in points, for each seed that both have, on the starts they share."""
     result = []
     for run, other, both in ours.beside(theirs):
         unequal = both[both["start"].astype(str) != both["start_other"].astype(str)]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any, Final, NamedTuple
+from operator import attrgetter
+from typing import Any, Final, NamedTuple, Self
 
 import pandas as pd
 
@@ -14,14 +16,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.protocol import labels
 from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import EXPLORING, GREEDY, HOLES, SUCCESS, Metric
-from benchmarks.protocol.plan import (
-    CONTROLS,
-    DESIGN,
-    METHODS,
-    OPTIMUM_AT_ONCE,
-    expand,
-    own_error,
-)
+from benchmarks.protocol.plan import CONTROLS, DESIGN, METHODS, OPTIMUM_AT_ONCE, expand, own_error
 from benchmarks.protocol.presets import Preset, load, preset_names
 from benchmarks.reporting.stats import Value, mean_interval, measured, over_seeds, wilson
 from benchmarks.reporting.tables.table import MISSING, Number, TableCell
@@ -33,10 +28,7 @@ Key = tuple[str, str, str, str]  # method, ablation, geometry, track
 
 
 class Level(NamedTuple):
-    """Under what test episodes were played: noise, the error of the base in mm, way of acting.
-
-    An ``error`` of None stands for the bound of the run's own track.
-    """
+    """Noise, error of the base in mm (None: the bound of the run's own track), way of acting."""
 
     noise: float = 0.0
     error: float | None = None
@@ -49,23 +41,33 @@ AS_TRAINED: Final = Level(acting=EXPLORING)
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """One complete run."""
+    """One run that was tested."""
 
-    seed: int
     config: dict[str, Any]
-    meta: dict[str, Any]
     folder: RunFolder
     episodes: pd.DataFrame
 
     @classmethod
-    def read(cls, folder: RunFolder, meta: dict[str, Any] | None = None) -> Result:
-        """A run from its folder; without a meta.json of its own, it has the one that is given."""
-        config = folder.config()
-        stored = folder.meta() if meta is None else meta
+    def read(cls, folder: RunFolder) -> Self:
+        """A run from its folder."""
         rows = folder.rows("episodes")
         if "masks" in rows:  # older runs were also played under other masks than their own
             rows = rows[rows["masks"].fillna("own") == "own"].drop(columns="masks")
-        return cls(config["cell"]["seed"], config, stored, folder, rows)
+        return cls(folder.config(), folder, rows)
+
+    @property
+    def seed(self) -> int:
+        return int(self.config["cell"]["seed"])
+
+    @cached_property
+    def training(self) -> dict[str, Any]:
+        """What meta.json says of the training; empty of what does not learn."""
+        return dict(self.folder.meta()["training"])
+
+    @cached_property
+    def curve(self) -> pd.DataFrame:
+        """The training curve; BenchmarkError where none is stored."""
+        return self.folder.rows("curve")
 
     @property
     def error(self) -> float:
@@ -81,15 +83,11 @@ class Result:
     @cached_property
     def levels(self) -> dict[Level, pd.DataFrame]:
         """Episodes by level, whose error is a number; a column that is missing has its default."""
-        columns: dict[str, Any] = {"error": self.error, "acting": GREEDY}
-        rows = self.episodes.assign(
-            **{
-                name: self.episodes[name].fillna(own) if name in self.episodes else own
-                for name, own in columns.items()
-            }
-        )
+        rows = self.episodes.copy()
+        for name, own in (("error", self.error), ("acting", GREEDY)):
+            rows[name] = rows[name].fillna(own) if name in rows else own
         result = {}
-        for (noise, error, acting), part in rows.groupby(["noise", *columns]):
+        for (noise, error, acting), part in rows.groupby(["noise", "error", "acting"]):
             level = Level(float(str(noise)), float(str(error)), str(acting))
             result[level] = part.sort_values("episode").reset_index(drop=True)
         return result
@@ -99,8 +97,7 @@ class Result:
 class Group:
     """The runs of one configuration, one per seed, and the level of tests that is meant.
 
-    ``settings`` are the track's, None without one; ``planned`` is how many runs the preset holds, 0
-    where that is not known.
+    ``settings`` are the track's, None without one; ``planned`` is how many runs the preset holds.
     """
 
     method: str
@@ -180,14 +177,13 @@ class Group:
         a proportion and else the bootstrap of a mean.
         """
         tests = self.tests()
-
-        def alone() -> tuple[float, float]:
-            (episodes,) = (x for x in map(metric.values, tests) if len(x))
-            proportion = (int(episodes.sum()), len(episodes))
-            low, high = wilson(*proportion) if metric.proportion else mean_interval(episodes)
-            return metric.scale * low, metric.scale * high
-
-        return measured([metric.reduce(rows) for rows in tests], alone)
+        value = measured([metric.reduce(rows) for rows in tests])
+        if value.n != 1:
+            return value
+        (episodes,) = (x for x in map(metric.values, tests) if len(x))
+        proportion = (int(episodes.sum()), len(episodes))
+        low, high = wilson(*proportion) if metric.proportion else mean_interval(episodes)
+        return replace(value, low=metric.scale * low, high=metric.scale * high)
 
     def success(self) -> Value:
         """Success rate in %, with a 95 % interval."""
@@ -195,23 +191,21 @@ class Group:
 
     def singular_per_1000(self) -> Value:
         """Singularity terminations per 1000 training episodes, with an interval as for success."""
-        training = [run.meta["training"] for run in self.runs]
-        counts = [(t["singular"], t["episodes"]) for t in training if t and t["episodes"]]
+        training = [run.training for run in self.runs if run.training.get("episodes")]
+        value = measured([1000.0 * t["singular"] / t["episodes"] for t in training])
+        if value.n != 1:
+            return value
+        low, high = wilson(training[0]["singular"], training[0]["episodes"])
+        return replace(value, low=1000.0 * low, high=1000.0 * high)
 
-        def alone() -> tuple[float, float]:
-            low, high = wilson(*counts[0])
-            return 1000.0 * low, 1000.0 * high
-
-        return measured([1000.0 * singular / episodes for singular, episodes in counts], alone)
-
-    def meta(self, key: str, scale: float = 1.0) -> Value:
-        """A number of meta.json over seeds; null counts as not observed."""
-        numbers = [run.meta["training"].get(key) for run in self.runs]
-        return over_seeds([math.nan if x is None else scale * float(x) for x in numbers])
+    def steps_to_75(self) -> Value:
+        """Training steps to 75 % success, 1e5, over the seeds that came there."""
+        steps = [run.training.get("steps_to_75") for run in self.runs]
+        return measured([math.nan if x is None else 1e-5 * float(x) for x in steps])
 
     def curves(self) -> list[pd.DataFrame]:
         """The stored training curves, one per seed."""
-        return [run.folder.rows("curve") for run in self.runs if run.folder.has_rows("curve")]
+        return [run.curve for run in self.runs if run.folder.has_rows("curve")]
 
     def beside(self, other: Group) -> Iterator[tuple[Result, Result, pd.DataFrame]]:
         """For each seed of both: the runs, and the episodes of both, theirs ``column_other``."""
@@ -236,10 +230,10 @@ class Group:
         absent = MISSING if self.planned else "-"
         return Number(value, digits, suffix, paper) if self.n else absent
 
-    def measure(self, metric: Metric) -> TableCell:
+    def measure(self, metric: Metric, paper: str = "") -> TableCell:
         """A metric, or a dash if the runs' test episodes do not have it."""
         value = self.value(metric)
-        return self.cell(value, metric.digits) if value.n or not self.n else "-"
+        return self.cell(value, metric.digits, paper) if value.n or not self.n else "-"
 
     def tested(self, level: Level) -> TableCell:
         """The success rate at another level, or a dash if it was not tested there."""
@@ -252,6 +246,8 @@ class Results:
     def __init__(self, store: Store) -> None:
         self.store = store
         self.design: RunFolder | None = None
+        planned, self._settings = _planned(store)
+        self.design_planned = bool(planned.pop((DESIGN, "full", "optimized", ""), 0))
         runs: dict[Key, list[Result]] = {}
         for folder in store.completed():
             if folder.id == DESIGN:
@@ -261,44 +257,35 @@ class Results:
             cell = run.config["cell"]
             key = (cell["method"], cell["ablation"], cell["geometry"], cell["track"])
             mine = runs.setdefault(key, [])
-            if mine:  # of a preset that was changed between two seeds, say
-                settings = [{**each.config, "cell": None} for each in (mine[0], run)]
-                if changed := changes(*settings):
-                    raise BenchmarkError(
-                        f"{mine[0].folder.path} and {folder.id} differ in more than their seed "
-                        f"({'; '.join(changed[:4])}): they are no runs of one method; delete one, "
-                        "or move it away"
-                    )
             mine.append(run)
-        planned, self._settings = _planned(store)
-        self.design_planned = bool(planned.pop((DESIGN, "full", "optimized", ""), 0))
-        for run in (run for each in runs.values() for run in each):
+            # of a preset that was changed between two seeds, say
+            if changed := changes(*({**each.config, "cell": None} for each in (mine[0], run))):
+                raise BenchmarkError(
+                    f"{mine[0].folder.path} and {folder.id} differ in more than their seed "
+                    f"({'; '.join(changed[:4])}): they are no runs of one method; delete one, "
+                    "or move it away"
+                )
             if "track" in run.config:  # what was run counts, not what the preset says today
-                self._settings[run.config["cell"]["track"]] = run.config["track"]
+                self._settings[cell["track"]] = run.config["track"]
         self.groups = {
-            key: replace(
-                self._empty(*key),
-                runs=tuple(sorted(runs.get(key, []), key=lambda run: run.seed)),
-                planned=planned.get(key, 0),
+            key: Group(
+                *key,
+                settings=self._settings.get(key[3]),
+                runs=tuple(sorted(runs.get(key, []), key=attrgetter("seed"))),
+                planned=planned[key],
             )
             for key in {**runs, **planned}
         }
-
-    def _empty(self, method: str, ablation: str, geometry: str, track: str) -> Group:
-        return Group(method, ablation, geometry, track, self._settings.get(track))
 
     def group(
         self, method: str, track: str = "", geometry: str = "optimized", ablation: str = "full"
     ) -> Group:
         """The runs of one configuration, whether it was run or not."""
         key = (method, ablation, geometry, track)
-        return self.groups.get(key) or self._empty(*key)
+        return self.groups.get(key) or Group(*key, settings=self._settings.get(track))
 
     def tracks(self, teams: bool = False) -> list[str]:
-        """Tracks that are planned or were run, the usual ones in their order first.
-
-        Of robots that move one at a time, or with ``teams`` at once.
-        """
+        """Tracks of robots that move in turn, or with ``teams`` at once; the usual ones first."""
         tracks = in_order({key[3] for key in self.groups if key[3]})
         return [t for t in tracks if bool((self.settings(t) or {}).get("team")) == teams]
 
@@ -317,10 +304,7 @@ class Results:
     def rows(
         self, among: Collection[str] = METHODS, uncertain: bool = False, geometry: str = "optimized"
     ) -> list[Group]:
-        """All methods that are planned or were run, track by track, then the planners of none.
-
-        Of robots that move one at a time: those that move at once have a table of their own.
-        """
+        """Methods of robots that move in turn, track by track, then the planners of none."""
         result = []
         for track in [t for t in self.tracks() if self.uncertain(t) == uncertain]:
             for method in among:
@@ -356,10 +340,7 @@ class Results:
         return best(self.rows(scripts, uncertain=True))
 
     def references(self, track: str) -> list[Group]:
-        """What bounds a track's learners: the best control that knows as much, and the optimum.
-
-        The control acts as learners do in training, with random moves, where it was tested so.
-        """
+        """What bounds a track's learners: the best control that knows as much, and the optimum."""
         control = self.control_of(self.group("rainbow", track).as_trained())
         optima = [self.group("optimum")]
         if self.uncertain(track):
@@ -394,19 +375,13 @@ def _world(row: Group) -> list[Any]:
     return [(row.settings or {}).get(name, default) for name, default in defaults.items()]
 
 
-def _planned(store: Store) -> tuple[dict[Key, int], dict[str, dict[str, Any]]]:
-    """How many runs of each configuration the store's preset holds, and its tracks.
-
-    Both are empty if the preset is not at hand.
-    """
+def _planned(store: Store) -> tuple[Counter[Key], dict[str, dict[str, Any]]]:
+    """How many runs of each configuration the store's preset holds, and its tracks, if known."""
     name = store.folder.name
     preset = load(name) if name in preset_names() else None
     if not isinstance(preset, Preset):  # a file of the user's may have a public preset's name
-        return {}, {}
-    planned: dict[Key, int] = {}
-    for cell in expand(preset):
-        key = (cell.method, cell.ablation, cell.geometry, cell.track)
-        planned[key] = planned.get(key, 0) + 1
+        return Counter(), {}
+    planned = Counter((c.method, c.ablation, c.geometry, c.track) for c in expand(preset))
     return planned, {name: asdict(track) for name, track in preset.tracks.items()}
 
 

@@ -42,15 +42,15 @@ def six(results: Results) -> Table:
     """The README's table of six rows: success rates, the paper's and ours."""
     track, printed = results.scored, PERFORMANCE["success"]
     ours = results.group("rainbow", track).as_trained()
+    dqn, ppo = (results.group(name, track).as_trained() for name in ("dqn", "maskable_ppo"))
     methods: list[tuple[str, str, Group | None]] = [
         ("Rainbow", printed["rainbow"], ours),
-        ("Vanilla DQN (SB3's, without masks)", printed["dqn"],
-         results.group("dqn", track).as_trained()),
+        ("Vanilla DQN (SB3's, without masks)", printed["dqn"], dqn),
         ("RRT-Connect, the paper's planner", printed["rrt_connect"], results.group("rrt_connect")),
-        ("MaskablePPO", "-", results.group("maskable_ppo", track).as_trained()),
+        ("MaskablePPO", "-", ppo),
         ("Best script, with the same masks", "-", results.control_of(ours)),
         ("Exact optimum, which needs a model", "-", results.group("optimum")),
-    ]  # fmt: skip
+    ]
     made: list[list[TableCell]] = [
         [name, paper, Number(row.success(), suffix=row.lead) if row and row.n else MISSING]
         for name, paper, row in methods
@@ -91,9 +91,5 @@ def origin(results: Results, preset: str) -> str:
     """How many runs, how long, at which commit and on which machine."""
     folders = [run.folder for run in results.all()]
     text = provenance(preset, folders, max(0, planned(results) - len(folders)))
-    if not folders:
-        return text
-    return (
-        f"{text} Every number is recomputed from `results/{preset}` by "
-        "`python -m benchmarks verify`."
-    )
+    again = f" Every number is recomputed from `results/{preset}` by `python -m benchmarks verify`."
+    return text + again if folders else text

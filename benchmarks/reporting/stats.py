@@ -18,8 +18,7 @@ Array = NDArray[np.float64]
 class Value:
     """A measured number: mean over ``n`` seeds, sample standard deviation, and an interval.
 
-    ``std`` is NaN where it cannot be given (one seed), ``low`` and ``high`` where no interval was
-    computed. ``mean`` is NaN where nothing was observed.
+    NaN stands for what cannot be given: ``mean`` of nothing, ``std`` of one seed.
     """
 
     mean: float
@@ -76,11 +75,8 @@ def interquartile_mean(*tasks: Array, axis: int = -1) -> Any:
 def improvement(*tasks: Array, axis: int = -1) -> Any:
     """How likely a run of ours is better than one of theirs, on a task drawn at random.
 
-    Mean over tasks of P(X > Y) + P(X = Y) / 2 (Agarwal et al. 2021, section 4.3).
-
-    Args:
-        tasks: scores of ours, an array for each task, then those of theirs.
-        axis: of the runs; the last.
+    Mean over tasks of P(X > Y) + P(X = Y) / 2 (Agarwal et al. 2021, section 4.3). ``tasks`` are
+    scores of ours, an array for each task, then those of theirs; runs lie along the last axis.
     """
     pairs = zip(tasks[: len(tasks) // 2], tasks[len(tasks) // 2 :], strict=True)
     signs = [np.sign(x[..., None] - y[..., None, :]).mean(axis=(-2, -1)) for x, y in pairs]
@@ -92,9 +88,7 @@ def bootstrap(samples: Sequence[Array], statistic: Callable[..., Any]) -> tuple[
 
     With a sample for each task it is the stratified bootstrap of Agarwal et al. 2021. rliable's own
     function is not called because the library it draws with does not import beside current pandas.
-
-    Returns:
-        Lower and upper end; NaN where a sample has fewer than two values.
+    The ends are NaN where a sample has fewer than two values.
     """
     if min(map(len, samples), default=0) < 2:
         return math.nan, math.nan
@@ -110,12 +104,10 @@ def mean_interval(values: ArrayLike) -> tuple[float, float]:
     return bootstrap([data[~np.isnan(data)]], np.mean)
 
 
-def measured(values: Sequence[float], alone: Callable[[], tuple[float, float]]) -> Value:
-    """One number per seed as their mean with Student's 95 % interval; of one seed ``alone``'s."""
+def measured(values: Sequence[float]) -> Value:
+    """One number per seed as their mean with Student's 95 % interval, NaN of one seed."""
     value = over_seeds(values)
-    if value.n == 0:
-        return value
-    low, high = t_interval(value.mean, value.std, value.n) if value.n > 1 else alone()
+    low, high = t_interval(value.mean, value.std, value.n)
     return replace(value, low=low, high=high)
 
 
@@ -136,20 +128,15 @@ def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> Array:
 
 
 def mean_band(curves: ArrayLike) -> tuple[Array, Array, Array]:
-    """Mean of curves (seeds, T), and at each point Student's 95 % interval over seeds.
+    """Mean of curves (seeds, T), and the ends of Student's 95 % interval over seeds, each (T,).
 
-    The episodes of a seed share one trained network: drawn apart, they would make the band of a
-    performance profile too narrow.
-
-    Returns:
-        Mean, lower and upper end, each (T,); the ends are NaN with fewer than two curves.
+    Over seeds, as the episodes of one share a trained network. NaN with fewer than two curves.
     """
     data = np.asarray(curves, dtype=np.float64)
-    mean = data.mean(axis=0)
-    if len(data) < 2:
-        return mean, np.full_like(mean, math.nan), np.full_like(mean, math.nan)
-    error = data.std(axis=0, ddof=1) / math.sqrt(len(data))
-    half = scipy.stats.t.ppf(0.975, len(data) - 1) * error
+    n, mean = len(data), data.mean(axis=0)
+    half = np.full_like(mean, math.nan)
+    if n > 1:
+        half = scipy.stats.t.ppf(0.975, n - 1) * (data.std(axis=0, ddof=1) / math.sqrt(n))
     return mean, mean - half, mean + half
 
 
@@ -180,10 +167,8 @@ def holm(p_values: Sequence[float]) -> list[float]:
 def moving_average(values: ArrayLike, window: int, counts: ArrayLike) -> Array:
     """At each point the mean of the last ``window`` observations; fewer at the start.
 
-    Args:
-        values: (n,), each the mean of ``counts`` observations.
-        window: observations; of averaged values as many as hold at least these.
-        counts: (n,) above 0.
+    Each of the values (n,) is the mean of ``counts`` (n,) observations: as many of them count as
+    hold at least the window.
     """
     data = np.asarray(values, dtype=np.float64)
     weights = np.asarray(counts, dtype=np.float64)

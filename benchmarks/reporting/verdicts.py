@@ -1,13 +1,11 @@
 """Does the paper reproduce? Sentences that can fail, from stored runs and the thresholds below.
 
-Each is a paragraph of one or two sentences, which the README shows, and one of details below it.
-What has no runs is left out; what rests on fewer than three seeds, or on fewer steps than the paper
-trains, says so and gives no verdict.
+Each is a paragraph that the README shows, and one of details. What has no runs is left out; what
+rests on fewer than three seeds, or on fewer steps than the paper trains, gives no verdict.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -44,6 +42,9 @@ class Verdict(NamedTuple):
 
     holds: str
     words: str
+
+
+NOTHING: Final = Verdict("", "")
 
 
 def sentences(results: Results) -> dict[str, str]:
@@ -84,18 +85,14 @@ def as_well(comparison: Comparison) -> str:
     """Whether theirs does better, or as well, which takes more than a lack of significance."""
     if outcome(comparison) == WORSE:
         return "better than Rainbow"
-    return "as good as Rainbow" if _equal(comparison) else ""
-
-
-def _equal(comparison: Comparison) -> bool:
     difference = comparison.difference
-    return difference.low > -EQUAL and difference.high < EQUAL
+    equal = difference.low > -EQUAL and difference.high < EQUAL
+    return "as good as Rainbow" if equal else ""
 
 
 def ground(row: Group) -> str:
     """Why no verdict can rest on a row's runs; empty if one can."""
-    runs = row.runs
-    steps = min((int(run.config["track"]["timesteps"]) for run in runs), default=0)
+    steps = min((int(run.config["track"]["timesteps"]) for run in row.runs), default=0)
     if steps < TRAINING_STEPS:
         return f"{steps:,} of the paper's {TRAINING_STEPS:,} steps"
     return few(row)
@@ -111,11 +108,10 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
     greedy = results.group("rainbow", results.scored)
     ours = greedy.as_trained()
     if not ours.n:
-        return Verdict("", "")
+        return NOTHING
     script = find(compared, CONTROL, ours)
     rivals = [c for c in compared if (c.question, c.ours) == (MASKED, ours)]
     others = [(c.theirs.title, c.theirs) for c in rivals]
-    way = " as trained" if ours != greedy else ""
     paper = PERFORMANCE["success"]["rainbow"]
     said = f"Rainbow succeeds in {_rate(ours)} of the test episodes (paper {paper} %)"
     said += f", the best script in {_rate(script.theirs)}." if script else "."
@@ -133,7 +129,7 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
     if ours != greedy:
         details.append(f"Greedily, Rainbow reaches {_rate(greedy)}.")
     if others:
-        details.append(f"{'As trained, ' if way else ''}{_joined(others)}.")
+        details.append(f"{'As trained, ' if ours != greedy else ''}{_joined(others)}.")
     learners = [("Rainbow", ours), *others]
     if all(row.curves() for _, row in learners):
         parts = [f"{name} {_show(_late(row, 'success', 100.0))} %" for name, row in learners]
@@ -143,12 +139,11 @@ def performance(results: Results, compared: list[Comparison]) -> Verdict:
         )
     if (planner := results.group("rrt_lattice")).n:
         details.append(f"{planner.name}, which needs a model too, reaches {_rate(planner)}.")
-    why = ground(ours) or (
-        f"best script: {few(script.theirs)}" if script and few(script.theirs) else ""
-    )
+    why = ground(ours) or ("" if script else "no script was run")
+    if script and not why and few(script.theirs):
+        why = f"best script: {few(script.theirs)}"
     if why or script is None:
-        so_far = f" ({why or 'no script was run'})"
-        holds, verdict = "", "No verdict yet on the success rate"
+        (holds, verdict), so_far = Verdict("", "No verdict yet on the success rate"), f" ({why})"
     else:
         (holds, verdict), so_far = _on_success(ours, script), _so_far(ours)
     return Verdict(holds, _paragraphs(f"**{verdict}{so_far}.** {said}", details))
@@ -159,7 +154,7 @@ def _but_greedily(rival: Comparison, compared: list[Comparison]) -> str:
     for c in compared:
         same = (c.theirs.method, c.theirs.ablation) == (rival.theirs.method, rival.theirs.ablation)
         if c.question == MASKED and same and outcome(c) != outcome(rival):
-            return f" as trained; greedily, Rainbow is {_above(c)} it"
+            return f" as trained; greedily, Rainbow is {_above(c.difference)} it"
     return ""
 
 
@@ -178,12 +173,10 @@ def under_noise(results: Results, greedy: Group) -> str:
 
 
 def _on_success(ours: Group, script: Comparison) -> Verdict:
-    reached = ours.success().mean >= SUCCESS_LEAST
     if outcome(script) != BETTER:
-        if outcome(script) == WORSE or _equal(script):
-            return Verdict(NO, "The success rate does not reproduce: a script does as well")
-        return Verdict(NO, "The success rate does not reproduce: no lead over a script is shown")
-    if not reached:
+        why = "a script does as well" if as_well(script) else "no lead over a script is shown"
+        return Verdict(NO, f"The success rate does not reproduce: {why}")
+    if ours.success().mean < SUCCESS_LEAST:
         return Verdict(
             IN_PART, "Rainbow beats the scripts but stays below the paper's success rate"
         )
@@ -196,89 +189,83 @@ def _on_success(ours: Group, script: Comparison) -> Verdict:
 def components(results: Results, compared: list[Comparison]) -> Verdict:
     """What the six components are worth: together, over masked DQN, and one at a time."""
     full = results.group("rainbow", results.scored).as_trained()
-    if not full.n:
-        return Verdict("", "")
     masked = results.group("rainbow", full.track, ablation="none")
     together = next((c for c in compared if c.ours == full and c.theirs in masked.both()), None)
     wanted = len(PRINTED_ABLATION) - 1
     singles = [
         c
         for c in compared
-        if c.question == ABLATION and c.ours.n and c.ours.ablation in PRINTED_ABLATION
+        if c.question == ABLATION and c.ours.ablation in PRINTED_ABLATION and not ground(c.ours)
     ]
-    if not (together or singles):
-        return Verdict("", "")
-    singles = [c for c in singles if not ground(c.ours)]
     if not together and len(singles) < wanted:
-        return Verdict("", "")
-    costs = [c for c in singles if outcome(c) == WORSE]
-    alone = [c for c in singles if c.difference.high < 0.0 and c not in costs]
-    said = ""
+        return NOTHING
+    said, why = [], ground(full)
     if together:
-        said = (
-            f" Rainbow's success rate is {_above(together)} that of masked DQN, which lacks them."
+        said.append(
+            f"Rainbow's success rate is {_above(together.difference)} that of masked DQN, "
+            "which lacks them."
         )
         if change := _in_training(together):
-            said += f" In training, in which the weights go on changing, it is {change}."
-    if len(singles) == wanted:
-        fewest = min(c.difference.n for c in singles)
-        more = "" if all(c.difference.n == fewest for c in singles) else " or more"
-        several = f"Of {wanted} removals of one component, each on {fewest} seeds{more}"
-        corrected = f"beyond chance after the correction for {wanted} tests"
-        if costs:
-            details = f"{several}, these cost success {corrected}: {_listed(costs)}."
-        else:
-            details = f"{several}, none costs success {corrected}."
-        if alone:
-            details += f" Uncorrected, these do{' as well' if costs else ''}: {_listed(alone)}."
-    else:
-        details = (
+            said.append(f"In training, in which the weights go on changing, it is {change}.")
+        n = together.difference.n
+        theirs = ground(together.theirs) or (f"{n} seeds in common" if n < SEEDS else "")
+        why = why or (theirs and f"masked DQN: {theirs}")
+    costs = [c for c in singles if outcome(c) == WORSE]
+    alone = [c for c in singles if c.difference.high < 0.0 and c not in costs]
+    pays = together is not None and outcome(together) == BETTER
+    if len(singles) < wanted:
+        said.append(
             f"Of {wanted} removals of one component, {len(singles)} have {SEEDS} seeds so far."
         )
-    short = [ground(full)] if ground(full) else []
-    if together and ground(together.theirs):
-        short.append(f"masked DQN: {ground(together.theirs)}")
-    elif together and together.difference.n < SEEDS:
-        short.append(f"masked DQN: {together.difference.n} seeds in common")
-    pays = together is not None and outcome(together) == BETTER
-    if short:
-        holds, verdict = "", f"**No verdict yet on the components ({short[0]}).**"
+    else:
+        fewest = min(c.difference.n for c in singles)
+        more = "" if all(c.difference.n == fewest for c in singles) else " or more"
+        beyond = f"success beyond chance after the correction for {wanted} tests"
+        found = f"these cost {beyond}: {_listed(costs)}" if costs else f"none costs {beyond}"
+        said.append(
+            f"Of {wanted} removals of one component, each on {fewest} seeds{more}, {found}."
+        )
+        if alone:
+            also = " as well" if costs else ""
+            said.append(f"Uncorrected, these do{also}: {_listed(alone)}.")
+    if why:
+        holds, verdict = "", f"No verdict yet on the components ({why})"
     elif len(singles) < wanted:
         holds = IN_PART if pays else NO
-        verdict = f"**Together, Rainbow's six components {'help' if pays else 'do not help'}.**"
+        verdict = f"Together, Rainbow's six components {'help' if pays else 'do not help'}"
     elif pays and len(costs) == wanted:
-        holds, verdict = YES, "**The ablation of the six components reproduces.**"
+        holds, verdict = YES, "The ablation of the six components reproduces"
     elif costs or (pays and alone):
-        holds, verdict = IN_PART, "**The ablation of the six components reproduces in part.**"
+        holds, verdict = IN_PART, "The ablation of the six components reproduces in part"
     elif pays:
-        holds, verdict = NO, "**Rainbow's six components help together, none is shown to alone.**"
+        holds, verdict = NO, "Rainbow's six components help together, none is shown to alone"
     else:
-        holds, verdict = NO, "**The ablation of the six components does not reproduce.**"
-    return Verdict(holds, f"{verdict}{said} {details}")
+        holds, verdict = NO, "The ablation of the six components does not reproduce"
+    return Verdict(holds, " ".join([f"**{verdict}.**", *said]))
 
 
 def _in_training(comparison: Comparison) -> str:
     """The difference in the last tenth of training, seed by seed; empty without curves."""
-    ends = [
-        {run.seed: 100.0 * tail_mean(run.folder.rows("curve"), "success") for run in row.runs
-         if run.folder.has_rows("curve")}
-        for row in (comparison.ours, comparison.theirs)
-    ]  # fmt: skip
-    points = [value - ends[1][seed] for seed, value in ends[0].items() if seed in ends[1]]
-    value = measured(points, lambda: (math.nan, math.nan))
-    return _above(dataclasses.replace(comparison, difference=value)) if value.n >= SEEDS else ""
+    ours, theirs = (_ends(row, "success", 100.0) for row in (comparison.ours, comparison.theirs))
+    change = measured([ours[seed] - theirs[seed] for seed in ours if seed in theirs])
+    return _above(change) if change.n >= SEEDS else ""
+
+
+def _ends(row: Group, column: str, scale: float = 1.0) -> dict[int, float]:
+    """A column of the training curves in the last tenth of training, by seed."""
+    trained = [run for run in row.runs if run.folder.has_rows("curve")]
+    return {run.seed: scale * tail_mean(run.curve, column) for run in trained}
 
 
 def _late(row: Group, column: str, scale: float = 1.0) -> Value:
-    """A column of the training curves in the last tenth of training, over seeds."""
-    return over_seeds([scale * tail_mean(curve, column) for curve in row.curves()])
+    return over_seeds([*_ends(row, column, scale).values()])
 
 
 def _listed(removals: list[Comparison]) -> str:
     """Components with what their removal changes."""
     names = (labels.ABLATIONS[c.ours.ablation].removeprefix("- ").lower() for c in removals)
     changes = (c.difference.signed(" points") for c in removals)
-    return ", ".join(f"{name} ({by})" for name, by in zip(names, changes, strict=True)) or "none"
+    return ", ".join(f"{name} ({by})" for name, by in zip(names, changes, strict=True))
 
 
 def geometry(results: Results, compared: list[Comparison]) -> Verdict:
@@ -287,7 +274,7 @@ def geometry(results: Results, compared: list[Comparison]) -> Verdict:
     after = results.group("rainbow", track).as_trained()
     before = results.group("rainbow", track, "initial").as_trained()
     if not (before.n and after.n):
-        return Verdict("", "")
+        return NOTHING
     pair, report, right = (before, after), [], 0
     for name, key, unit, digits, (low, high) in (
         ("success rate", "success", " %", 1, [row.success() for row in pair]),
@@ -334,14 +321,9 @@ def printed(results: Results) -> str:
     else:
         learns = "teaches" if row.success().mean >= LEARNS else "does not teach"
         verdict = f"The reward as printed {learns} the task.**"
-    reward, holes = (_late(row, column) for column in ("episode_reward", "holes"))
-    return _paragraphs(
-        f"**{verdict} {on_track(results, 'printed')}.",
-        [
-            f"Rainbow's last training episodes earn {_show(reward, 0)} and fill "
-            f"{_show(holes, 2)} holes."
-        ],
-    )
+    earn, fill = _show(_late(row, "episode_reward"), 0), _show(_late(row, "holes"), 2)
+    details = [f"Rainbow's last training episodes earn {earn} and fill {fill} holes."]
+    return _paragraphs(f"**{verdict} {on_track(results, 'printed')}.", details)
 
 
 def on_track(results: Results, track: str) -> str:
@@ -355,7 +337,7 @@ def on_track(results: Results, track: str) -> str:
 
 def _steps(row: Group) -> Value:
     """Training steps to 75 % success, 1e5, over seeds; infinite if one never came there."""
-    value = row.meta("steps_to_75", 1e-5)
+    value = row.steps_to_75()
     return value if value.n == row.n else Value(math.inf, n=row.n)
 
 
@@ -365,13 +347,12 @@ def _verb(before: Value, after: Value) -> str:
     return "rises" if after.mean > before.mean else "falls"
 
 
-def _above(comparison: Comparison) -> str:
+def _above(change: Value) -> str:
     """``25.0 points [16.6, 33.4] above``, or below."""
-    change = comparison.difference
-    if change.mean >= 0.0:
-        return f"{change.signed(' points').removeprefix('+')} above"
-    turned = dataclasses.replace(change, mean=-change.mean, low=-change.high, high=-change.low)
-    return f"{turned.signed(' points').removeprefix('+')} below"
+    word = "above" if change.mean >= 0.0 else "below"
+    if word == "below":
+        change = Value(-change.mean, change.std, change.n, -change.high, -change.low)
+    return f"{change.signed(' points').removeprefix('+')} {word}"
 
 
 def _so_far(*rows: Group) -> str:

@@ -25,22 +25,18 @@ TABLE_FILES: Final = (".csv", ".md", ".tex")
 
 def check_tables(folder: Path, tables: Iterable[Table]) -> list[str]:
     """Whether ``folder`` holds these tables in all their forms, and no other."""
+    wanted = {path: text for table in tables for path, text in table.files(folder).items()}
     problems = []
-    made = set()
-    for table in tables:
-        for suffix, text in table.forms().items():
-            path = folder / f"{table.name}{suffix}"
-            made.add(path)
-            if path.is_file():
-                problems += check_file(path, text, "the stored episodes")
-            else:
-                problems.append(f"{path} is missing; the command `tables` writes it")
-    problems += [
+    for path, text in wanted.items():
+        if path.is_file():
+            problems += check_file(path, text, "the stored episodes")
+        else:
+            problems.append(f"{path} is missing; the command `tables` writes it")
+    return problems + [
         f"{path} is made by no table of this version; delete it"
         for path in sorted(folder.glob("*"))
-        if path.suffix in TABLE_FILES and path not in made
+        if path.suffix in TABLE_FILES and path not in wanted
     ]
-    return problems
 
 
 def check_runs(store: Store) -> list[str]:
@@ -130,10 +126,7 @@ def _levels(result: Result, cell: Cell) -> dict[str, list[float]]:
 
 
 def check_file(path: Path, wanted: str, source: str) -> list[str]:
-    """A sentence on the first line that differs from what the source makes now, if any.
-
-    A file that is missing holds nothing.
-    """
+    """A sentence on the first line that differs from what the source makes now, if any."""
     stored = path.read_text(encoding="utf-8") if path.is_file() else ""
     if stored == wanted:
         return []

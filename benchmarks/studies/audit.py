@@ -1,12 +1,10 @@
 """What each reward pays for: the return of farming it against the return of doing the task.
 
-Scripted policies play the same validation starts under each reward, on the first track of the
-preset that has it. *Insert* follows the exact optimum hole after hole, *insert one* stops at the
-first. *Farm* looks on the optimum's way to the first hole, and two moves off it, for the place
-where a move and its reversal pay most, goes there and repeats the two until the time is up;
-*oscillate* does so where the episode starts. *Random* takes any unmasked move.
-Beside them stands what the trained policies of a preset came to. Written to ``results/audit/``:
-``scripted.csv``, ``scripted.md``, ``learned.csv``, ``meta.json``.
+Scripted policies play the same validation starts under each reward. *Insert* follows the exact
+optimum hole after hole, *insert one* stops at the first. *Farm* looks on the optimum's way to the
+first hole, and two moves off it, for the place where a move and its reversal pay most, goes there
+and repeats the two until the time is up; *oscillate* does so where the episode starts. *Random*
+takes any unmasked move. Beside them stands what the trained policies of a preset came to.
 """
 
 from __future__ import annotations
@@ -83,17 +81,16 @@ def _returns(env: CoopInsertionEnv, simulator: Simulator, moves: Moves, gamma: f
 def learned(results: Path, preset: str) -> str | None:
     """What learned.csv says of a preset's runs, empty of none; None where it has no store.
 
-    One row per stored learner: mean return and holes of the last tenth of its training, with
-    exploration on, as the learner saw it.
+    One row per stored learner: mean return and holes of the last tenth of its training.
     """
     if not (results / preset / "store.json").is_file():
         return None
     rows = []
     for run in Results(Store.open(results, preset)).all():
         if run.folder.has_rows("curve"):
-            cell, curve = run.config["cell"], run.folder.rows("curve")
-            earned, holes = tail_mean(curve, "episode_reward"), tail_mean(curve, "holes")
-            rows.append({**{key: cell[key] for key in CELL}, "return": earned, "holes": holes})
+            cell = {key: run.config["cell"][key] for key in CELL}
+            earned = tail_mean(run.curve, "episode_reward")
+            rows.append({**cell, "return": earned, "holes": tail_mean(run.curve, "holes")})
     return csv_text(rows) if rows else ""
 
 

@@ -2,8 +2,6 @@
 
 A study is data on :class:`Study`: options, parts, tables, a page. The base resumes, shows the bar,
 stores, publishes and verifies.
-
-    python -m benchmarks study NAME
 """
 
 from __future__ import annotations
@@ -137,11 +135,7 @@ class Study(ABC):
 
 
 class OfOneFile(Study):
-    """A study of which all that is told follows from one JSON file.
-
-    Attributes:
-        file: it, below the results folder.
-    """
+    """A study of which all that is told follows from one JSON ``file`` below the results folder."""
 
     file: ClassVar[str] = ""
 
@@ -219,11 +213,7 @@ def _as_json(value: Any) -> str:
 
 
 def read_stored(path: Path) -> Any:
-    """What a JSON or CSV file holds.
-
-    Raises:
-        BenchmarkError: it is missing or damaged.
-    """
+    """What a JSON or CSV file holds; BenchmarkError if it is missing or damaged."""
     try:
         if path.suffix == ".csv":
             return pd.read_csv(path)
@@ -238,13 +228,7 @@ def count(default: int | None, what: str, least: int = 1) -> Option:
 
 
 def episode(env: Any, act: Callable[[Any], Any], **reset: Any) -> Iterator[dict[str, Any]]:
-    """Play an episode; yields the ``info`` of its reset and of each step.
-
-    Args:
-        env: the environment.
-        act: an action from an observation.
-        reset: arguments of the environment's reset.
-    """
+    """Play an episode; yields the ``info`` of its reset, with these arguments, and of each step."""
     observation, info = env.reset(**reset)
     yield info
     over = False
@@ -269,12 +253,8 @@ SEEN: Final = ("observation", "mask_singularities", "mask_visited", "mask_refuse
 def stored_player(path: Path, trust: bool = False) -> tuple[dict[str, Any], Act]:
     """The arguments of the environment that a model was trained in, and its greedy actions.
 
-    Args:
-        path: of its file; a run's has its ``config.yaml`` beside it.
-        trust: as :func:`benchmarks.evaluation.model_files.load_model`.
-
-    Raises:
-        BenchmarkError: the file is missing, is no model, or is not of the single-agent task.
+    A run's has its ``config.yaml`` beside it. BenchmarkError if the file is missing, is no model,
+    or is not of the single-agent task.
     """
     from benchmarks.evaluation.model_files import fitting_observation, load_model
 

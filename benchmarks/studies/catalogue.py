@@ -36,16 +36,11 @@ STUDIES: Final = {
 
 
 def study(name: str) -> type[Study]:
-    """The study of that name, or of ``module:Class`` from the current folder.
-
-    Raises:
-        BenchmarkError: there is none.
-    """
+    """The study of that name, or of ``module:Class``; BenchmarkError if there is none."""
     if name in STUDIES:
         name = f"benchmarks.studies.{STUDIES[name][0]}"
     elif ":" not in name:
-        message = f"unknown study '{name}'; known: {known(STUDIES)}, or module:Class"
-        raise BenchmarkError(message)
+        raise BenchmarkError(f"unknown study '{name}'; known: {known(STUDIES)}, or module:Class")
     result = resolve(name, "study")
     if not (isinstance(result, type) and issubclass(result, Study)):
         raise BenchmarkError(f"study '{name}' is no subclass of benchmarks.studies.base.Study")
@@ -60,11 +55,7 @@ def write_studies(results: Path) -> None:
 
 
 def experiment(preset: str) -> Experiment:
-    """The experiment of a preset: its name, or the path of its file.
-
-    Raises:
-        BenchmarkError: there is no such preset.
-    """
+    """The experiment of a preset, by its name or the path of its file."""
     loaded = load(preset)
     if isinstance(loaded, SuitePreset):
         from benchmarks.studies.classic.experiment import Classic
@@ -126,11 +117,8 @@ def _of_store(one: Experiment, results: Path) -> list[str]:
 def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]:
     """Check the stores of ``presets`` (all under ``results`` if none is named), studies and pages.
 
-    Returns:
-        What was looked at, and a sentence for each thing that disagrees.
-
-    Raises:
-        BenchmarkError: there are no results, or none of one of ``presets``.
+    Yields what was looked at, and a sentence for each thing that disagrees. BenchmarkError if there
+    are no results, or none of one of ``presets``.
     """
     there, found = stores(results), False
     if not there and not presets:
@@ -159,12 +147,12 @@ def verify(results: Path, presets: list[str]) -> Iterator[tuple[str, list[str]]]
             problems = [f"{path}: a file cannot be read ({type(error).__name__}: {error})"]
         yield what, problems
         found |= bool(problems)
-    own = {
-        path.parent for under in ("*", "classic/*") for path in results.glob(f"{under}/store.json")
-    }
-    for folder in () if presets else sorted(own - {*there.values()}):
+    if presets:
+        return
+    markers = [*results.glob("*/store.json"), *results.glob("classic/*/store.json")]
+    for folder in sorted({marker.parent for marker in markers} - {*there.values()}):
         yield f"{folder}: not looked at; --preset FILE says what is in it", []
-    if found and not presets:
+    if found:
         yield "Pages: not looked at until these differences are mended", []
-    elif not presets:
+    else:
         yield from blocks.check(results, all_blocks(results))

@@ -1,10 +1,8 @@
 """The 3-RRS is chosen for what the team achieves, not for its workspace alone.
 
-Two studies, of (lambda1, lambda2) and of (L2, home heave), in two steps. The exact optimum with
-both robots moving at once scores designs for Optuna's NSGA-II: success and mean ticks. Then a
-policy is trained on each of the designs that were chosen, over seeds, and tested on test starts.
-What is complete is kept: the same command goes on. Written to ``results/codesign/`` and to a block
-of ``docs/codesign.md``.
+Two studies, of (lambda1, lambda2) and of (L2, home heave). The exact optimum with both robots
+moving at once scores designs for Optuna's NSGA-II: success and mean ticks. Then a policy is trained
+on each of the chosen designs, over seeds, and tested on test starts. The same command goes on.
 """
 
 from __future__ import annotations
@@ -75,11 +73,7 @@ def rounded(values: Mapping[str, float]) -> Values:
 
 
 def geometry_of(values: Mapping[str, float]) -> RRSGeometry:
-    """The optimized machine with some parameters changed; the range of heave moves with home.
-
-    Raises:
-        GeometryError: there is no such machine.
-    """
+    """The optimized machine with some parameters changed; the range of heave moves with home."""
     of = parameters(OPTIMIZED) | dict(values)
     rise = of["home_heave"] - OPTIMIZED.home_heave
     return RRSGeometry.from_lambdas(
@@ -121,11 +115,7 @@ def area(geometry: RRSGeometry) -> float:
 
 
 def starts_of(geometry: RRSGeometry, seeds: Iterable[int]) -> Iterator[CoopInsertionJointEnv]:
-    """The team's task on a geometry, at the start of each seed's episode.
-
-    Raises:
-        Unbuilt: it has no home pose, or no start state.
-    """
+    """The team's task on a geometry, at the start of each seed's episode; may raise Unbuilt."""
     try:
         env = CoopInsertionJointEnv(geometry=geometry, reward="progress")
     except GeometryError as error:
@@ -139,11 +129,7 @@ def starts_of(geometry: RRSGeometry, seeds: Iterable[int]) -> Iterator[CoopInser
 
 
 def build(values: Mapping[str, float]) -> RRSGeometry:
-    """The geometry of a design that can do the task.
-
-    Raises:
-        Unbuilt: there is none.
-    """
+    """The geometry of a design; Unbuilt where there is none that can do the task."""
     try:
         geometry = geometry_of(values)
     except GeometryError as error:
@@ -157,11 +143,7 @@ def optimum(
 ) -> dict[str, float]:
     """What the exact optimum achieves, both robots at once, from a stream's starts of a seed.
 
-    A start is drawn, by its fixed seed, among the poses that this geometry can take. To
-    :func:`reach` comes how many starts the search left undecided, which count as not solved.
-
-    Raises:
-        Unbuilt: a start found no pose.
+    What the search left undecided counts as not solved. Unbuilt where a start finds no pose.
     """
     oracle = LatticeOracle(at_once=True)
     seeds = episode_seeds(seed, starts, stream)
@@ -192,9 +174,8 @@ def search(
 ) -> tuple[list[dict[str, Any]], dict[str, int]]:
     """NSGA-II until so many designs have a score: their rows, and how many had none, by reason.
 
-    The journal is on disk: a call that was killed goes on as if it had not been. The sampler holds
-    a design below ``floor``, %, for worse than any above it: one that only reaches the nearest
-    targets looks quick.
+    The journal is on disk: a call that was killed goes on as if it had not been. A design below
+    ``floor``, %, ranks below all others: one that only reaches the nearest targets looks quick.
     """
     import optuna
     from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
@@ -286,9 +267,13 @@ class Codesign(Study):
         if self.rows:
             self.run_folder.write_rows("designs", self.rows)
             record = {
-                **{"command": self.given.command, "machine": describe()},
+                "command": self.given.command,
+                "machine": describe(),
                 "cpu_seconds": time.process_time() - self.began,
-                **{"floor": self.floor, "most": MOST, "base": BASE, "studies": self.studies},
+                "floor": self.floor,
+                "most": MOST,
+                "base": BASE,
+                "studies": self.studies,
             }
             write_text(self.folder / "codesign.json", json.dumps(record, indent=1) + "\n")
         with self.held:
@@ -333,12 +318,7 @@ class Codesign(Study):
         return path
 
     def _train(self, preset: Path) -> None:
-        """Run the cells of the preset that are missing.
-
-        Raises:
-            BenchmarkError: some failed.
-            KeyboardInterrupt: it was interrupted; what was done is kept.
-        """
+        """Run the cells of the preset that are missing; if it is interrupted, the rest is kept."""
         experiment, console = Insertion(str(preset)), Console(soft_wrap=True)
         store = experiment.open_store(self.folder, create=True)
         with store.lock():

@@ -235,5 +235,4 @@ def fronts(result: SearchResult) -> Figure:
         )
         of_ticks.set_ylim(result.summary["floor"] - 6.0, 100.5)
         of_area.set_xlabel("$A_w$ (rad²)")
-    legend_below(figure, panels)
-    return figure
+    return legend_below(figure, panels)

@@ -1,13 +1,11 @@
 """Minari datasets of the insertion task, for learners that meet no environment.
 
-Four behaviours act in the environment of the track `safe`, under its masks: the exact *optimum*,
-hole by hole, which ends where no moves insert; the *expert*, two-move lookahead from the
-observation, the best script there without a memory; the *medium* one, which is the expert but for a
-share of its moves, drawn from the allowed ones; and *random* moves, drawn from the allowed ones.
+Four behaviours act on the track `safe`, under its masks: the exact *optimum*, which ends where no
+moves insert; the *expert*, two-move lookahead from the observation; *medium*, the expert with a
+share of its moves drawn from the allowed ones; and *random* moves, drawn from the allowed ones.
 Episode k begins at the same state for all, which is no state of a test, a validation or a training.
-A dataset is there when it is complete: what was cut off begins anew, the others are kept.
-With ``--contact`` the scripts of the contact task act in it, with their standard gains, and
-``infos`` hold its privileged state.
+What was cut off begins anew, complete datasets are kept. With ``--contact`` the scripts of the
+contact task act in it, and ``infos`` hold its privileged state.
 """
 
 from __future__ import annotations
@@ -22,8 +20,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import metadata
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 from unittest import mock
 
 import gymnasium
@@ -34,6 +31,7 @@ from benchmarks.evaluation.evaluate import follow, play_together, with_random_mo
 from benchmarks.methods.controls import control
 from benchmarks.methods.episodes import Episode, env_arguments
 from benchmarks.methods.oracle import LatticeOracle
+from benchmarks.protocol.metrics import N_HOLES
 from benchmarks.protocol.plan import Cell
 from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import derive
@@ -86,45 +84,32 @@ class RecordingEnv(CoopInsertionEnv):
         return observation, reward, terminated, truncated, info
 
 
-class Demonstration:
-    """An episode of the contact task that a script plays to its end."""
+class Played(NamedTuple):
+    """An episode to its end; ``observations`` and ``infos`` begin before the first step."""
 
-    def __init__(self, env: Any, script: Any, number: int) -> None:
-        self.env, self.reset_seed = self, derive("data", number)
-        observation, info = env.reset(seed=self.reset_seed)
-        script.reset()
-        self.observations, self.infos = [observation], {"privileged": [info["privileged"]]}
-        self.steps: list[tuple[Any, float, bool, bool]] = []
-        over = False
-        while not over:
-            action = np.asarray(script(self.observations[-1]), np.float32)
-            observation, reward, terminated, truncated, info = env.step(action)
-            self.observations.append(observation)
-            self.infos["privileged"].append(info["privileged"])
-            self.steps.append((action, reward, terminated, truncated))
-            over = terminated or truncated
-        self.task = SimpleNamespace(holes=[info["hole"]])  # its one hole
-        self.moves = len(self.steps)
-        self.insertions = [self.moves] * info["success"]
-        self.reward = sum(step[1] for step in self.steps)
+    seed: int
+    observations: list[Any]
+    infos: dict[str, list[Any]]
+    steps: list[tuple[Any, float, bool, bool]]  # action, reward, terminated, truncated
+    filled: int
+    holes: int
 
+    def to_minari(self) -> Any:
+        """As Minari takes it; one that a behaviour gave up is truncated there."""
+        from minari.data_collector import EpisodeBuffer
 
-def make_buffer(record: Any, seed: int) -> Any:
-    """An episode as Minari takes it; one that a behaviour gave up is truncated there."""
-    from minari.data_collector import EpisodeBuffer
-
-    columns = (np.array(column) for column in zip(*record.steps, strict=True))
-    actions, rewards, terminated, truncated = columns
-    truncated[-1] |= not terminated[-1]
-    return EpisodeBuffer(
-        seed=seed,
-        observations=np.array(record.observations),
-        actions=actions,
-        rewards=rewards,
-        terminations=terminated,
-        truncations=truncated,
-        infos={name: np.array(values) for name, values in record.infos.items()},
-    )
+        columns = (np.array(column) for column in zip(*self.steps, strict=True))
+        actions, rewards, terminated, truncated = columns
+        truncated[-1] |= not terminated[-1]
+        return EpisodeBuffer(
+            seed=self.seed,
+            observations=np.array(self.observations),
+            actions=actions,
+            rewards=rewards,
+            terminations=terminated,
+            truncations=truncated,
+            infos={name: np.array(values) for name, values in self.infos.items()},
+        )
 
 
 @dataclass(frozen=True)
@@ -173,37 +158,51 @@ def arguments_of_the_task() -> dict[str, Any]:
     return {name: value for name, value in given.items() if value}
 
 
-def play(recipe: Recipe, progress: Callable[[int], None]) -> Sequence[Episode | Demonstration]:
-    """Whole episodes from the first on, until they have the recipe's steps together.
-
-    ``progress`` hears how many there are.
-    """
+def play(recipe: Recipe, progress: Callable[[int], None]) -> list[Played]:
+    """Whole episodes from the first on, until they have the recipe's steps together."""
     together = _demonstrate(recipe) if recipe.behaviour in CONTACT else _move(recipe)
-    kept: list[Any] = []
+    kept: list[Played] = []
     done = 0
     while done < recipe.steps:
         for episode in together(len(kept), recipe.steps - done):
             if done < recipe.steps:
                 kept.append(episode)
-                done += episode.moves
+                done += len(episode.steps)
         progress(done)
     return kept
 
 
-def _demonstrate(recipe: Recipe) -> Callable[[int, int], list[Demonstration]]:
+def _demonstrate(recipe: Recipe) -> Callable[[int, int], list[Played]]:
     env = recipe.environment().unwrapped
     script = script_of(recipe.title, env, {})
-    return lambda first, _: [Demonstration(env, script, first)]
+
+    def one(number: int, _: int) -> list[Played]:
+        seed, steps = derive("data", number), []
+        observation, info = env.reset(seed=seed)
+        script.reset()
+        observations, privileged, over = [observation], [info["privileged"]], False
+        while not over:
+            action = np.asarray(script(observation), np.float32)
+            observation, reward, terminated, truncated, info = env.step(action)
+            observations.append(observation)
+            privileged.append(info["privileged"])
+            steps.append((action, reward, terminated, truncated))
+            over = terminated or truncated
+        infos = {"privileged": privileged}
+        return [Played(seed, observations, infos, steps, int(info["success"]), 1)]
+
+    return one
 
 
-def _move(recipe: Recipe) -> Callable[[int, int], list[Episode]]:
+def _move(recipe: Recipe) -> Callable[[int, int], list[Played]]:
     arguments, oracle = arguments_of_the_task(), LatticeOracle()
     longest = CoopInsertionEnv(**arguments).params.task.max_moves
     script = control("lookahead_observed", load_preset("cut").tracks[TRACK].controls, 0)
 
-    def together(first: int, steps: int) -> list[Episode]:
+    def together(first: int, steps: int) -> list[Played]:
         numbers = range(first, first + min(TOGETHER, steps // longest + 1))
-        batch = [Episode(RecordingEnv(**arguments), n, derive("data", n)) for n in numbers]
+        envs = [RecordingEnv(**arguments) for _ in numbers]
+        batch = [Episode(env, n, derive("data", n)) for env, n in zip(envs, numbers, strict=True)]
         if recipe.behaviour == "optimum":
             for episode in batch:
                 follow(episode, oracle.plan)
@@ -211,33 +210,35 @@ def _move(recipe: Recipe) -> Callable[[int, int], list[Episode]]:
             generators = [np.random.default_rng(derive("data", e.number, 1)) for e in batch]
             expert, share = script(batch), RANDOM_SHARE[recipe.behaviour]
             play_together(with_random_moves(expert, generators, share), batch, 0.0, 0)
-        return batch
+        return [
+            Played(e.reset_seed, env.observations, env.infos, env.steps, len(e.insertions), N_HOLES)
+            for e, env in zip(batch, envs, strict=True)
+        ]
 
     return together
 
 
-def measure(episodes: Sequence[Episode | Demonstration]) -> dict[str, Any]:
+def measure(episodes: Sequence[Played]) -> dict[str, Any]:
     """What the metadata and the table say of a dataset; starts without a move count, too."""
-    rewards = np.array([episode.reward for episode in episodes])
-    holes = np.array([len(episode.insertions) for episode in episodes])
+    rewards = np.array([sum(reward for _, reward, *_ in e.steps) for e in episodes])
+    holes = np.array([episode.filled for episode in episodes])
     return {
-        "steps": sum(episode.moves for episode in episodes),
+        "steps": sum(len(episode.steps) for episode in episodes),
         "starts": len(episodes),
-        "episodes": sum(episode.moves > 0 for episode in episodes),
+        "episodes": sum(bool(episode.steps) for episode in episodes),
         "success": float((holes > 0).mean()),
-        "all_holes": float((holes == len(episodes[0].env.task.holes)).mean()),
+        "all_holes": float((holes == episodes[0].holes).mean()),
         "holes": float(holes.mean()),
         "return": float(rewards.mean()),
         "return_std": float(rewards.std()),
     }
 
 
-def write(root: Path, recipe: Recipe, episodes: Sequence[Episode | Demonstration]) -> None:
+def write(root: Path, recipe: Recipe, episodes: Sequence[Played]) -> None:
     """Make the dataset beside its place and rename it into it."""
     import minari
 
-    playing: list[Any] = [e for e in episodes if e.moves]
-    buffers = [make_buffer(e.env, e.reset_seed) for e in playing]
+    buffers = [episode.to_minari() for episode in episodes if episode.steps]
     root.mkdir(parents=True, exist_ok=True)
     root = root.resolve()  # Minari loses its way below a relative folder
     with tempfile.TemporaryDirectory(dir=root, prefix=".") as temporary, minari_root(temporary):
@@ -266,11 +267,7 @@ def minari_root(folder: str | os.PathLike[str]) -> AbstractContextManager[Any]:
 
 
 def read(root: Path, recipe: Recipe) -> dict[str, Any] | None:
-    """What is known of a dataset, None if it is not there.
-
-    Raises:
-        BenchmarkError: it is there, made by another recipe.
-    """
+    """What is known of a dataset, None if it is not there; BenchmarkError if another recipe's."""
     path = root / recipe.id / "data" / "metadata.json"
     if not path.is_file():
         return None
@@ -281,12 +278,8 @@ def read(root: Path, recipe: Recipe) -> dict[str, Any] | None:
             "delete it, or name another --results"
         )
     size = sum(part.stat().st_size for part in path.parent.iterdir())
-    return {
-        "id": recipe.id,
-        "behaviour": recipe.title,
-        "megabytes": size / 1e6,
-        **result["measured"],
-    }
+    about = {"id": recipe.id, "behaviour": recipe.title, "megabytes": size / 1e6}
+    return {**about, **result["measured"]}
 
 
 class Data(OfOneFile):
@@ -318,13 +311,20 @@ class Data(OfOneFile):
 
     @staticmethod
     def to_markdown(result: Sequence[Mapping[str, Any]]) -> str:
-        rows: list[list[TableCell]] = []
-        for record in result:
-            shares = [f"{100.0 * record[name]:.1f}" for name in ("success", "all_holes")]
-            earned = f"{record['return']:.1f} ± {record['return_std']:.1f}"
-            sizes = [f"{record['steps']:,}", f"{record['starts']:,}", shares[0]]
-            sizes += [f"{record['holes']:.2f}", shares[1], earned, f"{record['megabytes']:.1f}"]
-            rows.append([f"`{record['id']}`", record["behaviour"], *sizes])
+        rows: list[list[TableCell]] = [
+            [
+                f"`{record['id']}`",
+                record["behaviour"],
+                f"{record['steps']:,}",
+                f"{record['starts']:,}",
+                f"{100.0 * record['success']:.1f}",
+                f"{record['holes']:.2f}",
+                f"{100.0 * record['all_holes']:.1f}",
+                f"{record['return']:.1f} ± {record['return_std']:.1f}",
+                f"{record['megabytes']:.1f}",
+            ]
+            for record in result
+        ]
         notes = [
             "Success: episodes with an insertion, of all starts; return: mean ± std of the "
             "episodes.",

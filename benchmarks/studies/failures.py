@@ -1,10 +1,10 @@
 """Where a learned policy fails, why, and by how much it is slower than the optimum.
 
-The stored policies of all seeds play their test episodes again, up to the first insertion, beside
-the exact optimum. A failure is *infeasible* if no sequence of moves inserts from that start,
-*singular* if the episode ended by a singularity, *cycle* if the last moves ran through the same few
-configurations, and else *wandering*: it went on and found no way. Written to
-``results/<preset>/failures/`` as ``<method>-<track>``: ``.csv``, one row per episode, and ``.md``.
+The stored policies play their test episodes again, up to the first insertion. A failure is
+*infeasible* if no sequence of moves inserts from that start, *singular* if a singularity ended the
+episode, *cycle* if the last moves ran through the same few configurations, and else *wandering*.
+Written to ``results/<preset>/failures/`` as ``<method>-<track>``: ``.csv``, one row per episode,
+and ``.md``.
 """
 
 from __future__ import annotations
@@ -50,24 +50,14 @@ def play(
             singular = bool(episode.move(action)["singular"])
             trail.append(env.state["offset"].tobytes())
         success = bool(episode.insertions)
-        causes = {
-            "infeasible": plan.moves is None,
-            "singular": singular,
-            "cycle": len(set(trail[-RECENT:])) <= FEW,
-            "wandering": True,
-        }
-        rows.append(
-            {
-                "seed": cell.seed,
-                "episode": episode.number,
-                "start": episode.start,
-                "target": target,
-                "optimum": math.nan if plan.moves is None else float(len(plan.moves)),
-                "success": success,
-                "moves": float(episode.moves) if success else math.nan,
-                "cause": "" if success else next(cause for cause in CAUSES if causes[cause]),
-            }
-        )
+        causes = (plan.moves is None, singular, len(set(trail[-RECENT:])) <= FEW, True)
+        cause = next(name for name, holds in zip(CAUSES, causes, strict=True) if holds)
+        rows.append({
+            "seed": cell.seed, "episode": episode.number, "start": episode.start, "target": target,
+            "optimum": math.nan if plan.moves is None else float(len(plan.moves)),
+            "success": success, "moves": float(episode.moves) if success else math.nan,
+            "cause": "" if success else cause,
+        })  # fmt: skip
         tick(len(rows) / tests.episodes)
     return rows
 

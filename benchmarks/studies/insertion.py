@@ -101,7 +101,7 @@ class Insertion(Experiment[Preset]):
     def verdict(self, folder: RunFolder) -> str:
         if not folder.has_rows("episodes"):
             return ""
-        clean = Result.read(folder, {}).test()
+        clean = Result.read(folder).test()
         return f", success {100 * clean['success'].mean():.0f} % of {len(clean)} test episodes"
 
     def tables(self, store: Store) -> list[Table]:

@@ -40,10 +40,7 @@ DEFAULT_SEED: Final = 8
 
 
 def optimal_moves(env: CoopInsertionEnv) -> Act:
-    """The lattice optimum's next move to the next hole, wherever the robots are.
-
-    It raises BenchmarkError where no sequence of moves inserts the peg in the current target.
-    """
+    """The lattice optimum's next move to the next hole; BenchmarkError where there is no plan."""
     oracle = LatticeOracle()
 
     def act(observation: Any, masks: Any) -> int:
@@ -66,14 +63,7 @@ def player(
 
 
 def watch(arguments: argparse.Namespace) -> None:
-    """Let the optimum or a model play in the browser until the view is closed.
-
-    Args:
-        arguments: ``geometry``, ``model``, ``trust``, ``twin``, ``results``, ``host`` and ``port``.
-
-    Raises:
-        BenchmarkError: the view cannot be opened; for the twin, MuJoCo or gains are missing.
-    """
+    """Let the optimum or a model play in the browser until the view is closed."""
     make = partial(_twin, arguments.results) if arguments.twin else CoopInsertionEnv
     env, act = player(arguments.model, arguments.trust, make, geometry=arguments.geometry)
     try:

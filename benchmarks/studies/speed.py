@@ -1,14 +1,11 @@
 """How fast the environment is, and how fast Rainbow is.
 
-`speed-env`: single and batched steps with their action masks, and the exact optimum. Actions are
-random and drawn beforehand.
+`speed-env`: single and batched steps with their action masks, and the exact optimum.
 
-`speed-rainbow`: beside DQN of SB3 and of SBX, and sb3-contrib's QR-DQN. "Rainbow" is the default
-(compiled kernels for a perceptron on the CPU), beside what torch makes of the same update. Three
-nets, 51 atoms, 12 observations, 12 actions, batch 64, a full replay buffer of 1e6, one update per
-step of an env that costs next to nothing. SBX's DQN, which computes with JAX, takes part where
-``sbx-rl`` is installed; the package does not ask for it. On images: random frames, 4 x 84 x 84,
-batch 32.
+`speed-rainbow`: beside DQN of SB3, of SBX where ``sbx-rl`` is installed, and sb3-contrib's QR-DQN.
+"Rainbow" is the default (compiled kernels for a perceptron on the CPU), beside what torch makes of
+the same update. Three nets, 51 atoms, batch 64, a full replay buffer of 1e6, one update per step of
+an env that costs next to nothing. On images: random frames, 4 x 84 x 84, batch 32.
 
 One core, in turns, so that whatever else the machine does falls on all alike; a figure is the CPU
 time of the process in the median round.
@@ -81,10 +78,7 @@ def in_turns(actions: Mapping[Name, Callable[[], Any]], rounds: int) -> dict[Nam
 
 
 def stepping(env: Any, actions: Iterable[Any], masks: bool = False) -> Callable[[], None]:
-    """A loop of so many steps, each followed by the action masks.
-
-    One episode that is over begins anew; those of a batch do so by themselves.
-    """
+    """A loop of so many steps, each followed by the action masks."""
     single = not hasattr(env, "num_envs")
     env.reset(**{"seed": 0} if single else {})
     look: Callable[[], Any] = bool
@@ -234,8 +228,7 @@ def sbx_dqn() -> Any | None:
 def make_models(net_arch: Sequence[int] | None, capacity: int = CAPACITY) -> dict[str, Any]:
     """The methods by name, trained for a moment, so that kernels are compiled, buffers full.
 
-    Without layers they learn from images: all have DQN's own convolutions, and buffers of 2,000
-    frames that are not filled.
+    Without layers they learn from images, with DQN's own convolutions and buffers not filled.
     """
     images = net_arch is None
     net: dict[str, Any] = {} if net_arch is None else {"net_arch": list(net_arch)}
@@ -272,13 +265,7 @@ def make_models(net_arch: Sequence[int] | None, capacity: int = CAPACITY) -> dic
 def measure_updates(
     models: Mapping[str, Any], n_updates: int, rounds: int
 ) -> dict[str, dict[str, float]]:
-    """Updates per CPU second of ``learn``, and of ``train`` alone: medians over rounds in turns.
-
-    Args:
-        models: of SB3's kind with a full replay buffer; each step of their envs has an update.
-        n_updates: between two looks at the clock.
-        rounds: of all models that count; one more goes before them.
-    """
+    """Updates per CPU second of ``learn``, and of ``train`` alone: medians over rounds in turns."""
 
     def learn(model: Any) -> None:
         model.learn(n_updates * model.n_envs, reset_num_timesteps=False)

@@ -1,8 +1,5 @@
 """Episodes as joint trajectories: to files for a controller, and on the twin's servos.
 
-    python -m benchmarks study trajectory
-    python -m benchmarks study trajectory --export FOLDER [--model PATH] [--start 0] [--blend]
-
 Without --export, the optimum, RRT-Connect and a stored Rainbow play the same test starts. Their
 ways become trajectories, stop-and-go and blended, and the twin drives each to the first insertion.
 """
@@ -40,11 +37,8 @@ if TYPE_CHECKING:
 MODEL: Final = Path("paper/runs/rainbow-optimized-repaired-s0/policy.zip")
 FORCE_LIMIT: Final = 40.0  # N, as in the contact task
 
-MEASURED: Final = (
-    *("seconds_first", "seconds", "blocked_first", "error", "torque", "force", "inserted"),
-)
-"""Columns of a start with an insertion, which others leave empty."""
-
+#: columns of a start with an insertion, which others leave empty
+KEYS: Final = ("seconds_first", "seconds", "blocked_first", "error", "torque", "force", "inserted")
 OPTIMUM: Final = "optimum"
 PLANNER: Final = "RRT-Connect"
 
@@ -81,11 +75,7 @@ NOMINAL: Final[tuple[dict[str, Any], Play]] = ({"geometry": "optimized"}, optimu
 
 
 def stored(path: Path) -> tuple[dict[str, Any], Play]:
-    """The environment's arguments of a stored policy, and its greedy moves.
-
-    Raises:
-        BenchmarkError: the file is missing, is no model, or is not of the single-agent task.
-    """
+    """The environment's arguments of a stored policy, and its greedy moves."""
     arguments, act = stored_player(path)
     if arguments.get("geometry", "optimized") not in GEOMETRIES:
         raise BenchmarkError(f"{path}: give a policy on one of {sorted(GEOMETRIES)}")
@@ -118,20 +108,21 @@ def rows_of(method: str, way: Way, number: int, driver: TwinDriver) -> Iterator[
     for kind, blend in (("stop-and-go", False), ("blended", True)):
         row: Row = {"method": method, "kind": kind, "start": number}
         row |= {"moves_first": way.first, "moves": len(way.configurations) - 1}
-        row |= dict.fromkeys(MEASURED, math.nan)
+        row |= dict.fromkeys(KEYS, math.nan)
         if way.first:
-            whole = make_trajectory(way.configurations, geometry, blend=blend)
             first = make_trajectory(way.configurations[: way.first + 1], geometry, blend=blend)
             driver.place(way.configurations[0])
             driver.command(first)
             distance, angle = driver.miss(way.target)
-            errors = 1e3 * np.abs(driver.errors)
-            measured = (
-                *(first.duration, whole.duration, len(first.blocked()), float(errors.max())),
-                *(float(np.abs(driver.torques).max()), float(np.linalg.norm(driver.force()))),
-                distance < PAPER_TASK.tolerance and angle < PAPER_TASK.angle_tolerance,
-            )
-            row |= zip(MEASURED, measured, strict=True)
+            row |= {
+                "seconds_first": first.duration,
+                "seconds": make_trajectory(way.configurations, geometry, blend=blend).duration,
+                "blocked_first": len(first.blocked()),
+                "error": 1e3 * float(np.abs(driver.errors).max()),
+                "torque": float(np.abs(driver.torques).max()),
+                "force": float(np.linalg.norm(driver.force())),
+                "inserted": distance < PAPER_TASK.tolerance and angle < PAPER_TASK.angle_tolerance,
+            }
         yield row
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -15,15 +15,7 @@ from benchmarks.protocol import labels, paper_values
 from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import N_HOLES
 from benchmarks.protocol.plan import PLANNERS
-from benchmarks.reporting.figures.style import (
-    METHOD_COLOURS,
-    PALETTE,
-    TRACK_STYLES,
-    Picture,
-    canvas,
-    finish,
-    legend_below,
-)
+from benchmarks.reporting.figures import style
 from benchmarks.reporting.results import Group, Level, Results, complete
 from benchmarks.reporting.stats import Value, mean_band, performance_profile
 from benchmarks.reporting.tables.beyond import PLAYERS, error_levels, tasks
@@ -34,56 +26,51 @@ THRESHOLDS: Final = np.linspace(0.0, 1.0, 101)
 Scores = list[NDArray[np.float64]]  # of each seed's test episodes
 
 
-def episode_pictures(results: Results) -> list[Picture]:
+def of_episodes(results: Results) -> style.Drawings:
     """Figures of the test episodes, over all tracks: those that have something to compare."""
-    result = []
-    drawn = _drawn(results)
-    if drawn and results.group("optimum").n:
-        result.append(Picture("performance_profile", partial(_profiles, results, drawn)))
+    result: style.Drawings = {}
+    if (drawn := _drawn(results)) and results.group("optimum").n:
+        result["performance_profile"] = partial(_profiles, results, drawn)
     noisy = complete(row for row in results.rows(NOISY) if row.track in ("", results.scored))
     if noisy and len(noise_levels(results)) > 1:
-        result.append(Picture("robustness", partial(_robustness, results, noisy)))
+        result["robustness"] = partial(_robustness, results, noisy)
     if error_levels(results):
-        result.append(Picture("errors", partial(_errors, results)))
-    ablations = [results.group("rainbow", results.scored, ablation=a) for a in labels.ABLATIONS]
-    components = complete(ablations)
+        result["errors"] = partial(_errors, results)
+    components = complete(
+        results.group("rainbow", results.scored, ablation=name) for name in labels.ABLATIONS
+    )
     if any(row.ablation not in labels.ALL_OR_NONE for row in components):
         references = results.references(results.scored)
-        result.append(Picture("ablation_comparison", partial(_components, components, references)))
+        result["ablation_comparison"] = partial(_components, components, references)
     return result
 
 
-def difficulty(results: Results) -> Picture:
+def by_task(results: Results) -> Figure:
     """Success by task."""
-    return Picture("difficulty", partial(_by_task, results))
-
-
-def _by_task(results: Results) -> Figure:
     tracks = tasks(results)
-    figure, (axes,) = canvas(size=(7.0, 5.2))
+    figure, (axes,) = style.canvas(size=(7.0, 5.2))
     for i, (label, (method, geometry)) in enumerate(PLAYERS.items()):
         rows = [results.group(method, track, geometry).as_trained() for track in tracks]
         if places := [(y, row.success()) for y, row in enumerate(rows) if row.n]:
             mean, arms = _arms([value for _, value in places])
             axes.errorbar(
                 mean, [y + 0.1 * (i - 2.5) for y, _ in places], xerr=arms, fmt="o", markersize=4,
-                capsize=2, color=METHOD_COLOURS.get(method, PALETTE[0]), label=label,
+                capsize=2, color=style.METHOD_COLOURS.get(method, style.PALETTE[0]), label=label,
                 markerfacecolor="white" if geometry == "initial" else None,
             )  # fmt: skip
     axes.set_yticks(range(len(tracks)), [track.replace("_", " ") for track in tracks])
     axes.invert_yaxis()
     axes.set_xlim(-2.0, 102.0)  # an interval of few seeds reaches beyond what is possible
-    finish(axes, "", "Success rate (%), 95 % interval")
-    legend_below(figure, [axes], 3)
-    return figure
+    style.finish(axes, "", "Success rate (%), 95 % interval")
+    return style.legend_below(figure, [axes], 3)
 
 
 def _look(group: Group) -> dict[str, Any]:
     """Name, colour and line style of a group."""
     method = "masked_dqn" if group.ablation == "none" else group.method
-    colour = METHOD_COLOURS.get(method, PALETTE[-1])
-    style = TRACK_STYLES.get(group.track, "-.")
-    return {"label": group.name, "color": colour, "linestyle": style}
+    colour = style.METHOD_COLOURS.get(method, style.PALETTE[-1])
+    line = style.TRACK_STYLES.get(group.track, "-.")
+    return {"label": group.name, "color": colour, "linestyle": line}
 
 
 def _drawn(results: Results) -> list[Group]:
@@ -101,14 +88,12 @@ def _holes(group: Group) -> Scores:
 
 def _speeds(group: Group, optimum: Group) -> Scores:
     """Per seed and test episode that the optimum solves: its moves over the method's, or 0."""
-    pairs = [both[both["success_other"] == 1] for _, _, both in group.beside(optimum)]
-    return [
-        (both["moves_first_other"] / both["moves_first"]).fillna(0).to_numpy() for both in pairs
-    ]
+    solved = (both[both["success_other"] == 1] for _, _, both in group.beside(optimum))
+    return [(s["moves_first_other"] / s["moves_first"]).fillna(0).to_numpy() for s in solved]
 
 
 def _profiles(results: Results, drawn: list[Group]) -> Figure:
-    figure, panels = canvas(1, 2, (9.0, 5.2))
+    figure, panels = style.canvas(1, 2, (9.0, 5.2))
     optimum = results.group("optimum")
     for axes, label, scores_of in (
         (panels[0], "Share of the six holes filled", _holes),
@@ -120,19 +105,17 @@ def _profiles(results: Results, drawn: list[Group]) -> Figure:
                 mean, low, high = mean_band([performance_profile(s, THRESHOLDS) for s in scores])
                 look = _look(group)
                 if group.method == "rrt_lattice":  # grey: six colours are enough
-                    look |= {"color": PALETTE[-1], "linestyle": "--"}
+                    look |= {"color": style.PALETTE[-1], "linestyle": "--"}
                 axes.step(THRESHOLDS, mean, where="post", linewidth=1.3, **look)
                 axes.fill_between(THRESHOLDS, low, high, step="post", color=look["color"],
                                   alpha=0.15, linewidth=0)  # fmt: skip
-        finish(axes, "Share of test episodes above", label)
+        style.finish(axes, "Share of test episodes above", label)
         axes.set_ylim(-0.02, 1.02)
-    legend_below(figure, panels, 3)
-    return figure
+    return style.legend_below(figure, panels, 3)
 
 
 def _success_over(axes: Axes, group: Group, levels: dict[float, Level], **look: Any) -> None:
-    values = [group.at(level).success() for level in levels.values()]
-    mean, arms = _arms(values)
+    mean, arms = _arms([group.at(level).success() for level in levels.values()])
     look = {**_look(group), **look}
     axes.errorbar(list(levels), mean, arms, capsize=3, marker="o", markersize=4, **look)
 
@@ -143,48 +126,45 @@ def _arms(values: Sequence[Value]) -> tuple[NDArray[np.float64], NDArray[np.floa
     return mean, np.maximum([mean - low, high - mean], 0.0)
 
 
-def _printed(papers: Sequence[str]) -> dict[str, list[float]]:
+def _printed(papers: Iterable[str]) -> tuple[list[float], list[float]]:
     """Means and spreads of what the paper prints."""
     pairs = [text.partition(" ± ") for text in papers]
-    return {"mean": [float(p[0]) for p in pairs], "spread": [float(p[2] or 0.0) for p in pairs]}
+    return [float(mean) for mean, *_ in pairs], [float(spread or 0.0) for *_, spread in pairs]
 
 
 def _robustness(results: Results, noisy: list[Group]) -> Figure:
-    figure, (axes,) = canvas(size=(7.0, 5.6))
+    figure, (axes,) = style.canvas(size=(7.0, 5.6))
     levels = noise_levels(results)
     for i, group in enumerate(noisy):  # side by side, or intervals hide each other
         shift = 0.008 * max(levels) * (i - 2.5)
         _success_over(axes, group, {x + shift: Level(x) for x in levels})
-    printed = _printed([*paper_values.ROBUSTNESS.values()])
     axes.errorbar(
-        list(paper_values.ROBUSTNESS), printed["mean"], yerr=printed["spread"],
+        list(paper_values.ROBUSTNESS), *_printed(paper_values.ROBUSTNESS.values()),
         fmt="kD--", markersize=4, capsize=3, linewidth=0.9, label="Rainbow DQN, paper: ± std",
     )  # fmt: skip
     optimum = results.group("optimum").success()
     if optimum.n:
         axes.axhline(optimum.mean, color="0.5", linewidth=0.9, label="Exact optimum (true state)")
-    finish(axes, "Success rate (%)", "Observation noise (share of the normalized range)")
-    legend_below(figure, [axes], 2)
-    return figure
+    style.finish(axes, "Success rate (%)", "Observation noise (share of the normalized range)")
+    return style.legend_below(figure, [axes], 2)
 
 
 def _errors(results: Results) -> Figure:
-    figure, (axes,) = canvas(size=(7.0, 5.2))
+    figure, (axes,) = style.canvas(size=(7.0, 5.2))
     best, others = results.best_script(), "other scripts and planners"
     for group in complete(results.rows(uncertain=True)):
         look: dict[str, Any] = {}
         if group.method not in (*LEARNERS, "rrt_connect", "optimum") and group != best:
-            look = {"color": PALETTE[-1], "label": others, "zorder": 1}
+            look = {"color": style.PALETTE[-1], "label": others, "zorder": 1}
             others = "_"  # once in the legend
         _success_over(axes, group, {x: Level(error=x) for x in error_levels(results)}, **look)
     axes.set_ylim(-2, 102)
-    finish(axes, "Success rate (%)", "Bound of the base's displacement (mm)")
-    legend_below(figure, [axes], 2)
-    return figure
+    style.finish(axes, "Success rate (%)", "Bound of the base's displacement (mm)")
+    return style.legend_below(figure, [axes], 2)
 
 
 def _components(rows: Sequence[Group], references: Sequence[Group]) -> Figure:
-    figure, (axes,) = canvas(size=(6.0, 4.2))
+    figure, (axes,) = style.canvas(size=(6.0, 4.2))
     places = np.arange(len(rows))
     values = [row.as_trained().success() for row in rows]
     mean, arms = _arms(values)
@@ -193,13 +173,12 @@ def _components(rows: Sequence[Group], references: Sequence[Group]) -> Figure:
         mean, places + 0.14, xerr=arms, fmt="o", markersize=4, capsize=2, color="C0",
         label=f"ours, {labels.track(rows[0].track)}: 95 % interval",
     )  # fmt: skip
-    papers = {i: paper_values.ABLATION.get(row.ablation, "") for i, row in enumerate(rows)}
-    papers = {i: paper for i, paper in papers.items() if paper}
-    printed = _printed([*papers.values()])
+    paper = paper_values.ABLATION
+    papers = {i: paper[row.ablation] for i, row in enumerate(rows) if row.ablation in paper}
+    means, spreads = _printed(papers.values())
     axes.errorbar(
-        printed["mean"], list(papers), xerr=printed["spread"],
-        fmt="kD", markersize=4, capsize=2, label="paper: ± std",
-    )  # fmt: skip
+        means, list(papers), xerr=spreads, fmt="kD", markersize=4, capsize=2, label="paper: ± std"
+    )
     for i, row in enumerate(references):
         axes.axvline(row.success().mean, color="0.4", linestyle=("--", ":")[i],
                      linewidth=0.9, label=row.acting_name)  # fmt: skip
@@ -207,6 +186,5 @@ def _components(rows: Sequence[Group], references: Sequence[Group]) -> Figure:
     axes.invert_yaxis()
     low, high = axes.get_xlim()  # an interval of few seeds reaches beyond what is possible
     axes.set_xlim(max(low, 0.0), min(high, 101.0))
-    finish(axes, "", "Success rate (%)")
-    legend_below(figure, [axes], 2)
-    return figure
+    style.finish(axes, "", "Success rate (%)")
+    return style.legend_below(figure, [axes], 2)

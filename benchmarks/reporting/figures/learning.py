@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -17,15 +17,8 @@ from benchmarks.protocol.learners import LEARNERS
 from benchmarks.protocol.metrics import HOLES, N_HOLES, SUCCESS, Metric
 from benchmarks.protocol.plan import ABLATIONS
 from benchmarks.protocol.presets import rows_of
-from benchmarks.reporting.figures.comparisons import difficulty, episode_pictures
-from benchmarks.reporting.figures.style import (
-    METHOD_COLOURS,
-    PALETTE,
-    Picture,
-    canvas,
-    finish,
-    legend_below,
-)
+from benchmarks.reporting.figures import style
+from benchmarks.reporting.figures.comparisons import by_task, of_episodes
 from benchmarks.reporting.results import Group, Results, complete
 from benchmarks.reporting.stats import mean_band, moving_average
 from benchmarks.reporting.tables.beyond import tasks
@@ -52,61 +45,60 @@ RAW: Final = ("episode_reward", "duration")  # columns that are shown unsmoothed
 BOUNDED: Final = {"success": SUCCESS, "holes": HOLES}  # by the best control and the optimum
 
 
-def pictures(results: Results) -> list[Picture]:
-    """All figures of a store; of one with teams theirs alone."""
-    if result := _teams(results):
-        return result
+def pictures(results: Results) -> list[style.Picture]:
+    """All figures of a store."""
+    return [style.Picture(name, draw) for name, draw in _drawings(results).items()]
+
+
+def _drawings(results: Results) -> style.Drawings:
+    if groups := _teams(results):  # a store with teams has no others
+        return {"team_success": partial(_over_ticks, groups)}
     if tasks(results):  # a preset about the task
-        return [difficulty(results)]
+        return {"difficulty": partial(by_task, results)}
+    result: style.Drawings = {}
     for track in results.tracks():
-        result += _learning(results, track)
-        result += _variants(results, track)
+        result |= _learning(results, track) | _variants(results, track)
     if complete([*results.rows(), *results.rows(uncertain=True)]):
-        result += episode_pictures(results)
+        result |= of_episodes(results)
     return result
 
 
-def _learning(results: Results, track: str) -> list[Picture]:
+def _learning(results: Results, track: str) -> style.Drawings:
     """The paper's seven learning figures of the scored track; of another its success alone."""
     learners = [results.group(method, track) for method in LEARNERS]
     learners.append(results.group("rainbow", track, ablation="none"))
     groups = {group.title: group for group in learners if group.known}
     if not any(group.curves() for group in groups.values()):
-        return []
+        return {}
     bounds, scored = results.references(track), track == results.scored
-    result = [
-        Picture(f"{track}_{name}", partial(_curves, groups, column, label, bounds=bounds))
+    result: style.Drawings = {
+        f"{track}_{name}": partial(_curves, groups, column, label, bounds=bounds)
         for name, (column, label) in CURVES.items()
         if scored or name == "success"
-    ]
+    }
     if scored:
-        result.insert(1, Picture(f"{track}_exploration", partial(_exploration, groups)))
+        result[f"{track}_exploration"] = partial(_exploration, groups)
     return result
 
 
-def _variants(results: Results, track: str) -> list[Picture]:
+def _variants(results: Results, track: str) -> style.Drawings:
     """Success over training of the ablations and of both geometries."""
+    result: style.Drawings = {}
     ablations = {
         title: results.group("rainbow", track, ablation=key)
         for key, title in labels.ABLATIONS.items()
     }
+    shown = [group.ablation for group in ablations.values() if group.curves()]
+    if len(shown) > 1 and not labels.ALL_OR_NONE.issuperset(shown):  # which other figures have
+        bounds = results.references(track)
+        result[f"{track}_ablation"] = partial(_by_component, ablations, bounds)
     geometries = {
         f"{name} geometry": results.group("rainbow", track, name)
         for name in ("optimized", "initial")
     }
-    over_steps = partial(_curves, column="success", label="Success rate", window=WIDE)
-    result = []
-    for name, groups, draws, elsewhere in (
-        # the learning figures have all and none of the components
-        ("ablation", ablations, _by_component, labels.ALL_OR_NONE),
-        ("geometry", geometries, over_steps, frozenset[str]()),
-    ):
-        shown = [group for group in groups.values() if group.curves()]
-        if len(shown) > 1 and not {group.ablation for group in shown} <= elsewhere:
-            # what bounds the two geometries differs
-            bounds = results.references(track) if name == "ablation" else ()
-            curves = partial(draws, groups, bounds=bounds)
-            result.append(Picture(f"{track}_{name}", curves))
+    if all(group.curves() for group in geometries.values()):  # each has bounds of its own
+        over_steps = partial(_curves, geometries, "success", "Success rate", window=WIDE)
+        result[f"{track}_geometry"] = over_steps
     return result
 
 
@@ -115,35 +107,30 @@ def _by_component(groups: Groups, bounds: Sequence[Group]) -> Figure:
     drawn = [each for each in _coloured(groups) if each[1].curves()]
     removed = [name for name, group, _ in drawn if group.ablation not in labels.ALL_OR_NONE]
     columns = 2 if len(removed) > 3 else 1
-    figure, panels = canvas(1, columns, (3.0 + 3.0 * columns, 3.9), sharey=True)
+    figure, panels = style.canvas(1, columns, (3.0 + 3.0 * columns, 3.9), sharey=True)
     for panel, axes in enumerate(panels):
         for name, group, colour in drawn:
             line = "--" if group.ablation == "none" else "-"
             if name not in removed or removed.index(name) % columns == panel:
                 draw(axes, group.curves(), "success", name, colour, line, window=WIDE)
         _mark_bounds(axes, bounds, SUCCESS)
-        finish(axes, "" if panel else "Success rate")
-    legend_below(figure, panels, 3)
-    return figure
+        style.finish(axes, "" if panel else "Success rate")
+    return style.legend_below(figure, panels, 3)
 
 
-def _teams(results: Results) -> list[Picture]:
-    """Success of all teams over ticks, with the components that most of them were trained with."""
-    result = {
-        ablation: [
-            group
-            for track in results.tracks(teams=True)
-            if (group := results.group("rainbow", track, ablation=ablation)).curves()
-        ]
+def _teams(results: Results) -> list[Group]:
+    """Teams that were trained, with the components that most of them were trained with."""
+    tracks = results.tracks(teams=True)
+    by_ablation = (
+        [results.group("rainbow", track, ablation=ablation) for track in tracks]
         for ablation in labels.ABLATIONS
-    }
-    ablation = max(result, key=lambda name: len(result[name]))
-    groups = result[ablation]
-    return [Picture("team_success", partial(_over_ticks, groups))] if groups else []
+    )
+    return max(([g for g in each if g.curves()] for each in by_ablation), key=len)
 
 
 def _over_ticks(groups: Sequence[Group]) -> Figure:
-    figure, (axes,) = canvas()
+    """Success of teams over ticks."""
+    figure, (axes,) = style.canvas()
     forms: list[str] = []
     for group in groups:
         settings = group.settings or {}
@@ -151,17 +138,17 @@ def _over_ticks(groups: Sequence[Group]) -> Figure:
         forms += [] if form in forms else [form]
         frames = [f.assign(timesteps=f["timesteps"] / rows_of(form)) for f in group.curves()]
         line = "--" if form != "central" and not settings.get("sight") else "-"
-        colour = PALETTE[forms.index(form)]
+        colour = style.PALETTE[forms.index(form)]
         name = labels.track(group.track)
         draw(axes, frames, "success", name, colour, line, band=False, window=WIDE)
-    finish(axes, "Success rate", "Ticks")
+    style.finish(axes, "Success rate", "Ticks")
     return figure
 
 
 def _coloured(groups: Groups) -> list[tuple[str, Group, str]]:
     """Methods in their own colours; ablations and geometries one after the other."""
     titles = {**labels.METHODS, "masked_dqn": labels.MASKED_DQN}
-    methods = {title: METHOD_COLOURS.get(key) for key, title in titles.items()}
+    methods = {title: style.METHOD_COLOURS.get(key) for key, title in titles.items()}
     return [
         (name, group, methods.get(name) or ("C7" if group.ablation == "none" else f"C{i}"))
         for i, (name, group) in enumerate(groups.items())
@@ -172,7 +159,7 @@ def _curves(
     groups: Groups, column: str, label: str, window: int = EPISODES,
     bounds: Sequence[Group] = (),
 ) -> Figure:  # fmt: skip
-    figure, (axes,) = canvas()
+    figure, (axes,) = style.canvas()
     for name, group, colour in _coloured(groups):
         if column == "holes":
             _draw_stages(axes, group.curves(), name, colour)
@@ -185,11 +172,10 @@ def _curves(
     if column == "mean_max_q":
         _mark_support(axes, groups)
     _mark_switches(axes, groups)
-    finish(axes, label)
-    legend_below(figure, [axes], 2)
     if column == "loss" and axes.get_lines():
         axes.set_yscale("log")
-    return figure
+    style.finish(axes, label)
+    return style.legend_below(figure, [axes], 2)
 
 
 def _mark_bounds(axes: Axes, bounds: Sequence[Group], metric: Metric) -> None:
@@ -213,7 +199,7 @@ def _mark_switches(axes: Axes, groups: Groups) -> None:
     label: str | None = "curriculum switch"
     for _, group, colour in _coloured(groups):
         for run in group.runs:
-            step = run.meta.get("training", {}).get("curriculum_switch")
+            step = run.training.get("curriculum_switch")
             if step is not None:
                 axes.axvline(float(step), color=colour, linestyle=":", linewidth=0.9, alpha=0.8,
                              label=label)  # fmt: skip
@@ -221,19 +207,18 @@ def _mark_switches(axes: Axes, groups: Groups) -> None:
 
 
 def _exploration(groups: Groups) -> Figure:
-    figure, (above, below) = canvas(2, sharex=True)
+    figure, (above, below) = style.canvas(2, sharex=True)
     for name, group, colour in _coloured(groups):
         draw(above, group.curves(), "learning_rate", name, colour)
         if quantity := _quantity(group):
             draw(below, group.curves(), "noise", f"{name}: {quantity}", colour)
     for axes, label in ((above, "Learning rate"), (below, "Exploration")):
         _mark_switches(axes, groups)
-        finish(axes, label)
+        style.finish(axes, label)
         if axes.get_lines():
             axes.set_yscale("log")
-    legend_below(figure, [above, below], 2)
     above.set_xlabel("")
-    return figure
+    return style.legend_below(figure, [above, below], 2)
 
 
 def _quantity(group: Group) -> str:
@@ -279,12 +264,9 @@ def _seed_curves(
 
 def draw(
     axes: Axes, frames: Sequence[pd.DataFrame], column: str, label: str, colour: str,
-    style: str = "-", band: bool = True, window: int = EPISODES, raw: bool = False,
+    line: str = "-", band: bool = True, window: int = EPISODES, raw: bool = False,
 ) -> None:  # fmt: skip
-    """Mean over seeds, and with ``raw`` the unsmoothed mean faintly behind.
-
-    The band is Student's 95 % interval, which of few seeds is wide: the axes follow the means.
-    """
+    """Mean over seeds with its band, and with ``raw`` the unsmoothed mean faintly behind."""
     grid, values = _seed_curves(frames, column, window)
     if not len(grid):
         return
@@ -292,18 +274,22 @@ def draw(
         rough_grid, rough = _seed_curves(frames, column, 1)
         axes.plot(rough_grid, rough.mean(axis=0), color=colour, alpha=0.25, linewidth=0.7)
     mean, low, high = mean_band(values)
-    axes.plot(grid, mean, style, color=colour, label=label, linewidth=1.4)
+    axes.plot(grid, mean, line, color=colour, label=label, linewidth=1.4)
     if band:
-        seen = axes.dataLim.frozen()
-        axes.fill_between(grid, low, high, color=colour, alpha=0.2, linewidth=0)
-        axes.dataLim.set(seen)
+        _band(axes, grid, low, high, color=colour)
+
+
+def _band(axes: Axes, grid: Curve, low: Curve, high: Curve, **look: Any) -> None:
+    """Student's 95 % interval, which of few seeds is wide: the axes follow the means."""
+    seen = axes.dataLim.frozen()
+    axes.fill_between(grid, low, high, alpha=0.2, linewidth=0, **look)
+    axes.dataLim.set(seen)
 
 
 def _draw_stages(axes: Axes, frames: Sequence[pd.DataFrame], label: str, colour: str) -> None:
-    """Holes per episode, dashed while a seed is in stage 0 and solid in stage 1.
+    """Holes per episode, dashed in stage 0 and solid in stage 1; each the mean of its own seeds.
 
-    At steps where seeds are in different stages each stage has the mean of its own seeds, and no
-    band.
+    Where seeds are in different stages there is no band.
     """
     kept = [frame for frame in frames if frame["holes"].notna().any()]
     grid, values = _seed_curves(kept, "holes")
@@ -312,12 +298,10 @@ def _draw_stages(axes: Axes, frames: Sequence[pd.DataFrame], label: str, colour:
     rows = [np.searchsorted(f["timesteps"].to_numpy(float), grid).clip(0, len(f) - 1) for f in kept]
     stages = np.stack([f["stage"].to_numpy()[at] for f, at in zip(kept, rows, strict=True)])
     _, low, high = mean_band(values)
-    for stage, style in ((0, "--"), (1, "-")):
+    for stage, line in ((0, "--"), (1, "-")):
         own = np.ma.masked_where(stages != stage, values)
         if not own.count():
             continue
         name, mean = f"{label}, stage {stage}", own.mean(axis=0)
-        axes.plot(grid, mean, style, color=colour, label=name, linewidth=1.4)
-        whole, seen = own.count(axis=0) == len(values), axes.dataLim.frozen()
-        axes.fill_between(grid, low, high, where=whole, color=colour, alpha=0.2, linewidth=0)
-        axes.dataLim.set(seen)
+        axes.plot(grid, mean, line, color=colour, label=name, linewidth=1.4)
+        _band(axes, grid, low, high, color=colour, where=own.count(axis=0) == len(values))

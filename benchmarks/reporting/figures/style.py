@@ -69,6 +69,9 @@ def style() -> AbstractContextManager[None]:
     return matplotlib.rc_context(STYLE)
 
 
+Drawings = dict[str, Callable[[], Figure]]  # by the name of the file
+
+
 @dataclass(frozen=True)
 class Picture:
     """A figure that can be drawn, and its file's name."""
@@ -127,8 +130,8 @@ def finish(axes: Axes, ylabel: str, xlabel: str = "Environment steps") -> None:
         axes.legend()
 
 
-def legend_below(figure: Figure, axes: Sequence[Axes], columns: int = 3) -> None:
-    """One legend under all panels, where nothing is hidden behind it."""
+def legend_below(figure: Figure, axes: Sequence[Axes], columns: int = 3) -> Figure:
+    """The figure with one legend under all panels, where nothing is hidden behind it."""
     entries: dict[str, Any] = {}
     for each in axes:
         if (legend := each.get_legend()) is not None:
@@ -136,3 +139,4 @@ def legend_below(figure: Figure, axes: Sequence[Axes], columns: int = 3) -> None
         for handle, label in zip(*each.get_legend_handles_labels(), strict=True):
             entries.setdefault(label, handle)
     figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns)
+    return figure

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
+from operator import attrgetter
 from typing import Final
 
 from benchmarks.protocol import labels
@@ -12,17 +12,7 @@ from benchmarks.protocol.plan import METHODS, OPTIMUM_AT_ONCE
 from benchmarks.reporting.compared import comparisons, differences
 from benchmarks.reporting.results import AS_TRAINED, Group, Level, Result, Results, complete
 from benchmarks.reporting.stats import measured
-from benchmarks.reporting.tables.paper import (
-    ENDS,
-    ablation,
-    controls,
-    design,
-    geometry,
-    performance,
-    robustness,
-    seeds_notes,
-    timed,
-)
+from benchmarks.reporting.tables import paper
 from benchmarks.reporting.tables.table import Number, Table, TableCell, p_text
 
 KNOWS: Final = ("Masks", "Memory")  # headers of what stands behind a method's name
@@ -49,18 +39,12 @@ def build_tables(results: Results) -> list[Table]:
     """The tables that a store's runs fill, the paper's first."""
     if tasks(results):  # a preset about the task has no headline
         return [difficulty(results)]
-    removals = any(key[1] not in labels.ALL_OR_NONE for key in results.groups)
-    made = [
-        performance(results),
-        controls(results),
-        *([ablation(results)] if removals else []),
-        *([geometry(results)] if any(key[2] == ENDS[0] for key in results.groups) else []),
-        design(results),
-        leaderboard(results),
-        robustness(results),
-        uncertain(results),
-        *team(results),
-    ]
+    ablations, geometries = ({key[i] for key in results.groups} for i in (1, 2))
+    made = [paper.performance(results), paper.controls(results)]
+    made += [] if ablations <= labels.ALL_OR_NONE else [paper.ablation(results)]
+    made += [paper.geometry(results)] if "initial" in geometries else []
+    made += [paper.design(results), leaderboard(results), paper.robustness(results)]
+    made += [uncertain(results), *team(results)]
     compared = significance(results)
     return [table for table in made if table.holds_results] + [compared] * bool(compared.rows)
 
@@ -81,8 +65,8 @@ def leaderboard(results: Results) -> Table:
         entry = runs[0].config["entry"]
         models = len({run.config["entry"]["sha256"] for run in runs} - {""})
         brought.append(f"{name} ({entry['algorithm']}{f', models: {models}' if models else ''})")
-        runs.sort(key=lambda run: run.seed)
-        shown.append(Group(name, settings=entry if models else None, runs=tuple(runs)))
+        by_seed = tuple(sorted(runs, key=attrgetter("seed")))
+        shown.append(Group(name, settings=entry if models else None, runs=by_seed))
     shown.sort(key=lambda row: (-row.success().mean, -row.value(HOLES).mean, row.name))
     shown.sort(key=lambda row: row.method != "optimum")
     made: list[list[TableCell]] = []
@@ -99,7 +83,7 @@ def leaderboard(results: Results) -> Table:
     notes = [
         "Optimized geometry, all methods on the same initial states; success and holes of greedy "
         "acting. Exploring: learners as they were trained, scripts with 5 % of random moves.",
-        *seeds_notes(shown, [_entry(row) for row in shown]),
+        *paper.seeds_notes(shown, [_entry(row) for row in shown]),
         *([f"Brought: {', '.join(brought)}."] if brought else []),
         "Join with one command: python -m benchmarks evaluate --model FILE --name NAME",
     ]
@@ -154,10 +138,7 @@ def error_levels(results: Results) -> list[float]:
 
 
 def uncertain(results: Results) -> Table:
-    """Table "uncertain": each method at its track's own bound, then at the ends.
-
-    It is the ground of the paper's claim that a learned policy in closed loop beats a planner.
-    """
+    """Table "uncertain": each method at its track's own bound, then at the ends."""
     levels = error_levels(results)
     ends = [levels[0], levels[-1]] if levels else []
     header = ["Method", *KNOWS, "Success (%)", HOLES.label]
@@ -169,13 +150,13 @@ def uncertain(results: Results) -> Table:
         cells = [row.cell(each.success()) for each in (row, *there)]
         cells.insert(1, row.cell(row.value(HOLES), HOLES.digits))
         made.append([*_head(row), *cells])
-    notes = seeds_notes(result)
-    notes += [
+    notes = [
         f"The base of the 3-RRS is displaced by up to {bound:g} mm along each axis and tilted in "
         "proportion, drawn anew each episode; masks, observations and plans are those of the "
         "nominal model."
         for bound in sorted({run.error for row in result for run in row.runs})
     ]
+    notes = [*paper.seeds_notes(result), *notes]
     title = "Success on the uncertain machine"
     return Table("uncertain", title, header, made, notes, left=(0, 1, 2))
 
@@ -186,10 +167,7 @@ def tasks(results: Results) -> list[str]:
 
 
 def difficulty(results: Results) -> Table:
-    """Table "difficulty": success rate (%) by task, one row for each track that changes it.
-
-    Of a learner as trained, a script with 5 % of random moves, a planner's one way of acting.
-    """
+    """Table "difficulty": success rate (%) by task, one row for each track that changes it."""
     made: list[list[TableCell]] = []
     result: list[Group] = []
     for track in tasks(results):
@@ -198,7 +176,7 @@ def difficulty(results: Results) -> Table:
         cells = [row.cell(row.as_trained().success()) for row in rows]
         made.append([track.replace("_", " "), *cells])
     notes = [
-        *seeds_notes(result),
+        *paper.seeds_notes(result),
         *_gains(results),
         "As stated: 10 mm and 5 degrees, moves of 20 mm and 0.03 rad, holes at 30 degrees, a "
         "collision refuses the move. Scripts act with 5 % of random moves, Rainbow as trained, all "
@@ -211,10 +189,9 @@ def _gains(results: Results) -> list[str]:
     """What the design stage changes of the optimum's success, task by task."""
     gains = []
     for track in tasks(results):
-        before, after = (results.group("optimum", track, name) for name in ENDS)
+        before, after = (results.group("optimum", track, end).success() for end in paper.ENDS)
         if before.n and after.n:
-            change = after.success().mean - before.success().mean
-            gains.append(f"{track.replace('_', ' ')} {change:+.1f}")
+            gains.append(f"{track.replace('_', ' ')} {after.mean - before.mean:+.1f}")
     return [f"The design stage changes the optimum's points: {', '.join(gains)}."] if gains else []
 
 
@@ -226,7 +203,7 @@ def team(results: Results) -> list[Table]:
     at_once = [row for t in tracks for row in groups if row.track == t and _at_once(row)]
     if not at_once:
         return []
-    ablations = [name for name in labels.ABLATIONS if any(name == row.ablation for row in at_once)]
+    ablations = [name for name in labels.ABLATIONS if name in {row.ablation for row in at_once}]
     in_turn = [row for row in results.rows() if row.method != "random"]
     for name in ablations:
         row = results.group("rainbow", IN_TURN, ablation=name)
@@ -234,14 +211,14 @@ def team(results: Results) -> list[Table]:
     result = sorted([*in_turn, *at_once], key=_order)
     optimum = results.group(OPTIMUM_AT_ONCE)
     header = ["Method", "Components", "Robots move", "Decided by", "Success (%)"]
-    metrics = [m for m in TEAM_METRICS if m != JOINTS_TIME or timed(result)]
+    metrics = [m for m in TEAM_METRICS if m != JOINTS_TIME or paper.timed(result)]
     header += [*(metric.label for metric in metrics), "Ticks over the optimum at once (%)"]
     made: list[list[TableCell]] = []
     for row in result:
         cells = [row.measure(metric) for metric in (SUCCESS, *metrics)]
         made.append([*_form(row), *cells, row.cell(row.excess(optimum))])
     notes = [
-        *seeds_notes(result, [f"{row.name}, {row.ablation}" for row in result]),
+        *paper.seeds_notes(result, [f"{row.name}, {row.ablation}" for row in result]),
         "In turn a tick moves one robot, at once both. Ticks over the optimum: up to the first "
         "insertion, on starts that both solved.",
         *(answer for name in ablations for answer in _answer(at_once, name)),
@@ -290,8 +267,7 @@ def _answer(at_once: list[Group], ablation: str) -> list[str]:
         seen = [row for row in learned if row not in central and _sees(row) == sight]
         if central and seen:
             best = max(seen, key=lambda row: row.success().mean)
-            points = differences("", best, central[0])
-            change = measured(points, lambda: (math.nan, math.nan)).signed(" points")
+            change = measured(differences("", best, central[0])).signed(" points")
             parts.append(f"{words} {TEAMS[_of(best)]}, the best, changes that by {change}")
     if not parts:
         return []

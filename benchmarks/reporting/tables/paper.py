@@ -14,7 +14,7 @@ import pandas as pd
 
 from benchmarks.protocol import labels, paper_values
 from benchmarks.protocol.learners import LEARNERS
-from benchmarks.protocol.metrics import EXTRA_METRICS, JOINTS_TIME, METRICS, PAPER_METRICS
+from benchmarks.protocol.metrics import EXTRA_METRICS, JOINTS_TIME, METRICS, PAPER_METRICS, Metric
 from benchmarks.protocol.plan import CONTROLS
 from benchmarks.reporting.compared import ABLATION, comparisons, find
 from benchmarks.reporting.results import MAIN, Group, Level, Results, best, complete
@@ -36,16 +36,11 @@ def performance(results: Results) -> Table:
     for row in result:
         header += [f"{labels.METHODS[row.method]}, paper", "Ours"]
     made: list[list[TableCell]] = []
-    for metric in PAPER_METRICS:
-        printed = [paper_values.PERFORMANCE[metric.key][row.method] for row in result]
-        ours = [
-            row.cell(row.value(metric), metric.digits, paper)
-            for row, paper in zip(result, printed, strict=True)
-        ]
-        made.append([metric.label, *_in_pairs(printed, ours)])
-        if metric.key == "time_first" and timed(result):
-            seconds = [row.measure(JOINTS_TIME) for row in result]
-            made.append([JOINTS_TIME.label, *_in_pairs(["-"] * 3, seconds)])
+    for metric in _metrics(result):
+        printed = paper_values.PERFORMANCE.get(metric.key, {})
+        papers = [printed.get(row.method, "-") for row in result]
+        ours = [row.measure(metric, paper) for row, paper in zip(result, papers, strict=True)]
+        made.append([metric.label, *_in_pairs(papers, ours)])
     if any(row.level != MAIN for row in result):
         made.append([GREEDILY, *_in_pairs(["-"] * 3, [row.tested(MAIN) for row in result])])
     stages = stage_notes(result, [row.name for row in result])
@@ -58,7 +53,15 @@ def timed(rows: Iterable[Group]) -> bool:
     return any(row.value(JOINTS_TIME).n for row in rows)
 
 
-def _in_pairs(papers: Sequence[str], ours: Sequence[TableCell]) -> list[TableCell]:
+def _metrics(rows: Iterable[Group], more: Sequence[Metric] = ()) -> list[Metric]:
+    """The paper's metrics and more; below the completion time the joints', where it is known."""
+    result = [*PAPER_METRICS, *more]
+    if timed(rows):
+        result.insert(1 + result.index(METRICS["time_first"]), JOINTS_TIME)
+    return result
+
+
+def _in_pairs(papers: Iterable[str], ours: Iterable[TableCell]) -> list[TableCell]:
     return [cell for pair in zip(papers, ours, strict=True) for cell in pair]
 
 
@@ -73,11 +76,9 @@ def controls(results: Results) -> Table:
         results.group("optimum"),
     ]
     names = [f"Best script: {row.name}" if row is script else row.title for row in result]
-    metrics = [*PAPER_METRICS, *EXTRA_METRICS]
-    if timed(result):
-        metrics.insert(1 + metrics.index(METRICS["time_first"]), JOINTS_TIME)
     made: list[list[TableCell]] = [
-        [metric.label, *(row.measure(metric) for row in result)] for metric in metrics
+        [metric.label, *(row.measure(metric) for row in result)]
+        for metric in _metrics(result, EXTRA_METRICS)
     ]
     if any(row.level != MAIN for row in result):
         made.append([GREEDILY, *(row.tested(MAIN) for row in result)])
@@ -126,51 +127,47 @@ def ablation(results: Results) -> Table:
 
 def _steps_to_75(group: Group, paper: str) -> TableCell:
     """Environment steps to 75 % success, in 1e5; a run that never got there counts as longer."""
-    value = group.meta("steps_to_75", 1e-5)
-    budgets = [1e-5 * float(run.config["track"]["timesteps"]) for run in group.runs]
+    value = group.steps_to_75()
     missed = group.n - value.n
     if group.n and not value.n:
-        bound = Value(math.nan, n=0, low=min(budgets), high=math.inf)
+        budget = min(1e-5 * float(run.config["track"]["timesteps"]) for run in group.runs)
+        bound = Value(math.nan, n=0, low=budget, high=math.inf)
         return Number(bound, 2, paper=paper, shown="not reached")
-    low, high = t_interval(value.mean, value.std, value.n)
-    value = replace(value, low=low, high=math.inf if missed else high)
+    value = replace(value, high=math.inf if missed else value.high)
     return group.cell(value, 2, paper, f" ({missed} of {group.n} never)" if missed else "")
 
 
 def geometry(results: Results) -> Table:
     """Table "geo_ablation": Rainbow on either geometry; below it the best script and optimum."""
     track = results.scored
-    both = {end: results.group("rainbow", track, end).as_trained() for end in ENDS}
-    scripts = {end: results.control_of(both[end], end) for end in ENDS}
-    optima = {end: results.group("optimum", geometry=end) for end in ENDS}
+    both = [results.group("rainbow", track, end).as_trained() for end in ENDS]
+    scripts = [results.control_of(row, row.geometry) for row in both]
 
-    def line(label: str, key: str, cell: Callable[[str, str], TableCell]) -> list[TableCell]:
-        printed = paper_values.GEOMETRY_ABLATION.get(key, ("", ""))
-        cells = [cell(end, paper) for end, paper in zip(ENDS, printed, strict=True)]
-        return [label, *_in_pairs([paper or "-" for paper in printed], cells)]
+    def line(label: str, key: str, cell: Callable[[Group, str], TableCell]) -> list[TableCell]:
+        papers = paper_values.GEOMETRY_ABLATION.get(key, ("-", "-"))
+        return [label, *_in_pairs(papers, map(cell, both, papers))]
 
-    def script(end: str, _: str) -> TableCell:
-        row = scripts[end]
-        return row.cell(row.success()) if row else "-"
+    def rate(label: str, rows: Iterable[Group | None]) -> list[TableCell]:
+        cells = [row.cell(row.success()) if row else "-" for row in rows]
+        return [label, *_in_pairs(["-", "-"], cells)]
 
     made = [
-        line("Env. steps to 75 % success (1e5)", "steps_to_75",
-             lambda end, paper: _steps_to_75(both[end], paper)),
+        line("Env. steps to 75 % success (1e5)", "steps_to_75", _steps_to_75),
         line("Final success rate (%)", "success",
-             lambda end, paper: both[end].cell(both[end].success(), 1, paper)),
+             lambda row, paper: row.cell(row.success(), 1, paper)),
         line("Singularity terminations / 1000 training episodes", "singular_per_1000",
-             lambda end, paper: both[end].cell(both[end].singular_per_1000(), 1, paper)),
-        line("Success rate, greedily (%)", "", lambda end, _: both[end].tested(MAIN)),
-        line("Best script under the same masks (%)", "", script),
-        line("Exact optimum (%)", "", lambda end, _: optima[end].cell(optima[end].success())),
+             lambda row, paper: row.cell(row.singular_per_1000(), 1, paper)),
+        line("Success rate, greedily (%)", "", lambda row, _: row.tested(MAIN)),
+        rate("Best script under the same masks (%)", scripts),
+        rate("Exact optimum (%)", [results.group("optimum", geometry=end) for end in ENDS]),
     ]  # fmt: skip
     header = [
         "Metric",
         *(f"{end.capitalize()} geometry, {who}" for end in ENDS for who in ("paper", "ours")),
     ]
     names = [f"Rainbow on the {end} geometry" for end in ENDS]
-    notes = [*_how([both["optimized"]]), *seeds_notes(both.values(), names), FLAG_NOTE]
-    trained = [run.meta["training"] for group in both.values() for run in group.runs]
+    notes = [*_how(both[1:]), *seeds_notes(both, names), FLAG_NOTE]
+    trained = [run.training for group in both for run in group.runs]
     if trained and all(t.get("steps_to_75") == t.get("curriculum_switch") for t in trained):
         notes.append("Steps to 75 % are of episodes with four holes: there the curriculum goes on.")
     title = f"Effect of the design stage on Rainbow, {labels.track(track)}"
@@ -226,19 +223,13 @@ def robustness(results: Results) -> Table:
     track, paper = results.scored, paper_values.ROBUSTNESS
     script = best_under_noise(results, track)
     methods = ("dqn", "maskable_ppo", *([script.method] if script else []))
-    result = complete(
-        [
-            results.group("rainbow", track),
-            results.group("rainbow", track, ablation="none"),
-            *(results.group(method, track) for method in methods),
-        ]
-    )
+    rainbow, masked = (results.group("rainbow", track, ablation=a) for a in ("full", "none"))
+    result = complete([rainbow, masked, *(results.group(method, track) for method in methods)])
     made: list[list[TableCell]] = []
     for x in noise_levels(results) or [0.0, 0.01]:
         cells = [
-            row.cell(row.success(), 1, paper.get(x, "") if own else "")
-            for row in (row.at(Level(x)) for row in result)
-            for own in [(row.method, row.ablation) == ("rainbow", "full")]
+            row.cell(row.at(Level(x)).success(), 1, paper.get(x, "") if row is rainbow else "")
+            for row in result
         ]
         made.append([f"{x:g}", paper.get(x, "-"), *cells])
     notes = [
@@ -257,20 +248,16 @@ def noise_levels(results: Results) -> list[float]:
 
 
 def seeds_notes(groups: Iterable[Group], names: Iterable[str] | None = None) -> list[str]:
-    """How many seeds and episodes are behind the numbers, and which groups are not complete.
-
-    ``names`` are what the groups are called there, by default their own.
-    """
+    """How many seeds and episodes are behind the numbers, and which groups are not complete."""
     groups = list(groups)
     called = [row.name for row in groups] if names is None else names
-    by_name = dict(zip(called, groups, strict=True))
     seeds = sorted({group.n for group in groups if group.n})
     lengths = sorted({len(run.test()) for group in groups for run in group.runs})
     if not seeds:
         return ["None of these runs is complete."]
     streams = {run.config["evaluation"].get("stream") for group in groups for run in group.runs}
     kind = "validation" if streams == {"validate"} else "test"  # which chose the scripts' weights
-    episodes = f"{'/'.join(str(n) for n in lengths)} {kind} episodes"
+    episodes = f"{'/'.join(map(str, lengths))} {kind} episodes"
     if seeds == [1]:
         first = f"Ours: 1 seed x {episodes}, so no spread can be given."
     else:
@@ -279,7 +266,7 @@ def seeds_notes(groups: Iterable[Group], names: Iterable[str] | None = None) -> 
         first = f"Ours: mean ± std over {counts} seeds x {episodes}."
     partial = [
         f"{name} {group.n} of {group.planned} seeds"
-        for name, group in by_name.items()
+        for name, group in zip(called, groups, strict=True)
         if 0 < group.n < group.planned  # "missing" says the rest
     ]
     return [first, *([f"Not complete: {'; '.join(partial)}."] if partial else [])]
@@ -290,7 +277,7 @@ def stage_notes(groups: Iterable[Group], names: Iterable[str]) -> list[str]:
     stayed = []
     for name, group in zip(names, groups, strict=True):
         never = sum(
-            run.meta["training"].get("curriculum_switch", 0) is None
+            run.training.get("curriculum_switch", 0) is None
             for run in group.runs
             if run.config.get("track", {}).get("curriculum", {}).get("enabled")
         )

@@ -25,13 +25,8 @@ NARROW: Final = 5  # columns of a table that fits one column of a paper
 class Number:
     """A cell with a value of ours.
 
-    Attributes:
-        value: the number, its spread and its interval.
-        digits: after the point.
-        suffix: printed behind it.
-        paper: what the paper prints for it, if anything.
-        shown: printed in place of the value, where that is no plain number.
-        differs: whether it disagrees with the paper, where the interval alone cannot tell.
+    ``paper`` is what the paper prints for it, ``shown`` is printed in place of the value, and
+    ``differs`` says whether the two disagree where the interval alone cannot tell.
     """
 
     value: Value
@@ -61,13 +56,10 @@ TableCell = str | Number
 
 
 def printed_range(text: str) -> tuple[float, float] | None:
-    """The numbers that round to what is printed: half a unit of the last digit to either side.
+    """The ends of what rounds to what is printed, None where no number is.
 
     >>> printed_range("1.16 ± 0.05")
     (1.155, 1.165)
-
-    Returns:
-        Lower and upper end, or None where nothing is printed.
     """
     match = _NUMBER.match(text)
     if match is None:
@@ -79,10 +71,7 @@ def printed_range(text: str) -> tuple[float, float] | None:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the report: header, rows, and notes that belong under it.
-
-    ``left`` are the columns set flush left.
-    """
+    """A table with the notes under it; ``left`` are the columns set flush left."""
 
     name: str
     title: str
@@ -154,16 +143,17 @@ class Table:
         csv.writer(stream, lineterminator="\n").writerows(zip(*columns, strict=True))
         return stream.getvalue()
 
+    def files(self, folder: Path) -> dict[Path, str]:
+        """Its three files in a folder, and what is in them."""
+        forms = {"csv": self.csv(), "md": self.markdown(), "tex": self.latex()}
+        return {folder / f"{self.name}.{suffix}": text for suffix, text in forms.items()}
+
     def write(self, folder: Path) -> list[Path]:
-        """Write all three forms, atomically."""
-        texts = {folder / f"{self.name}{end}": text for end, text in self.forms().items()}
+        """Write all three files, atomically."""
+        texts = self.files(folder)
         for path, text in texts.items():
             write_text(path, text)
         return [*texts]
-
-    def forms(self) -> dict[str, str]:
-        """File suffix to contents."""
-        return {".csv": self.csv(), ".md": self.markdown(), ".tex": self.latex()}
 
 
 def plain(title: str, header: str, rows: Iterable[Iterable[str]]) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.wrappers import FrameStackObservation, ReshapeObservation
 from numpy.typing import NDArray
+from stable_baselines3.common import envs
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.protocol.plan import ATARI
@@ -29,30 +30,23 @@ EPSILON: Final = 0.001  # of the actions of a test, Dopamine's: else at most 30 
 
 
 def make(name: str, training: bool = False, **kwargs: Any) -> gym.Env[Any, Any]:
-    """An environment by name: a Gymnasium id, ``MinAtar/<game>``, or of this package.
+    """An environment by name: a Gymnasium id, ``MinAtar/<game>``, or one of three names.
 
-    ``Identity``, ``MaskedIdentity``, and SB3's ``BitFlipping``.
-
-    Args:
-        name: the name.
-        training: to learn in, which on Atari differs from what is scored.
-        kwargs: of the environment.
+    ``Identity``, ``MaskedIdentity``, and SB3's ``BitFlipping``. Atari's games differ in
+    ``training`` from what is scored.
 
     Raises:
         BenchmarkError: the name is unknown or another module's, or its package is not installed.
     """
     if name.startswith(MINATAR):
-        return _limited(MinAtarEnv(name.removeprefix(MINATAR), **kwargs), MINATAR_STEPS)
+        # Looked up late: rl_zoo3 puts another in its place, and pickle refuses the one it replaced
+        return gym.wrappers.TimeLimit(
+            MinAtarEnv(name.removeprefix(MINATAR), **kwargs), MINATAR_STEPS
+        )
     if name.startswith(ATARI):
         return make_atari(name, training, **kwargs)
-    if name in ("Identity", MASKED_IDENTITY):
-        length = kwargs.pop("length", 50 if name == MASKED_IDENTITY else 100)
-        kind = MaskedIdentityEnv if name == MASKED_IDENTITY else IdentityEnv
-        return _limited(kind(**kwargs), length)
-    if name == "BitFlipping":
-        from stable_baselines3.common.envs import BitFlippingEnv
-
-        return BitFlippingEnv(**kwargs)
+    if name in BY_NAME:
+        return BY_NAME[name](**kwargs)
     if name.startswith("LunarLander"):
         _import("Box2D", name)
     return _registered(name, **kwargs)
@@ -82,11 +76,6 @@ def _import(module: str, what: str) -> Any:
             ) from error
 
 
-def _limited(env: gym.Env[Any, Any], steps: int) -> gym.Env[Any, Any]:
-    # Looked up late: rl_zoo3 puts another in its place, and pickle refuses the one that it replaced
-    return gym.wrappers.TimeLimit(env, steps)
-
-
 class NowAndThenRandom(gym.Wrapper[NDArray[np.uint8], Any, NDArray[np.uint8], Any]):
     """Takes a random action with a probability of :data:`EPSILON`, drawn from the reset's seed."""
 
@@ -112,15 +101,8 @@ def make_atari(name: str, training: bool = False) -> gym.Env[NDArray[np.uint8], 
     """A game of Atari, ``ALE/<Game>-v5``: no sticky actions, four frames a step, up to 30 no-ops.
 
     Observations are the last four grey frames, (4, 84, 84), uint8; at first all are the first. No
-    game is begun by FIRE, as in Dopamine.
-
-    Args:
-        name: Gymnasium's id.
-        training: rewards are cut to their signs, and a life lost ends the episode; otherwise now
-            and then an action is random.
-
-    Raises:
-        BenchmarkError: there is no such game, or ale-py or OpenCV are not installed.
+    game is begun by FIRE, as in Dopamine. In ``training`` rewards are cut to their signs, and a
+    life lost ends the episode; otherwise now and then an action is random.
     """
     ale_py = _import("ale_py", name)
     _import("cv2", name)  # which SB3's wrapper needs
@@ -145,12 +127,8 @@ class MinAtarEnv(gym.Env[NDArray[np.uint8], np.int64]):
     """A MinAtar game (Young and Tian 2019) as an image with channels first.
 
     Sticky actions (probability 0.1) and difficulty ramping are MinAtar's defaults. Observations
-    have shape (channels, 10, 10), uint8, 0 or 255; actions are the game's own minimal set; rewards
-    are the game's. The first frame of an episode follows "no action", so that an episode depends
-    on its seed alone.
-
-    Args:
-        game: asterix, breakout, freeway, seaquest or space_invaders.
+    have shape (channels, 10, 10), uint8, 0 or 255; actions are the game's own minimal set. The
+    first frame follows "no action", so that an episode depends on its seed alone.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
@@ -187,39 +165,17 @@ class MinAtarEnv(gym.Env[NDArray[np.uint8], np.int64]):
         return np.ascontiguousarray(state.transpose(2, 0, 1))
 
 
-class IdentityEnv(gym.Env[np.int64, np.int64]):
-    """Say which of ``size`` states you see: reward 1 if right, 0 if not.
+class IdentityEnv(envs.IdentityEnv[Any]):
+    """SB3's task: reward 1 for saying which of ``size`` states one sees; 0 for another.
 
-    SB3's task of the same name, but that its states follow ``reset(seed=...)``. Observations and
-    actions: Discrete(size).
-
-    Args:
-        size: states and actions.
+    Its states follow ``reset(seed=...)``. Observations and actions: Discrete(size).
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
+    def __init__(self, size: int = 4, length: int = 100) -> None:
+        super().__init__(size, ep_length=length)
 
-    def __init__(self, size: int = 4) -> None:
-        self.observation_space = spaces.Discrete(size)
-        self.action_space = spaces.Discrete(size)
-        self._size, self._state = size, np.int64(0)
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.int64, dict[str, Any]]:
-        """Begin an episode."""
-        super().reset(seed=seed)
-        self._draw()
-        return self._state, {}
-
-    def step(self, action: np.int64) -> tuple[np.int64, float, bool, bool, dict[str, Any]]:
-        """Answer, and see the next state."""
-        reward = float(int(action) == int(self._state))
-        self._draw()
-        return self._state, reward, False, False, {}
-
-    def _draw(self) -> None:
-        self._state = np.int64(self.np_random.integers(self._size))
+    def _choose_next_state(self) -> None:
+        self.state = self.np_random.integers(self.action_space.n)  # type: ignore[attr-defined]
 
 
 class MaskedIdentityEnv(IdentityEnv):
@@ -228,26 +184,29 @@ class MaskedIdentityEnv(IdentityEnv):
     At each step the right action and ``n_valid - 1`` others, drawn at random, are allowed. Who
     reads ``action_masks()`` finds the right one sooner; an action that is not allowed is answered
     with 0, like any wrong one.
-
-    Args:
-        size: states and actions.
-        n_valid: allowed actions per step.
     """
 
-    def __init__(self, size: int = 100, n_valid: int = 5) -> None:
+    def __init__(self, size: int = 100, n_valid: int = 5, length: int = 50) -> None:
         if not 1 <= n_valid <= size:
             raise BenchmarkError(f"n_valid = {n_valid} must lie between 1 and size = {size}")
-        super().__init__(size)
-        self._n_valid = n_valid
-        self._mask = np.ones(size, dtype=bool)
+        self._n_valid, self._mask = n_valid, np.ones(size, dtype=bool)
+        super().__init__(size, length)
 
     def action_masks(self) -> NDArray[np.bool_]:
         """True where allowed, shape ``(size,)``."""
         return self._mask.copy()
 
-    def _draw(self) -> None:
-        super()._draw()
-        others = self.np_random.choice(self._size - 1, self._n_valid - 1, replace=False)
-        self._mask = np.zeros(self._size, dtype=bool)
-        self._mask[others + (others >= self._state)] = True
-        self._mask[self._state] = True
+    def _choose_next_state(self) -> None:
+        super()._choose_next_state()
+        size = len(self._mask)
+        others = self.np_random.choice(size - 1, self._n_valid - 1, replace=False)
+        self._mask = np.zeros(size, dtype=bool)
+        self._mask[others + (others >= self.state)] = True
+        self._mask[self.state] = True
+
+
+BY_NAME: Final[dict[str, type[gym.Env[Any, Any]]]] = {
+    "Identity": IdentityEnv,
+    MASKED_IDENTITY: MaskedIdentityEnv,
+    "BitFlipping": envs.BitFlippingEnv,
+}

@@ -34,8 +34,7 @@ class Classic(Experiment[SuitePreset]):
         self, cell: Cell, folder: RunFolder, stop_requested: StopRequested, device: str
     ) -> dict[str, Any] | None:
         """Train and test a learner, or test a control; on the CPU."""
-        from benchmarks.studies.classic.playing import run_control
-        from benchmarks.studies.classic.train import run_learner
+        from benchmarks.studies.classic.train import run_control, run_learner
 
         run = run_learner if cell.learns else run_control
         training = run(self.preset, cell, folder, stop_requested)

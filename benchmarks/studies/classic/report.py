@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from functools import partial
+from itertools import product
 from typing import Any, Final
 
 from matplotlib.figure import Figure
@@ -12,14 +13,8 @@ from matplotlib.figure import Figure
 from benchmarks.protocol.labels import of_suite
 from benchmarks.protocol.presets import load_suite
 from benchmarks.reporting.blocks import provenance
+from benchmarks.reporting.figures import style
 from benchmarks.reporting.figures.learning import draw
-from benchmarks.reporting.figures.style import (
-    METHOD_COLOURS,
-    PALETTE,
-    Picture,
-    canvas,
-    legend_below,
-)
 from benchmarks.reporting.stats import (
     Array,
     Value,
@@ -32,8 +27,7 @@ from benchmarks.reporting.tables.table import Number, Table, TableCell
 from benchmarks.runs.store import Store
 from benchmarks.studies.classic.envs import MASKED_IDENTITY
 from benchmarks.studies.classic.results import SuiteResults
-from benchmarks.studies.robots.contact_report import build_contact_tables, levels
-from benchmarks.studies.robots.contact_report import draw as draw_contact
+from benchmarks.studies.robots import contact
 
 # tables of the page, each with its figure
 SHOWN: Final = {"scores": "curves", "controls": "", "together": "", "contact": "contact"}
@@ -64,17 +58,17 @@ def build_tables(results: SuiteResults) -> list[Table]:
         tasks = [k for k, task in results.preset.tasks.items() if task.env != MASKED_IDENTITY]
         if len(tasks) > 1 and len(results.preset.methods) > 1:
             tables.append(_together(results, tasks))
-        tables += [*build_contact_tables(results), _speed(results)]
+        tables += [*contact.learner_tables(results), _speed(results)]
     return tables
 
 
 def page(store: Store) -> str:
     """The block of a store: where its runs come from, the main tables, each with its figure."""
     results = SuiteResults(load_suite(store.folder.name), store)
-    root, missing = f"../results/classic/{store.folder.name}", len(results.missing)
-    folders = [run.folder for run in results.all]
-    controls = sum(not run.cell.learns for run in results.all)
-    parts = [provenance(store.folder.name, folders, missing, controls)]
+    root = f"../results/classic/{store.folder.name}"
+    folders = [run.folder for run in results.all.values()]
+    controls = sum(not cell.learns for cell in results.all)
+    parts = [provenance(store.folder.name, folders, results.missing, controls)]
     tables = {table.name: table for table in build_tables(results)}
     for name, figure in SHOWN.items():
         if name in tables:
@@ -102,7 +96,7 @@ def _scores(results: SuiteResults) -> Table:
         counts = counts[:1] if len(set(counts)) == 1 else counts
         goal = "-" if task.goal is None else f"{task.goal:g}"
         row: list[TableCell] = [task.title, f"{task.timesteps:,}", goal, "/".join(counts)]
-        row += [_with_interval(results.score(key, method)) for method in preset.methods]
+        row += _shown(results, [key], preset.methods)
         if marks:
             row.append(", ".join(f"{value:g}" for value in task.published.values()) or "-")
         rows.append(row)
@@ -117,10 +111,7 @@ def _controls(results: SuiteResults) -> Table:
         "controls",
         "Without learning, on the same test episodes",
         ["Task", *map(of_suite, controls)],
-        [
-            [task.title, *(_with_interval(results.score(key, name)) for name in controls)]
-            for key, task in tasks.items()
-        ],
+        [[task.title, *_shown(results, [key], controls)] for key, task in tasks.items()],
         [" ".join(_CONTROLS[name] for name in controls)],
     )
 
@@ -128,15 +119,13 @@ def _controls(results: SuiteResults) -> Table:
 def _search(results: SuiteResults) -> Table:
     """Variants by row: what each scored on the tasks that were run, over how many seeds."""
     preset = results.preset
-    header, columns = ["Variant"], [list(map(of_suite, preset.methods))]
+    header, tried = ["Variant"], []
     for key, task in preset.tasks.items():
-        values = [results.score(key, method) for method in preset.methods]
-        if counts := sorted({value.n for value in values} - {0}):
-            header.append(f"{task.title}, seeds: {'/'.join(map(str, counts))}")
-            columns.append([_with_interval(value) for value in values])
-    rows: list[list[TableCell]] = [
-        list(row) for row in zip(*columns, strict=True) if {*row[1:]} - {"-"}
-    ]
+        if counts := {len(results.runs(key, method)) for method in preset.methods} - {0}:
+            header.append(f"{task.title}, seeds: {'/'.join(map(str, sorted(counts)))}")
+            tried.append(key)
+    rows = [[of_suite(method), *_shown(results, tried, [method])] for method in preset.methods]
+    rows = [row for row in rows if {*row[1:]} - {"-"}]
     title = f"Return of the last greedy policy, {preset.final_episodes} episodes per seed"
     note = (
         f"Mean over seeds [{_INTERVAL}]; of one seed it is a lead. Tasks and variants without a "
@@ -177,6 +166,11 @@ def _by_tasks(tasks: Iterable[Array], statistic: Callable[..., Any]) -> Value:
     return Value(float(statistic(*samples)), low=low, high=high)
 
 
+def _shown(results: SuiteResults, tasks: Iterable[str], methods: Iterable[str]) -> list[TableCell]:
+    """Scores with their intervals, of one task or of one method."""
+    return [_with_interval(results.score(*pair)) for pair in product(tasks, methods)]
+
+
 def _with_interval(value: Value, digits: int | None = None) -> str:
     if math.isnan(value.mean):
         return "-"
@@ -195,9 +189,8 @@ def _speed(results: SuiteResults) -> Table:
             if task.goal is not None:
                 steps = over_seeds([run.steps_to(task.goal) for run in runs])
                 there = [Number(steps, 0), f"{steps.n} of {len(runs)}"]
-            trained = [run.meta["training"] for run in runs]
-            updates = Number(over_seeds([training["updates"] for training in trained]), 0)
-            minutes = over_seeds([training["cpu_seconds"] / 60.0 for training in trained])
+            updates = Number(over_seeds([run.training["updates"] for run in runs]), 0)
+            minutes = over_seeds([run.training["cpu_seconds"] / 60.0 for run in runs])
             rows.append([task.title, of_suite(method), *there, updates, Number(minutes, 1)])
     return Table(
         "steps",
@@ -211,14 +204,14 @@ def _speed(results: SuiteResults) -> Table:
     )
 
 
-def pictures(results: SuiteResults) -> list[Picture]:
+def pictures(results: SuiteResults) -> list[style.Picture]:
     """What the stored runs can show."""
     result = []
     # of a search the curves would be more than can be told apart
     if results.preset.tasks and not results.preset.search:
-        result.append(Picture("curves", partial(_curves, results)))
-    if levels(results):
-        result.append(Picture("contact", partial(draw_contact, results)))
+        result.append(style.Picture("curves", partial(_curves, results)))
+    if contact.levels(results):
+        result.append(style.Picture("contact", partial(contact.draw_learners, results)))
     return result
 
 
@@ -226,14 +219,15 @@ def _curves(results: SuiteResults) -> Figure:
     tasks = results.preset.tasks
     columns = min(4, len(tasks))
     rows = math.ceil(len(tasks) / columns)
-    figure, grid = canvas(rows, columns, (2.6 * columns, 2.2 * rows + 0.4))
+    figure, grid = style.canvas(rows, columns, (2.6 * columns, 2.2 * rows + 0.4))
     for axes in grid[len(tasks) :]:
         axes.set_visible(False)
     for axes, (key, task) in zip(grid, tasks.items(), strict=False):
         for number, method in enumerate(results.preset.methods):
             curves = (run.curve for run in results.runs(key, method))
             frames = [curve.assign(timesteps=curve["timesteps"] / 1e3) for curve in curves]
-            colour = METHOD_COLOURS.get(method, PALETTE[(3 + number) % len(PALETTE)])
+            other = style.PALETTE[(3 + number) % len(style.PALETTE)]
+            colour = style.METHOD_COLOURS.get(method, other)
             draw(axes, frames, "return_mean", of_suite(method), colour)
         if task.goal is not None:
             axes.axhline(task.goal, color="0.5", linestyle=":", linewidth=1.0)
@@ -242,5 +236,4 @@ def _curves(results: SuiteResults) -> Figure:
         axes.set_xlabel("environment steps (1000)")
     for axes in grid[::columns]:
         axes.set_ylabel("return")
-    legend_below(figure, grid)
-    return figure
+    return style.legend_below(figure, grid)

@@ -4,29 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from benchmarks.protocol.plan import Cell, expand, settings
 from benchmarks.protocol.presets import SuitePreset
 from benchmarks.protocol.seeding import episode_seeds
+from benchmarks.reporting.results import Result
 from benchmarks.reporting.stats import Array, Value, measured, over_seeds
 from benchmarks.reporting.verify import check_seeds
-from benchmarks.runs.store import RunFolder, Store
+from benchmarks.runs.store import Store
 
 
-@dataclass(frozen=True)
-class Run:
-    """One complete run of a learner, or of a control, which has no curve."""
-
-    cell: Cell
-    folder: RunFolder
-    meta: dict[str, Any]
-    curve: pd.DataFrame
-    episodes: pd.DataFrame
+class Run(Result):
+    """One complete run of a learner or a control."""
 
     @property
     def score(self) -> float:
@@ -44,33 +35,34 @@ class SuiteResults:
 
     def __init__(self, preset: SuitePreset, store: Store) -> None:
         self.preset, self.root = preset, store.folder.parent.parent  # of all results
-        self.all: list[Run] = []
-        self.missing: list[str] = []
+        self.all: dict[Cell, Run] = {}
+        self.missing = 0
         for cell in expand(preset):
             folder = store.run(cell.id)
             folder.check_config(settings(preset, cell))
             if folder.is_complete():
-                curve = folder.rows("curve") if cell.learns else pd.DataFrame()
-                run = Run(cell, folder, folder.meta(), curve, folder.rows("episodes"))
-                self.all.append(run)
+                self.all[cell] = Run.read(folder)
             else:
-                self.missing.append(cell.id)
+                self.missing += 1
 
     def problems(self) -> list[str]:
         """A sentence for each run that is another's, or has other test episodes than its seed's."""
         result = []
-        for run in self.all:
-            seeds = episode_seeds(run.cell.seed, self.preset.final_episodes)
-            problems = check_seeds(run.episodes, "seed", seeds)
-            if run.meta["cell"] != run.cell.id:
-                problems.append(f"meta.json is of the run '{run.meta['cell']}'")
+        for cell, run in self.all.items():
+            problems = check_seeds(
+                run.episodes, "seed", episode_seeds(cell.seed, self.preset.final_episodes)
+            )
+            if (named := run.folder.meta()["cell"]) != cell.id:
+                problems.append(f"meta.json is of the run '{named}'")
+            if cell.learns:  # an error if it is missing
+                run.folder.rows("curve")
             result += [f"{run.folder.path}: {problem}" for problem in problems]
         return result
 
     def runs(self, task: str, method: str) -> list[Run]:
         """The runs of a method or a control on a task, by seed."""
-        mine = [run for run in self.all if (run.cell.track, run.cell.method) == (task, method)]
-        return sorted(mine, key=lambda run: run.cell.seed)
+        mine = [cell for cell in self.all if (cell.track, cell.method) == (task, method)]
+        return [self.all[cell] for cell in sorted(mine)]
 
     def score(self, task: str, method: str) -> Value:
         """Final test: mean over seeds of the mean return, with :func:`student`'s interval."""
@@ -97,4 +89,4 @@ def student(scores: Sequence[float]) -> Value:
 
     Of so few numbers the bootstrap's percentiles are too narrow.
     """
-    return measured(scores, lambda: (math.nan,) * 2) if len(scores) > 2 else over_seeds(scores)
+    return measured(scores) if len(scores) > 2 else over_seeds(scores)

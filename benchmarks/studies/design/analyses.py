@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Final
 
@@ -26,6 +27,7 @@ BANDS: Final = {
 ROBUST: Final = "0.20-0.25"
 STEP: Final = 0.02  # of lambda, in the atlas
 MAP_HEAVES: Final = (0.21, 0.22, 0.23, 0.24, 0.25)
+Designs = Mapping[str, RRSGeometry]
 
 
 def atlas_rows(progress: Callable[[float], None]) -> list[Row]:
@@ -59,8 +61,8 @@ def optima(
     for k, (name, heaves) in enumerate(BANDS.items()):
         band = design.at_heaves(problem, heaves)
         rough = design.optimize_globally(band, generations=8, population=8)
-        local = design.optimize(band)
-        result[f"band {name}"] = _told(max((rough, local), key=lambda best: best.value))
+        best = max((rough, design.optimize(band)), key=attrgetter("value"))
+        result[f"band {name}"] = _told(best)
         progress(0.4 + 0.2 * (k + 1))
     return result
 
@@ -85,10 +87,9 @@ def optimum_rows(result: dict[str, tuple[RRSGeometry, int]]) -> list[Row]:
     return rows
 
 
-def heave_rows(robust: RRSGeometry) -> list[Row]:
-    """A_w by heave of the initial, the optimized and the robust design."""
+def heave_rows(designs: Designs) -> list[Row]:
+    """A_w by heave of each design."""
     heaves = np.round(np.arange(0.190, 0.2601, 0.0025), 4)
-    designs = {**GEOMETRIES, "robust": robust}
     areas = (design.over_heaves(g, heaves).tolist() for g in designs.values())
     rows = zip(heaves.tolist(), *areas, strict=True)
     return [dict(zip(("heave", *designs), row, strict=True)) for row in rows]
@@ -103,9 +104,8 @@ def threshold_rows() -> list[Row]:
     return [dict(zip(keys, row, strict=True)) for row in result.tolist()]
 
 
-def tolerance_rows(robust: RRSGeometry) -> tuple[list[Row], list[Row]]:
+def tolerance_rows(designs: Designs) -> tuple[list[Row], list[Row]]:
     """Slopes of A_w by length, and its distribution under tolerances."""
-    designs = {**GEOMETRIES, "robust": robust}
     slopes: list[Row] = [{"design": name, **design.slopes(g)} for name, g in designs.items()]
     rows: list[Row] = []
     for name, g in designs.items():
@@ -118,10 +118,9 @@ def tolerance_rows(robust: RRSGeometry) -> tuple[list[Row], list[Row]]:
     return slopes, rows
 
 
-def trajectory_rows(robust: RRSGeometry) -> tuple[list[Row], list[Row]]:
+def trajectory_rows(designs: Designs) -> tuple[list[Row], list[Row]]:
     """The test trajectory's poses and joint angles, and the report of each design."""
     path = design.cone_trajectory()
-    designs = {**GEOMETRIES, "robust": robust}
     reports = {name: design.validate(g, path) for name, g in designs.items()}
     rows: list[Row] = []
     for i in range(0, len(path.time), 4):
@@ -144,8 +143,7 @@ def trajectory_rows(robust: RRSGeometry) -> tuple[list[Row], list[Row]]:
 def pose_model_rows() -> list[Row]:
     """What the paper's pose costs on the optimized design, worst over azimuth, by tilt.
 
-    The last columns command the real machine with the angles that the paper's model gives, and
-    ask forward kinematics where it goes.
+    ``reached``: where forward kinematics say that the paper's angles bring the real machine.
     """
     azimuth = np.radians(np.arange(0.0, 360.0, 2.0))
     rows: list[Row] = []

@@ -1,7 +1,6 @@
 """The geometric optimization: the paper's table and figures, and analyses beyond them.
 
-All is computed afresh and written to ``results/design/``. Blocks of ``docs/kinematics.md``,
-``docs/design.md`` and ``docs/design_sensitivity.md`` are of the same data.
+All is computed afresh and written to ``results/design/``.
 
 table.csv               the paper's table of design results, ours beside it
 runs.csv paths.csv      the optimizer's runs (start, end, evaluations), every design they tried
@@ -37,6 +36,7 @@ from benchmarks.studies.base import Part, Study, Tick, count
 from benchmarks.studies.design import analyses
 from benchmarks.studies.design.analyses import DesignStore
 from benchmarks.studies.design.figures import write_figures
+from coop_env.geometry import GEOMETRIES
 
 COLUMNS: Final[dict[str, dict[str, list[list[str]]]]] = yaml.safe_load(
     Path(__file__).with_name("blocks.yaml").read_text(encoding="utf-8")
@@ -52,9 +52,7 @@ class Design(Study):
     """The geometric optimization."""
 
     name = "design"
-    options = {  # noqa: RUF012
-        "--runs": count(10, "runs of the optimizer"),
-    }
+    options = {"--runs": count(10, "runs of the optimizer")}  # noqa: RUF012
 
     def __init__(self, given: argparse.Namespace) -> None:
         super().__init__(given)
@@ -80,14 +78,14 @@ class Design(Study):
     def _optima(self, tick: Tick) -> None:
         atlas = analyses.atlas_rows(lambda share: tick(share / 2))
         optima = analyses.optima(atlas, lambda share: tick((1 + share) / 2))
-        self.robust = optima[f"band {analyses.ROBUST}"][0]
+        self.designs = {**GEOMETRIES, "robust": optima[f"band {analyses.ROBUST}"][0]}
         self._write(atlas=atlas, optima=analyses.optimum_rows(optima))
 
     def _sensitivity(self, tick: Tick) -> None:
-        slopes, tolerances = analyses.tolerance_rows(self.robust)
-        trajectory, validation = analyses.trajectory_rows(self.robust)
+        slopes, tolerances = analyses.tolerance_rows(self.designs)
+        trajectory, validation = analyses.trajectory_rows(self.designs)
         self._write(
-            heave=analyses.heave_rows(self.robust), threshold=analyses.threshold_rows(),
+            heave=analyses.heave_rows(self.designs), threshold=analyses.threshold_rows(),
             slopes=slopes, tolerances=tolerances, trajectory=trajectory, validation=validation,
             pose_model=analyses.pose_model_rows(),
             pose_model_design=analyses.pose_model_design_rows(),

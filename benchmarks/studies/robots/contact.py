@@ -1,31 +1,33 @@
-"""Scripts on the contact task: success, time and force over the hole's error.
-
-    python -m benchmarks study contact
+"""Scripts on the contact task, and learners beside them: success, time, force over the error.
 
 Each script's gains are the best of a grid on validation episodes of each level, by success and then
 by time, with errors up to 3 mm. The tests have errors of fixed size to any side, or as the task
-draws them, tilts up to a degree, and friction as the task draws it. Last, a search inserts with
-other timesteps, contacts and play, and a film is drawn.
+draws them. Last, a search inserts with other timesteps, contacts and play, and a film is drawn.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+import pandas as pd
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
-from benchmarks.reporting.figures.style import canvas, finish, style
+from benchmarks.protocol.labels import of_suite
+from benchmarks.protocol.presets import CONTACT
+from benchmarks.reporting.figures import style
 from benchmarks.reporting.stats import wilson
-from benchmarks.reporting.tables.table import plain
-from benchmarks.studies.base import Measured, Part, Tick, count, episode, source
+from benchmarks.reporting.tables.table import Table, plain
+from benchmarks.studies.base import Measured, Part, Tick, count, episode, read_stored, source
+from benchmarks.studies.classic.results import SuiteResults, student
 from benchmarks.studies.media import write_animation
 from benchmarks.studies.robots import trials
 from benchmarks.studies.robots.trials import LEVEL, TRAINED, WHAT, Row, play, script_of
@@ -111,26 +113,24 @@ def write_film(path: Path, gains: Mapping[str, float]) -> None:
     shown = [(env.scene(), info.get("force", np.zeros(3))) for info in steps]
     forces, fps = np.array([force for _, force in shown]), env.metadata["render_fps"]
     look: dict[str, Any] = {"camera": replace(CAMERAS["dome"], distance=0.42), "panel": False}
-    with style():
-        frames = [
-            np.concatenate(
-                [render_frame(shown[now][0], size=SCENE, **look), _chart(forces, now, fps)]
-            )
-            for now in (*range(0, len(shown), 2), len(shown) - 1)
-        ]
+    frames = []
+    with style.style():
+        for now in (*range(0, len(shown), 2), len(shown) - 1):
+            scene = render_frame(shown[now][0], size=SCENE, **look)
+            frames.append(np.concatenate([scene, _chart(forces, now, fps)]))
     write_animation(path, frames, fps / 2)
 
 
 def _chart(forces: np.ndarray, now: int, fps: int) -> np.ndarray:
     """The force along the hole and across it, up to a moment."""
-    figure, (axes,) = canvas(size=CHART)
+    figure, (axes,) = style.canvas(size=CHART)
     figure.set_dpi(100)
     time, across = np.arange(len(forces)) / fps, np.hypot(forces[:, 0], forces[:, 1])
     for values, name in ((forces[:, 2], "along the hole"), (across, "across")):
         axes.plot(time[: now + 1], values[: now + 1], label=name)
     axes.set_xlim(0.0, time[-1])
     axes.set_ylim(-0.5, 1.5 * max(forces[:, 2].max(), across.max()))  # room for the legend
-    finish(axes, "force (N)", "time (s)")
+    style.finish(axes, "force (N)", "time (s)")
     axes.legend(loc="upper left", ncols=2)
     drawn: Any = FigureCanvasAgg(figure)
     drawn.draw()
@@ -192,3 +192,99 @@ class Contact(Measured):
             f"Gains chosen: {'; '.join(chosen)}. {source(result)}"
         )
         return "\n\n".join([table, varied(result["parts"]), note])
+
+
+class Entry(NamedTuple):
+    """A method's episodes under each error, the last as the task draws it."""
+
+    level: str
+    name: str
+    seeds: str
+    errors: list[dict[str, Any]]
+    success: str
+    look: dict[str, Any]
+
+
+def levels(results: SuiteResults) -> dict[str, str]:
+    """The preset's contact tasks on the scripts' machine, which does not err: key and level."""
+    return {
+        key: task.env_kwargs["level"]
+        for key, task in results.preset.tasks.items()
+        if task.env == CONTACT and "sim_to_real" not in task.env_kwargs
+    }
+
+
+def _of(rows: pd.DataFrame, error: float | None) -> dict[str, Any]:
+    """The episodes under an error, as the scripts' are kept."""
+    rows = rows[rows["error"].isna() if error is None else rows["error"] == error]
+    return {str(k): v for k, v in rows.fillna({"failure": ""}).to_dict("list").items()}
+
+
+def _entries(results: SuiteResults) -> Iterator[Entry]:
+    """Learners, level by level, and the scripts that the study ``contact`` has stored."""
+    path = results.root / Contact.file
+    stored = read_stored(path)["parts"] if path.is_file() else {}
+    for task, level in levels(results).items():
+        for method in results.preset.methods:
+            if not (runs := [run.folder.rows("contact") for run in results.runs(task, method)]):
+                continue
+            value = student([trials.medians(_of(rows, trials.DRAWN))[0] for rows in runs])
+            interval = ""
+            if not math.isnan(value.low):
+                interval = f" [{max(value.low, 0.0):.1f}, {min(value.high, 100.0):.1f}]"
+            rows = pd.concat(runs)
+            yield Entry(
+                *(level, of_suite(method), str(len(runs))),
+                [_of(rows, error) for error in trials.CONDITIONS],
+                f"{value.mean:.1f}{interval}",
+                {"color": style.METHOD_COLOURS.get(method, style.PALETTE[-1])},
+            )
+        for number, (name, one) in enumerate(stored.get(level, {}).items()):
+            success = f"{trials.medians(one['errors'][-1])[0]:.1f}"
+            look = {"color": str(0.15 + 0.2 * number), "linestyle": "--"}
+            yield Entry(level, name, "-", one["errors"], success, look)
+
+
+def learner_tables(results: SuiteResults) -> list[Table]:
+    """Success, time and force over the hole's error; none without such a task."""
+    if not (entries := list(_entries(results))):
+        return []
+    head = ["Level", "Method", "Seeds"]
+    same = "The same test episodes for all; medians over the episodes of all seeds. "
+    return [
+        Table(
+            "contact",
+            f"Contact task, the hole displaced as the task draws it, {trials.shown(trials.DRAWN)}",
+            [*head, "Success (%) [95 %]", "Time (s)", "Peak force (N)"],
+            [[*e[:3], e.success, *trials.in_cell(e.errors[-1]).split(" / ")[1:]] for e in entries],
+            [f"{same}Time of successes. Rainbow and DQN act in twelve moves."],
+            left=(0, 1),
+        ),
+        Table(
+            "displacement",
+            f"Contact task over the hole's displacement: {WHAT}",
+            [*head, *map(trials.shown, trials.CONDITIONS)],
+            [[*e[:3], *map(trials.in_cell, e.errors)] for e in entries],
+            [f"{same}Beyond {TRAINED:g} mm is outside of training."],
+            left=(0, 1),
+        ),
+    ]
+
+
+def draw_learners(results: SuiteResults) -> Figure:
+    """Success, time and force over the hole's error: learners solid, scripts dashed."""
+    shown_levels = [*levels(results).values()]
+    size = (3.6 * len(shown_levels), 6.4)
+    figure, axes = style.canvas(3, len(shown_levels), size, sharex=True, sharey=False)
+    grid = np.array(axes).reshape(3, len(shown_levels))
+    for entry in _entries(results):
+        column = grid[:, shown_levels.index(entry.level)]
+        values = zip(*map(trials.medians, entry.errors[: len(trials.ERRORS)]), strict=True)
+        for each, line in zip(column, values, strict=True):
+            each.plot(trials.ERRORS, line, label=entry.name, linewidth=1.2, **entry.look)
+    for level, column in zip(shown_levels, grid.T, strict=True):
+        column[0].set_title(f"level {level}")
+        column[-1].set_xlabel("displacement of the hole (mm)")
+    for each, what in zip(grid[:, 0], ("success (%)", "time (s)", "peak force (N)"), strict=True):
+        each.set_ylabel(what)
+    return style.legend_below(figure, axes)

@@ -1,14 +1,11 @@
 """What the shield is worth: a certificate over the lattice, an adversary, and its price.
 
-    python -m benchmarks study shield
-
-The lattice through one start state is looked at in full, and so many others in a sample: no move
-that the shield allows may harm the nominal machine, on its way or at its end. Then the machine errs
-(`SimToReal`), and an adversary takes of the allowed moves one with the least margins left. Last,
-random and learned policies play validation starts with and without the shield: its interventions,
-and what it costs. Machines are drawn, too, from what the environment accepts: of each, moves are
-looked at that start where the robots may meet. A machine within bounds of its errors stands at one
-of their corners, and is asked where the shield's model stands at the margin.
+The lattice through one start is looked at in full, and so many others in a sample: no move that the
+shield allows may harm the nominal machine, on its way or at its end. Then the machine errs
+(`SimToReal`), and an adversary takes of the allowed moves one with the least margins left. Random
+and learned policies play validation starts with and without the shield. Of machines drawn at
+random, moves are looked at that start where the robots may meet. Last, machines at the corners of
+their errors' bounds stand where the shield's model is at the margin.
 """
 
 from __future__ import annotations
@@ -163,10 +160,7 @@ def price_of(
 
 
 def prices(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dict[str, Any]]:
-    """Who plays, under which masks of its own, and what the shield changes, over seeds.
-
-    Learned policies that are not among the results are left out.
-    """
+    """Who plays, if its policies are there, under which masks, and what the shield changes."""
 
     def policy(runs: str, env: CoopInsertionEnv, seed: int) -> Act:
         return greedy(load_model(results / f"{runs}-s{seed}" / "policy.zip"))
@@ -186,10 +180,7 @@ def prices(results: Path, episodes: int, seeds: int, tick: Tick) -> list[dict[st
 
 
 def draw_machine(rng: np.random.Generator) -> CoopInsertionEnv:
-    """A machine that can be built and started: links by up to 1.2 times, bodies by up to 4.
-
-    The peg is down to 20 times shorter or 1.5 times longer, steps are from half to twice as large.
-    """
+    """A machine that can be built and started, far from the paper's in links, bodies and steps."""
 
     def scaled(one: object, names: tuple[str, ...], factor: float) -> dict[str, float]:
         return {name: getattr(one, name) * factor ** rng.uniform(-1.0, 1.0) for name in names}
@@ -295,8 +286,9 @@ def _status(env: CoopInsertionEnv, base: Floats, longer: float) -> int:
     return int(dynamics.settle(states[0], env.params))
 
 
-def _numbers(row: dict[str, Any], digits: dict[str, int]) -> list[str]:
-    """Mean and standard deviation over seeds of what a row has, with so many digits of each."""
+def _numbers(row: dict[str, Any]) -> list[str]:
+    """Mean and standard deviation over seeds of what a row of the prices has."""
+    digits = {"success": 1, "holes": 2, "time": 1, "harm": 2, "interventions": 1}
     values = {key: over_seeds(row[key]) for key in digits if key in row}
     return [value.text(digits[key]) if value.n > 1 else "-" for key, value in values.items()]
 
@@ -322,21 +314,17 @@ class Shield(Measured):
 
     def measures(self) -> dict[str, Part]:
         given = self.given
-        ways = {"bare": (max(1, given.moves // 100), False), "shielded": (given.moves, True)}
-        return {
+        parts: dict[str, Part] = {
             "prices": partial(prices, given.results, given.episodes, given.seeds),
             "certificate": partial(certificates, given.phases, given.full),
-            **{
-                f"{name}: {way}": partial(harm_of, real, *of_way)
-                for name, real in ERRORS.items()
-                for way, of_way in ways.items()
-            },
-            "machines": partial(search, given.machines),
-            **{
-                f"{name}: margin": partial(at_the_margin, real, CONFIGURATIONS)
-                for name, real in ERRORS.items()
-            },
         }
+        for name, real in ERRORS.items():
+            parts[f"{name}: bare"] = partial(harm_of, real, max(1, given.moves // 100), False)
+            parts[f"{name}: shielded"] = partial(harm_of, real, given.moves, True)
+        parts["machines"] = partial(search, given.machines)
+        for name, real in ERRORS.items():
+            parts[f"{name}: margin"] = partial(at_the_margin, real, CONFIGURATIONS)
+        return parts
 
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:
@@ -347,37 +335,37 @@ class Shield(Measured):
             return [f"{part[name]:,}" for name in names.split()]
 
         names = {"full": "one start's, in full", "sampled": f"{asked['phases']:,} starts', sampled"}
-        digits = {"success": 1, "holes": 2, "time": 1, "harm": 2, "interventions": 1}
         units = {"joint": " rad", "clearance": " m"}
         margin = ", ".join(f"{k} {v:.3g}{units.get(k, '')}" for k, v in asked["margin"].items())
-        title = "Certificate: moves that the shield allows, on the nominal machine"
-        head = "lattice | configurations | moves | harmful | dead ends"
-        rows = [
+        lattices = [
             [names[key], *counts(one, "points moves harmful dead_ends")]
             for key, one in parts["certificate"].items()
         ]
-        tables = [plain(title, head, rows)]
-        title = "An adversary on machines that err, by the bounds of their errors"
-        rows = [
+        attacks = [
             [name, shield, *counts(parts[f"{name}: {way}"], "moves collisions singular")]
             for name in ERRORS
             for way, shield in (("bare", "no"), ("shielded", "yes"))
         ]
-        tables.append(plain(title, "errors | shield | moves | collisions | singular", rows))
-        title = f"Price: {asked['seeds']} seeds, {asked['episodes']} validation starts each"
-        head = "policy | its masks | shield | success (%) | holes | time to the first (s) | "
-        rows = [
-            [row["policy"], row["masks"], said[row["shield"]], *_numbers(row, digits)]
+        paid = [
+            [row["policy"], row["masks"], said[row["shield"]], *_numbers(row)]
             for row in parts["prices"]
             if row["policy"] != "adversary"  # of older files
         ]
-        tables.append(plain(title, head + "harmful moves | interventions", rows))
-        title = "Random machines: moves that the shield allows where the robots may meet"
-        rows = [counts(parts["machines"], "machines moves harmful")]
-        tables.append(plain(title, "machines | moves | harmful", rows))
-        title = "The worst machine within the bounds of its errors, its model at the margin"
-        rows = [[n, *counts(parts[f"{n}: margin"], "configurations harmed")] for n in ERRORS]
-        tables.append(plain(title, "errors | configurations | harmed", rows))
+        machines = [counts(parts["machines"], "machines moves harmful")]
+        margins = [[n, *counts(parts[f"{n}: margin"], "configurations harmed")] for n in ERRORS]
+        tables = [
+            plain("Certificate: moves that the shield allows, on the nominal machine",
+                  "lattice | configurations | moves | harmful | dead ends", lattices),
+            plain("An adversary on machines that err, by the bounds of their errors",
+                  "errors | shield | moves | collisions | singular", attacks),
+            plain(f"Price: {asked['seeds']} seeds, {asked['episodes']} validation starts each",
+                  "policy | its masks | shield | success (%) | holes | time to the first (s) | "
+                  "harmful moves | interventions", paid),
+            plain("Random machines: moves that the shield allows where the robots may meet",
+                  "machines | moves | harmful", machines),
+            plain("The worst machine within the bounds of its errors, its model at the margin",
+                  "errors | configurations | harmed", margins),
+        ]  # fmt: skip
         note = (
             "Mean ± std over seeds, of means an episode; a harmful move collides, or ends the "
             f"episode by a singularity. Margins: {margin}. {source(result)}"

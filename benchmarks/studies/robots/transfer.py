@@ -1,16 +1,11 @@
 """Policies and planners of the kinematic task in the simulated machine: the sim-to-sim table.
 
-    python -m benchmarks study transfer
-
-The exact optimum, RRT-Connect, and under the same masks with the same memory the two-move lookahead
-and Rainbow's stored policies play the same test starts in the kinematic task, in the twin without
-errors of the machine, in the twin with them, and there with a script or a learner that inserts
-where they have arrived. Plans are made on the nominal model, run open loop, and made anew for each
-hole; a player stops where a plan does not bring it to its hole.
-The scripts have the gains that the study ``contact`` chose; what has learned to insert is of preset
-``contact``, a policy for each seed. Where the policies of preset ``contact_errors`` are
-there, too, scripts and policies trained with and without errors of the machine insert on machines
-within the errors trained on and outside of them.
+All play the same test starts in the kinematic task, in the twin without errors of the machine, in
+the twin with them, and there with a script or a learner that inserts where they have arrived. Plans
+are made on the nominal model, hole by hole, and run open loop; a player stops where a plan does not
+bring it to its hole. The scripts have the gains that the study ``contact`` chose, the learners are
+of preset ``contact``, a policy for each seed. Where the policies of ``contact_errors`` are there,
+too, all insert on machines within the errors trained on and outside of them.
 """
 
 from __future__ import annotations
@@ -18,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
@@ -43,7 +39,6 @@ from coop_env.simulation.sim_to_real import FORGE, SimToReal
 
 PRESET: Final = "cut"
 SEEDS: Final = 5
-EPISODES: Final = 10  # of each seed
 PLAYERS: Final = {
     "exact optimum": ("optimum", ""),
     "RRT-Connect": ("rrt", ""),
@@ -87,11 +82,7 @@ def by_acting(begin: Callable[[Sequence[Episode]], Chooser]) -> Play:
 
 
 def player(name: str, preset: Preset, results: Path, seed: int) -> tuple[Play, dict[str, Any]]:
-    """Who plays the episodes of a seed, and the arguments of its environment.
-
-    Raises:
-        BenchmarkError: a policy is not among the results.
-    """
+    """Who plays the episodes of a seed, and the arguments of its environment."""
     limits, (method, track) = preset.planner, PLAYERS[name]
     if not track:
         from benchmarks.methods.rrt_connect import RRTConnect, execute  # needs OMPL
@@ -134,7 +125,7 @@ def play_one(env: CoopInsertionEnv, play: Play, number: int, start: int) -> dict
 def machines() -> dict[str, SimToReal]:
     """Machines of the contact task, by how far off they are; those trained on are up to ``FORGE``.
 
-    At ``n`` times the bounds dead zone, play, latency and noise are that large in every episode.
+    At ``n`` times the bounds all errors are that large in every episode.
     """
     bounds = {name: getattr(FORGE, name) for name in FORGE.turned - {"latency"}}
     outside = {
@@ -151,16 +142,13 @@ def on_machines(name: str, results: Path, episodes: int, tick: Tick) -> Row:
     from coop_env.physics.env import CoopInsertionContactEnv
 
     rows: Row = {}
-    for done, (machine, errors) in enumerate(machines().items()):
+    for machine, errors in machines().items():
         env = CoopInsertionContactEnv(LEVEL, sim_to_real=errors)
-        kept: Row = {}
-        for seed in range(SEEDS if name in LEARNED else 1):
-            script = inserter(results, name, seed)
-            for key, values in play_contact(env, script, "test", SEEDS * episodes).items():
-                kept.setdefault(key, []).extend(values)
-        rows[machine] = [kept]
+        scripts = [inserter(results, name, s) for s in range(SEEDS if name in LEARNED else 1)]
+        played = [play_contact(env, script, "test", SEEDS * episodes) for script in scripts]
+        rows[machine] = [{key: [v for each in played for v in each[key]] for key in played[0]}]
         env.close()
-        tick((done + 1) / len(machines()))
+        tick(len(rows) / len(machines()))
     return rows
 
 
@@ -191,22 +179,18 @@ class Transfer(Measured):
     """Players of the kinematic task in the twin."""
 
     name, file, needs = "transfer", "transfer/transfer.json", ("mujoco", "ompl", "physics")
-    options = {  # noqa: RUF012
-        "--episodes": count(EPISODES, f"episodes of each of {SEEDS} seeds"),
-    }
+    options = {"--episodes": count(10, f"episodes of each of {SEEDS} seeds")}  # noqa: RUF012
 
     def measures(self) -> dict[str, Part]:
         place = (self.results, self.given.episodes)
-        errors: dict[str, Part] = {
-            f"machines: {name}": partial(on_machines, name, *place) for name in INSERTERS
-        }
-        there = (policy_of_run(self.results, name, s) for name in LEARNED for s in range(SEEDS))
-        trained = all(path.is_file() for path in there)  # git has not every one
-        return {
+        parts: dict[str, Part] = {
             f"{name}: {world}": partial(_cell, name, world, *place)
-            for name in PLAYERS
-            for world in WORLDS
-        } | (errors if trained else {})
+            for name, world in product(PLAYERS, WORLDS)
+        }
+        policies = (policy_of_run(self.results, *run) for run in product(LEARNED, range(SEEDS)))
+        if all(path.is_file() for path in policies):  # git has not every one
+            parts |= {f"machines: {name}": partial(on_machines, name, *place) for name in INSERTERS}
+        return parts
 
     @staticmethod
     def to_markdown(result: dict[str, Any]) -> str:

@@ -83,11 +83,7 @@ def policy_of_run(results: Path, name: str, seed: int) -> Path:
 
 
 def inserter(results: Path, name: str, seed: int) -> Any:
-    """A script with the gains that were chosen for it, or a policy of :data:`LEARNED`.
-
-    Raises:
-        BenchmarkError: the gains or the policy are not among the results.
-    """
+    """A script with the gains chosen for it, or a policy of :data:`LEARNED`, from the results."""
     preset = LEARNED.get(name)
     path = policy_of_run(results, name, seed) if preset else results / "contact/scripts.json"
     if not path.is_file():

@@ -51,11 +51,8 @@ Scorer = tuple[dict[str, Any], Run]
 def prepare(preset: Preset, given: Given) -> list[Scorer]:
     """Load and check what is brought, before anything is written; a scorer for each seed.
 
-    A model that SB3 saved runs its author's code when it is loaded: ``--trust`` says to. The masks
-    are those of the environment that the method acts in, as the model was trained with.
-
-    Raises:
-        BenchmarkError: the name, the files or their spaces will not do.
+    The masks are those of the environment that the method acts in, as the model was trained with.
+    BenchmarkError if the name, the files or their spaces will not do.
     """
     _check(preset, given)
     number = len(preset.seeds)
@@ -70,18 +67,13 @@ def prepare(preset: Preset, given: Given) -> list[Scorer]:
             source = {"algorithm": given.planner, "sha256": "", **_source(given.planner)}
             protocol = dict(masks)
         else:
-            protocol = {"observation": fitting_observation(loaded[path], path), **masks}
-            source = {
-                "algorithm": given.algorithm or detect_algorithm(path),
-                "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-            }
             player = evaluate.by_policy(evaluate.model_policy(loaded[path]), seed)
             noise = preset.evaluation.noise
-        config = {
-            "cell": asdict(cell),
-            "evaluation": asdict(preset.evaluation),
-            "entry": {**source, **protocol},
-        }
+            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+            source = {"algorithm": given.algorithm or detect_algorithm(path), "sha256": digest}
+            protocol = {"observation": fitting_observation(loaded[path], path), **masks}
+        tests, entry = asdict(preset.evaluation), {**source, **protocol}
+        config = {"cell": asdict(cell), "evaluation": tests, "entry": entry}
         arguments = env_arguments(preset, cell) | protocol
         conditions = [evaluate.Condition(arguments, level) for level in noise]
         return config, partial(evaluate.play, player, preset, seed, conditions)
@@ -92,10 +84,8 @@ def prepare(preset: Preset, given: Given) -> list[Scorer]:
 def score(preset: Preset, given: Given, console: Console) -> None:
     """Score an entry on the preset's test episodes, store it, and write the leaderboard.
 
-    Complete seeds are kept. With ``--replace`` it may take the place of another one of its name.
-
-    Raises:
-        BenchmarkError: the name is taken, or as :func:`prepare`.
+    Complete seeds are kept. With ``--replace`` it may take the place of another one of its name,
+    without it a name that is taken is a BenchmarkError.
     """
     scorers = prepare(preset, given)
     store = Store.open(given.results, preset.name, create=True)
@@ -143,11 +133,7 @@ def _score(
 
 
 def glance(preset: Preset, given: Given) -> Iterator[str]:
-    """An entry's metrics on the first ``--episodes`` of each seed; nothing is stored.
-
-    Raises:
-        BenchmarkError: as :func:`prepare`.
-    """
+    """An entry's metrics on the first ``--episodes`` of each seed; nothing is stored."""
     tests = dataclasses.replace(preset.evaluation, episodes=given.episodes)
     preset = dataclasses.replace(preset, evaluation=tests)
     for config, run in prepare(preset, given):

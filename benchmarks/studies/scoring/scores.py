@@ -1,20 +1,15 @@
-"""Policies, controls and planners play once more.
+"""Policies, controls and planners play once more: the test episodes, or others.
 
-    python -m benchmarks evaluate --preset paper
-    python -m benchmarks evaluate --preset paper --starts 2026
-
-The first plays the test episodes and says whether each came out as stored. The second plays
-episodes that begin elsewhere: any whole number stands for starts of its own, none of which was ever
-trained on or looked at. It takes minutes: a few episodes per seed, without noise and on the track's
-own machine, as the headline has them. Nothing of the store is changed; the episodes go to
-``results/again/``.
+Of the test episodes it says whether each came out as stored. Any whole number stands for starts of
+its own, none of which was ever trained on; then it is a few episodes per seed, without noise and on
+the track's own machine. The store stays as it is, the episodes go to ``results/again/``.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import shutil
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -43,15 +38,9 @@ FRESH_EPISODES: Final = 20  # per seed of other starts: five seeds tell +-0.1 of
 class Replay(Insertion):
     """The complete runs of a preset, played by their policies, controls and planners.
 
-    Args:
-        preset: its name or the path of its file.
-        results: where its store lies, and the other one is made.
-        episodes: test episodes per seed, for a quick look; None for the preset's, of other starts
-            for at most ``FRESH_EPISODES``.
-        starts: stands for other starts than the test episodes'; None for the test episodes.
-
-    Raises:
-        BenchmarkError: the store is missing, or the preset is of public tasks.
+    ``episodes`` are per seed, None for the preset's (of other starts at most ``FRESH_EPISODES``);
+    ``starts`` stands for other starts than the test episodes', None for those.
+    BenchmarkError if the store is missing, or the preset is of public tasks.
     """
 
     run_bytes = 1_000_000
@@ -67,22 +56,13 @@ class Replay(Insertion):
         self.source = self.open_store(self.results)
 
     def leave_out(self) -> tuple[int, int]:
-        """Keep the cells that can play; returns how many have not run, and lack their policy.
-
-        Raises:
-            BenchmarkError: a run was made with other settings, or none has a policy.
-        """
-        not_run = without_policy = 0
-        all_cells, self._cells = self._cells, []
-        for cell in all_cells:
-            run = self.source.run(cell.id)
-            run.check_config(self.settings(cell))
-            if not run.is_complete():
-                not_run += 1
-            elif cell.learns and not run.has_policy():
-                without_policy += 1
-            elif cell.method != DESIGN:
-                self._cells.append(cell)
+        """Keep the cells that can play; returns how many have not run, and lack their policy."""
+        for cell in self._cells:
+            self.source.run(cell.id).check_config(self.settings(cell))
+        complete = [cell for cell in self._cells if self.source.run(cell.id).is_complete()]
+        playing = [c for c in complete if not c.learns or self.source.run(c.id).has_policy()]
+        not_run, without_policy = len(self._cells) - len(complete), len(complete) - len(playing)
+        self._cells = [cell for cell in playing if cell.method != DESIGN]
         if not any(cell.learns for cell in self._cells):
             raise BenchmarkError(
                 f"{self.source.folder} has no trained policy to score: run the preset first"
@@ -115,21 +95,20 @@ class Replay(Insertion):
                 number = min(number, FRESH_EPISODES)
             machine = self.preset.tracks[cell.track].sim_to_real if cell.track else None
             own = [own_error(machine)] if machine else tests.errors
-            tests = dataclasses.replace(tests, noise=[0.0], errors=own)
-        tests = dataclasses.replace(tests, episodes=number)
-        return dataclasses.replace(self.preset, evaluation=tests)
+            tests = replace(tests, noise=[0.0], errors=own)
+        return replace(self.preset, evaluation=replace(tests, episodes=number))
 
     def checkpoint_bytes(self, cell: Cell) -> int:
         return 0
 
     def verdict(self, folder: RunFolder) -> str:
-        return "; " + next(in_words(Result.read(folder, {}).test(), "now"))
+        return "; " + next(in_words(Result.read(folder).test(), "now"))
 
     def compare(self, store: Store, console: Console) -> None:
         """Success of each run in both ways of acting, stored and now, and how many are alike."""
         rows, equal = [], 0
         for cell in self._cells:
-            first, again = (Result.read(s.run(cell.id), {}) for s in (self.source, store))
+            first, again = (Result.read(s.run(cell.id)) for s in (self.source, store))
             columns = first.episodes.columns.drop("plan_seconds")  # of runs that are older, fewer
             equal += first.episodes[columns].equals(again.episodes[columns])
             row = [cell.id]
@@ -149,11 +128,7 @@ class Replay(Insertion):
 
 
 def score_again(replay: Replay, console: Console) -> int:
-    """Play what a store holds once more.
-
-    Returns:
-        The command's exit code.
-    """
+    """Play what a store holds once more; returns the command's exit code."""
     not_run, without_policy = replay.leave_out()
     if not_run:
         console.print(f"Left out, not run yet: {not_run} runs")
@@ -165,8 +140,7 @@ def score_again(replay: Replay, console: Console) -> int:
     jobs = min(default_jobs(), len(replay.cells()))
     console.print(f"{len(replay.cells())} runs play again, {jobs} at a time; Ctrl-C ends it")
     which = "test" if replay.starts is None else f"starts-{replay.starts}"
-    root = replay.results / AGAIN / which
-    again = Store.open(root, replay.name, create=True)
+    again = Store.open(replay.results / AGAIN / which, replay.name, create=True)
     with again.lock():  # before what another process may be at work on goes
         shutil.rmtree(again.folder / "runs", ignore_errors=True)
         outcome = Harness(replay, again, Backend(jobs), console).run()

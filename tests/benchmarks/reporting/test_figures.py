@@ -21,13 +21,7 @@ from tests.process import python
 
 ROOT = Path(__file__).resolve().parents[3]
 PAPER_FIGURES = {
-    "cumulative_reward",
-    "exploration",
-    "holes",
-    "success",
-    "max_q",
-    "loss",
-    "duration",
+    *("cumulative_reward", "exploration", "holes", "success", "max_q", "loss", "duration"),
 }
 
 

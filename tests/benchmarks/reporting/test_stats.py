@@ -30,13 +30,10 @@ def test_a_performance_profile_by_hand() -> None:
     assert profile.tolist() == [0.75, 0.75, 0.25, 0.0]
 
 
-def test_the_paired_test_of_equal_and_of_shifted_samples() -> None:
+def test_the_paired_test_of_equal_and_of_shifted_samples_and_holm_by_hand() -> None:
     assert stats.paired_p([0.0, 0.0]) == 1.0
     assert math.isnan(stats.paired_p([1.0, 1.0 + 1e-15]))
     assert math.isnan(stats.paired_p([1.0]))
-
-
-def test_holm_by_hand() -> None:
     # 0.01 x 3, then max(0.03, 0.02 x 2), then max(0.04, 0.5 x 1); a missing one does not count
     assert stats.holm([0.02, 0.5, math.nan, 0.01]) == pytest.approx(
         [0.04, 0.5, math.nan, 0.03], nan_ok=True
@@ -52,13 +49,10 @@ def test_the_interquartile_mean_is_rliables(scores: list[float]) -> None:
     )
 
 
-def test_the_bootstrap_of_two_runs_is_its_exact_distribution() -> None:
+def test_the_bootstrap_is_the_exact_distribution_and_keeps_each_task_to_its_own_runs() -> None:
     # means of two draws from {0, 1}: 0, 1/2, 1 with 1/4, 1/2, 1/4
     assert stats.bootstrap([np.array([0.0, 1.0])], np.mean) == (0.0, 1.0)
     assert all(math.isnan(end) for end in stats.bootstrap([np.array([1.0])], np.mean))
-
-
-def test_the_bootstrap_keeps_each_task_to_its_own_runs() -> None:
     # task 0 is always 0, task 1 always 10: no resample may mix them
     tasks = [np.zeros(3), np.full(3, 10.0)]
     assert stats.bootstrap(tasks, stats.interquartile_mean) == (5.0, 5.0)
@@ -66,14 +60,11 @@ def test_the_bootstrap_keeps_each_task_to_its_own_runs() -> None:
 
 
 @given(SAMPLES)
-def test_over_seeds_is_numpys(values: list[float]) -> None:
+def test_over_seeds_is_numpys_one_has_no_spread_and_nothing_is_a_dash(values: list[float]) -> None:
     value = stats.over_seeds([*values, math.nan])
     assert value.mean == pytest.approx(np.mean(values), abs=1e-9)
     assert value.std == pytest.approx(np.std(values, ddof=1), abs=1e-9)
     assert value.n == len(values)
-
-
-def test_one_seed_has_no_spread_and_nothing_is_a_dash() -> None:
     assert stats.over_seeds([3.0]).text(1) == "3.0"
     assert stats.over_seeds([1.0, 3.0]).text(1) == "2.0 ± 1.4"
     assert stats.over_seeds([math.nan]).text(1) == "-"

@@ -27,7 +27,7 @@ from benchmarks.reporting.compared import comparisons
 from benchmarks.reporting.figures.learning import pictures
 from benchmarks.reporting.results import Level, Result, Results
 from benchmarks.reporting.stats import Value
-from benchmarks.reporting.tables.beyond import build_tables
+from benchmarks.reporting.tables.beyond import build_tables, team
 from benchmarks.reporting.tables.table import FLAG, Number, Table, printed_range
 from benchmarks.reporting.verify import check_tables
 from benchmarks.runs.store import RunFolder, Store
@@ -86,6 +86,7 @@ def test_a_row_says_what_the_runs_did(
 
 
 def test_tables_have_the_papers_rows_and_columns(full: Store, tables: dict[str, Table]) -> None:
+    assert "team" not in tables
     assert all(len(table.header) <= WIDEST for table in tables.values())
     performance, controls = tables["performance"], tables["controls"]
     assert performance.header == [
@@ -307,13 +308,11 @@ def test_values_over_seeds_have_students_interval_which_flags_follow(tmp_path: P
     # moves count only on starts that both solved
     excess = results.group("dqn", "safe").excess(results.group("optimum"))
     assert excess.mean == pytest.approx(25.0)
-    planner = tables["performance"].rows[0][2]
-    assert isinstance(planner, Number)
+    planner: Any = tables["performance"].rows[0][2]
     # 50, 40 and 30 %, whose interval is [15.2, 64.8], which holds the paper's 55
     assert planner.value.high == pytest.approx(64.84, abs=0.01)
     assert not planner.flagged
-    steps = tables["geometry"].rows[0][4]
-    assert isinstance(steps, Number)
+    steps: Any = tables["geometry"].rows[0][4]
     # 0.3, 0.3 and never within its steps: more than that cannot be excluded
     assert steps.value.high == math.inf
     assert not steps.flagged
@@ -323,8 +322,7 @@ def test_values_over_seeds_have_students_interval_which_flags_follow(tmp_path: P
 def test_a_budget_below_the_papers_number_proves_nothing(tmp_path: Path) -> None:
     store = fabricated_store.make_store(tmp_path, [2])  # solves 7 of 10: never at 75 %
     table = next(table for table in build_tables(Results(store)) if table.name == "geometry")
-    cell = table.rows[0][4]
-    assert isinstance(cell, Number)
+    cell: Any = table.rows[0][4]
     assert cell.text() == "not reached"
     assert not cell.flagged  # the quick preset has fewer steps than the paper needs
     assert Number(cell.value, paper=f"{cell.value.low / 2:.2f}").flagged
@@ -356,16 +354,44 @@ def test_a_level_has_the_rows_that_were_played_at_it(
     columns: list[str], track: dict[str, Any], level: Level, episodes: list[int]
 ) -> None:
     rows = ROWS[["episode", *columns]]
-    result = Result(0, {"track": track}, {}, RunFolder(Path("nowhere")), rows)
+    result = Result({"track": track}, RunFolder(Path("nowhere")), rows)
     assert result.test(level)["episode"].tolist() == episodes
 
 
 def test_rows_of_older_runs_under_other_masks_are_left_out(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path)
     (tmp_path / "config.yaml").write_text("cell: {seed: 4}\ntrack: {}\n", encoding="utf-8")
-    ROWS.assign(masks=["own", np.nan, "paper", "own"]).to_csv(
-        tmp_path / "episodes.csv", index=False
-    )
-    result = Result.read(folder, {})
+    rows = ROWS.assign(masks=["own", np.nan, "paper", "own"])
+    rows.to_csv(tmp_path / "episodes.csv", index=False)
+    result = Result.read(folder)
     assert result.seed == 4
     assert result.episodes["episode"].tolist() == [0, 1, 3]
+
+
+OVER = "Ticks over the optimum at once (%)"
+
+
+def test_teams_have_a_row_for_each_form_and_a_table_of_their_own(tmp_path: Path) -> None:
+    results = Results(fabricated_store.make_store(tmp_path, [0, 1], "team"))
+    (table,) = team(results)
+    rows = [dict(zip(table.header, row, strict=True)) for row in table.texts()]
+    heads = [tuple(row[name] for name in table.header[:4]) for row in rows]
+    assert len(set(heads)) == len(rows) == 2 * 4 + 2 + 2 * 4
+    assert [row["Robots move"] for row in rows].count("in turn") == 2 + 1 + 1
+    sights = {row["Decided by"] for row in rows if row["Method"].startswith("VDN")}
+    assert sights == {"each robot, in sight", "each robot, without sight"}
+    by_head = dict(zip(heads, rows, strict=True))
+    optimum = by_head["Exact optimum", "-", "in turn", "one for both"]
+    assert optimum[OVER] == "25.0 ± 0.0"  # 20 moves where 16 ticks do
+    central = by_head["Rainbow on 49 joint moves", "Full Rainbow", "at once", "one for both"]
+    assert central["Success (%)"] == "85.0 ± 7.1"
+    assert central[OVER].startswith("56.2")
+    (cost,) = (note for note in table.notes if note.startswith("Full Rainbow, what"))
+    assert "central Rainbow has 85.0 %" in cost
+    assert cost.count("changes that by +0.0 points [0.0, 0.0]") == 2
+    for built in build_tables(results):
+        if built.name != "team":
+            assert len(built.header) <= WIDEST, built.name
+            assert "VDN" not in built.markdown(), built.name
+            assert "at once" not in built.markdown(), built.name
+    assert [picture.name for picture in pictures(results)] == ["team_success"]

@@ -26,8 +26,6 @@ from tests.process import tracked
 
 ROOT = Path(__file__).resolve().parents[3]
 RESULTS = ROOT / "results"
-
-
 BEGIN = "<!-- results:begin results/quick -->"
 END = "<!-- results:end -->"
 SCIENCE = "<!-- science:begin results/quick -->"
@@ -100,7 +98,7 @@ def test_the_committed_results_are_what_their_episodes_say(
         assert f"{ROOT / page}: its blocks" in out
 
 
-def test_one_digit_of_any_table_is_seen(store: Store) -> None:
+def test_one_digit_of_any_table_is_seen_and_a_file_that_nothing_makes(store: Store) -> None:
     rng = random.Random(0)
     tables = sorted(store.tables.iterdir())
     assert len(tables) >= 21
@@ -112,6 +110,11 @@ def test_one_digit_of_any_table_is_seen(store: Store) -> None:
         assert problem.startswith(f"{path} differs from the stored episodes (line {line}: stored ")
         path.write_bytes(kept)
     assert verify(store) == []
+    (store.tables / "old.md").write_text("95", encoding="utf-8")
+    (store.tables / "ablation.csv").unlink()
+    missing, old = verify(store)
+    assert "ablation.csv is missing" in missing
+    assert "old.md is made by no table" in old
 
 
 def test_one_digit_of_a_page_is_seen(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -154,23 +157,18 @@ def test_rows_that_are_not_the_test_episodes_are_named(store: Store) -> None:
     path = store.completed()[-1].path / "episodes.csv"
     text = path.read_text(encoding="utf-8")
     lines = text.splitlines(keepends=True)
-
-    def problem(changed: str) -> str:
-        path.write_text(changed, encoding="utf-8")
-        (result,) = check_runs(store)
-        path.write_text(text, encoding="utf-8")
-        return result
-
-    assert "rows at noise 0.0, error 0 mm, acting greedy, not one for each" in problem(
-        "".join(lines[:5] + lines[6:])
-    )
     number, seed, start, rest = lines[1].split(",", 3)
-    assert "other than the test seeds" in problem(
-        "".join([lines[0], f"{number},{int(seed) + 1},{start},{rest}", *lines[2:]])
-    )
-    assert f"of seed {seed} began at" in problem(
-        "".join([lines[0], f"{number},{seed},0000000000,{rest}", *lines[2:]])
-    )
+    for changed, words in (
+        (lines[:5] + lines[6:], "rows at noise 0.0, error 0 mm, acting greedy, not one for each"),
+        ([lines[0], f"{number},{int(seed) + 1},{start},{rest}", *lines[2:]],
+         "other than the test seeds"),
+        ([lines[0], f"{number},{seed},0000000000,{rest}", *lines[2:]],
+         f"of seed {seed} began at"),
+    ):  # fmt: skip
+        path.write_text("".join(changed), encoding="utf-8")
+        (problem,) = check_runs(store)
+        assert words in problem
+    path.write_text(text, encoding="utf-8")
     learner = learners(store)[0]
     rows = learner.rows("episodes")
     rows[rows["noise"] == 0.0].to_csv(learner.path / "episodes.csv", index=False)
@@ -263,14 +261,6 @@ def test_a_store_of_a_preset_of_ones_own_is_named(
     folder = Store.open(copy / "results", "my2", create=True).folder
     assert main(words(copy)) == 0
     assert f"{folder}: not looked at; --preset FILE" in capsys.readouterr().out
-
-
-def test_a_table_that_nothing_makes_is_named(store: Store) -> None:
-    (store.tables / "old.md").write_text("95", encoding="utf-8")
-    (store.tables / "ablation.csv").unlink()
-    missing, old = verify(store)
-    assert "ablation.csv is missing" in missing
-    assert "old.md is made by no table" in old
 
 
 def test_a_report_rewrites_the_readme(copy: Path) -> None:

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from benchmarks.cli import main as command
-from benchmarks.methods.episodes import Episode
 from benchmarks.protocol.seeding import derive
 from benchmarks.studies import data
 
@@ -90,8 +89,8 @@ def test_a_dataset_of_another_recipe_is_refused(results: Path, refused: Callable
 
 
 def test_starts_without_a_move_count_as_failures() -> None:
-    idle, done = (Episode(data.RecordingEnv(), n, n) for n in range(2))
-    done.moves, done.insertions, done.reward = 30, [30], 20.0
+    idle = data.Played(0, [], {}, [], 0, 6)
+    done = idle._replace(steps=29 * [(0, 0.0, False, False)] + [(0, 20.0, True, False)], filled=1)
     result = data.measure([idle, done])
     assert (result["starts"], result["episodes"], result["steps"]) == (2, 1, 30)
     assert (result["success"], result["holes"], result["return"]) == (0.5, 0.5, 10.0)

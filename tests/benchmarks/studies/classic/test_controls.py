@@ -15,7 +15,7 @@ from benchmarks.runs.cell import run_cell
 from benchmarks.runs.store import RunFolder, Store
 from benchmarks.studies.classic.controls import SCRIPTS, at_random, held, scripted
 from benchmarks.studies.classic.experiment import Classic
-from benchmarks.studies.classic.playing import evaluate, make_env, run_control
+from benchmarks.studies.classic.train import evaluate, make_env, run_control
 
 pytest.importorskip("minatar", reason="needs the extra 'classic'")
 

@@ -45,10 +45,8 @@ def test_the_tasks_pass_both_checks(name: str) -> None:
     if name in GAMES:
         pytest.importorskip("minatar", reason="needs the extra 'classic'")
         env: gym.Env = MinAtarEnv(name)
-    elif name == "masked":
-        env = MaskedIdentityEnv(size=12, n_valid=3)
     else:
-        env = IdentityEnv(size=4)
+        env = MaskedIdentityEnv(size=12, n_valid=3) if name == "masked" else IdentityEnv(size=4)
     with warnings.catch_warnings():
         # both warn that nothing draws, and that NatureCNN, which is not used, needs 36 pixels
         warnings.filterwarnings("ignore", message=".*(render|36x36|spec).*")
@@ -120,12 +118,29 @@ def test_identity_is_sb3s_and_an_episode_depends_on_its_seed_alone() -> None:
     assert env.step((state + 1) % 4)[1] == 0.0
 
 
-def test_unknown_tasks_are_named() -> None:
-    with pytest.raises(BenchmarkError, match="unknown environment 'NoSuch-v0'"):
-        make("NoSuch-v0")
-    pytest.importorskip("minatar", reason="needs the extra 'classic'")
-    with pytest.raises(BenchmarkError, match="unknown MinAtar game 'pong'"):
-        make("MinAtar/pong")
+@pytest.mark.parametrize(
+    ("name", "package", "message"),
+    [
+        ("NoSuch-v0", "", "unknown environment 'NoSuch-v0'"),
+        ("MinAtar/pong", "minatar", "unknown MinAtar game 'pong'"),
+        ("ALE/NoSuch-v5", "ale_py", "unknown environment 'ALE/NoSuch-v5'"),
+        ("Lacking-v0", "", "'Lacking-v0' lacks a package: MuJoCo is not"),
+        ("LunarLander-v3", "", r"LunarLander-v3 needs .* '\.\[classic\]'"),
+    ],
+)
+def test_unknown_tasks_and_missing_packages_are_named(
+    name: str, package: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lacking() -> Any:
+        raise gym.error.DependencyNotInstalled("MuJoCo is not installed")
+
+    if package:
+        pytest.importorskip(package, reason="needs the extra 'classic'")
+    spec: Any = gym.envs.registration.EnvSpec("Lacking-v0", entry_point=lacking)  # type: ignore[arg-type]
+    monkeypatch.setitem(gym.registry, "Lacking-v0", spec)
+    monkeypatch.setitem(sys.modules, "Box2D", None)
+    with pytest.raises(BenchmarkError, match=message):
+        make(name)
 
 
 def test_no_module_that_a_file_names_is_imported(
@@ -137,24 +152,6 @@ def test_no_module_that_a_file_names_is_imported(
     with pytest.raises(BenchmarkError, match="'evil:X-v0': only coop_env's module is"):
         make("evil:X-v0")
     assert not Path("pwned").exists()
-
-
-def test_a_known_task_whose_package_is_missing_is_not_called_unknown(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def lacking() -> Any:
-        raise gym.error.DependencyNotInstalled("MuJoCo is not installed")
-
-    spec: Any = gym.envs.registration.EnvSpec("Lacking-v0", entry_point=lacking)  # type: ignore[arg-type]
-    monkeypatch.setitem(gym.registry, "Lacking-v0", spec)
-    with pytest.raises(BenchmarkError, match="'Lacking-v0' lacks a package: MuJoCo is not"):
-        make("Lacking-v0")
-
-
-def test_lunar_lander_says_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "Box2D", None)
-    with pytest.raises(BenchmarkError, match=r"LunarLander-v3 needs .* '\.\[classic\]'"):
-        make("LunarLander-v3")
 
 
 def test_atari_is_scored_as_played_and_learned_in_by_signs_and_lives() -> None:
@@ -208,5 +205,3 @@ def test_a_game_depends_on_its_seed_alone_and_stacks_its_frames() -> None:
         played.append(np.stack(images))
         env.close()
     np.testing.assert_array_equal(played[0], played[1])
-    with pytest.raises(BenchmarkError, match="unknown environment 'ALE/NoSuch-v5'"):
-        make("ALE/NoSuch-v5")

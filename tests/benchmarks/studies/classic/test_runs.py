@@ -25,8 +25,7 @@ from benchmarks.runs.cell import run_cell
 from benchmarks.runs.checkpoint import checkpoints
 from benchmarks.runs.store import RunFolder
 from benchmarks.studies.classic.experiment import Classic
-from benchmarks.studies.classic.playing import evaluate
-from benchmarks.studies.classic.train import build_model, run_learner
+from benchmarks.studies.classic.train import build_model, evaluate, run_learner
 from sb3_rainbow import Rainbow
 from tests.benchmarks.smoke import preset_file, stop_after
 

@@ -14,8 +14,7 @@ from benchmarks.protocol.presets import load
 from benchmarks.protocol.seeding import derive
 from benchmarks.studies.base import episode
 from benchmarks.studies.robots import contact, trials
-from benchmarks.studies.robots.contact import Contact, make
-from benchmarks.studies.robots.contact_report import levels
+from benchmarks.studies.robots.contact import Contact, levels, make
 
 pytest.importorskip("mujoco", reason="needs the extra physics")
 

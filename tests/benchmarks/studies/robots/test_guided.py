@@ -18,8 +18,7 @@ from benchmarks.methods.learners import class_on
 from benchmarks.protocol.plan import of_task
 from benchmarks.protocol.presets import Guide, SuitePreset, Task, load_suite
 from benchmarks.runs.store import RunFolder
-from benchmarks.studies.classic.playing import make_env
-from benchmarks.studies.classic.train import build_model, run_learner
+from benchmarks.studies.classic.train import build_model, make_env, run_learner
 from benchmarks.studies.robots import trials
 from benchmarks.studies.robots.contact import SEARCH, make
 from tests.benchmarks.smoke import stop_after

@@ -1,4 +1,4 @@
-"""Kinematic players on the twin, and ``study transfer``, which can be checked."""
+"""Kinematic players on the twin; ``study transfer`` and ``study physics``, which can be checked."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from benchmarks.methods.rrt_connect import execute
 from benchmarks.protocol.presets import load_preset
 from benchmarks.protocol.seeding import derive
 from benchmarks.studies.robots import transfer
+from benchmarks.studies.robots.physics import Physics
 from benchmarks.studies.robots.transfer import Transfer
 from benchmarks.studies.robots.trials import inserter
 from coop_env.simulation.sim_to_real import FORGE, draw_disturbance
@@ -113,3 +114,15 @@ def test_the_command_writes_what_it_prints(site: Any, monkeypatch: pytest.Monkey
     assert Transfer.main(["--results", str(here.results)]) == 0
     here.check(Transfer, "50 / 50 / 3.00")
     assert here.parts(Transfer)["RRT-Connect: twin"] == cell
+
+
+def test_the_twins_errors_and_speed_are_written_and_printed(site: Any) -> None:
+    here = site("physics")
+    small = ["--poses", "4", "--steps", "16", "--rounds", "1", "--memory-steps", "20"]
+    assert Physics.main(["--results", str(here.results), *small]) == 0
+    here.check(Physics, "tip of the peg")
+    assert (here.results / "physics" / "model" / "coop_insertion.xml").is_file()
+    parts = here.parts(Physics)
+    for geometry in ("initial", "optimized"):
+        assert 0.0 < parts[f"errors, {geometry}"]["tip"]["largest"] < 5e-5
+    assert min(parts["speed"].values()) > 0.0
