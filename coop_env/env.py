@@ -1,7 +1,5 @@
 """The cooperative peg-in-hole task as a Gymnasium environment."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 

@@ -3,8 +3,6 @@
 Each is a ``ValueError`` whose message names the value and the mend.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import fields

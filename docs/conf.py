@@ -4,8 +4,6 @@ The pages are also read on GitHub. They therefore use plain Markdown, and relati
 in both places; Sphinx copies the pictures they show from ``results``.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from importlib.metadata import metadata

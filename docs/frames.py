@@ -3,8 +3,6 @@
 Every point comes from ``coop_env``: dimensions, kinematics, holes.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Final
 

@@ -3,8 +3,6 @@
 Each page is laid out in frames of 1280 and 390 pixels. A screen is 800 pixels high.
 """
 
-from __future__ import annotations
-
 import html
 import json
 import re

@@ -9,8 +9,6 @@ marker up to the bracket are its arguments. Pages are the README and ``docs/`` b
 compares.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence

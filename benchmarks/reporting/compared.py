@@ -1,7 +1,5 @@
 """Comparisons that a sentence rests on: paired over seeds, and corrected within a question."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The results of README.md and of two pages of docs/: sentences, tables and figures of a store."""
 
-from __future__ import annotations
-
 from typing import Final
 
 from benchmarks.protocol.paper_values import PERFORMANCE

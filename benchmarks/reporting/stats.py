@@ -1,7 +1,5 @@
 """Statistics of stored episodes: means over seeds, intervals, paired tests. Pure functions."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

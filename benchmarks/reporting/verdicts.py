@@ -4,8 +4,6 @@ Each is a paragraph that the README shows, and one of details. What has no runs 
 rests on fewer than three seeds, or on fewer steps than the paper trains, gives no verdict.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple

@@ -4,8 +4,6 @@ Every number is made again from the rows of the runs and compared as text; nothi
 studies check their own data with what is here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final

@@ -7,8 +7,6 @@ and repeats the two until the time is up; *oscillate* does so where the episode 
 takes any unmasked move. Beside them stands what the trained policies of a preset came to.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@ A study is data on :class:`Study`: options, parts, tables, a page. The base resu
 stores, publishes and verifies.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import json

@@ -1,7 +1,5 @@
 """All studies and experiments by name, and what is done with them all: verify, pages."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
 from pathlib import Path

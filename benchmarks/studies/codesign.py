@@ -5,8 +5,6 @@ moving at once scores designs for Optuna's NSGA-II: success and mean ticks. Then
 on each of the chosen designs, over seeds, and tested on test starts. The same command goes on.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

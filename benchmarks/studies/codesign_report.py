@@ -1,7 +1,5 @@
 """What the co-design stored and which designs it chooses by that: tables, sentences, figure."""
 
-from __future__ import annotations
-
 import math
 from functools import cached_property
 from pathlib import Path

@@ -8,8 +8,6 @@ What was cut off begins anew, complete datasets are kept. With ``--contact`` the
 contact task act in it, and ``infos`` hold its privileged state.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import tempfile

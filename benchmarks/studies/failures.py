@@ -7,8 +7,6 @@ Written to ``results/<preset>/failures/`` as ``<method>-<track>``: ``.csv``, one
 and ``.md``.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The experiment of a preset: learners, planners and the design on the insertion task."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from typing import Any

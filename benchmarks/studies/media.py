@@ -4,8 +4,6 @@ The exact lattice optimum plays, or with --model a policy. Written to results/me
 episode.gif.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Sequence
 from functools import partial

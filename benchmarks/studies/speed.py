@@ -11,8 +11,6 @@ One core, in turns, so that whatever else the machine does falls on all alike; a
 time of the process in the median round.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import os

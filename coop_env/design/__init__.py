@@ -7,8 +7,6 @@
 True
 """
 
-from __future__ import annotations
-
 from coop_env.design.metrics import DesignMetrics as DesignMetrics
 from coop_env.design.metrics import measure as measure
 from coop_env.design.optimize import Atlas as Atlas

@@ -1,7 +1,5 @@
 """The figures of the paper's table of design results, measured on any design."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Optimizers over (lambda1, lambda2): the paper's Nelder-Mead, a global search, and the atlas."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """How much a design's workspace hangs on the threshold, on heave, and on the lengths as built."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """A test trajectory on a design: do the joints stay within their limits, and move smoothly?"""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

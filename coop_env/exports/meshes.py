@@ -4,8 +4,6 @@ A link's frame lies in the joint nearest to its base, x along the link, y along 
 actuated joint: the frames of the twin's MJCF.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final

@@ -5,8 +5,6 @@ ball at the wrist hold the Delta's effector level, three balls hold the platform
 is at home. Masses and inertias are those of the twin's MJCF, a forearm's halved between its rods.
 """
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path

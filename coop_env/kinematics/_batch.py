@@ -1,7 +1,5 @@
 """What the batched library does with arrays: checks at the door, then a kernel over all rows."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

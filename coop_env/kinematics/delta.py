@@ -9,8 +9,6 @@ Out of reach gives NaN and ``reachable=False``, and so does NaN. Every function 
 is not real numbers.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import Any, NamedTuple

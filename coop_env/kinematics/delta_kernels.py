@@ -4,8 +4,6 @@ Frame: the Delta's base, z up, so that the effector's z is negative. Limb i has 
 degrees. theta is measured down from the outward horizontal; the working mode is "knees out".
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ A tilting platform has two orientation freedoms. Here they are roll and pitch of
 normal against the least rotation that tilts), is zero in every 3-RRS.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -12,8 +12,6 @@ An unreachable pose gives NaN and ``reachable=False``, and so does NaN. Every fu
 :class:`ValueError` for an unknown pose model.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import Any, NamedTuple

@@ -5,8 +5,6 @@ follows from where it was, so the solver walks q from the previous pose's angles
 tracks the pose, refusing steps in which Newton's method may have left the branch.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

@@ -4,8 +4,6 @@ Library, step kernel, planners and design stage all call these. Frame: the 3-RRS
 Limb i has azimuth 0, 120 or 240 degrees, radial direction u_i and tangential t_i.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final, NamedTuple
 

@@ -6,8 +6,6 @@ singular value, which every symmetric pose of a 3-RRS has. Jacobi keeps them all
 in three or four sweeps.
 """
 
-from __future__ import annotations
-
 import math
 
 from coop_env.compilation import njit

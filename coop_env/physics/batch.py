@@ -3,8 +3,6 @@
 A batch of one is what a single environment plays, so it and the vector form agree to the last bit.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType

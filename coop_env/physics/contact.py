@@ -1,7 +1,5 @@
 """Episodes of the contact task: one peg above one hole."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

@@ -6,8 +6,6 @@ spot faces (a Delaunay triangulation on the sphere), drawn inwards by the shell'
 Neighbours share whole faces or overlap.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A machine behind three methods, the twin as the first of them, and a policy that drives it."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait

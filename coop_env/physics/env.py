@@ -1,7 +1,5 @@
 """Both tasks with real contact as Gymnasium environments: one hole by feel, and all of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Final
 

@@ -5,8 +5,6 @@ slides; the other limbs' ends are tied to them. A rod of the Delta is one link o
 the middle line of its parallelogram.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@
 collision stops it there. ``packed`` is :func:`coop_env.simulation.task.pack` of the machine.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ as its coordinate, because the bodies are drawn at home and ``ref`` says which a
 :mod:`~coop_env.physics.model_folder` says where each number comes from.
 """
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence

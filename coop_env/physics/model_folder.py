@@ -1,7 +1,5 @@
 """A model folder as MuJoCo's Menagerie has them: the MJCF, and a README that says what is in it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final

@@ -1,7 +1,5 @@
 """The whole task in the kinematic task's twelve moves: its policies and planners play in it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """The numbers of the contact task, with its three levels."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields

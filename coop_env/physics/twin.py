@@ -4,8 +4,6 @@ One machine is a batch of one, so the single environment and the vectorised one 
 and come to the same last bit.
 """
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 from typing import Any, NamedTuple

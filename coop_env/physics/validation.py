@@ -4,8 +4,6 @@ Poses are start states of the kinematic task. The servos are led there from home
 of configurations, so the twin has to find each pose by closing its loops.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

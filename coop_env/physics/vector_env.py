@@ -1,7 +1,5 @@
 """Many episodes with real contact at once, as Gymnasium's ``VectorEnv``."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Episodes of the whole task: bring the peg from far away to one hole after another, and insert."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

@@ -5,8 +5,6 @@ move to the next only poses and the holes' colours change. Sizes that the kinema
 (thicknesses, plates, housings) are for the eye; ``coop_env.simulation.collision`` has its own.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Perspective cameras that look at the two robots, and their names."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """One scene to one picture, and beside it a card with its numbers and a close view of the dome."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Gymnasium's render modes for an environment that can say what there is to see."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from types import MappingProxyType

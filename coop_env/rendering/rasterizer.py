@@ -5,8 +5,6 @@ buffers; a third pass shades each pixel and the floor with its grid. Colours are
 the last step, which looks display values up in a table.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final, NamedTuple
 

@@ -1,7 +1,5 @@
 """What there is to see: every body of the scene as plain numbers, for renderers and figures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final

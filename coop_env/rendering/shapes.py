@@ -4,8 +4,6 @@ A profile turned about the z axis, and a convex polygon extruded along it. Lengt
 counter-clockwise seen from outside. Meshes are cached.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """What a shield asks of a configuration, of a way and of an increment; scalar kernels."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

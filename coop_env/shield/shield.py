@@ -4,8 +4,6 @@
 environment, and :class:`ShieldedInsertionVecEnv` is the task under its masks, in a batch.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Moving a batch in one kernel call, and turning its outcomes into ``info``."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ sphere; both links and three spokes from the platform's centre to its spherical 
 The peg may enter the dome through a hole's mouth, chamfer included.
 """
 
-from __future__ import annotations
-
 import math
 
 from coop_env.compilation import njit

@@ -3,8 +3,6 @@
 Single environment, batch, team and planners all call it, so they agree to the last bit.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The task's numbers as an argument of the environment, checked like the robots' geometry."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ An agent's choices 0 to 5 are the moves of its robot's three axes in the order o
 actions, and 6 holds. A joint action is ``7 delta + rrs``.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

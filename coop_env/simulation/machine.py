@@ -3,8 +3,6 @@
 :mod:`coop_env.simulation.sim_to_real` draws such machines. With no knob turned nothing here runs.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, Final
 

@@ -1,7 +1,5 @@
 """The observation: its fields, fixed bounds, and the kernel that writes it."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

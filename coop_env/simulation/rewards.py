@@ -5,8 +5,6 @@ hovering within 3 cm of a hole, so a learner can farm it without ever inserting.
 the two-sided progress in distance and angle towards one hole, whose sum around any loop is nought.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from types import MappingProxyType

@@ -5,8 +5,6 @@ the model's (plus noise). Collisions, singularities, insertions, rewards and ``i
 machine's. The kinematic environments have one part of the knobs, those with contact another.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields

@@ -3,8 +3,6 @@
 Both are built in a scratch row, so a start that fails leaves the environment as it was.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Final
 

@@ -4,8 +4,6 @@ A configuration is its start plus an integer number of moves along each axis, so
 reverse cancel exactly.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import Any, Final

@@ -5,8 +5,6 @@ same axis. A configuration is ``(x, y, z, roll, pitch, heave)``: the Delta's eff
 base frame (m), then the platform's tilt (rad) and height (m).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import count
 from typing import Any, Final, NamedTuple, get_type_hints

@@ -1,7 +1,5 @@
 """What each of the two agents sees and may choose: their fields, spaces and masks."""
 
-from __future__ import annotations
-
 from typing import Any, Final
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The central form of the team's task: one agent that moves both robots in the same tick."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The team as a PettingZoo ``ParallelEnv``; :func:`coop_env.parallel_env` makes it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

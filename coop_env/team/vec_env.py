@@ -1,7 +1,5 @@
 """Teams in one batch, as SB3's ``VecEnv``: a row for each team, or a row for each agent."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The batched environment as SB3's ``VecEnv``: :mod:`coop_env.vector.vector_env` moves it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 

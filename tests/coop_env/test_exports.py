@@ -1,7 +1,5 @@
 """Meshes and SDF, loaded back by their libraries and held against MJCF and kinematics."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections import Counter
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Trajectories: limits, end points, ways that are not free, files, and what is refused."""
 
-from __future__ import annotations
-
 import csv
 import sys
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Without MuJoCo: the package works, and what needs it names the extra."""
 
-from __future__ import annotations
-
 from tests.process import python
 
 CODE = """

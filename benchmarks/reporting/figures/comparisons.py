@@ -1,7 +1,5 @@
 """Figures that compare methods on the test episodes: profiles, robustness, ablation."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any, Final

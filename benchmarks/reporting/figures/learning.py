@@ -1,7 +1,5 @@
 """Training curves over seeds: the paper's learning figures and ours beyond them. No torch here."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, Final

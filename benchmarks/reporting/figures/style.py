@@ -10,8 +10,6 @@ Figures are made without pyplot, so that none is left open, and the look holds i
 alone. The same data give the same bytes.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager

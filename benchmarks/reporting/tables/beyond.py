@@ -1,7 +1,5 @@
 """Tables that the paper has not: leaderboard, comparisons, uncertain machine, tasks, teams."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from operator import attrgetter
 from typing import Final

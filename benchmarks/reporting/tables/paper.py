@@ -3,8 +3,6 @@
 Nothing is trained or played again here, and torch is not imported.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import replace

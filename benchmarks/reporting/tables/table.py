@@ -1,7 +1,5 @@
 """A table as CSV (numbers apart), Markdown and LaTeX (booktabs)."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -5,8 +5,6 @@ MinAtar are greedy by hand: they look one move ahead and know how the game's obj
 that are not others' were written on seeds from 1000 on, as the settings of Rainbow.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any, Final

@@ -3,8 +3,6 @@
 Atari's games are as data-efficient Rainbow plays them, through ale-py and SB3's wrappers.
 """
 
-from __future__ import annotations
-
 import importlib
 import warnings
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """The public tasks as an experiment of the harness."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

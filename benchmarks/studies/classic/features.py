@@ -1,7 +1,5 @@
 """Feature extractors for images, as those who defined the tasks have them."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import torch

@@ -1,7 +1,5 @@
 """Tables, figures and the page's block of the classic tasks, from stored data alone."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from functools import partial

@@ -1,7 +1,5 @@
 """Stored runs of the classic tasks as numbers over seeds. No torch here."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Runs of the public tasks: a learner is trained and tested, a control tested, all alike."""
 
-from __future__ import annotations
-
 import math
 import pickle
 import time

@@ -1,7 +1,5 @@
 """The computations of the design study: each returns rows of plain numbers; and its files."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from operator import attrgetter

@@ -3,8 +3,6 @@
 Drawn from stored data alone: nothing is computed here.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any, Final

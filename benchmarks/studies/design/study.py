@@ -17,8 +17,6 @@ pose_model_design.csv   the table's figures under either pose model
 maps.npz                fields over (roll, pitch, heave) behind the figures
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable, Mapping

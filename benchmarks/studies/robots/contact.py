@@ -5,8 +5,6 @@ by time, with errors up to 3 mm. The tests have errors of fixed size to any side
 draws them. Last, a search inserts with other timesteps, contacts and play, and a film is drawn.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping

@@ -4,8 +4,6 @@ Speed is CPU time of the process on threads that do nothing else, in turns, the 
 actions are random, drawn beforehand, with a bias downwards so that the peg meets the dome.
 """
 
-from __future__ import annotations
-
 import os
 from functools import partial
 from typing import Any, Final

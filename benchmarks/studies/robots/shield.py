@@ -8,8 +8,6 @@ random, moves are looked at that start where the robots may meet. Last, machines
 their errors' bounds stand where the shield's model is at the margin.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Callable

@@ -8,8 +8,6 @@ of preset ``contact``, a policy for each seed. Where the policies of ``contact_e
 too, all insert on machines within the errors trained on and outside of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial

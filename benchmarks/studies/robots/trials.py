@@ -1,7 +1,5 @@
 """Episodes of the contact task under given errors and friction, for scripts and learners alike."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence

@@ -4,8 +4,6 @@ An entry lies in ``results/<preset>/entries/<name>-optimized-s<seed>/`` with the
 and takes its place in the leaderboard. It never mixes with the preset's own cells.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import hashlib

@@ -5,8 +5,6 @@ its own, none of which was ever trained on; then it is a few episodes per seed, 
 the track's own machine. The store stays as it is, the episodes go to ``results/again/``.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

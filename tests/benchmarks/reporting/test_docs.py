@@ -1,7 +1,5 @@
 """Pages: every key of a preset with its default, real commands, includes, the gallery."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

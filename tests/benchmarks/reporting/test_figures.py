@@ -1,7 +1,5 @@
 """Figures of a fabricated store: which there are, what they say, and what they cost."""
 
-from __future__ import annotations
-
 import io
 import resource
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Statistics against scipy, rliable's definition and closed forms."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tables, figures, README and verify, from a fabricated store whose numbers are known."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import io

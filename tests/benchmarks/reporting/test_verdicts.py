@@ -1,7 +1,5 @@
 """Each sentence that the pages say of the results, from runs whose figures are known."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """``verify``: green on the committed results, red after one digit anywhere."""
 
-from __future__ import annotations
-
 import random
 import re
 import shutil

@@ -1,7 +1,5 @@
 """What tests of studies share: a page that a study fills."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Reward audit and failure map: scripts against sums by hand, causes against the environment."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

@@ -1,7 +1,5 @@
 """``python -m benchmarks study codesign``: searches, goes on, chooses, can be checked."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict
 from typing import Any

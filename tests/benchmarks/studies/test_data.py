@@ -1,7 +1,5 @@
 """Datasets of the task: what is in them is what the environment does; they come whole or not."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

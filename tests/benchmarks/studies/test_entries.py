@@ -1,7 +1,5 @@
 """Bring your own method: any SB3 model or planner joins the leaderboard with one command."""
 
-from __future__ import annotations
-
 import json
 import sys
 import zipfile

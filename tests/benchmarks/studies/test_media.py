@@ -1,7 +1,5 @@
 """The command that writes the README's picture and the animation."""
 
-from __future__ import annotations
-
 import socket
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Studies ``speed-env`` and ``speed-rainbow``: what they measure, store and say."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import time

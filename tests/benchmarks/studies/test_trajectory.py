@@ -1,7 +1,5 @@
 """``study trajectory`` exports an episode, measures many, and can be checked."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sensitivity and the test trajectory."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import math

@@ -1,7 +1,5 @@
 """The optimizers: the paper's gain, constraints kept, starts that cannot work refused."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A_w: the paper's headline, the connected component, and a second implementation of it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

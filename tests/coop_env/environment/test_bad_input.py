@@ -1,7 +1,5 @@
 """Bad input: one named error each, and the environment left as it was."""
 
-from __future__ import annotations
-
 import json
 import math
 import pickle

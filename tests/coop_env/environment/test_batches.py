@@ -1,7 +1,5 @@
 """Both vector forms: seeds, copies that play on, snapshots, options, conventions."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What ends an episode, what counts as an insertion, and what a move does to the state."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The environment's options: both checkers accept their combinations, and what each does."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import random

@@ -1,7 +1,5 @@
 """What gymnasium.make and make_vec make of the registered names, and what came of an episode."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym

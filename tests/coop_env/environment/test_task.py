@@ -1,7 +1,5 @@
 """The task's numbers as arguments: what they change, and one named error for each bad value."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict
 from typing import Any

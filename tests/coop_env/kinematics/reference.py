@@ -5,8 +5,6 @@ parasitic yaw and a linear solve of the limb planes, the twist from LAPACK's sol
 values from batched SVD.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The Delta: inverse against forward, Jacobian against differences, workspace, bad input."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

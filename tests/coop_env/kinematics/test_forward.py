@@ -1,7 +1,5 @@
 """3-RRS forward kinematics: the inverse undone, and no silent jump of assembly mode."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

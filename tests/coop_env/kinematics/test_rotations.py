@@ -1,7 +1,5 @@
 """Rotations, against scipy's; singular values, against LAPACK's; every worked example."""
 
-from __future__ import annotations
-
 import doctest
 from types import FunctionType, ModuleType
 

@@ -1,7 +1,5 @@
 """The batched 3-RRS library: one formula for batch, loop and kernel; rates, margins, bad input."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

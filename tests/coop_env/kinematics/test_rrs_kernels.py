@@ -1,7 +1,5 @@
 """The scalar 3-RRS kernels, against golden data, a second formulation, and the mechanism itself."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Episodes on the twin, for the tests of this folder."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The contact task: checkers, episodes and their ends, forces, what is drawn, bad input."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from typing import Any

@@ -1,7 +1,5 @@
 """Machines that err: what each knob changes and what it leaves alone, seeds, bounds, bad values."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The twin behind the protocol of a machine, and policies that drive a machine through it."""
 
-from __future__ import annotations
-
 import threading
 import time
 from dataclasses import replace

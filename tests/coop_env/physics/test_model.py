@@ -1,7 +1,5 @@
 """The MJCF: what is in it, its folder, and machines that cannot be."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The twin against the analytic kinematics: poses, loops, torques, energy, speed of mass."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Both tasks in batches, whose rows are single environments; no failure is cheaper than idling."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import cycle, islice
 from typing import Any

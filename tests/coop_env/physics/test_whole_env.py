@@ -1,7 +1,5 @@
 """The whole task in increments: starts, insertions, bad input; what the twin shows."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The kinematic task's moves on the twin: where they end, collisions, finishes, the contract."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym

@@ -1,7 +1,5 @@
 """Pictures of a scene: what is in them, where it is, and that they follow the robots."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Every render mode of the environment, alone and under Gymnasium's wrappers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The browser view: what it refuses, and what it shows."""
 
-from __future__ import annotations
-
 import socket
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The collision kernel against all pairs of bodies; an entry into a filled hole counts once."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

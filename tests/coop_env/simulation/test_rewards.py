@@ -1,7 +1,5 @@
 """Both rewards against plain formulas, along real episodes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

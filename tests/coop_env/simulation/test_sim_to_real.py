@@ -1,7 +1,5 @@
 """Sim-to-real knobs: each does what it says, from the seed alone, and off means off."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Start states: valid, collision-free, spread as documented, and only from the seed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Teams in a batch, a row for each agent, against teams one by one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

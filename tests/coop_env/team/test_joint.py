@@ -1,7 +1,5 @@
 """Both robots in one tick: the single agent, refusals, masks against trying every choice."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import asdict
 from typing import Any

@@ -1,7 +1,5 @@
 """The two agents as PettingZoo has them: its own tests, what they see, who may act."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Layers, heads and noise of a user's own take part as they would in SB3."""
 
-from __future__ import annotations
-
 import io
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What plays the public tasks without learning: scripts, one action, chance."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The tasks of the public presets: Gymnasium's and SB3's checks, seeds, masks, closed form."""
 
-from __future__ import annotations
-
 import sys
 import warnings
 from pathlib import Path

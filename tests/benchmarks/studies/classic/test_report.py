@@ -1,7 +1,5 @@
 """Numbers, tables and figures of the public tasks, from stored runs."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

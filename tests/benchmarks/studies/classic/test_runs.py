@@ -1,7 +1,5 @@
 """Runs of the public tasks: the protocol, exact resuming, the command from end to end."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import re

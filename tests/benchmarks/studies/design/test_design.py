@@ -1,7 +1,5 @@
 """``python -m benchmarks study design``: the table, the generated pages and the figures."""
 
-from __future__ import annotations
-
 import json
 import math
 import shutil

@@ -1,7 +1,5 @@
 """Scripts insert as their names say, and ``python -m benchmarks study contact`` can be checked."""
 
-from __future__ import annotations
-
 import sys
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Learners of the contact task: whom the script guides, how runs resume, what tables say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """``python -m benchmarks study shield`` measures, goes on where it stopped, and can be checked."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Kinematic players on the twin; ``study transfer`` and ``study physics``, which can be checked."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import Any
