@@ -35,8 +35,8 @@ CURVES: Final[dict[str, tuple[str, str]]] = {
     "cumulative_reward": ("episode_reward", "Episode reward"),
     "holes": ("holes", "Holes per episode"),
     "success": ("success", "Success rate"),
-    "max_q": ("mean_max_q", "Mean max Q"),
-    "loss": ("loss", "Loss"),  # Rainbow's a cross-entropy, DQN's a Huber loss: not to be compared
+    "max_q": ("mean_max_q", "Mean max Q (PPO: value)"),
+    "loss": ("loss", "Loss, each learner's own"),  # a cross-entropy, or a Huber loss
     "duration": ("duration", "Episode duration (s)"),
 }
 RAW: Final = ("episode_reward", "duration")  # columns that are shown unsmoothed, too
@@ -207,9 +207,10 @@ def _mark_switches(axes: Axes, groups: Groups) -> None:
 def _exploration(groups: Groups) -> Figure:
     figure, (above, below) = style.canvas(2, sharex=True)
     for name, group, colour in _coloured(groups):
-        draw(above, group.curves(), "learning_rate", name, colour)
+        line = "--" if group.ablation == "none" else "-"  # where it lies on vanilla DQN's
+        draw(above, group.curves(), "learning_rate", name, colour, line)
         if quantity := _quantity(group):
-            draw(below, group.curves(), "noise", f"{name}: {quantity}", colour)
+            draw(below, group.curves(), "noise", f"{name}: {quantity}", colour, line)
     for axes, label in ((above, "Learning rate"), (below, "Exploration")):
         _mark_switches(axes, groups)
         style.finish(axes, label)
