@@ -20,7 +20,7 @@ from torch import nn
 from sb3_rainbow.masking.conventions import as_action_masks
 from sb3_rainbow.network.convolutions import NatureConvolutions
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
-from sb3_rainbow.network.shared_memory import AsVector, separate
+from sb3_rainbow.network.shared_memory import AsVector
 from sb3_rainbow.type_aliases import Distributional, NetArch, NoisyLayers, ObsArray
 
 # Optimizers that have one kernel for all parameters: a quarter of the time of one per parameter
@@ -35,17 +35,12 @@ class RainbowPolicy(AsVector, BasePolicy):
     then the ones that :class:`~sb3_rainbow.Rainbow` hands over from its own constructor.
 
     Args:
-        observation_space: Observation space.
-        action_space: Action space.
         lr_schedule: learning rate schedule; ``lr_schedule(1)`` is the initial rate.
         net_arch: sizes of the hidden layers, or ``dict(shared=[...], streams=[...])``; [64, 64],
             none after ``NatureCNN``, streams of 512 after ``NatureConvolutions``.
-        activation_fn: activation function.
         features_extractor_class: features extractor to use; None for the policy's own.
-        features_extractor_kwargs: its keyword arguments.
         normalize_images: whether to divide images by 255.
-        optimizer_class: optimizer to use, Adam by default.
-        optimizer_kwargs: its keyword arguments besides the learning rate.
+        optimizer_kwargs: the optimizer's arguments besides the learning rate.
         noisy_layers: ``"last_two"``, ``"head"`` or ``"all"``.
         dueling: see ``Rainbow``, as for the parameters that follow.
 
@@ -162,15 +157,6 @@ class RainbowPolicy(AsVector, BasePolicy):
             held |= present
             for p in stale:
                 self.optimizer.state.pop(p, None)
-
-    def __getstate__(self) -> dict[str, Any]:
-        self.separate_moments()
-        return self.__dict__.copy()
-
-    def separate_moments(self) -> None:
-        """Give each of the optimizer's tensors a memory of its own, which pickle stores whole."""
-        states = self.optimizer.state.values()
-        separate(v for s in states for v in s.values() if isinstance(v, th.Tensor))
 
     @property
     def device(self) -> th.device:

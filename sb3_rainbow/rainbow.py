@@ -16,8 +16,7 @@ from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedul
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.her.her_replay_buffer import HerReplayBuffer
 
-from sb3_rainbow.learner.denormals import flush_denormals
-from sb3_rainbow.learner.learner import Learner, as_batch
+from sb3_rainbow.learner.learner import Learner, as_batch, flush_denormals
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy, RainbowPolicy
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
@@ -499,11 +498,6 @@ class Rainbow(ResumableAlgorithm):
             raise SettingsMismatchError(
                 f"The checkpoint was saved with other settings than the model's: {error}"
             ) from error
-
-    def get_parameters(self) -> dict[str, dict[str, Any]]:
-        """As SB3's."""
-        self.policy.separate_moments()
-        return super().get_parameters()
 
     def _excluded_save_params(self) -> list[str]:
         own = ("q_net", "q_net_target", "_learner", "_warned_of_missing_masks")

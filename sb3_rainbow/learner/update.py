@@ -29,10 +29,7 @@ class Target(NamedTuple):
 
 
 def td_target(
-    q_net: RainbowNetwork,
-    q_net_target: RainbowNetwork,
-    batch: Batch,
-    double_q: bool,
+    q_net: RainbowNetwork, q_net_target: RainbowNetwork, batch: Batch, double_q: bool
 ) -> Target:
     """n-step target (Hessel et al. 2018, section "The Integrated Agent"), without gradients.
 
@@ -83,10 +80,7 @@ def td_losses(
 
 
 def mean_loss(
-    q_net: RainbowNetwork,
-    q_net_target: RainbowNetwork,
-    batch: Batch,
-    double_q: bool,
+    q_net: RainbowNetwork, q_net_target: RainbowNetwork, batch: Batch, double_q: bool
 ) -> tuple[th.Tensor, th.Tensor]:
     """Importance-weighted mean of the losses, scalar with gradient, and priorities ``(B,)``."""
     target = td_target(q_net, q_net_target, batch, double_q)
@@ -95,14 +89,6 @@ def mean_loss(
 
 
 def of_actions(logits: th.Tensor, actions: th.Tensor) -> th.Tensor:
-    """The head's outputs for one action of each sample.
-
-    Args:
-        logits: shape ``(B, A, N)``.
-        actions: shape ``(B, 1)``, int64.
-
-    Returns:
-        the rows of these actions, ``(B, N)``.
-    """
+    """The head's outputs ``(B, N)`` for one action ``(B, 1)`` of each sample, of ``(B, A, N)``."""
     rows = actions.unsqueeze(-1).expand(-1, 1, logits.shape[2])
     return logits.gather(1, rows).squeeze(1)
