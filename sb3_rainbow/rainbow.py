@@ -1,7 +1,5 @@
 """Rainbow on Stable-Baselines3."""
 
-import io
-import pathlib
 import warnings
 from typing import Any, ClassVar, TypeVar
 
@@ -34,7 +32,7 @@ from sb3_rainbow.settings import (
     support_in_file,
     support_of,
 )
-from sb3_rainbow.type_aliases import Distributional, ObsArray, UseMasking
+from sb3_rainbow.type_aliases import Distributional, ObsArray, SaveFile, UseMasking
 
 SelfRainbow = TypeVar("SelfRainbow", bound="Rainbow")
 
@@ -59,14 +57,11 @@ class Rainbow(ResumableAlgorithm):
     on scalar Q-values). The arguments up to ``device`` are those of SB3's ``DQN``, in its order.
 
     The defaults are for small tasks, of some ten thousand steps, where Hessel et al.'s, which are
-    for 200 million frames of Atari, learn nothing: a higher rate, more updates, a target network
-    that follows sooner, quantiles in the place of a support, and a little noise beside SB3's
-    epsilon, because noise alone tries some actions too seldom. ``Rainbow(..., **HESSEL)`` has
-    theirs (``sb3_rainbow.HESSEL``).
+    for 200 million frames of Atari, learn nothing; ``Rainbow(..., **sb3_rainbow.HESSEL)`` has
+    those.
 
     Args:
         policy: "MlpPolicy", "CnnPolicy", "MultiInputPolicy", or a policy class.
-        env: environment to learn from, or the name of a registered one.
         learning_rate: learning rate, or a function of the remaining progress (from 1 to 0).
             ``None`` (default) is 1e-3, with ``CnnPolicy`` 1e-4.
         buffer_size: transitions in the replay buffer, over all envs.
@@ -93,12 +88,9 @@ class Rainbow(ResumableAlgorithm):
         exploration_final_eps: epsilon at the end.
         max_grad_norm: gradient norm to clip to, None for no clipping.
         stats_window_size: episodes to average the logged statistics over.
-        tensorboard_log: folder of the TensorBoard log.
         policy_kwargs: arguments of the policy, such as ``net_arch``, ``noisy_layers``,
             ``optimizer_kwargs=dict(weight_decay=1e-5)``.
-        verbose: 0 for no output, 1 for information, 2 for debugging.
         seed: seed of all random generators.
-        device: torch device.
         double_q: choose the action at t + n with the online network.
         dueling: value and advantage streams.
         prioritized: draw transitions in proportion to their losses; uniformly if False. ``None``
@@ -119,7 +111,6 @@ class Rainbow(ResumableAlgorithm):
         use_masking: "auto" uses ``action_masks()`` where the env has it.
         cpu_kernels: update ReLU perceptrons on the CPU by compiled kernels, in a sixth to a third
             of the time of torch's operations.
-        _init_setup_model: whether to build the network at the creation of the instance.
 
     Raises:
         ValueError: for parameters out of range, or combinations that cannot work.
@@ -282,14 +273,12 @@ class Rainbow(ResumableAlgorithm):
         if self.replay_buffer_class is None:
             self.replay_buffer_class = PrioritizedReplayBuffer
         buffer_class, size = self.replay_buffer_class, self.buffer_size
-        kwargs: dict[str, Any] = {}
+        kwargs = dict(self.replay_buffer_kwargs)
         if issubclass(buffer_class, PrioritizedReplayBuffer | NStepReplayBuffer):
-            kwargs |= {"n_steps": self.n_steps, "gamma": self.gamma}
+            kwargs = {"n_steps": self.n_steps, "gamma": self.gamma, **kwargs}
         if issubclass(buffer_class, PrioritizedReplayBuffer):
             self.optimize_memory_usage = False  # or SB3 would warn of what its own buffer does
-            kwargs["alpha"] = self.alpha if self.prioritized else 0.0
-        kwargs |= self.replay_buffer_kwargs
-        if issubclass(buffer_class, PrioritizedReplayBuffer):
+            kwargs.setdefault("alpha", self.alpha if self.prioritized else 0.0)
             size = max(size, smallest_buffer(self.n_envs, kwargs["n_steps"]))
         if issubclass(buffer_class, HerReplayBuffer):
             assert self.env is not None, "You must pass an environment when using HerReplayBuffer"
@@ -307,12 +296,7 @@ class Rainbow(ResumableAlgorithm):
     def _create_aliases(self) -> None:
         self.q_net = self.policy.q_net
         self.q_net_target = self.policy.q_net_target
-        self._learner = Learner(
-            self.policy,
-            self.double_q,
-            self.max_grad_norm,
-            self.cpu_kernels,
-        )
+        self._learner = Learner(self.policy, self.double_q, self.max_grad_norm, self.cpu_kernels)
 
     def predict(
         self,
@@ -329,8 +313,7 @@ class Rainbow(ResumableAlgorithm):
 
         Args:
             observation: one observation or a batch.
-            state: passed through (for recurrent policies).
-            episode_start: unused (for recurrent policies).
+            state: passed through, as in SB3's policies that are not recurrent.
             deterministic: greedy actions of the mean weights.
             action_masks: True where allowed, ``(n_actions,)`` or ``(n_envs, n_actions)``.
 
@@ -453,7 +436,7 @@ class Rainbow(ResumableAlgorithm):
     @classmethod
     def load(
         cls: type[SelfRainbow],
-        path: str | pathlib.Path | io.BufferedIOBase,
+        path: SaveFile,
         env: GymEnv | None = None,
         device: th.device | str = "auto",
         custom_objects: dict[str, Any] | None = None,

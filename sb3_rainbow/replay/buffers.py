@@ -19,7 +19,7 @@ from sb3_rainbow.replay.kernels import (
     importance_weights,
     scale_priorities,
 )
-from sb3_rainbow.replay.observation_store import ObservationStore, in_single
+from sb3_rainbow.replay.observation_store import ObservationStore, in_single, whole
 from sb3_rainbow.replay.parameters import (
     check_buffer_size,
     check_counts,
@@ -59,7 +59,6 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         observation_space: any space that SB3 supports, dicts included.
         action_space: any that SB3 supports; action masks need a discrete one.
         device: where samples go.
-        n_envs: number of environments that add in step.
         optimize_memory_usage: accepted for SB3's sake; observations are always stored once.
         handle_timeout_termination: if False, truncations count as terminations.
         n_steps: rewards summed per sample.
@@ -148,10 +147,9 @@ class PrioritizedReplayBuffer(ReplayBuffer):
     @property
     def nbytes(self) -> int:
         """Bytes that all of it occupies once it is full, but for terminal observations."""
-        arrays = [self.actions, self.rewards, self.ends]
-        if self.next_action_masks is not None:
-            arrays.append(self.next_action_masks)
-        return self._store.nbytes + self.tree.nbytes + sum(array.nbytes for array in arrays)
+        arrays = [getattr(self, name) for name in _TRIMMED]
+        own = sum(array.nbytes for array in arrays if array is not None)
+        return self._store.nbytes + self.tree.nbytes + own
 
     def add(
         self,
@@ -173,8 +171,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             reward: shape ``(n_envs,)``.
             done: terminated or truncated, ``(n_envs,)``.
             infos: ``"TimeLimit.truncated"`` tells truncations from terminations.
-            next_action_masks: actions allowed at ``next_obs``, ``(n_envs, n_actions)``; None allows
-                all.
+            next_action_masks: allowed at ``next_obs``, ``(n_envs, n_actions)``; None allows all.
 
         Raises:
             ValueError: for a reward that is not finite in float32; nothing is stored then.
@@ -294,20 +291,6 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             )
         return self._get_samples(indices, env)
 
-    def _get_samples(  # type: ignore[override]
-        self, batch_inds: NDArray[np.int64], env: VecNormalize | None = None
-    ) -> PrioritizedReplayBufferSamples:
-        parts = self._windows(batch_inds, env)
-        parts["weights"] = np.empty(batch_inds.shape[0], dtype=np.float32)
-        importance_weights(batch_inds, self.tree.leaves, self.beta, parts["weights"])
-        tensors: dict[str, Any] = {name: self._to_device(part) for name, part in parts.items()}
-        return PrioritizedReplayBufferSamples(indices=batch_inds, **tensors)
-
-    def _to_device(self, values: ObsArray) -> th.Tensor | TensorDict:
-        if isinstance(values, dict):
-            return {key: th.from_numpy(part).to(self.device) for key, part in values.items()}
-        return th.from_numpy(values).to(self.device)
-
     def update_priorities(self, indices: NDArray[np.int64], losses: NDArray) -> None:
         """Set the priorities of drawn transitions to ``(loss + epsilon) ** alpha``.
 
@@ -337,9 +320,12 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         self.tree.set(leaves[:count], masses[:count])
         self.max_priority = max(self.max_priority, largest)
 
-    def _windows(self, leaves: NDArray[np.int64], env: VecNormalize | None) -> dict[str, ObsArray]:
-        """Transitions by the names of :class:`PrioritizedReplayBufferSamples`."""
-        n = leaves.shape[0]
+    def _get_samples(  # type: ignore[override]
+        self, batch_inds: NDArray[np.int64], env: VecNormalize | None = None
+    ) -> PrioritizedReplayBufferSamples:
+        leaves, n = batch_inds, batch_inds.shape[0]
+        weights = np.empty(n, dtype=np.float32)
+        importance_weights(leaves, self.tree.leaves, self.beta, weights)
         returns, discounts, dones = (np.empty((n, 1), dtype=np.float32) for _ in range(3))
         last_leaves, next_rows, next_slots = (np.empty(n, dtype=np.int64) for _ in range(3))
         assemble_windows(
@@ -370,12 +356,19 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             "dones": dones,
             "rewards": returns,
             "discounts": discounts,
+            "weights": weights,
         }
         masks = self.next_action_masks
         if masks is not None:
             masks = masks.reshape(-1, masks.shape[-1])
             parts["next_action_masks"] = masks.take(last_leaves, axis=0)
-        return parts
+        tensors: dict[str, Any] = {name: self._to_device(part) for name, part in parts.items()}
+        return PrioritizedReplayBufferSamples(indices=leaves, **tensors)
+
+    def _to_device(self, values: ObsArray) -> th.Tensor | TensorDict:
+        if isinstance(values, dict):
+            return {key: th.from_numpy(part).to(self.device) for key, part in values.items()}
+        return th.from_numpy(values).to(self.device)
 
     def _normalized_returns(
         self, leaves: NDArray[np.int64], env: VecNormalize
@@ -406,8 +399,5 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         self._store = ObservationStore.__new__(ObservationStore)
         self._store.restore_state(state["_store"])
         for name in _TRIMMED:
-            used = state[name]
-            if used is not None:
-                whole = np.zeros((self.buffer_size, *used.shape[1:]), dtype=used.dtype)
-                whole[: len(used)] = used
-                setattr(self, name, whole)
+            if state[name] is not None:
+                setattr(self, name, whole(state[name], self.buffer_size))

@@ -100,14 +100,7 @@ def _aligned_zeros(size: int) -> NDArray[np.float64]:
 
 
 class SumTree:
-    """Sum tree: samples indices in proportion to priority, in O(log n).
-
-    Args:
-        capacity: number of leaves.
-
-    Raises:
-        ValueError: if ``capacity`` is not positive.
-    """
+    """Sum tree of ``capacity`` leaves: samples indices in proportion to priority, in O(log n)."""
 
     def __init__(self, capacity: int) -> None:
         if capacity < 1:

@@ -19,12 +19,13 @@ from sb3_rainbow.resume.checkpoint import (
     MODEL,
     REPLAY,
     env_state,
+    get_rng_state,
     is_checkpoint,
     restore_env,
-    restore_wrappers,
+    set_rng_state,
 )
-from sb3_rainbow.resume.rng import get_rng_state, set_rng_state
 from sb3_rainbow.settings import SettingsMismatchError
+from sb3_rainbow.type_aliases import SaveFile
 
 SelfResumable = TypeVar("SelfResumable", bound="ResumableAlgorithm")
 
@@ -65,7 +66,7 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
 
     def save(
         self,
-        path: str | pathlib.Path | io.BufferedIOBase,
+        path: SaveFile,
         exclude: Iterable[str] | None = None,
         include: Iterable[str] | None = None,
     ) -> None:
@@ -82,12 +83,7 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
             self._rng_state = None
 
     @classmethod
-    def load(
-        cls: type[SelfResumable],
-        path: str | pathlib.Path | io.BufferedIOBase,
-        *args: Any,
-        **kwargs: Any,
-    ) -> SelfResumable:
+    def load(cls: type[SelfResumable], path: SaveFile, *args: Any, **kwargs: Any) -> SelfResumable:
         """As SB3's ``load``; a ``seed`` in ``kwargs`` wins over the saved random generators.
 
         Raises:
@@ -109,11 +105,7 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
     def _excluded_save_params(self) -> list[str]:
         return [*super()._excluded_save_params(), "_rng_to_resume"]
 
-    def load_replay_buffer(
-        self,
-        path: str | pathlib.Path | io.BufferedIOBase,
-        truncate_last_traj: bool = True,
-    ) -> None:
+    def load_replay_buffer(self, path: SaveFile, truncate_last_traj: bool = True) -> None:
         """As SB3's ``load_replay_buffer``; the tree and all priorities come along.
 
         Raises:
@@ -197,7 +189,5 @@ class ResumableAlgorithm(MaskedOffPolicyAlgorithm):
                 model.load_replay_buffer(buffer, truncate_last_traj=not resumable)
         vec_env = model.get_env()
         assert vec_env is not None
-        restore_wrappers(vec_env, state["wrappers"])
-        if resumable:
-            restore_env(vec_env, state["env"])
+        restore_env(vec_env, state)
         return model
