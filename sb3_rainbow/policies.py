@@ -204,20 +204,18 @@ class RainbowPolicy(AsVector, BasePolicy):
             observation = np.asarray(observation)
         obs_tensor, vectorized = self.obs_to_tensor(observation)
         rows = next(iter(obs_tensor.values())) if isinstance(obs_tensor, dict) else obs_tensor
-        n_obs, masks = len(rows), None
+        n_obs = len(rows)
+        masked = {}  # A subclass for envs without masks may have the signature of SB3's.
         if action_masks is not None:
-            n_actions = int(self.q_net.action_space.n)
             given = np.asarray(action_masks)
             if given.ndim == 1:
                 # As sb3-contrib: one observation's mask, or those of a batch one after another
                 given = given.reshape(n_obs, -1) if given.size % n_obs == 0 else given[None]
-            checked = as_action_masks(given, n_obs, n_actions)
-            masks = th.as_tensor(checked, device=self.device)
+            checked = as_action_masks(given, n_obs, int(self.q_net.action_space.n))
+            masked["action_masks"] = th.as_tensor(checked, device=self.device)
         with th.no_grad():
             if not deterministic:
                 self.reset_noise(n_obs)
-            # A subclass for envs without masks may have the signature of SB3's.
-            masked = {} if masks is None else {"action_masks": masks}
             actions = self._predict(obs_tensor, deterministic=deterministic, **masked)
         chosen = actions.cpu().numpy()
         return (chosen if vectorized else chosen.squeeze(axis=0)), state

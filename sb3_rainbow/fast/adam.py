@@ -20,13 +20,8 @@ class AdamOnVector:
     """One step of Adam for parameters that are parts of one vector.
 
     The moments become parts of vectors as well. They stay where torch looks for them, entry by
-    entry in the optimizer's state, so that saving, loading and torch's own steps see them.
-
-    Args:
-        parameters: parts of ``vector``, in order.
-        vector: their values.
-        gradient: gradient of ``vector``.
-        gradients: its parts, which are the parameters' gradients.
+    entry in the optimizer's state, so that saving, loading and torch's own steps see them. The
+    ``gradients`` are the parts of ``gradient``, as the parameters are those of ``vector``.
     """
 
     def __init__(

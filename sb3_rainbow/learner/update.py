@@ -20,12 +20,9 @@ from sb3_rainbow.type_aliases import Batch
 class Target(NamedTuple):
     """What the online network should predict, and what the logs need. B: batch size."""
 
-    values: th.Tensor
-    """Distribution over the atoms, or quantiles, ``(B, N)``, or scalar ``(B, 1)``."""
-    next_actions: th.Tensor
-    """Actions chosen at t + k, ``(B, 1)``."""
-    next_values: th.Tensor
-    """The same at t + k, before discounting."""
+    values: th.Tensor  # distribution over the atoms, or quantiles, (B, N), or scalar (B, 1)
+    next_actions: th.Tensor  # chosen at t + k, (B, 1)
+    next_values: th.Tensor  # as values, at t + k, before discounting
 
 
 def td_target(

@@ -110,7 +110,7 @@ class MaskedOffPolicyAlgorithm(OffPolicyAlgorithm):
     def _epsilon_greedy(
         self, actions: NDArray, epsilon: float, action_masks: NDArray | None
     ) -> NDArray:
-        """Each env's action replaced by a random allowed one with probability ``epsilon``."""
+        """Each env's action, or with probability ``epsilon`` a random allowed one."""
         n = actions.size
         explores = np.random.random_sample(n) < epsilon  # noqa: NPY002
         if not explores.any():

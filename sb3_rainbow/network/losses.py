@@ -5,13 +5,9 @@ from torch.nn import functional as F
 
 
 def mask_q_values(q_values: th.Tensor, action_masks: th.Tensor | None) -> th.Tensor:
-    """Q-values with forbidden actions at minus infinity, ``(B, A)``.
+    """Q-values ``(B, A)`` with those of actions that masks ``(B, A)`` forbid at minus infinity.
 
     Masks act on expected values: on the logits of a distribution they would only deform it.
-
-    Args:
-        q_values: shape ``(B, A)``.
-        action_masks: shape ``(B, A)``, True where allowed; None allows everything.
     """
     if action_masks is None:
         return q_values
@@ -19,11 +15,7 @@ def mask_q_values(q_values: th.Tensor, action_masks: th.Tensor | None) -> th.Ten
 
 
 def project_distribution(
-    probabilities: th.Tensor,
-    rewards: th.Tensor,
-    discounts: th.Tensor,
-    v_min: float,
-    v_max: float,
+    probabilities: th.Tensor, rewards: th.Tensor, discounts: th.Tensor, v_min: float, v_max: float
 ) -> th.Tensor:
     """Project ``r + discount * Z`` onto the support (Bellemare et al. 2017, equation 7).
 
@@ -65,11 +57,7 @@ def _positions(
 
 
 def clipped_share(
-    probabilities: th.Tensor,
-    rewards: th.Tensor,
-    discounts: th.Tensor,
-    v_min: float,
-    v_max: float,
+    probabilities: th.Tensor, rewards: th.Tensor, discounts: th.Tensor, v_min: float, v_max: float
 ) -> th.Tensor:
     """Share of the target's probability mass outside ``[v_min, v_max]``; scalar.
 
@@ -83,20 +71,12 @@ def clipped_share(
 
 
 def categorical_losses(logits: th.Tensor, target: th.Tensor) -> th.Tensor:
-    """Cross-entropy of the projected target with the predicted distribution, ``(B,)``.
-
-    Args:
-        logits: of the action taken, shape ``(B, N)``.
-        target: projected distribution, shape ``(B, N)``.
-    """
+    """Cross-entropies ``(B,)`` of projected targets with the taken actions' logits ``(B, N)``."""
     return -(target * F.log_softmax(logits, dim=1)).sum(dim=1)
 
 
 def target_entropies(target: th.Tensor) -> th.Tensor:
-    """Entropy of each sample's projected target: ``(B, N)`` to ``(B,)``.
-
-    No prediction has a smaller cross-entropy.
-    """
+    """Entropies ``(B,)`` of projected targets ``(B, N)``: no cross-entropy is smaller."""
     return -th.special.xlogy(target, target).sum(dim=1)
 
 

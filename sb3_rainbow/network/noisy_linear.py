@@ -36,8 +36,6 @@ class NoisyLinear(nn.Module):
     It lies in buffers, which a Polyak average over the parameters leaves alone.
 
     Args:
-        in_features: size of each input.
-        out_features: size of each output.
         sigma0: initial noise scale; every sigma starts at ``sigma0 / sqrt(in_features)``.
         outputs_per_noise: outputs in a row that share their output noise. The quantiles of an
             action do: with noise of their own, their mean, which chooses the action, would hardly

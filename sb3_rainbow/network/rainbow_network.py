@@ -15,7 +15,7 @@ from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import nn
 from torch.nn import functional as F
 
-from sb3_rainbow.network.convolutions import gains_by_channels_last, put_channels_last
+from sb3_rainbow.network.convolutions import gains_by_channels_last
 from sb3_rainbow.network.losses import mask_q_values
 from sb3_rainbow.network.noisy_linear import NoisyLinear, scale_noise_, silenced
 from sb3_rainbow.network.shared_memory import AsVector
@@ -103,7 +103,9 @@ class RainbowNetwork(AsVector, BasePolicy):
         # A constant, not a weight: what loads or randomizes the weights must not change it.
         self.register_buffer("support", th.linspace(v_min, v_max, self.n_atoms), persistent=False)
         if gains_by_channels_last(features_extractor):
-            put_channels_last(features_extractor)
+            for weight in features_extractor.parameters():
+                if weight.ndim == 4:
+                    weight.data = weight.data.contiguous(memory_format=th.channels_last)
         self._build_layers()
         self.reset_noise()
 

@@ -17,7 +17,7 @@ from sb3_rainbow.fast.adam import AdamOnVector
 from sb3_rainbow.learner.learner import Learner
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy
 from sb3_rainbow.type_aliases import Batch
-from tests.sb3_rainbow.small import FAST, random_batch
+from tests.sb3_rainbow.small import make, random_batch
 
 N_ACTIONS = 5
 BOX, IMAGES = spaces.Box(-1, 1, (6,), np.float32), spaces.Box(0, 255, (2, 36, 36), np.uint8)
@@ -150,15 +150,14 @@ def test_updates_agree_with_torch(kwargs: dict[str, Any]) -> None:
     ids=str,
 )
 def test_torch_does_what_the_kernels_cannot(policy_kwargs: dict[str, Any]) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", **{**FAST, "policy_kwargs": policy_kwargs})
+    model = make(policy_kwargs=policy_kwargs)
     assert model._learner.kernels() is None
     model.learn(40)
 
 
 @pytest.mark.parametrize("kind", [th.optim.Adam, th.optim.SGD])
 def test_an_optimizer_given_later_is_the_one_that_steps(kind: Any) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", **FAST)
-    model.learn(40)
+    model = make().learn(40)
     model.policy.optimizer = kind(model.q_net.parameters(), lr=1e-3)
     calls: list[Any] = []
     model.policy.optimizer.register_step_post_hook(lambda *_: calls.append(1))
@@ -209,8 +208,7 @@ def test_a_round_that_fails_ends_the_trust() -> None:
 @pytest.mark.parametrize("cpu_kernels", [True, False])
 @pytest.mark.parametrize("settings", [{}, {"distributional": False, "prioritized": False}], ids=str)
 def test_a_batch_of_one(cpu_kernels: bool, settings: dict[str, Any]) -> None:
-    given = {**FAST, "batch_size": 1, "cpu_kernels": cpu_kernels, **settings}
-    model = Rainbow("MlpPolicy", "CartPole-v1", **given)
+    model = make(batch_size=1, cpu_kernels=cpu_kernels, **settings)
     model.learn(60, log_interval=10**6)
     logged = dict(model.logger.name_to_value)
     assert {"train/loss", "train/max_q"} <= set(logged)
@@ -253,7 +251,7 @@ def test_a_layer_whose_weights_are_replaced_counts_and_trains(network: str, laye
 
 @pytest.mark.parametrize("masked", [False, True])
 def test_exploring_actions_are_those_of_the_policy_under_the_same_noise(masked: bool) -> None:
-    model = Rainbow("MlpPolicy", "CartPole-v1", buffer_size=100, sigma0=2.0, seed=0, device="cpu")
+    model = make(sigma0=2.0, policy_kwargs={})
     obs = np.random.default_rng(0).normal(size=(50, 4)).astype(np.float32)
     masks = np.random.default_rng(1).random((50, 2)) < 0.6 if masked else None
     if masks is not None:

@@ -16,12 +16,12 @@ from torch import nn
 from sb3_rainbow import MlpPolicy, NoisyLinear, Rainbow
 from sb3_rainbow.learner.learner import as_batch
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
-from tests.sb3_rainbow.small import FAST, policy_of
+from tests.sb3_rainbow import small
+from tests.sb3_rainbow.small import policy_of
 
 
-def make(policy: Any = "MlpPolicy", **kwargs: Any) -> Rainbow:
-    settings = {**FAST, "train_freq": 1, "policy_kwargs": {}, **kwargs}
-    return Rainbow(policy, "CartPole-v1", **settings)
+def make(policy: Any = "MlpPolicy", env: Any = "CartPole-v1", **kwargs: Any) -> Rainbow:
+    return small.make(policy, env, **{"train_freq": 1, "policy_kwargs": {}, **kwargs})
 
 
 def test_an_optimizer_keeps_what_is_not_the_networks() -> None:
@@ -244,8 +244,8 @@ class Viewing(BaseFeaturesExtractor):
 
 def test_an_extractor_that_views_its_images_as_rows() -> None:
     env = FakeImageEnv(2, screen_height=40, screen_width=40, n_channels=3, discrete=True)
-    settings = {**FAST, "policy_kwargs": {"features_extractor_class": Viewing}}
-    assert Rainbow("CnnPolicy", env, **settings).learn(24)._n_updates > 0
+    model = make("CnnPolicy", env, policy_kwargs={"features_extractor_class": Viewing})
+    assert model.learn(24)._n_updates > 0
 
 
 def test_statistics_of_a_normalization_do_not_move_with_the_logs() -> None:
@@ -260,18 +260,6 @@ def test_statistics_of_a_normalization_do_not_move_with_the_logs() -> None:
     model.policy.set_training_mode(True)
     model._learner.diagnostics(batch, th.ones(8))
     assert th.equal(statistics, normalization.running_mean)
-
-
-def test_parts_with_the_signatures_of_sb3_serve_envs_without_masks() -> None:
-    class Policy(MlpPolicy):
-        def _predict(self, observation, deterministic=False):  # type: ignore[no-untyped-def, override]
-            return super()._predict(observation, deterministic)
-
-    class Algorithm(Rainbow):
-        def predict(self, observation, state=None, episode_start=None, deterministic=False):  # type: ignore[no-untyped-def, override]
-            return super().predict(observation, state, episode_start, deterministic)
-
-    assert Algorithm(Policy, "CartPole-v1", learning_starts=10, device="cpu").learn(20)._n_updates
 
 
 class Running(BaseFeaturesExtractor):
