@@ -74,6 +74,14 @@ def random_batch(
     )
 
 
+def make_policy(
+    space: spaces.Space, n_actions: int, kind: type[MlpPolicy] = MlpPolicy, **kwargs: Any
+) -> MlpPolicy:
+    """A policy without its algorithm."""
+    given = {"distributional": True, **kwargs}
+    return kind(space, spaces.Discrete(n_actions), lambda _: 1e-3, **given)
+
+
 def policy_of(network: type[RainbowNetwork]) -> type[MlpPolicy]:
     """A policy whose networks are of a class."""
 

@@ -11,7 +11,6 @@ from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, NatureCNN
 from torch import nn
 
-from sb3_rainbow import Rainbow
 from sb3_rainbow.fast import learning_kernels as kernels
 from sb3_rainbow.fast.adam import AdamOnVector
 from sb3_rainbow.learner.learner import Learner

@@ -26,7 +26,7 @@ N_ACTIONS = 6
 
 
 class ClockEnv(gym.Env):
-    """The observation is (episode, time); the mask depends on both, and a forbidden action raises."""
+    """Shows (episode, time), on which its mask depends; a forbidden action raises."""
 
     def __init__(self, length: int = 5, truncates: bool = True) -> None:
         self.observation_space = spaces.Box(-1.0, 1e6, (2,), np.float32)
