@@ -180,7 +180,7 @@ class MlpUpdate:
         self._streams = np.empty((batch_size, n_streams), np.float32)
 
     def is_current(self, optimizer: th.optim.Optimizer) -> bool:
-        """Whether parameters and noise have the memory they had, and Adam is still Adam."""
+        """Whether both networks have the memory they had, and Adam is still Adam."""
         current = self._online.is_current() and self._target.is_current()
         return current and self._adam.is_possible(optimizer, self._adam.ids)
 
@@ -255,15 +255,7 @@ class MlpUpdate:
 
     @single_blas_thread()
     def act(self, obs: th.Tensor, action_masks: NDArray[np.bool_] | None) -> NDArray[np.int64]:
-        """Greedy actions of the online network under fresh noise, each environment's its own.
-
-        Args:
-            obs: observations, ``(n_envs, ...)``.
-            action_masks: True where allowed, ``(n_envs, n_actions)``.
-
-        Returns:
-            shape ``(n_envs,)``.
-        """
+        """As ``Learner.act``: each environment has noise of its own."""
         features = self._features(self.q_net, obs)
         n, online = features.shape[0], self._online
         self._reserve(n)

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from functools import cache
 from itertools import chain
-from operator import attrgetter, is_, methodcaller
+from operator import attrgetter, methodcaller
 from typing import Any
 
 import numpy as np
@@ -129,34 +129,28 @@ class _ChangeDetector:
 
     def __init__(self, root: nn.Module) -> None:
         self._modules = list(root.modules())
-        self._types = list(map(type, self._modules))
         self._attributes = list(map(vars, self._modules))
-        self._n_attributes = list(map(len, self._attributes))
         self._hooks = _hooks(self._modules)
-        self._has_hooks = any(self._hooks)
         parts = [d for m in self._modules for d in (m._modules, m._parameters, m._buffers)]
         self._parts = [d for d in parts if d]
-        self._contents = self._list_contents()
         self._parameters = list(root.parameters())
-        self._trained = list(map(_TRAINS, self._parameters))
         self._learning = [p for p in self._parameters if p.requires_grad]  # only these have hooks
-        self._has_hooked_parameters = _are_hooked(self._learning)
+        self._contents, self._seen = self._look()
 
-    def _list_contents(self) -> list[Any]:
-        return list(chain.from_iterable(map(_VALUES, self._parts)))
+    def _look(self) -> tuple[list[Any], tuple[Any, ...]]:
+        contents = list(chain.from_iterable(map(_VALUES, self._parts)))
+        return contents, (
+            list(map(id, contents)),
+            list(map(type, self._modules)),
+            list(map(len, self._attributes)),
+            any(self._hooks),
+            list(map(_TRAINS, self._parameters)),
+            _are_hooked(self._learning),
+        )
 
     def is_unchanged(self) -> bool:
-        """Whether all is as it was at the creation of this object."""
-        contents = self._list_contents()
-        return (
-            len(contents) == len(self._contents)
-            and all(map(is_, contents, self._contents))
-            and list(map(type, self._modules)) == self._types
-            and list(map(len, self._attributes)) == self._n_attributes
-            and any(self._hooks) == self._has_hooks
-            and list(map(_TRAINS, self._parameters)) == self._trained
-            and _are_hooked(self._learning) == self._has_hooked_parameters
-        )
+        """Whether all is as it was at the creation of this object, which keeps what it saw."""
+        return self._look()[1] == self._seen
 
 
 def _acts_plainly(policy: RainbowPolicy) -> bool:

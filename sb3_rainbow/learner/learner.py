@@ -42,13 +42,9 @@ def flush_denormals() -> Iterator[None]:
 
 
 class Learner:
-    """Moves a policy's networks; ``double_q`` and ``max_grad_norm`` may change in between.
+    """Moves a policy's networks, with ``cpu_kernels`` by compiled kernels where they can.
 
-    Args:
-        policy: whose networks and optimizer to work on.
-        double_q: double Q-learning.
-        max_grad_norm: gradient norm to clip to, None for no clipping.
-        cpu_kernels: whether compiled kernels take over where they can.
+    ``double_q`` and ``max_grad_norm`` may change between two updates.
     """
 
     def __init__(
@@ -158,11 +154,8 @@ class Learner:
 
 
 def as_batch(samples: Any, gamma: float, masking: bool) -> Batch:
-    """Convert a sample of any replay buffer to a batch.
-
-    Args:
-        gamma: discount of samples that bring none.
-        masking: whether the masks of the sample, if any, count.
+    """Convert a sample of any replay buffer to a batch; ``gamma`` serves those without discounts,
+    and masks count with ``masking`` alone.
     """
     discounts, weights = (getattr(samples, name, None) for name in ("discounts", "weights"))
     n = len(samples.rewards)

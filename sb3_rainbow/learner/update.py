@@ -7,7 +7,6 @@ from torch.nn import functional as F
 
 from sb3_rainbow.network.losses import (
     categorical_losses,
-    huber_losses,
     mask_q_values,
     project_distribution,
     quantile_losses,
@@ -72,7 +71,7 @@ def td_losses(
     if q_net.head == "quantile":
         errors = taken.detach().mean(dim=1) - target.mean(dim=1)
         return quantile_losses(taken, target), errors.abs()
-    losses = huber_losses(taken[:, 0], target[:, 0])
+    losses = F.smooth_l1_loss(taken[:, 0], target[:, 0], reduction="none")
     return losses, (taken - target)[:, 0].detach().abs()
 
 

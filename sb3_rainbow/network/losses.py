@@ -81,12 +81,8 @@ def target_entropies(target: th.Tensor) -> th.Tensor:
 
 
 def quantile_losses(quantiles: th.Tensor, target: th.Tensor) -> th.Tensor:
-    """Quantile Huber loss with threshold 1 (Dabney et al. 2018, equation 10), ``(B,)``: the mean
-    over the target's samples, summed over the predicted quantiles.
-
-    Args:
-        quantiles: of the action taken, at the midpoints ``(i + 1/2) / N``, shape ``(B, N)``.
-        target: samples of the target's distribution, shape ``(B, M)``.
+    """Quantile Huber losses ``(B,)`` with threshold 1 (Dabney et al. 2018, equation 10): the mean
+    over the target's samples ``(B, M)``, summed over the quantiles ``(B, N)`` of the action taken.
     """
     n = quantiles.shape[1]
     midpoints = (th.arange(n, device=quantiles.device, dtype=quantiles.dtype) + 0.5) / n
@@ -95,8 +91,3 @@ def quantile_losses(quantiles: th.Tensor, target: th.Tensor) -> th.Tensor:
     huber = F.smooth_l1_loss(predicted, wanted, reduction="none")
     tilt = (midpoints[:, None] - (wanted < predicted.detach()).to(quantiles.dtype)).abs()
     return (tilt * huber).mean(dim=2).sum(dim=1)
-
-
-def huber_losses(q_values: th.Tensor, target: th.Tensor) -> th.Tensor:
-    """Huber loss with threshold 1 of the Q-values of the actions taken; all ``(B,)``."""
-    return F.smooth_l1_loss(q_values, target, reduction="none")

@@ -184,11 +184,9 @@ class RainbowNetwork(AsVector, BasePolicy):
 
     @th.no_grad()
     def reset_noise(self, n_envs: int = 1) -> None:
-        """Draw new noise for every noisy layer.
+        """Draw new noise for every noisy layer, for each of ``n_envs`` environments its own.
 
-        Args:
-            n_envs: environments to act in, each by noise of its own; 1 for one noise for all rows
-                of a batch, as in an update.
+        With one environment all rows of a batch share a noise, as in an update.
         """
         together = self.layers_drawn_together()
         if together:  # one call of the generator takes a fraction of the time of many
@@ -211,10 +209,8 @@ class RainbowNetwork(AsVector, BasePolicy):
         }
 
     def streams(self, obs: PyTorchObs, noisy: bool) -> th.Tensor:
-        """Outputs of the head before value and advantages are joined, for acting, target and loss.
-
-        Returns:
-            shape ``(B, n_streams, n_atoms)``, the value first where there is one.
+        """Outputs of the head ``(B, n_streams, n_atoms)`` before value and advantages are joined,
+        for acting, target and loss; the value first where there is one.
         """
         with nullcontext() if noisy else silenced(self._layers_called_by_others()):
             features = self.extract_features(obs, self.features_extractor)
@@ -291,11 +287,7 @@ class RainbowNetwork(AsVector, BasePolicy):
 
 
 def head_of(distributional: Distributional) -> Literal["scalar", "categorical", "quantile"]:
-    """What a head predicts.
-
-    Raises:
-        ValueError: for anything but True, False, ``"categorical"`` and ``"quantile"``.
-    """
+    """What a head predicts."""
     if isinstance(distributional, bool):
         return "categorical" if distributional else "scalar"
     if distributional in ("categorical", "quantile"):
@@ -306,12 +298,7 @@ def head_of(distributional: Distributional) -> Literal["scalar", "categorical", 
 
 
 def split_arch(net_arch: NetArch) -> tuple[list[int], list[int]]:
-    """Sizes of the hidden layers that all streams share, and of those of each.
-
-    Raises:
-        ValueError: for anything else than a list of positive sizes, or a dict of such lists with no
-            other keys than ``shared`` and ``streams``.
-    """
+    """Sizes of the hidden layers that all streams share, and of those of each."""
     sizes = net_arch if isinstance(net_arch, dict) else {"shared": net_arch}
     try:
         if not sizes.keys() <= {"shared", "streams"}:

@@ -10,15 +10,8 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.type_aliases import TensorDict
 from stable_baselines3.common.vec_env import VecNormalize
 
-from sb3_rainbow.replay.kernels import (
-    RUNNING,
-    TERMINATED,
-    TRUNCATED,
-    assemble_windows,
-    complete_windows,
-    importance_weights,
-    scale_priorities,
-)
+from sb3_rainbow.replay import kernels
+from sb3_rainbow.replay.kernels import RUNNING, TERMINATED, TRUNCATED
 from sb3_rainbow.replay.observation_store import ObservationStore, in_single, whole
 from sb3_rainbow.replay.parameters import (
     check_buffer_size,
@@ -244,7 +237,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
 
     def _complete(self, ended: NDArray[np.bool_], newest: int) -> None:
         leaves = np.empty(int(self._pending.sum()), dtype=np.int64)
-        count = complete_windows(
+        count = kernels.complete_windows(
             self._pending, ended, newest, self.buffer_size, self.n_steps, leaves
         )
         if count:  # at the top priority, so that each is drawn before long
@@ -260,9 +253,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
     ) -> PrioritizedReplayBufferSamples:
         """Draw transitions in proportion to their priorities, with replacement.
 
-        Args:
-            batch_size: number of transitions.
-            env: normalizes observations and rewards with its current statistics.
+        ``env`` normalizes observations and rewards with its current statistics.
 
         Raises:
             ValueError: if no window is complete yet.
@@ -303,7 +294,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         """
         n = indices.shape[0]
         leaves, masses = np.empty(n, dtype=np.int64), np.empty(n)
-        count, largest = scale_priorities(
+        count, largest = kernels.scale_priorities(
             indices,
             np.asarray(losses, dtype=np.float64),
             self.tree.leaves,
@@ -325,10 +316,10 @@ class PrioritizedReplayBuffer(ReplayBuffer):
     ) -> PrioritizedReplayBufferSamples:
         leaves, n = batch_inds, batch_inds.shape[0]
         weights = np.empty(n, dtype=np.float32)
-        importance_weights(leaves, self.tree.leaves, self.beta, weights)
+        kernels.importance_weights(leaves, self.tree.leaves, self.beta, weights)
         returns, discounts, dones = (np.empty((n, 1), dtype=np.float32) for _ in range(3))
         last_leaves, next_rows, next_slots = (np.empty(n, dtype=np.int64) for _ in range(3))
-        assemble_windows(
+        kernels.assemble_windows(
             leaves,
             self.rewards,
             self.ends,

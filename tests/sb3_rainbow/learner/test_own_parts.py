@@ -263,26 +263,27 @@ def test_statistics_of_a_normalization_do_not_move_with_the_logs() -> None:
 
 
 class Running(BaseFeaturesExtractor):
-    """Its buffer is of another name; that of the module around it says that it runs."""
+    """Batch normalization, and a buffer of another name: the module around it says that it runs."""
 
     def __init__(self, space: spaces.Space) -> None:
         super().__init__(space, 4)
+        self.norm = nn.BatchNorm1d(4)
         self.running_norm: Any = nn.Module()
         self.running_norm.register_buffer("mean", th.zeros(4))
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
         if self.training:
             self.running_norm.mean.lerp_(observations.mean(0), 0.1)
-        return observations - self.running_norm.mean
+        normalized: th.Tensor = self.norm(observations - self.running_norm.mean)
+        return normalized
 
 
 def test_running_statistics_reach_the_target_as_in_sb3() -> None:
     model: Any = make(policy_kwargs={"features_extractor_class": Running}, tau=0.01).learn(40)
-    online, target = (
-        net.features_extractor.running_norm.mean for net in (model.q_net, model.q_net_target)
-    )
-    assert online.norm() > 0.0
-    assert th.equal(online, target)
+    online, target = (net.features_extractor for net in (model.q_net, model.q_net_target))
+    assert online.running_norm.mean.norm() > 0.0
+    assert th.equal(online.running_norm.mean, target.running_norm.mean)
+    assert th.equal(online.norm.running_mean, target.norm.running_mean)
 
 
 def test_saving_leaves_shared_memory_shared() -> None:

@@ -280,7 +280,7 @@ def test_weights_of_images_go_into_a_vector_and_back(kwargs: dict[str, Any]) -> 
 
 def test_a_size_of_features_asks_for_dqns_extractor() -> None:
     given: dict[str, Any] = {"features_extractor_kwargs": {"features_dim": 64}}
-    net = small.make_policy(SMALL_IMAGES, 3, CnnPolicy, **given).q_net
+    net: Any = small.make_policy(SMALL_IMAGES, 3, CnnPolicy, **given).q_net
     assert type(net.features_extractor) is NatureCNN
     assert [(type(layer), layer.in_features) for layer in net.layers] == [(NoisyLinear, 64)]
     given["features_extractor_class"] = NatureConvolutions

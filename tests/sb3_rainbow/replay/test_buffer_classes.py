@@ -17,7 +17,8 @@ from tests.sb3_rainbow.small import FAST, Toy, make
 
 @pytest.mark.parametrize("buffer_class", [ReplayBuffer, NStepReplayBuffer, DictReplayBuffer])
 def test_sb3s_buffers(buffer_class: type[ReplayBuffer]) -> None:
-    policy, env, n_steps = "MlpPolicy", "CartPole-v1", 1
+    policy, n_steps = "MlpPolicy", 1
+    env: Any = "CartPole-v1"
     if buffer_class is DictReplayBuffer:
         policy, env = "MultiInputPolicy", SimpleMultiObsEnv()
     if buffer_class is NStepReplayBuffer:

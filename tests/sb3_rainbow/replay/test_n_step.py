@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch as th
 from gymnasium import spaces
-from stable_baselines3.common.buffers import NStepReplayBuffer
 
 from sb3_rainbow import PrioritizedReplayBuffer
 
@@ -207,25 +205,6 @@ def test_pickling_keeps_open_windows_and_samples() -> None:
             check(buffer, world)
             add(buffer, world.step())
         check(buffer, world)
-
-
-def test_agrees_with_sb3s_own_n_step_buffer_on_complete_windows() -> None:
-    world = World(1, seed=4)
-    ours = make_buffer("box", 1, 40, 3)
-    theirs = NStepReplayBuffer(
-        40, SPACES["box"], spaces.Discrete(5), device="cpu", n_steps=3, gamma=GAMMA
-    )
-    for _ in range(70):
-        row = world.step()
-        add(ours, row)
-        infos = [{"TimeLimit.truncated": row[0].truncated}]
-        end = np.array([row[0].terminated or row[0].truncated])
-        obs, next_obs = encode([row[0].obs], "box"), encode([row[0].next_obs], "box")
-        theirs.add(obs, next_obs, np.array([row[0].action]), np.array([row[0].reward]), end, infos)
-    leaves = np.flatnonzero(ours.tree.leaves)
-    a, b = ours.samples_at(leaves), theirs._get_samples(leaves)
-    for name in ("observations", "actions", "next_observations", "dones", "rewards", "discounts"):
-        th.testing.assert_close(getattr(a, name), getattr(b, name))
 
 
 def test_truncations_count_as_ends_where_timeouts_are_not_handled() -> None:

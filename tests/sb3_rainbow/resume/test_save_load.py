@@ -133,17 +133,18 @@ def test_a_gpu_is_left_alone_by_a_model_on_the_cpu(monkeypatch: pytest.MonkeyPat
     model.save(io.BytesIO())
 
 
-@pytest.mark.parametrize("n_envs", [1, 3])
-def test_who_only_predicts_needs_no_replay_buffer(tmp_path: Any, n_envs: int) -> None:
+@pytest.mark.parametrize(("n_envs", "n_steps"), [(1, 3), (3, 3), (1, 5)])
+def test_who_only_predicts_needs_no_replay_buffer(tmp_path: Any, n_envs: int, n_steps: int) -> None:
     # As RL Zoo's enjoy.py loads what it shows
-    made = make(make_vec_env("CartPole-v1", n_envs=n_envs), n_steps=3)
+    env = make_vec_env("CartPole-v1", n_envs=n_envs)
+    made = make(env, replay_buffer_kwargs={"n_steps": n_steps})
     made.save(tmp_path / "m")
     obs = np.random.default_rng(0).normal(size=(n_envs, 4)).astype(np.float32)
     expected, _ = made.predict(obs, deterministic=True)
-    for env in (None, make_vec_env("CartPole-v1", n_envs=n_envs)):
-        loaded: Any = Rainbow.load(tmp_path / "m", env=env, buffer_size=1, seed=0)
+    for given in (None, env):
+        loaded: Any = Rainbow.load(tmp_path / "m", env=given, buffer_size=1, seed=0)
         np.testing.assert_array_equal(loaded.predict(obs, deterministic=True)[0], expected)
-        assert loaded.replay_buffer.buffer_size == 4  # a window and what it leads to
+        assert loaded.replay_buffer.buffer_size == n_steps + 1  # a window and what it leads to
     loaded.learn(60)
     with pytest.raises(ValueError, match="buffer_size=1 is too small"):
         make(buffer_size=1)
@@ -201,10 +202,3 @@ def test_parameters_are_read_without_running_what_is_stored_beside_them(
     with path.open("rb") as file:
         model.set_parameters(file)
     assert not Path("called").exists()
-
-
-def test_a_buffer_of_more_steps_is_as_large_as_they_need(tmp_path: Any) -> None:
-    make(replay_buffer_kwargs={"n_steps": 5}).save(tmp_path / "m")
-    loaded = Rainbow.load(tmp_path / "m", buffer_size=1)
-    assert loaded.replay_buffer is not None
-    assert loaded.replay_buffer.buffer_size == 6
