@@ -35,7 +35,7 @@ class RainbowPolicy(AsVector, BasePolicy):
     then the ones that :class:`~sb3_rainbow.Rainbow` hands over from its own constructor.
 
     Args:
-        lr_schedule: learning rate schedule; ``lr_schedule(1)`` is the initial rate.
+        lr_schedule: ``lr_schedule(1)`` is the initial rate.
         net_arch: sizes of the hidden layers, or ``dict(shared=[...], streams=[...])``; [64, 64],
             none after ``NatureCNN``, streams of 512 after ``NatureConvolutions``.
         features_extractor_class: features extractor to use; None for the policy's own.

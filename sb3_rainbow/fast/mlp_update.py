@@ -48,9 +48,8 @@ def blas_libraries() -> list[LibController]:
 def single_blas_thread() -> Iterator[None]:
     """Keep BLAS, which numba's matrix products use, to one thread.
 
-    The products of a small network are over before a second thread has started, and on a busy
-    machine waiting for it takes many times as long as the product. (threadpoolctl's own ``limit``
-    asks each library for all that it knows, which takes ten times as long.)
+    The products of a small network are over before a second thread has started. threadpoolctl's own
+    ``limit`` asks each library for all that it knows, which takes ten times as long.
     """
     changed = [(each, n) for each in blas_libraries() if (n := each.get_num_threads()) != 1]
     for library, _ in changed:

@@ -17,20 +17,15 @@ def mask_q_values(q_values: th.Tensor, action_masks: th.Tensor | None) -> th.Ten
 def project_distribution(
     probabilities: th.Tensor, rewards: th.Tensor, discounts: th.Tensor, v_min: float, v_max: float
 ) -> th.Tensor:
-    """Project ``r + discount * Z`` onto the support (Bellemare et al. 2017, equation 7).
+    """Projections ``(B, N)`` of ``r + discount * Z`` (Bellemare et al. 2017, equation 7).
 
     The lower neighbour is at most the last atom but one: an atom that falls exactly on the grid, or
     is clipped to either end, keeps its whole mass without a special case.
 
     Args:
-        probabilities: distribution of Z over the atoms, shape ``(B, N)``.
+        probabilities: distribution of Z over N evenly spaced atoms, shape ``(B, N)``.
         rewards: n-step returns, shape ``(B, 1)``.
         discounts: gamma^k, and 0 where the episode terminated, shape ``(B, 1)``.
-        v_min: lowest of the N evenly spaced atoms.
-        v_max: highest atom.
-
-    Returns:
-        shape ``(B, N)``, rows sum to 1.
     """
     n_atoms = probabilities.shape[1]
     position = _positions(rewards, discounts, n_atoms, v_min, v_max).clamp(0, n_atoms - 1)

@@ -35,9 +35,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
       sample carries its own discount ``gamma ** k``. A truncated episode bootstraps from its
       terminal observation, a terminated one does not.
     - Each observation is stored once, for every dtype and for dicts; the terminal observations,
-      which autoreset would lose, are kept apart. Memory per transition of 12 floats and 12 actions
-      is about 90 bytes.
-    - ``alpha=0`` is uniform replay.
+      which autoreset would lose, are kept apart.
 
     It takes the place of SB3's own buffers::
 
@@ -55,7 +53,6 @@ class PrioritizedReplayBuffer(ReplayBuffer):
         optimize_memory_usage: accepted for SB3's sake; observations are always stored once.
         handle_timeout_termination: if False, truncations count as terminations.
         n_steps: rewards summed per sample.
-        gamma: discount factor.
         alpha: exponent of the priorities, from 0 (uniform) to 1 (proportional).
         beta: exponent of the importance-sampling correction, from 0 (none) to 1 (full).
         epsilon: added to every loss, so that no transition is lost for good.
@@ -179,7 +176,7 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             )
         current, following = self._store.cast(obs), self._store.cast(next_obs)
         # Left in the middle, as when someone resets the env
-        self._truncate(self._store.interrupted(current))
+        self.truncate(self._store.interrupted(current))
         pos = self.pos
         if self.full:
             overwritten = pos * self.n_envs + np.arange(self.n_envs, dtype=np.int64)
@@ -206,15 +203,13 @@ class PrioritizedReplayBuffer(ReplayBuffer):
             self.full = True
             self.pos = 0
 
-    def truncate(self) -> None:
-        """Truncate the episodes that run, because the env is reset in the middle of them."""
-        self._truncate(np.ones(self.n_envs, bool))
-
-    def _truncate(self, which: NDArray[np.bool_]) -> None:
-        if not self.size() or not which.any():
+    def truncate(self, which: NDArray[np.bool_] | None = None) -> None:
+        """Truncate the episodes that run in all envs, or ``which``, as these are being reset."""
+        if not self.size() or (which is not None and not which.any()):
             return
         newest = (self.pos - 1) % self.buffer_size
-        which &= self.ends[newest] == RUNNING
+        running = self.ends[newest] == RUNNING
+        which = running if which is None else which & running
         for env in np.flatnonzero(which).tolist():
             self.ends[newest, env] = TRUNCATED
             self._store.keep_newest(newest, env)

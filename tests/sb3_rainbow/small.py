@@ -7,6 +7,8 @@ import gymnasium as gym
 import numpy as np
 import torch as th
 from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from torch import nn
 
 from sb3_rainbow import MlpPolicy, Rainbow
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
@@ -54,6 +56,24 @@ class Toy(gym.Env):
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         self.steps += 1
         return self._observation(), self.paid(self.steps), False, self.steps == self.length, {}
+
+
+class Extracting(BaseFeaturesExtractor):
+    """Features by the module that ``build`` makes."""
+
+    def __init__(self, space: spaces.Space, build: Callable[[], nn.Module], size: int) -> None:
+        super().__init__(space, size)
+        self.net = build()
+
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        features: th.Tensor = self.net(observations)
+        return features
+
+
+def extracting(build: Callable[[], nn.Module], size: int) -> dict[str, Any]:
+    """Arguments of a policy with an extractor of one's own, of so many features."""
+    kwargs = {"build": build, "size": size}
+    return {"features_extractor_class": Extracting, "features_extractor_kwargs": kwargs}
 
 
 def random_batch(

@@ -12,13 +12,12 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.envs import FakeImageEnv, SimpleMultiObsEnv
 from stable_baselines3.common.logger import KVWriter, Logger
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import nn
 
 from sb3_rainbow import HESSEL, NoisyLinear, PrioritizedReplayBuffer, Rainbow
 from tests.sb3_rainbow import small
-from tests.sb3_rainbow.small import Toy
+from tests.sb3_rainbow.small import Toy, extracting
 
 
 def make(env: Any = "CartPole-v1", policy: str = "MlpPolicy", **settings: Any) -> Rainbow:
@@ -83,19 +82,9 @@ def test_every_kind_of_observation(env: Any, policy: str) -> None:
     assert vec_env.action_space.contains(action[0])
 
 
-class Extractor(BaseFeaturesExtractor):
-    def __init__(self, observation_space: spaces.Space, width: int) -> None:
-        super().__init__(observation_space, features_dim=width)
-        self.net = nn.Linear(4, width)
-
-    def forward(self, obs: th.Tensor) -> th.Tensor:
-        return self.net(obs)
-
-
 def test_custom_extractor_optimizer_and_activation() -> None:
     kwargs = {
-        "features_extractor_class": Extractor,
-        "features_extractor_kwargs": {"width": 7},
+        **extracting(lambda: nn.Linear(4, 7), 7),
         "optimizer_class": th.optim.RMSprop,
         "optimizer_kwargs": {"alpha": 0.9},
         "activation_fn": nn.Tanh,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, NatureCNN
+from stable_baselines3.common.torch_layers import NatureCNN
 from torch import nn
 
 from sb3_rainbow.fast import learning_kernels as kernels
@@ -16,23 +16,19 @@ from sb3_rainbow.fast.adam import AdamOnVector
 from sb3_rainbow.learner.learner import Learner
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy
 from sb3_rainbow.type_aliases import Batch
-from tests.sb3_rainbow.small import make, random_batch
+from tests.sb3_rainbow.small import extracting, make, random_batch
 
 N_ACTIONS = 5
 BOX, IMAGES = spaces.Box(-1, 1, (6,), np.float32), spaces.Box(0, 255, (2, 36, 36), np.uint8)
 
 
-class Convolutions(BaseFeaturesExtractor):
+def convolutions(*layers: nn.Module) -> dict[str, Any]:
     """Small, learning, and nothing that the kernels know."""
 
-    def __init__(self, observation_space: spaces.Space, norm: bool = False) -> None:
-        super().__init__(observation_space, 4 * 17 * 17)
-        self.convolution = nn.Conv2d(2, 4, 3, stride=2)
-        self.norm = nn.BatchNorm2d(4) if norm else nn.Identity()
+    def build() -> nn.Module:
+        return nn.Sequential(nn.Conv2d(2, 4, 3, stride=2), *layers, nn.ReLU(), nn.Flatten())
 
-    def forward(self, obs: th.Tensor) -> th.Tensor:
-        features: th.Tensor = th.relu(self.norm(self.convolution(obs))).flatten(1)
-        return features
+    return extracting(build, 4 * 17 * 17)
 
 
 def make_learner(
@@ -72,7 +68,11 @@ def make_images(seed: int) -> Batch:
     )
 
 
-SEEN: dict[str, Any] = {"space": IMAGES, "features_extractor_class": Convolutions, "n_atoms": 11}
+SEEN: dict[str, Any] = {"space": IMAGES, "n_atoms": 11, **convolutions()}
+NATURE: dict[str, Any] = {
+    **{"space": IMAGES, "n_atoms": 11, "features_extractor_class": NatureCNN},
+    **{"net_arch": [], "noisy_layers": "head"},
+}
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ SEEN: dict[str, Any] = {"space": IMAGES, "features_extractor_class": Convolution
         {**SEEN, "net_arch": []},
         {**SEEN, "net_arch": [16], "double_q": False},
         {**SEEN, "net_arch": [16], "noisy": False, "distributional": False},
-        {**SEEN, "features_extractor_class": NatureCNN, "net_arch": [], "noisy_layers": "head"},
+        NATURE,
     ],
     ids=str,
 )
@@ -284,11 +284,10 @@ def test_a_target_that_is_no_number_stays_in_its_array(bad: float, where: str) -
 
 @pytest.mark.parametrize("why", ["buffers", "frozen", "large"])
 def test_extractors_that_are_left_to_torch(why: str) -> None:
-    kwargs: dict[str, Any] = {}
+    kwargs = {**SEEN, "net_arch": [400 if why == "large" else 8]}
     if why == "buffers":
-        kwargs["features_extractor_kwargs"] = {"norm": True}
-    width = 400 if why == "large" else 8
-    learner = make_learner(True, **SEEN, net_arch=[width], **kwargs)
+        kwargs |= convolutions(nn.BatchNorm2d(4))
+    learner = make_learner(True, **kwargs)
     if why == "frozen":
         learner.policy.q_net.features_extractor.requires_grad_(False)
     assert learner.kernels() is None

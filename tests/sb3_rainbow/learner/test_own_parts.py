@@ -17,7 +17,7 @@ from sb3_rainbow import MlpPolicy, NoisyLinear, Rainbow
 from sb3_rainbow.learner.learner import as_batch
 from sb3_rainbow.network.rainbow_network import RainbowNetwork
 from tests.sb3_rainbow import small
-from tests.sb3_rainbow.small import policy_of
+from tests.sb3_rainbow.small import extracting, policy_of
 
 
 def make(policy: Any = "MlpPolicy", env: Any = "CartPole-v1", **kwargs: Any) -> Rainbow:
@@ -71,16 +71,6 @@ def test_what_an_extractor_does_not_train_stays(kernels: bool) -> None:
     assert (model._learner.kernels() is not None) == kernels
 
 
-class Scripted(BaseFeaturesExtractor):
-    def __init__(self, space: spaces.Space) -> None:
-        super().__init__(space, 4)
-        self.part = th.jit.script(nn.Sequential(nn.Flatten()))
-
-    def forward(self, observations: th.Tensor) -> th.Tensor:
-        outputs: th.Tensor = self.part(observations)
-        return outputs
-
-
 class Built(MlpPolicy):
     def _build(self, lr_schedule: Any) -> None:
         self.q_net, self.q_net_target = self.make_q_net(), self.make_q_net()
@@ -116,7 +106,7 @@ def flattened(model: Rainbow) -> None:
 @pytest.mark.parametrize(
     ("policy", "kwargs", "change"),
     [
-        ("MlpPolicy", {"features_extractor_class": Scripted}, None),
+        ("MlpPolicy", extracting(lambda: th.jit.script(nn.Sequential(nn.Flatten())), 4), None),
         (Built, {}, None),
         (Signed, {}, None),
         ("MlpPolicy", {"net_arch": [64] * 3}, tied),
@@ -230,21 +220,18 @@ def test_none_means_to_load_what_it_means_to_the_constructor(tmp_path: Any) -> N
         Rainbow.load(path, tau=2.0)
 
 
-class Viewing(BaseFeaturesExtractor):
+class Viewing(nn.Conv2d):
     """A convolution flattened by ``view``, as in many programs."""
 
-    def __init__(self, observation_space: spaces.Space) -> None:
-        super().__init__(observation_space, 4 * 6 * 6)
-        self.convolution = nn.Conv2d(3, 4, 8, stride=6)
-
-    def forward(self, observations: Any) -> th.Tensor:
-        features = self.convolution(observations)
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        features = super().forward(observations)
         return features.view(features.size(0), -1)
 
 
 def test_an_extractor_that_views_its_images_as_rows() -> None:
     env = FakeImageEnv(2, screen_height=40, screen_width=40, n_channels=3, discrete=True)
-    model = make("CnnPolicy", env, policy_kwargs={"features_extractor_class": Viewing})
+    kwargs = extracting(lambda: Viewing(3, 4, 8, stride=6), 4 * 6 * 6)
+    model = make("CnnPolicy", env, policy_kwargs=kwargs)
     assert model.learn(24)._n_updates > 0
 
 

@@ -253,10 +253,11 @@ def test_masks_left_out_of_a_prediction_are_told_once(tmp_path: Any) -> None:
     small_model(DummyVecEnv([ClockEnv]), use_masking=False).predict(obs)
 
 
-def trained(n_envs: int, stops: tuple[int, ...], **settings: Any) -> Rainbow:
-    """A model that is stopped after some steps of each environment, and at last after 60."""
+@pytest.mark.parametrize("n_envs", [1, 3])
+@pytest.mark.parametrize("stops", [(3,), (5, 6), (12, 25)])
+def test_no_transition_skips_a_step(n_envs: int, stops: tuple[int, ...]) -> None:
     env = DummyVecEnv([ClockEnv] * n_envs)
-    model = small_model(env, learning_starts=10_000, train_freq=7, **settings)
+    model = small_model(env, learning_starts=10_000, train_freq=7, n_steps=1)
     for end in (*stops, 60):
         model.learn(
             1000,
@@ -264,13 +265,6 @@ def trained(n_envs: int, stops: tuple[int, ...], **settings: Any) -> Rainbow:
             reset_num_timesteps=False,
         )
         assert model.num_timesteps == end * n_envs
-    return model
-
-
-@pytest.mark.parametrize("n_envs", [1, 3])
-@pytest.mark.parametrize("stops", [(3,), (5, 6), (12, 25)])
-def test_no_transition_skips_a_step(n_envs: int, stops: tuple[int, ...]) -> None:
-    model = trained(n_envs, stops, n_steps=1)
     buffer: Any = model.replay_buffer
     samples = buffer.samples_at(np.flatnonzero(buffer.tree.leaves))
     assert len(samples.indices) == 60 * n_envs
