@@ -16,19 +16,18 @@ from sb3_rainbow.fast.adam import AdamOnVector
 from sb3_rainbow.learner.learner import Learner
 from sb3_rainbow.policies import CnnPolicy, MlpPolicy, MultiInputPolicy
 from sb3_rainbow.type_aliases import Batch
-from tests.sb3_rainbow.small import extracting, make, random_batch
+from tests.sb3_rainbow.small import Extracting, make, random_batch
 
 N_ACTIONS = 5
 BOX, IMAGES = spaces.Box(-1, 1, (6,), np.float32), spaces.Box(0, 255, (2, 36, 36), np.uint8)
 
 
-def convolutions(*layers: nn.Module) -> dict[str, Any]:
+class Convolutions(Extracting):
     """Small, learning, and nothing that the kernels know."""
 
-    def build() -> nn.Module:
-        return nn.Sequential(nn.Conv2d(2, 4, 3, stride=2), *layers, nn.ReLU(), nn.Flatten())
-
-    return extracting(build, 4 * 17 * 17)
+    def __init__(self, space: spaces.Space, norm: type[nn.Module] = nn.Identity) -> None:
+        layers = nn.Conv2d(2, 4, 3, stride=2), norm(4), nn.ReLU(), nn.Flatten()
+        super().__init__(space, lambda: nn.Sequential(*layers), 4 * 17 * 17)
 
 
 def make_learner(
@@ -68,11 +67,7 @@ def make_images(seed: int) -> Batch:
     )
 
 
-SEEN: dict[str, Any] = {"space": IMAGES, "n_atoms": 11, **convolutions()}
-NATURE: dict[str, Any] = {
-    **{"space": IMAGES, "n_atoms": 11, "features_extractor_class": NatureCNN},
-    **{"net_arch": [], "noisy_layers": "head"},
-}
+SEEN: dict[str, Any] = {"space": IMAGES, "features_extractor_class": Convolutions, "n_atoms": 11}
 
 
 @pytest.mark.parametrize(
@@ -93,7 +88,7 @@ NATURE: dict[str, Any] = {
         {**SEEN, "net_arch": []},
         {**SEEN, "net_arch": [16], "double_q": False},
         {**SEEN, "net_arch": [16], "noisy": False, "distributional": False},
-        NATURE,
+        {**SEEN, "features_extractor_class": NatureCNN, "net_arch": [], "noisy_layers": "head"},
     ],
     ids=str,
 )
@@ -286,7 +281,7 @@ def test_a_target_that_is_no_number_stays_in_its_array(bad: float, where: str) -
 def test_extractors_that_are_left_to_torch(why: str) -> None:
     kwargs = {**SEEN, "net_arch": [400 if why == "large" else 8]}
     if why == "buffers":
-        kwargs |= convolutions(nn.BatchNorm2d(4))
+        kwargs["features_extractor_kwargs"] = {"norm": nn.BatchNorm2d}
     learner = make_learner(True, **kwargs)
     if why == "frozen":
         learner.policy.q_net.features_extractor.requires_grad_(False)
