@@ -1,12 +1,10 @@
 """Defaults and checks of Rainbow's settings."""
 
-import io
 import json
 import math
 import warnings
 import zipfile
 from contextlib import nullcontext
-from pathlib import Path
 from typing import Any
 
 from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
@@ -16,7 +14,7 @@ from sb3_rainbow.network.rainbow_network import head_of
 from sb3_rainbow.policies import RainbowPolicy
 from sb3_rainbow.replay.buffers import PrioritizedReplayBuffer
 from sb3_rainbow.replay.parameters import check_counts, check_shares
-from sb3_rainbow.type_aliases import Distributional, UseMasking
+from sb3_rainbow.type_aliases import Distributional, SaveFile, UseMasking
 
 # Constructor arguments that Rainbow hands to its policy
 NETWORK_ARGUMENTS = frozenset(
@@ -132,7 +130,7 @@ def support_of(
     return None if head == "scalar" else (v_min, v_max) if head == "categorical" else ()
 
 
-def support_in_file(path: str | Path | io.BufferedIOBase) -> tuple[float, ...] | None:
+def support_in_file(path: SaveFile) -> tuple[float, ...] | None:
     """The :func:`support_of` a saved model; None of what is none, which SB3 refuses."""
     file = open_path(path, "r", suffix="zip")
     with nullcontext() if file is path else file:

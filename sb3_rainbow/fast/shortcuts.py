@@ -23,7 +23,6 @@ from sb3_rainbow.policies import RainbowPolicy
 _MOST_WEIGHTS = 500_000
 _HOOKS = ("_forward_hooks", "_forward_pre_hooks", "_backward_hooks", "_backward_pre_hooks")
 _GLOBAL_HOOKS = tuple(f"_global{name}" for name in _HOOKS)
-_LAST = th.channels_last
 _TRAINS = attrgetter("requires_grad")
 _VALUES: Any = methodcaller("values")  # a scripted module's are in no dict
 _HOOKS_OF_PARAMETER = attrgetter("_backward_hooks", "_post_accumulate_grad_hooks")
@@ -78,7 +77,7 @@ def _is_perceptron(net: RainbowNetwork) -> bool:
         and all(
             p is not None
             and (p.dtype, p.device.type) == (th.float32, "cpu")
-            and (p.is_contiguous() or (p.ndim == 4 and p.is_contiguous(memory_format=_LAST)))
+            and (p.is_contiguous() or p.is_contiguous(memory_format=th.channels_last))  # no gaps
             and not p.is_shared()  # with other processes, which would see the memory that was
             for p in parameters
         )
